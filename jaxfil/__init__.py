@@ -1,0 +1,9 @@
+"""Differentiable, batched simulation and bifurcation analysis of nonsmooth systems in JAX."""
+
+from jaxfil import systems as systems
+from jaxfil.results import KINDS as KINDS, RESULTS as RESULTS
+from jaxfil.solution import Events as Events, Solution as Solution, solve as solve
+from jaxfil.stepper import RK4 as RK4
+from jaxfil.system import System as System, piecewise as piecewise, smoothed as smoothed
+
+__version__ = "0.1.0"

@@ -1,0 +1,254 @@
+"""The command line: arguments enter, a picture, its numbers and one line on what was done leave.
+
+    python -m jaxfil --list
+    python -m jaxfil diagram sd-oscillator --parameter omega --from 0.6 --to 1.3 --points 2000 \
+        --out sd.png
+
+Whatever cannot be done is answered by one line on stderr that says what is allowed, and exit code
+2, before any computing starts. Exit code 1: no lane of the sweep reached its end.
+"""
+
+import argparse
+import dataclasses
+import math
+import os
+import re
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+import jax
+import numpy as np
+
+from jaxfil.results import RESULTS
+from jaxfil.sweep import bifurcation_diagram
+from jaxfil.system import System
+from jaxfil.systems import TEXTBOOK
+
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Do what `argv` (or the command line) asks; the exit code leaves."""
+    jax.config.update("jax_enable_x64", True)
+    try:
+        args = _parser().parse_args(_join_negatives(sys.argv[1:] if argv is None else argv))
+        if args.list:
+            print(_listing())
+            return 0
+        if args.command is None:
+            raise _Misuse("what to do is missing: diagram (see diagram --help), or --list")
+        return _diagram(args)
+    except _Misuse as misuse:
+        print(f"jaxfil: {misuse}", file=sys.stderr)
+        return 2
+
+
+class _Misuse(Exception):
+    """A command line that cannot be carried out; its one-line message says what is allowed."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise _Misuse(message)
+
+
+def _parser() -> _Parser:
+    top = _Parser(prog="python -m jaxfil", description="Nonsmooth dynamical systems in JAX.")
+    top.add_argument("--list", action="store_true", help="systems, their parameters and defaults")
+    commands = top.add_subparsers(dest="command", metavar="diagram")
+    diagram = commands.add_parser("diagram", help="draw a bifurcation diagram", allow_abbrev=False)
+    add: Callable[..., Any] = diagram.add_argument
+    whole, positive = _whole(0), _whole(1)
+    add("system", metavar="NAME", help="a forced system that --list names")
+    add("--parameter", metavar="P", required=True, help="the parameter to sweep")
+    add("--from", dest="start", metavar="A", type=_number, required=True, help="its first value")
+    add("--to", dest="stop", metavar="B", type=_number, required=True, help="its last value")
+    add("--points", metavar="N", type=positive, required=True, help="how many values")
+    add("--out", metavar="FILE", type=_picture, required=True, help="the picture, FILE.png say")
+    add("--transient", metavar="N", type=whole, default=200, help="periods left out: %(default)s")
+    add("--samples", metavar="N", type=positive, default=100, help="periods seen: %(default)s")
+    add("--steps", metavar="N", type=positive, default=40, help="steps a period: %(default)s")
+    add("--x0", metavar="A,B", type=_state, help="initial state: the one that --list shows")
+    add("--follow", choices=("up", "down"), help="start each value where its neighbour ended")
+    add("--set", metavar="P=VALUE", type=_setting, nargs="+", action="extend", default=[])
+    add("--component", metavar="I", type=whole, default=0, help="of the state: %(default)s")
+    add("--quiet", action="store_true", help="no progress bar and no summary")
+    return top
+
+
+def _diagram(args: argparse.Namespace) -> int:
+    settings = dict(args.set)
+    x0 = _check(args, settings)
+    start = time.perf_counter()
+    diagram = bifurcation_diagram(
+        TEXTBOOK[args.system][0](**settings),
+        args.parameter,
+        np.linspace(args.start, args.stop, args.points),
+        np.array(x0),
+        transient=args.transient,
+        samples=args.samples,
+        steps=args.steps,
+        follow=args.follow,
+        progress=not args.quiet,
+    )
+    seconds = time.perf_counter() - start
+    outcomes = _outcomes(diagram.results)
+    _draw(diagram, args, _conditions(args, settings, x0))
+    _save(diagram, args, settings, x0, outcomes)
+    if not args.quiet:
+        print(_summary(args, outcomes, seconds))
+    return 0 if (outcomes == "successful").any() else 1
+
+
+def _check(args: argparse.Namespace, settings: dict[str, float]) -> tuple[float, ...]:
+    """Refuse names and values that do not fit the system; the initial state leaves."""
+    _one_of("NAME", args.system, TEXTBOOK)
+    cls, default = TEXTBOOK[args.system]
+    if cls().period is None:
+        forced = ", ".join(name for name in TEXTBOOK if TEXTBOOK[name][0]().period is not None)
+        raise _Misuse(
+            f"{args.system} is not forced, so it has no period to sample at: try {forced}"
+        )
+    _one_of("--parameter", args.parameter, _defaults(cls))
+    for name in settings:
+        _one_of("--set", name, [p for p in _defaults(cls) if p != args.parameter])
+    x0 = args.x0 or default
+    if len(x0) != len(default):
+        raise _Misuse(f"--x0 must be {len(default)} numbers for {args.system}, it was {len(x0)}")
+    if args.component >= len(x0):
+        raise _Misuse(f"--component must be from 0 to {len(x0) - 1}, it was {args.component}")
+    return x0
+
+
+def _one_of(what: str, name: str, allowed) -> None:
+    if name not in allowed:
+        raise _Misuse(f"{what} must be one of {', '.join(allowed)}; it was {name!r}")
+
+
+def _defaults(cls: type[System]) -> dict[str, float]:
+    system = cls()
+    return {f.name: float(getattr(system, f.name)) for f in dataclasses.fields(cls)}
+
+
+def _listing() -> str:
+    lines = []
+    for name, (cls, x0) in TEXTBOOK.items():
+        parameters = " ".join(f"{p}={value:.10g}" for p, value in _defaults(cls).items())
+        kind = "" if cls().period is not None else " (not forced: no diagram)"
+        lines.append(f"{name}{kind}\n    {parameters or 'no parameters'}, from {_text(x0)}")
+    return "\n".join(lines)
+
+
+def _conditions(args: argparse.Namespace, settings: dict[str, float], x0) -> str:
+    """What the picture cannot show and a reader needs to make it again."""
+    given = "".join(f", {name} = {value:.10g}" for name, value in settings.items())
+    follow = f" and on {args.follow}" if args.follow else ""
+    periods = f"{args.transient} + {args.samples} periods of {args.steps} steps"
+    return f"{args.system}{given}, from {_text(x0)}{follow}, {periods}"
+
+
+def _summary(args: argparse.Namespace, outcomes: np.ndarray, seconds: float) -> str:
+    names, counts = np.unique(outcomes, return_counts=True)
+    ended = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
+    return (
+        f"{args.points} values of {args.parameter} in {seconds:.1f} s: {ended}; "
+        f"wrote {args.out} and {args.out.with_suffix('.npz')}"
+    )
+
+
+def _draw(diagram, args: argparse.Namespace, title: str) -> None:
+    from jaxfil import plot  # here, so that mistakes are answered without loading matplotlib
+
+    page = plot.page()
+    ax = plot.bifurcation_diagram(diagram, page.add_subplot(), args.component)
+    ax.set_title(title, fontsize="small")
+    page.savefig(args.out)
+
+
+def _save(diagram, args: argparse.Namespace, settings, x0, outcomes: np.ndarray) -> None:
+    """Everything in the picture, and what it takes to make it again, beside it as .npz."""
+    parameters = _defaults(TEXTBOOK[args.system][0]) | settings
+    del parameters[args.parameter]
+    np.savez_compressed(
+        args.out.with_suffix(".npz"),
+        system=args.system,
+        parameter=args.parameter,
+        values=np.asarray(diagram.values),
+        xs=np.asarray(diagram.xs),
+        results=outcomes,
+        fixed_names=np.array(list(parameters)),
+        fixed_values=np.array(list(parameters.values())),
+        x0=np.array(x0),
+        transient=args.transient,
+        samples=args.samples,
+        steps=args.steps,
+        follow=args.follow or "",
+    )
+
+
+def _outcomes(results) -> np.ndarray:
+    """The name of every lane's outcome."""
+    names = RESULTS._name_to_item
+    return np.select([np.asarray(results == item) for item in names.values()], list(names), "")
+
+
+def _join_negatives(argv: list[str]) -> list[str]:
+    """Glue `--x0 -1,2` into `--x0=-1,2`: argparse takes what starts with a minus for an option."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and re.fullmatch(r"--[a-z0-9]+", joined[-1]) and re.match(r"-[\d.]", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"must be a finite number, it was {text!r}")
+    return value
+
+
+def _whole(least: int) -> Callable[[str], int]:
+    def parse(text: str) -> int:
+        if not re.fullmatch(r"\d+", text) or int(text) < least:
+            message = f"must be a whole number of {least} or more, it was {text!r}"
+            raise argparse.ArgumentTypeError(message)
+        return int(text)
+
+    return parse
+
+
+def _state(text: str) -> tuple[float, ...]:
+    return tuple(_number(part) for part in text.split(","))
+
+
+def _setting(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"must be NAME=VALUE, it was {text!r}")
+    return name, _number(value)
+
+
+def _picture(text: str) -> Path:
+    path = Path(text)
+    if path.suffix not in PICTURES:
+        raise argparse.ArgumentTypeError(f"must end in {', '.join(PICTURES)}; it was {text!r}")
+    if not os.access(path.parent, os.W_OK):
+        raise argparse.ArgumentTypeError(f"must be in a folder to write to, it was {text!r}")
+    return path
+
+
+def _text(x0: tuple[float, ...]) -> str:
+    return f"({', '.join(f'{value:.10g}' for value in x0)})"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""The door: bad arguments are named before anything is compiled.
+
+Arguments as the user gave them enter; arrays of one dtype leave, or a `ValueError` that names the
+argument, what it must be and what it was.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.system import System
+
+
+def concrete(value: Any) -> np.ndarray | None:
+    """The value as NumPy numbers, or None while it is being traced."""
+    if isinstance(value, jax.core.Tracer):
+        return None
+    return np.asarray(value)
+
+
+def state(name: str, x: Any) -> Array:
+    """A state of shape (n,), in its own float precision (the default one for integers)."""
+    try:
+        array = jnp.asarray(x)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{name}` must be an array of shape (n,), got {x!r}.") from error
+    if array.ndim != 1 or array.shape[0] == 0:
+        raise ValueError(
+            f"`{name}` must be of shape (n,) with n ≥ 1, got shape {array.shape}. "
+            "Batches come from `jax.vmap` or `equinox.filter_vmap`."
+        )
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"`{name}` must be of a real dtype, got {array.dtype}.")
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        array = array.astype(jnp.result_type(float))
+    return array
+
+
+def scalar(name: str, value: Any, dtype: Any, *, positive: bool = False) -> Array:
+    """A real number, traced or not."""
+    must = "a positive number" if positive else "a number"
+    if isinstance(value, (str, bytes, bool)) or value is None:
+        raise ValueError(f"`{name}` must be {must}, got {value!r}.")
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{name}` must be {must}, got {value!r}.") from error
+    if array.ndim != 0:
+        raise ValueError(f"`{name}` must be {must}, got an array of shape {array.shape}.")
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"`{name}` must be {must}, got dtype {array.dtype}.")
+    known = concrete(value)
+    if positive and known is not None and not known > 0:
+        raise ValueError(f"`{name}` must be {must}, got {known}.")
+    return array.astype(dtype)
+
+
+def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> Any:
+    """A Python integer of at least `least`, or None where that is allowed."""
+    if value is None and optional:
+        return None
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < least:
+        must = f"an integer of at least {least}" + (" or None" if optional else "")
+        raise ValueError(f"`{name}` must be {must}, got {value!r}.")
+    return int(value)
+
+
+def system(name: str, value: Any, x: Array) -> None:
+    """A `System` whose functions return what they must for states shaped like `x`."""
+    if not isinstance(value, System):
+        what = value.__name__ if isinstance(value, type) else type(value).__name__
+        hint = "; create an instance of it" if isinstance(value, type) else ""
+        raise ValueError(f"`{name}` must be an instance of jaxfil.System, got {what}{hint}.")
+    t, n = jnp.zeros((), x.dtype), x.shape[0]
+    h = _shape("switching", value.switching, t, x)
+    if h is not None and len(h) > 1:
+        raise ValueError(
+            f"`switching` of {type(value).__name__} must return a scalar or an array of shape "
+            f"(m,), got shape {h}."
+        )
+    side = jnp.ones(h if h is not None else (), x.dtype)
+    f = _shape("vector_field", value.vector_field, t, x, side)
+    if f != (n,):
+        raise ValueError(
+            f"`vector_field` of {type(value).__name__} must return an array of the shape of the "
+            f"state, {(n,)}, got {'no array' if f is None else f'shape {f}'}."
+        )
+    if type(value).reset is not System.reset:
+        r = _shape("reset", value.reset, t, x, jnp.zeros((), jnp.int32))
+        if r != (n,):
+            raise ValueError(
+                f"`reset` of {type(value).__name__} must return an array of the shape of the "
+                f"state, {(n,)}, got {'no array' if r is None else f'shape {r}'}."
+            )
+
+
+def _shape(name: str, function: Any, *args: Any) -> tuple[int, ...] | None:
+    """The shape a user's function returns; None if that is no array of real numbers."""
+    out = eqx.filter_eval_shape(function, *args)
+    if not isinstance(out, jax.ShapeDtypeStruct) or not jnp.issubdtype(out.dtype, jnp.number):
+        return None
+    if jnp.issubdtype(out.dtype, jnp.complexfloating):
+        raise ValueError(f"`{name}` must return real numbers, got {out.dtype}.")
+    return out.shape

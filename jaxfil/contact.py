@@ -1,0 +1,198 @@
+"""First contact inside a step.
+
+The guards' values and rates at both ends of a trial step enter; where in the step one of them first
+becomes negative leaves, as a fraction θ of the step, and, when a step has ended on a contact, the
+time δ that is missing.
+
+The guard is positive in the current mode. Between the ends it is taken as the cubic through values
+and rates; its minimum is searched, so that a dip below zero and back inside one step is found. A
+surface that the lane has just left starts at exactly zero with a rate that is zero or positive:
+its contact is a root after the cubic's maximum, never the one at the start.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.lane import Lane, Span, View, epsilon
+from jaxfil.scene import Blocks, Scene, any_of
+
+NEVER = 2.0
+"""θ of a contact that does not happen in this step."""
+
+# A minimum this small a part of the guard's range is stepped to and looked at: the cubic's own
+# error could hide a dip below it.
+_SUSPICIOUS = 1 / 64
+# A step is cut at such a minimum only well inside it: at its ends the cubic is exact.
+_MARGIN = 0.02
+
+
+class Cubic(eqx.Module):
+    """g(θ) = g0 + d0 θ + a θ² + b θ³ on [0, 1], its minimum and its maximum."""
+
+    g0: Array
+    d0: Array
+    a: Array
+    b: Array
+    low: Array
+    high: Array
+
+    def __init__(self, g0: Array, d0: Array, g1: Array, d1: Array):
+        rise = g1 - g0
+        a, b = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
+        self.g0, self.d0, self.a, self.b = g0, d0, a, b
+        # Roots of 3bθ² + 2aθ + d0, each by the formula that does not cancel. The minimum is the
+        # one where the second derivative 2a + 6bθ = +2√disc.
+        disc = a * a - 3 * b * d0
+        root = jnp.sqrt(jnp.maximum(disc, 0))
+        sum_ = jnp.where(a >= 0, a + root, a - root)
+        near = -_quotient(d0, sum_)
+        far = -_quotient(sum_, 3 * b)
+        exists = disc > 0
+        self.low = jnp.where(exists, jnp.where(a >= 0, near, far), NEVER)
+        self.high = jnp.where(exists, jnp.where(a >= 0, far, near), NEVER)
+
+    def __call__(self, theta: Array) -> Array:
+        return self.g0 + theta * (self.d0 + theta * (self.a + theta * self.b))
+
+    def slope(self, theta: Array) -> Array:
+        return self.d0 + theta * (2 * self.a + 3 * theta * self.b)
+
+
+def _quotient(a: Array, b: Array) -> Array:
+    """a/b, far outside the step where b = 0."""
+    zero = b == 0
+    return jnp.where(zero, NEVER, a / jnp.where(zero, 1, b))
+
+
+def _descending_root(cubic: Cubic, lo: Array, hi: Array) -> Array:
+    """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
+
+    Newton from the point of inflection, or from the end nearest to it, runs to the root
+    monotonically; four iterations leave less than the cubic's own error.
+    """
+    inflection = -_quotient(cubic.a, 3 * cubic.b)
+    theta = jnp.clip(inflection, lo, hi)
+    for _ in range(4):
+        theta = jnp.clip(theta - _quotient(cubic(theta), cubic.slope(theta)), lo, hi)
+    return theta
+
+
+def first_contact(
+    g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array
+) -> tuple[Array, Array]:
+    """θ of the first contact, and θ of a minimum to be looked at; `NEVER` where there is none.
+
+    `d0`, `d1` are rates times the step. `noise` is what rounding does to the guard; a surface not
+    `armed` was left at this step's start or has not been left by more than `noise` since.
+    """
+    cubic = Cubic(g0, d0, g1, d1)
+    inside = (cubic.low > 0) & (cubic.low < 1)
+    low_value = cubic(cubic.low)
+    dips = inside & (low_value < -noise)
+    contact = dips | (g1 < -noise)
+    hi = jnp.where(dips, cubic.low, 1.0)
+    rises_first = (cubic.high > 0) & (cubic.high < hi)
+    lo = jnp.where(rises_first, cubic.high, 0.0)
+    root = _descending_root(cubic, lo, hi)
+    # A surface just left must rise before it can be met again. If the cubic does not show that
+    # rise the step is too long for it: look at a quarter.
+    root = jnp.where(armed | rises_first, root, 0.25 * hi)
+    reach = abs(d0) + abs(d1)
+    touches = abs(low_value) <= 4 * noise
+    central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
+    near = touches | (central & (low_value <= _SUSPICIOUS * reach))
+    look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
+    theta = jnp.where(contact, root, NEVER)
+    return theta, jnp.where(look & ~contact, cubic.low, NEVER)
+
+
+class Search(eqx.Module):
+    """What a trial step has run over: θ of the earliest contact or minimum to be looked at
+    (`NEVER`: nothing), and the surfaces of that contact (none for a minimum)."""
+
+    theta: Array
+    surfaces: Blocks
+
+
+def search(scene: Scene, lane: Lane, view: View, h: Array) -> Search:
+    """The earliest contact of a trial step of signed length h, over all surfaces."""
+    contact = minimum = jnp.asarray(NEVER, h.dtype)
+    thetas = []
+    for j in range(scene.m):
+        noise = jnp.where(lane.armed[j], view.noise[j], jnp.maximum(view.noise[j], lane.noise[j]))
+        theta, low = first_contact(
+            lane.g[j],
+            h * lane.rate[j],
+            stop_gradient(view.g[j]),
+            h * view.rate[j],
+            lane.armed[j],
+            noise,
+        )
+        thetas.append(theta)
+        contact, minimum = jnp.minimum(contact, theta), jnp.minimum(minimum, low)
+    first = (contact < NEVER) & (contact <= minimum)
+    surfaces = tuple(first & (theta <= contact * (1 + 1e-6)) for theta in thetas)
+    return Search(jnp.minimum(contact, minimum), surfaces)
+
+
+class Landing(eqx.Module):
+    """Whether a step has ended on a contact, the surfaces, whether they are only touched, and the
+    signed time δ from the end of the step to the contact."""
+
+    landed: Array
+    surfaces: Blocks
+    touched: Array
+    delta: Array
+
+
+def land(
+    scene: Scene, span: Span, lane: Lane, view: View, h: Array, room: Array, cutting: Array
+) -> Landing:
+    """Whether this step has ended on a contact.
+
+    `room` is the signed time from its end to the next grid point. δ is one Newton step: its error
+    is of order δ², and that of its derivative of order δ, hence the power of eps below.
+    """
+    direction = span.direction
+    same = span.same_time(view.tau)
+    close = jnp.where(cutting, epsilon(scene) ** (2 / 3) * abs(span.dt), same)
+    hits, touches = [], []
+    delta: Any = jnp.zeros_like(h)
+    for j in reversed(range(scene.m)):
+        rate, aimed = view.rate[j], cutting & lane.aim[j]
+        falls = direction * rate < 0
+        missing = -view.g[j] / jnp.where(falls, rate, -direction)
+        size = abs(stop_gradient(missing))
+        within = (size <= close) & ((room - stop_gradient(missing)) * direction >= 0)
+        hit = falls & (lane.armed[j] | aimed) & (within | (size <= same))
+        # The contact aimed at is no further than rounding of time: this is it.
+        hit = hit | (falls & aimed & (abs(h) <= same))
+        hits.append(hit)
+        delta = jnp.where(hit, missing, delta)
+        # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
+        bend = direction * (rate - lane.rate[j])
+        vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.noise[j] * bend)
+        small = (abs(view.g[j]) <= view.noise[j]) & (view.mode[j] != 0)
+        touches.append(lane.armed[j] & small & vertex)
+    hits, touches = tuple(reversed(hits)), tuple(reversed(touches))
+    landed = any_of(hits)
+    touched = any_of(touches) & ~landed
+    surfaces = tuple(jnp.where(landed, a, touched & b) for a, b in zip(hits, touches, strict=True))
+    # Rounding can put a contact just past the end of the span it belongs to.
+    late = (stop_gradient(delta) - room) * direction > 0
+    delta = jnp.where(late, delta - stop_gradient(delta) + room, delta)
+    return Landing(landed | touched, surfaces, touched, delta)
+
+
+def missing_time(span: Span, lane: Lane, view: View) -> Array:
+    """The signed time from here to the contact aimed at, by Newton; 0 if it is not ahead."""
+    missing: Any = jnp.zeros_like(view.tau)
+    for aim, g, rate in zip(lane.aim, view.g, view.rate, strict=True):
+        falls = span.direction * rate < 0
+        ahead = -g / jnp.where(falls, rate, -span.direction)
+        missing = jnp.where(aim & falls & (g > 0), stop_gradient(ahead), missing)
+    return missing

@@ -1,0 +1,167 @@
+"""What happens on a surface: convex combinations, the sliding weight, and the choice of a mode.
+
+Fields on all sides of the surfaces at one point enter, with the mode of motion: per surface +1 or
+−1 (on that side) or 0 (sliding). The field of the mode, its weights, and after a contact the modes
+that continue the solution leave.
+
+On several surfaces at once the field is the product-weight (Alexander–Seidman) blend of the 2^m
+corner fields: with weights w in [−1, 1]^m, F(w) = Σ_s F_s Π_j (1 + s_j w_j)/2, where w_j = ±1 off
+the surface and, for the surfaces slid on, w solves dH_j/dt(w) = 0. For one surface this is
+Filippov's convex combination with λ = (1 + w)/2.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.linear import solve_small
+from jaxfil.scene import Blocks, Scene
+
+# Newton iterations for the weights of an intersection. The system is multi-affine: affine (one
+# iteration) when each term of the field sees one side, and well inside [-1, 1]^m otherwise.
+_NEWTON = 6
+
+
+def _mix(w: Array, above: Blocks, below: Blocks) -> Blocks:
+    """The blend of the fields above and below one surface; w = ±1 takes one side, untouched by a
+    NaN of the other."""
+    share = 0.5 * (1 + w)
+    return tuple(
+        jnp.where(w == 1, a, jnp.where(w == -1, b, b + share * (a - b)))
+        for a, b in zip(above, below, strict=True)
+    )
+
+
+def blend(corners: Sequence[Blocks], weights: Blocks) -> Blocks:
+    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of `Scene.corner_sides`."""
+    for w in weights:
+        half = len(corners) // 2
+        corners = [_mix(w, corners[i], corners[half + i]) for i in range(half)]
+    return corners[0]
+
+
+def _slope(corners: Sequence[Blocks], weights: Blocks, j: int) -> Blocks:
+    """∂ blend/∂w_j."""
+    for i, w in enumerate(weights):
+        half = len(corners) // 2
+        pairs = [(corners[k], corners[half + k]) for k in range(half)]
+        if i == j:
+            corners = [tuple(0.5 * (p - q) for p, q in zip(a, b, strict=True)) for a, b in pairs]
+        else:
+            corners = [_mix(w, a, b) for a, b in pairs]
+    return corners[0]
+
+
+def _safe_quotient(a: Array, b: Array) -> Array:
+    """a/b, and 0 where b = 0, with finite derivatives there."""
+    zero = b == 0
+    return jnp.where(zero, 0, a / jnp.where(zero, 1, b))
+
+
+def weights(mode: Blocks, rates: Sequence[Blocks]) -> Blocks:
+    """The weights of a mode: ±1 off a surface, the solution of dH/dt(w) = 0 on it.
+
+    `rates[s][j]` is dH_j/dt along the field of corner s. The solution may lie outside [−1, 1]:
+    beyond the end of a slide it is the smooth continuation that root finding needs.
+    """
+    if len(mode) == 0:
+        return ()
+    if len(mode) == 1:
+        above, below = rates[0][0], rates[1][0]
+        sliding = mode[0] == 0
+        return (jnp.where(sliding, _safe_quotient(below + above, below - above), mode[0]),)
+    w = mode
+    for _ in range(_NEWTON):
+        residual = blend(rates, w)
+        slopes = [_slope(rates, w, i) for i in range(len(w))]
+        matrix, right = [], []
+        for j, mode_j in enumerate(mode):
+            sliding = mode_j == 0
+            right.append(jnp.where(sliding, residual[j], 0.0))
+            matrix.append(
+                [
+                    jnp.where(sliding, slopes[i][j], float(i == j))
+                    for i in range(len(w))
+                ]
+            )
+        update = solve_small(matrix, right)
+        w = tuple(a - b for a, b in zip(w, update, strict=True))
+    return w
+
+
+def corners(scene: Scene, t: Array, x: Blocks) -> tuple[list[Blocks], list[Blocks]]:
+    """The field on every combination of sides, and dH/dt along each."""
+    fields = [scene.field(t, x, sides) for sides in scene.corner_sides()]
+    return fields, [scene.rate(t, x, f) for f in fields]
+
+
+def field(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
+    """The field of a mode, blended while it slides."""
+    if not scene.slides:
+        return scene.field(t, x, mode)
+    fields, rates = corners(scene, t, x)
+    return blend(fields, weights(mode, rates))
+
+
+def guard(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
+    """What must stay positive in a mode: ±H_j on a side, 1 − w_j² while sliding."""
+    h = scene.switching(t, x)
+    off = tuple(s * v for s, v in zip(mode, h, strict=True))
+    if not scene.slides:
+        return off
+    _, rates = corners(scene, t, x)
+    w = weights(mode, rates)
+    return tuple(
+        jnp.where(s == 0, (1 - v) * (1 + v), g) for s, v, g in zip(mode, w, off, strict=True)
+    )
+
+
+def _admissible(
+    candidate: Sequence[float], rates: Sequence[Blocks], mode: Blocks, on: Blocks, direction: Array
+) -> Array:
+    """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
+    surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
+    fixed = tuple(jnp.asarray(c, direction.dtype) for c in candidate)
+    w = weights(fixed, rates)
+    rate = blend(rates, w)
+    scale = [sum(abs(r[j]) for r in rates) for j in range(len(mode))]
+    eps = jnp.finfo(direction.dtype).eps
+    ok = jnp.ones((), bool)
+    for j, c in enumerate(candidate):
+        if c == 0:
+            solved = (abs(rate[j]) <= 64 * eps * scale[j]) & (scale[j] > 0)
+            consistent = (abs(w[j]) <= 1) & solved
+        else:
+            consistent = c * direction * rate[j] > 0
+        ok = ok & jnp.where(on[j], consistent, mode[j] == c)
+    return ok
+
+
+def attracting(mode: Blocks, rates: Sequence[Blocks], direction: Array) -> Array:
+    """Whether every surface slid on draws the state back: dH_j/dt falls with the weight w_j."""
+    w = weights(mode, rates)
+    ok = jnp.ones((), bool)
+    for j, s in enumerate(mode):
+        ok = ok & ((s != 0) | (direction * _slope(rates, w, j)[j] < 0))
+    return ok
+
+
+def choose(
+    m: int, rates: Sequence[Blocks], mode: Blocks, on: Blocks, direction: Array
+) -> tuple[Blocks, Array]:
+    """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
+
+    One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a
+    tangency that first derivatives do not decide.
+    """
+    count = jnp.zeros((), jnp.int32)
+    chosen = mode
+    # Sliding comes last, so that it is never chosen over leaving.
+    states = (0.0, -1.0, 1.0)
+    for candidate in itertools.product(states, repeat=m):
+        ok = _admissible(candidate, rates, mode, on, direction)
+        count = count + ok.astype(jnp.int32)
+        chosen = tuple(jnp.where(ok, c, old) for c, old in zip(candidate, chosen, strict=True))
+    return chosen, count

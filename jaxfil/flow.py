@@ -1,0 +1,248 @@
+"""The switch-model loop: one lane from a state to a later one, through every contact.
+
+A scene, a tableau, a `Span` and a `Policy` enter; the `Lane` at the end leaves, with what was kept
+on the way. Batches come from `vmap`: every lane has its own clock in the one loop and waits for
+nobody.
+
+An iteration takes one smooth step in the current mode and does one of four things with it: accepts
+it; rejects it, and cuts the next one at the contact the step has run over; *lands*, if it has ended
+on a contact, with one Newton correction in time; or, in the iteration after a landing, which has
+length zero, *switches*: resets, chooses the mode at the corrected state, and goes on.
+
+Derivatives. The lengths found by the search for contacts are constants; the Newton correction
+x += δf, t += δ, δ = −g/ġ is not. Differentiating it, with the new mode's field taken at the
+corrected state, is the saltation matrix.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil import filippov
+from jaxfil.contact import NEVER, land, missing_time, search
+from jaxfil.lane import Lane, Policy, Span, View
+from jaxfil.record import record_event, save_state
+from jaxfil.results import RESULTS
+from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
+from jaxfil.start import begin
+from jaxfil.stepper import Tableau, step
+from jaxfil.switch import departure, look
+
+# This many contacts in a row, each at the time of the last, are an accumulation.
+_FROZEN = 12
+# Trial steps rejected in a row before the search for a contact is given up.
+_TRIES = 60
+
+
+class Length(eqx.Module):
+    """How far a trial step goes (signed), and what is at its end."""
+
+    h: Array
+    end: Array  # elapsed time
+    room: Array  # from there to the next grid or saving time
+    cutting: Array  # an expected contact
+    gridded: Array  # a grid point
+    saving: Array  # a time to be saved
+
+
+def choose_length(scene: Scene, span: Span, policy: Policy, lane: Lane) -> Length:
+    """To the next grid point or saving time, or to the contact expected before it."""
+    target, gridded, saving = span.grid_point(lane.index + 1), True, jnp.zeros((), bool)
+    if policy.save == "ts":
+        assert policy.ts is not None
+        count = policy.ts.shape[0]
+        at = policy.ts[jnp.minimum(lane.num_saved, count - 1)]
+        ahead = (at - target) * span.direction
+        same = span.same_time(target)
+        saving = (lane.num_saved < count) & (ahead <= same)
+        gridded = ~saving | (ahead >= -same)
+        target = jnp.where(gridded, target, at)
+    full = target - lane.tau
+    if scene.m == 0:
+        return Length(full, target, full * 0, saving & False, saving | gridded, saving)
+    cutting = (lane.cut != 0) & (abs(lane.cut) < abs(full)) & ~lane.pending
+    whole = ~lane.pending & ~cutting
+    h = jnp.where(cutting, lane.cut, jnp.where(lane.pending, 0.0, full))
+    end = jnp.where(whole, target, lane.tau + h)
+    return Length(h, end, target - end, cutting, gridded & whole, saving & whole)
+
+
+def _outcome(scene: Scene, policy: Policy, lane: Lane, view: View, frozen: Array, tries: Array):
+    """The result after an iteration: the first thing that went wrong, if any."""
+    failures = [(~all_finite(view.x, view.f, view.g), RESULTS.nonfinite)]
+    if scene.m:
+        if policy.max_events is not None:
+            full = lane.pending & (lane.num_events >= policy.max_events)
+            failures.append((full, RESULTS.max_events_reached))
+        failures.append((view.num_modes > 1, RESULTS.nonunique))
+        if not scene.slides:
+            slid = any_of(tuple(s == 0 for s in view.mode))
+            failures.append((slid, RESULTS.undeclared_sliding))
+        undecided = (view.num_modes == 0) | (tries > _TRIES)
+        failures.append((undecided, RESULTS.mode_undecided))
+        failures.append((frozen >= _FROZEN, RESULTS.zeno))
+    result = lane.result
+    for failed, outcome in reversed(failures):
+        result = RESULTS.where(failed, outcome, result)
+    return result
+
+
+def advance(
+    scene: Scene, table: Tableau, span: Span, policy: Policy, fence: Array, lane: Lane
+) -> Lane:
+    """One iteration."""
+    length = choose_length(scene, span, policy, lane)
+    x = step(
+        table,
+        lambda t, x: filippov.field(scene, t, x, lane.mode),
+        span.t0 + lane.tau,
+        lane.x,
+        lane.f,
+        length.h,
+        fence,
+    )
+    if scene.m == 0:
+        return _accept_smooth(scene, span, policy, lane, length, x)
+    x = where(lane.pending, lane.x, x)
+    view = look(scene, span, lane, length.end, x)
+    found = search(scene, lane, view, length.h)
+    landing = land(scene, span, lane, view, length.h, length.room, length.cutting)
+    return _decide(scene, span, policy, lane, length, view, found, landing)
+
+
+def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, landing) -> Lane:
+    """Accept, reject, land or switch."""
+    stepping = ~lane.pending
+    landed = stepping & landing.landed
+    rejected = stepping & ~landed & (found.theta < NEVER)
+    accepted = stepping & ~landed & ~rejected
+    switched = lane.pending
+
+    tries = jnp.where(rejected, lane.tries + 1, 0)
+    again = abs(view.tau - lane.contact_tau) <= span.same_time(view.tau)
+    frozen = jnp.where(switched, jnp.where(again, lane.frozen + 1, 0), lane.frozen)
+    result = _outcome(scene, policy, lane, view, frozen, tries)
+    ok = result == RESULTS.successful
+
+    # A step to a saving time that is no grid point is looked at and taken back.
+    saving = length.saving & accepted & ok
+    gridded = length.gridded & accepted & ok
+    moved = (switched | accepted) & ok & ~(saving & ~gridded)
+    lands = landed & ok
+
+    g, rate, armed, noise = departure(scene, span, lane, view)
+    # A cut shorter than rounding of time is lengthened to it: the step then lands at once.
+    least = 0.5 * span.same_time(lane.tau) * span.direction
+    cut = found.theta * length.h
+    cut = jnp.where(abs(cut) < abs(least), least, cut)
+    # A step that has ended just short of its contact: Newton says how much is missing.
+    ahead = jnp.where(length.cutting & accepted, missing_time(span, lane, view), 0.0)
+    index = lane.index + gridded.astype(jnp.int32)
+    after = Lane(
+        tau=jnp.where(moved, view.tau, jnp.where(lands, view.tau + landing.delta, lane.tau)),
+        x=where(moved, view.x, where(lands, axpy(view.x, landing.delta, view.f), lane.x)),
+        f=where(moved, view.f, lane.f),
+        mode=where(moved, view.mode, lane.mode),
+        first_mode=lane.first_mode,
+        g=where(moved, g, lane.g),
+        rate=where(moved, rate, where(lands, view.rate, lane.rate)),
+        armed=where(moved, armed, lane.armed),
+        noise=where(moved | lands, noise, lane.noise),
+        cut=stop_gradient(jnp.where(rejected, cut, jnp.where(moved, ahead, lane.cut))),
+        aim=where(rejected, found.surfaces, lane.aim),
+        pending=lands | (lane.pending & ~moved),
+        hit=where(lands, landing.surfaces, lane.hit),
+        graze=jnp.where(lands, landing.touched, lane.graze),
+        index=index,
+        tries=tries,
+        frozen=frozen,
+        contact_tau=jnp.where(switched, stop_gradient(view.tau), lane.contact_tau),
+        num_iterations=lane.num_iterations + 1,
+        num_accepted=lane.num_accepted + (moved & accepted).astype(jnp.int32),
+        num_events=lane.num_events + (switched & ok).astype(jnp.int32),
+        num_saved=lane.num_saved,
+        result=result,
+        table=record_event(scene, span, lane, view),
+        saves=lane.saves,
+    )
+    return _keep(scene, span, policy, lane, after, view, moved, gridded, saving)
+
+
+def _accept_smooth(scene, span, policy, lane: Lane, length: Length, x: Blocks) -> Lane:
+    """The whole of an iteration where there are no surfaces."""
+    view = look(scene, span, lane, length.end, x)
+    ok = all_finite(view.x, view.f)
+    saving, gridded = length.saving & ok, length.gridded & ok
+    moved = ok & ~(saving & ~gridded)
+    after = eqx.tree_at(
+        lambda lane: (lane.tau, lane.x, lane.f, lane.index, lane.num_iterations, lane.num_accepted),
+        lane,
+        (
+            jnp.where(moved, view.tau, lane.tau),
+            where(moved, view.x, lane.x),
+            where(moved, view.f, lane.f),
+            lane.index + gridded.astype(jnp.int32),
+            lane.num_iterations + 1,
+            lane.num_accepted + moved.astype(jnp.int32),
+        ),
+    )
+    result = RESULTS.where(ok, lane.result, RESULTS.nonfinite)
+    after = eqx.tree_at(lambda lane: lane.result, after, result)
+    return _keep(scene, span, policy, lane, after, view, moved, gridded, saving)
+
+
+def _keep(scene, span, policy, lane, after: Lane, view: View, moved, gridded, saving) -> Lane:
+    """`after` with the state of `view` saved, if the policy says so."""
+    if policy.save == "none":
+        return after
+    if policy.save == "steps":
+        saving = moved
+    elif policy.save == "samples":
+        past = after.index - policy.first
+        saving = gridded & (past >= 0) & (past % policy.every == 0)
+    saves = save_state(scene, span, lane, view, saving)
+    return eqx.tree_at(
+        lambda lane: (lane.saves, lane.num_saved), after, (saves, lane.num_saved + saving.astype(jnp.int32))
+    )
+
+
+def integrate(
+    scene: Scene,
+    table: Tableau,
+    span: Span,
+    policy: Policy,
+    x0: Blocks,
+    *,
+    num_saves: int = 0,
+    kind: Literal["lax", "checkpointed"] = "lax",
+    checkpoints: int | None = None,
+    max_iterations: int | None = None,
+) -> Lane:
+    """Run the loop from x0 to the end of `span`, or to the first failure.
+
+    `kind="checkpointed"` allows reverse-mode derivatives and needs a static `max_iterations`.
+    """
+    # A one that XLA cannot see through: the number of steps is traced.
+    fence = jnp.where(span.num_steps < 0, 2.0, 1.0).astype(scene.dtype)
+
+    def running(lane: Lane) -> Array:
+        unfinished = lane.index < span.num_steps
+        affordable = lane.num_iterations < span.max_iterations
+        return unfinished & affordable & (lane.result == RESULTS.successful)
+
+    lane = eqxi.while_loop(
+        running,
+        lambda lane: advance(scene, table, span, policy, fence, lane),
+        begin(scene, span, policy, x0, num_saves),
+        kind=kind,
+        buffers=lambda lane: [b for b in (lane.table, lane.saves) if b is not None],
+        max_steps=max_iterations,
+        checkpoints=checkpoints,
+    )
+    spent = (lane.index < span.num_steps) & (lane.result == RESULTS.successful)
+    result = RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)
+    return eqx.tree_at(lambda lane: lane.result, lane, result)

@@ -1,0 +1,125 @@
+"""The records of one lane of the loop.
+
+The grid of steps (`Span`), what is kept on the way (`Policy`), the state between two iterations
+(`Lane`) and what is known at the end of a trial step (`View`): immutable, and without a decision.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.results import RESULTS
+from jaxfil.scene import Blocks, Scene
+
+# Times closer than this many eps of their size are one time.
+_SAME_TIME = 8
+
+
+class Span(eqx.Module):
+    """The grid: `num_steps` steps of `dt` (signed) from `t0`, the last one ending at `length`.
+
+    Times in the loop are elapsed times, so that a huge t0 costs the grid no accuracy.
+    """
+
+    t0: Array
+    length: Array
+    dt: Array
+    num_steps: Array
+    max_iterations: Array
+
+    @property
+    def direction(self) -> Array:
+        """+1 forward in time, −1 backward."""
+        return jnp.where(self.length < 0, -1.0, 1.0).astype(self.dt.dtype)
+
+    def same_time(self, tau: Array) -> Array:
+        """The rounding of times near the elapsed time `tau`."""
+        size = jnp.maximum(jnp.maximum(abs(self.t0 + tau), abs(tau)), 1e-3 * abs(self.dt))
+        return stop_gradient(_SAME_TIME * jnp.finfo(self.dt.dtype).eps * size)
+
+    def grid_point(self, index: Array) -> Array:
+        """Elapsed time at the end of step number `index` (from 1)."""
+        last = index >= self.num_steps
+        return jnp.where(last, self.length, index.astype(self.dt.dtype) * self.dt)
+
+
+class Policy(eqx.Module):
+    """What is compiled and kept.
+
+    `save` is "none", "ts" (the elapsed times `ts`, sorted along the direction of time), "steps"
+    (every state between two iterations) or "samples" (every `every`-th grid point from `first`
+    on). `max_events` is the length of the event table; None keeps none and sets no limit.
+    """
+
+    save: str = eqx.field(static=True)
+    max_events: int | None = eqx.field(static=True)
+    ts: Array | None = None
+    first: Array | None = None
+    every: Array | None = None
+
+
+class Table(eqx.Module):
+    """Events in order: times (k,), states just before (k, n), sets of surfaces (k, m), kinds."""
+
+    ts: Array
+    xs: Array
+    members: Array
+    kinds: Array
+
+
+class Saves(eqx.Module):
+    """Saved times (k,), states (k, n) and modes (k, m)."""
+
+    ts: Array
+    xs: Array
+    modes: Array
+
+
+class Lane(eqx.Module):
+    """The state of one lane between two iterations. Blocks of m unless said otherwise."""
+
+    tau: Array  # elapsed time
+    x: Blocks  # state, n components
+    f: Blocks  # field of the mode at (tau, x), n components
+    mode: Blocks  # +1 or -1, 0 while sliding on the surface
+    first_mode: Blocks  # the mode at t0
+    g: Blocks  # guards: positive within the mode
+    rate: Blocks  # dg/dt along f
+    armed: Blocks  # whether the surface has been left since the last contact with it
+    noise: Blocks  # rounding of the guards, kept while not armed
+    cut: Array  # signed length to where a contact is expected; 0 if none is
+    aim: Blocks  # the surfaces of that contact
+    pending: Array  # whether a landing waits for its switch
+    hit: Blocks  # the surfaces of that landing
+    graze: Array  # whether that landing only touches
+    index: Array  # grid steps completed
+    tries: Array  # rejections in a row
+    frozen: Array  # contacts in a row at one and the same time
+    contact_tau: Array  # time of the last contact
+    num_iterations: Array
+    num_accepted: Array
+    num_events: Array
+    num_saved: Array
+    result: RESULTS
+    table: Table | None
+    saves: Saves | None
+
+
+class View(eqx.Module):
+    """What is known at the end of a trial step. `num_modes` is how many modes could go on from a
+    switch made here (1: all is well)."""
+
+    tau: Array
+    x: Blocks
+    f: Blocks
+    mode: Blocks
+    g: Blocks
+    rate: Blocks
+    noise: Blocks
+    num_modes: Array
+
+
+def epsilon(scene: Scene) -> float:
+    """Machine epsilon of the scene's precision."""
+    return float(jnp.finfo(scene.dtype).eps)

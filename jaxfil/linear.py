@@ -1,0 +1,46 @@
+"""Small dense linear systems, unrolled.
+
+A k×k matrix as lists of scalars enters; its solution leaves, by elimination with partial pivoting
+in plain arithmetic: in a batch each scalar is an array of lanes, where a LAPACK call a lane would
+cost microseconds.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+
+def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> list[Array]:
+    """x of A x = b. A column without a usable pivot leaves its unknown at 0: a consistent singular
+    system (the same surface listed twice) then still gets a solution."""
+    k = len(right)
+    rows = [_equilibrated([*row, b]) for row, b in zip(matrix, right, strict=True)]
+    for i in range(k):
+        for r in range(i + 1, k):  # bring the largest pivot up by pairwise swaps
+            swap = abs(rows[r][i]) > abs(rows[i][i])
+            upper = [jnp.where(swap, q, p) for p, q in zip(rows[i], rows[r], strict=True)]
+            lower = [jnp.where(swap, p, q) for p, q in zip(rows[i], rows[r], strict=True)]
+            rows[i], rows[r] = upper, lower
+        for r in range(i + 1, k):
+            factor = _quotient(rows[r][i], rows[i][i])
+            rows[r] = [q - factor * p for p, q in zip(rows[i], rows[r], strict=True)]
+    x: list[Array] = [rows[0][k]] * k
+    for i in reversed(range(k)):
+        rest = rows[i][k]
+        for j in range(i + 1, k):
+            rest = rest - rows[i][j] * x[j]
+        x[i] = _quotient(rest, rows[i][i])
+    return x
+
+
+def _equilibrated(row: Sequence[Array]) -> list[Array]:
+    """The row with entries of order one, so that one threshold tells every singular pivot."""
+    scale = sum(abs(v) for v in row[:-1])
+    return [v / jnp.where(scale == 0, 1, scale) for v in row]
+
+
+def _quotient(a: Array, pivot: Array) -> Array:
+    """a/pivot, and 0 where the pivot is nothing but rounding."""
+    singular = abs(pivot) <= 64 * jnp.finfo(pivot.dtype).eps
+    return jnp.where(singular, 0, a / jnp.where(singular, 1, pivot))

@@ -1,0 +1,215 @@
+"""Pictures: a diagram or a solution enters, the matplotlib axes it was drawn on leave.
+
+The only file that knows matplotlib, which is why importing jaxfil does not import this one. Every
+picture takes the axes to draw on, or makes its own, and gives them back. The colours are those of
+Okabe and Ito, which colour-blind readers tell apart.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from jaxfil.results import KINDS, RESULTS
+
+if TYPE_CHECKING:
+    from jaxfil.solution import Solution
+    from jaxfil.sweep import BifurcationDiagram
+
+BLACK, VERMILLION = "#000000", "#D55E00"
+BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
+MARKERS = {
+    KINDS.crossing: ("o", "#0072B2"),
+    KINDS.stick: ("s", "#D55E00"),
+    KINDS.slip: ("D", "#009E73"),
+    KINDS.impact: ("^", "#CC79A7"),
+    KINDS.graze: ("*", "#F0E442"),
+}
+
+
+def bifurcation_diagram(
+    diagram: BifurcationDiagram, ax: Axes | None = None, component: int = 0
+) -> Axes:
+    """Draw one component of every sample against the parameter.
+
+    A million samples take about a second, and a vector file holds them as an image. Values whose
+    lane ended early are ticked along the lower edge.
+    """
+    values, xs = np.asarray(diagram.values), np.asarray(diagram.xs)
+    _check_component(component, xs.shape[-1])
+    ax = _own_axes() if ax is None else ax
+    column = xs[..., component]
+    seen = np.isfinite(column)
+    ax.plot(
+        np.broadcast_to(values[:, None], column.shape)[seen],
+        column[seen],
+        color=BLACK,
+        alpha=0.3,
+        linestyle="none",
+        marker="o",
+        markersize=_marker_size(ax, values.size),
+        markeredgewidth=0,
+        rasterized=True,
+    )
+    _tick_failures(ax, values[~np.asarray(diagram.results == RESULTS.successful)])
+    if values.min() < values.max():
+        ax.set_xlim(values.min(), values.max())
+    ax.set_xlabel(diagram.parameter)
+    ax.set_ylabel(f"x[{component}] once a period")
+    return ax
+
+
+def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> Axes:
+    """Draw one component against time over bands that show the mode, one band for each surface.
+
+    A band changes at the contact between two saved times, and once at most: save often, as
+    `diffrax.SaveAt(t0=True, steps=True)` does.
+    """
+    ts, xs = _path(sol)
+    _check_component(component, xs.shape[1])
+    ax = _own_axes() if ax is None else ax
+    _shade_modes(ax, sol)
+    ax.plot(ts, xs[:, component], color=BLACK, linewidth=1)
+    ax.set_xlim(np.nanmin(ts), np.nanmax(ts))
+    ax.set_xlabel("t")
+    ax.set_ylabel(f"x[{component}]")
+    return ax
+
+
+def phase_portrait(sol: Solution, ax: Axes | None = None) -> Axes:
+    """Draw the second component against the first and mark every contact by its kind."""
+    _, xs = _path(sol)
+    if xs.shape[1] < 2:
+        raise ValueError("`sol` must have two components or more, got 1.")
+    ax = _own_axes() if ax is None else ax
+    ax.plot(xs[:, 0], xs[:, 1], color=BLACK, linewidth=1)
+    _, contacts, kinds, _ = _contacts(sol)
+    for kind in np.unique(kinds):
+        marker, color = MARKERS[KINDS(kind)]
+        x, y = contacts[kinds == kind, :2].T
+        ax.plot(x, y, marker, color=color, markeredgecolor=BLACK, label=KINDS(kind).name)
+    if kinds.size:
+        ax.legend(fontsize="small")
+    ax.set_xlabel("x[0]")
+    ax.set_ylabel("x[1]")
+    return ax
+
+
+def page() -> Figure:
+    """An empty figure that no window shows, for a picture that goes to a file."""
+    return Figure(figsize=(8, 5), dpi=200, layout="constrained")
+
+
+def _own_axes() -> Axes:
+    import matplotlib.pyplot as plt  # looks for a display, so only when a window is wanted
+
+    return plt.subplots(layout="constrained")[1]
+
+
+def _check_component(component: int, n: int) -> None:
+    if not -n <= component < n:
+        raise ValueError(f"`component` must be from 0 to {n - 1}, got {component}.")
+
+
+def _marker_size(ax: Axes, columns: int) -> float:
+    """The width of a column of samples in points, but no less than a pixel and no more than 2."""
+    width = ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).width
+    return float(np.clip(72 * width / columns, 0.36, 2.0))
+
+
+def _tick_failures(ax: Axes, values: np.ndarray) -> None:
+    if values.size:
+        label = f"{values.size} ended early"
+        ax.plot(
+            values,
+            np.zeros(values.size),
+            "|",
+            color=VERMILLION,
+            transform=ax.get_xaxis_transform(),
+            clip_on=False,
+            label=label,
+        )
+        ax.legend(fontsize="small")
+
+
+def _shade_modes(ax: Axes, sol: Solution) -> None:
+    """Fill one band of the axes for each surface, the first lowest, with its mode's colour."""
+    ts, _, modes = _saved(sol)
+    times, _, _, members = _contacts(sol)
+    m = modes.shape[1]
+    for j in range(m):
+        starts, widths, held = _spans(ts, modes[:, j], times[members[:, j]])
+        for mode, (_, color) in BANDS.items():
+            ax.broken_barh(
+                list(zip(starts[held == mode], widths[held == mode], strict=True)),
+                (j / m, 1 / m),
+                transform=ax.get_xaxis_transform(),
+                facecolor=color,
+                alpha=0.5,
+                linewidth=0,
+            )
+    shown = [
+        Patch(facecolor=color, alpha=0.5, edgecolor=BLACK, linewidth=0.5, label=label)
+        for mode, (label, color) in BANDS.items()
+        if (modes == mode).any()
+    ]
+    if shown:
+        ax.legend(handles=shown, fontsize="small")
+
+
+def _spans(
+    ts: np.ndarray, modes: np.ndarray, contacts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start, width and mode of each span of time over which the mode stays the same."""
+    changes = np.flatnonzero(np.diff(modes))
+    edges = [ts[0]]
+    for before, after in zip(ts[changes], ts[changes + 1], strict=True):
+        low, high = min(before, after), max(before, after)
+        between = contacts[(low <= contacts) & (contacts <= high)]
+        edges.append(between[-1] if between.size else after)
+    edges.append(ts[-1])
+    return np.array(edges[:-1]), np.diff(edges), modes[np.append(changes, len(modes) - 1)]
+
+
+def _path(sol: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states saved, with the contacts among them in order and a gap at each impact."""
+    ts, xs, _ = _saved(sol)
+    times, contacts, kinds, _ = _contacts(sol)
+    impacts = times[kinds == KINDS.impact]
+    gaps = np.full((impacts.size, xs.shape[1]), np.nan)
+    every = np.concatenate([times, impacts, ts])  # so at one time: left limit, gap, right limit
+    order = np.argsort(every if ts[0] <= ts[-1] else -every, kind="stable")
+    return every[order], np.concatenate([contacts, gaps, xs])[order]
+
+
+def _saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, states and modes that were saved and reached."""
+    if np.ndim(sol.t_final):
+        raise ValueError(
+            f"`sol` must be one lane, got {np.shape(sol.t_final)} of them: "
+            "take lane i with jax.tree.map(lambda a: a[i], sol)."
+        )
+    if sol.ts is not None:
+        ts, xs, modes = map(np.asarray, (sol.ts, sol.xs, sol.modes))
+        real = np.isfinite(ts) & np.isfinite(xs).all(axis=1)
+        if real.sum() > 1:
+            return ts[real], xs[real], modes[real]
+    raise ValueError(
+        "`sol` must hold two saved times or more: "
+        "solve with saveat=diffrax.SaveAt(t0=True, steps=True) or diffrax.SaveAt(ts=...)."
+    )
+
+
+def _contacts(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time, state just before, kind and surfaces of every contact that the event table holds."""
+    table = sol.events
+    if table is None:
+        n, m = np.size(sol.x_final), np.size(sol.mode_final)
+        return np.zeros(0), np.zeros((0, n)), np.zeros(0, int), np.zeros((0, m), bool)
+    ts, xs, kinds, members = map(np.asarray, (table.ts, table.xs, table.kinds, table.members))
+    real = kinds != KINDS.none
+    return ts[real], xs[real], kinds[real], members[real]

@@ -1,0 +1,85 @@
+"""What is kept on the way: saved states and the event table.
+
+A lane before and after an iteration enters; its buffers with one more entry leave.
+"""
+
+from typing import Any
+
+import equinox.internal as eqxi
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.lane import Lane, Saves, Span, Table, View
+from jaxfil.results import KINDS
+from jaxfil.scene import Blocks, Scene, any_of, pack
+
+
+def empty_table(scene: Scene, size: int | None) -> Table | None:
+    """An event table without events; None if none is to be kept."""
+    if size is None or scene.m == 0:
+        return None
+    return Table(
+        ts=jnp.full((size,), jnp.inf, scene.dtype),
+        xs=jnp.full((size, scene.n), jnp.inf, scene.dtype),
+        members=jnp.zeros((size, scene.m), bool),
+        kinds=jnp.zeros((size,), jnp.int8),
+    )
+
+
+def empty_saves(scene: Scene, size: int) -> Saves:
+    """Space for `size` states; times and states not reached stay inf, as in diffrax."""
+    return Saves(
+        ts=jnp.full((size,), jnp.inf, scene.dtype),
+        xs=jnp.full((size, scene.n), jnp.inf, scene.dtype),
+        modes=jnp.zeros((size, scene.m), jnp.int8),
+    )
+
+
+def mode_codes(mode: Blocks) -> Array:
+    """The modes as an (m,) array of small integers."""
+    return jnp.stack(mode).astype(jnp.int8) if mode else jnp.zeros((0,), jnp.int8)
+
+
+def _kind(lane: Lane, view: View, resets: bool) -> Array:
+    """What the switch just made was, told from the modes of the surfaces hit."""
+    kind: Any = jnp.asarray(KINDS.graze.value, jnp.int8)
+    for hit, old, new in reversed(list(zip(lane.hit, lane.mode, view.mode, strict=True))):
+        slip = jnp.where(old == 0, KINDS.slip.value, KINDS.crossing.value)
+        change = jnp.where(new == 0, KINDS.stick.value, slip).astype(jnp.int8)
+        kind = jnp.where(hit & (old != new), change, kind)
+    if resets:
+        moved = any_of(tuple(a != b for a, b in zip(lane.x, view.x, strict=True)))
+        impact = jnp.asarray(KINDS.impact.value, jnp.int8)
+        kind = jnp.where(moved & ~lane.graze, impact, kind)
+    return kind
+
+
+def record_event(scene: Scene, span: Span, lane: Lane, view: View) -> Table | None:
+    """The event table of `lane` with the switch made in `view`, if one was pending."""
+    table = lane.table
+    if table is None:
+        return None
+    size = table.ts.shape[0]
+    write = lane.pending & (lane.num_events < size)
+    i = jnp.minimum(lane.num_events, size - 1)
+    return Table(
+        ts=eqxi.buffer_at_set(table.ts, i, span.t0 + lane.tau, pred=write),
+        xs=eqxi.buffer_at_set(table.xs, i, pack(lane.x, scene.dtype), pred=write),
+        members=eqxi.buffer_at_set(table.members, i, jnp.stack(lane.hit), pred=write),
+        kinds=eqxi.buffer_at_set(table.kinds, i, _kind(lane, view, scene.resets), pred=write),
+    )
+
+
+def save_state(scene: Scene, span: Span, lane: Lane, view: View, save: Array) -> Saves | None:
+    """The saves of `lane` with the state of `view`, where `save` is set and space is left."""
+    saves = lane.saves
+    if saves is None:
+        return None
+    size = saves.ts.shape[0]
+    write = save & (lane.num_saved < size)
+    i = jnp.minimum(lane.num_saved, size - 1)
+    return Saves(
+        ts=eqxi.buffer_at_set(saves.ts, i, span.t0 + view.tau, pred=write),
+        xs=eqxi.buffer_at_set(saves.xs, i, pack(view.x, scene.dtype), pred=write),
+        modes=eqxi.buffer_at_set(saves.modes, i, mode_codes(view.mode), pred=write),
+    )

@@ -1,0 +1,56 @@
+"""Outcomes: how a lane ended, and what happened at a contact.
+
+Enters nothing; leaves `RESULTS`, the enumeration every verb answers with (each member carries the
+sentence the user sees), and `KINDS`, the codes of the event table.
+"""
+
+import enum
+
+import equinox as eqx
+
+
+class RESULTS(eqx.Enumeration):
+    """How an integration ended. `successful` is the only good one."""
+
+    successful = ""
+    max_steps_reached = (
+        "The budget of steps was used up before the end of the time span. Try a larger `max_steps`."
+    )
+    max_events_reached = (
+        "The event table is full. Try a larger `max_events`, or `max_events=None` to keep no table."
+    )
+    mode_undecided = (
+        "No mode of motion continues the solution at a contact: neither side nor sliding is "
+        "consistent with the vector fields there."
+    )
+    zeno = (
+        "Contacts accumulate: infinitely many happen in a finite time (Zeno behaviour), and the "
+        "solution was followed up to that time."
+    )
+    nonunique = (
+        "The solution is not unique from here: a repelling sliding region, a two-fold or a corner "
+        "from which several motions leave (in backward time every attracting slide is one)."
+    )
+    undeclared_sliding = (
+        "The solution meets an attracting sliding region, but the system says `slides = False`."
+    )
+    nonfinite = (
+        "The state, the vector field, the switching function or a reset is not finite (NaN or inf)."
+    )
+
+
+class KINDS(enum.IntEnum):
+    """What happened at a contact: the codes in `Solution.events.kinds`."""
+
+    none = 0
+    """Padding of the event table."""
+    crossing = 1
+    """From one side of the surface to the other."""
+    stick = 2
+    """Onto the surface: sliding begins."""
+    slip = 3
+    """Off the surface: sliding ends."""
+    impact = 4
+    """The state was reset."""
+    graze = 5
+    """The surface was touched without a change of mode."""

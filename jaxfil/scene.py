@@ -1,0 +1,148 @@
+"""What the loop sees of a system: its fields and surfaces on components.
+
+A `System` and an initial state enter; a `Scene` leaves, with static sizes (n states, m surfaces)
+and functions on tuples of scalars. In a batch each scalar is one contiguous array of lanes, which
+XLA turns into vector instructions; an (n,) state in the loop would be strided.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil import fasttrig
+from jaxfil.system import System, has_resets
+
+Blocks = tuple[Array, ...]
+"""The components of a vector: n (state) or m (surface) scalars."""
+
+
+def unpack(x: Array) -> Blocks:
+    """The components of an (n,) array."""
+    return tuple(x[i] for i in range(x.shape[0]))
+
+
+def pack(blocks: Blocks, dtype: Any) -> Array:
+    """The (n,) array of components; of shape (0,) and the given dtype if there are none."""
+    return jnp.stack(blocks) if blocks else jnp.zeros((0,), dtype)
+
+
+def axpy(x: Blocks, h: Array, f: Blocks) -> Blocks:
+    """x + h f."""
+    return tuple(a + h * b for a, b in zip(x, f, strict=True))
+
+
+def where(condition: Array, a: Blocks, b: Blocks) -> Blocks:
+    """Componentwise choice between two vectors."""
+    return tuple(jnp.where(condition, u, v) for u, v in zip(a, b, strict=True))
+
+
+def any_of(flags: Blocks) -> Array:
+    """Whether any of the flags is set; False if there are none."""
+    total = jnp.zeros((), bool)
+    for flag in flags:
+        total = total | flag
+    return total
+
+
+def all_finite(*vectors: Blocks) -> Array:
+    """Whether all components of all vectors are finite."""
+    total: Any = 0.0
+    for block in itertools.chain(*vectors):
+        total = total + block * 0  # NaN and inf both give NaN: one test for all
+    return jnp.asarray(total == 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """A system on components. `sides` are tuples of m scalars, each exactly ±1."""
+
+    n: int
+    m: int
+    slides: bool
+    resets: bool
+    dtype: Any
+    _field: Callable[[Array, Blocks, Blocks], Blocks]
+    _switching: Callable[[Array, Blocks], Blocks]
+    _reset: Callable[[Array, Blocks, Array], Blocks]
+
+    def field(self, t: Array, x: Blocks, sides: Blocks) -> Blocks:
+        """F(t, x, sides)."""
+        return self._field(t, x, sides)
+
+    def switching(self, t: Array, x: Blocks) -> Blocks:
+        """H(t, x)."""
+        return self._switching(t, x)
+
+    def reset(self, t: Array, x: Blocks, surface: Array) -> Blocks:
+        """The state after an impact on `surface`."""
+        return self._reset(t, x, surface)
+
+    def rate(self, t: Array, x: Blocks, f: Blocks) -> Blocks:
+        """dH/dt along the direction (1, f)."""
+        _, rate = jax.jvp(self.switching, (t, x), (jnp.ones_like(t), f))
+        return rate
+
+    def gradients(self, t: Array, x: Blocks) -> tuple[Blocks, Blocks, tuple[Blocks, ...]]:
+        """H, ∂H/∂t and the m gradients ∂H_j/∂x."""
+        h, pull = jax.vjp(self.switching, t, x)
+        rows = []
+        for j in range(self.m):
+            pick = tuple(jnp.asarray(float(i == j), self.dtype) for i in range(self.m))
+            rows.append(pull(pick))
+        return h, tuple(r[0] for r in rows), tuple(r[1] for r in rows)
+
+    def corner_sides(self) -> list[Blocks]:
+        """All 2^m combinations of sides, the first surface varying slowest, + before −."""
+        return [
+            tuple(jnp.asarray(s, self.dtype) for s in corner)
+            for corner in itertools.product((1.0, -1.0), repeat=self.m)
+        ]
+
+
+def cast(system: System, dtype: Any) -> System:
+    """`system` with every float leaf an array of the given dtype, so that none is static."""
+    return jax.tree.map(
+        lambda leaf: jnp.asarray(leaf, dtype) if eqx.is_inexact_array_like(leaf) else leaf, system
+    )
+
+
+def build(system: System, x0: Array) -> Scene:
+    """The scene of a system whose float leaves have the dtype of `x0`, shape (n,)."""
+    n, dtype = x0.shape[0], x0.dtype
+    t0 = jnp.zeros((), dtype)
+    h_shape = jax.eval_shape(system.switching, t0, x0).shape
+    m = 1 if h_shape == () else h_shape[0]
+    dynamic, static = eqx.partition(system, eqx.is_array)
+
+    def module(leaves):
+        return eqx.combine(leaves, static)
+
+    def field(leaves, t, x, sides):
+        side = sides[0] if h_shape == () else pack(sides, dtype)
+        return unpack(module(leaves).vector_field(t, pack(x, dtype), side))
+
+    def switching(leaves, t, x):
+        return unpack(jnp.reshape(module(leaves).switching(t, pack(x, dtype)), (m,)))
+
+    def reset(leaves, t, x, surface):
+        return unpack(module(leaves).reset(t, pack(x, dtype), surface))
+
+    x, sides = unpack(x0), (jnp.ones((), dtype),) * m
+    fast_field = fasttrig.rewrite(field, dynamic, t0, x, sides)
+    fast_switching = fasttrig.rewrite(switching, dynamic, t0, x)
+    return Scene(
+        n=n,
+        m=m,
+        slides=system.slides and m > 0,
+        resets=has_resets(system) and m > 0,
+        dtype=dtype,
+        _field=lambda t, x, sides: fast_field(dynamic, t, x, sides),
+        _switching=lambda t, x: fast_switching(dynamic, t, x),
+        _reset=lambda t, x, surface: reset(dynamic, t, x, surface),
+    )

@@ -1,0 +1,132 @@
+"""The first moment: which mode a lane starts in.
+
+An initial state enters; a `Lane` ready for the loop leaves. Off the surfaces the mode is the side.
+On a surface it is what the fields there say, never the sign of a zero.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil import filippov
+from jaxfil.lane import Lane, Policy, Span, epsilon
+from jaxfil.record import empty_saves, empty_table
+from jaxfil.results import RESULTS
+from jaxfil.scene import Blocks, Scene, all_finite
+from jaxfil.switch import surface_noise, view
+
+# Rounding of a rate at a tangency, in eps of the largest rate there.
+_RATE_NOISE = 64
+
+
+def _resolved_rates(scene: Scene, t: Array, x: Blocks, direction: Array) -> list[Blocks]:
+    """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
+    the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
+    one = jnp.ones_like(t)
+    fields, rates, seconds, thirds = [], [], [], []
+    for sides in scene.corner_sides():
+
+        def first(t, x, sides=sides):
+            return scene.rate(t, x, scene.field(t, x, sides))
+
+        def second(t, x, sides=sides, first=first):
+            return jax.jvp(first, (t, x), (one, scene.field(t, x, sides)))[1]
+
+        f = scene.field(t, x, sides)
+        fields.append(f)
+        rates.append(first(t, x))
+        seconds.append(second(t, x))
+        thirds.append(jax.jvp(second, (t, x), (one, f))[1])
+    resolved = []
+    for rate, second, third in zip(rates, seconds, thirds, strict=True):
+        row = []
+        for j in range(scene.m):
+            scale = sum(abs(r[j]) for r in rates)
+            tiny = jnp.where(scale > 0, epsilon(scene) * scale, 1.0)
+            sign = jnp.where(second[j] != 0, direction * jnp.sign(second[j]), jnp.sign(third[j]))
+            flat = abs(rate[j]) <= _RATE_NOISE * epsilon(scene) * scale
+            row.append(jnp.where(flat, tiny * sign, rate[j]))
+        resolved.append(tuple(row))
+    return resolved
+
+
+def _first_mode(
+    scene: Scene, span: Span, x: Blocks, h: Blocks, noise: Blocks
+) -> tuple[Blocks, Blocks, Array]:
+    """The mode at t0, the surfaces the state starts on, and the number of admissible modes."""
+    sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
+    on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
+    rates = _resolved_rates(scene, span.t0, x, span.direction)
+    rates = jax.tree.map(stop_gradient, rates)
+    mode, count = filippov.choose(scene.m, rates, sides, on, span.direction)
+    return mode, on, count
+
+
+def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -> Lane:
+    """The lane at t0."""
+    dtype, t = scene.dtype, span.t0
+    tau = jnp.zeros((), dtype)
+    zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+    mode: Blocks = ()
+    g = rate = noise = armed = ()
+    count: Array = jnp.ones((), jnp.int32)
+    if scene.m == 0:
+        f = scene.field(t, x, ())
+    else:
+        h, h_t, normals = scene.gradients(t, x)
+        noise = surface_noise(scene, t, x, x, h_t, normals)
+        mode, on, count = _first_mode(scene, span, x, h, noise)
+        moving = tuple(jnp.where(s == 0, 1.0, s).astype(dtype) for s in mode)
+        f = filippov.field(scene, t, x, mode if scene.slides else moving)
+        seen = view(scene, tau, t, x, f, mode, noise, count)
+        armed = tuple((s == 0) | ~on_j for s, on_j in zip(mode, on, strict=True))
+        g = tuple(
+            jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, seen.g, strict=True)
+        )
+        rate = tuple(
+            jnp.where(a, r, span.direction * jnp.maximum(span.direction * r, 0.0))
+            for a, r in zip(armed, seen.rate, strict=True)
+        )
+        noise = seen.noise
+    return Lane(
+        tau=tau,
+        x=x,
+        f=f,
+        mode=mode,
+        first_mode=mode,
+        g=tuple(stop_gradient(v) for v in g),
+        rate=rate,
+        armed=armed,
+        noise=noise,
+        cut=tau,
+        aim=(false,) * scene.m,
+        pending=false,
+        hit=(false,) * scene.m,
+        graze=false,
+        index=zero,
+        tries=zero,
+        frozen=zero,
+        contact_tau=tau - jnp.inf,
+        num_iterations=zero,
+        num_accepted=zero,
+        num_events=zero,
+        num_saved=zero,
+        result=_first_result(scene, span, x, f, mode, count),
+        table=empty_table(scene, policy.max_events),
+        saves=None if policy.save == "none" else empty_saves(scene, num_saves),
+    )
+
+
+def _first_result(
+    scene: Scene, span: Span, x: Blocks, f: Blocks, mode: Blocks, count: Array
+) -> RESULTS:
+    """The outcome at t0: bad numbers, or a start that no single solution leaves."""
+    result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)
+    result = RESULTS.where(count < 1, RESULTS.mode_undecided, result)
+    if not scene.slides:
+        for s in mode:
+            slid = (s == 0) & (count == 1)
+            result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
+    fine = all_finite(x, f, (span.t0, span.length, span.dt))
+    return RESULTS.where(fine, result, RESULTS.nonfinite)

@@ -1,0 +1,139 @@
+"""The switch: what is known at the end of a step, and the mode that goes on after a contact.
+
+A trial step's end enters; a `View` of it leaves: the state (reset, and held on the surfaces it
+slides on), the mode, its field, the guards and their rates. Only a lane whose last iteration landed
+on a contact changes its mode, here, where all fields are taken at the corrected state.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil import filippov
+from jaxfil.lane import Lane, Span, View, epsilon
+from jaxfil.scene import Blocks, Scene, any_of, axpy, where
+
+# A guard is zero to rounding below this many eps times the size of its terms.
+_NOISE = 32
+
+
+def surface_noise(
+    scene: Scene, t: Array, x0: Blocks, x1: Blocks, h_t: Blocks, normals: tuple
+) -> Blocks:
+    """What rounding of t and x does to H: a multiple of eps and of the size of its terms."""
+    sizes = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(x0, x1, strict=True))
+    out = []
+    for j in range(scene.m):
+        terms = sum(abs(v) * s for v, s in zip(normals[j], sizes, strict=True))
+        out.append(stop_gradient(_NOISE * epsilon(scene) * (terms + abs(h_t[j] * t))))
+    return tuple(out)
+
+
+def _project(x: Blocks, h: Blocks, normals: tuple, on: Blocks) -> Blocks:
+    """x moved along the normals onto the surfaces marked `on`, one after the other."""
+    for h_j, normal, on_j in zip(h, normals, on, strict=True):
+        size = sum(v * v for v in normal)
+        push = jnp.where(on_j, h_j / jnp.where(size == 0, 1, size), 0.0)
+        x = axpy(x, -push, normal)
+    return x
+
+
+def _reset(scene: Scene, lane: Lane, t: Array, x: Blocks) -> Blocks:
+    surface = jnp.argmax(jnp.stack(lane.hit))
+    return where(lane.pending & ~lane.graze, scene.reset(t, x, surface), x)
+
+
+def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
+    """The state, mode, field, guards and rates at the end of a step; a pending switch is made."""
+    t = span.t0 + tau
+    if scene.m == 0:
+        return View(tau, x, scene.field(t, x, ()), (), (), (), (), jnp.ones((), jnp.int32))
+    if scene.resets:
+        x = _reset(scene, lane, t, x)
+    h, h_t, normals = scene.gradients(t, x)
+    noise = surface_noise(scene, t, lane.x, x, h_t, normals)
+    if scene.slides:
+        held = zip(lane.mode, lane.hit, strict=True)
+        x = _project(x, h, normals, tuple((s == 0) | (lane.pending & hit) for s, hit in held))
+    fields, rates = filippov.corners(scene, t, x)
+    mode, num_modes = _switch(scene, span, lane, rates, h)
+    f = filippov.blend(fields, filippov.weights(mode, rates))
+    if scene.slides:
+        attracts = filippov.attracting(mode, rates, span.direction)
+        num_modes = jnp.where(attracts, num_modes, 2)
+    return view(scene, tau, t, x, f, mode, noise, num_modes)
+
+
+def view(
+    scene: Scene,
+    tau: Array,
+    t: Array,
+    x: Blocks,
+    f: Blocks,
+    mode: Blocks,
+    noise: Blocks,
+    num_modes: Array,
+) -> View:
+    """A `View` with the guards of `mode` and their rates along f."""
+    g, rate = jax.jvp(
+        lambda t, x: filippov.guard(scene, t, x, mode), (t, x), (jnp.ones_like(t), f)
+    )
+    # The guard of a slide, 1 - w², is of order one.
+    slide = _NOISE * epsilon(scene)
+    noise = tuple(jnp.where(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
+    return View(tau, x, f, mode, g, stop_gradient(rate), noise, num_modes)
+
+
+def _switch(
+    scene: Scene, span: Span, lane: Lane, rates: list[Blocks], h: Blocks
+) -> tuple[Blocks, Array]:
+    """The mode after a landing and the number of admissible ones; elsewhere the old mode and 1.
+
+    A slide that has reached the end of its weight leaves to that side. Everything else is chosen
+    among all modes on the surfaces the state is on: those hit, those slid on, and those met or
+    left at the same time.
+    """
+    rates = jax.tree.map(stop_gradient, rates)
+    switching = lane.pending & ~lane.graze
+    current = filippov.weights(lane.mode, rates)
+    leaving = tuple(hit & (s == 0) for hit, s in zip(lane.hit, lane.mode, strict=True))
+    sides = tuple(jnp.where(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
+    left = tuple(
+        jnp.where(go & switching, side, s)
+        for go, side, s in zip(leaving, sides, lane.mode, strict=True)
+    )
+    met = tuple(hit & ~go for hit, go in zip(lane.hit, leaving, strict=True))
+    same = span.same_time(lane.tau)
+    on = []
+    for j in range(scene.m):
+        close = abs(h[j]) < abs(lane.rate[j]) * same
+        on.append(met[j] | (left[j] == 0) | ((lane.mode[j] != 0) & close))
+    decide = switching & any_of(met)
+    chosen, count = filippov.choose(scene.m, rates, left, tuple(on), span.direction)
+    return where(decide, chosen, left), jnp.where(decide, count, 1)
+
+
+def departure(scene: Scene, span: Span, lane: Lane, view: View) -> tuple[Blocks, ...]:
+    """Guards, rates, arming and noise at the start of the next step.
+
+    A surface just met counts as left only when its guard has risen above rounding. Until then the
+    guard starts at exactly zero, and its rate at zero or above.
+    """
+    gs, rates, armed, noises = [], [], [], []
+    for j in range(scene.m):
+        hit = lane.pending & lane.hit[j]
+        old_slide = lane.mode[j] == 0
+        kept = (hit | ~lane.armed[j]) & ~old_slide
+        noise = jnp.maximum(view.noise[j], jnp.where(kept, lane.noise[j], 0.0))
+        sliding = view.mode[j] == 0
+        away = sliding | (~hit & (lane.armed[j] | (view.g[j] > noise)))
+        # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
+        # rounding says.
+        double = hit & (old_slide | lane.graze)
+        rising = span.direction * jnp.maximum(span.direction * view.rate[j], 0.0)
+        gs.append(jnp.where(away, jnp.maximum(view.g[j], 0.0), 0.0))
+        rates.append(jnp.where(away, view.rate[j], jnp.where(double, 0.0, rising)))
+        armed.append(away)
+        noises.append(noise)
+    return tuple(stop_gradient(g) for g in gs), tuple(rates), tuple(armed), tuple(noises)
