@@ -73,7 +73,8 @@ def _parser() -> _Parser:
     add("--steps", metavar="N", type=positive, default=40, help="steps a period: %(default)s")
     add("--x0", metavar="A,B", type=_state, help="initial state: the one that --list shows")
     add("--follow", choices=("up", "down"), help="start each value where its neighbour ended")
-    add("--set", metavar="P=VALUE", type=_setting, nargs="+", action="extend", default=[])
+    several = {"nargs": "+", "action": "extend", "default": []}
+    add("--set", metavar="P=VALUE", type=_setting, help="other parameters", **several)
     add("--component", metavar="I", type=whole, default=0, help="of the state: %(default)s")
     add("--quiet", action="store_true", help="no progress bar and no summary")
     return top
@@ -105,13 +106,11 @@ def _diagram(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace, settings: dict[str, float]) -> tuple[float, ...]:
     """Refuse names and values that do not fit the system; the initial state leaves."""
-    _one_of("NAME", args.system, TEXTBOOK)
+    forced = [name for name in TEXTBOOK if TEXTBOOK[name][0]().period is not None]
+    if args.system in TEXTBOOK and args.system not in forced:
+        raise _Misuse(f"{args.system} has no forcing to sample at; {', '.join(forced)} have")
+    _one_of("NAME", args.system, forced)
     cls, default = TEXTBOOK[args.system]
-    if cls().period is None:
-        forced = ", ".join(name for name in TEXTBOOK if TEXTBOOK[name][0]().period is not None)
-        raise _Misuse(
-            f"{args.system} is not forced, so it has no period to sample at: try {forced}"
-        )
     _one_of("--parameter", args.parameter, _defaults(cls))
     for name in settings:
         _one_of("--set", name, [p for p in _defaults(cls) if p != args.parameter])
@@ -233,7 +232,7 @@ def _state(text: str) -> tuple[float, ...]:
 def _setting(text: str) -> tuple[str, float]:
     name, equals, value = text.partition("=")
     if not equals:
-        raise argparse.ArgumentTypeError(f"must be NAME=VALUE, it was {text!r}")
+        raise argparse.ArgumentTypeError(f"must be P=VALUE, it was {text!r}")
     return name, _number(value)
 
 

@@ -134,6 +134,8 @@ def search(scene: Scene, lane: Lane, view: View, h: Array) -> Search:
         )
         thetas.append(theta)
         contact, minimum = jnp.minimum(contact, theta), jnp.minimum(minimum, low)
+    contact, minimum = scene.hold(contact, minimum)
+    thetas = scene.hold(*thetas)
     first = (contact < NEVER) & (contact <= minimum)
     surfaces = tuple(first & (theta <= contact * (1 + 1e-6)) for theta in thetas)
     return Search(jnp.minimum(contact, minimum), surfaces)
@@ -184,7 +186,7 @@ def land(
     surfaces = tuple(jnp.where(landed, a, touched & b) for a, b in zip(hits, touches, strict=True))
     # Rounding can put a contact just past the end of the span it belongs to.
     late = (stop_gradient(delta) - room) * direction > 0
-    delta = jnp.where(late, delta - stop_gradient(delta) + room, delta)
+    (delta,) = scene.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))
     return Landing(landed | touched, surfaces, touched, delta)
 
 

@@ -42,6 +42,14 @@ def blend(corners: Sequence[Blocks], weights: Blocks) -> Blocks:
     return corners[0]
 
 
+def blend_fields(scene: Scene, fields: Sequence[Blocks], weights: Blocks) -> Blocks:
+    """`blend` of the corner fields; components that no side enters are taken as they are."""
+    switched = [i for i, depends in enumerate(scene.switched) if depends]
+    parts = blend([tuple(f[i] for i in switched) for f in fields], weights)
+    mixed = dict(zip(switched, parts, strict=True))
+    return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
+
+
 def _slope(corners: Sequence[Blocks], weights: Blocks, j: int) -> Blocks:
     """∂ blend/∂w_j."""
     for i, w in enumerate(weights):
@@ -102,7 +110,7 @@ def field(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
     if not scene.slides:
         return scene.field(t, x, mode)
     fields, rates = corners(scene, t, x)
-    return blend(fields, weights(mode, rates))
+    return blend_fields(scene, fields, weights(mode, rates))
 
 
 def guard(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:

@@ -34,6 +34,17 @@ from jaxfil.switch import departure, look
 
 # This many contacts in a row, each at the time of the last, are an accumulation.
 _FROZEN = 12
+# What an iteration does with its trial step.
+_REJECT, _ACCEPT, _LAND, _TOUCH, _SWITCH, _FAIL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
+# What can go wrong in it, in the order in which it is told.
+_FAILURES = (
+    RESULTS.nonfinite,
+    RESULTS.max_events_reached,
+    RESULTS.nonunique,
+    RESULTS.undeclared_sliding,
+    RESULTS.mode_undecided,
+    RESULTS.zeno,
+)
 # Trial steps rejected in a row before the search for a contact is given up.
 _TRIES = 60
 
@@ -71,29 +82,34 @@ def choose_length(scene: Scene, span: Span, policy: Policy, lane: Lane) -> Lengt
     return Length(h, end, target - end, cutting, gridded & whole, saving & whole)
 
 
-def _outcome(scene: Scene, policy: Policy, lane: Lane, view: View, frozen: Array, tries: Array):
-    """The result after an iteration: the first thing that went wrong, if any."""
-    failures = [(~all_finite(view.x, view.f, view.g), RESULTS.nonfinite)]
-    if scene.m:
-        if policy.max_events is not None:
-            full = lane.pending & (lane.num_events >= policy.max_events)
-            failures.append((full, RESULTS.max_events_reached))
-        failures.append((view.num_modes > 1, RESULTS.nonunique))
-        if not scene.slides:
-            slid = any_of(tuple(s == 0 for s in view.mode))
-            failures.append((slid, RESULTS.undeclared_sliding))
-        undecided = (view.num_modes == 0) | (tries > _TRIES)
-        failures.append((undecided, RESULTS.mode_undecided))
-        failures.append((frozen >= _FROZEN, RESULTS.zeno))
-    result = lane.result
-    for failed, outcome in reversed(failures):
-        result = RESULTS.where(failed, outcome, result)
+def _action(scene, policy, lane: Lane, view: View, found, landing, frozen, tries) -> Array:
+    """What to do with a trial step, or the number of the failure it has met, as one float: all that
+    follows needs nothing else of what went into it."""
+    action = jnp.where(found.theta < NEVER, _REJECT, _ACCEPT)
+    action = jnp.where(landing.landed, jnp.where(landing.touched, _TOUCH, _LAND), action)
+    action = jnp.where(lane.pending, _SWITCH, action)
+    failures = [~all_finite(view.x, view.f, view.g)]
+    if policy.max_events is None:
+        failures.append(jnp.zeros((), bool))
+    else:
+        failures.append(lane.pending & (lane.num_events >= policy.max_events))
+    failures.append(view.num_modes > 1)
+    failures.append(jnp.zeros((), bool) if scene.slides else any_of(tuple(s == 0 for s in view.mode)))
+    failures.append((view.num_modes == 0) | (tries > _TRIES))
+    failures.append(frozen >= _FROZEN)
+    for number, failed in reversed(list(enumerate(failures))):
+        action = jnp.where(failed, _FAIL + number, action)
+    (action,) = scene.hold(action.astype(scene.dtype))
+    return action
+
+
+def _outcome(action: Array, result: RESULTS) -> RESULTS:
+    for number, outcome in enumerate(_FAILURES):
+        result = RESULTS.where(action == _FAIL + number, outcome, result)
     return result
 
 
-def advance(
-    scene: Scene, table: Tableau, span: Span, policy: Policy, fence: Array, lane: Lane
-) -> Lane:
+def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane) -> Lane:
     """One iteration."""
     length = choose_length(scene, span, policy, lane)
     x = step(
@@ -103,7 +119,7 @@ def advance(
         lane.x,
         lane.f,
         length.h,
-        fence,
+        scene.once,
     )
     if scene.m == 0:
         return _accept_smooth(scene, span, policy, lane, length, x)
@@ -116,23 +132,17 @@ def advance(
 
 def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, landing) -> Lane:
     """Accept, reject, land or switch."""
-    stepping = ~lane.pending
-    landed = stepping & landing.landed
-    rejected = stepping & ~landed & (found.theta < NEVER)
-    accepted = stepping & ~landed & ~rejected
-    switched = lane.pending
-
-    tries = jnp.where(rejected, lane.tries + 1, 0)
+    tries = jnp.where(found.theta < NEVER, lane.tries + 1, 0)
     again = abs(view.tau - lane.contact_tau) <= span.same_time(view.tau)
-    frozen = jnp.where(switched, jnp.where(again, lane.frozen + 1, 0), lane.frozen)
-    result = _outcome(scene, policy, lane, view, frozen, tries)
-    ok = result == RESULTS.successful
+    frozen = jnp.where(lane.pending, jnp.where(again, lane.frozen + 1, 0), lane.frozen)
+    action = _action(scene, policy, lane, view, found, landing, frozen, tries)
+    landed, rejected = (action == _LAND) | (action == _TOUCH), action == _REJECT
+    accepted, switched = action == _ACCEPT, action == _SWITCH
 
     # A step to a saving time that is no grid point is looked at and taken back.
-    saving = length.saving & accepted & ok
-    gridded = length.gridded & accepted & ok
-    moved = (switched | accepted) & ok & ~(saving & ~gridded)
-    lands = landed & ok
+    saving, gridded = length.saving & accepted, length.gridded & accepted
+    moved = (switched | accepted) & ~(saving & ~gridded)
+    lands = landed
 
     g, rate, armed, noise = departure(scene, span, lane, view)
     # A cut shorter than rounding of time is lengthened to it: the step then lands at once.
@@ -156,17 +166,17 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
         aim=where(rejected, found.surfaces, lane.aim),
         pending=lands | (lane.pending & ~moved),
         hit=where(lands, landing.surfaces, lane.hit),
-        graze=jnp.where(lands, landing.touched, lane.graze),
+        graze=jnp.where(lands, action == _TOUCH, lane.graze),
         index=index,
-        tries=tries,
-        frozen=frozen,
+        tries=jnp.where(rejected, lane.tries + 1, 0),
+        frozen=jnp.where(switched, frozen, lane.frozen),
         contact_tau=jnp.where(switched, stop_gradient(view.tau), lane.contact_tau),
         num_iterations=lane.num_iterations + 1,
         num_accepted=lane.num_accepted + (moved & accepted).astype(jnp.int32),
-        num_events=lane.num_events + (switched & ok).astype(jnp.int32),
+        num_events=lane.num_events + switched.astype(jnp.int32),
         num_saved=lane.num_saved,
-        result=result,
-        table=record_event(scene, span, lane, view),
+        result=_outcome(action, lane.result),
+        table=record_event(scene, span, lane, view, switched),
         saves=lane.saves,
     )
     return _keep(scene, span, policy, lane, after, view, moved, gridded, saving)
@@ -226,9 +236,6 @@ def integrate(
 
     `kind="checkpointed"` allows reverse-mode derivatives and needs a static `max_iterations`.
     """
-    # A one that XLA cannot see through: the number of steps is traced.
-    fence = jnp.where(span.num_steps < 0, 2.0, 1.0).astype(scene.dtype)
-
     def running(lane: Lane) -> Array:
         unfinished = lane.index < span.num_steps
         affordable = lane.num_iterations < span.max_iterations
@@ -236,7 +243,7 @@ def integrate(
 
     lane = eqxi.while_loop(
         running,
-        lambda lane: advance(scene, table, span, policy, fence, lane),
+        lambda lane: advance(scene, table, span, policy, lane),
         begin(scene, span, policy, x0, num_saves),
         kind=kind,
         buffers=lambda lane: [b for b in (lane.table, lane.saves) if b is not None],

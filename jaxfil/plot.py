@@ -93,7 +93,7 @@ def phase_portrait(sol: Solution, ax: Axes | None = None) -> Axes:
         x, y = contacts[kinds == kind, :2].T
         ax.plot(x, y, marker, color=color, markeredgecolor=BLACK, label=KINDS(kind).name)
     if kinds.size:
-        ax.legend(fontsize="small")
+        ax.legend(fontsize="small", loc="upper right")
     ax.set_xlabel("x[0]")
     ax.set_ylabel("x[1]")
     return ax
@@ -133,7 +133,7 @@ def _tick_failures(ax: Axes, values: np.ndarray) -> None:
             clip_on=False,
             label=label,
         )
-        ax.legend(fontsize="small")
+        ax.legend(fontsize="small", loc="upper right")
 
 
 def _shade_modes(ax: Axes, sol: Solution) -> None:
@@ -158,7 +158,7 @@ def _shade_modes(ax: Axes, sol: Solution) -> None:
         if (modes == mode).any()
     ]
     if shown:
-        ax.legend(handles=shown, fontsize="small")
+        ax.legend(handles=shown, fontsize="small", loc="upper right")
 
 
 def _spans(

@@ -54,13 +54,13 @@ def _kind(lane: Lane, view: View, resets: bool) -> Array:
     return kind
 
 
-def record_event(scene: Scene, span: Span, lane: Lane, view: View) -> Table | None:
-    """The event table of `lane` with the switch made in `view`, if one was pending."""
+def record_event(scene: Scene, span: Span, lane: Lane, view: View, made: Array) -> Table | None:
+    """The event table of `lane` with the switch made in `view`, where one was made."""
     table = lane.table
     if table is None:
         return None
     size = table.ts.shape[0]
-    write = lane.pending & (lane.num_events < size)
+    write = made & (lane.num_events < size)
     i = jnp.minimum(lane.num_events, size - 1)
     return Table(
         ts=eqxi.buffer_at_set(table.ts, i, span.t0 + lane.tau, pred=write),

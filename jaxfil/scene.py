@@ -13,10 +13,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
-from jaxfil import fasttrig
 from jaxfil.system import System, has_resets
+from jaxfil.trace import Traced
 
 Blocks = tuple[Array, ...]
 """The components of a vector: n (state) or m (surface) scalars."""
@@ -60,16 +61,39 @@ def all_finite(*vectors: Blocks) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """A system on components. `sides` are tuples of m scalars, each exactly ±1."""
+    """A system on components. `sides` are tuples of m scalars, each exactly ±1; `switched` marks
+    the components of the field that depend on them."""
 
     n: int
     m: int
     slides: bool
     resets: bool
     dtype: Any
+    _one: Array | None
+    switched: tuple[bool, ...]
     _field: Callable[[Array, Blocks, Blocks], Blocks]
     _switching: Callable[[Array, Blocks], Blocks]
     _reset: Callable[[Array, Blocks, Array], Blocks]
+
+    def once(self, function: Callable, *args: Any) -> Any:
+        """`function(*args)`, each argument and each result computed once.
+
+        XLA's CPU backend computes a value with several users again inside each user's fusion. It
+        does not look through a conditional: this one always takes its first branch, on a condition
+        that the compiler cannot see through.
+        """
+        if self._one is None:
+            return function(*args)
+
+        def never(*args):
+            shapes = jax.eval_shape(function, *args)
+            return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+        return jax.lax.cond(self._one > 0, function, never, *args)
+
+    def hold(self, *values: Array) -> Blocks:
+        """The same values, each computed once."""
+        return self.once(lambda *held: held, *values)
 
     def field(self, t: Array, x: Blocks, sides: Blocks) -> Blocks:
         """F(t, x, sides)."""
@@ -108,8 +132,13 @@ class Scene:
 def cast(system: System, dtype: Any) -> System:
     """`system` with every float leaf an array of the given dtype, so that none is static."""
     return jax.tree.map(
-        lambda leaf: jnp.asarray(leaf, dtype) if eqx.is_inexact_array_like(leaf) else leaf, system
+        lambda leaf: jnp.asarray(leaf, dtype) if is_parameter(leaf) else leaf, system
     )
+
+
+def is_parameter(leaf: Any) -> bool:
+    """Whether a leaf of a system is a real number or an array of them."""
+    return isinstance(leaf, (float, np.floating)) or eqx.is_inexact_array(leaf)
 
 
 def build(system: System, x0: Array) -> Scene:
@@ -134,15 +163,31 @@ def build(system: System, x0: Array) -> Scene:
         return unpack(module(leaves).reset(t, pack(x, dtype), surface))
 
     x, sides = unpack(x0), (jnp.ones((), dtype),) * m
-    fast_field = fasttrig.rewrite(field, dynamic, t0, x, sides)
-    fast_switching = fasttrig.rewrite(switching, dynamic, t0, x)
+    one, hold = _fences(dynamic, x0) if jax.default_backend() == "cpu" else (None, lambda v: v)
+    traced_field = Traced(field, dynamic, t0, x, sides, hold=hold)
+    traced_switching = Traced(switching, dynamic, t0, x, hold=hold)
+    nothing = jax.tree.map(lambda _: False, (dynamic, t0, x))
     return Scene(
         n=n,
         m=m,
         slides=system.slides and m > 0,
         resets=has_resets(system) and m > 0,
         dtype=dtype,
-        _field=lambda t, x, sides: fast_field(dynamic, t, x, sides),
-        _switching=lambda t, x: fast_switching(dynamic, t, x),
+        _one=one,
+        switched=traced_field.depends(*nothing, (True,) * m),
+        _field=lambda t, x, sides: traced_field(dynamic, t, x, sides),
+        _switching=lambda t, x: traced_switching(dynamic, t, x),
         _reset=lambda t, x, surface: reset(dynamic, t, x, surface),
     )
+
+
+def _fences(dynamic: Any, x0: Array) -> tuple[Array, Callable]:
+    """A one that the compiler cannot see through, for `Scene.once`, and what holds a sine.
+
+    A conditional round a single sine is dissolved by XLA, a division by a value of each lane is
+    not: XLA holds a division to be expensive and computes it once.
+    """
+    leaves = [jnp.ravel(v)[0] for v in jax.tree.leaves((dynamic, x0)) if v.dtype == x0.dtype]
+    never = sum(leaves) == jnp.finfo(x0.dtype).max
+    lane_one = jax.lax.stop_gradient(jnp.where(never, 2.0, 1.0).astype(x0.dtype))
+    return jax.lax.optimization_barrier(jnp.ones((), x0.dtype)), lambda v: v / lane_one

@@ -99,12 +99,14 @@ def _evaluate(dense: _Dense, t: Any) -> Array:
     x, mode = scene.unpack(dense.xs[i]), scene.unpack(dense.modes[i].astype(dtype))
     ts = dense.ts[i]
     f = field(scene_, ts, x, mode)
-    one = jnp.ones((), dtype)
-    out = step(
-        tableau(dense.stepper), lambda t, x: field(scene_, t, x, mode), ts, x, f, t - ts, one
-    )
+    smooth = ft.partial(_field_of_mode, scene_, mode)
+    out = step(tableau(dense.stepper), smooth, ts, x, f, t - ts, scene_.once)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
     return jnp.where(reached, scene.pack(out, dtype), jnp.nan)
+
+
+def _field_of_mode(scene_: Any, mode: Any, t: Array, x: Any) -> Any:
+    return field(scene_, t, x, mode)
 
 
 def solve(

@@ -81,16 +81,12 @@ def step(
     x: Blocks,
     f: Blocks,
     h: Array,
-    fence: Array,
+    once: Callable[..., Blocks],
 ) -> Blocks:
-    """The state at t + h. `f` is the field at (t, x).
-
-    `fence` is a traced one. Dividing each stage by it ends XLA's fusion there; without, a stage is
-    computed again inside every later stage that uses it.
-    """
+    """The state at t + h. `f` is the field at (t, x), `once` is `Scene.once`: without it each stage
+    would be computed again inside every later stage that uses it."""
     slopes = [f]
     for c, row in zip(table.c, table.a, strict=True):
         inner = _combine(x, h, row, slopes)
-        slope = field(t + c * h, inner)
-        slopes.append(tuple(k / fence for k in slope))
-    return _combine(x, h, table.b, slopes)
+        slopes.append(once(field, t + c * h, inner))
+    return once(lambda *end: end, *_combine(x, h, table.b, slopes))

@@ -56,9 +56,11 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
     if scene.slides:
         held = zip(lane.mode, lane.hit, strict=True)
         x = _project(x, h, normals, tuple((s == 0) | (lane.pending & hit) for s, hit in held))
+        x = scene.hold(*x)
     fields, rates = filippov.corners(scene, t, x)
     mode, num_modes = _switch(scene, span, lane, rates, h)
-    f = filippov.blend(fields, filippov.weights(mode, rates))
+    mode = scene.hold(*mode)
+    f = scene.hold(*filippov.blend_fields(scene, fields, filippov.weights(mode, rates)))
     if scene.slides:
         attracts = filippov.attracting(mode, rates, span.direction)
         num_modes = jnp.where(attracts, num_modes, 2)
@@ -82,6 +84,7 @@ def view(
     # The guard of a slide, 1 - w², is of order one.
     slide = _NOISE * epsilon(scene)
     noise = tuple(jnp.where(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
+    g, rate = scene.hold(*g), scene.hold(*rate)
     return View(tau, x, f, mode, g, stop_gradient(rate), noise, num_modes)
 
 
