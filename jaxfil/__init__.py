@@ -4,6 +4,10 @@ from jaxfil import systems as systems
 from jaxfil.results import KINDS as KINDS, RESULTS as RESULTS
 from jaxfil.solution import Events as Events, Solution as Solution, solve as solve
 from jaxfil.stepper import RK4 as RK4
+from jaxfil.sweep import (
+    BifurcationDiagram as BifurcationDiagram,
+    bifurcation_diagram as bifurcation_diagram,
+)
 from jaxfil.system import System as System, piecewise as piecewise, smoothed as smoothed
 
 __version__ = "0.1.0"

@@ -156,12 +156,13 @@ def land(
 ) -> Landing:
     """Whether this step has ended on a contact.
 
-    `room` is the signed time from its end to the next grid point. δ is one Newton step: its error
-    is of order δ², and that of its derivative of order δ, hence the power of eps below.
+    `room` is the signed time from its end to the next grid point. δ is one Newton step: with g the
+    guard, its error is of order δ² g̈/ġ, and that of its derivative of order δ g̈/ġ, which is what
+    is kept small here.
     """
     direction = span.direction
     same = span.same_time(view.tau)
-    close = jnp.where(cutting, epsilon(scene) ** (2 / 3) * abs(span.dt), same)
+    small = epsilon(scene) ** (2 / 3)
     hits, touches = [], []
     delta: Any = jnp.zeros_like(h)
     for j in reversed(range(scene.m)):
@@ -169,6 +170,10 @@ def land(
         falls = direction * rate < 0
         missing = -view.g[j] / jnp.where(falls, rate, -direction)
         size = abs(stop_gradient(missing))
+        bend = direction * (rate - lane.rate[j])
+        straight = small * abs(span.dt)
+        close = jnp.minimum(straight, small * abs(rate * h) / jnp.where(bend == 0, 1, abs(bend)))
+        close = jnp.where(cutting, jnp.where(bend == 0, straight, close), same)
         within = (size <= close) & ((room - stop_gradient(missing)) * direction >= 0)
         hit = falls & (lane.armed[j] | aimed) & (within | (size <= same))
         # The contact aimed at is no further than rounding of time: this is it.
@@ -176,10 +181,9 @@ def land(
         hits.append(hit)
         delta = jnp.where(hit, missing, delta)
         # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
-        bend = direction * (rate - lane.rate[j])
         vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.noise[j] * bend)
-        small = (abs(view.g[j]) <= view.noise[j]) & (view.mode[j] != 0)
-        touches.append(lane.armed[j] & small & vertex)
+        zero = (abs(view.g[j]) <= view.noise[j]) & (view.mode[j] != 0)
+        touches.append(lane.armed[j] & zero & vertex)
     hits, touches = tuple(reversed(hits)), tuple(reversed(touches))
     landed = any_of(hits)
     touched = any_of(touches) & ~landed

@@ -241,12 +241,18 @@ def integrate(
         affordable = lane.num_iterations < span.max_iterations
         return unfinished & affordable & (lane.result == RESULTS.successful)
 
+    first = begin(scene, span, policy, x0, num_saves)
+    records = [name for name in ("table", "saves") if getattr(first, name) is not None]
+
+    def buffers(lane: Lane) -> list:
+        return [v for name in records for v in vars(getattr(lane, name)).values()]
+
     lane = eqxi.while_loop(
         running,
         lambda lane: advance(scene, table, span, policy, lane),
-        begin(scene, span, policy, x0, num_saves),
+        first,
         kind=kind,
-        buffers=lambda lane: [b for b in (lane.table, lane.saves) if b is not None],
+        buffers=buffers,
         max_steps=max_iterations,
         checkpoints=checkpoints,
     )

@@ -333,5 +333,34 @@ def _raise_unless_successful(sol: Solution) -> Solution:
 
 
 def card(sol: Solution) -> str:
-    """What happened, in a few lines."""
-    return repr(sol.stats)
+    """What happened, in a few lines; shapes only for a batch or while traced."""
+    if isinstance(sol.t_final, jax.core.Tracer) or sol.t_final.ndim > 0:
+        batch = tuple(sol.t_final.shape)
+        return f"Solution: a batch of shape {batch}, states of {sol.x_final.shape[-1]} components"
+    lines = [f"Solution: {outcome(sol.result)}"]
+    state = np.array2string(np.asarray(sol.x_final), precision=6, separator=", ")
+    lines.append(f"  t = {float(sol.t_final):.10g}, x = {state}, mode {sol.mode_final.tolist()}")
+    if sol.ts is not None:
+        lines.append(f"  {int(np.isfinite(sol.ts).sum())} of {sol.ts.shape[0]} states saved")
+    lines.append(f"  {int(sol.stats['num_steps'])} steps, {_events_line(sol)}")
+    return "\n".join(lines)
+
+
+def _events_line(sol: Solution) -> str:
+    total = int(sol.num_events)
+    if sol.events is None or total == 0:
+        return f"{total} contacts"
+    kinds = np.asarray(sol.events.kinds)
+    counts = [(k.name, int(np.sum(kinds == k))) for k in KINDS if k is not KINDS.none]
+    parts = ", ".join(f"{number} {name}" for name, number in counts if number)
+    return f"{total} contacts ({parts})"
+
+
+def outcome(result: RESULTS) -> str:
+    """The name of one outcome and its sentence."""
+    for name in RESULTS._name_to_item:
+        item = getattr(RESULTS, name)
+        if bool(result == item):
+            sentence = RESULTS[item]
+            return f"{name}: {sentence}" if sentence else name
+    return "unknown"

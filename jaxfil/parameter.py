@@ -1,0 +1,47 @@
+"""A parameter by its name.
+
+A system and the name of a float leaf (a dotted path for nested modules) enter; the leaf, or the
+system with another value in its place, leaves.
+"""
+
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from jaxfil.scene import is_parameter
+
+_Tree = TypeVar("_Tree")
+
+
+def parameters(system: Any) -> dict[str, Any]:
+    """Names and values of all float leaves."""
+    leaves = jax.tree_util.tree_leaves_with_path(system)
+    return {_name(path): leaf for path, leaf in leaves if is_parameter(leaf)}
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")
+
+
+def parameter(system: Any, name: str) -> Any:
+    """The leaf called `name`."""
+    known = parameters(system)
+    if name not in known:
+        raise ValueError(
+            f"`name` must be a parameter of {type(system).__name__}, one of "
+            f"{', '.join(known) or '(it has none)'}; got {name!r}."
+        )
+    return known[name]
+
+
+def replace(system: _Tree, name: str, value: Any) -> _Tree:
+    """`system` with the leaf called `name` replaced, shape and dtype kept."""
+    parameter(system, name)
+
+    def swap(path: Any, leaf: Any) -> Any:
+        if _name(path) != name:
+            return leaf
+        return jnp.broadcast_to(jnp.asarray(value, jnp.asarray(leaf).dtype), jnp.shape(leaf))
+
+    return jax.tree_util.tree_map_with_path(swap, system)
