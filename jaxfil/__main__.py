@@ -9,7 +9,6 @@ Whatever cannot be done is answered by one line on stderr that says what is allo
 """
 
 import argparse
-import dataclasses
 import math
 import os
 import re
@@ -22,6 +21,7 @@ from typing import Any, NoReturn
 import jax
 import numpy as np
 
+from jaxfil.parameter import parameters
 from jaxfil.results import RESULTS
 from jaxfil.sweep import bifurcation_diagram
 from jaxfil.system import System
@@ -128,8 +128,7 @@ def _one_of(what: str, name: str, allowed) -> None:
 
 
 def _defaults(cls: type[System]) -> dict[str, float]:
-    system = cls()
-    return {f.name: float(getattr(system, f.name)) for f in dataclasses.fields(cls)}
+    return {name: float(value) for name, value in parameters(cls()).items()}
 
 
 def _listing() -> str:

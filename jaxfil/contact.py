@@ -61,6 +61,9 @@ class Cubic(eqx.Module):
     def slope(self, theta: Array) -> Array:
         return self.d0 + theta * (2 * self.a + 3 * theta * self.b)
 
+    def bend(self, theta: Array) -> Array:
+        return 2 * (self.a + 3 * theta * self.b)
+
 
 def _quotient(a: Array, b: Array) -> Array:
     """a/b, far outside the step where b = 0."""
@@ -71,11 +74,14 @@ def _quotient(a: Array, b: Array) -> Array:
 def _descending_root(cubic: Cubic, lo: Array, hi: Array) -> Array:
     """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
 
-    Newton from the point of inflection, or from the end nearest to it, runs to the root
-    monotonically; four iterations leave less than the cubic's own error.
+    Newton runs to the root monotonically from the point of inflection after a maximum, from `lo`
+    where the cubic is convex and from `hi` where it is concave; four iterations leave less than
+    the cubic's own error.
     """
-    inflection = -_quotient(cubic.a, 3 * cubic.b)
-    theta = jnp.clip(inflection, lo, hi)
+    bend_lo, bend_hi = cubic.bend(lo), cubic.bend(hi)
+    inflection = jnp.clip(-_quotient(cubic.a, 3 * cubic.b), lo, hi)
+    theta = jnp.where(bend_lo + bend_hi >= 0, lo, hi)
+    theta = jnp.where((bend_lo < 0) & (bend_hi > 0), inflection, theta)
     for _ in range(4):
         theta = jnp.clip(theta - _quotient(cubic(theta), cubic.slope(theta)), lo, hi)
     return theta
@@ -118,12 +124,16 @@ class Search(eqx.Module):
     surfaces: Blocks
 
 
-def search(scene: Scene, lane: Lane, view: View, h: Array) -> Search:
-    """The earliest contact of a trial step of signed length h, over all surfaces."""
+def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array) -> Search:
+    """The earliest contact of a trial step of signed length h, over all surfaces.
+
+    A slide that repels at the end of the step is bisected to where it ceases to attract.
+    """
     contact = minimum = jnp.asarray(NEVER, h.dtype)
     thetas = []
     for j in range(scene.m):
-        noise = jnp.where(lane.armed[j], view.noise[j], jnp.maximum(view.noise[j], lane.noise[j]))
+        fresh = jnp.maximum(view.noise[j], lane.noise[j])
+        noise = jnp.where(lane.armed[j], jnp.maximum(view.noise[j], view.touch[j]), fresh)
         theta, low = first_contact(
             lane.g[j],
             h * lane.rate[j],
@@ -134,6 +144,9 @@ def search(scene: Scene, lane: Lane, view: View, h: Array) -> Search:
         )
         thetas.append(theta)
         contact, minimum = jnp.minimum(contact, theta), jnp.minimum(minimum, low)
+    if scene.slides:
+        bisect = view.repels & (abs(h) > span.same_time(view.tau))
+        minimum = jnp.where(bisect, jnp.minimum(minimum, 0.5), minimum)
     contact, minimum = scene.hold(contact, minimum)
     thetas = scene.hold(*thetas)
     first = (contact < NEVER) & (contact <= minimum)
@@ -175,14 +188,16 @@ def land(
         close = jnp.minimum(straight, small * abs(rate * h) / jnp.where(bend == 0, 1, abs(bend)))
         close = jnp.where(cutting, jnp.where(bend == 0, straight, close), same)
         within = (size <= close) & ((room - stop_gradient(missing)) * direction >= 0)
-        hit = falls & (lane.armed[j] | aimed) & (within | (size <= same))
-        # The contact aimed at is no further than rounding of time: this is it.
-        hit = hit | (falls & aimed & (abs(h) <= same))
+        reached = within | (size <= same)
+        # A contact aimed at that is no further than rounding of time is here, with δ = 0.
+        here = aimed & (abs(h) <= same) & ~reached
+        hit = falls & (here | ((lane.armed[j] | aimed) & reached))
         hits.append(hit)
+        missing = jnp.where(here, missing - stop_gradient(missing), missing)
         delta = jnp.where(hit, missing, delta)
         # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
-        vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.noise[j] * bend)
-        zero = (abs(view.g[j]) <= view.noise[j]) & (view.mode[j] != 0)
+        vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.touch[j] * bend)
+        zero = (abs(view.g[j]) <= view.touch[j]) & (view.mode[j] != 0)
         touches.append(lane.armed[j] & zero & vertex)
     hits, touches = tuple(reversed(hits)), tuple(reversed(touches))
     landed = any_of(hits)

@@ -93,7 +93,8 @@ def _action(scene, policy, lane: Lane, view: View, found, landing, frozen, tries
         failures.append(jnp.zeros((), bool))
     else:
         failures.append(lane.pending & (lane.num_events >= policy.max_events))
-    failures.append(view.num_modes > 1)
+    stuck = view.repels & ((found.theta >= NEVER) | lane.pending)
+    failures.append((view.num_modes > 1) | stuck)
     failures.append(jnp.zeros((), bool) if scene.slides else any_of(tuple(s == 0 for s in view.mode)))
     failures.append((view.num_modes == 0) | (tries > _TRIES))
     failures.append(frozen >= _FROZEN)
@@ -125,7 +126,7 @@ def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane
         return _accept_smooth(scene, span, policy, lane, length, x)
     x = where(lane.pending, lane.x, x)
     view = look(scene, span, lane, length.end, x)
-    found = search(scene, lane, view, length.h)
+    found = search(scene, span, lane, view, length.h)
     landing = land(scene, span, lane, view, length.h, length.room, length.cutting)
     return _decide(scene, span, policy, lane, length, view, found, landing)
 
@@ -145,8 +146,8 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
     lands = landed
 
     g, rate, armed, noise = departure(scene, span, lane, view)
-    # A cut shorter than rounding of time is lengthened to it: the step then lands at once.
-    least = 0.5 * span.same_time(lane.tau) * span.direction
+    # A cut of length zero would be none.
+    least = 1e-6 * span.same_time(lane.tau) * span.direction
     cut = found.theta * length.h
     cut = jnp.where(abs(cut) < abs(least), least, cut)
     # A step that has ended just short of its contact: Newton says how much is missing.
@@ -155,6 +156,7 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
     after = Lane(
         tau=jnp.where(moved, view.tau, jnp.where(lands, view.tau + landing.delta, lane.tau)),
         x=where(moved, view.x, where(lands, axpy(view.x, landing.delta, view.f), lane.x)),
+        size=where(moved, view.size, lane.size),
         f=where(moved, view.f, lane.f),
         mode=where(moved, view.mode, lane.mode),
         first_mode=lane.first_mode,

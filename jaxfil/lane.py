@@ -82,6 +82,7 @@ class Lane(eqx.Module):
     tau: Array  # elapsed time
     x: Blocks  # state, n components
     f: Blocks  # field of the mode at (tau, x), n components
+    size: Blocks  # largest |x| so far, n components
     mode: Blocks  # +1 or -1, 0 while sliding on the surface
     first_mode: Blocks  # the mode at t0
     g: Blocks  # guards: positive within the mode
@@ -108,16 +109,20 @@ class Lane(eqx.Module):
 
 class View(eqx.Module):
     """What is known at the end of a trial step. `num_modes` is how many modes could go on from a
-    switch made here (1: all is well)."""
+    switch made here (1: all is well); `repels` whether it slides where the surface repels. `noise` is the
+    rounding of the guards here, `touch` all that may have gathered in them since t0."""
 
     tau: Array
     x: Blocks
     f: Blocks
+    size: Blocks
     mode: Blocks
     g: Blocks
     rate: Blocks
     noise: Blocks
+    touch: Blocks
     num_modes: Array
+    repels: Array
 
 
 def epsilon(scene: Scene) -> float:

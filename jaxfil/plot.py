@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from jaxfil.results import KINDS, RESULTS
+from jaxfil.results import KINDS
 
 if TYPE_CHECKING:
     from jaxfil.solution import Solution
@@ -55,7 +55,7 @@ def bifurcation_diagram(
         markeredgewidth=0,
         rasterized=True,
     )
-    _tick_failures(ax, values[~np.asarray(diagram.results == RESULTS.successful)])
+    _tick_failures(ax, values[~diagram.successful])
     if values.min() < values.max():
         ax.set_xlim(values.min(), values.max())
     ax.set_xlabel(diagram.parameter)

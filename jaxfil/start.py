@@ -14,7 +14,7 @@ from jaxfil.lane import Lane, Policy, Span, epsilon
 from jaxfil.record import empty_saves, empty_table
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks, Scene, all_finite
-from jaxfil.switch import surface_noise, view
+from jaxfil.switch import guards, surface_noise
 
 # Rounding of a rate at a tangency, in eps of the largest rate there.
 _RATE_NOISE = 64
@@ -75,24 +75,23 @@ def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -
         f = scene.field(t, x, ())
     else:
         h, h_t, normals = scene.gradients(t, x)
-        noise = surface_noise(scene, t, x, x, h_t, normals)
+        size = tuple(stop_gradient(abs(v)) for v in x)
+        noise = surface_noise(scene, t, size, h_t, normals)
         mode, on, count = _first_mode(scene, span, x, h, noise)
         moving = tuple(jnp.where(s == 0, 1.0, s).astype(dtype) for s in mode)
         f = filippov.field(scene, t, x, mode if scene.slides else moving)
-        seen = view(scene, tau, t, x, f, mode, noise, count)
+        g, rate, noise = guards(scene, t, x, f, mode, noise)
         armed = tuple((s == 0) | ~on_j for s, on_j in zip(mode, on, strict=True))
-        g = tuple(
-            jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, seen.g, strict=True)
-        )
+        g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
         rate = tuple(
             jnp.where(a, r, span.direction * jnp.maximum(span.direction * r, 0.0))
-            for a, r in zip(armed, seen.rate, strict=True)
+            for a, r in zip(armed, rate, strict=True)
         )
-        noise = seen.noise
     return Lane(
         tau=tau,
         x=x,
         f=f,
+        size=tuple(stop_gradient(abs(v)) for v in x),
         mode=mode,
         first_mode=mode,
         g=tuple(stop_gradient(v) for v in g),

@@ -18,14 +18,12 @@ from jaxfil.scene import Blocks, Scene, any_of, axpy, where
 _NOISE = 32
 
 
-def surface_noise(
-    scene: Scene, t: Array, x0: Blocks, x1: Blocks, h_t: Blocks, normals: tuple
-) -> Blocks:
-    """What rounding of t and x does to H: a multiple of eps and of the size of its terms."""
-    sizes = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(x0, x1, strict=True))
+def surface_noise(scene: Scene, t: Array, size: Blocks, h_t: Blocks, normals: tuple) -> Blocks:
+    """What rounding of t and x does to H: a multiple of eps and of the size of its terms, given the
+    size of x."""
     out = []
     for j in range(scene.m):
-        terms = sum(abs(v) * s for v, s in zip(normals[j], sizes, strict=True))
+        terms = sum(abs(v) * s for v, s in zip(normals[j], size, strict=True))
         out.append(stop_gradient(_NOISE * epsilon(scene) * (terms + abs(h_t[j] * t))))
     return tuple(out)
 
@@ -39,53 +37,51 @@ def _project(x: Blocks, h: Blocks, normals: tuple, on: Blocks) -> Blocks:
     return x
 
 
-def _reset(scene: Scene, lane: Lane, t: Array, x: Blocks) -> Blocks:
-    surface = jnp.argmax(jnp.stack(lane.hit))
-    return where(lane.pending & ~lane.graze, scene.reset(t, x, surface), x)
-
-
 def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
     """The state, mode, field, guards and rates at the end of a step; a pending switch is made."""
     t = span.t0 + tau
+    one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     if scene.m == 0:
-        return View(tau, x, scene.field(t, x, ()), (), (), (), (), jnp.ones((), jnp.int32))
+        return View(tau, x, scene.field(t, x, ()), lane.size, (), (), (), (), (), one, false)
+    moved = false
     if scene.resets:
-        x = _reset(scene, lane, t, x)
+        surface = jnp.argmax(jnp.stack(lane.hit))
+        after = where(lane.pending & ~lane.graze, scene.reset(t, x, surface), x)
+        moved = any_of(tuple(a != b for a, b in zip(after, x, strict=True)))
+        x = after
     h, h_t, normals = scene.gradients(t, x)
-    noise = surface_noise(scene, t, lane.x, x, h_t, normals)
+    size = tuple(jnp.maximum(s, stop_gradient(abs(v))) for s, v in zip(lane.size, x, strict=True))
+    here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(lane.x, x, strict=True))
+    noise = surface_noise(scene, t, here, h_t, normals)
+    touch = surface_noise(scene, t, size, h_t, normals)
     if scene.slides:
         held = zip(lane.mode, lane.hit, strict=True)
         x = _project(x, h, normals, tuple((s == 0) | (lane.pending & hit) for s, hit in held))
         x = scene.hold(*x)
     fields, rates = filippov.corners(scene, t, x)
     mode, num_modes = _switch(scene, span, lane, rates, h)
+    if scene.resets:
+        # A wall has one side: an impact that does not turn the motion back leads nowhere.
+        through = any_of(tuple(a != b for a, b in zip(mode, lane.mode, strict=True)))
+        num_modes = jnp.where(moved & through, 0, num_modes)
     mode = scene.hold(*mode)
     f = scene.hold(*filippov.blend_fields(scene, fields, filippov.weights(mode, rates)))
-    if scene.slides:
-        attracts = filippov.attracting(mode, rates, span.direction)
-        num_modes = jnp.where(attracts, num_modes, 2)
-    return view(scene, tau, t, x, f, mode, noise, num_modes)
+    repels = ~filippov.attracting(mode, rates, span.direction) if scene.slides else false
+    g, rate, noise = guards(scene, t, x, f, mode, noise)
+    return View(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels)
 
 
-def view(
-    scene: Scene,
-    tau: Array,
-    t: Array,
-    x: Blocks,
-    f: Blocks,
-    mode: Blocks,
-    noise: Blocks,
-    num_modes: Array,
-) -> View:
-    """A `View` with the guards of `mode` and their rates along f."""
+def guards(
+    scene: Scene, t: Array, x: Blocks, f: Blocks, mode: Blocks, noise: Blocks
+) -> tuple[Blocks, Blocks, Blocks]:
+    """The guards of a mode, their rates along its field f, and their noise, given that of H."""
     g, rate = jax.jvp(
         lambda t, x: filippov.guard(scene, t, x, mode), (t, x), (jnp.ones_like(t), f)
     )
     # The guard of a slide, 1 - w², is of order one.
     slide = _NOISE * epsilon(scene)
     noise = tuple(jnp.where(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
-    g, rate = scene.hold(*g), scene.hold(*rate)
-    return View(tau, x, f, mode, g, stop_gradient(rate), noise, num_modes)
+    return scene.hold(*g), stop_gradient(scene.hold(*rate)), noise
 
 
 def _switch(

@@ -1,0 +1,1 @@
+"""jaxfil beside what else a user could pick; see `python -m benchmarks.throughput`."""

@@ -1,0 +1,24 @@
+"""The integrators that are measured, one a file, all behind the same few names.
+
+Each module offers
+
+- `NAME`: how the tables call it;
+- `SETTINGS`: accuracy settings, cheap to dear within a family, each a dict that JSON can hold;
+- `SHAPED`: whether another number of lanes compiles anew;
+- `available()`: "" where it can run, else the reason why not, in words;
+- `prepare(cores)`: called once in a process, before anything else;
+- `label(setting)` and `family(setting)`: the setting in a few letters, and its method;
+- `effort(quick)`: the most lanes it is asked for at a time (None: as many as you like);
+- `sample(scene, omegas, transient, samples, setting, cores=1) -> xs (lanes, samples, 2)`:
+  the states at the end of each of the last `samples` periods, every lane started from `scene.x0`
+  at t = 0.
+"""
+
+import importlib
+
+MODULES = ("jaxfil_sweep", "numba_scalar", "diffrax_events", "scipy_events")
+
+
+def load(name):
+    """The module of one integrator."""
+    return importlib.import_module(f"{__name__}.{name}")

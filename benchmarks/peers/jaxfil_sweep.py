@@ -1,0 +1,74 @@
+"""jaxfil itself, through `bifurcation_diagram`, as a user calls it.
+
+In: a scene, frequencies, a stepper and its steps per period. Out: sampled states.
+"""
+
+import functools
+import importlib.util
+
+import numpy as np
+
+NAME = "jaxfil"
+SETTINGS = [dict(stepper="Dopri8", steps=n) for n in (16, 20, 25, 32, 40, 64, 100)]
+SETTINGS += [dict(stepper="Tsit5", steps=n) for n in (40, 80, 160)]
+SETTINGS += [dict(stepper="RK4", steps=n) for n in (100, 200)]
+SHAPED = True
+
+
+def available():
+    """Why it cannot run; empty where the package can be found."""
+    return "" if importlib.util.find_spec("jaxfil") else "jaxfil is not installed"
+
+
+def prepare(cores):
+    """Float64; the sweep itself takes the cores that the process may run on."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+
+def label(setting):
+    return f"{setting['stepper']} {setting['steps']}"
+
+
+def family(setting):
+    return setting["stepper"]
+
+
+def effort(quick):
+    return None
+
+
+@functools.cache
+def _stepper(name):
+    import diffrax
+
+    import jaxfil as jf
+
+    return jf.RK4() if name == "RK4" else getattr(diffrax, name)()
+
+
+def system(scene):
+    """The scene as a textbook system of the library."""
+    import jaxfil as jf
+
+    kind = {"belt": jf.systems.BeltFriction, "sd": jf.systems.SDOscillator}[scene.kind]
+    return kind(**scene.parameters)
+
+
+def sample(scene, omegas, transient, samples, setting, cores=1):
+    """States at the end of the last `samples` periods, (lanes, samples, 2)."""
+    import jaxfil as jf
+
+    diagram = jf.bifurcation_diagram(
+        system(scene),
+        "omega",
+        np.asarray(omegas),
+        np.array(scene.x0),
+        transient=transient,
+        samples=samples,
+        steps=setting["steps"],
+        stepper=_stepper(setting["stepper"]),
+        progress=False,
+    )
+    return np.asarray(diagram.xs)

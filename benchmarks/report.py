@@ -1,0 +1,162 @@
+"""The measured rows as a table, as JSON, as a picture, and as ratios at equal error.
+
+In: rows as `throughput.row` makes them. Out: text on standard output, and two files in `results/`.
+"""
+
+import json
+import pathlib
+import platform
+
+import numpy as np
+
+RESULTS = pathlib.Path(__file__).parent / "results"
+LEVELS = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+OURS = "jaxfil"
+
+
+def columns(rows):
+    """The numbers of cores that were measured."""
+    return sorted({int(c) for r in rows for c in r["rates"]})
+
+
+def _calls(row):
+    """Traces and compilations of the first call / of the later ones, each call."""
+    if not row["jax"]:
+        return "-"
+    later = [max(call[k] for call in row["later_calls"]) for k in ("traces", "compilations")]
+    first = row["first_call"]
+    return f"{first['traces']}, {first['compilations']} / {later[0]}, {later[1]}"
+
+
+def table(rows):
+    """The table as text, a scene and an integrator after the other."""
+    cores = columns(rows)
+    head = ["scene", "who", "setting", "lanes", "error"]
+    head += [f"{c} core{'s' * (c > 1)}" for c in cores]
+    head += ["compile s", "traced, compiled: first / later call"]
+    body = []
+    for r in sorted(rows, key=lambda r: (r["scene"], r["who"] != OURS, r["who"])):
+        error = "failed" if r["error"] is None else f"{r['error']:.1e}"
+        error += f" ({r['failed']} lanes failed)" if r["failed"] else ""
+        rates = [f"{r['rates'][str(c)]:,.0f}" if str(c) in r["rates"] else "" for c in cores]
+        cells = [r["scene"], r["who"], r["setting"], str(r["lanes"]), error, *rates]
+        body.append([*cells, f"{r['compile_seconds']:.1f}", _calls(r)])
+    widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
+    left = (0, 1, 2, len(head) - 1)
+    lines = []
+    for cells in [head, ["-" * w for w in widths], *body]:
+        pairs = enumerate(zip(cells, widths, strict=True))
+        lines.append("  ".join(c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in pairs))
+    return "\n".join(lines)
+
+
+def _points(rows, cores):
+    """(error, rate) of each row that has both."""
+    key = str(cores)
+    return [(r["error"], r["rates"][key]) for r in rows if r["error"] and key in r["rates"]]
+
+
+def rate_at(rows, error, cores):
+    """The best rate at this error or a smaller one; None where no method gets there.
+
+    Within a method it is interpolated between neighbouring settings, both axes logarithmic. At an
+    error above that of a method's cheapest setting the rate is that setting's.
+    """
+    best = None
+    for family in {r["family"] for r in rows}:
+        points = sorted(_points([r for r in rows if r["family"] == family], cores))
+        if not points or points[0][0] > error:
+            continue
+        errors, rates = np.log(np.array(points)).T
+        # A dearer setting never counts as less than what it can be replaced by.
+        rate = float(np.exp(np.interp(np.log(error), errors, np.maximum.accumulate(rates))))
+        best = rate if best is None else max(best, rate)
+    return best
+
+
+def ratios(rows):
+    """jaxfil's rate over each peer's at equal error: {(scene, who, cores): {level: ratio}}."""
+    found = {}
+    for scene in dict.fromkeys(r["scene"] for r in rows):
+        here = [r for r in rows if r["scene"] == scene]
+        for who in sorted({r["who"] for r in here} - {OURS}):
+            for cores in columns(here):
+                pair = [
+                    [rate_at([r for r in here if r["who"] == w], e, cores) for e in LEVELS]
+                    for w in (OURS, who)
+                ]
+                found[scene, who, cores] = dict(zip(LEVELS, zip(*pair, strict=True), strict=True))
+    return found
+
+
+def _ratio(ours, theirs):
+    if ours is None:
+        return "-"
+    return "alone" if theirs is None else f"{ours / theirs:.3g}"
+
+
+def ratio_lines(rows):
+    """The same as text."""
+    lines = ["jaxfil's rate relative to each peer's, at equal error:"]
+    for (scene, who, cores), levels in ratios(rows).items():
+        cells = [f"{_ratio(*pair)} at {level:.0e}" for level, pair in levels.items()]
+        lines.append(f"  {scene}, {who}, {cores} core{'s' * (cores > 1)}: {', '.join(cells)}")
+    return "\n".join([*lines, '  ("alone": the peer does not get there; "-": jaxfil does not)'])
+
+
+def picture(rows, path):
+    """Error against rate, both logarithmic: a panel a scene, a colour an integrator."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    scenes = list(dict.fromkeys(r["scene"] for r in rows))
+    names = sorted({r["who"] for r in rows}, key=lambda who: (who != OURS, who))
+    figure, axes = plt.subplots(1, len(scenes), figsize=(6 * len(scenes), 4.8), squeeze=False)
+    for ax, scene in zip(axes[0], scenes, strict=True):
+        for i, who in enumerate(names):
+            _curves(ax, [r for r in rows if r["scene"] == scene and r["who"] == who], f"C{i}")
+        ax.set(
+            xscale="log",
+            yscale="log",
+            title=scene,
+            xlabel="error of the section points (smaller to the right)",
+        )
+        ax.set_ylabel("lane-periods per second")
+        ax.invert_xaxis()
+        ax.grid(alpha=0.3)
+    axes[0][0].legend(fontsize=7)
+    figure.suptitle("Rate against error: filled on one core, open on all")
+    figure.tight_layout()
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def _curves(ax, rows, color):
+    """An integrator's methods, a line and a marker each; the markers open for all cores."""
+    for family, marker in zip(dict.fromkeys(r["family"] for r in rows), "os^Dv", strict=False):
+        mine = [r for r in rows if r["family"] == family]
+        for i, cores in enumerate(columns(rows)):
+            style = dict(color=color, marker=marker, ms=5, lw=1.2 if i == 0 else 0.6)
+            style |= dict(mfc=color if i == 0 else "none")
+            label = f"{rows[0]['who']}, {family}" if i == 0 else None
+            ax.plot(*np.reshape(_points(mine, cores), (-1, 2)).T, label=label, **style)
+
+
+def write(rows, skipped, about):
+    """Print the table and the ratios, and write both files."""
+    RESULTS.mkdir(exist_ok=True)
+    kept = dict(about, processor=platform.machine(), python=platform.python_version(), rows=rows)
+    kept["skipped"] = skipped
+    (RESULTS / "throughput.json").write_text(json.dumps(kept, indent=1))
+    picture(rows, RESULTS / "throughput.png")
+    print(table(rows), *skipped, sep="\n")
+    print(
+        "\nRates are lane-periods per second, medians, compilation left out"
+        + (", one core by processor time" if about["processor_time"] else "")
+        + ". An integrator\nwith fewer lanes than the others is slow and was given fewer; its rate "
+        "counts the lanes it had.\n"
+    )
+    if any(r["who"] == OURS for r in rows):
+        print(ratio_lines(rows))

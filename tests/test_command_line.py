@@ -1,0 +1,186 @@
+"""The command line: what it writes is what the library computes, and mistakes get one line."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+import matplotlib.image
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import jaxfil as jf
+from jaxfil.__main__ import main
+
+README = Path(__file__).parent.parent / "README.md"
+SMALL = ["--from", "0.6", "--to", "0.7", "--points", "3", "--transient", "2", "--samples", "4"]
+
+
+def diagram(tmp_path, *words, name="sd-oscillator", parameter="omega"):
+    """Run a small sweep in this process; its exit code and its numbers leave."""
+    out = tmp_path / "picture.png"
+    command = ["diagram", name, "--parameter", parameter, *SMALL, "--out", str(out), *words]
+    code = main(command)
+    with np.load(out.with_suffix(".npz")) as saved:
+        return code, dict(saved)
+
+
+def refused(capsys, *words):
+    """The one line that a mistake is answered with."""
+    assert main(list(words)) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("jaxfil: ") and err.count("\n") == 1 and err.endswith("\n")
+    return err
+
+
+def test_the_command_in_readme_draws_its_diagram(tmp_path):
+    (command,) = re.findall(r"-m (jaxfil diagram .*)", README.read_text())
+    words = shlex.split(command)
+    out = words[words.index("--out") + 1]
+    words[words.index("--points") + 1] = "40"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-m", *words, "--transient", "20", "--samples", "10"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(
+        rf"40 values of omega in [\d.]+ s: 40 successful; wrote {out} and \S+\.npz\n", done.stdout
+    )
+    assert "40/40" in done.stderr, "the progress bar ends full"
+    picture = matplotlib.image.imread(tmp_path / out)
+    assert picture.shape == (1000, 1600, 4)
+    assert (picture[100:-150, 200:-50, :3] < 0.9).any(axis=2).sum() > 200, "the picture is blank"
+
+
+def test_the_numbers_beside_the_picture_are_those_of_the_library(tmp_path):
+    code, saved = diagram(tmp_path)
+    expected = jf.bifurcation_diagram(
+        jf.systems.SDOscillator(),
+        "omega",
+        np.linspace(0.6, 0.7, 3),
+        jnp.array([0.3, 0.1]),
+        transient=2,
+        samples=4,
+        steps=40,
+        progress=False,
+    )
+    assert code == 0
+    assert_array_equal(saved["values"], expected.values)
+    assert_array_equal(saved["xs"], expected.xs)
+    assert_array_equal(saved["results"], ["successful"] * 3)
+    assert (saved["parameter"], saved["system"]) == ("omega", "sd-oscillator")
+    assert dict(zip(saved["fixed_names"], saved["fixed_values"], strict=True)) == {
+        "f0": 0.25,
+        "zeta": 0.0141,
+        "alpha": 0.0,
+    }
+
+
+def test_settings_state_and_direction_reach_the_sweep(tmp_path):
+    _, saved = diagram(
+        tmp_path, "--x0", "-0.4,0.2", "--set", "f0=0.3", "zeta=2e-2", "--follow", "down"
+    )
+    expected = jf.bifurcation_diagram(
+        jf.systems.SDOscillator(f0=0.3, zeta=2e-2),
+        "omega",
+        np.linspace(0.6, 0.7, 3),
+        jnp.array([-0.4, 0.2]),
+        transient=2,
+        samples=4,
+        follow="down",
+        progress=False,
+    )
+    assert_array_equal(saved["xs"], expected.xs)
+    assert_array_equal(saved["x0"], [-0.4, 0.2])
+    assert saved["follow"] == "down"
+
+
+def test_steps_and_a_repeated_setting_reach_the_sweep(tmp_path):
+    _, coarse = diagram(tmp_path, "--steps", "20", "--set", "f0=0.3", "--set", "zeta=0.02")
+    _, fine = diagram(tmp_path, "--set", "f0=0.3", "zeta=0.02")
+    assert coarse["steps"] == 20
+    assert_array_equal(coarse["fixed_values"], fine["fixed_values"])
+    assert 0 < np.abs(coarse["xs"] - fine["xs"]).max() < 1e-4
+
+
+def test_a_falling_range_keeps_its_order(tmp_path):
+    _, saved = diagram(tmp_path, "--from", "0.9", "--to", "0.8")
+    assert_array_equal(saved["values"], np.linspace(0.9, 0.8, 3))
+
+
+def test_quiet_prints_nothing(tmp_path, capfd):
+    assert diagram(tmp_path, "--quiet")[0] == 0
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_lane_that_ends_early_is_counted_and_the_rest_are_drawn(tmp_path, capsys):
+    code, saved = diagram(tmp_path, "--x0", "0,0")
+    assert code == 1, "from (0, 0) no lane has a unique solution"
+    assert_array_equal(saved["results"], ["nonunique"] * 3)
+    assert ": 3 nonunique; wrote" in capsys.readouterr().out
+
+
+def test_list_names_every_system_and_parameter_with_its_default(capsys):
+    assert main(["--list"]) == 0
+    listing = capsys.readouterr().out
+    assert len(re.findall(r"^[a-z-]+", listing, re.M)) == len(jf.systems.TEXTBOOK) == 12
+    assert "belt-friction\n    f0=10 g=9.81 mu=0.6 alpha=-0.05 beta=0 gamma1=0" in listing
+    assert (
+        "bouncing-ball (not forced: no diagram)\n    g=9.8 restitution=0.9, from (10, 0)" in listing
+    )
+
+
+@pytest.mark.parametrize(
+    "words, answer",
+    [
+        ([], "diagram"),
+        (["draw"], "diagram"),
+        (["diagram"], "NAME"),
+        (["--name", "duffing"], "sd-oscillator, belt-friction, den-hartog, impact-oscillator;"),
+        (["--name", "bouncing-ball"], "no forcing to sample at; sd-oscillator"),
+        (["--parameter", "Omega"], "f0, zeta, omega, alpha"),
+        (["--set", "mass=1"], "f0, zeta, alpha"),
+        (["--set", "omega=1"], "f0, zeta, alpha"),
+        (["--set", "f0"], "P=VALUE"),
+        (["--set", "f0=big"], "finite number"),
+        (["--from", "low"], "finite number"),
+        (["--to", "nan"], "finite number"),
+        (["--points", "0"], "whole number of 1 or more"),
+        (["--points", "1e3"], "whole number of 1 or more"),
+        (["--transient", "-1"], "whole number of 0 or more"),
+        (["--samples", "0"], "whole number of 1 or more"),
+        (["--steps", "2.5"], "whole number of 1 or more"),
+        (["--x0", "1"], "2 numbers"),
+        (["--x0", "1,2,3"], "2 numbers"),
+        (["--x0", "-1,a"], "finite number"),
+        (["--component", "2"], "0 to 1"),
+        (["--follow", "left"], "'up', 'down'"),
+        (["--out", "picture.jpeg"], ".png, .pdf, .svg"),
+        (["--out", "no/such/folder/picture.png"], "folder"),
+        (["--speed", "9"], "--speed"),
+    ],
+    ids=" ".join,
+)
+def test_a_mistake_is_answered_by_one_line_that_says_what_is_allowed(
+    words, answer, capsys, monkeypatch, tmp_path
+):
+    def computes(*args, **kwargs):
+        raise AssertionError("a mistake must be found before computing starts")
+
+    monkeypatch.setattr("jaxfil.__main__.bifurcation_diagram", computes)
+    monkeypatch.chdir(tmp_path)
+    if words[:1] == ["--name"]:
+        command = ["diagram", words[1], "--parameter", "omega", *SMALL, "--out", "a.png"]
+    elif words[:1] and words[0].startswith("--"):
+        command = ["diagram", "sd-oscillator", "--parameter", "omega", *SMALL, "--out", "a.png"]
+        command += words
+    else:
+        command = words
+    assert answer in refused(capsys, *command)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,300 @@
+"""Derivatives through crossings, slides, intersections and resets.
+
+By x0, t0, t1 and every parameter: against closed forms, against central differences of values,
+and reverse mode against forward mode.
+"""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+
+FORWARD, REVERSE = diffrax.ForwardMode(), diffrax.RecursiveCheckpointAdjoint()
+S = jf.systems
+
+
+class Box(jf.System):
+    """Two surfaces, held one after the other; the product of both sides enters the third rate."""
+
+    p: jax.Array
+    q: jax.Array
+
+    def vector_field(self, t, x, side):
+        s1, s2 = side
+        return jnp.stack([self.p - 2 * s1, self.q * s1 - 2 * s2, s1 + 2 * s2 + s1 * s2])
+
+    def switching(self, t, x):
+        return x[:2]
+
+
+class Leave(jf.System):
+    """Held at y = 0 by a force that grows as t, until it exceeds the friction; x' = side."""
+
+    friction: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([side, t - self.friction * side])
+
+    def switching(self, t, x):
+        return x[1]
+
+
+def solve(system, x0, t0, t1, dt, adjoint=FORWARD, **kwargs):
+    """A run within a budget, as reverse mode under traced times needs one."""
+    return jf.solve(system, x0, t0, t1, dt, adjoint=adjoint, max_steps=1024, **kwargs)
+
+
+def box(system, x0, t0, t1):
+    # Both sides positive, then x1 held (s1 = p/2), then x2 too (s2 = p q/4).
+    p, q = system.p, system.q
+    first = x0[0] / (2 - p)
+    x2 = x0[1] + (q - 2) * first
+    second = first + x2 / (2 - p * q / 2)
+    s1, s2 = p / 2, p * q / 4
+    end = x0[2] + 4 * first + (2 * s1 + 2) * (second - first)
+    end = end + (s1 + 2 * s2 + s1 * s2) * (t1 - t0 - second)
+    return jnp.stack([0 * t0, 0 * t0, end])
+
+
+def leave(system, x0, t0, t1):
+    # Meets y = 0 from above while t < friction; side = t/friction while held.
+    f = system.friction
+    meet = f - jnp.sqrt((f - t0) ** 2 - 2 * x0[1])
+    x = x0[0] + (meet - t0) + (f**2 - meet**2) / (2 * f) + (t1 - f)
+    return jnp.stack([x, (t1 - f) ** 2 / 2])
+
+
+def rotating(system, x0, t0, t1):
+    radius, angle = jnp.hypot(x0[0], x0[1]), jnp.arctan2(x0[1], x0[0])
+    angle = angle + system.omega * (t1 - t0 + 2 * jnp.log(radius))
+    return jnp.exp(t1 - t0) * radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+def ball(system, x0, t0, t1):
+    # Two impacts.
+    g, e = system.g, system.restitution
+    speed = jnp.sqrt(x0[1] ** 2 + 2 * g * x0[0])
+    first = (x0[1] + speed) / g
+    rest = t1 - t0 - first - 2 * e * speed / g
+    speed = e**2 * speed
+    return jnp.stack([speed * rest - g * rest**2 / 2, speed - g * rest])
+
+
+def relays(system, x0, t0, t1):
+    # x = y is reached at the rate 3.5, and then followed at the speed -6/17.
+    meet = (x0[0] - x0[1]) / 3.5
+    end = x0[0] - 2 * meet - 6 / 17 * (t1 - t0 - meet)
+    return jnp.stack([end, end])
+
+
+def coulomb(system, x0, t0, t1):
+    # A quarter-turn or less about -F to the first maximum; each of the next four half-turns takes
+    # 2 F of the excursion, then it sticks.
+    amplitude = jnp.hypot(x0[0] + system.friction, x0[1])
+    return jnp.stack([amplitude - 9 * system.friction, 0 * t0])
+
+
+SPIN = S.RotatingOscillator(omega=-6.0)
+BALL = S.BouncingBall(g=9.8, restitution=0.8)
+BOX = Box(jnp.asarray(0.7), jnp.asarray(0.9))
+
+CLOSED = {
+    "rotating": (rotating, SPIN, (0.3, 0.2), 0.1, 2.2),
+    "ball": (ball, BALL, (10, 1.0), -0.3, 4.0),
+    "relays": (relays, S.TwoRelays(), (1.5, 1.0), 0.0, 1.0),
+    "box": (box, BOX, (1.0, 2.0, 0.5), 0.2, 4.1),
+    "leave": (leave, Leave(jnp.asarray(2.0)), (0.0, 0.4), 0.5, 3.3),
+    "coulomb": (coulomb, S.CoulombOscillator(friction=0.4), (2.8, 0.7), 0.3, 20.0),
+}
+
+
+def inputs(system, x0, t0, t1):
+    return system, jnp.asarray(x0, float), jnp.asarray(float(t0)), jnp.asarray(float(t1))
+
+
+def flat(tree):
+    """A pytree of Jacobians as one matrix."""
+    leaves = [leaf.reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(tree)]
+    return np.concatenate(leaves, axis=1)
+
+
+@pytest.mark.parametrize("name", list(CLOSED))
+def test_closed_forms(name):
+    exact, *args = CLOSED[name]
+    args = inputs(*args)
+    end = jax.jit(lambda *args: solve(*args, 0.03).xs[-1])
+    assert_allclose(end(*args), exact(*args), rtol=0, atol=1e-11)
+    got = jax.jit(jax.jacfwd(end, (0, 1, 2, 3)))(*args)
+    want = jax.jacfwd(exact, (0, 1, 2, 3))(*args)
+    assert_allclose(flat(got), flat(want), rtol=0, atol=1e-9)
+
+
+# Scenes with kinks of every kind, over spans that are no whole number of steps.
+SCENES = {
+    "sd": (S.SDOscillator(omega=0.7), (0.3, 0.1), 0.05, 20.0),
+    "belt": (S.BeltFriction(omega=4.56), (0.1, 0.9), 0.02, 1.5),
+    "moving belt": (S.MovingBelt(), (3.0, 0.0), 0.1, 17.0),
+    "slip-stick": (S.SlipStick(), (1.2, 0.6), 0.0, 11.0),
+    "den hartog": (S.DenHartog(friction=0.9), (0.5, 0.4), 0.0, 12.0),
+    "impacts": (S.ImpactOscillator(amplitude=0.9, omega=1.2), (0.0, 0.3), 0.0, 15.0),
+    "fold": (S.VisibleFold(), (-1.0, 0.1), 0.0, 2.2),
+}
+
+
+def scene(name):
+    """The end of a scene's run as a function of all its inputs in one vector.
+
+    The SD oscillator's alpha is left out: values near 0 need steps of that size.
+    """
+    args = inputs(*SCENES[name])
+    vector, back = ravel_pytree(args)
+    keep = np.ones(vector.size, bool)
+    if name == "sd":
+        keep[[k for k in range(4) if vector[k] == 0.0]] = False
+    keep = np.flatnonzero(keep)
+
+    def end(part, adjoint=FORWARD):
+        args = back(vector.at[keep].set(part))
+        return solve(*args, (SCENES[name][3] - SCENES[name][2]) / 401.3, adjoint).xs[-1]
+
+    return end, vector[keep]
+
+
+@pytest.mark.parametrize("name", list(SCENES))
+def test_central_differences(name):
+    end, vector = scene(name)
+    steps = 1e-4 * np.maximum(abs(np.asarray(vector)), 0.1)
+    offsets = np.asarray([-2, -1, 1, 2])[:, None, None] * np.diag(steps)
+    values = jax.jit(jax.vmap(jax.vmap(end)))(vector + jnp.asarray(offsets))
+    weights = np.asarray([1, -8, 8, -1]) / 12
+    differences = np.einsum("k,kij->ji", weights, np.asarray(values)) / steps
+    got = jax.jit(jax.jacfwd(end))(vector)
+    scale = np.maximum(abs(differences), 1)
+    assert_allclose(got / scale, differences / scale, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["sd", "moving belt", "impacts"])
+def test_reverse_is_forward(name):
+    end, vector = scene(name)
+    forward = jax.jit(jax.jacfwd(end))(vector)
+    reverse = jax.jit(jax.jacrev(lambda part: end(part, REVERSE)))(vector)
+    scale = np.maximum(abs(np.asarray(forward)), 1)
+    assert_allclose(reverse / scale, forward / scale, rtol=0, atol=1e-12)
+
+
+def test_reverse_is_forward_on_an_intersection():
+    args = inputs(*CLOSED["box"][1:])
+    forward = jax.jacfwd(lambda *a: solve(*a, 0.1).xs[-1], (0, 1, 2, 3))(*args)
+    reverse = jax.jacrev(lambda *a: solve(*a, 0.1, REVERSE).xs[-1], (0, 1, 2, 3))(*args)
+    assert_allclose(flat(reverse), flat(forward), rtol=0, atol=1e-12)
+
+
+def test_alpha_of_the_sd_oscillator_leaves_no_nan():
+    def end(alpha):
+        system = S.SDOscillator(omega=0.7, alpha=alpha)
+        return solve(system, jnp.asarray([0.3, 0.1]), 0.0, 10.0, 0.05).xs[-1]
+
+    assert np.isfinite(jax.jacfwd(end)(jnp.asarray(0.0))).all()
+
+
+def test_smooth_sd_oscillator():
+    # alpha > 0 is smooth: variational equation by central differences.
+    def end(alpha):
+        system = S.SDOscillator(omega=0.7, alpha=alpha)
+        return solve(system, jnp.asarray([0.3, 0.1]), 0.0, 10.0, 0.025).xs[-1]
+
+    alphas = 0.3 + 1e-4 * jnp.asarray([-2.0, -1.0, 1.0, 2.0])
+    values = np.asarray(jax.vmap(end)(alphas))
+    difference = np.asarray([1, -8, 8, -1]) @ values / 12e-4
+    assert_allclose(jax.jacfwd(end)(jnp.asarray(0.3)), difference, rtol=1e-7)
+
+
+def test_event_times_and_states():
+    # Rotating: met at t0 - ln r0, at the angle θ0 - ω (t* - t0), turning with -ω until then.
+    def event(system, x0, t0, t1):
+        sol = solve(system, x0, t0, t1, 0.01, max_events=4)
+        return jnp.append(sol.events.xs[0], sol.events.ts[0])
+
+    def exact(system, x0, t0, t1):
+        wait = -jnp.log(jnp.hypot(x0[0], x0[1]))
+        angle = jnp.arctan2(x0[1], x0[0]) - system.omega * wait
+        return jnp.stack([jnp.cos(angle), jnp.sin(angle), t0 + wait + 0 * t1])
+
+    args = inputs(*CLOSED["rotating"][1:])
+    assert_allclose(event(*args), exact(*args), rtol=0, atol=1e-11)
+    got = jax.jacfwd(event, (0, 1, 2, 3))(*args)
+    assert_allclose(flat(got), flat(jax.jacfwd(exact, (0, 1, 2, 3))(*args)), rtol=0, atol=1e-9)
+
+
+def test_saved_states_between_contacts():
+    # Every saved state has its own derivative, before and after the two impacts.
+    ts = [0.5, 2.0, 3.9]
+
+    def saved(system, x0):
+        saveat = diffrax.SaveAt(ts=jnp.asarray(ts))
+        return solve(system, x0, 0.0, 4.0, 0.02, saveat=saveat).xs
+
+    system, x0 = BALL, jnp.asarray([10.0, 1.0])
+    got = jax.jacfwd(saved, (0, 1))(system, x0)
+    last = jax.jacfwd(lambda s, x: ball(s, x, 0.0, 3.9), (0, 1))(system, x0)
+    free = jax.jacfwd(
+        lambda s, x: jnp.stack([x[0] + x[1] * 0.5 - s.g * 0.125, x[1] - s.g * 0.5]), (0, 1)
+    )(system, x0)
+    for row, want in ((0, free), (2, last)):
+        picked = jax.tree.map(lambda leaf, row=row: leaf[row], got)
+        assert_allclose(flat(picked), flat(want), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("tail", [0.05, 1.0])
+def test_saltation_matrix(tail):
+    # One crossing of a surface that moves: X = E2 (I + (f+ - f-) n^T / (n·f- + H_t)) E1, where
+    # here E is the flow of y'' = -side on each side of y' = t/2.
+    class Throw(jf.System):
+        """y'' = -1 above the moving line y' = t/2 and -3 below it."""
+
+        def vector_field(self, t, x, side):
+            return jnp.stack([x[1], -2 + side])
+
+        def switching(self, t, x):
+            return x[1] - t / 2
+
+    def end(x0):
+        return solve(Throw(), x0, 0.0, 2.0 + tail, 0.07).xs[-1]
+
+    # v = 3 - t meets t/2 at t = 2; H' = -3/2 there; the field jumps by (0, -2).
+    saltation = np.asarray([[1, 0], [0, 1 + (-2) / (-1.5)]])
+    want = np.asarray([[1, tail], [0, 1]]) @ saltation @ np.asarray([[1, 2], [0, 1]])
+    assert_allclose(jax.jacfwd(end)(jnp.asarray([0.0, 3.0])), want, atol=1e-12)
+
+
+def test_batched_and_jitted():
+    def end(x0, friction):
+        system = S.CoulombOscillator(friction=friction)
+        return jf.solve(system, x0, 0.0, 20.0, 0.1).xs[-1]
+
+    x0 = jnp.asarray([[3.0, 0.1], [2.0, -0.5], [-2.5, 0.3]])
+    friction = jnp.asarray([0.4, 0.3, 0.5])
+    batched = jax.jit(jax.vmap(jax.jacfwd(end, (0, 1))))(x0, friction)
+    single = jax.jit(jax.jacfwd(end, (0, 1)))
+    for k in range(3):
+        alone = single(x0[k], friction[k])
+        for got, want in zip(batched, alone, strict=True):
+            assert_allclose(got[k], want, rtol=0, atol=1e-13)
+
+
+def test_derivative_by_the_end_is_the_field_and_by_the_start_its_transport():
+    system, x0 = S.MovingBelt(), jnp.asarray([3.0, 0.0])
+    args = inputs(system, x0, 0.1, 9.0)
+    end = jax.jit(lambda *a: solve(*a, 0.025).xs[-1])
+    _, d_x0, d_t0, d_t1 = jax.jacfwd(end, (0, 1, 2, 3))(*args)
+    above, below = jnp.ones(()), -jnp.ones(())
+    # It starts below the belt and has crossed it once by t = 9.
+    start = system.vector_field(args[2], x0, below)
+    last = system.vector_field(args[3], end(*args), above)
+    assert_allclose(d_t1, last, rtol=0, atol=1e-10)
+    assert_allclose(d_t0, -d_x0 @ start, rtol=0, atol=1e-10)

@@ -1,0 +1,388 @@
+"""Contacts that have broken trusted codes: one test a case, against answers by hand."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import KINDS, RESULTS
+
+
+class Affine(jf.System):
+    """x' = a + B x with its own a and B on each side of the line n·x = c."""
+
+    a: jax.Array
+    b: jax.Array
+    n: jax.Array
+    c: jax.Array
+
+    def vector_field(self, t, x, side):
+        fields = self.a + self.b @ x
+        return jnp.where(side > 0, fields[0], fields[1])
+
+    def switching(self, t, x):
+        return self.n @ x - self.c
+
+
+class Corner(jf.System):
+    """A constant field in each of the four quadrants of two lines."""
+
+    table: jax.Array
+    n: jax.Array
+    c: jax.Array
+
+    def vector_field(self, t, x, side):
+        rows = jnp.where(side[0] > 0, self.table[0], self.table[1])
+        return jnp.where(side[1] > 0, rows[0], rows[1])
+
+    def switching(self, t, x):
+        return self.n @ x - self.c
+
+
+class Roots(jf.System):
+    """A clock, a counter of its sides, and H with the given roots in the clock."""
+
+    roots: jax.Array
+    timed: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([jnp.ones_like(t), side])
+
+    def switching(self, t, x):
+        return jnp.prod(jnp.where(self.timed > 0, t, x[0]) - self.roots)
+
+
+def affine(plus, minus, b_plus=((0, 0), (0, 0)), b_minus=((0, 0), (0, 0)), n=(0, 1), c=0):
+    """An `Affine` scene, by default glued along y = 0."""
+    return Affine(*(jnp.asarray(v, float) for v in ((plus, minus), (b_plus, b_minus), n, c)))
+
+
+def corner(field, n=((1, 0), (0, 1)), c=(0, 0)):
+    """A `Corner` scene from a function of the two sides, by default with the axes as surfaces."""
+    table = [[field(s1, s2) for s2 in (1, -1)] for s1 in (1, -1)]
+    return Corner(*(jnp.asarray(v, float) for v in (table, n, c)))
+
+
+def run(system, x0, t1, dt, ts=None):
+    """Three saved times and a table of events, so that all lanes share one compiled program."""
+    ts = jnp.linspace(0.0, t1, 3) if ts is None else jnp.asarray(ts, float)
+    x0 = jnp.asarray(x0, float)
+    saveat = diffrax.SaveAt(ts=ts)
+    return jf.solve(system, x0, 0.0, t1, dt, saveat=saveat, max_events=64, throw=False)
+
+
+def table(sol):
+    """Times and kinds of the events that happened."""
+    count = int(sol.num_events)
+    assert np.all(np.isinf(sol.events.ts[count:]))
+    assert np.all(sol.events.kinds[count:] == KINDS.none)
+    return np.asarray(sol.events.ts[:count]), sol.events.kinds[:count].tolist()
+
+
+@pytest.mark.parametrize(("speeds", "end", "side"), [((1, 2), 1, 1), ((-1, -2), -2, -1)])
+@pytest.mark.parametrize("dt", [0.1, 1.0])
+def test_starts_on_the_surface_and_crosses(speeds, end, side, dt):
+    sol = run(affine((1, speeds[0]), (-1, speeds[1])), (0, 0), 1.0, dt)
+    assert sol.result == RESULTS.successful
+    assert sol.num_events == 0
+    assert_array_equal(sol.modes[:, 0], side)
+    assert_allclose(sol.xs[-1], [side, end], rtol=1e-14)
+
+
+@pytest.mark.parametrize(("speeds", "weight"), [((-1, 1), 1 / 2), ((-1, 3), 3 / 4)])
+def test_starts_on_the_surface_and_slides(speeds, weight):
+    sol = run(affine((3, speeds[0]), (1, speeds[1])), (0, 0), 1.0, 0.3)
+    assert sol.result == RESULTS.successful
+    assert_array_equal(sol.modes[:, 0], 0)
+    assert_array_equal(sol.xs[:, 1], 0)
+    assert_allclose(sol.xs[-1, 0], 3 * weight + 1 - weight, rtol=1e-14)
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.5, 0.25, 0.2, 0.1, 0.3])
+def test_contact_exactly_on_a_grid_point_or_a_saved_time(dt):
+    sol = run(affine((1, -1), (-1, -3)), (0, 1), 1.5, dt, ts=[0.5, 1.0, 1.5])
+    ts, kinds = table(sol)
+    assert_allclose(ts, [1.0], rtol=1e-14)
+    assert kinds == [KINDS.crossing]
+    assert_allclose(sol.xs, [[0.5, 0.5], [1, 0], [0.5, -1.5]], atol=1e-14)
+    assert_array_equal(sol.modes[:, 0], [1, -1, -1])
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.5, 0.25, 0.2, 0.1, 0.3])
+def test_impact_on_a_saved_time_saves_the_right_limit(dt):
+    # From 4.9 at g = 9.8 the floor is reached at t = 1 with speed 9.8 (exact).
+    ball = jf.systems.BouncingBall(g=9.8, restitution=0.5)
+    sol = run(ball, (4.9, 0), 1.5, dt, ts=[0.5, 1.0, 1.5])
+    ts, kinds = table(sol)
+    assert_allclose(ts, [1.0], rtol=1e-14)
+    assert kinds == [KINDS.impact]
+    assert_allclose(sol.xs[1], [0, 4.9], atol=1e-12)
+    assert_allclose(sol.xs[2], [1.225, 0], atol=1e-12)
+    assert_allclose(sol.events.xs[0], [0, -9.8], atol=1e-12)
+
+
+def test_same_contact_again_after_the_switch():
+    # Bounces at t1 (1 + 2 (e + ... + e^k)), t1 = 10/7: the sixth at 11.96, the seventh at 13.48.
+    ball = jf.systems.BouncingBall(g=9.8, restitution=0.9)
+    dts = jnp.asarray([0.003, 0.01, 0.1, 0.5, 1.0, 2.6, 13.0])
+    sols = jax.vmap(
+        lambda dt: jf.solve(ball, jnp.asarray([10.0, 0.0]), 0.0, 13.0, dt, max_events=8)
+    )(dts)
+    assert_array_equal(sols.num_events, 6)
+    powers = np.cumsum(0.9 ** np.arange(6))
+    want = np.broadcast_to(10 / 7 * (2 * powers - 1), (7, 6))
+    assert_allclose(sols.events.ts[:, :6], want, rtol=1e-12)
+    assert_array_equal(sols.events.kinds[:, :6], KINDS.impact)
+
+
+@pytest.mark.parametrize("timed", [0, 1])
+@pytest.mark.parametrize(
+    "roots",
+    [(0.3, 0.6), (0.5, 0.501), (0.0001, 0.9999), (0.1, 0.4, 0.8), (0.45, 0.5, 0.56)],
+)
+def test_several_roots_of_one_surface_in_a_step(roots, timed):
+    system = Roots(jnp.asarray(roots), jnp.asarray(float(timed)))
+    sol = run(system, (0, 0), 1.0, 1.0)
+    ts, kinds = table(sol)
+    assert_allclose(ts, roots, rtol=1e-11)
+    assert kinds == [KINDS.crossing] * len(roots)
+    pieces = np.diff([0, *roots, 1]) * (-1) ** np.arange(len(roots), -1, -1)
+    assert_allclose(sol.xs[-1], [1, pieces.sum()], atol=1e-11)
+
+
+def test_several_roots_of_one_surface_in_a_step_of_a_curved_motion():
+    # x = cos t dips below -0.999 for 0.09 around pi, within the step from 3 to 3.5.
+    turn = ((0, 1), (-1, 0))
+    sol = run(affine((0, 0), (0, 0), turn, turn, n=(1, 0), c=-0.999), (1, 0), 5.0, 0.5)
+    ts, kinds = table(sol)
+    assert_allclose(ts, [np.arccos(-0.999), 2 * np.pi - np.arccos(-0.999)], rtol=1e-7)
+    assert kinds == [KINDS.crossing] * 2
+
+
+@pytest.mark.parametrize(("levels", "end"), [((0.4, 0.9), -7.8), ((0.9, 0.4), 1.2)])
+@pytest.mark.parametrize("dt", [1.0, 0.17])
+def test_two_surfaces_in_one_step(levels, end, dt):
+    # x' = side_1 + 10 side_2: the order of the contacts is in x(1).
+    system = corner(lambda s1, s2: (s1 + 10 * s2, 1), n=((0, 1), (0, 1)), c=levels)
+    sol = run(system, (0, 0), 1.0, dt)
+    ts, _ = table(sol)
+    assert_allclose(ts, [0.4, 0.9], rtol=1e-14)
+    assert_array_equal(sol.events.surfaces[:2], np.argsort(levels))
+    assert_array_equal(sol.events.members[:2], np.argsort(levels)[:, None] == [0, 1])
+    assert_allclose(sol.xs[-1], [end, 1], rtol=1e-13)
+
+
+@pytest.mark.parametrize("mixed", [lambda s1, s2: (1.5 + s1 / 2, 2 + s2), lambda s1, s2: (1, 2)])
+@pytest.mark.parametrize("dt", [0.3, 0.5, 2.0])
+def test_both_surfaces_at_once(mixed, dt):
+    # (1, 1) before the corner, (2, 3) after it; what the other two quadrants say is not seen.
+    corners = {(-1, -1): (1, 1), (1, 1): (2, 3)}
+    system = corner(lambda s1, s2: corners.get((s1, s2), mixed(s1, s2)))
+    sol = run(system, (-1, -1), 2.0, dt)
+    ts, kinds = table(sol)
+    assert_allclose(ts, [1.0], rtol=1e-14)
+    assert kinds == [KINDS.crossing]
+    assert_array_equal(sol.events.members[0], True)
+    assert sol.events.surfaces[0] == 0
+    assert_allclose(sol.xs[-1], [2, 3], rtol=1e-13)
+    assert_array_equal(sol.modes[-1], [1, 1])
+
+
+@pytest.mark.parametrize("dt", [0.3, 2.0])
+def test_both_surfaces_at_once_the_same_surface_listed_twice(dt):
+    system = corner(lambda s1, s2: (1, 1.5 + (s1 + s2) / 4), n=((0, 1), (0, 1)))
+    sol = run(system, (0, -1), 2.0, dt)
+    ts, _ = table(sol)
+    assert_allclose(ts, [1.0], rtol=1e-14)
+    assert_array_equal(sol.events.members[0], True)
+    assert_allclose(sol.xs[-1], [2, 2], rtol=1e-13)
+    assert_array_equal(sol.modes[-1], [1, 1])
+
+
+def test_both_surfaces_at_once_sliding_on_a_surface_listed_twice():
+    system = corner(lambda s1, s2: (1, -(s1 + s2) / 2), n=((0, 1), (0, 1)))
+    sol = run(system, (0, -1), 2.0, 0.3)
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.xs[-1], [2, 0], atol=1e-14)
+    assert sol.num_events == 1
+
+
+# Belt friction case 1, exact per piece with 40-digit roots (mpmath): x(0) on the orbit, then the
+# modes and times of its switches in one period.
+SLIPS = {
+    1.4: (
+        1.5670473725058692029,
+        [0.021115703825789773, 2.61911511215335305, 2.74881294392022106, 2.9398327291587959],
+        [-1, 0, -1, 0],
+    ),
+    1.54892: (
+        0.62813535977215724309,
+        [0.581512870137695392, 2.26965284989511371, 3.5971186797855341, 3.61587613681139833],
+        [-1, 0, 1, 0],
+    ),
+}
+
+
+@pytest.mark.parametrize("omega", SLIPS)
+@pytest.mark.parametrize("steps", [25, 60])
+def test_slip_shorter_than_a_step_inside_a_stick(omega, steps):
+    # The second slip at omega = 1.54892 lasts 0.0188; a step is 0.16 or 0.068.
+    x1, times, modes = SLIPS[omega]
+    belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=omega)
+    period = 2 * np.pi / omega
+    sol = run(belt, (x1, 1), period, period / steps)
+    ts, kinds = table(sol)
+    assert kinds == [KINDS.stick if m == 0 else KINDS.slip for m in modes]
+    assert_allclose(ts, times, atol=1e-10 if steps == 60 else 1e-5)
+    assert_allclose(sol.xs[-1], [x1, 1], atol=1e-10 if steps == 60 else 1e-5)
+
+
+def sticks_and_slips(belts, x0, periods, per_period):
+    """Number of sticks and slips per lane, after checking that they alternate."""
+
+    def lane(belt):
+        dt = belt.period / 40
+        size = per_period * periods
+        sol = jf.solve(belt, x0, 0.0, periods * belt.period, dt, max_events=size, throw=False)
+        return sol.result == RESULTS.successful, sol.events.kinds
+
+    good, kinds = jax.jit(jax.vmap(lane))(belts)
+    assert good.all()
+    for row in np.asarray(kinds):
+        order = row[(row == KINDS.stick) | (row == KINDS.slip)]
+        assert np.all(order[1:] != order[:-1])
+    return (kinds == KINDS.stick).sum(axis=1), (kinds == KINDS.slip).sum(axis=1)
+
+
+@pytest.mark.slow
+def test_leaving_a_stick_in_the_linear_case():
+    # 1e5 periods, one stick and one slip in each (physics: only 0 -> -1 -> 0 for these omega).
+    belts = jax.vmap(lambda w: jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=w))(
+        jnp.linspace(1.25, 1.35, 100)
+    )
+    sticks, slips = sticks_and_slips(belts, jnp.asarray([1.56, 1.0]), 1000, 3)
+    assert np.all(np.abs(np.asarray(slips) - 1000) <= 1)
+    assert np.all(np.abs(sticks - slips) <= 1)
+
+
+@pytest.mark.slow
+def test_leaving_a_stick_in_the_cubic_case():
+    belts = jax.vmap(lambda w: jf.systems.BeltFriction(omega=w))(jnp.linspace(4.6, 4.7, 100))
+    sticks, slips = sticks_and_slips(belts, jnp.asarray([0.1, 1.0]), 1000, 12)
+    assert np.all(sticks > 500)
+    assert np.all(np.abs(sticks - slips) <= 1)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.3, 7.0])
+def test_held_surface(dt):
+    # Through y = 1/2 without a change of speed, then held at y = 1 for ever.
+    system = corner(lambda s1, s2: (s1, -s2), n=((0, 1), (0, 1)), c=(0.5, 1))
+    sol = run(system, (0, 0), 100.0, dt)
+    ts, kinds = table(sol)
+    assert_allclose(ts, [0.5, 1.0], rtol=1e-13)
+    assert kinds == [KINDS.crossing, KINDS.stick]
+    assert_allclose(sol.xs[-1], [99, 1], rtol=1e-13)
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.3, 0.5, 1.0, 2.0])
+def test_grazing_touch(dt):
+    # x = t - 1, y = x² until the surface is crossed, which never happens.
+    system = affine((1, 0), (1, -5), b_plus=((0, 0), (2, 0)))
+    sol = run(system, (-1, 1), 2.0, dt)
+    ts, kinds = table(sol)
+    assert sol.result == RESULTS.successful
+    assert kinds == [KINDS.graze]
+    assert_allclose(ts, [1.0], atol=1e-6)
+    assert_array_equal(sol.modes[:, 0], 1)
+    assert_allclose(sol.xs[-1], [1, 1], rtol=1e-13)
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("dt", [0.3, 0.5, 2.0])
+def test_grazing_touch_missed_by_a_little(gap, dt):
+    parabola = ((0, 0), (2, 0))
+    system = affine((1, 0), (1, 0), parabola, parabola)
+    above, below = (run(system, (-1, 1 + s * gap), 2.0, dt) for s in (1, -1))
+    assert above.num_events == 0
+    ts, kinds = table(below)
+    assert kinds == [KINDS.crossing] * 2
+    assert_allclose(ts, [1 - np.sqrt(gap), 1 + np.sqrt(gap)], atol=1e-15 / np.sqrt(gap) + 1e-13)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.3, 1.0, 5.0])
+@pytest.mark.parametrize("start", [1, -1])
+def test_chattering(dt, start):
+    sol = run(affine((1, -1), (1, 1)), (0, start), 5.0, dt, ts=[1.5, 3.0, 5.0])
+    ts, kinds = table(sol)
+    assert kinds == [KINDS.stick]
+    assert_allclose(ts, [1.0], rtol=1e-14)
+    assert_array_equal(sol.xs[:, 1], 0)
+    assert_array_equal(sol.modes[:, 0], 0)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.5, 10.0])
+def test_zeno(dt):
+    # t1 = 10/7, t∞ = t1 (1 + e)/(1 - e) = 30/7.
+    ball = jf.systems.BouncingBall(g=9.8, restitution=0.5)
+    sol = run(ball, (10, 0), 20.0, dt)
+    assert sol.result == RESULTS.zeno
+    assert_allclose(sol.t_final, 30 / 7, rtol=1e-10)
+    assert_allclose(sol.x_final, [0, 0], atol=1e-9)
+    assert np.all(np.isinf(sol.xs[1:]))
+    ts, kinds = table(sol)
+    assert_allclose(ts[:5], 10 / 7 * (3 - 2 * 0.5 ** np.arange(5)), rtol=1e-12)
+    assert set(kinds) == {KINDS.impact}
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.1, 1.0])
+def test_zeno_ends_in_a_slide_on_both_surfaces(dt):
+    # Filippov's spiral reaches the origin at t = 1/2 and rests there.
+    spiral = corner(lambda s1, s2: (-s1 + 2 * s2, -2 * s1 - s2))
+    sol = run(spiral, (0, 1), 1.0, dt, ts=[0.1, 0.6, 1.0])
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.xs[1:], 0, atol=1e-14)
+    assert_array_equal(sol.modes[1:], 0)
+    ts, _ = table(sol)
+    assert_allclose(ts[-1], 0.5, rtol=1e-12)
+    assert_allclose(ts[:3], [1 / 3, 4 / 9, 13 / 27], rtol=1e-12)
+
+
+def test_stick_slip_chains_of_the_coulomb_oscillator():
+    # Exact: turns at π, 2π, 3π, sticks at 4π with x = 3 - 8 F.
+    sol = run(jf.systems.CoulombOscillator(friction=0.4), (3, 0), 20.0, 0.05)
+    ts, kinds = table(sol)
+    assert kinds == [KINDS.crossing] * 3 + [KINDS.stick]
+    assert_allclose(ts, np.pi * np.arange(1, 5), rtol=1e-12)
+    assert_allclose(sol.xs[-1], [-0.2, 0], atol=1e-12)
+
+
+def test_stick_slip_chains_where_one_stick_releases_another():
+    # y1' = -s1, y2' = -s2 + 1.5 + s1: when y1 sticks (s1 = 0), y2 can no longer be held.
+    system = corner(lambda s1, s2: (-s1, -s2 + 1.5 + s1))
+    sol = run(system, (-1, 0), 2.0, 0.3, ts=[0.5, 1.0, 2.0])
+    assert sol.result == RESULTS.successful
+    assert_array_equal(sol.modes, [[-1, 0], [0, 1], [0, 1]])
+    assert_allclose(sol.xs[-1], [0, 0.5], atol=1e-14)
+
+
+def test_leaving_a_slide_at_a_fold():
+    # Exact: the circle is met at ln(2/1.01)/2; with φ the angle from (1, -1), φ' = -cot(φ/2)
+    # along it, until (-1, -1) where φ = 3π/2.
+    meet = 0.5 * np.log(2 / 1.01)
+    exit_ = meet - np.log(2) - 2 * np.log(-np.cos(5 * np.pi / 8 - np.arctan(0.1) / 2))
+    assert_allclose(exit_, 1.82862978083, rtol=1e-11)
+
+    def error(steps):
+        fold = jf.systems.VisibleFold()
+        sol = jf.solve(fold, jnp.asarray([-1.0, 0.1]), 0.0, 3.0, 3.0 / steps, max_events=4)
+        _, kinds = table(sol)
+        assert kinds == [KINDS.stick, KINDS.slip]
+        assert_allclose(sol.events.xs[1], [-1, -1], rtol=1e-12)
+        return abs(float(sol.events.ts[1]) - exit_)
+
+    steps = np.array([10, 12, 15, 18, 20, 22, 25, 27])
+    order = -np.polyfit(np.log(steps), np.log([error(s) for s in steps]), 1)[0]
+    assert abs(order - 8) < 0.5

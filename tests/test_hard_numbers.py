@@ -1,0 +1,342 @@
+"""Scales, batches, time that stands still or runs backward: one test a case."""
+
+import gc
+import os
+import sys
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import KINDS, RESULTS
+
+TRACED = []
+
+
+class Relay(jf.System):
+    """y' = -side, unforced; counts how often it is traced."""
+
+    pull: jax.Array
+
+    def vector_field(self, t, x, side):
+        TRACED.append("field")
+        return jnp.stack([x[1], -self.pull * side])
+
+    def switching(self, t, x):
+        TRACED.append("H")
+        return x[0]
+
+
+class Linear(jf.System):
+    """A forced linear oscillator: smooth, no surface at all."""
+
+    c: jax.Array
+    omega: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.cos(self.omega * t) - x[0] - self.c * x[1]])
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+class Clock(jf.System):
+    """x' = 2 t above the surface x = level, 2 t / 3 below: sees the true time."""
+
+    level: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, 2 * t, 2 * t / 3)[None]
+
+    def switching(self, t, x):
+        return x[0] - self.level
+
+
+class Rise(jf.System):
+    """A throw against gravity 1, and a third component that counts the sides of x = level."""
+
+    level: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t), side])
+
+    def switching(self, t, x):
+        return x[0] - self.level
+
+
+class Level(eqx.Module):
+    """H = x - c, to be handed to `piecewise`."""
+
+    c: jax.Array
+
+    def __call__(self, t, x):
+        return x[0] - self.c
+
+
+class Scaled(jf.System):
+    """Another system in other units of time, of each component and of H."""
+
+    inner: jf.System
+    time: jax.Array
+    state: jax.Array
+    surface: jax.Array
+
+    def vector_field(self, t, x, side):
+        field = self.inner.vector_field(t / self.time, x / self.state, side)
+        return field * self.state / self.time
+
+    def switching(self, t, x):
+        return self.surface * self.inner.switching(t / self.time, x / self.state)
+
+
+SCALES = np.asarray(
+    [
+        (1, 1, 1, 1),
+        *((time, state, state, 1) for time in (1e-12, 1e12) for state in (1e-12, 1, 1e12)),
+        (1, 1e12, 1e12, 1e-12),
+        (1, 1e-12, 1e-12, 1e12),
+        (1e-12, 1e12, 1e-12, 1e12),
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    ("inner", "x0", "t1", "events"),
+    [
+        (jf.systems.MovingBelt(), (3, 0), 28.0, 7),
+        (jf.systems.CoulombOscillator(), (3, 0.1), 20.0, 5),
+        (jf.systems.VisibleFold(), (-1, 0.1), 2.0, 2),
+    ],
+)
+def test_scales(inner, x0, t1, events):
+    def lane(scale):
+        state = scale[1:3]
+        system = Scaled(inner, scale[0], state, scale[3])
+        dt = 0.037 * scale[0]
+        start = jnp.asarray(x0, float) * state
+        sol = jf.solve(system, start, 0.0, t1 * scale[0], dt, max_events=8, throw=False)
+        return sol.result, sol.num_events, sol.events.kinds, sol.events.ts, sol.x_final
+
+    results, counts, kinds, ts, xs = jax.jit(jax.vmap(lane))(jnp.asarray(SCALES))
+    assert (results == RESULTS.successful).all()
+    assert_array_equal(counts, events)
+    assert_array_equal(kinds, np.broadcast_to(kinds[0], kinds.shape))
+    ts = ts[:, :events]
+    assert_allclose(ts / SCALES[:, :1], np.broadcast_to(ts[0], ts.shape), rtol=1e-9)
+    assert_allclose(xs / SCALES[:, 1:3], np.broadcast_to(xs[0], xs.shape), atol=3e-9)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
+def test_scales_of_the_zeno_ball(scale):
+    # Height and gravity scaled alike: the same times, t1 = 10/7 and t∞ = 3 t1.
+    ball = jf.systems.BouncingBall(g=9.8 * scale, restitution=0.5)
+    x0 = jnp.asarray([10 * scale, 0.0])
+    sol = jf.solve(ball, x0, 0.0, 20.0, 0.1, max_events=64, throw=False)
+    assert sol.result == RESULTS.zeno
+    assert_allclose(sol.t_final, 30 / 7, rtol=1e-9)
+
+
+def test_zero_length_span():
+    x0 = jnp.asarray([0.3, -0.7])
+    sol = jf.solve(Relay(jnp.asarray(1.0)), x0, 2.0, 2.0, 0.1)
+    assert sol.result == RESULTS.successful
+    assert_array_equal(sol.xs[-1], x0)
+    assert sol.num_events == 0
+
+
+def test_zero_length_span_in_a_batch_has_the_identity_as_derivative():
+    def end(x0, t1):
+        return jf.solve(Relay(jnp.asarray(1.0)), x0, 2.0, t1, 0.1).xs[-1]
+
+    x0 = jnp.asarray([1.0, -1.0])
+    t1s = jnp.asarray([2.0, 2.5, 2.0])
+    xs = jax.vmap(end, (None, 0))(x0, t1s)
+    jacobians = jax.vmap(jax.jacfwd(end), (None, 0))(x0, t1s)
+    assert_allclose(xs, [[1, -1], [0.375, -1.5], [1, -1]], rtol=1e-14)
+    assert_allclose(jacobians, [np.eye(2), [[1, 0.5], [0, 1]], np.eye(2)], atol=1e-14)
+
+
+def test_backward_in_time_the_field_sees_true_time():
+    # Forward x = t²/3 from 0 to the level 1 at √3, then t² - 2; the same way back.
+    saveat = diffrax.SaveAt(ts=jnp.asarray([2.0, 1.8, 1.0]))
+    sol = jf.solve(Clock(jnp.asarray(1.0)), jnp.asarray([2.0]), 2.0, 0.5, 0.1, saveat=saveat)
+    assert_array_equal(sol.ts, [2.0, 1.8, 1.0])
+    assert_allclose(sol.xs[:, 0], [2, 1.24, 1 / 3], rtol=1e-13)
+    assert sol.num_events == 1
+    assert_allclose(sol.events.ts[0], np.sqrt(3), rtol=1e-13)
+    assert_array_equal(sol.modes[:, 0], [1, 1, -1])
+
+
+@pytest.mark.parametrize(
+    ("system", "x0", "t1", "events"),
+    [
+        (jf.systems.SDOscillator(omega=0.7), (0.3, 0.1), 40.0, 9),
+        (jf.systems.MovingBelt(), (3, 0), 9.0, 1),
+        (jf.systems.RotatingOscillator(), (0.3678794411714423, 0), 2.0, 1),
+    ],
+)
+def test_backward_in_time_is_a_round_trip(system, x0, t1, events):
+    x0 = jnp.asarray(x0, float)
+    there = jf.solve(system, x0, 0.0, t1, 0.01)
+    back = jf.solve(system, there.xs[-1], t1, 0.0, 0.01)
+    assert there.num_events == events
+    assert back.num_events == events
+    assert_allclose(back.events.ts[:events], there.events.ts[:events][::-1], atol=1e-9)
+    assert_allclose(back.xs[-1], x0, atol=1e-9)
+
+
+def test_backward_in_time_a_slide_is_not_unique():
+    # At t = 9.6 the moving belt's mass sticks.
+    system = jf.systems.MovingBelt()
+    stuck = jf.solve(system, jnp.asarray([3.0, 0.0]), 0.0, 9.6, 0.01)
+    assert stuck.modes[-1, 0] == 0
+    sol = jf.solve(system, stuck.xs[-1], 9.6, 9.0, 0.01, throw=False)
+    assert sol.result == RESULTS.nonunique
+    assert_array_equal(sol.t_final, 9.6)
+
+
+def test_new_numbers_trace_nothing():
+    def call(pull, x0, t0, t1, dt, ts):
+        system = Relay(jnp.asarray(pull))
+        saveat = diffrax.SaveAt(ts=jnp.asarray(ts))
+        return jf.solve(system, jnp.asarray(x0), t0, t1, dt, saveat=saveat)
+
+    call(1.0, [1.0, 0.0], 0.0, 5.0, 0.1, [1.0, 5.0])
+    TRACED.clear()
+    sol = call(2.0, [0.5, 0.25], -1.0, 3.0, 0.07, [0.0, 2.0])
+    assert np.isfinite(sol.xs).all()
+    assert TRACED == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_memory():
+    def call(k):
+        x0 = jnp.asarray([1.0 + 0.001 * k, 0.0])
+        return jf.solve(Relay(jnp.asarray(1.0)), x0, 0.0, 5.0, 0.01).xs.block_until_ready()
+
+    def resident():
+        gc.collect()
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    for k in range(100):
+        call(k)
+    before = resident()
+    for k in range(300):
+        call(k)
+    assert resident() - before < 5 * 2**20
+
+
+def test_batches():
+    # Good, Zeno, NaN, out of contacts: every lane is what it is alone, and stops no other.
+    def lane(restitution, height):
+        ball = jf.systems.BouncingBall(g=9.8, restitution=restitution)
+        x0 = jnp.stack([height, jnp.zeros_like(height)])
+        saveat = diffrax.SaveAt(ts=jnp.asarray([1.0, 10.0]))
+        return jf.solve(ball, x0, 0.0, 12.0, 0.1, saveat=saveat, max_events=60, throw=False)
+
+    es = jnp.asarray([0.9, 0.5, 0.8, 0.92, 0.7])
+    heights = jnp.asarray([10.0, 10.0, jnp.nan, 0.005, 7.0])
+    batch = eqx.filter_jit(jax.vmap(lane))(es, heights)
+    alone = [eqx.filter_jit(lane)(e, h) for e, h in zip(es, heights, strict=True)]
+    want = [RESULTS.successful, RESULTS.zeno, RESULTS.nonfinite]
+    assert all(sol.result == result for sol, result in zip(alone, want, strict=False))
+    for k, sol in enumerate(alone):
+        mine = jax.tree.map(lambda leaf, k=k: leaf[k], batch)
+        assert mine.result == sol.result
+        assert mine.num_events == sol.num_events
+        assert_array_equal(mine.events.kinds, sol.events.kinds)
+        assert_allclose(mine.events.ts, sol.events.ts, rtol=1e-13)
+        assert_allclose(mine.xs, sol.xs, rtol=1e-10, atol=1e-12)
+
+
+def test_trivial_case_of_a_scene_with_no_contact():
+    # x'' + c x' + x = 0 without force: the flow over one period is the matrix exponential.
+    c, period = 0.2, 2 * np.pi / 0.8
+    system = Linear(jnp.asarray(c), jnp.asarray(0.8))
+
+    def end(x0):
+        sol = jf.solve(system, x0, 0.0, period, period / 100)
+        assert sol.modes.shape == (1, 0)
+        return sol.xs[-1]
+
+    d = np.sqrt(1 - c**2 / 4)
+    cos, sin = np.cos(d * period), np.sin(d * period) / d
+    want = [[cos + c / 2 * sin, sin], [-sin, cos - c / 2 * sin]]
+    jacobian = jax.jacfwd(end)(jnp.asarray([0.3, 0.1]))
+    assert_allclose(jacobian, np.exp(-c / 2 * period) * np.asarray(want), atol=1e-12)
+
+
+def test_trivial_case_of_a_surface_never_met():
+    sol = jf.solve(Relay(jnp.asarray(1.0)), jnp.asarray([9.0, 0.0]), 0.0, 4.0, 0.1)
+    assert sol.num_events == 0
+    assert_array_equal(sol.events.ts, np.inf)
+    assert_array_equal(sol.events.kinds, KINDS.none)
+    assert_allclose(sol.xs[-1], [1, -4], rtol=1e-13)
+
+
+def test_trivial_case_of_a_diagram():
+    # The amplitude response of a linear oscillator, sampled at phase 0.
+    omegas = np.linspace(0.5, 1.5, 5)
+    system = Linear(jnp.asarray(0.5), jnp.asarray(1.0))
+    x0 = jnp.zeros(2)
+    diagram = jf.bifurcation_diagram(
+        system, "omega", omegas, x0, transient=30, samples=4, steps=60, progress=False
+    )
+    response = 1 / (1 - omegas**2 + 0.5j * omegas)
+    want = np.stack([response.real, (1j * omegas * response).real], axis=1)
+    assert diagram.xs.shape == (5, 4, 2)
+    assert_allclose(diagram.xs, np.repeat(want[:, None], 4, axis=1), atol=1e-9)
+    assert (diagram.results == RESULTS.successful).all()
+
+
+def test_derivative_across_a_switch():
+    # y' = 1 below c, 2 above: y(T) = 2 T - c from 0. A plain `where` gives dy/dc = 0.
+    up, down = (lambda t, x: jnp.full(1, 2.0)), (lambda t, x: jnp.ones(1))
+
+    def end(c, adjoint):
+        system = jf.piecewise(up, down, Level(c))
+        return jf.solve(system, jnp.zeros(1), 0.0, 3.0, 0.2, adjoint=adjoint).xs[-1, 0]
+
+    c = jnp.asarray(1.1)
+    forward, reverse = diffrax.ForwardMode(), diffrax.RecursiveCheckpointAdjoint()
+    assert_allclose(end(c, forward), 4.9, rtol=1e-14)
+    assert_allclose(jax.jacfwd(end)(c, forward), -1, rtol=1e-13)
+    assert_allclose(jax.grad(end)(c, reverse), -1, rtol=1e-13)
+    assert_allclose((end(c + 1e-4, forward) - end(c - 1e-4, forward)) / 2e-4, -1, rtol=1e-9)
+
+
+def rise(v, level):
+    """Time of the first contact, and the final state, of a throw at speed v."""
+    x0 = jnp.stack([jnp.zeros_like(v), v, jnp.zeros_like(v)])
+    sol = jf.solve(Rise(level), x0, 0.0, 5.0, 0.3, max_events=4)
+    return sol.events.ts[0], sol.xs[-1, 2], sol.events.kinds[0]
+
+
+def test_derivative_near_grazing():
+    # t* = v - √(v² - 2h); above the level for 2√(v² - 2h), so x3(5) = 4√(v² - 2h) - 5.
+    gaps = np.asarray([1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
+    levels = (1 - gaps) / 2
+    root = np.sqrt(1 - 2 * levels)
+    speeds = jnp.ones(6)
+    d_t, d_x, _ = jax.jvp(jax.vmap(rise), (speeds, jnp.asarray(levels)), (speeds, 0 * speeds))[1]
+    assert_allclose(d_t, 1 - 1 / root, rtol=1e-8)
+    assert_allclose(d_x, 4 / root, rtol=1e-8)
+
+
+def test_derivative_at_grazing():
+    # v² = 2h: the contact time's derivative is infinite, the motion beyond it stays below.
+    two = jnp.asarray(2.0)
+    (t, x, kind), (d_t, d_x, _) = jax.jvp(rise, (two, two), (jnp.ones(()), jnp.zeros(())))
+    assert kind == KINDS.graze
+    assert_allclose(t, 2.0, atol=1e-6)
+    assert_allclose(x, -5.0, atol=1e-6)
+    assert np.isinf(d_t)
+    assert not np.isnan(d_x)

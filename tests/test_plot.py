@@ -1,0 +1,224 @@
+"""Pictures: what is drawn is what was computed, contact by contact and sample by sample."""
+
+import functools
+import time
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import matplotlib
+import matplotlib.colors
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import KINDS, RESULTS
+
+matplotlib.use("Agg")
+
+
+@pytest.fixture(autouse=True)
+def no_figure_stays_open():
+    yield
+    plt.close("all")
+
+
+def solved(system, x0, t1, dt=0.05, t0=0.0):
+    saveat = diffrax.SaveAt(t0=True, steps=True)
+    return jf.solve(system, jnp.array(x0), t0, t1, dt, stepper=jf.RK4(), saveat=saveat)
+
+
+def swept(points=5, samples=4, **kwargs):
+    return jf.bifurcation_diagram(
+        jf.systems.SDOscillator(),
+        "omega",
+        jnp.linspace(0.7, 0.9, points),
+        jnp.array([0.3, 0.1]),
+        transient=3,
+        samples=samples,
+        progress=False,
+        **kwargs,
+    )
+
+
+@functools.cache
+def sticking():
+    """One orbit of the belt that sticks at 3.388..., and slips at 0.025..., once a period."""
+    belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=1.3)
+    return solved(belt, [1.562680507274925516, 1.0], 2 * np.pi / 1.3, 0.01)
+
+
+def bands(ax, mode):
+    """Start, end, bottom and top of the bands with this mode's colour."""
+    color = matplotlib.colors.to_rgb(jf.plot.BANDS[mode][1])
+    for collection in ax.collections:
+        if tuple(collection.get_facecolor()[0][:3]) == color:
+            for path in collection.get_paths():
+                (x0, y0), (x1, y1) = path.vertices.min(axis=0), path.vertices.max(axis=0)
+                yield x0, x1, y0, y1
+
+
+def marked(ax, kind):
+    (line,) = [line for line in ax.lines if line.get_label() == kind.name]
+    return np.array(line.get_data()).T
+
+
+@pytest.mark.parametrize("component", [0, 1])
+def test_a_diagram_shows_every_sample_over_its_value(component):
+    diagram = swept()
+    ax = jf.plot.bifurcation_diagram(diagram, component=component)
+    (dots,) = ax.lines
+    x, y = dots.get_data()
+    assert_array_equal(x, np.repeat(diagram.values, 4))
+    assert_array_equal(y, diagram.xs[:, :, component].ravel())
+    assert ax.get_xlabel() == "omega"
+    assert f"x[{component}]" in ax.get_ylabel()
+    assert ax.get_xlim() == (0.7, 0.9)
+    assert dots.get_rasterized()
+
+
+def test_the_axes_given_are_drawn_on_and_come_back():
+    _, axes = plt.subplots(1, 3)
+    assert jf.plot.bifurcation_diagram(swept(), axes[0]) is axes[0]
+    assert jf.plot.time_history(sticking(), axes[1]) is axes[1]
+    assert jf.plot.phase_portrait(sticking(), axes[2]) is axes[2]
+    assert len(plt.get_fignums()) == 1
+
+
+def test_a_diagram_draws_itself():
+    ax = swept().plot(component=1)
+    assert "x[1]" in ax.get_ylabel()
+
+
+def test_a_page_is_shown_in_no_window():
+    jf.plot.bifurcation_diagram(swept(), jf.plot.page().add_subplot())
+    assert plt.get_fignums() == []
+
+
+def test_values_whose_lane_ended_early_are_ticked_and_counted():
+    bad = jf.bifurcation_diagram(
+        jf.systems.BeltFriction(),
+        "mu",
+        jnp.array([0.5, jnp.nan, 0.6]),
+        jnp.zeros(2),
+        transient=1,
+        samples=2,
+        progress=False,
+    )
+    assert_array_equal(bad.results == RESULTS.successful, [True, False, True])
+    ax = jf.plot.bifurcation_diagram(bad)
+    dots, ticks = ax.lines
+    assert_array_equal(dots.get_xdata(), [0.5, 0.5, 0.6, 0.6])
+    assert_array_equal(ticks.get_xdata(), [jnp.nan])
+    assert ticks.get_label() == "1 ended early"
+
+
+def test_a_diagram_of_one_value_can_be_seen():
+    ax = jf.plot.bifurcation_diagram(swept(points=1))
+    low, high = ax.get_xlim()
+    assert low < 0.7 < high
+    assert ax.lines[0].get_markersize() == 2
+
+
+def test_a_million_samples_are_drawn_in_seconds(tmp_path):
+    diagram = swept()
+    shape = (10_000, 100, 2)
+    values = jnp.linspace(0.0, 1.0, shape[0])
+    xs = jnp.sin(jnp.arange(np.prod(shape), dtype=float)).reshape(shape)
+    many = type(diagram)(parameter="omega", values=values, xs=xs, results=diagram.results)
+    start = time.perf_counter()
+    page = jf.plot.page()
+    jf.plot.bifurcation_diagram(many, page.add_subplot())
+    page.savefig(tmp_path / "million.pdf")
+    assert time.perf_counter() - start < 10
+    assert (tmp_path / "million.pdf").stat().st_size < 3e6
+
+
+def test_bands_change_at_the_contacts():
+    sol = sticking()
+    ax = jf.plot.time_history(sol)
+    slip, stick = 0.02537543579827, 3.38825895300931
+    held = sorted(bands(ax, 0))
+    assert_allclose([b[:2] for b in held], [(0, slip), (stick, 2 * np.pi / 1.3)], atol=1e-7)
+    assert_allclose([b[:2] for b in bands(ax, -1)], [(slip, stick)], atol=1e-7)
+    assert not list(bands(ax, 1))
+    assert {t.get_text() for t in ax.get_legend().get_texts()} == {"sliding", "H < 0"}
+
+
+def test_each_surface_has_its_own_band():
+    sol = solved(jf.systems.FilippovSpiral(), [0.0, 1.0], 1.0, 0.01)
+    ax = jf.plot.time_history(sol)
+    spans = [b for mode in (-1, 0, 1) for b in bands(ax, mode)]
+    lower = sorted(b[:2] for b in spans if b[2:] == (0, 0.5))
+    upper = sorted(b[:2] for b in spans if b[2:] == (0.5, 1))
+    assert len(lower) + len(upper) == len(spans)
+    for band in (lower, upper):
+        assert len(band) > 3
+        assert_allclose([a for a, _ in band], [0, *(b for _, b in band[:-1])], atol=1e-12)
+        assert band[-1][1] == 1.0
+
+
+def test_a_history_backward_in_time_is_shaded_too():
+    sol = solved(jf.systems.SDOscillator(), [0.5, 2.0], 0.0, t0=6.0)
+    ax = jf.plot.time_history(sol)
+    assert sol.num_events > 0
+    edges = sorted(e for mode in (-1, 1) for b in bands(ax, mode) for e in b[:2])
+    for t in np.asarray(sol.events.ts)[: int(sol.num_events)]:
+        assert np.abs(np.array(edges) - t).min() < 1e-12
+    assert (edges[0], edges[-1]) == (0.0, 6.0)
+
+
+def test_a_smooth_system_has_a_history_without_bands():
+    ax = jf.plot.time_history(solved(jf.smoothed(jf.systems.CoulombOscillator(), 0.1), [3, 0.0], 1))
+    assert not list(ax.collections)
+    assert ax.get_legend() is None
+
+
+@pytest.mark.parametrize("component", [0, 1])
+def test_a_history_goes_through_every_saved_state_and_contact(component):
+    sol = sticking()
+    x, y = jf.plot.time_history(sol, component=component).lines[0].get_data()
+    drawn = set(zip(x.tolist(), y.tolist(), strict=True))
+    saved = np.isfinite(sol.ts)
+    assert saved.sum() > 400
+    for ts, xs in ((sol.ts[saved], sol.xs[saved]), (sol.events.ts[:2], sol.events.xs[:2])):
+        assert set(zip(ts.tolist(), xs[:, component].tolist(), strict=True)) <= drawn
+    assert_array_equal(x, np.sort(x))
+
+
+def test_every_contact_is_marked_by_its_kind():
+    sol = sticking()
+    ax = jf.plot.phase_portrait(sol)
+    kinds = np.asarray(sol.events.kinds)
+    assert_array_equal(marked(ax, KINDS.stick), sol.events.xs[kinds == KINDS.stick])
+    assert_array_equal(marked(ax, KINDS.slip), sol.events.xs[kinds == KINDS.slip])
+    assert {t.get_text() for t in ax.get_legend().get_texts()} == {"stick", "slip"}
+
+
+def test_an_impact_breaks_the_line():
+    sol = solved(jf.systems.BouncingBall(), [10.0, 0.0], 4.5)
+    ax = jf.plot.phase_portrait(sol)
+    line, _ = ax.lines
+    impacts = marked(ax, KINDS.impact)
+    assert len(impacts) == 2
+    x, v = line.get_data()
+    assert np.isnan(x).sum() == 2
+    assert np.nanmax(np.diff(v)) < 1, "no stroke leads from before an impact to after it"
+
+
+def test_what_cannot_be_drawn_is_refused_with_a_reason():
+    sol = sticking()
+    ball = jf.systems.BouncingBall()
+    with pytest.raises(ValueError, match="`component` must be from 0 to 1, got 2"):
+        jf.plot.time_history(sol, component=2)
+    with pytest.raises(ValueError, match="`component` must be from 0 to 1, got 5"):
+        jf.plot.bifurcation_diagram(swept(), component=5)
+    with pytest.raises(ValueError, match="two saved times or more"):
+        jf.plot.phase_portrait(jf.solve(ball, jnp.array([10.0, 0.0]), 0.0, 1.0, 0.1))
+    with pytest.raises(ValueError, match=r"one lane, got \(2,\) of them"):
+        jf.plot.phase_portrait(jax.tree.map(lambda a: jnp.stack([a, a]), sol))
+    up, down = (lambda t, x: jnp.ones(1)), (lambda t, x: -jnp.ones(1))
+    with pytest.raises(ValueError, match="two components or more, got 1"):
+        jf.plot.phase_portrait(solved(jf.piecewise(down, up, lambda t, x: x[0]), [1.0], 2.0))
