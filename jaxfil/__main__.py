@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.parameter import parameters
@@ -87,8 +88,8 @@ def _diagram(args: argparse.Namespace) -> int:
     diagram = bifurcation_diagram(
         TEXTBOOK[args.system][0](**settings),
         args.parameter,
-        np.linspace(args.start, args.stop, args.points),
-        np.array(x0),
+        jnp.asarray(np.linspace(args.start, args.stop, args.points)),
+        jnp.array(x0),
         transient=args.transient,
         samples=args.samples,
         steps=args.steps,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.system import System
+from jaxfil.system import System, has_resets
 
 
 def concrete(value: Any) -> np.ndarray | None:
@@ -70,33 +70,41 @@ def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> A
     return int(value)
 
 
-def system(name: str, value: Any, x: Array) -> None:
-    """A `System` whose functions return what they must for states shaped like `x`."""
+def system(name: str, value: Any) -> None:
+    """A `System`."""
     if not isinstance(value, System):
         what = value.__name__ if isinstance(value, type) else type(value).__name__
         hint = "; create an instance of it" if isinstance(value, type) else ""
         raise ValueError(f"`{name}` must be an instance of jaxfil.System, got {what}{hint}.")
+
+
+def shapes(value: System, x: Array) -> tuple[int, ...]:
+    """The shape of H, after a look at what all functions of a system return for a state like x."""
     t, n = jnp.zeros((), x.dtype), x.shape[0]
     h = _shape("switching", value.switching, t, x)
-    if h is not None and len(h) > 1:
+    if h is None or len(h) > 1:
         raise ValueError(
             f"`switching` of {type(value).__name__} must return a scalar or an array of shape "
-            f"(m,), got shape {h}."
+            f"(m,), got {_told(h)}."
         )
-    side = jnp.ones(h if h is not None else (), x.dtype)
-    f = _shape("vector_field", value.vector_field, t, x, side)
-    if f != (n,):
-        raise ValueError(
-            f"`vector_field` of {type(value).__name__} must return an array of the shape of the "
-            f"state, {(n,)}, got {'no array' if f is None else f'shape {f}'}."
-        )
-    if type(value).reset is not System.reset:
+    f = _shape("vector_field", value.vector_field, t, x, jnp.ones(h, x.dtype))
+    _same_as_state(value, "vector_field", f, n)
+    if has_resets(value):
         r = _shape("reset", value.reset, t, x, jnp.zeros((), jnp.int32))
-        if r != (n,):
-            raise ValueError(
-                f"`reset` of {type(value).__name__} must return an array of the shape of the "
-                f"state, {(n,)}, got {'no array' if r is None else f'shape {r}'}."
-            )
+        _same_as_state(value, "reset", r, n)
+    return h
+
+
+def _same_as_state(value: System, name: str, shape: tuple[int, ...] | None, n: int) -> None:
+    if shape != (n,):
+        raise ValueError(
+            f"`{name}` of {type(value).__name__} must return an array of the shape of the state, "
+            f"{(n,)}, got {_told(shape)}."
+        )
+
+
+def _told(shape: tuple[int, ...] | None) -> str:
+    return "no array" if shape is None else f"shape {shape}"
 
 
 def _shape(name: str, function: Any, *args: Any) -> tuple[int, ...] | None:

@@ -124,7 +124,9 @@ class Search(eqx.Module):
     surfaces: Blocks
 
 
-def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array) -> Search:
+def search(
+    scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: Array
+) -> Search:
     """The earliest contact of a trial step of signed length h, over all surfaces.
 
     A slide that repels at the end of the step is bisected to where it ceases to attract.
@@ -144,6 +146,8 @@ def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array) -> Search
         )
         thetas.append(theta)
         contact, minimum = jnp.minimum(contact, theta), jnp.minimum(minimum, low)
+    # One look at a time: a step that was cut short is taken as it is.
+    minimum = jnp.where(cutting, NEVER, minimum)
     if scene.slides:
         bisect = view.repels & (abs(h) > span.same_time(view.tau))
         minimum = jnp.where(bisect, jnp.minimum(minimum, 0.5), minimum)
@@ -189,8 +193,9 @@ def land(
         close = jnp.where(cutting, jnp.where(bend == 0, straight, close), same)
         within = (size <= close) & ((room - stop_gradient(missing)) * direction >= 0)
         reached = within | (size <= same)
-        # A contact aimed at that is no further than rounding of time is here, with δ = 0.
-        here = aimed & (abs(h) <= same) & ~reached
+        # A contact aimed at is here, with δ = 0, where rounding hides what is missing.
+        hidden = (abs(h) <= same) | (abs(stop_gradient(view.g[j])) <= view.noise[j])
+        here = aimed & hidden & ~reached
         hit = falls & (here | ((lane.armed[j] | aimed) & reached))
         hits.append(hit)
         missing = jnp.where(here, missing - stop_gradient(missing), missing)

@@ -126,7 +126,7 @@ def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane
         return _accept_smooth(scene, span, policy, lane, length, x)
     x = where(lane.pending, lane.x, x)
     view = look(scene, span, lane, length.end, x)
-    found = search(scene, span, lane, view, length.h)
+    found = search(scene, span, lane, view, length.h, length.cutting)
     landing = land(scene, span, lane, view, length.h, length.room, length.cutting)
     return _decide(scene, span, policy, lane, length, view, found, landing)
 

@@ -48,7 +48,7 @@ def bifurcation_diagram(
         np.broadcast_to(values[:, None], column.shape)[seen],
         column[seen],
         color=BLACK,
-        alpha=0.3,
+        alpha=0.4,
         linestyle="none",
         marker="o",
         markersize=_marker_size(ax, values.size),
@@ -116,9 +116,9 @@ def _check_component(component: int, n: int) -> None:
 
 
 def _marker_size(ax: Axes, columns: int) -> float:
-    """The width of a column of samples in points, but no less than a pixel and no more than 2."""
+    """The width of a column of samples in points, from half a point up to two."""
     width = ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).width
-    return float(np.clip(72 * width / columns, 0.36, 2.0))
+    return float(np.clip(72 * width / columns, 0.5, 2.0))
 
 
 def _tick_failures(ax: Axes, values: np.ndarray) -> None:

@@ -6,6 +6,7 @@ A lane before and after an iteration enters; its buffers with one more entry lea
 from typing import Any
 
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -54,6 +55,28 @@ def _kind(lane: Lane, view: View, resets: bool) -> Array:
     return kind
 
 
+@jax.custom_jvp
+def _infinite_rate(gap: Array) -> Array:
+    """Zero, with an infinite derivative with respect to the gap: the time of a contact as it
+    becomes a touch."""
+    return jnp.zeros_like(gap)
+
+
+@_infinite_rate.defjvp
+def _infinite_rate_jvp(primals, tangents):
+    (gap,), (change,) = primals, tangents
+    largest = jnp.finfo(gap.dtype).max
+    # By steps, so that no change stays no change: 0 times infinity would be NaN.
+    return jnp.zeros_like(gap), change * largest * largest * largest
+
+
+def _event_time(span: Span, lane: Lane, view: View) -> Array:
+    t = span.t0 + lane.tau
+    for hit, g in zip(lane.hit, view.g, strict=True):
+        t = t + jnp.where(lane.graze & hit, _infinite_rate(g), 0.0)
+    return t
+
+
 def record_event(scene: Scene, span: Span, lane: Lane, view: View, made: Array) -> Table | None:
     """The event table of `lane` with the switch made in `view`, where one was made."""
     table = lane.table
@@ -63,7 +86,7 @@ def record_event(scene: Scene, span: Span, lane: Lane, view: View, made: Array) 
     write = made & (lane.num_events < size)
     i = jnp.minimum(lane.num_events, size - 1)
     return Table(
-        ts=eqxi.buffer_at_set(table.ts, i, span.t0 + lane.tau, pred=write),
+        ts=eqxi.buffer_at_set(table.ts, i, _event_time(span, lane, view), pred=write),
         xs=eqxi.buffer_at_set(table.xs, i, pack(lane.x, scene.dtype), pred=write),
         members=eqxi.buffer_at_set(table.members, i, jnp.stack(lane.hit), pred=write),
         kinds=eqxi.buffer_at_set(table.kinds, i, _kind(lane, view, scene.resets), pred=write),

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil import check
 from jaxfil.system import System, has_resets
 from jaxfil.trace import Traced
 
@@ -145,7 +146,7 @@ def build(system: System, x0: Array) -> Scene:
     """The scene of a system whose float leaves have the dtype of `x0`, shape (n,)."""
     n, dtype = x0.shape[0], x0.dtype
     t0 = jnp.zeros((), dtype)
-    h_shape = jax.eval_shape(system.switching, t0, x0).shape
+    h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
     dynamic, static = eqx.partition(system, eqx.is_array)
 

@@ -155,14 +155,14 @@ def solve(
     """
     x = check.state("x0", x0)
     dtype = x.dtype
-    if isinstance(system, System):
-        system = scene.cast(system, dtype)
-    check.system("system", system, x)
+    check.system("system", system)
+    system = scene.cast(system, dtype)
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
     length = check.scalar("dt", dt, dtype, positive=True)
     stepper = diffrax.Dopri8() if stepper is None else stepper
     tableau(stepper)
     save, ts = _save_kind(saveat, dtype)
+    _check_ts(ts, start, stop)
     max_events = check.count("max_events", max_events, optional=True)
     budget = check.count("max_steps", max_steps, optional=True)
     reverse = _is_reverse(adjoint)
@@ -203,7 +203,10 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
         raise ValueError(f"`saveat` must be a diffrax.SaveAt, got {type(saveat).__name__}.")
     sub = saveat.subs
     if not isinstance(sub, diffrax.SubSaveAt):
-        raise ValueError("`saveat` must have a single SubSaveAt.")
+        raise ValueError(
+            "`saveat` must ask for one of t1=True, ts=…, steps=True, dense=True in a single "
+            f"SubSaveAt, got {[] if sub is None else sub!r}."
+        )
     asked = {
         "t1": bool(sub.t1),
         "ts": sub.ts is not None,
@@ -222,6 +225,24 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
     if ts.ndim != 1 or ts.shape[0] == 0:
         raise ValueError(f"`saveat.ts` must be of shape (k,) with k ≥ 1, got shape {ts.shape}.")
     return "ts", ts
+
+
+def _check_ts(ts: Array | None, t0: Array, t1: Array) -> None:
+    """Saving times lie in the span, in its direction; unknown while traced."""
+    known = [check.concrete(v) for v in (ts, t0, t1)]
+    if ts is None or any(v is None for v in known):
+        return
+    if not bool(_valid_ts(ts, t0, t1)) and np.all(np.isfinite(known[1])) and np.isfinite(known[2]):
+        raise ValueError(
+            f"`saveat.ts` must be times in order within the span from t0 = {known[1]} to t1 = "
+            f"{known[2]}, got {known[0]}."
+        )
+
+
+def _valid_ts(ts: Array, t0: Array, t1: Array) -> Array:
+    sign = jnp.where(t1 < t0, -1.0, 1.0).astype(ts.dtype)
+    inside = (sign * ts >= sign * t0) & (sign * ts <= sign * t1)
+    return jnp.all(inside) & jnp.all(sign * jnp.diff(ts) >= 0)
 
 
 def _is_reverse(adjoint: Any) -> bool:
@@ -247,10 +268,12 @@ def _default_budget(t0: Array, t1: Array, dt: Array, max_events: int | None) -> 
     return (math.ceil(steps) if np.isfinite(steps) else 1) + 6 * (max_events or 256) + 16
 
 
-def _span(t0: Array, t1: Array, dt: Array, budget: int | None) -> Span:
-    """The grid of a solve."""
+def _span(t0: Array, t1: Array, dt: Array, ts: Array | None, budget: int | None) -> Span:
+    """The grid of a solve. Bad values that were traced, and so not seen at the door, make it NaN,
+    which is an outcome."""
     length = t1 - t0
-    dt = jax.lax.stop_gradient(dt)
+    valid = dt > 0 if ts is None else (dt > 0) & _valid_ts(ts, t0, t1)
+    dt = jnp.where(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
     # A span of more steps than an int32 holds ends as a budget used up, never as a wrapped number.
     num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, 2**30).astype(jnp.int32)
@@ -262,7 +285,7 @@ def _span(t0: Array, t1: Array, dt: Array, budget: int | None) -> Span:
 @eqx.filter_jit
 def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
     scene_ = scene.build(system, x0)
-    span = _span(t0, t1, dt, options.budget)
+    span = _span(t0, t1, dt, ts, options.budget)
     kind = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
     num_saves = {"none": 0, "ts": 0 if ts is None else ts.shape[0], "steps": options.budget}[kind]
     policy = Policy(kind, options.max_events, None if ts is None else ts - t0)

@@ -45,6 +45,8 @@ def _floats(row: np.ndarray) -> tuple[float, ...]:
 def tableau(stepper: Any) -> Tableau:
     """The tableau of a diffrax solver instance or of `RK4()`."""
     name = type(stepper).__name__
+    if isinstance(stepper, type):
+        raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
     if isinstance(stepper, RK4):
         return Tableau(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), name)
     if isinstance(stepper, diffrax.Euler):

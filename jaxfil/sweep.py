@@ -109,9 +109,8 @@ def bifurcation_diagram(
     """
     states = _initial_states(x0)
     dtype = states.dtype
-    if isinstance(system, System):
-        system = scene.cast(system, dtype)
-    check.system("system", system, states[0])
+    check.system("system", system)
+    system = scene.cast(system, dtype)
     parameter(system, name)
     values = _values(values, dtype)
     if states.shape[0] not in (1, values.shape[0]):

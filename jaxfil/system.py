@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -141,6 +142,8 @@ def smoothed(system: System, width: Array | float) -> System:
     """
     if not isinstance(system, System):
         raise ValueError(f"`system` must be a jaxfil.System, got {type(system).__name__}.")
+    if not isinstance(width, jax.core.Tracer) and not np.all(np.asarray(width) > 0):
+        raise ValueError(f"`width` must be positive, got {width!r}.")
     if has_resets(system):
         raise ValueError("`system` must have no `reset`: an impact cannot be smoothed.")
     return _Smoothed(system, jnp.asarray(width))

@@ -38,7 +38,7 @@ def refused(capsys, *words):
 
 
 def test_the_command_in_readme_draws_its_diagram(tmp_path):
-    (command,) = re.findall(r"-m (jaxfil diagram .*)", README.read_text())
+    (command,) = re.findall(r"-m (jaxfil diagram .* --out .*)", README.read_text())
     words = shlex.split(command)
     out = words[words.index("--out") + 1]
     words[words.index("--points") + 1] = "40"
@@ -64,7 +64,7 @@ def test_the_numbers_beside_the_picture_are_those_of_the_library(tmp_path):
         jf.systems.SDOscillator(),
         "omega",
         np.linspace(0.6, 0.7, 3),
-        jnp.array([0.3, 0.1]),
+        jnp.array(jf.systems.TEXTBOOK["sd-oscillator"][1]),
         transient=2,
         samples=4,
         steps=40,

@@ -45,7 +45,12 @@ class Leave(jf.System):
 
 
 def solve(system, x0, t0, t1, dt, adjoint=FORWARD, **kwargs):
-    """A run within a budget, as reverse mode under traced times needs one."""
+    """A run within a budget, as reverse mode under traced times needs one.
+
+    Two surfaces take long to compile, and RK4, exact for their constant fields, a third of it.
+    """
+    if isinstance(system, Box):
+        kwargs["stepper"] = jf.RK4()
     return jf.solve(system, x0, t0, t1, dt, adjoint=adjoint, max_steps=1024, **kwargs)
 
 
