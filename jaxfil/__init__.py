@@ -1,5 +1,7 @@
 """Differentiable, batched simulation and bifurcation analysis of nonsmooth systems in JAX."""
 
+import importlib
+
 from jaxfil import systems as systems
 from jaxfil.results import KINDS as KINDS, RESULTS as RESULTS
 from jaxfil.solution import Events as Events, Solution as Solution, solve as solve
@@ -11,3 +13,10 @@ from jaxfil.sweep import (
 from jaxfil.system import System as System, piecewise as piecewise, smoothed as smoothed
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str):
+    # matplotlib is imported with the first use of `jaxfil.plot`, not before.
+    if name == "plot":
+        return importlib.import_module("jaxfil.plot")
+    raise AttributeError(f"module 'jaxfil' has no attribute {name!r}")

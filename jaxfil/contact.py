@@ -124,9 +124,7 @@ class Search(eqx.Module):
     surfaces: Blocks
 
 
-def search(
-    scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: Array
-) -> Search:
+def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: Array) -> Search:
     """The earliest contact of a trial step of signed length h, over all surfaces.
 
     A slide that repels at the end of the step is bisected to where it ceases to attract.

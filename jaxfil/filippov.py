@@ -88,12 +88,7 @@ def weights(mode: Blocks, rates: Sequence[Blocks]) -> Blocks:
         for j, mode_j in enumerate(mode):
             sliding = mode_j == 0
             right.append(jnp.where(sliding, residual[j], 0.0))
-            matrix.append(
-                [
-                    jnp.where(sliding, slopes[i][j], float(i == j))
-                    for i in range(len(w))
-                ]
-            )
+            matrix.append([jnp.where(sliding, slopes[i][j], float(i == j)) for i in range(len(w))])
         update = solve_small(matrix, right)
         w = tuple(a - b for a, b in zip(w, update, strict=True))
     return w

@@ -95,7 +95,9 @@ def _action(scene, policy, lane: Lane, view: View, found, landing, frozen, tries
         failures.append(lane.pending & (lane.num_events >= policy.max_events))
     stuck = view.repels & ((found.theta >= NEVER) | lane.pending)
     failures.append((view.num_modes > 1) | stuck)
-    failures.append(jnp.zeros((), bool) if scene.slides else any_of(tuple(s == 0 for s in view.mode)))
+    failures.append(
+        jnp.zeros((), bool) if scene.slides else any_of(tuple(s == 0 for s in view.mode))
+    )
     failures.append((view.num_modes == 0) | (tries > _TRIES))
     failures.append(frozen >= _FROZEN)
     for number, failed in reversed(list(enumerate(failures))):
@@ -163,7 +165,7 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
         g=where(moved, g, lane.g),
         rate=where(moved, rate, where(lands, view.rate, lane.rate)),
         armed=where(moved, armed, lane.armed),
-        noise=where(moved | lands, noise, lane.noise),
+        noise=where(lands, view.noise, where(moved, noise, lane.noise)),
         cut=stop_gradient(jnp.where(rejected, cut, jnp.where(moved, ahead, lane.cut))),
         aim=where(rejected, found.surfaces, lane.aim),
         pending=lands | (lane.pending & ~moved),
@@ -218,7 +220,9 @@ def _keep(scene, span, policy, lane, after: Lane, view: View, moved, gridded, sa
         saving = gridded & (past >= 0) & (past % policy.every == 0)
     saves = save_state(scene, span, lane, view, saving)
     return eqx.tree_at(
-        lambda lane: (lane.saves, lane.num_saved), after, (saves, lane.num_saved + saving.astype(jnp.int32))
+        lambda lane: (lane.saves, lane.num_saved),
+        after,
+        (saves, lane.num_saved + saving.astype(jnp.int32)),
     )
 
 
@@ -238,6 +242,7 @@ def integrate(
 
     `kind="checkpointed"` allows reverse-mode derivatives and needs a static `max_iterations`.
     """
+
     def running(lane: Lane) -> Array:
         unfinished = lane.index < span.num_steps
         affordable = lane.num_iterations < span.max_iterations

@@ -193,9 +193,7 @@ def _lane(system, name, value, x0, transient, samples, steps, stepper):
         max_iterations=32 * jnp.minimum(num_steps, 2**25) + 100_000,
     )
     policy = Policy("samples", None, first=(transient + 1) * steps, every=steps)
-    lane = integrate(
-        scene_, tableau(stepper), span, policy, scene.unpack(x0), num_saves=samples
-    )
+    lane = integrate(scene_, tableau(stepper), span, policy, scene.unpack(x0), num_saves=samples)
     assert lane.saves is not None
     xs = jnp.where(jnp.isfinite(lane.saves.xs), lane.saves.xs, jnp.nan)
     return xs, lane.result, scene.pack(lane.x, x0.dtype)

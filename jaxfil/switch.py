@@ -75,9 +75,7 @@ def guards(
     scene: Scene, t: Array, x: Blocks, f: Blocks, mode: Blocks, noise: Blocks
 ) -> tuple[Blocks, Blocks, Blocks]:
     """The guards of a mode, their rates along its field f, and their noise, given that of H."""
-    g, rate = jax.jvp(
-        lambda t, x: filippov.guard(scene, t, x, mode), (t, x), (jnp.ones_like(t), f)
-    )
+    g, rate = jax.jvp(lambda t, x: filippov.guard(scene, t, x, mode), (t, x), (jnp.ones_like(t), f))
     # The guard of a slide, 1 - w², is of order one.
     slide = _NOISE * epsilon(scene)
     noise = tuple(jnp.where(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))

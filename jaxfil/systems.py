@@ -240,7 +240,7 @@ class TwoRelays(System):
 
 
 TEXTBOOK: dict[str, tuple[type[System], tuple[float, ...]]] = {
-    "sd-oscillator": (SDOscillator, (0.3, 0.1)),
+    "sd-oscillator": (SDOscillator, (1.995, 0.085)),
     "belt-friction": (BeltFriction, (0.0, 0.0)),
     "coulomb-oscillator": (CoulombOscillator, (3.0, 0.0)),
     "moving-belt": (MovingBelt, (3.0, 0.0)),

@@ -41,7 +41,9 @@ class Traced:
             np.full(v.aval.shape, flag)
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
-        out = _dependencies(jaxpr, [np.zeros(np.shape(c), bool) for c in self._closed.consts], flags)
+        out = _dependencies(
+            jaxpr, [np.zeros(np.shape(c), bool) for c in self._closed.consts], flags
+        )
         return jax.tree.unflatten(self._tree, [bool(np.any(flag)) for flag in out])
 
     def _evaluate(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:

@@ -86,7 +86,11 @@ CALLS = {
         "(3,)",
     ),
     "field is None": (lambda: solve(custom(field=lambda x: None)), "vector_field", "no array"),
-    "field is complex": (lambda: solve(custom(field=lambda x: jax.lax.complex(x, x))), "vector_field", "complex"),
+    "field is complex": (
+        lambda: solve(custom(field=lambda x: jax.lax.complex(x, x))),
+        "vector_field",
+        "complex",
+    ),
     "H is a matrix": (
         lambda: solve(custom(surface=lambda x: x[:, None] * x)),
         "switching",
