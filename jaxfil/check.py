@@ -8,6 +8,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -63,8 +64,8 @@ def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> A
     """A Python integer of at least `least`, or None where that is allowed."""
     if value is None and optional:
         return None
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or value < least:
+    whole = isinstance(value, (int, np.integer))
+    if not whole or isinstance(value, bool) or value < least:
         must = f"an integer of at least {least}" + (" or None" if optional else "")
         raise ValueError(f"`{name}` must be {must}, got {value!r}.")
     return int(value)

@@ -75,14 +75,14 @@ def _descending_root(cubic: Cubic, lo: Array, hi: Array) -> Array:
     """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
 
     Newton runs to the root monotonically from the point of inflection after a maximum, from `lo`
-    where the cubic is convex and from `hi` where it is concave; four iterations leave less than
-    the cubic's own error.
+    where the cubic is convex and from `hi` where it is concave. Three iterations leave about the
+    cubic's own error; what they leave the next trial step finds.
     """
     bend_lo, bend_hi = cubic.bend(lo), cubic.bend(hi)
     inflection = jnp.clip(-_quotient(cubic.a, 3 * cubic.b), lo, hi)
     theta = jnp.where(bend_lo + bend_hi >= 0, lo, hi)
     theta = jnp.where((bend_lo < 0) & (bend_hi > 0), inflection, theta)
-    for _ in range(4):
+    for _ in range(3):
         theta = jnp.clip(theta - _quotient(cubic(theta), cubic.slope(theta)), lo, hi)
     return theta
 
@@ -153,7 +153,10 @@ def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: 
     thetas = scene.hold(*thetas)
     first = (contact < NEVER) & (contact <= minimum)
     surfaces = tuple(first & (theta <= contact * (1 + 1e-6)) for theta in thetas)
-    return Search(jnp.minimum(contact, minimum), surfaces)
+    # A search that does not converge from one side is helped by a step that falls short.
+    theta = jnp.minimum(contact, minimum)
+    stalled = (theta < NEVER) & (lane.tries % 4 == 3)
+    return Search(jnp.where(stalled, 0.5 * theta, theta), surfaces)
 
 
 class Landing(eqx.Module):

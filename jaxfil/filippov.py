@@ -13,52 +13,55 @@ Filippov's convex combination with λ = (1 + w)/2.
 import itertools
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.linear import solve_small
 from jaxfil.scene import Blocks, Scene
 
-# Newton iterations for the weights of an intersection. The system is multi-affine: affine (one
-# iteration) when each term of the field sees one side, and well inside [-1, 1]^m otherwise.
-_NEWTON = 6
+# Newton iterations for the weights of an intersection at most. The system is multi-affine: affine
+# (one iteration) when each term of the field sees one side.
+_NEWTON = 20
 
 
-def _mix(w: Array, above: Blocks, below: Blocks) -> Blocks:
-    """The blend of the fields above and below one surface; w = ±1 takes one side, untouched by a
-    NaN of the other."""
+def _mix(s: Array, w: Array, above: Blocks, below: Blocks) -> Blocks:
+    """The field on side s of one surface, or where s = 0 the blend of both with weight w. A side is
+    taken as it is, untouched by a NaN of the other."""
     share = 0.5 * (1 + w)
     return tuple(
-        jnp.where(w == 1, a, jnp.where(w == -1, b, b + share * (a - b)))
+        jnp.where(s > 0, a, jnp.where(s < 0, b, b + share * (a - b)))
         for a, b in zip(above, below, strict=True)
     )
 
 
-def blend(corners: Sequence[Blocks], weights: Blocks) -> Blocks:
+def blend(corners: Sequence[Blocks], mode: Blocks, weights: Blocks) -> Blocks:
     """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of `Scene.corner_sides`."""
-    for w in weights:
+    for s, w in zip(mode, weights, strict=True):
         half = len(corners) // 2
-        corners = [_mix(w, corners[i], corners[half + i]) for i in range(half)]
+        corners = [_mix(s, w, corners[i], corners[half + i]) for i in range(half)]
     return corners[0]
 
 
-def blend_fields(scene: Scene, fields: Sequence[Blocks], weights: Blocks) -> Blocks:
+def blend_fields(scene: Scene, fields: Sequence[Blocks], mode: Blocks, weights: Blocks) -> Blocks:
     """`blend` of the corner fields; components that no side enters are taken as they are."""
     switched = [i for i, depends in enumerate(scene.switched) if depends]
-    parts = blend([tuple(f[i] for i in switched) for f in fields], weights)
+    parts = blend([tuple(f[i] for i in switched) for f in fields], mode, weights)
     mixed = dict(zip(switched, parts, strict=True))
     return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
 
 
-def _slope(corners: Sequence[Blocks], weights: Blocks, j: int) -> Blocks:
+def _slope(corners: Sequence[Blocks], mode: Blocks, weights: Blocks, j: int) -> Blocks:
     """∂ blend/∂w_j."""
-    for i, w in enumerate(weights):
+    for i, (s, w) in enumerate(zip(mode, weights, strict=True)):
         half = len(corners) // 2
         pairs = [(corners[k], corners[half + k]) for k in range(half)]
         if i == j:
             corners = [tuple(0.5 * (p - q) for p, q in zip(a, b, strict=True)) for a, b in pairs]
         else:
-            corners = [_mix(w, a, b) for a, b in pairs]
+            corners = [_mix(s, w, a, b) for a, b in pairs]
     return corners[0]
 
 
@@ -80,18 +83,37 @@ def weights(mode: Blocks, rates: Sequence[Blocks]) -> Blocks:
         above, below = rates[0][0], rates[1][0]
         sliding = mode[0] == 0
         return (jnp.where(sliding, _safe_quotient(below + above, below - above), mode[0]),)
-    w = mode
-    for _ in range(_NEWTON):
-        residual = blend(rates, w)
-        slopes = [_slope(rates, w, i) for i in range(len(w))]
-        matrix, right = [], []
-        for j, mode_j in enumerate(mode):
-            sliding = mode_j == 0
-            right.append(jnp.where(sliding, residual[j], 0.0))
-            matrix.append([jnp.where(sliding, slopes[i][j], float(i == j)) for i in range(len(w))])
-        update = solve_small(matrix, right)
-        w = tuple(a - b for a, b in zip(w, update, strict=True))
-    return w
+    # Newton on constants, then one differentiable iteration: its derivative is the implicit one.
+    fixed = [tuple(stop_gradient(v) for v in row) for row in rates]
+
+    def unsettled(state: tuple) -> Array:
+        _, change, k = state
+        return (change > 0) & (k < _NEWTON)
+
+    def improve(state: tuple) -> tuple:
+        w, _, k = state
+        better = _newton(mode, fixed, w)
+        now = sum(abs(a - b) for a, b in zip(better, w, strict=True))
+        done = now <= 4 * jnp.finfo(w[0].dtype).eps
+        return better, jnp.where(done, 0, now), k + 1
+
+    w = tuple(stop_gradient(s) for s in mode)
+    start = (w, jnp.ones_like(w[0]), jnp.zeros((), jnp.int32))
+    w, _, _ = jax.lax.while_loop(unsettled, improve, start)
+    return _newton(mode, rates, w)
+
+
+def _newton(mode: Blocks, rates: Sequence[Blocks], w: Blocks) -> Blocks:
+    """One Newton iteration for the weights of the surfaces slid on."""
+    residual = blend(rates, mode, w)
+    slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
+    matrix, right = [], []
+    for j, s in enumerate(mode):
+        sliding = s == 0
+        right.append(jnp.where(sliding, residual[j], 0.0))
+        matrix.append([jnp.where(sliding, slopes[i][j], float(i == j)) for i in range(len(w))])
+    update = solve_small(matrix, right)
+    return tuple(a - b for a, b in zip(w, update, strict=True))
 
 
 def corners(scene: Scene, t: Array, x: Blocks) -> tuple[list[Blocks], list[Blocks]]:
@@ -105,7 +127,7 @@ def field(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
     if not scene.slides:
         return scene.field(t, x, mode)
     fields, rates = corners(scene, t, x)
-    return blend_fields(scene, fields, weights(mode, rates))
+    return blend_fields(scene, fields, mode, weights(mode, rates))
 
 
 def guard(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
@@ -121,33 +143,30 @@ def guard(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
     )
 
 
-def _admissible(
-    candidate: Sequence[float], rates: Sequence[Blocks], mode: Blocks, on: Blocks, direction: Array
-) -> Array:
-    """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
-    surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
-    fixed = tuple(jnp.asarray(c, direction.dtype) for c in candidate)
-    w = weights(fixed, rates)
-    rate = blend(rates, w)
-    scale = [sum(abs(r[j]) for r in rates) for j in range(len(mode))]
-    eps = jnp.finfo(direction.dtype).eps
-    ok = jnp.ones((), bool)
-    for j, c in enumerate(candidate):
-        if c == 0:
-            solved = (abs(rate[j]) <= 64 * eps * scale[j]) & (scale[j] > 0)
-            consistent = (abs(w[j]) <= 1) & solved
-        else:
-            consistent = c * direction * rate[j] > 0
-        ok = ok & jnp.where(on[j], consistent, mode[j] == c)
-    return ok
-
-
 def attracting(mode: Blocks, rates: Sequence[Blocks], direction: Array) -> Array:
     """Whether every surface slid on draws the state back: dH_j/dt falls with the weight w_j."""
     w = weights(mode, rates)
     ok = jnp.ones((), bool)
     for j, s in enumerate(mode):
-        ok = ok & ((s != 0) | (direction * _slope(rates, w, j)[j] < 0))
+        ok = ok & ((s != 0) | (direction * _slope(rates, mode, w, j)[j] < 0))
+    return ok
+
+
+def _admissible(
+    candidate: Blocks, rates: Sequence[Blocks], mode: Blocks, on: Blocks, direction: Array
+) -> Array:
+    """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
+    surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
+    w = weights(candidate, rates)
+    rate = blend(rates, candidate, w)
+    eps = jnp.finfo(direction.dtype).eps
+    ok = jnp.ones((), bool)
+    for j, c in enumerate(candidate):
+        scale = sum(abs(r[j]) for r in rates)
+        solved = (abs(rate[j]) <= 64 * eps * scale) & (scale > 0)
+        slides = (abs(w[j]) <= 1) & solved
+        leaves = c * direction * rate[j] > 0
+        ok = ok & jnp.where(on[j], jnp.where(c == 0, slides, leaves), mode[j] == c)
     return ok
 
 
@@ -159,12 +178,24 @@ def choose(
     One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a
     tangency that first derivatives do not decide.
     """
-    count = jnp.zeros((), jnp.int32)
-    chosen = mode
-    # Sliding comes last, so that it is never chosen over leaving.
-    states = (0.0, -1.0, 1.0)
-    for candidate in itertools.product(states, repeat=m):
-        ok = _admissible(candidate, rates, mode, on, direction)
-        count = count + ok.astype(jnp.int32)
-        chosen = tuple(jnp.where(ok, c, old) for c, old in zip(candidate, chosen, strict=True))
-    return chosen, count
+    if m == 1:
+        return _choose_on_one(rates[0][0], rates[1][0], mode, on, direction)
+    candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)))
+    columns = tuple(jnp.asarray(column, direction.dtype) for column in candidates.T)
+    ok = jax.vmap(lambda *c: _admissible(c, rates, mode, on, direction))(*columns)
+    first = jnp.argmax(ok)
+    any_ok = jnp.any(ok)
+    chosen = tuple(jnp.where(any_ok, c[first], s) for c, s in zip(columns, mode, strict=True))
+    return chosen, jnp.sum(ok, dtype=jnp.int32)
+
+
+def _choose_on_one(
+    above: Array, below: Array, mode: Blocks, on: Blocks, direction: Array
+) -> tuple[Blocks, Array]:
+    """`choose` on a single surface, where the rates on its two sides say it all."""
+    plus, minus = direction * above > 0, direction * below < 0
+    slide = (above * below <= 0) & (above != below)
+    count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
+    side = jnp.where(plus, 1.0, jnp.where(minus, -1.0, 0.0)).astype(direction.dtype)
+    decided = on[0] & (count > 0)
+    return (jnp.where(decided, side, mode[0]),), jnp.where(on[0], count, 1)

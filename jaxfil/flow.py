@@ -136,7 +136,8 @@ def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane
 def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, landing) -> Lane:
     """Accept, reject, land or switch."""
     tries = jnp.where(found.theta < NEVER, lane.tries + 1, 0)
-    again = abs(view.tau - lane.contact_tau) <= span.same_time(view.tau)
+    # A flight this short cannot be told from the correction that ends it.
+    again = abs(view.tau - lane.contact_tau) <= 4 * span.same_time(view.tau)
     frozen = jnp.where(lane.pending, jnp.where(again, lane.frozen + 1, 0), lane.frozen)
     action = _action(scene, policy, lane, view, found, landing, frozen, tries)
     landed, rejected = (action == _LAND) | (action == _TOUCH), action == _REJECT

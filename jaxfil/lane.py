@@ -109,8 +109,8 @@ class Lane(eqx.Module):
 
 class View(eqx.Module):
     """What is known at the end of a trial step. `num_modes` is how many modes could go on from a
-    switch made here (1: all is well); `repels` whether it slides where the surface repels. `noise` is the
-    rounding of the guards here, `touch` all that may have gathered in them since t0."""
+    switch made here (1: all is well); `repels` whether it slides where the surface repels. `noise`
+    is the rounding of the guards here, `touch` all that may have gathered in them since t0."""
 
     tau: Array
     x: Blocks

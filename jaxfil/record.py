@@ -14,6 +14,9 @@ from jaxfil.lane import Lane, Saves, Span, Table, View
 from jaxfil.results import KINDS
 from jaxfil.scene import Blocks, Scene, any_of, pack
 
+# Equinox types it for Python's booleans and its own buffers; it takes arrays and returns them.
+_set: Any = eqxi.buffer_at_set
+
 
 def empty_table(scene: Scene, size: int | None) -> Table | None:
     """An event table without events; None if none is to be kept."""
@@ -86,10 +89,10 @@ def record_event(scene: Scene, span: Span, lane: Lane, view: View, made: Array) 
     write = made & (lane.num_events < size)
     i = jnp.minimum(lane.num_events, size - 1)
     return Table(
-        ts=eqxi.buffer_at_set(table.ts, i, _event_time(span, lane, view), pred=write),
-        xs=eqxi.buffer_at_set(table.xs, i, pack(lane.x, scene.dtype), pred=write),
-        members=eqxi.buffer_at_set(table.members, i, jnp.stack(lane.hit), pred=write),
-        kinds=eqxi.buffer_at_set(table.kinds, i, _kind(lane, view, scene.resets), pred=write),
+        ts=_set(table.ts, i, _event_time(span, lane, view), pred=write),
+        xs=_set(table.xs, i, pack(lane.x, scene.dtype), pred=write),
+        members=_set(table.members, i, jnp.stack(lane.hit), pred=write),
+        kinds=_set(table.kinds, i, _kind(lane, view, scene.resets), pred=write),
     )
 
 
@@ -102,7 +105,7 @@ def save_state(scene: Scene, span: Span, lane: Lane, view: View, save: Array) ->
     write = save & (lane.num_saved < size)
     i = jnp.minimum(lane.num_saved, size - 1)
     return Saves(
-        ts=eqxi.buffer_at_set(saves.ts, i, span.t0 + view.tau, pred=write),
-        xs=eqxi.buffer_at_set(saves.xs, i, pack(view.x, scene.dtype), pred=write),
-        modes=eqxi.buffer_at_set(saves.modes, i, mode_codes(view.mode), pred=write),
+        ts=_set(saves.ts, i, span.t0 + view.tau, pred=write),
+        xs=_set(saves.xs, i, pack(view.x, scene.dtype), pred=write),
+        modes=_set(saves.modes, i, mode_codes(view.mode), pred=write),
     )

@@ -11,17 +11,18 @@ from typing import Any
 import diffrax
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil import check, scene
+from jaxfil.filippov import field
 from jaxfil.flow import integrate
 from jaxfil.lane import Lane, Policy, Span
 from jaxfil.record import mode_codes
 from jaxfil.results import KINDS, RESULTS
 from jaxfil.stepper import step, tableau
-from jaxfil.filippov import field
 from jaxfil.system import System
 
 # Steps that end this close to the end of the span (in steps) are its last.
@@ -229,13 +230,13 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
 
 def _check_ts(ts: Array | None, t0: Array, t1: Array) -> None:
     """Saving times lie in the span, in its direction; unknown while traced."""
-    known = [check.concrete(v) for v in (ts, t0, t1)]
-    if ts is None or any(v is None for v in known):
+    saved, start, stop = (check.concrete(v) for v in (ts, t0, t1))
+    if ts is None or saved is None or start is None or stop is None:
         return
-    if not bool(_valid_ts(ts, t0, t1)) and np.all(np.isfinite(known[1])) and np.isfinite(known[2]):
+    if not bool(_valid_ts(ts, t0, t1)) and np.isfinite(start) and np.isfinite(stop):
         raise ValueError(
-            f"`saveat.ts` must be times in order within the span from t0 = {known[1]} to t1 = "
-            f"{known[2]}, got {known[0]}."
+            f"`saveat.ts` must be times in order within the span from t0 = {start} to t1 = "
+            f"{stop}, got {saved}."
         )
 
 
@@ -258,13 +259,13 @@ def _is_reverse(adjoint: Any) -> bool:
 
 def _default_budget(t0: Array, t1: Array, dt: Array, max_events: int | None) -> int:
     """Iterations enough for the span: each step, and six for each contact."""
-    known = [check.concrete(v) for v in (t0, t1, dt)]
-    if any(v is None for v in known):
+    start, stop, pace = (check.concrete(v) for v in (t0, t1, dt))
+    if start is None or stop is None or pace is None:
         raise ValueError(
             "`max_steps` must be an integer here: an array of that length is kept, and `t0`, `t1` "
             "or `dt` is traced, so that the number of steps is not known; got None."
         )
-    steps = abs(known[1] - known[0]) / known[2]  # pyright: ignore[reportOptionalOperand]
+    steps = abs(stop - start) / pace
     return (math.ceil(steps) if np.isfinite(steps) else 1) + 6 * (max_events or 256) + 16
 
 

@@ -39,12 +39,12 @@ def _resolved_rates(scene: Scene, t: Array, x: Blocks, direction: Array) -> list
         seconds.append(second(t, x))
         thirds.append(jax.jvp(second, (t, x), (one, f))[1])
     resolved = []
-    for rate, second, third in zip(rates, seconds, thirds, strict=True):
+    for rate, second_, third in zip(rates, seconds, thirds, strict=True):
         row = []
         for j in range(scene.m):
             scale = sum(abs(r[j]) for r in rates)
             tiny = jnp.where(scale > 0, epsilon(scene) * scale, 1.0)
-            sign = jnp.where(second[j] != 0, direction * jnp.sign(second[j]), jnp.sign(third[j]))
+            sign = jnp.where(second_[j] != 0, direction * jnp.sign(second_[j]), jnp.sign(third[j]))
             flat = abs(rate[j]) <= _RATE_NOISE * epsilon(scene) * scale
             row.append(jnp.where(flat, tiny * sign, rate[j]))
         resolved.append(tuple(row))

@@ -9,7 +9,6 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -52,8 +51,7 @@ def tableau(stepper: Any) -> Tableau:
     if isinstance(stepper, diffrax.Euler):
         return Tableau((), (), (1.0,), name)
     table = getattr(stepper, "tableau", None)
-    explicit = isinstance(table, diffrax.ButcherTableau) and not table.implicit
-    if not explicit:
+    if not isinstance(table, diffrax.ButcherTableau) or table.implicit:
         raise ValueError(
             "`stepper` must be jaxfil.RK4() or an instance of an explicit diffrax Runge–Kutta "
             f"solver such as diffrax.Dopri8(), got {stepper!r}."

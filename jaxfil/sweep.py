@@ -71,7 +71,7 @@ class BifurcationDiagram(eqx.Module):
 def bifurcation_diagram(
     system: System,
     name: str,
-    values: Float[Array, " p"],
+    values: Float[Array | np.ndarray, " p"],
     x0: Float[Array, " n"],
     *,
     transient: int = 200,
@@ -216,12 +216,24 @@ def _run(system, name, values, states, *, transient, samples, steps, stepper, fo
     return xs, results, end
 
 
+# What XLA may do on CPU: use vectors as wide as the machine has them, and fuse multiplications with
+# additions. NaN, infinities, divisions and library functions stay what they are.
+_CPU_OPTIONS = {
+    "xla_cpu_prefer_vector_width": "512",
+    "xla_cpu_enable_fast_math": True,
+    "xla_cpu_fast_math_honor_nans": True,
+    "xla_cpu_fast_math_honor_infs": True,
+    "xla_cpu_fast_math_honor_division": True,
+    "xla_cpu_fast_math_honor_functions": True,
+}
+
+
 @ft.cache
 def _compiled() -> Callable:
-    """The compiled chunk; on CPU with vectors as wide as the machine has them."""
-    wide = {"xla_cpu_prefer_vector_width": "512"}
-    options = wide if jax.default_backend() == "cpu" else None
-    return eqx.filter_jit(_run, compiler_options=options)
+    """The compiled chunk."""
+    options = _CPU_OPTIONS if jax.default_backend() == "cpu" else None
+    # Equinox's overloads leave out the keywords that it hands on to `jax.jit`.
+    return eqx.filter_jit(_run, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
 def _cores() -> int:

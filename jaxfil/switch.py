@@ -55,17 +55,18 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
     noise = surface_noise(scene, t, here, h_t, normals)
     touch = surface_noise(scene, t, size, h_t, normals)
     if scene.slides:
+        landed = lane.pending & ~moved
         held = zip(lane.mode, lane.hit, strict=True)
-        x = _project(x, h, normals, tuple((s == 0) | (lane.pending & hit) for s, hit in held))
+        x = _project(x, h, normals, tuple((s == 0) | (landed & hit) for s, hit in held))
         x = scene.hold(*x)
     fields, rates = filippov.corners(scene, t, x)
-    mode, num_modes = _switch(scene, span, lane, rates, h)
+    mode, num_modes = _switch(scene, span, lane, rates, h, touch)
     if scene.resets:
         # A wall has one side: an impact that does not turn the motion back leads nowhere.
         through = any_of(tuple(a != b for a, b in zip(mode, lane.mode, strict=True)))
         num_modes = jnp.where(moved & through, 0, num_modes)
     mode = scene.hold(*mode)
-    f = scene.hold(*filippov.blend_fields(scene, fields, filippov.weights(mode, rates)))
+    f = scene.hold(*filippov.blend_fields(scene, fields, mode, filippov.weights(mode, rates)))
     repels = ~filippov.attracting(mode, rates, span.direction) if scene.slides else false
     g, rate, noise = guards(scene, t, x, f, mode, noise)
     return View(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels)
@@ -83,7 +84,7 @@ def guards(
 
 
 def _switch(
-    scene: Scene, span: Span, lane: Lane, rates: list[Blocks], h: Blocks
+    scene: Scene, span: Span, lane: Lane, rates: list[Blocks], h: Blocks, touch: Blocks
 ) -> tuple[Blocks, Array]:
     """The mode after a landing and the number of admissible ones; elsewhere the old mode and 1.
 
@@ -101,6 +102,14 @@ def _switch(
         for go, side, s in zip(leaving, sides, lane.mode, strict=True)
     )
     met = tuple(hit & ~go for hit, go in zip(lane.hit, leaving, strict=True))
+    if scene.resets:
+        # A reset may carry the state off the surface.
+        off = tuple(hit & (abs(v) > least) for hit, v, least in zip(met, h, touch, strict=True))
+        left = tuple(
+            jnp.where(o & switching, jnp.where(v > 0, jnp.ones_like(v), -jnp.ones_like(v)), s)
+            for o, v, s in zip(off, h, left, strict=True)
+        )
+        met = tuple(hit & ~o for hit, o in zip(met, off, strict=True))
     same = span.same_time(lane.tau)
     on = []
     for j in range(scene.m):
@@ -124,7 +133,7 @@ def departure(scene: Scene, span: Span, lane: Lane, view: View) -> tuple[Blocks,
         kept = (hit | ~lane.armed[j]) & ~old_slide
         noise = jnp.maximum(view.noise[j], jnp.where(kept, lane.noise[j], 0.0))
         sliding = view.mode[j] == 0
-        away = sliding | (~hit & (lane.armed[j] | (view.g[j] > noise)))
+        away = sliding | (~hit & lane.armed[j]) | (view.g[j] > noise)
         # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
         # rounding says.
         double = hit & (old_slide | lane.graze)

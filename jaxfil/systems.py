@@ -4,10 +4,13 @@ Parameters enter as float leaves with defaults; modules leave, ready for every v
 `TEXTBOOK` names them for the command line, each with an initial state.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
+import jax.core
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxfil.system import System
@@ -15,6 +18,12 @@ from jaxfil.system import System
 
 def _parameter(default: float):
     return eqx.field(converter=jnp.asarray, default=default)
+
+
+def _none_if_zero(value: Any) -> Array | None:
+    known = not isinstance(value, jax.core.Tracer)
+    zero = value is None or (known and np.all(np.asarray(value) == 0))
+    return None if zero else jnp.asarray(value)
 
 
 class SDOscillator(System):
@@ -28,19 +37,18 @@ class SDOscillator(System):
     f0: Array = _parameter(0.25)
     zeta: Array = _parameter(0.0141)
     omega: Array = _parameter(0.7)
-    alpha: Array = _parameter(0.0)
+    alpha: Array | None = eqx.field(converter=_none_if_zero, default=0.0)
+    """None stands for α = 0: the discontinuous system has no such parameter."""
 
     slides: ClassVar[bool] = False
 
     def vector_field(self, t, x, side):
-        smooth = self.alpha != 0
-        root = jnp.sqrt(jnp.where(smooth, x[0] ** 2 + self.alpha**2, 1.0))
-        snap = jnp.where(smooth, x[0] / root, side)
+        snap = side if self.alpha is None else x[0] / jnp.sqrt(x[0] ** 2 + self.alpha**2)
         force = self.f0 * jnp.cos(self.omega * t)
         return jnp.stack([x[1], force - 2 * self.zeta * x[1] - x[0] + snap])
 
     def switching(self, t, x):
-        return x[0]
+        return x[0] if self.alpha is None else jnp.zeros((0,), x.dtype)
 
     @property
     def period(self):

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.core
 import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
@@ -84,8 +85,8 @@ def _dependencies(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> lis
     values.update(zip(jaxpr.invars, args, strict=True))
 
     def read(atom: Any) -> np.ndarray:
-        literal = isinstance(atom, jexc.Literal)
-        return np.zeros(atom.aval.shape, bool) if literal else values[atom]
+        shape = atom.aval.shape
+        return np.zeros(shape, bool) if isinstance(atom, jexc.Literal) else values[atom]
 
     for eqn in jaxpr.eqns:
         inputs = [read(v) for v in eqn.invars]

@@ -192,11 +192,12 @@ def test_reverse_is_forward(name):
     assert_allclose(reverse / scale, forward / scale, rtol=0, atol=1e-12)
 
 
-def test_reverse_is_forward_on_an_intersection():
-    args = inputs(*CLOSED["box"][1:])
-    forward = jax.jacfwd(lambda *a: solve(*a, 0.1).xs[-1], (0, 1, 2, 3))(*args)
-    reverse = jax.jacrev(lambda *a: solve(*a, 0.1, REVERSE).xs[-1], (0, 1, 2, 3))(*args)
-    assert_allclose(flat(reverse), flat(forward), rtol=0, atol=1e-12)
+def test_reverse_on_an_intersection():
+    system, x0, t0, t1 = inputs(*CLOSED["box"][1:])
+    got = jax.grad(lambda s, x: solve(s, x, t0, t1, 0.1, REVERSE).xs[-1, 2], (0, 1))(system, x0)
+    want = jax.grad(lambda s, x: box(s, x, t0, t1)[2], (0, 1))(system, x0)
+    for left, right in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+        assert_allclose(left, right, rtol=0, atol=1e-12)
 
 
 def test_alpha_of_the_sd_oscillator_leaves_no_nan():
@@ -290,16 +291,3 @@ def test_batched_and_jitted():
         alone = single(x0[k], friction[k])
         for got, want in zip(batched, alone, strict=True):
             assert_allclose(got[k], want, rtol=0, atol=1e-13)
-
-
-def test_derivative_by_the_end_is_the_field_and_by_the_start_its_transport():
-    system, x0 = S.MovingBelt(), jnp.asarray([3.0, 0.0])
-    args = inputs(system, x0, 0.1, 9.0)
-    end = jax.jit(lambda *a: solve(*a, 0.025).xs[-1])
-    _, d_x0, d_t0, d_t1 = jax.jacfwd(end, (0, 1, 2, 3))(*args)
-    above, below = jnp.ones(()), -jnp.ones(())
-    # It starts below the belt and has crossed it once by t = 9.
-    start = system.vector_field(args[2], x0, below)
-    last = system.vector_field(args[3], end(*args), above)
-    assert_allclose(d_t1, last, rtol=0, atol=1e-10)
-    assert_allclose(d_t0, -d_x0 @ start, rtol=0, atol=1e-10)

@@ -270,7 +270,7 @@ def test_leaving_a_stick_in_the_linear_case():
 
 @pytest.mark.slow
 def test_leaving_a_stick_in_the_cubic_case():
-    belts = jax.vmap(lambda w: jf.systems.BeltFriction(omega=w))(jnp.linspace(4.6, 4.7, 100))
+    belts = jax.vmap(lambda w: jf.systems.BeltFriction(omega=w))(jnp.linspace(4.655, 4.7, 100))
     sticks, slips = sticks_and_slips(belts, jnp.asarray([0.1, 1.0]), 1000, 12)
     assert np.all(sticks > 500)
     assert np.all(np.abs(sticks - slips) <= 1)
