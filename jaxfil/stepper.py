@@ -4,6 +4,7 @@ A field on components, a state and a step length enter; the state at the end of 
 Nothing here knows of surfaces.
 """
 
+import functools as ft
 from collections.abc import Callable
 from typing import Any
 
@@ -74,6 +75,10 @@ def _combine(x: Blocks, h: Array, coefficients: tuple[float, ...], slopes: list[
     return tuple(out)
 
 
+def _stage(field: Callable, c: float, t: Array, h: Array, inner: Blocks) -> Blocks:
+    return field(t + c * h, inner)
+
+
 def step(
     table: Tableau,
     field: Callable[[Array, Blocks], Blocks],
@@ -88,5 +93,5 @@ def step(
     slopes = [f]
     for c, row in zip(table.c, table.a, strict=True):
         inner = _combine(x, h, row, slopes)
-        slopes.append(once(field, t + c * h, inner))
+        slopes.append(once(ft.partial(_stage, field, c), t, h, inner))
     return once(lambda *end: end, *_combine(x, h, table.b, slopes))

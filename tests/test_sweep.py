@@ -1,0 +1,135 @@
+"""Bifurcation diagrams: lanes against single runs, outcomes, following, chunks."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfil as jf
+from jaxfil import sweep
+from jaxfil.system import System
+
+BELT = jf.systems.BeltFriction()
+
+
+def test_a_lane_equals_its_single_run():
+    values = np.linspace(4.25, 4.55, 5)
+    d = jf.bifurcation_diagram(
+        BELT, "omega", values, jnp.zeros(2), transient=3, samples=2, steps=40, progress=False
+    )
+    for value, xs in zip(values, d.xs, strict=True):
+        belt = jf.systems.BeltFriction(omega=value)
+        sol = jf.solve(belt, jnp.zeros(2), 0.0, 5 * belt.period, belt.period / 40)
+        np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
+
+
+def test_the_jump_from_rest_is_between_its_neighbours():
+    # 4.56382205: Santhosh et al. 2016, corrected reference; motion at rest leads to the sticking
+    # attractor above it (x < 0.1 at the section) and to the non-sticking orbit below.
+    d = jf.bifurcation_diagram(
+        BELT, "omega", [4.5635, 4.5641], jnp.zeros(2), transient=150, samples=10, progress=False
+    )
+    assert np.all(d.xs[0, :, 0] > 0.14)
+    assert np.all(d.xs[1, :, 0] < 0.1)
+
+
+def test_following_the_one_sided_orbit_up_to_its_grazing():
+    # It grazes at 0.866716581971234 (exact).
+    d = jf.bifurcation_diagram(
+        jf.systems.SDOscillator(),
+        "omega",
+        [0.868, 0.86, 0.8665, 0.867],
+        jnp.array([1.96, 0.05]),
+        transient=60,
+        samples=20,
+        follow="up",
+        progress=False,
+    )
+    assert np.all(d.xs[1:3, :, 0] > 0)
+    assert np.any(d.xs[0, :, 0] < 0) and np.any(d.xs[3, :, 0] < 0)
+
+
+def test_a_bad_lane_harms_no_other():
+    values = np.array([4.3, np.nan, 4.4])
+    good = jf.bifurcation_diagram(
+        BELT, "omega", values[[0, 2]], jnp.zeros(2), transient=5, samples=3, progress=False
+    )
+    mixed = jf.bifurcation_diagram(
+        BELT, "omega", values, jnp.zeros(2), transient=5, samples=3, progress=False
+    )
+    np.testing.assert_array_equal(mixed.successful, [True, False, True])
+    assert np.all(np.isnan(mixed.xs[1]))
+    np.testing.assert_allclose(mixed.xs[[0, 2]], good.xs, rtol=1e-12)
+
+
+def test_chunks_make_no_difference(monkeypatch):
+    values = np.linspace(4.2, 4.7, 7)
+    run = {"transient": 5, "samples": 3, "progress": False}
+    whole = jf.bifurcation_diagram(BELT, "omega", values, jnp.zeros(2), **run)
+    monkeypatch.setattr(sweep, "_CHUNK", 3)
+    cut = jf.bifurcation_diagram(BELT, "omega", values, jnp.zeros(2), **run)
+    np.testing.assert_allclose(cut.xs, whole.xs, rtol=1e-9)
+    assert cut.xs.shape == (7, 3, 2)
+
+
+def test_an_initial_state_for_each_lane():
+    x0 = np.array([[0.0, 0.0], [0.1, 1.0]])
+    d = jf.bifurcation_diagram(
+        BELT, "omega", [4.6, 4.6], x0, transient=40, samples=5, progress=False
+    )
+    assert not np.allclose(d.xs[0], d.xs[1])
+
+
+def test_new_values_trace_nothing():
+    count = 0
+
+    class Counted(System):
+        omega: jnp.ndarray
+
+        def vector_field(self, t, x, side):
+            nonlocal count
+            count += 1
+            return jnp.stack([x[1], jnp.cos(self.omega * t) - x[0] - side])
+
+        def switching(self, t, x):
+            return x[1]
+
+        @property
+        def period(self):
+            return 2 * jnp.pi / self.omega
+
+    def run(values, transient):
+        system = Counted(jnp.asarray(1.0))
+        return jf.bifurcation_diagram(
+            system, "omega", values, jnp.zeros(2), transient=transient, samples=2, progress=False
+        )
+
+    run([0.5, 0.6], 2)
+    before = count
+    run([0.7, 0.9], 5)
+    assert count == before
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"name": "omegaa"}, "`name` must be a parameter of BeltFriction, one of f0"),
+        ({"values": np.zeros((2, 2))}, r"`values` must be real numbers of shape \(p,\)"),
+        ({"x0": np.zeros((3, 2))}, "`x0` must be of shape"),
+        ({"transient": -1}, "`transient` must be an integer of at least 0"),
+        ({"samples": 0}, "`samples` must be an integer of at least 1"),
+        ({"steps": 2.5}, "`steps` must be an integer of at least 1"),
+        ({"follow": "sideways"}, '`follow` must be "up", "down" or None'),
+        ({"system": jf.systems.CoulombOscillator(), "name": "friction"}, "must be forced"),
+    ],
+)
+def test_bad_calls(change, message):
+    call = {"system": BELT, "name": "omega", "values": [4.3, 4.4], "x0": np.zeros(2), **change}
+    with pytest.raises(ValueError, match=message):
+        jf.bifurcation_diagram(**call, progress=False)
+
+
+def test_the_card_says_what_it_holds():
+    d = jf.bifurcation_diagram(
+        BELT, "omega", [4.3, 4.4], np.zeros(2), transient=1, samples=3, progress=False
+    )
+    assert "omega: 2 values from 4.3 to 4.4" in repr(d) and "2 of 2 lanes" in repr(d)
