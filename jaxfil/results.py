@@ -7,6 +7,7 @@ sentence the user sees), and `KINDS`, the codes of the event table.
 import enum
 
 import equinox as eqx
+import numpy as np
 
 
 class RESULTS(eqx.Enumeration):
@@ -37,6 +38,14 @@ class RESULTS(eqx.Enumeration):
     nonfinite = (
         "The state, the vector field, the switching function or a reset is not finite (NaN or inf)."
     )
+
+
+def outcome_names(results: RESULTS) -> np.ndarray:
+    """The names of outcomes, an array of strings in their shape."""
+    names = np.empty(np.shape(results == RESULTS.successful), dtype="<U32")
+    for name in RESULTS._name_to_item:
+        names[np.asarray(results == getattr(RESULTS, name))] = name
+    return names
 
 
 class KINDS(enum.IntEnum):

@@ -21,7 +21,7 @@ from jaxfil.filippov import field
 from jaxfil.flow import integrate
 from jaxfil.lane import Lane, Policy, Span
 from jaxfil.record import mode_codes
-from jaxfil.results import KINDS, RESULTS
+from jaxfil.results import KINDS, RESULTS, outcome_names
 from jaxfil.stepper import step, tableau
 from jaxfil.system import System
 
@@ -382,9 +382,5 @@ def _events_line(sol: Solution) -> str:
 
 def outcome(result: RESULTS) -> str:
     """The name of one outcome and its sentence."""
-    for name in RESULTS._name_to_item:
-        item = getattr(RESULTS, name)
-        if bool(result == item):
-            sentence = RESULTS[item]
-            return f"{name}: {sentence}" if sentence else name
-    return "unknown"
+    name, sentence = str(outcome_names(result)), RESULTS[result]
+    return f"{name}: {sentence}" if sentence else name

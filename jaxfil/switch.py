@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from jaxfil import filippov
 from jaxfil.lane import Lane, Span, View, epsilon
-from jaxfil.scene import Blocks, Scene, any_of, axpy, where
+from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
 
 # A guard is zero to rounding below this many eps times the size of its terms.
 _NOISE = 32
@@ -66,7 +66,10 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
         through = any_of(tuple(a != b for a, b in zip(mode, lane.mode, strict=True)))
         num_modes = jnp.where(moved & through, 0, num_modes)
     mode = scene.hold(*mode)
-    f = scene.hold(*filippov.blend_fields(scene, fields, mode, filippov.weights(mode, rates)))
+    f = filippov.blend_fields(scene, fields, mode, filippov.weights(mode, rates))
+    # Where no mode goes on because a field is not finite, that is what is wrong.
+    blind = (num_modes == 0) & ~all_finite(*rates)
+    f = scene.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
     repels = ~filippov.attracting(mode, rates, span.direction) if scene.slides else false
     g, rate, noise = guards(scene, t, x, f, mode, noise)
     return View(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels)
