@@ -3,8 +3,9 @@
 import importlib
 
 from jaxfil import systems as systems
+from jaxfil.initial_value import solve as solve
 from jaxfil.results import KINDS as KINDS, RESULTS as RESULTS
-from jaxfil.solution import Events as Events, Solution as Solution, solve as solve
+from jaxfil.solution import Events as Events, Solution as Solution
 from jaxfil.stepper import RK4 as RK4
 from jaxfil.sweep import (
     BifurcationDiagram as BifurcationDiagram,

@@ -1,32 +1,22 @@
-"""`solve`: one initial value problem, and the `Solution` that says what happened.
+"""The `Solution`: what happened, and what can be asked of it.
 
-A system, an initial state, a time span and a step enter; saved states, the event table, counts and
-an outcome leave.
+Nothing is computed here but on request: a card of a few lines, and the state between saved times.
 """
 
 import functools as ft
-import math
 from typing import Any
 
-import diffrax
 import equinox as eqx
-import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxfil import check, scene
+from jaxfil import scene
 from jaxfil.filippov import field
-from jaxfil.flow import integrate
-from jaxfil.lane import Lane, Policy, Span
-from jaxfil.record import mode_codes
 from jaxfil.results import KINDS, RESULTS, outcome_names
 from jaxfil.stepper import step, tableau
 from jaxfil.system import System
-
-# Steps that end this close to the end of the span (in steps) are its last.
-_WHOLE = 1e-6
 
 
 class Events(eqx.Module):
@@ -77,7 +67,7 @@ class Solution(eqx.Module):
         return card(self)
 
 
-class _Dense(eqx.Module):
+class Dense(eqx.Module):
     """Every step's start: enough to take any step again."""
 
     system: System
@@ -89,7 +79,7 @@ class _Dense(eqx.Module):
     stepper: Any
 
 
-def _evaluate(dense: _Dense, t: Any) -> Array:
+def _evaluate(dense: Dense, t: Any) -> Array:
     dtype = dense.xs.dtype
     t = jnp.asarray(t, dtype)
     forward = dense.t1 >= dense.t0
@@ -108,252 +98,6 @@ def _evaluate(dense: _Dense, t: Any) -> Array:
 
 def _field_of_mode(scene_: Any, mode: Any, t: Array, x: Any) -> Any:
     return field(scene_, t, x, mode)
-
-
-def solve(
-    system: System,
-    x0: Float[Array, " n"],
-    t0: Array | float,
-    t1: Array | float,
-    dt: Array | float,
-    *,
-    stepper: Any = None,
-    saveat: diffrax.SaveAt = diffrax.SaveAt(t1=True),  # noqa: B008
-    max_events: int | None = 1024,
-    max_steps: int | None = None,
-    adjoint: Any = diffrax.ForwardMode(),  # noqa: B008
-    throw: bool = True,
-) -> Solution:
-    r"""Integrate a nonsmooth system from `x0` at `t0` to `t1`.
-
-    ẋ = F(t, x, side), side_j = sgn H_j(t, x), in Filippov's sense where the solution stays on a
-    surface. Steps have the fixed length `dt`; one is cut only at a contact, and the grid is met
-    again after it. Contacts are located to a few eps and the order of the stepper is kept.
-
-    **Arguments**
-
-    - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
-    - `t0`, `t1`: the span of time; backward if t1 < t0.
-    - `dt`: the length of a step, positive.
-    - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, or `RK4()`;
-      by default `diffrax.Dopri8()`.
-    - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`).
-    - `max_events`: length of the event table; None keeps no table and sets no limit.
-    - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
-      of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
-    - `adjoint`: `diffrax.ForwardMode()`, or `diffrax.RecursiveCheckpointAdjoint()` for reverse
-      mode. Derivatives with respect to x0, t0, t1 and every float leaf of the system are exact
-      through crossings, slides and resets.
-    - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it.
-
-    **Returns** a `Solution`.
-
-    >>> import jax.numpy as jnp
-    >>> import jaxfil as jf
-    >>> sol = jf.solve(jf.systems.CoulombOscillator(), jnp.array([3.0, 0.0]), 0.0, 20.0, 0.1)
-    >>> print(round(float(sol.xs[-1, 0]), 4), int(sol.num_events))
-    -0.2 4
-    """
-    x = check.state("x0", x0)
-    dtype = x.dtype
-    check.system("system", system)
-    system = scene.cast(system, dtype)
-    start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
-    length = check.scalar("dt", dt, dtype, positive=True)
-    stepper = diffrax.Dopri8() if stepper is None else stepper
-    tableau(stepper)
-    save, ts = _save_kind(saveat, dtype)
-    _check_ts(ts, start, stop)
-    max_events = check.count("max_events", max_events, optional=True)
-    budget = check.count("max_steps", max_steps, optional=True)
-    reverse = _is_reverse(adjoint)
-    if budget is None and (save in ("steps", "dense") or reverse):
-        budget = _default_budget(start, stop, length, max_events)
-    sol = _solve(
-        system,
-        x,
-        start,
-        stop,
-        length,
-        ts,
-        stepper,
-        _Options(
-            save=save,
-            with_t0=bool(saveat.subs.t0),
-            max_events=max_events,
-            budget=budget,
-            reverse=reverse,
-            checkpoints=getattr(adjoint, "checkpoints", None),
-        ),
-    )
-    return _raise_unless_successful(sol) if throw else sol
-
-
-class _Options(eqx.Module):
-    save: str = eqx.field(static=True)
-    with_t0: bool = eqx.field(static=True)
-    max_events: int | None = eqx.field(static=True)
-    budget: int | None = eqx.field(static=True)
-    reverse: bool = eqx.field(static=True)
-    checkpoints: int | None = eqx.field(static=True)
-
-
-def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
-    """Which of t1, ts, steps and dense a `diffrax.SaveAt` asks for."""
-    if not isinstance(saveat, diffrax.SaveAt):
-        raise ValueError(f"`saveat` must be a diffrax.SaveAt, got {type(saveat).__name__}.")
-    sub = saveat.subs
-    if not isinstance(sub, diffrax.SubSaveAt):
-        raise ValueError(
-            "`saveat` must ask for one of t1=True, ts=…, steps=True, dense=True in a single "
-            f"SubSaveAt, got {[] if sub is None else sub!r}."
-        )
-    asked = {
-        "t1": bool(sub.t1),
-        "ts": sub.ts is not None,
-        "steps": bool(sub.steps),
-        "dense": bool(saveat.dense),
-    }
-    kinds = [name for name, wanted in asked.items() if wanted]
-    if len(kinds) != 1 or (sub.t0 and kinds != ["steps"]):
-        raise ValueError(
-            "`saveat` must ask for exactly one of t1=True, ts=…, steps=True, dense=True (and "
-            f"t0=True only with steps=True), got {kinds + ['t0'] * bool(sub.t0)}."
-        )
-    if kinds[0] != "ts":
-        return kinds[0], None
-    ts = jnp.asarray(sub.ts, dtype)
-    if ts.ndim != 1 or ts.shape[0] == 0:
-        raise ValueError(f"`saveat.ts` must be of shape (k,) with k ≥ 1, got shape {ts.shape}.")
-    return "ts", ts
-
-
-def _check_ts(ts: Array | None, t0: Array, t1: Array) -> None:
-    """Saving times lie in the span, in its direction; unknown while traced."""
-    saved, start, stop = (check.concrete(v) for v in (ts, t0, t1))
-    if ts is None or saved is None or start is None or stop is None:
-        return
-    if not bool(_valid_ts(ts, t0, t1)) and np.isfinite(start) and np.isfinite(stop):
-        raise ValueError(
-            f"`saveat.ts` must be times in order within the span from t0 = {start} to t1 = "
-            f"{stop}, got {saved}."
-        )
-
-
-def _valid_ts(ts: Array, t0: Array, t1: Array) -> Array:
-    sign = jnp.where(t1 < t0, -1.0, 1.0).astype(ts.dtype)
-    inside = (sign * ts >= sign * t0) & (sign * ts <= sign * t1)
-    return jnp.all(inside) & jnp.all(sign * jnp.diff(ts) >= 0)
-
-
-def _is_reverse(adjoint: Any) -> bool:
-    if isinstance(adjoint, diffrax.ForwardMode):
-        return False
-    if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint):
-        return True
-    raise ValueError(
-        "`adjoint` must be diffrax.ForwardMode() or diffrax.RecursiveCheckpointAdjoint(), got "
-        f"{adjoint!r}."
-    )
-
-
-def _default_budget(t0: Array, t1: Array, dt: Array, max_events: int | None) -> int:
-    """Iterations enough for the span: each step, and six for each contact."""
-    start, stop, pace = (check.concrete(v) for v in (t0, t1, dt))
-    if start is None or stop is None or pace is None:
-        raise ValueError(
-            "`max_steps` must be an integer here: an array of that length is kept, and `t0`, `t1` "
-            "or `dt` is traced, so that the number of steps is not known; got None."
-        )
-    steps = abs(stop - start) / pace
-    return (math.ceil(steps) if np.isfinite(steps) else 1) + 6 * (max_events or 256) + 16
-
-
-def _span(t0: Array, t1: Array, dt: Array, ts: Array | None, budget: int | None) -> Span:
-    """The grid of a solve. Bad values that were traced, and so not seen at the door, make it NaN,
-    which is an outcome."""
-    length = t1 - t0
-    valid = dt > 0 if ts is None else (dt > 0) & _valid_ts(ts, t0, t1)
-    dt = jnp.where(valid, jax.lax.stop_gradient(dt), jnp.nan)
-    steps = jax.lax.stop_gradient(abs(length) / dt)
-    # A span of more steps than an int32 holds ends as a budget used up, never as a wrapped number.
-    num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, 2**30).astype(jnp.int32)
-    ample = 32 * jnp.minimum(num_steps, 2**25) + 100_000
-    iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
-    return Span(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
-
-
-@eqx.filter_jit
-def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
-    scene_ = scene.build(system, x0)
-    span = _span(t0, t1, dt, ts, options.budget)
-    kind = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
-    num_saves = {"none": 0, "ts": 0 if ts is None else ts.shape[0], "steps": options.budget}[kind]
-    policy = Policy(kind, options.max_events, None if ts is None else ts - t0)
-    lane = integrate(
-        scene_,
-        tableau(stepper),
-        span,
-        policy,
-        scene.unpack(x0),
-        num_saves=num_saves or 0,
-        kind="checkpointed" if options.reverse else "lax",
-        checkpoints=options.checkpoints,
-        max_iterations=options.budget if options.reverse else None,
-    )
-    return _solution(scene_, span, lane, options, system, x0, stepper)
-
-
-def _solution(scene_, span: Span, lane: Lane, options: _Options, system, x0, stepper) -> Solution:
-    """The result of a finished lane, as the user sees it."""
-    dtype = scene_.dtype
-    done = lane.result == RESULTS.successful
-    t_final, x_final = span.t0 + lane.tau, scene.pack(lane.x, dtype)
-    mode_final = mode_codes(lane.mode)
-    dense = None
-    if lane.saves is None:
-        ts = jnp.where(done, t_final, jnp.inf)[None]
-        xs = jnp.where(done, x_final, jnp.inf)[None]
-        modes = mode_final[None]
-    else:
-        ts, xs, modes = lane.saves.ts, lane.saves.xs, lane.saves.modes
-        if options.with_t0 or options.save == "dense":
-            ts, xs = jnp.append(span.t0[None], ts), jnp.append(x0[None], xs, axis=0)
-            modes = jnp.append(mode_codes(lane.first_mode)[None], modes, axis=0)
-        if options.save == "dense":
-            dense = _Dense(system, span.t0, t_final, ts, xs, modes, stepper)
-            ts = xs = modes = None
-    return Solution(
-        ts=ts,
-        xs=xs,
-        modes=modes,
-        events=_events(lane, scene_),
-        num_events=lane.num_events,
-        result=lane.result,
-        stats={
-            "num_steps": lane.num_accepted,
-            "num_iterations": lane.num_iterations,
-            "num_saved": lane.num_saved,
-        },
-        t_final=t_final,
-        x_final=x_final,
-        mode_final=mode_final,
-        _dense=dense,
-    )
-
-
-def _events(lane: Lane, scene_) -> Events | None:
-    table = lane.table
-    if table is None:
-        return None
-    first = jnp.argmax(table.members, axis=1).astype(jnp.int32)
-    surfaces = jnp.where(jnp.any(table.members, axis=1), first, -1)
-    return Events(table.ts, table.xs, surfaces, table.members, table.kinds)
-
-
-def _raise_unless_successful(sol: Solution) -> Solution:
-    """The same solution, or an error with the sentence of its outcome."""
-    return sol.result.error_if(sol, sol.result != RESULTS.successful)
 
 
 def card(sol: Solution) -> str:

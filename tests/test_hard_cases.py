@@ -257,7 +257,6 @@ def sticks_and_slips(belts, x0, periods, per_period):
     return (kinds == KINDS.stick).sum(axis=1), (kinds == KINDS.slip).sum(axis=1)
 
 
-@pytest.mark.slow
 def test_leaving_a_stick_in_the_linear_case():
     # 1e5 periods, one stick and one slip in each (physics: only 0 -> -1 -> 0 for these omega).
     belts = jax.vmap(lambda w: jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=w))(
@@ -268,7 +267,6 @@ def test_leaving_a_stick_in_the_linear_case():
     assert np.all(np.abs(sticks - slips) <= 1)
 
 
-@pytest.mark.slow
 def test_leaving_a_stick_in_the_cubic_case():
     belts = jax.vmap(lambda w: jf.systems.BeltFriction(omega=w))(jnp.linspace(4.655, 4.7, 100))
     sticks, slips = sticks_and_slips(belts, jnp.asarray([0.1, 1.0]), 1000, 12)

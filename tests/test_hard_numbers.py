@@ -214,7 +214,6 @@ def test_new_numbers_trace_nothing():
     assert TRACED == []
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory():
     def call(k):

@@ -34,6 +34,7 @@ ORDER = [
     "start",
     "flow",
     "solution",
+    "initial_value",
     "analysis",
     "sweep",
     "plot",
