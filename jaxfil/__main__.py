@@ -9,6 +9,7 @@ Whatever cannot be done is answered by one line on stderr that says what is allo
 """
 
 import argparse
+import dataclasses
 import math
 import os
 import re
@@ -22,7 +23,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxfil.parameter import parameters
 from jaxfil.results import RESULTS
 from jaxfil.sweep import bifurcation_diagram
 from jaxfil.system import System
@@ -86,7 +86,7 @@ def _diagram(args: argparse.Namespace) -> int:
     x0 = _check(args, settings)
     start = time.perf_counter()
     diagram = bifurcation_diagram(
-        TEXTBOOK[args.system][0](**settings),
+        TEXTBOOK[args.system][0](**{args.parameter: args.start, **settings}),
         args.parameter,
         jnp.asarray(np.linspace(args.start, args.stop, args.points)),
         jnp.array(x0),
@@ -129,7 +129,7 @@ def _one_of(what: str, name: str, allowed) -> None:
 
 
 def _defaults(cls: type[System]) -> dict[str, float]:
-    return {name: float(value) for name, value in parameters(cls()).items()}
+    return {f.name: float(f.default) for f in dataclasses.fields(cls)}
 
 
 def _listing() -> str:

@@ -26,6 +26,8 @@ NEVER = 2.0
 # A minimum this small a part of the guard's range is stepped to and looked at: the cubic's own
 # error could hide a dip below it.
 _SUSPICIOUS = 1 / 64
+# Rejections in a row after which the search is helped along.
+_STALLED = 12
 # A step is cut at such a minimum only well inside it: at its ends the cubic is exact.
 _MARGIN = 0.02
 
@@ -71,20 +73,29 @@ def _quotient(a: Array, b: Array) -> Array:
     return jnp.where(zero, NEVER, a / jnp.where(zero, 1, b))
 
 
-def _descending_root(cubic: Cubic, lo: Array, hi: Array) -> Array:
+def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
     """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
 
     Newton runs to the root monotonically from the point of inflection after a maximum, from `lo`
-    where the cubic is convex and from `hi` where it is concave. Three iterations leave about the
+    where the cubic is convex and from `hi` where it is concave. Four iterations leave about the
     cubic's own error; what they leave the next trial step finds.
     """
     bend_lo, bend_hi = cubic.bend(lo), cubic.bend(hi)
     inflection = jnp.clip(-_quotient(cubic.a, 3 * cubic.b), lo, hi)
     theta = jnp.where(bend_lo + bend_hi >= 0, lo, hi)
     theta = jnp.where((bend_lo < 0) & (bend_hi > 0), inflection, theta)
-    for _ in range(3):
+    theta = jnp.where(armed, theta, jnp.clip(_return(cubic), lo, hi))
+    for _ in range(4):
         theta = jnp.clip(theta - _quotient(cubic(theta), cubic.slope(theta)), lo, hi)
     return theta
+
+
+def _return(cubic: Cubic) -> Array:
+    """Where a guard that starts at zero comes back to it: the falling root of d0 + aθ + bθ²."""
+    root = jnp.sqrt(jnp.maximum(cubic.a * cubic.a - 4 * cubic.b * cubic.d0, 0))
+    falling = cubic.a <= 0
+    top = jnp.where(falling, 2 * cubic.d0, -cubic.a - root)
+    return _quotient(top, jnp.where(falling, root - cubic.a, 2 * cubic.b))
 
 
 def first_contact(
@@ -103,7 +114,7 @@ def first_contact(
     hi = jnp.where(dips, cubic.low, 1.0)
     rises_first = (cubic.high > 0) & (cubic.high < hi)
     lo = jnp.where(rises_first, cubic.high, 0.0)
-    root = _descending_root(cubic, lo, hi)
+    root = _descending_root(cubic, lo, hi, armed)
     # A surface just left must rise before it can be met again. If the cubic does not show that
     # rise the step is too long for it: look at a quarter.
     root = jnp.where(armed | rises_first, root, 0.25 * hi)
@@ -155,7 +166,7 @@ def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: 
     surfaces = tuple(first & (theta <= contact * (1 + 1e-6)) for theta in thetas)
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, minimum)
-    stalled = (theta < NEVER) & (lane.tries % 4 == 3)
+    stalled = (theta < NEVER) & (lane.tries >= _STALLED) & (lane.tries % 4 == 3)
     return Search(jnp.where(stalled, 0.5 * theta, theta), surfaces)
 
 

@@ -59,24 +59,26 @@ def _kind(lane: Lane, view: View, resets: bool) -> Array:
 
 
 @jax.custom_jvp
-def _infinite_rate(gap: Array) -> Array:
-    """Zero, with an infinite derivative with respect to the gap: the time of a contact as it
-    becomes a touch."""
+def _infinite_rate(gap: Array, touched: Array) -> Array:
+    """Zero, with an infinite derivative with respect to the gap where it is touched: the time of a
+    contact as the contact becomes a touch."""
     return jnp.zeros_like(gap)
 
 
 @_infinite_rate.defjvp
 def _infinite_rate_jvp(primals, tangents):
-    (gap,), (change,) = primals, tangents
-    largest = jnp.finfo(gap.dtype).max
-    # By steps, so that no change stays no change: 0 times infinity would be NaN.
-    return jnp.zeros_like(gap), change * largest * largest * largest
+    gap, touched = primals
+    # Twice the square root of the largest number: no change stays no change, where a product with
+    # infinity would be NaN. The barrier keeps the two from being multiplied into one infinity.
+    root = jnp.where(touched, 2 * jnp.sqrt(jnp.finfo(gap.dtype).max), 0.0).astype(gap.dtype)
+    grown = jax.lax.optimization_barrier(tangents[0] * root)
+    return jnp.zeros_like(gap), grown * root
 
 
 def _event_time(span: Span, lane: Lane, view: View) -> Array:
     t = span.t0 + lane.tau
     for hit, g in zip(lane.hit, view.g, strict=True):
-        t = t + jnp.where(lane.graze & hit, _infinite_rate(g), 0.0)
+        t = t + _infinite_rate(g, lane.graze & hit)
     return t
 
 

@@ -72,6 +72,7 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
     f = scene.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
     repels = ~filippov.attracting(mode, rates, span.direction) if scene.slides else false
     g, rate, noise = guards(scene, t, x, f, mode, noise)
+    touch = tuple(jnp.where(s == 0, v, w) for s, v, w in zip(mode, noise, touch, strict=True))
     return View(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels)
 
 

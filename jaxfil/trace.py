@@ -19,7 +19,16 @@ from jaxfil import fasttrig
 _FAST = {"sin": fasttrig.sin, "cos": fasttrig.cos}
 _CALLS = ("jit", "pjit", "closed_call")
 # Primitives that only move elements about: they move the dependencies the same way.
-_MOVES = ("broadcast_in_dim", "concatenate", "reshape", "rev", "slice", "squeeze", "transpose")
+_MOVES = (
+    "broadcast_in_dim",
+    "concatenate",
+    "reshape",
+    "rev",
+    "slice",
+    "squeeze",
+    "stack",
+    "transpose",
+)
 
 
 class Traced:

@@ -83,6 +83,33 @@ def test_rotating_oscillator(end):
     assert_allclose(sol.xs[-1], want, atol=1e-11)
 
 
+def test_rotating_oscillator_between_its_steps():
+    # The dense output keeps the order, across the contact at t = 1 too.
+    saveat = diffrax.SaveAt(dense=True)
+    x0 = jnp.asarray([np.exp(-1), 0.0])
+    sol = jf.solve(jf.systems.RotatingOscillator(), x0, 0.0, 2.0, 0.02, saveat=saveat)
+    ts = np.asarray([0.0, 0.333, 0.9999, 1.0001, 1.011, 1.777, 2.0])
+    angle = 2 * np.pi * abs(ts - 1)
+    want = np.exp(ts - 1)[:, None] * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+    assert_allclose(jax.vmap(sol.evaluate)(jnp.asarray(ts)), want, atol=1e-11)
+    assert np.isnan(sol.evaluate(2.1)).all()
+
+
+def test_smoothed_field_by_hand():
+    # sgn x' becomes (2/π) arctan(x'/width).
+    smooth = jf.smoothed(jf.systems.CoulombOscillator(friction=0.4), 0.1)
+    field = smooth.vector_field(jnp.zeros(()), jnp.asarray([0.5, 0.2]), jnp.zeros((0,)))
+    assert_allclose(field, [0.2, -0.5 - 0.4 * 2 / np.pi * np.arctan(2)], rtol=1e-14)
+
+
+def test_smoothed_coulomb_oscillator_comes_close():
+    smooth = jf.smoothed(jf.systems.CoulombOscillator(friction=0.4), 1e-3)
+    sol = jf.solve(smooth, jnp.asarray([3.0, 0.0]), 0.0, 4 * np.pi, 1e-4)
+    assert sol.num_events == 0
+    # Where it should stick it creeps, at the speed width·tan(π/2 · 0.2/0.4).
+    assert_allclose(sol.xs[-1], [-0.2, 1e-3], atol=1e-2)
+
+
 PERIOD = 9.230770458083
 
 

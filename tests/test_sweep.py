@@ -32,20 +32,22 @@ def test_the_jump_from_rest_is_between_its_neighbours():
     assert np.all(d.xs[1, :, 0] < 0.1)
 
 
-def test_following_the_one_sided_orbit_up_to_its_grazing():
-    # It grazes at 0.866716581971234 (exact).
+def test_following_the_one_sided_orbit_up():
+    # One-sided about x = 1 with amplitude f0/(1 - Ω²) below its grazing at 0.866716581971234
+    # (exact); crossing both wells at 0.9.
     d = jf.bifurcation_diagram(
         jf.systems.SDOscillator(),
         "omega",
-        [0.868, 0.86, 0.8665, 0.867],
-        jnp.array([1.96, 0.05]),
-        transient=60,
+        [0.9, 0.8, 0.805],
+        jnp.array([1.69, 0.03]),
+        transient=100,
         samples=20,
         follow="up",
         progress=False,
     )
-    assert np.all(d.xs[1:3, :, 0] > 0)
-    assert np.any(d.xs[0, :, 0] < 0) and np.any(d.xs[3, :, 0] < 0)
+    np.testing.assert_allclose(d.xs[1, :, 0], 1 + 0.25 / (1 - 0.8**2), rtol=0.02)
+    np.testing.assert_allclose(d.xs[2, :, 0], 1 + 0.25 / (1 - 0.805**2), rtol=0.02)
+    assert np.any(d.xs[0, :, 0] < 0)
 
 
 def test_a_bad_lane_harms_no_other():
@@ -133,3 +135,12 @@ def test_the_card_says_what_it_holds():
         BELT, "omega", [4.3, 4.4], np.zeros(2), transient=1, samples=3, progress=False
     )
     assert "omega: 2 values from 4.3 to 4.4" in repr(d) and "2 of 2 lanes" in repr(d)
+
+
+def test_the_dataset_has_names():
+    d = jf.bifurcation_diagram(
+        BELT, "omega", [4.3, np.nan], np.zeros(2), transient=1, samples=3, progress=False
+    )
+    data = d.to_xarray()
+    assert data["x"].dims == ("omega", "sample", "component") and data.attrs["system"]
+    assert list(data["outcome"].values) == ["successful", "nonfinite"]
