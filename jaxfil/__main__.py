@@ -129,7 +129,8 @@ def _one_of(what: str, name: str, allowed) -> None:
 
 
 def _defaults(cls: type[System]) -> dict[str, float]:
-    return {f.name: float(f.default) for f in dataclasses.fields(cls)}
+    defaults: dict[str, Any] = {f.name: f.default for f in dataclasses.fields(cls)}
+    return {name: float(value) for name, value in defaults.items()}
 
 
 def _listing() -> str:
