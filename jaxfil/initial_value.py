@@ -95,7 +95,7 @@ def solve(
         stepper,
         _Options(
             save=save,
-            with_t0=bool(saveat.subs.t0),
+            with_t0=saveat.subs is not None and bool(saveat.subs.t0),
             max_events=max_events,
             budget=budget,
             reverse=reverse,
@@ -119,25 +119,21 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
     if not isinstance(saveat, diffrax.SaveAt):
         raise ValueError(f"`saveat` must be a diffrax.SaveAt, got {type(saveat).__name__}.")
     sub = saveat.subs
-    if not isinstance(sub, diffrax.SubSaveAt):
-        raise ValueError(
-            "`saveat` must ask for one of t1=True, ts=…, steps=True, dense=True in a single "
-            f"SubSaveAt, got {[] if sub is None else sub!r}."
-        )
-    asked = {
-        "t1": bool(sub.t1),
-        "ts": sub.ts is not None,
-        "steps": bool(sub.steps),
-        "dense": bool(saveat.dense),
-    }
+    if not isinstance(sub, diffrax.SubSaveAt | None):
+        raise ValueError(f"`saveat` must have a single SubSaveAt, got {sub!r}.")
+    asked = {"dense": bool(saveat.dense)}
+    if sub is not None:  # diffrax leaves it out where only `dense` is asked for
+        asked |= {"t1": bool(sub.t1), "ts": sub.ts is not None, "steps": bool(sub.steps)}
     kinds = [name for name, wanted in asked.items() if wanted]
-    if len(kinds) != 1 or (sub.t0 and kinds != ["steps"]):
+    with_t0 = sub is not None and bool(sub.t0)
+    if len(kinds) != 1 or (with_t0 and kinds != ["steps"]):
         raise ValueError(
             "`saveat` must ask for exactly one of t1=True, ts=…, steps=True, dense=True (and "
-            f"t0=True only with steps=True), got {kinds + ['t0'] * bool(sub.t0)}."
+            f"t0=True only with steps=True), got {kinds + ['t0'] * with_t0}."
         )
     if kinds[0] != "ts":
         return kinds[0], None
+    assert sub is not None
     ts = jnp.asarray(sub.ts, dtype)
     if ts.ndim != 1 or ts.shape[0] == 0:
         raise ValueError(f"`saveat.ts` must be of shape (k,) with k ≥ 1, got shape {ts.shape}.")
