@@ -149,6 +149,7 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
     lands = landed
 
     g, rate, armed, noise = departure(scene, span, lane, view)
+    landed_noise = where(action == _TOUCH, view.touch, view.noise)
     # A cut of length zero would be none.
     least = 1e-6 * span.same_time(lane.tau) * span.direction
     cut = found.theta * length.h
@@ -166,7 +167,7 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
         g=where(moved, g, lane.g),
         rate=where(moved, rate, where(lands, view.rate, lane.rate)),
         armed=where(moved, armed, lane.armed),
-        noise=where(lands, view.noise, where(moved, noise, lane.noise)),
+        noise=where(lands, landed_noise, where(moved, noise, lane.noise)),
         cut=stop_gradient(jnp.where(rejected, cut, jnp.where(moved, ahead, lane.cut))),
         aim=where(rejected, found.surfaces, lane.aim),
         pending=lands | (lane.pending & ~moved),

@@ -55,7 +55,7 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
     noise = surface_noise(scene, t, here, h_t, normals)
     touch = surface_noise(scene, t, size, h_t, normals)
     if scene.slides:
-        landed = lane.pending & ~moved
+        landed = lane.pending & ~lane.graze & ~moved
         held = zip(lane.mode, lane.hit, strict=True)
         x = _project(x, h, normals, tuple((s == 0) | (landed & hit) for s, hit in held))
         x = scene.hold(*x)
