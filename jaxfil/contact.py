@@ -23,6 +23,9 @@ from jaxfil.scene import Blocks, Scene, any_of
 NEVER = 2.0
 """θ of a contact that does not happen in this step."""
 
+# A minimum to be looked at is told from a contact by so much: what was found at a surface is then
+# one number, and its cubic is computed once.
+_LOOK = 4.0
 # A minimum this small a part of the guard's range is stepped to and looked at: the cubic's own
 # error could hide a dip below it.
 _SUSPICIOUS = 1 / 64
@@ -76,26 +79,16 @@ def _quotient(a: Array, b: Array) -> Array:
 def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
     """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
 
-    Newton runs to the root monotonically from the point of inflection after a maximum, from `lo`
-    where the cubic is convex and from `hi` where it is concave. Four iterations leave about the
-    cubic's own error; what they leave the next trial step finds.
+    A guard that starts at zero, at θ = 0, and has its maximum at lo comes back to zero between
+    1.5 lo (where its rate started at zero too) and 2 lo (a parabola). Two of Halley's iterations
+    leave about the cubic's own error; what they leave the next trial step finds.
     """
-    bend_lo, bend_hi = cubic.bend(lo), cubic.bend(hi)
-    inflection = jnp.clip(-_quotient(cubic.a, 3 * cubic.b), lo, hi)
-    theta = jnp.where(bend_lo + bend_hi >= 0, lo, hi)
-    theta = jnp.where((bend_lo < 0) & (bend_hi > 0), inflection, theta)
-    theta = jnp.where(armed, theta, jnp.clip(_return(cubic), lo, hi))
-    for _ in range(4):
-        theta = jnp.clip(theta - _quotient(cubic(theta), cubic.slope(theta)), lo, hi)
+    theta = jnp.where(armed, 0.5 * (lo + hi), jnp.minimum(1.75 * lo, hi))
+    for _ in range(2):
+        value, slope = cubic(theta), cubic.slope(theta)
+        bottom = slope * slope - 0.5 * value * cubic.bend(theta)
+        theta = jnp.clip(theta - _quotient(value * slope, bottom), lo, hi)
     return theta
-
-
-def _return(cubic: Cubic) -> Array:
-    """Where a guard that starts at zero comes back to it: the falling root of d0 + aθ + bθ²."""
-    root = jnp.sqrt(jnp.maximum(cubic.a * cubic.a - 4 * cubic.b * cubic.d0, 0))
-    falling = cubic.a <= 0
-    top = jnp.where(falling, 2 * cubic.d0, -cubic.a - root)
-    return _quotient(top, jnp.where(falling, root - cubic.a, 2 * cubic.b))
 
 
 def first_contact(
@@ -140,8 +133,7 @@ def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: 
 
     A slide that repels at the end of the step is bisected to where it ceases to attract.
     """
-    contact = minimum = jnp.asarray(NEVER, h.dtype)
-    thetas = []
+    found = []
     for j in range(scene.m):
         fresh = jnp.maximum(view.noise[j], lane.noise[j])
         noise = jnp.where(lane.armed[j], jnp.maximum(view.noise[j], view.touch[j]), fresh)
@@ -153,21 +145,28 @@ def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: 
             lane.armed[j],
             noise,
         )
-        thetas.append(theta)
-        contact, minimum = jnp.minimum(contact, theta), jnp.minimum(minimum, low)
+        found.append(jnp.where(theta < NEVER, theta, low + _LOOK))
+    contact = minimum = jnp.asarray(NEVER, h.dtype)
+    thetas = []
+    for number in scene.hold(*found):
+        thetas.append(jnp.minimum(number, NEVER))
+        contact = jnp.minimum(contact, number)
+        minimum = jnp.minimum(minimum, jnp.where(number < _LOOK, NEVER, number - _LOOK))
     # One look at a time: a step that was cut short is taken as it is.
     minimum = jnp.where(cutting, NEVER, minimum)
     if scene.slides:
         bisect = view.repels & (abs(h) > span.same_time(view.tau))
         minimum = jnp.where(bisect, jnp.minimum(minimum, 0.5), minimum)
-    contact, minimum = scene.hold(contact, minimum)
-    thetas = scene.hold(*thetas)
     first = (contact < NEVER) & (contact <= minimum)
     surfaces = tuple(first & (theta <= contact * (1 + 1e-6)) for theta in thetas)
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, minimum)
     stalled = (theta < NEVER) & (lane.tries >= _STALLED) & (lane.tries % 4 == 3)
     return Search(jnp.where(stalled, 0.5 * theta, theta), surfaces)
+
+
+# What the end of a step is to a surface.
+_NOTHING, _BRUSHED, _HIT, _HERE = 0.0, 1.0, 2.0, 3.0
 
 
 class Landing(eqx.Module):
@@ -192,34 +191,39 @@ def land(
     direction = span.direction
     same = span.same_time(view.tau)
     small = epsilon(scene) ** (2 / 3)
-    hits, touches = [], []
-    delta: Any = jnp.zeros_like(h)
-    for j in reversed(range(scene.m)):
+    straight = small * abs(span.dt)
+    kinds, times = [], []
+    for j in range(scene.m):
         rate, aimed = view.rate[j], cutting & lane.aim[j]
         falls = direction * rate < 0
         missing = -view.g[j] / jnp.where(falls, rate, -direction)
         size = abs(stop_gradient(missing))
         bend = direction * (rate - lane.rate[j])
-        straight = small * abs(span.dt)
-        close = jnp.minimum(straight, small * abs(rate * h) / jnp.where(bend == 0, 1, abs(bend)))
-        close = jnp.where(cutting, jnp.where(bend == 0, straight, close), same)
-        within = (size <= close) & ((room - stop_gradient(missing)) * direction >= 0)
-        reached = within | (size <= same)
+        close = (size <= straight) & (size * abs(bend) <= small * abs(rate * h))
+        inside = (room - stop_gradient(missing)) * direction >= 0
+        reached = (jnp.where(cutting, close, size <= same) & inside) | (size <= same)
         # A contact aimed at is here, with δ = 0, where rounding hides what is missing.
         hidden = (abs(h) <= same) | (abs(stop_gradient(view.g[j])) <= view.noise[j])
         here = aimed & hidden & ~reached
         hit = falls & (here | ((lane.armed[j] | aimed) & reached))
-        hits.append(hit)
-        missing = jnp.where(here, missing - stop_gradient(missing), missing)
-        delta = jnp.where(hit, missing, delta)
         # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
         vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.touch[j] * bend)
         zero = (abs(view.g[j]) <= view.touch[j]) & (view.mode[j] != 0)
-        touches.append(lane.armed[j] & zero & vertex)
-    hits, touches = tuple(reversed(hits)), tuple(reversed(touches))
+        touch = lane.armed[j] & zero & vertex
+        kind = jnp.where(hit, jnp.where(here, _HERE, _HIT), jnp.where(touch, _BRUSHED, _NOTHING))
+        kinds.append(kind.astype(h.dtype))
+        times.append(missing)
+    # One number a surface, computed once: all that follows is made of it.
+    kinds = scene.hold(*kinds)
+    hits = tuple(kind >= _HIT for kind in kinds)
     landed = any_of(hits)
-    touched = any_of(touches) & ~landed
-    surfaces = tuple(jnp.where(landed, a, touched & b) for a, b in zip(hits, touches, strict=True))
+    touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
+    pairs = zip(hits, kinds, strict=True)
+    surfaces = tuple(hit | (touched & (kind == _BRUSHED)) for hit, kind in pairs)
+    delta: Any = jnp.zeros_like(h)
+    for kind, missing in reversed(list(zip(kinds, times, strict=True))):
+        missing = jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
+        delta = jnp.where(kind >= _HIT, missing, delta)
     # Rounding can put a contact just past the end of the span it belongs to.
     late = (stop_gradient(delta) - room) * direction > 0
     (delta,) = scene.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))

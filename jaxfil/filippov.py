@@ -8,10 +8,15 @@ On several surfaces at once the field is the product-weight (Alexander–Seidman
 corner fields: with weights w in [−1, 1]^m, F(w) = Σ_s F_s Π_j (1 + s_j w_j)/2, where w_j = ±1 off
 the surface and, for the surfaces slid on, w solves dH_j/dt(w) = 0. For one surface this is
 Filippov's convex combination with λ = (1 + w)/2.
+
+Where surfaces are separate (`Scene.separate`: each is switched by its own side alone, as those of
+two oscillators that do not touch each other's switches), so are their weights and modes: each is
+that of one surface, and two corners, all sides + and all −, say everything.
 """
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +52,13 @@ def blend(corners: Sequence[Blocks], mode: Blocks, weights: Blocks) -> Blocks:
 
 def blend_fields(scene: Scene, fields: Sequence[Blocks], mode: Blocks, weights: Blocks) -> Blocks:
     """`blend` of the corner fields; components that no side enters are taken as they are."""
-    switched = [i for i, depends in enumerate(scene.switched) if depends]
+    if scene.separate:
+        above, below = fields
+        return tuple(
+            _mix(mode[seen[0]], weights[seen[0]], (a,), (b,))[0] if seen else a
+            for seen, a, b in zip(scene.switched, above, below, strict=True)
+        )
+    switched = [i for i, seen in enumerate(scene.switched) if seen]
     parts = blend([tuple(f[i] for i in switched) for f in fields], mode, weights)
     mixed = dict(zip(switched, parts, strict=True))
     return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
@@ -79,10 +90,11 @@ def weights(mode: Blocks, rates: Sequence[Blocks]) -> Blocks:
     """
     if len(mode) == 0:
         return ()
-    if len(mode) == 1:
-        above, below = rates[0][0], rates[1][0]
-        sliding = mode[0] == 0
-        return (jnp.where(sliding, _safe_quotient(below + above, below - above), mode[0]),)
+    if len(rates) == 2:
+        return tuple(
+            jnp.where(s == 0, _safe_quotient(below + above, below - above), s)
+            for s, above, below in zip(mode, *rates, strict=True)
+        )
     # Newton on constants, then one differentiable iteration: its derivative is the implicit one.
     fixed = [tuple(stop_gradient(v) for v in row) for row in rates]
 
@@ -116,17 +128,20 @@ def _newton(mode: Blocks, rates: Sequence[Blocks], w: Blocks) -> Blocks:
     return tuple(a - b for a, b in zip(w, update, strict=True))
 
 
-def corners(scene: Scene, t: Array, x: Blocks) -> tuple[list[Blocks], list[Blocks]]:
-    """The field on every combination of sides, and dH/dt along each."""
-    fields = [scene.field(t, x, sides) for sides in scene.corner_sides()]
+def corners(
+    scene: Scene, t: Array, x: Blocks, alone: bool = False
+) -> tuple[list[Blocks], list[Blocks]]:
+    """The field on the combinations of sides of `Scene.corner_sides`, and dH/dt along each; `alone`
+    as in `Scene.field`."""
+    fields = [scene.field(t, x, sides, alone) for sides in scene.corner_sides()]
     return fields, [scene.rate(t, x, f) for f in fields]
 
 
 def field(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
     """The field of a mode, blended while it slides."""
     if not scene.slides:
-        return scene.field(t, x, mode)
-    fields, rates = corners(scene, t, x)
+        return scene.field(t, x, mode, alone=True)
+    fields, rates = corners(scene, t, x, alone=True)
     return blend_fields(scene, fields, mode, weights(mode, rates))
 
 
@@ -145,8 +160,12 @@ def guard(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
 
 def attracting(mode: Blocks, rates: Sequence[Blocks], direction: Array) -> Array:
     """Whether every surface slid on draws the state back: dH_j/dt falls with the weight w_j."""
-    w = weights(mode, rates)
     ok = jnp.ones((), bool)
+    if len(rates) == 2:
+        for s, above, below in zip(mode, *rates, strict=True):
+            ok = ok & ((s != 0) | (direction * (above - below) < 0))
+        return ok
+    w = weights(mode, rates)
     for j, s in enumerate(mode):
         ok = ok & ((s != 0) | (direction * _slope(rates, mode, w, j)[j] < 0))
     return ok
@@ -178,8 +197,15 @@ def choose(
     One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a
     tangency that first derivatives do not decide.
     """
-    if m == 1:
-        return _choose_on_one(rates[0][0], rates[1][0], mode, on, direction)
+    if len(rates) == 2:
+        each = [
+            _choose_on_one(above, below, s, on_j, direction)
+            for above, below, s, on_j in zip(*rates, mode, on, strict=True)
+        ]
+        count: Any = jnp.ones((), jnp.int32)
+        for _, count_j in each:
+            count = count * count_j
+        return tuple(s for s, _ in each), count
     candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)))
     columns = tuple(jnp.asarray(column, direction.dtype) for column in candidates.T)
     ok = jax.vmap(lambda *c: _admissible(c, rates, mode, on, direction))(*columns)
@@ -190,12 +216,11 @@ def choose(
 
 
 def _choose_on_one(
-    above: Array, below: Array, mode: Blocks, on: Blocks, direction: Array
-) -> tuple[Blocks, Array]:
+    above: Array, below: Array, mode: Array, on: Array, direction: Array
+) -> tuple[Array, Array]:
     """`choose` on a single surface, where the rates on its two sides say it all."""
     plus, minus = direction * above > 0, direction * below < 0
     slide = (above * below <= 0) & (above != below)
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
     side = jnp.where(plus, 1.0, jnp.where(minus, -1.0, 0.0)).astype(direction.dtype)
-    decided = on[0] & (count > 0)
-    return (jnp.where(decided, side, mode[0]),), jnp.where(on[0], count, 1)
+    return jnp.where(on & (count > 0), side, mode), jnp.where(on, count, 1)

@@ -14,10 +14,12 @@ x += δf, t += δ, δ = −g/ġ is not. Differentiating it, with the new mode's 
 corrected state, is the saltation matrix.
 """
 
+import functools as ft
 from typing import Literal
 
 import equinox as eqx
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -25,7 +27,7 @@ from jaxtyping import Array
 from jaxfil import filippov
 from jaxfil.contact import NEVER, land, missing_time, search
 from jaxfil.lane import Lane, Policy, Span, View
-from jaxfil.record import record_event, save_state
+from jaxfil.record import record_event, save_sample, save_state
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
 from jaxfil.start import begin
@@ -35,7 +37,7 @@ from jaxfil.switch import departure, look
 # This many contacts in a row, each at the time of the last, are an accumulation.
 _FROZEN = 12
 # What an iteration does with its trial step.
-_REJECT, _ACCEPT, _LAND, _TOUCH, _SWITCH, _FAIL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
+_IDLE, _REJECT, _ACCEPT, _LAND, _TOUCH, _SWITCH, _FAIL = map(float, range(7))
 # What can go wrong in it, in the order in which it is told.
 _FAILURES = (
     RESULTS.nonfinite,
@@ -74,7 +76,7 @@ def choose_length(scene: Scene, span: Span, policy: Policy, lane: Lane) -> Lengt
         target = jnp.where(gridded, target, at)
     full = target - lane.tau
     if scene.m == 0:
-        return Length(full, target, full * 0, saving & False, saving | gridded, saving)
+        return Length(full, target, full * 0, saving & False, (saving & False) | gridded, saving)
     cutting = (lane.cut != 0) & (abs(lane.cut) < abs(full)) & ~lane.pending
     whole = ~lane.pending & ~cutting
     h = jnp.where(cutting, lane.cut, jnp.where(lane.pending, 0.0, full))
@@ -82,7 +84,14 @@ def choose_length(scene: Scene, span: Span, policy: Policy, lane: Lane) -> Lengt
     return Length(h, end, target - end, cutting, gridded & whole, saving & whole)
 
 
-def _action(scene, policy, lane: Lane, view: View, found, landing, frozen, tries) -> Array:
+def _running(span: Span, lane: Lane) -> Array:
+    """Whether a lane has something left to do."""
+    unfinished = lane.index < span.num_steps
+    affordable = lane.num_iterations < span.max_iterations
+    return unfinished & affordable & (lane.result == RESULTS.successful)
+
+
+def _action(scene, policy, lane: Lane, running, view: View, found, landing, frozen, tries) -> Array:
     """What to do with a trial step, or the number of the failure it has met, as one float: all that
     follows needs nothing else of what went into it."""
     action = jnp.where(found.theta < NEVER, _REJECT, _ACCEPT)
@@ -102,6 +111,7 @@ def _action(scene, policy, lane: Lane, view: View, found, landing, frozen, tries
     failures.append(frozen >= _FROZEN)
     for number, failed in reversed(list(enumerate(failures))):
         action = jnp.where(failed, _FAIL + number, action)
+    action = jnp.where(running, action, _IDLE)
     (action,) = scene.hold(action.astype(scene.dtype))
     return action
 
@@ -113,7 +123,7 @@ def _outcome(action: Array, result: RESULTS) -> RESULTS:
 
 
 def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane) -> Lane:
-    """One iteration."""
+    """One iteration. A lane that has come to its end stays as it is."""
     length = choose_length(scene, span, policy, lane)
     x = step(
         table,
@@ -139,7 +149,8 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
     # A flight this short cannot be told from the correction that ends it.
     again = abs(view.tau - lane.contact_tau) <= 4 * span.same_time(view.tau)
     frozen = jnp.where(lane.pending, jnp.where(again, lane.frozen + 1, 0), lane.frozen)
-    action = _action(scene, policy, lane, view, found, landing, frozen, tries)
+    running = _running(span, lane)
+    action = _action(scene, policy, lane, running, view, found, landing, frozen, tries)
     landed, rejected = (action == _LAND) | (action == _TOUCH), action == _REJECT
     accepted, switched = action == _ACCEPT, action == _SWITCH
 
@@ -177,7 +188,7 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
         tries=jnp.where(rejected, lane.tries + 1, 0),
         frozen=jnp.where(switched, frozen, lane.frozen),
         contact_tau=jnp.where(switched, stop_gradient(view.tau), lane.contact_tau),
-        num_iterations=lane.num_iterations + 1,
+        num_iterations=lane.num_iterations + running.astype(jnp.int32),
         num_accepted=lane.num_accepted + (moved & accepted).astype(jnp.int32),
         num_events=lane.num_events + switched.astype(jnp.int32),
         num_saved=lane.num_saved,
@@ -191,22 +202,32 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
 def _accept_smooth(scene, span, policy, lane: Lane, length: Length, x: Blocks) -> Lane:
     """The whole of an iteration where there are no surfaces."""
     view = look(scene, span, lane, length.end, x)
-    ok = all_finite(view.x, view.f)
+    running = _running(span, lane)
+    ok = all_finite(view.x, view.f) & running
     saving, gridded = length.saving & ok, length.gridded & ok
     moved = ok & ~(saving & ~gridded)
     after = eqx.tree_at(
-        lambda lane: (lane.tau, lane.x, lane.f, lane.index, lane.num_iterations, lane.num_accepted),
+        lambda lane: (
+            lane.tau,
+            lane.x,
+            lane.f,
+            lane.size,
+            lane.index,
+            lane.num_iterations,
+            lane.num_accepted,
+        ),
         lane,
         (
             jnp.where(moved, view.tau, lane.tau),
             where(moved, view.x, lane.x),
             where(moved, view.f, lane.f),
+            where(moved, view.size, lane.size),
             lane.index + gridded.astype(jnp.int32),
-            lane.num_iterations + 1,
+            lane.num_iterations + running.astype(jnp.int32),
             lane.num_accepted + moved.astype(jnp.int32),
         ),
     )
-    result = RESULTS.where(ok, lane.result, RESULTS.nonfinite)
+    result = RESULTS.where(ok | ~running, lane.result, RESULTS.nonfinite)
     after = eqx.tree_at(lambda lane: lane.result, after, result)
     return _keep(scene, span, policy, lane, after, view, moved, gridded, saving)
 
@@ -220,7 +241,10 @@ def _keep(scene, span, policy, lane, after: Lane, view: View, moved, gridded, sa
     elif policy.save == "samples":
         past = after.index - policy.first
         saving = gridded & (past >= 0) & (past % policy.every == 0)
-    saves = save_state(scene, span, lane, view, saving)
+    if policy.save == "samples":
+        saves = save_sample(scene, lane, view, saving)
+    else:
+        saves = save_state(scene, span, lane, view, saving)
     return eqx.tree_at(
         lambda lane: (lane.saves, lane.num_saved),
         after,
@@ -244,27 +268,26 @@ def integrate(
 
     `kind="checkpointed"` allows reverse-mode derivatives and needs a static `max_iterations`.
     """
-
-    def running(lane: Lane) -> Array:
-        unfinished = lane.index < span.num_steps
-        affordable = lane.num_iterations < span.max_iterations
-        return unfinished & affordable & (lane.result == RESULTS.successful)
-
     first = begin(scene, span, policy, x0, num_saves)
     records = [name for name in ("table", "saves") if getattr(first, name) is not None]
 
     def buffers(lane: Lane) -> list:
         return [v for name in records for v in vars(getattr(lane, name)).values()]
 
-    lane = eqxi.while_loop(
-        running,
-        lambda lane: advance(scene, table, span, policy, lane),
-        first,
-        kind=kind,
-        buffers=buffers,
-        max_steps=max_iterations,
-        checkpoints=checkpoints,
-    )
+    running = ft.partial(_running, span)
+    body = ft.partial(advance, scene, table, span, policy)
+    if kind == "lax":
+        lane = jax.lax.while_loop(lambda lane: eqxi.unvmap_any(running(lane)), body, first)
+    else:
+        lane = eqxi.while_loop(
+            running,
+            body,
+            first,
+            kind=kind,
+            buffers=buffers,
+            max_steps=max_iterations,
+            checkpoints=checkpoints,
+        )
     spent = (lane.index < span.num_steps) & (lane.result == RESULTS.successful)
     result = RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)
     return eqx.tree_at(lambda lane: lane.result, lane, result)

@@ -18,7 +18,7 @@ from jaxfil.flow import integrate
 from jaxfil.lane import Lane, Policy, Span
 from jaxfil.record import mode_codes
 from jaxfil.results import RESULTS
-from jaxfil.solution import Dense, Events, Solution
+from jaxfil.solution import Dense, Solution, events_of
 from jaxfil.stepper import tableau
 from jaxfil.system import System
 
@@ -51,8 +51,8 @@ def solve(
     - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
     - `t0`, `t1`: the span of time; backward if t1 < t0.
     - `dt`: the length of a step, positive.
-    - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, or `RK4()`;
-      by default `diffrax.Dopri8()`.
+    - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`, or for
+      stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`).
     - `max_events`: length of the event table; None keeps no table and sets no limit.
     - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
@@ -239,7 +239,7 @@ def _solution(scene_, span: Span, lane: Lane, options: _Options, system, x0, ste
         ts=ts,
         xs=xs,
         modes=modes,
-        events=_events(lane, scene_),
+        events=events_of(lane.table),
         num_events=lane.num_events,
         result=lane.result,
         stats={
@@ -252,15 +252,6 @@ def _solution(scene_, span: Span, lane: Lane, options: _Options, system, x0, ste
         mode_final=mode_final,
         _dense=dense,
     )
-
-
-def _events(lane: Lane, scene_) -> Events | None:
-    table = lane.table
-    if table is None:
-        return None
-    first = jnp.argmax(table.members, axis=1).astype(jnp.int32)
-    surfaces = jnp.where(jnp.any(table.members, axis=1), first, -1)
-    return Events(table.ts, table.xs, surfaces, table.members, table.kinds)
 
 
 def _raise_unless_successful(sol: Solution) -> Solution:

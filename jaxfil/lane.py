@@ -60,16 +60,18 @@ class Policy(eqx.Module):
 
 
 class Table(eqx.Module):
-    """Events in order: times (k,), states just before (k, n), sets of surfaces (k, m), kinds."""
+    """Events in order: times (k,), states just before (k, n), sets of surfaces (k, m), kinds, and
+    modes just after (k, m)."""
 
     ts: Array
     xs: Array
     members: Array
     kinds: Array
+    modes: Array
 
 
 class Saves(eqx.Module):
-    """Saved times (k,), states (k, n) and modes (k, m)."""
+    """Saved times (k,), states (k, n) and modes (k, m); of samples the states alone."""
 
     ts: Array
     xs: Array

@@ -6,7 +6,9 @@ cost microseconds.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -16,6 +18,18 @@ def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> li
     system (the same surface listed twice) then still gets a solution."""
     k = len(right)
     rows = [_equilibrated([*row, b]) for row, b in zip(matrix, right, strict=True)]
+    rows = _eliminated(rows, k)
+    x: list[Array] = [rows[0][k]] * k
+    for i in reversed(range(k)):
+        rest = rows[i][k]
+        for j in range(i + 1, k):
+            rest = rest - rows[i][j] * x[j]
+        x[i] = _quotient(rest, rows[i][i])
+    return x
+
+
+def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
+    """Rows whose first k columns are upper triangular."""
     for i in range(k):
         for r in range(i + 1, k):  # bring the largest pivot up by pairwise swaps
             swap = abs(rows[r][i]) > abs(rows[i][i])
@@ -25,13 +39,7 @@ def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> li
         for r in range(i + 1, k):
             factor = _quotient(rows[r][i], rows[i][i])
             rows[r] = [q - factor * p for p, q in zip(rows[i], rows[r], strict=True)]
-    x: list[Array] = [rows[0][k]] * k
-    for i in reversed(range(k)):
-        rest = rows[i][k]
-        for j in range(i + 1, k):
-            rest = rest - rows[i][j] * x[j]
-        x[i] = _quotient(rest, rows[i][i])
-    return x
+    return rows
 
 
 def _equilibrated(row: Sequence[Array]) -> list[Array]:
@@ -44,3 +52,32 @@ def _quotient(a: Array, pivot: Array) -> Array:
     """a/pivot, and 0 where the pivot is nothing but rounding."""
     singular = abs(pivot) <= 64 * jnp.finfo(pivot.dtype).eps
     return jnp.where(singular, 0, a / jnp.where(singular, 1, pivot))
+
+
+class Factors(eqx.Module):
+    """U and L⁻¹P of a regular matrix A = P⁻¹LU, as rows of scalars."""
+
+    upper: list[list[Array]]
+    lower: list[list[Array]]
+
+    def solve(self, right: Sequence[Array]) -> list[Array]:
+        """x of A x = b."""
+        k = len(right)
+        y: list[Any] = [sum(p * b for p, b in zip(row, right, strict=True)) for row in self.lower]
+        for i in reversed(range(k)):
+            for j in range(i + 1, k):
+                y[i] = y[i] - self.upper[i][j] * y[j]
+            y[i] = y[i] / self.upper[i][i]
+        return y
+
+
+def factored(matrix: Sequence[Sequence[Array]]) -> Factors:
+    """The factors of a regular matrix, for many right-hand sides. One without a pivot gives inf."""
+    k = len(matrix)
+    zero = jnp.zeros_like(matrix[0][0])
+    rows = []
+    for i, row in enumerate(matrix):
+        scale = 1 / sum((abs(v) for v in row), start=zero)
+        rows.append([scale * v for v in row] + [scale if i == j else zero for j in range(k)])
+    rows = _eliminated(rows, k)
+    return Factors([row[:k] for row in rows], [row[k:] for row in rows])

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxfil.kernel import write_row
 from jaxfil.lane import Lane, Saves, Span, Table, View
 from jaxfil.results import KINDS
 from jaxfil.scene import Blocks, Scene, any_of, pack
@@ -27,15 +28,20 @@ def empty_table(scene: Scene, size: int | None) -> Table | None:
         xs=jnp.full((size, scene.n), jnp.inf, scene.dtype),
         members=jnp.zeros((size, scene.m), bool),
         kinds=jnp.zeros((size,), jnp.int8),
+        modes=jnp.zeros((size, scene.m), jnp.int8),
     )
 
 
-def empty_saves(scene: Scene, size: int) -> Saves:
-    """Space for `size` states; times and states not reached stay inf, as in diffrax."""
+def empty_saves(scene: Scene, save: str, size: int) -> Saves | None:
+    """Space for what the policy `save` keeps, `size` times; times and states not reached stay inf,
+    as in diffrax."""
+    if save == "none":
+        return None
+    told = 0 if save == "samples" else size
     return Saves(
-        ts=jnp.full((size,), jnp.inf, scene.dtype),
+        ts=jnp.full((told,), jnp.inf, scene.dtype),
         xs=jnp.full((size, scene.n), jnp.inf, scene.dtype),
-        modes=jnp.zeros((size, scene.m), jnp.int8),
+        modes=jnp.zeros((told, scene.m), jnp.int8),
     )
 
 
@@ -95,7 +101,15 @@ def record_event(scene: Scene, span: Span, lane: Lane, view: View, made: Array) 
         xs=_set(table.xs, i, pack(lane.x, scene.dtype), pred=write),
         members=_set(table.members, i, jnp.stack(lane.hit), pred=write),
         kinds=_set(table.kinds, i, _kind(lane, view, scene.resets), pred=write),
+        modes=_set(table.modes, i, mode_codes(view.mode), pred=write),
     )
+
+
+def save_sample(scene: Scene, lane: Lane, view: View, save: Array) -> Saves:
+    """The saves of `lane` with the state of `view`, where `save` is set: states alone."""
+    assert lane.saves is not None
+    xs = write_row(lane.saves.xs, lane.num_saved, pack(view.x, scene.dtype), save)
+    return Saves(lane.saves.ts, xs, lane.saves.modes)
 
 
 def save_state(scene: Scene, span: Span, lane: Lane, view: View, save: Array) -> Saves | None:

@@ -7,7 +7,7 @@ XLA turns into vector instructions; an (n,) state in the loop would be strided.
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -62,8 +62,9 @@ def all_finite(*vectors: Blocks) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """A system on components. `sides` are tuples of m scalars, each exactly ±1; `switched` marks
-    the components of the field that depend on them."""
+    """A system on components. `sides` are tuples of m scalars, each exactly ±1; `switched` lists
+    for each component of the field the sides it depends on. `separate`: no component depends on
+    more than one side, and no dH_j/dt on a side other than its own."""
 
     n: int
     m: int
@@ -71,8 +72,9 @@ class Scene:
     resets: bool
     dtype: Any
     _one: Array | None
-    switched: tuple[bool, ...]
-    _field: Callable[[Array, Blocks, Blocks], Blocks]
+    switched: tuple[tuple[int, ...], ...]
+    separate: bool
+    _field: Callable[..., Blocks]
     _switching: Callable[[Array, Blocks], Blocks]
     _reset: Callable[[Array, Blocks, Array], Blocks]
 
@@ -96,9 +98,9 @@ class Scene:
         """The same values, each computed once."""
         return self.once(lambda *held: held, *values)
 
-    def field(self, t: Array, x: Blocks, sides: Blocks) -> Blocks:
-        """F(t, x, sides)."""
-        return self._field(t, x, sides)
+    def field(self, t: Array, x: Blocks, sides: Blocks, alone: bool = False) -> Blocks:
+        """F(t, x, sides). `alone`: all that is made of it is one vector, blended or not."""
+        return self._field(t, x, sides, alone)
 
     def switching(self, t: Array, x: Blocks) -> Blocks:
         """H(t, x)."""
@@ -123,11 +125,11 @@ class Scene:
         return h, tuple(r[0] for r in rows), tuple(r[1] for r in rows)
 
     def corner_sides(self) -> list[Blocks]:
-        """All 2^m combinations of sides, the first surface varying slowest, + before −."""
-        return [
-            tuple(jnp.asarray(s, self.dtype) for s in corner)
-            for corner in itertools.product((1.0, -1.0), repeat=self.m)
-        ]
+        """All 2^m combinations of sides, the first surface varying slowest, + before −; of
+        separate surfaces the first and the last, which hold the same numbers as all."""
+        all_sides = [[1.0] * self.m, [-1.0] * self.m]
+        corners = all_sides if self.separate else itertools.product((1.0, -1.0), repeat=self.m)
+        return [tuple(jnp.asarray(s, self.dtype) for s in corner) for corner in corners]
 
 
 def cast(system: System, dtype: Any) -> System:
@@ -168,6 +170,9 @@ def build(system: System, x0: Array) -> Scene:
     traced_field = Traced(field, dynamic, t0, x, sides, hold=hold)
     traced_switching = Traced(switching, dynamic, t0, x, hold=hold)
     nothing = jax.tree.map(lambda _: False, (dynamic, t0, x))
+    seen = [traced_field.depends(*nothing, _only(j, m)) for j in range(m)]
+    switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
+    steers = [traced_switching.depends(*nothing[:2], _only(i, n)) for i in range(n)]
     return Scene(
         n=n,
         m=m,
@@ -175,11 +180,28 @@ def build(system: System, x0: Array) -> Scene:
         resets=has_resets(system) and m > 0,
         dtype=dtype,
         _one=one,
-        switched=traced_field.depends(*nothing, (True,) * m),
-        _field=lambda t, x, sides: traced_field(dynamic, t, x, sides),
+        switched=switched,
+        separate=m > 0 and _separate(switched, steers),
+        _field=lambda t, x, sides, alone: traced_field(dynamic, t, x, sides, alone=alone),
         _switching=lambda t, x: traced_switching(dynamic, t, x),
         _reset=lambda t, x, surface: reset(dynamic, t, x, surface),
     )
+
+
+def _only(i: int, size: int) -> tuple[bool, ...]:
+    return tuple(k == i for k in range(size))
+
+
+def _separate(switched: Sequence[tuple[int, ...]], steers: Sequence[tuple[bool, ...]]) -> bool:
+    """Whether each surface is switched by its own side alone, given which sides the components of
+    the field depend on, and which surfaces depend on those components of the state."""
+    single = all(len(seen) <= 1 for seen in switched)
+    foreign = any(
+        enters and set(seen) - {j}
+        for seen, steered in zip(switched, steers, strict=True)
+        for j, enters in enumerate(steered)
+    )
+    return single and not foreign
 
 
 def _fences(dynamic: Any, x0: Array) -> tuple[Array, Callable]:

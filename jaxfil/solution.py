@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil import scene
 from jaxfil.filippov import field
+from jaxfil.lane import Table
 from jaxfil.results import KINDS, RESULTS, outcome_names
 from jaxfil.stepper import step, tableau
 from jaxfil.system import System
@@ -32,6 +33,17 @@ class Events(eqx.Module):
     """All surfaces that are met at that time."""
     kinds: Int[Array, " k"]
     """`KINDS`: crossing, stick, slip, impact or graze."""
+    modes: Int[Array, "k m"]
+    """Modes just after; 0 in the padding."""
+
+
+def events_of(table: Table | None) -> Events | None:
+    """The event table of a lane, as the user sees it."""
+    if table is None:
+        return None
+    first = jnp.argmax(table.members, axis=-1).astype(jnp.int32)
+    surfaces = jnp.where(jnp.any(table.members, axis=-1), first, -1)
+    return Events(table.ts, table.xs, surfaces, table.members, table.kinds, table.modes)
 
 
 class Solution(eqx.Module):
@@ -61,7 +73,7 @@ class Solution(eqx.Module):
         """
         if self._dense is None:
             raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
-        return _evaluate(self._dense, t)
+        return evaluate(self._dense, t)
 
     def __repr__(self) -> str:
         return card(self)
@@ -79,7 +91,8 @@ class Dense(eqx.Module):
     stepper: Any
 
 
-def _evaluate(dense: Dense, t: Any) -> Array:
+def evaluate(dense: Dense, t: Any) -> Array:
+    """The state at a time, shape (n,); NaN outside the span."""
     dtype = dense.xs.dtype
     t = jnp.asarray(t, dtype)
     forward = dense.t1 >= dense.t0

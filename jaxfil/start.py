@@ -113,7 +113,7 @@ def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -
         num_saved=zero,
         result=_first_result(scene, span, x, f, mode, count),
         table=empty_table(scene, policy.max_events),
-        saves=None if policy.save == "none" else empty_saves(scene, num_saves),
+        saves=empty_saves(scene, policy.save, num_saves),
     )
 
 

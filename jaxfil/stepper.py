@@ -1,4 +1,4 @@
-"""One smooth step: any explicit Runge–Kutta tableau.
+"""One smooth step: any explicit Runge–Kutta tableau, or a linearly implicit one for stiff fields.
 
 A field on components, a state and a step length enter; the state at the end of the step leaves.
 Nothing here knows of surfaces.
@@ -13,6 +13,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil.rosenbrock import RODAS5P, Rodas5P, RosenbrockTable, rosenbrock_step
 from jaxfil.scene import Blocks
 
 
@@ -24,7 +25,7 @@ class RK4(eqx.Module):
     b = np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6])
 
 
-class Tableau(eqx.Module):
+class ExplicitTable(eqx.Module):
     """c (s−1,), a as s−1 rows, b (s,): the explicit method without its first, trivial row."""
 
     c: tuple[float, ...] = eqx.field(static=True)
@@ -38,29 +39,35 @@ class Tableau(eqx.Module):
         return len(self.b)
 
 
+Tableau = ExplicitTable | RosenbrockTable
+"""What a step needs to know of a stepper."""
+
+
 def _floats(row: np.ndarray) -> tuple[float, ...]:
     return tuple(float(v) for v in row)
 
 
 def tableau(stepper: Any) -> Tableau:
-    """The tableau of a diffrax solver instance or of `RK4()`."""
+    """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
     name = type(stepper).__name__
     if isinstance(stepper, type):
         raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
     if isinstance(stepper, RK4):
-        return Tableau(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), name)
+        return ExplicitTable(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), name)
+    if isinstance(stepper, Rodas5P):
+        return RODAS5P
     if isinstance(stepper, diffrax.Euler):
-        return Tableau((), (), (1.0,), name)
+        return ExplicitTable((), (), (1.0,), name)
     table = getattr(stepper, "tableau", None)
     if not isinstance(table, diffrax.ButcherTableau) or table.implicit:
         raise ValueError(
-            "`stepper` must be jaxfil.RK4() or an instance of an explicit diffrax Runge–Kutta "
-            f"solver such as diffrax.Dopri8(), got {stepper!r}."
+            "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
+            f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
         )
     c, a, b = _floats(table.c), tuple(map(_floats, table.a_lower)), _floats(table.b_sol)
     if table.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
         c, a, b = c[:-1], a[:-1], b[:-1]
-    return Tableau(c, a, b, name)
+    return ExplicitTable(c, a, b, name)
 
 
 def _combine(x: Blocks, h: Array, coefficients: tuple[float, ...], slopes: list[Blocks]) -> Blocks:
@@ -90,6 +97,8 @@ def step(
 ) -> Blocks:
     """The state at t + h. `f` is the field at (t, x), `once` is `Scene.once`: without it each stage
     would be computed again inside every later stage that uses it."""
+    if isinstance(table, RosenbrockTable):
+        return rosenbrock_step(table, field, t, x, f, h, once)
     slopes = [f]
     for c, row in zip(table.c, table.a, strict=True):
         inner = _combine(x, h, row, slopes)

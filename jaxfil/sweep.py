@@ -6,9 +6,6 @@ each has its own outcome.
 """
 
 import functools as ft
-import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any, Literal
 
 import diffrax
@@ -19,18 +16,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil import check, scene
+from jaxfil.chunk import chunks, collect, compiled, one_after_another
 from jaxfil.flow import integrate
+from jaxfil.kernel import in_blocks, one_kernel
 from jaxfil.lane import Policy, Span
 from jaxfil.parameter import parameter, replace
 from jaxfil.results import RESULTS, outcome_names
 from jaxfil.stepper import tableau
 from jaxfil.system import System
 
-# Lanes of one call: enough for the cost of starting each fused kernel to vanish, few enough for
-# their state to stay in the second-level cache.
-_CHUNK = 1024
-# Values of one call when each starts from the last one's end.
-_FOLLOW = 16
+# Lanes that share a loop, on CPU: few enough for all of their numbers to stay in the first-level
+# cache, and to wait for few others.
+_BLOCK = 64
 
 
 class BifurcationDiagram(eqx.Module):
@@ -148,7 +145,7 @@ def bifurcation_diagram(
         raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
 
     job = ft.partial(
-        _compiled(),
+        compiled(_run),
         system,
         name,
         transient=jnp.asarray(transient, jnp.int32),
@@ -158,14 +155,14 @@ def bifurcation_diagram(
     )
     if follow is None:
         order = np.arange(values.shape[0])
-        pieces = _chunks(job, values, states)
+        pieces = chunks(job, values, states)
     else:
         order = np.argsort(values, kind="stable")
         order = order if follow == "up" else order[::-1]
         if states.shape[0] != 1:
             raise ValueError(f"`x0` must be of shape (n,) with `follow`, got {states.shape}.")
-        pieces = _followed(job, values[order], states[0])
-    xs, results = _collect(pieces, values.shape[0], samples, states.shape[1], dtype, progress)
+        pieces = one_after_another(job, values[order], states[0])
+    xs, results = collect(pieces, values.shape[0], samples, states.shape[1], dtype, progress)
     back = np.argsort(order, kind="stable")
     return BifurcationDiagram(
         values=values,
@@ -215,84 +212,21 @@ def _lane(system, name, value, x0, transient, samples, steps, stepper):
     return xs, lane.result, scene.pack(lane.x, x0.dtype)
 
 
-def _run(system, name, values, states, *, transient, samples, steps, stepper, followed):
+def _run(system, name, values, states, *, transient, samples, steps, stepper, followed, whole):
     """A chunk of values side by side, or one after the other each from the last one's end."""
 
     def lane(value, x0):
         return _lane(system, name, value, x0, transient, samples, steps, stepper)
 
     if not followed:
-        return jax.vmap(lane)(values, states)
+        lanes = jax.vmap(lane)
+        return (in_blocks(lanes, _BLOCK) if whole else lanes)(values, states)
+
+    single = one_kernel(lane) if whole else lane
 
     def next_value(x, value):
-        xs, result, end = lane(value, x)
+        xs, result, end = single(value, x)
         return jnp.where(result == RESULTS.successful, end, x), (xs, result)
 
     end, (xs, results) = jax.lax.scan(next_value, states, values)
     return xs, results, end
-
-
-# Vectors as wide as the machine has them. (XLA's fast math would be a fifth faster still, but NaN
-# goes unnoticed under it, whatever its options promise.)
-_CPU_OPTIONS = {"xla_cpu_prefer_vector_width": "512"}
-
-
-@ft.cache
-def _compiled() -> Callable:
-    """The compiled chunk."""
-    options = _CPU_OPTIONS if jax.default_backend() == "cpu" else None
-    # Equinox's overloads leave out the keywords that it hands on to `jax.jit`.
-    return eqx.filter_jit(_run, compiler_options=options)  # pyright: ignore[reportCallIssue]
-
-
-def _cores() -> int:
-    if jax.default_backend() != "cpu":
-        return 1
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
-
-
-def _chunks(job: Callable, values: np.ndarray, states: np.ndarray) -> Iterator[tuple]:
-    """Chunks of equal size, the last one padded, one at a time on each core."""
-    p, cores = values.shape[0], _cores()
-    size = min(_CHUNK, -(-p // cores))
-    states = np.broadcast_to(states, (p, states.shape[1]))
-
-    def chunk(start: int):
-        pick = np.minimum(np.arange(start, start + size), p - 1)
-        xs, results, _ = job(values[pick], states[pick], followed=False)
-        keep = min(size, p - start)
-        return start, jax.tree.map(lambda v: np.asarray(v)[:keep], (xs, results))
-
-    with ThreadPoolExecutor(cores) as pool:
-        starts = list(range(0, p, size))
-        # Lanes that fail at once: what follows is compiled here, and not on every core.
-        job(np.full(size, np.nan, values.dtype), states[:1].repeat(size, axis=0), followed=False)
-        for done in as_completed([pool.submit(chunk, start) for start in starts]):
-            yield done.result()
-
-
-def _followed(job: Callable, values: np.ndarray, state: np.ndarray) -> Iterator[tuple]:
-    """Runs of values, each value from the last one's end."""
-    p, size = values.shape[0], min(_FOLLOW, values.shape[0])
-    for start in range(0, p, size):
-        pick = np.minimum(np.arange(start, start + size), p - 1)
-        xs, results, state = job(values[pick], state, followed=True)
-        keep = min(size, p - start)
-        yield start, jax.tree.map(lambda v, keep=keep: np.asarray(v)[:keep], (xs, results))
-
-
-def _collect(pieces: Iterator[tuple], p: int, samples: int, n: int, dtype: Any, progress: bool):
-    """All chunks in one array, with a progress bar that counts lanes."""
-    from tqdm.auto import tqdm
-
-    xs = np.full((p, samples, n), np.nan, dtype)
-    codes = np.zeros((p,), np.int32)
-    outcomes = None
-    with tqdm(total=p, unit="lane", disable=not progress) as bar:
-        for start, (piece, outcomes) in pieces:
-            (code,) = jax.tree.leaves(outcomes)
-            xs[start : start + len(code)] = piece
-            codes[start : start + len(code)] = code
-            bar.update(len(code))
-    return xs, jax.tree.map(lambda _: codes, outcomes)

@@ -37,12 +37,18 @@ def _project(x: Blocks, h: Blocks, normals: tuple, on: Blocks) -> Blocks:
     return x
 
 
+def _larger(size: Blocks, x: Blocks) -> Blocks:
+    """The largest |x| so far."""
+    return tuple(jnp.maximum(s, stop_gradient(abs(v))) for s, v in zip(size, x, strict=True))
+
+
 def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
     """The state, mode, field, guards and rates at the end of a step; a pending switch is made."""
     t = span.t0 + tau
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     if scene.m == 0:
-        return View(tau, x, scene.field(t, x, ()), lane.size, (), (), (), (), (), one, false)
+        size = _larger(lane.size, x)
+        return View(tau, x, scene.field(t, x, ()), size, (), (), (), (), (), one, false)
     moved = false
     if scene.resets:
         surface = jnp.argmax(jnp.stack(lane.hit))
@@ -50,7 +56,7 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
         moved = any_of(tuple(a != b for a, b in zip(after, x, strict=True)))
         x = after
     h, h_t, normals = scene.gradients(t, x)
-    size = tuple(jnp.maximum(s, stop_gradient(abs(v))) for s, v in zip(lane.size, x, strict=True))
+    size = _larger(lane.size, x)
     here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(lane.x, x, strict=True))
     noise = surface_noise(scene, t, here, h_t, normals)
     touch = surface_noise(scene, t, size, h_t, normals)
@@ -65,7 +71,7 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
         # A wall has one side: an impact that does not turn the motion back leads nowhere.
         through = any_of(tuple(a != b for a, b in zip(mode, lane.mode, strict=True)))
         num_modes = jnp.where(moved & through, 0, num_modes)
-    mode = scene.hold(*mode)
+    mode, num_modes = _once(scene, mode, num_modes)
     f = filippov.blend_fields(scene, fields, mode, filippov.weights(mode, rates))
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (num_modes == 0) & ~all_finite(*rates)
@@ -74,6 +80,15 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
     g, rate, noise = guards(scene, t, x, f, mode, noise)
     touch = tuple(jnp.where(s == 0, v, w) for s, v, w in zip(mode, noise, touch, strict=True))
     return View(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels)
+
+
+def _once(scene: Scene, mode: Blocks, count: Array) -> tuple[Blocks, Array]:
+    """A mode and the number of admissible ones, computed once: as one number, where there is one
+    surface."""
+    number = mode[0] + 4 * count.astype(scene.dtype)
+    number, *others = scene.hold(number, *mode[1:])
+    count = jnp.floor(0.25 * number + 0.5)
+    return (number - 4 * count, *others), count.astype(jnp.int32)
 
 
 def guards(

@@ -5,7 +5,7 @@ transformation, with its float64 sines and cosines replaced by ones that vectori
 which of its results depend on which of its arguments.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import jax
@@ -32,16 +32,23 @@ _MOVES = (
 
 
 class Traced:
-    """`function` for arguments shaped like `example`. `hold` is applied to each sine and cosine."""
+    """`function` for arguments shaped like `example`. `hold` is applied to each sine and cosine,
+    unless a call says that its result is used `alone` and one number in it depends on them."""
 
     def __init__(self, function: Callable, *example: Any, hold: Callable = lambda v: v):
         self._closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
         self._tree = jax.tree.structure(shape)
-        self._hold = hold
+        nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
+        waves = _dependencies(self._closed.jaxpr, self._no_consts(), nothing, sources=_FAST)
+        self._hold, self._shared = hold, sum(int(np.sum(flags)) for flags in waves) > 1
 
-    def __call__(self, *args: Any) -> Any:
+    def _no_consts(self) -> list[np.ndarray]:
+        return [np.zeros(np.shape(c), bool) for c in self._closed.consts]
+
+    def __call__(self, *args: Any, alone: bool = False) -> Any:
         leaves = jax.tree.leaves(args)
-        out = self._evaluate(self._closed.jaxpr, self._closed.consts, leaves)
+        hold = (lambda v: v) if alone and not self._shared else self._hold
+        out = _evaluate(self._closed.jaxpr, self._closed.consts, leaves, hold)
         return jax.tree.unflatten(self._tree, out)
 
     def depends(self, *args: Any) -> Any:
@@ -51,31 +58,30 @@ class Traced:
             np.full(v.aval.shape, flag)
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
-        out = _dependencies(
-            jaxpr, [np.zeros(np.shape(c), bool) for c in self._closed.consts], flags
-        )
+        out = _dependencies(jaxpr, self._no_consts(), flags)
         return jax.tree.unflatten(self._tree, [bool(np.any(flag)) for flag in out])
-
-    def _evaluate(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:
-        """Equation by equation, with the fast functions in place of XLA's."""
-        values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
-        values.update(zip(jaxpr.invars, args, strict=True))
-        for eqn in jaxpr.eqns:
-            inputs = [_read(values, v) for v in eqn.invars]
-            name = eqn.primitive.name
-            if name in _FAST and eqn.invars[0].aval.dtype == jnp.float64:
-                outputs = [self._hold(_FAST[name](jnp.asarray(inputs[0])))]
-            elif name in _CALLS:
-                inner = eqn.params["jaxpr"]
-                outputs = self._evaluate(inner.jaxpr, inner.consts, inputs)
-            else:
-                outputs = _evaluate_one(jaxpr, eqn, inputs)
-            values.update(zip(eqn.outvars, outputs, strict=True))
-        return [_read(values, v) for v in jaxpr.outvars]
 
 
 def _read(values: dict[Any, Any], atom: Any) -> Any:
     return atom.val if isinstance(atom, jexc.Literal) else values[atom]
+
+
+def _evaluate(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], hold: Callable) -> list[Any]:
+    """Equation by equation, with the fast functions in place of XLA's."""
+    values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
+    values.update(zip(jaxpr.invars, args, strict=True))
+    for eqn in jaxpr.eqns:
+        inputs = [_read(values, v) for v in eqn.invars]
+        name = eqn.primitive.name
+        if name in _FAST and eqn.invars[0].aval.dtype == jnp.float64:
+            outputs = [hold(_FAST[name](jnp.asarray(inputs[0])))]
+        elif name in _CALLS:
+            inner = eqn.params["jaxpr"]
+            outputs = _evaluate(inner.jaxpr, inner.consts, inputs, hold)
+        else:
+            outputs = _evaluate_one(jaxpr, eqn, inputs)
+        values.update(zip(eqn.outvars, outputs, strict=True))
+    return [_read(values, v) for v in jaxpr.outvars]
 
 
 def _evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
@@ -88,8 +94,11 @@ def _evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
     return jax.core.eval_jaxpr(single, (), *(x for _, x in free))
 
 
-def _dependencies(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> list[np.ndarray]:
-    """Element-wise dependency flags through a jaxpr."""
+def _dependencies(
+    jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], sources: Collection[str] = ()
+) -> list[np.ndarray]:
+    """Element-wise dependency flags through a jaxpr; what the primitives `sources` give is
+    flagged."""
     values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
     values.update(zip(jaxpr.invars, args, strict=True))
 
@@ -100,10 +109,12 @@ def _dependencies(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> lis
     for eqn in jaxpr.eqns:
         inputs = [read(v) for v in eqn.invars]
         name, shapes = eqn.primitive.name, [v.aval.shape for v in eqn.outvars]
-        if name in _CALLS:
+        if name in sources:
+            outputs = [np.ones(shape, bool) for shape in shapes]
+        elif name in _CALLS:
             inner = eqn.params["jaxpr"]
             none = [np.zeros(np.shape(c), bool) for c in inner.consts]
-            outputs = _dependencies(inner.jaxpr, none, inputs)
+            outputs = _dependencies(inner.jaxpr, none, inputs, sources)
         elif name in _MOVES:
             with jax.ensure_compile_time_eval():
                 moved = eqn.primitive.bind(*map(jnp.asarray, inputs), **eqn.params)

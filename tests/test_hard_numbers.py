@@ -273,3 +273,15 @@ def test_trivial_case_of_a_diagram():
     assert diagram.xs.shape == (5, 4, 2)
     assert_allclose(diagram.xs, np.repeat(want[:, None], 4, axis=1), atol=1e-9)
     assert (diagram.results == RESULTS.successful).all()
+
+
+def test_a_smooth_scene_is_saved_between_its_steps():
+    # x' = -x has no surface; nine times to a step.
+    class Decay(jf.System):
+        def vector_field(self, t, x, side):
+            return -x
+
+    ts = jnp.linspace(0.0, 1.0, 46)
+    sol = jf.solve(Decay(), jnp.ones(1), 0.0, 1.0, 0.2, saveat=diffrax.SaveAt(ts=ts))
+    assert sol.stats["num_steps"] == 5
+    assert_allclose(sol.xs[:, 0], np.exp(-ts), rtol=1e-9)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil import sweep
+from jaxfil import chunk
 from jaxfil.system import System
 
 BELT = jf.systems.BeltFriction()
@@ -20,6 +20,7 @@ def test_a_lane_equals_its_single_run():
         belt = jf.systems.BeltFriction(omega=value)
         sol = jf.solve(belt, jnp.zeros(2), 0.0, 5 * belt.period, belt.period / 40)
         np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
+    assert jf.systems.BeltFriction not in chunk._REFUSED, "its loop is not one kernel"
 
 
 def test_the_jump_from_rest_is_between_its_neighbours():
@@ -67,7 +68,7 @@ def test_chunks_make_no_difference(monkeypatch):
     values = np.linspace(4.2, 4.7, 7)
     run = {"transient": 5, "samples": 3, "progress": False}
     whole = jf.bifurcation_diagram(BELT, "omega", values, jnp.zeros(2), **run)
-    monkeypatch.setattr(sweep, "_CHUNK", 3)
+    monkeypatch.setattr(chunk, "_CHUNK", 3)
     cut = jf.bifurcation_diagram(BELT, "omega", values, jnp.zeros(2), **run)
     np.testing.assert_allclose(cut.xs, whole.xs, rtol=1e-9)
     assert cut.xs.shape == (7, 3, 2)
@@ -144,3 +145,31 @@ def test_the_dataset_has_names():
     data = d.to_xarray()
     assert data["x"].dims == ("omega", "sample", "component") and data.attrs["system"]
     assert list(data["outcome"].values) == ["successful", "nonfinite"]
+
+
+class Sorted(System):
+    """A field that XLA cannot compile into one kernel with the loop."""
+
+    omega: jnp.ndarray
+
+    def vector_field(self, t, x, side):
+        return jnp.cos(self.omega * t) - jnp.sort(x)[::-1] - side * jnp.ones_like(x)
+
+    def switching(self, t, x):
+        return x[0] + x[1] - 0.25
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+def test_a_field_with_a_sort_is_swept_as_it_is_solved():
+    values, x0 = np.array([0.9, 1.1]), jnp.array([0.3, 0.1])
+    d = jf.bifurcation_diagram(
+        Sorted(jnp.asarray(1.0)), "omega", values, x0, transient=1, samples=2, progress=False
+    )
+    for value, xs in zip(values, d.xs, strict=True):
+        system = Sorted(jnp.asarray(value))
+        sol = jf.solve(system, x0, 0.0, 3 * system.period, system.period / 40)
+        np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
+    assert Sorted in chunk._REFUSED
