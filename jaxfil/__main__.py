@@ -1,8 +1,9 @@
-"""The command line: arguments enter, a picture, its numbers and one line on what was done leave.
+"""The command line: arguments enter, a picture or a table, its numbers and one line leave.
 
     python -m jaxfil --list
     python -m jaxfil diagram sd-oscillator --parameter omega --from 0.6 --to 1.3 --points 2000 \
         --out sd.png
+    python -m jaxfil work-precision belt-friction --out belt.png
 
 Whatever cannot be done is answered by one line on stderr that says what is allowed, and exit code
 2, before any computing starts. Exit code 1: no lane of the sweep reached its end.
@@ -19,16 +20,26 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxfil.analysis.work_precision import work_precision
 from jaxfil.results import RESULTS
+from jaxfil.rosenbrock import Rodas5P
+from jaxfil.stepper import RK4
 from jaxfil.sweep import bifurcation_diagram
 from jaxfil.system import System
 from jaxfil.systems import TEXTBOOK
 
 PICTURES = (".png", ".pdf", ".svg")
+STEPPERS = {
+    "RK4": RK4(),
+    "Tsit5": diffrax.Tsit5(),
+    "Dopri8": diffrax.Dopri8(),
+    "Rodas5P": Rodas5P(),
+}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -40,8 +51,8 @@ def main(argv: list[str] | None = None) -> int:
             print(_listing())
             return 0
         if args.command is None:
-            raise _Misuse("what to do is missing: diagram (see diagram --help), or --list")
-        return _diagram(args)
+            raise _Misuse("what to do is missing: diagram, work-precision, or --list")
+        return _work_precision(args) if args.command == "work-precision" else _diagram(args)
     except _Misuse as misuse:
         print(f"jaxfil: {misuse}", file=sys.stderr)
         return 2
@@ -59,7 +70,8 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> _Parser:
     top = _Parser(prog="python -m jaxfil", description="Nonsmooth dynamical systems in JAX.")
     top.add_argument("--list", action="store_true", help="systems, their parameters and defaults")
-    commands = top.add_subparsers(dest="command", metavar="diagram")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND")
+    _work_precision_parser(commands)
     diagram = commands.add_parser("diagram", help="draw a bifurcation diagram", allow_abbrev=False)
     add: Callable[..., Any] = diagram.add_argument
     whole, positive = _whole(0), _whole(1)
@@ -79,6 +91,62 @@ def _parser() -> _Parser:
     add("--component", metavar="I", type=whole, default=0, help="of the state: %(default)s")
     add("--quiet", action="store_true", help="no progress bar and no summary")
     return top
+
+
+def _work_precision_parser(commands: Any) -> None:
+    help_ = "error against run time over steppers and steps"
+    add: Callable[..., Any] = commands.add_parser(
+        "work-precision", help=help_, allow_abbrev=False
+    ).add_argument
+    positive = _whole(1)
+    add("system", metavar="NAME", help="a system that --list names")
+    add("--time", metavar="T", type=_number, help="time span: 10 periods, or 10 unforced")
+    several = {"nargs": "+", "action": "extend", "default": []}
+    add("--steps", metavar="N", type=positive, help="a period (or unit of time)", **several)
+    add("--steppers", metavar="S", choices=list(STEPPERS), help=", ".join(STEPPERS), **several)
+    add("--set", metavar="P=VALUE", type=_setting, help="parameters", **several)
+    add("--x0", metavar="A,B", type=_state, help="initial state: the one that --list shows")
+    add("--lanes", metavar="N", type=positive, default=1, help="timed at once: %(default)s")
+    add("--out", metavar="FILE", type=_picture, help="a picture, FILE.png say: none")
+
+
+def _work_precision(args: argparse.Namespace) -> int:
+    """Print the table, and draw it where --out says so."""
+    _one_of("NAME", args.system, TEXTBOOK)
+    cls, default = TEXTBOOK[args.system]
+    for name, _ in args.set:
+        _one_of("--set", name, _defaults(cls))
+    x0 = _state_of(args, default)
+    system = cls(**dict(args.set))
+    unit = 1.0 if system.period is None else float(system.period)
+    span = 10 * unit if args.time is None else args.time
+    if span <= 0:
+        raise _Misuse(f"--time must be positive, it was {span:g}")
+    table = work_precision(
+        system,
+        jnp.array(x0),
+        span,
+        [STEPPERS[name] for name in args.steppers or STEPPERS],
+        [unit / n for n in args.steps or (20, 40, 80, 160)],
+        lanes=args.lanes,
+    )
+    print(table)
+    if args.out is not None:
+        from jaxfil import plot
+
+        page = plot.page()
+        ax = plot.work_precision(table, page.add_subplot())
+        ax.set_title(f"{args.system}, from {_text(x0)} to t = {span:.10g}", fontsize="small")
+        page.savefig(args.out)
+    return 0 if table.reached.any() else 1
+
+
+def _state_of(args: argparse.Namespace, default: tuple[float, ...]) -> tuple[float, ...]:
+    """The initial state asked for, or the system's own."""
+    x0 = args.x0 or default
+    if len(x0) != len(default):
+        raise _Misuse(f"--x0 must be {len(default)} numbers for {args.system}, it was {len(x0)}")
+    return x0
 
 
 def _diagram(args: argparse.Namespace) -> int:
@@ -115,9 +183,7 @@ def _check(args: argparse.Namespace, settings: dict[str, float]) -> tuple[float,
     _one_of("--parameter", args.parameter, _defaults(cls))
     for name in settings:
         _one_of("--set", name, [p for p in _defaults(cls) if p != args.parameter])
-    x0 = args.x0 or default
-    if len(x0) != len(default):
-        raise _Misuse(f"--x0 must be {len(default)} numbers for {args.system}, it was {len(x0)}")
+    x0 = _state_of(args, default)
     if args.component >= len(x0):
         raise _Misuse(f"--component must be from 0 to {len(x0) - 1}, it was {args.component}")
     return x0

@@ -7,6 +7,7 @@ Okabe and Ito, which colour-blind readers tell apart.
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,10 +18,16 @@ from matplotlib.patches import Patch
 from jaxfil.results import KINDS
 
 if TYPE_CHECKING:
+    from jaxfil.analysis.branch import Branch
+    from jaxfil.analysis.curve import BifurcationCurve
+    from jaxfil.analysis.lyapunov import LyapunovSpectrum
+    from jaxfil.analysis.work_precision import WorkPrecision
     from jaxfil.solution import Solution
     from jaxfil.sweep import BifurcationDiagram
 
 BLACK, VERMILLION = "#000000", "#D55E00"
+SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+COLORS = ("#0072B2", VERMILLION, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
 MARKERS = {
     KINDS.crossing: ("o", "#0072B2"),
@@ -28,6 +35,19 @@ MARKERS = {
     KINDS.slip: ("D", "#009E73"),
     KINDS.impact: ("^", "#CC79A7"),
     KINDS.graze: ("*", "#F0E442"),
+}
+CURVES = {
+    "grazing": "#0072B2",
+    "grazing-sliding": "#D55E00",
+    "adding-sliding": "#009E73",
+    "crossing-sliding": "#CC79A7",
+    "switching-sliding": "#E69F00",
+}
+POINTS = {
+    "fold": ("s", "#0072B2"),
+    "period-doubling": ("D", "#009E73"),
+    "neimark-sacker": ("^", "#CC79A7"),
+    "contacts": ("o", "#F0E442"),
 }
 
 
@@ -96,6 +116,154 @@ def phase_portrait(sol: Solution, ax: Axes | None = None) -> Axes:
         ax.legend(fontsize="small", loc="upper right")
     ax.set_xlabel("x[0]")
     ax.set_ylabel("x[1]")
+    return ax
+
+
+def branch(
+    branch: Branch, ax: Axes | None = None, component: int = 0, extremes: bool = False
+) -> Axes:
+    """Draw a branch of orbits against its parameter, unstable parts dashed, special points marked.
+
+    Shown is one component of x0, or with `extremes` its smallest and largest value on the orbit.
+    """
+    _check_component(component, branch.orbits.x0.shape[-1])
+    ax = _own_axes() if ax is None else ax
+    if extremes:
+        curves = [column[:, component] for column in branch.extremes()]
+        label = f"least and largest x[{component}]"
+    else:
+        curves, label = [np.asarray(branch.orbits.x0)[:, component]], f"x[{component}] at t0"
+    stable = branch.stable
+    for curve in curves:
+        for solid, style in ((True, "-"), (False, "--")):
+            keep = stable == solid
+            if not keep.any():
+                continue
+            # A piece between two orbits is drawn as the second one is.
+            keep[:-1] |= keep[1:]
+            ax.plot(
+                branch.values,
+                np.where(keep, curve, np.nan),
+                style,
+                color=BLACK if solid else VERMILLION,
+                linewidth=1.2,
+                label=("stable" if solid else "unstable") if curve is curves[0] else None,
+            )
+        for kind in dict.fromkeys(point.kind for point in branch.points):
+            marker, color = POINTS[kind]
+            at = [point.index for point in branch.points if point.kind == kind]
+            where = [point.value for point in branch.points if point.kind == kind]
+            ax.plot(
+                where,
+                curve[at],
+                marker,
+                color=color,
+                markeredgecolor=BLACK,
+                label=kind if curve is curves[0] else None,
+            )
+    ax.legend(fontsize="small")
+    ax.set_xlabel(branch.parameter)
+    ax.set_ylabel(label)
+    return ax
+
+
+def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
+    """Draw a bifurcation in the plane of two parameters, each kind in its colour, points of
+    codimension two marked."""
+    ax = _own_axes() if ax is None else ax
+    kinds = np.array(curve.kinds)
+    for kind in dict.fromkeys(curve.kinds):
+        keep = kinds == kind
+        keep[:-1] |= keep[1:]
+        values = np.where(keep[:, None], curve.values, np.nan)
+        ax.plot(*values.T, color=CURVES.get(kind, BLACK), linewidth=1.5, label=kind)
+    for point in curve.points:
+        ax.plot(*point.values, "o", color=BLACK, label=f"{point.before} to {point.after}")
+    ax.legend(fontsize="small")
+    ax.set_xlabel(curve.parameters[0])
+    ax.set_ylabel(curve.parameters[1])
+    return ax
+
+
+def lyapunov_exponents(
+    values: np.ndarray, spectrum: LyapunovSpectrum, ax: Axes | None = None, parameter: str = ""
+) -> Axes:
+    """Draw all exponents of a batch of spectra, one for each value, against the parameter.
+
+    Exponents of −inf are ticked along the lower edge. Values whose average is no steady motion
+    (`settled` False) are drawn hollow, and left out altogether where the lane failed.
+    """
+    values, exponents = np.asarray(values), np.asarray(spectrum.exponents)
+    if exponents.shape[:1] != values.shape:
+        raise ValueError(
+            f"`spectrum` must hold one spectrum for each of {values.size} values, got exponents of "
+            f"shape {exponents.shape}."
+        )
+    ax = _own_axes() if ax is None else ax
+    settled = np.asarray(spectrum.settled)
+    ax.axhline(0, color=BLACK, linewidth=0.5)
+    size = max(1.5, 2 * _marker_size(ax, values.size))
+    for i, column in enumerate(exponents.T):
+        color = SERIES[i % len(SERIES)]
+        style = {"linestyle": "none", "marker": "o", "markersize": size, "color": color}
+        lost = np.isneginf(column)
+        ax.plot(values[settled & ~lost], column[settled & ~lost], label=f"λ{i + 1}", **style)
+        passing = np.isfinite(column) & ~settled
+        ax.plot(values[passing], column[passing], fillstyle="none", markeredgewidth=0.5, **style)
+        if lost.any():
+            edge = {"transform": ax.get_xaxis_transform(), "clip_on": False, "color": color}
+            height = np.full(lost.sum(), 0.015 + 0.03 * i)
+            ax.plot(values[lost], height, "|", label=f"λ{i + 1} = −∞", **edge)
+    ax.set_xlim(values.min(), values.max() if values.max() > values.min() else None)
+    ax.set_xlabel(parameter)
+    ax.set_ylabel("exponents per unit time")
+    ax.legend(fontsize="small", loc="best", markerscale=2)
+    return ax
+
+
+def lyapunov_convergence(spectrum: LyapunovSpectrum, ax: Axes | None = None) -> Axes:
+    """Draw the running estimates of one spectrum against the time averaged over, with the band of
+    one standard error that the last of them has, shrinking as 1/√t."""
+    times, running = np.asarray(spectrum.times), np.asarray(spectrum.running)
+    if times.ndim != 1:
+        raise ValueError(
+            f"`spectrum` must be of one lane, got {times.shape[0]} of them: take lane i with "
+            "jax.tree.map(lambda a: a[i], spectrum)."
+        )
+    ax = _own_axes() if ax is None else ax
+    for i, column in enumerate(running.T):
+        color, last = SERIES[i % len(SERIES)], np.asarray(spectrum.exponents)[i]
+        if not np.isfinite(last):
+            continue
+        error = np.asarray(spectrum.standard_error)[i] * np.sqrt(times[-1] / times)
+        ax.fill_between(times, last - error, last + error, color=color, alpha=0.2, linewidth=0)
+        ax.plot(times, column, color=color, label=f"λ{i + 1} = {last:.4g}")
+    ax.set_xlim(0, times[-1])
+    ax.set_xlabel("time averaged over")
+    ax.set_ylabel("running estimate")
+    ax.legend(fontsize="small", loc="upper right")
+    return ax
+
+
+def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
+    """Draw the error of every run against its run time, a line for each stepper.
+
+    Steps get shorter to the right. Below the dashed line, the change of the reference on halving
+    its step, errors are not resolved.
+    """
+    ax = _own_axes() if ax is None else ax
+    size = max(float(np.max(abs(table.reference))), np.finfo(float).tiny)
+    floor = max(table.reference_error, float(np.finfo(table.reference.dtype).eps) * size)
+    lines = zip(table.steppers, table.seconds, table.errors, strict=True)
+    for (name, seconds, errors), color in zip(lines, itertools.cycle(COLORS)):
+        order = np.argsort(seconds)
+        told = np.maximum(errors, floor)[order]
+        ax.loglog(seconds[order], told, "o-", color=color, markersize=4, label=name)
+    if np.isfinite(floor):
+        ax.axhline(floor, color=BLACK, linewidth=0.8, linestyle="--", label="reference")
+    ax.set_xlabel("run time of a lane, s")
+    ax.set_ylabel("error of x(t1)")
+    ax.legend(fontsize="small")
     return ax
 
 

@@ -35,6 +35,26 @@ class RESULTS(eqx.Enumeration):
     undeclared_sliding = (
         "The solution meets an attracting sliding region, but the system says `slides = False`."
     )
+    newton_stalled = (
+        "Newton's method cannot reduce the residual any further: there is perhaps no solution near "
+        "the guess. Try a better guess, more `steps`, or more `segments`."
+    )
+    newton_singular = (
+        "The Jacobian of Newton's method is singular: a fold, a bifurcation point, or a family of "
+        "solutions that an equation more would single out."
+    )
+    newton_max_steps_reached = (
+        "Newton's method has not converged in its number of steps. Try a larger `newton_steps`."
+    )
+    nothing_to_touch = (
+        "The orbit has no approach to a surface, or no contact with it, from which a bifurcation "
+        "of the kind asked for could come."
+    )
+    other_kind = "A bifurcation was located, but it is of another kind than the one asked for."
+    orbit_lost = (
+        "Newton's method has reached a point that is no orbit of the system: it meets a surface "
+        "where it is not meant to, so that the orbit ends or changes before the bifurcation."
+    )
     nonfinite = (
         "The state, the vector field, the switching function or a reset is not finite (NaN or inf)."
     )

@@ -224,3 +224,55 @@ def test_what_cannot_be_drawn_is_refused_with_a_reason():
     up, down = (lambda t, x: jnp.ones(1)), (lambda t, x: -jnp.ones(1))
     with pytest.raises(ValueError, match="two components or more, got 1"):
         jf.plot.phase_portrait(solved(jf.piecewise(down, up, lambda t, x: x[0]), [1.0], 2.0))
+
+
+def spectrum(exponents, settled=True, error=0.01):
+    """A batch of spectra, or one, with made-up numbers."""
+    exponents = np.asarray(exponents, float)
+    lanes, n = exponents.shape[:-1], exponents.shape[-1]
+    times = np.broadcast_to(np.array([10.0, 20.0, 40.0]), (*lanes, 3))
+    return jf.LyapunovSpectrum(
+        exponents=exponents,
+        standard_error=np.full((*lanes, n), error),
+        running=exponents[..., None, :] + np.array([0.3, 0.1, 0.0])[:, None],
+        times=times,
+        x0=np.zeros((*lanes, n)),
+        x_final=np.zeros((*lanes, n)),
+        settled=np.broadcast_to(settled, lanes),
+        result=RESULTS.successful,
+    )
+
+
+def test_exponents_against_a_parameter():
+    values = np.array([1.0, 2.0, 3.0, 4.0])
+    found = spectrum(
+        [[0.5, -np.inf], [0.4, -1.0], [0.3, -2.0], [np.nan, np.nan]],
+        settled=[True, True, False, False],
+    )
+    ax = jf.plot.lyapunov_exponents(values, found, parameter="omega")
+    drawn = {}
+    for line in ax.lines[1:]:  # the first is zero
+        key = (line.get_label().split("_")[0], line.get_fillstyle(), line.get_marker())
+        drawn.setdefault(key, []).append(np.transpose(line.get_data()).tolist())
+    assert drawn["λ1", "full", "o"] == [[[1.0, 0.5], [2.0, 0.4]]]
+    assert drawn["λ2", "full", "o"] == [[[2.0, -1.0]]]
+    assert drawn["", "none", "o"] == [[[3.0, 0.3]], [[3.0, -2.0]]]
+    ((tick,),) = drawn["λ2 = −∞", "full", "|"]
+    assert tick[0] == 1.0
+    assert ax.get_xlabel() == "omega" and ax.get_xlim() == (1.0, 4.0)
+
+
+def test_the_running_estimate_and_its_band():
+    ax = jf.plot.lyapunov_convergence(spectrum([0.5, -np.inf]))
+    (line,) = ax.lines
+    assert_allclose(np.transpose(line.get_data()), [[10, 0.8], [20, 0.6], [40, 0.5]])
+    assert line.get_label() == "λ1 = 0.5"
+    edges = ax.collections[0].get_paths()[0].vertices
+    assert_allclose([edges[:, 1].min(), edges[:, 1].max()], [0.48, 0.52])
+
+
+def test_exponents_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="`spectrum` must hold one spectrum for each of 3 values"):
+        jf.plot.lyapunov_exponents(np.zeros(3), spectrum(np.zeros((2, 2))))
+    with pytest.raises(ValueError, match="`spectrum` must be of one lane"):
+        jf.plot.lyapunov_convergence(spectrum(np.zeros((2, 2))))
