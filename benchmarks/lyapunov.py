@@ -1,0 +1,167 @@
+"""`python -m benchmarks.lyapunov`: what Lyapunov exponents cost, and what smoothing does to them.
+
+Prints for each method lane-periods per second and the cost relative to plain integration of the
+same lanes at the same steps; then the exponents of the smoothed systems as the width goes to zero,
+with the steps they need. `--only` picks one part. Compilation is left out of the rates.
+"""
+
+import argparse
+import functools as ft
+import time
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxfil as jf
+
+SCENES = {
+    "belt": (jf.systems.BeltFriction, (4.2, 4.7), (0.0, 0.0)),
+    "sd": (jf.systems.SDOscillator, (0.6, 1.3), (0.3, 0.1)),
+}
+# Vectors as wide as the machine has them, as `jaxfil.bifurcation_diagram` uses them.
+OPTIONS = {"xla_cpu_prefer_vector_width": "512"} if jax.default_backend() == "cpu" else None
+
+
+def over(function, make, values):
+    """`function(make(value))` for all values side by side, compiled for this machine's vectors."""
+    compiled = eqx.filter_jit(
+        lambda values: eqx.filter_vmap(lambda value: function(make(value)))(values),
+        compiler_options=OPTIONS,
+    )
+    return ft.partial(compiled, values)
+
+
+def measure(run, repeats):
+    """Processor seconds of a later call (the least of several), and wall seconds of the first."""
+    begun = time.perf_counter()
+    jax.block_until_ready(run())
+    first = time.perf_counter() - begun
+    spent = []
+    for _ in range(repeats):
+        begun = time.process_time()
+        jax.block_until_ready(run())
+        spent.append(time.process_time() - begun)
+    return min(spent), first
+
+
+def plain(system, x0, periods, steps):
+    duration, dt = periods * system.period, system.period / steps
+    sol = jf.solve(system, x0, 0.0, duration, dt, max_events=None, throw=False)
+    return sol.x_final
+
+
+def methods(x0, periods, steps):
+    """Name -> (function of a system, lane-periods it runs)."""
+    common = dict(steps=steps, transient=0)
+    couplings = jnp.linspace(-1.0, -0.9, 4)  # none synchronises: every lane runs to the end
+    return {
+        "plain integration": (lambda s: plain(s, x0, periods, steps), periods),
+        "variational, all exponents": (
+            lambda s: jf.lyapunov_spectrum(s, x0, periods=periods, **common),
+            periods,
+        ),
+        "synchronisation, rate": (
+            lambda s: jf.transverse_exponent(s, x0, coupling=0.2, periods=periods, **common),
+            periods,
+        ),
+        "synchronisation, threshold": (
+            lambda s: jf.synchronization_exponent(s, x0, couplings, periods=periods, **common),
+            periods * couplings.size,
+        ),
+    }
+
+
+def rates(args):
+    print(
+        f"{args.lanes} lanes, {args.periods} periods, {args.steps} steps of Dopri8 each, one core"
+    )
+    for name, (system, ends, start) in SCENES.items():
+        values, base = jnp.linspace(*ends, args.lanes), None
+        for method, (function, periods) in methods(
+            jnp.array(start), args.periods, args.steps
+        ).items():
+            spent, first = measure(
+                over(function, lambda w, s=system: s(omega=w), values), args.repeats
+            )
+            each = spent / (periods * args.lanes)
+            base = base or each
+            print(
+                f"{name:5} {method:28} {1 / each:10,.0f} lane-periods/s  {each * 1e6:7.2f} µs each"
+                f"  {each / base:5.2f} × plain  first call {first:.0f} s",
+                flush=True,
+            )
+
+
+def finest(width, scale):
+    """Steps a period that resolve a layer of that width, at which sides differ by `scale` per unit
+    time: an explicit method needs dt < 3·width/scale, and accuracy somewhat less."""
+    return int(max(40, np.ceil(scale / width)))
+
+
+def widths(args):
+    for name, omega, scale, width_list in (
+        ("sd", 0.87, 8.0, (0.3, 0.1, 0.03, 0.01, 0.003)),
+        ("belt", 4.6, 4.0, (0.1, 0.03, 0.01)),
+    ):
+        system, _, start = SCENES[name]
+        x0 = jnp.array(start) + 0.01 * jnp.arange(args.study_lanes)[:, None]
+        exact = system(omega=omega)
+        settings = [("exact", exact, 40)]
+        settings += [(f"{w:g}", jf.smoothed(exact, w), finest(w, scale)) for w in width_list]
+        print(f"{name} at ω = {omega}: width, λ1, steps a period, processor time")
+        for label, case, steps in settings:
+            run = ft.partial(
+                eqx.filter_jit(spectra, compiler_options=OPTIONS),
+                case,
+                x0,
+                args.study_periods,
+                steps,
+            )
+            spent, _ = measure(run, 1)
+            found = run().exponents[:, 0]
+            found = found[found > 0]  # a periodic orbit coexists
+            error = jnp.std(found) / np.sqrt(found.size - 1)
+            each = spent / (1.25 * args.study_periods * args.study_lanes)
+            print(
+                f"  {label:>6}  {jnp.mean(found):8.5f} ± {error:.5f}  {steps:5} steps"
+                f"  {each * 1e6:8.2f} µs a lane-period",
+                flush=True,
+            )
+
+
+def spectra(system, x0, periods, steps):
+    def one(x):
+        return jf.lyapunov_spectrum(
+            system,
+            x,
+            periods=periods,
+            transient=periods // 4,
+            steps=steps,
+            stepper=diffrax.Dopri8(),
+        )
+
+    return jax.vmap(one)(x0)
+
+
+def main():
+    jax.config.update("jax_enable_x64", True)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.lyapunov", description=__doc__)
+    parser.add_argument("--only", choices=("rates", "widths"))
+    parser.add_argument("--lanes", type=int, default=1024)
+    parser.add_argument("--study-lanes", type=int, default=64, help="initial states of the study")
+    parser.add_argument("--study-periods", type=int, default=400, help="periods of the study")
+    parser.add_argument("--periods", type=int, default=1000)
+    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--repeats", type=int, default=2)
+    args = parser.parse_args()
+    if args.only != "widths":
+        rates(args)
+    if args.only != "rates":
+        widths(args)
+
+
+if __name__ == "__main__":
+    main()
