@@ -3,6 +3,7 @@
 A system, an initial state, a time span and a step enter; a `Solution` leaves.
 """
 
+import dataclasses
 import math
 from typing import Any
 
@@ -18,7 +19,7 @@ from jaxfil.flow import integrate
 from jaxfil.lane import Lane, Policy, Span
 from jaxfil.record import mode_codes
 from jaxfil.results import RESULTS
-from jaxfil.solution import Dense, Solution, events_of
+from jaxfil.solution import Dense, Solution, errors, events_of
 from jaxfil.stepper import tableau
 from jaxfil.system import System
 
@@ -39,6 +40,7 @@ def solve(
     max_steps: int | None = None,
     adjoint: Any = diffrax.ForwardMode(),  # noqa: B008
     throw: bool = True,
+    estimate_error: bool = False,
 ) -> Solution:
     r"""Integrate a nonsmooth system from `x0` at `t0` to `t1`.
 
@@ -61,6 +63,9 @@ def solve(
       mode. Derivatives with respect to x0, t0, t1 and every float leaf of the system are exact
       through crossings, slides and resets.
     - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it.
+    - `estimate_error`: also run at half the step, and give the distance between the two as
+      `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
+      or `ts`.
 
     **Returns** a `Solution`.
 
@@ -85,24 +90,36 @@ def solve(
     reverse = _is_reverse(adjoint)
     if budget is None and (save in ("steps", "dense") or reverse):
         budget = _default_budget(start, stop, length, max_events)
-    sol = _solve(
-        system,
-        x,
-        start,
-        stop,
-        length,
-        ts,
-        stepper,
-        _Options(
-            save=save,
-            with_t0=saveat.subs is not None and bool(saveat.subs.t0),
-            max_events=max_events,
-            budget=budget,
-            reverse=reverse,
-            checkpoints=getattr(adjoint, "checkpoints", None),
-        ),
+    if estimate_error and save not in ("t1", "ts"):
+        raise ValueError(
+            f"`estimate_error` must be False with a `saveat` of {save}: errors are estimated at "
+            "times that do not depend on the step, t1 or ts; got True."
+        )
+    options = _Options(
+        save=save,
+        with_t0=saveat.subs is not None and bool(saveat.subs.t0),
+        max_events=max_events,
+        budget=budget,
+        reverse=reverse,
+        checkpoints=getattr(adjoint, "checkpoints", None),
     )
+    sol = _solve(system, x, start, stop, length, ts, stepper, options)
+    if estimate_error:
+        system, x, start, stop, ts = _constant((system, x, start, stop, ts))
+        half, options = length / 2, options.of_companion()
+        companion = _solve(system, x, start, stop, half, ts, stepper, options)
+        sol = eqx.tree_at(lambda s: s.errors, sol, errors(sol, companion), is_leaf=_is_none)
     return _raise_unless_successful(sol) if throw else sol
+
+
+def _constant(tree: Any) -> Any:
+    """The same without derivatives."""
+    arrays, rest = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(jax.lax.stop_gradient(arrays), rest)
+
+
+def _is_none(leaf: Any) -> bool:
+    return leaf is None
 
 
 class _Options(eqx.Module):
@@ -112,6 +129,11 @@ class _Options(eqx.Module):
     budget: int | None = eqx.field(static=True)
     reverse: bool = eqx.field(static=True)
     checkpoints: int | None = eqx.field(static=True)
+
+    def of_companion(self) -> "_Options":
+        """Those of the run at half the step, which nothing differentiates."""
+        budget = None if self.budget is None else 2 * self.budget
+        return dataclasses.replace(self, budget=budget, reverse=False)
 
 
 def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:

@@ -7,6 +7,7 @@ import functools as ft
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
@@ -63,6 +64,8 @@ class Solution(eqx.Module):
     t_final: Float[Array, ""]
     x_final: Float[Array, " n"]
     mode_final: Int[Array, " m"]
+    errors: Float[Array, "k n"] | None = None
+    """Estimated |xs − exact|, component by component, if asked for; inf where unknown."""
     _dense: Any = None
 
     def evaluate(self, t: Array | float) -> Float[Array, " n"]:
@@ -77,6 +80,25 @@ class Solution(eqx.Module):
 
     def __repr__(self) -> str:
         return card(self)
+
+
+def errors(sol: Solution, companion: Solution) -> Float[Array, "k n"]:
+    """What is left between a solution and its companion at half the step, shape (k, n).
+
+    With a global error C·dtᵖ the distance is (1 − 2⁻ᵖ) of it. (A companion at twice the step costs
+    a sixth of this one, but where a step is not small against the motion between two contacts it
+    was seen to report anything from a fifth to 500 times the error; this one keeps within a fifth
+    of it.) Rounding, which two runs may share, is taken to be one unit a step at random. A
+    companion that fails or a state that was not reached leaves the error unknown, inf.
+    """
+    assert sol.xs is not None and companion.xs is not None
+    xs = jax.lax.stop_gradient(sol.xs)
+    known = jnp.isfinite(xs) & jnp.isfinite(companion.xs)
+    size = jnp.max(jnp.where(known, abs(xs), 0.0), axis=-1, keepdims=True)
+    units = jnp.sqrt(companion.stats["num_steps"].astype(xs.dtype))
+    rounding = jnp.finfo(xs.dtype).eps * size * units
+    distance = jnp.where(known, abs(xs - companion.xs), jnp.inf)
+    return jnp.maximum(distance, rounding)
 
 
 class Dense(eqx.Module):
@@ -124,6 +146,8 @@ def card(sol: Solution) -> str:
     if sol.ts is not None:
         lines.append(f"  {int(np.isfinite(sol.ts).sum())} of {sol.ts.shape[0]} states saved")
     lines.append(f"  {int(sol.stats['num_steps'])} steps, {_events_line(sol)}")
+    if sol.errors is not None:
+        lines.append(f"  error about {float(np.max(sol.errors)):.1e}, from a run at half the step")
     return "\n".join(lines)
 
 
