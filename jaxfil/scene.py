@@ -169,6 +169,8 @@ def build(system: System, x0: Array) -> Scene:
     one, hold = _fences(dynamic, x0) if jax.default_backend() == "cpu" else (None, lambda v: v)
     traced_field = Traced(field, dynamic, t0, x, sides, hold=hold)
     traced_switching = Traced(switching, dynamic, t0, x, hold=hold)
+    resets = has_resets(system) and m > 0
+    traced_reset = Traced(reset, dynamic, t0, x, jnp.int32(0), hold=hold) if resets else reset
     nothing = jax.tree.map(lambda _: False, (dynamic, t0, x))
     seen = [traced_field.depends(*nothing, _only(j, m)) for j in range(m)]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
@@ -177,14 +179,14 @@ def build(system: System, x0: Array) -> Scene:
         n=n,
         m=m,
         slides=system.slides and m > 0,
-        resets=has_resets(system) and m > 0,
+        resets=resets,
         dtype=dtype,
         _one=one,
         switched=switched,
         separate=m > 0 and _separate(switched, steers),
         _field=lambda t, x, sides, alone: traced_field(dynamic, t, x, sides, alone=alone),
         _switching=lambda t, x: traced_switching(dynamic, t, x),
-        _reset=lambda t, x, surface: reset(dynamic, t, x, surface),
+        _reset=lambda t, x, surface: traced_reset(dynamic, t, x, jnp.asarray(surface, jnp.int32)),
     )
 
 

@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxfil import fasttrig
+
 
 class System(eqx.Module):
     r"""A set of smooth vector fields glued along surfaces.
@@ -121,7 +123,7 @@ class _Smoothed(System):
     def vector_field(self, t, x, side):
         h = jnp.atleast_1d(self.system.switching(t, x))
         scalar = jnp.ndim(self.system.switching(t, x)) == 0
-        blend = 2 / np.pi * jnp.arctan(h / self.width)
+        blend = 2 / np.pi * fasttrig.arctan(h / self.width)
         total = jnp.zeros_like(x)
         for corner in np.ndindex(*(2,) * h.shape[0]):
             sides = 1.0 - 2.0 * jnp.asarray(corner, x.dtype)

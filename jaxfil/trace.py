@@ -1,8 +1,8 @@
 """A user's function, traced once.
 
 A function of arrays enters; a `Traced` leaves: callable as the original is, under every
-transformation, with its float64 sines and cosines replaced by ones that vectorise, and able to say
-which of its results depend on which of its arguments.
+transformation, with its float64 sines and cosines and its arctangents replaced by ones that
+vectorise, and able to say which of its results depend on which of its arguments.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -16,7 +16,9 @@ import numpy as np
 
 from jaxfil import fasttrig
 
-_FAST = {"sin": fasttrig.sin, "cos": fasttrig.cos}
+_FAST = {"sin": fasttrig.sin, "cos": fasttrig.cos, "atan": fasttrig.arctan}
+# XLA's float32 sine and cosine vectorise.
+_SINGLE = ("atan",)
 _CALLS = ("jit", "pjit", "closed_call")
 # Primitives that only move elements about: they move the dependencies the same way.
 _MOVES = (
@@ -32,7 +34,7 @@ _MOVES = (
 
 
 class Traced:
-    """`function` for arguments shaped like `example`. `hold` is applied to each sine and cosine,
+    """`function` for arguments shaped like `example`. `hold` is applied to each of those,
     unless a call says that its result is used `alone` and one number in it depends on them."""
 
     def __init__(self, function: Callable, *example: Any, hold: Callable = lambda v: v):
@@ -73,7 +75,7 @@ def _evaluate(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], hold: Call
     for eqn in jaxpr.eqns:
         inputs = [_read(values, v) for v in eqn.invars]
         name = eqn.primitive.name
-        if name in _FAST and eqn.invars[0].aval.dtype == jnp.float64:
+        if name in _FAST and (name in _SINGLE or eqn.invars[0].aval.dtype == jnp.float64):
             outputs = [hold(_FAST[name](jnp.asarray(inputs[0])))]
         elif name in _CALLS:
             inner = eqn.params["jaxpr"]

@@ -1,10 +1,11 @@
-"""The vectorising sine and cosine against NumPy's, and the rewrite that puts them in."""
+"""The vectorising sine, cosine and arctangent against NumPy's, and the rewrite to them."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxfil as jf
 from jaxfil import fasttrig
 from jaxfil.trace import Traced
 
@@ -40,6 +41,41 @@ def test_derivatives():
     x = jnp.float64(0.7)
     np.testing.assert_allclose(jax.grad(fasttrig.sin)(x), np.cos(0.7), rtol=1e-15)
     np.testing.assert_allclose(jax.grad(jax.grad(fasttrig.cos))(x), -np.cos(0.7), rtol=1e-15)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("shape", [(), (49,), (4000,)])
+def test_arctangent(dtype, shape):
+    # XLA's own of jaxlib 0.10.2 is wrong for 50 numbers and more (jax-ml/jax issue 39352).
+    rng = np.random.default_rng(0)
+    x = np.asarray(rng.choice([-1, 1], shape) * 10 ** rng.uniform(-6, 6, shape), dtype)
+    eps = np.finfo(dtype).eps
+    np.testing.assert_allclose(fasttrig.arctan(jnp.asarray(x)), np.arctan(x), rtol=2 * eps)
+    wide = jax.jit(fasttrig.arctan, compiler_options={"xla_cpu_prefer_vector_width": "512"})
+    np.testing.assert_allclose(wide(jnp.asarray(x)), np.arctan(x), rtol=2 * eps)
+    near = np.asarray(rng.uniform(-4, 4, shape), dtype)
+    np.testing.assert_allclose(fasttrig.arctan(jnp.asarray(near)), np.arctan(near), rtol=2 * eps)
+
+
+def test_arctangent_of_special_numbers():
+    x = np.asarray([0.0, -0.0, np.inf, -np.inf, np.nan, 1.0, -1.0, 5e-324, 1e308])
+    got = np.asarray(fasttrig.arctan(jnp.asarray(x)))
+    np.testing.assert_allclose(got[:-2], np.arctan(x)[:-2], rtol=1e-15)
+    np.testing.assert_allclose(got[-1], np.pi / 2, rtol=1e-15)
+    assert np.array_equal(np.signbit(got[:2]), [False, True])
+    np.testing.assert_allclose(jax.grad(fasttrig.arctan)(jnp.float64(0.7)), 1 / 1.49, rtol=1e-15)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_an_arctangent_in_a_users_field_is_right_over_many_lanes(dtype):
+    def pull(t, x):
+        return -jnp.arctan(3 * x)
+
+    system = jf.piecewise(pull, pull, lambda t, x: x[0] + 1e3, period=1.0)
+    x0 = jnp.linspace(0.5, 9.0, 64, dtype=dtype)[:, None]
+    many = jax.vmap(lambda x: jf.solve(system, x, 0.0, 1.0, 0.05).xs[-1])(x0)
+    one = [jf.solve(system, x, 0.0, 1.0, 0.05).xs[-1] for x in (x0[0], x0[40])]
+    np.testing.assert_allclose(many[np.asarray([0, 40])], one, rtol=20 * np.finfo(dtype).eps)
 
 
 def test_the_rewrite_takes_out_every_sine():

@@ -17,11 +17,11 @@ PACKAGE = ROOT / "jaxfil"
 # A file imports only from files above it.
 ORDER = [
     "results",
+    "fasttrig",
     "system",
     "systems",
     "check",
     "linear",
-    "fasttrig",
     "kernel",
     "trace",
     "scene",
