@@ -27,10 +27,7 @@ def save(data: Any, path: str | os.PathLike) -> None:
     path = Path(path)
     _xarray(*_packages(path))
     if path.suffix == ".nc":
-        # No number stands for "missing": all are kept as they are.
-        numbers = [name for name, v in data.variables.items() if v.dtype.kind == "f"]
-        plain = {name: {"_FillValue": None} for name in numbers}
-        data.to_netcdf(path, engine="h5netcdf", encoding=plain)
+        data.to_netcdf(path, engine="h5netcdf")
     else:
         write_zarr(data, path)
 
