@@ -35,8 +35,7 @@ def save(data: Any, path: str | os.PathLike) -> None:
 def write_zarr(data: Any, path: Path) -> None:
     """Write a data set to a Zarr store; what was there is replaced."""
     _xarray("xarray", "zarr")
-    # Chunks of zeros are written too: Zarr would leave them out, with the sign of -0.0.
-    data.to_zarr(path, mode="w", zarr_format=3, consolidated=False, write_empty_chunks=True)
+    data.to_zarr(path, mode="w", zarr_format=3, consolidated=False)
 
 
 def read_zarr(path: Path) -> Any:
