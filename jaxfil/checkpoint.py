@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxfil import check, store
+from jaxfil import check, scene, store
 from jaxfil.results import outcome_codes, outcome_names, outcomes
 from jaxfil.system import System, has_resets
 
@@ -105,7 +105,7 @@ def equations(system: System, x: np.ndarray) -> str:
     It is that of the program lowered for XLA: of everything the functions of the system do, their
     constants included, and of nothing that changes from one process to the next.
     """
-    leaves, static = eqx.partition(system, eqx.is_array)
+    leaves, static = eqx.partition(system, scene.is_parameter)
     state = jnp.asarray(x)
     h = check.shapes(system, state)
 

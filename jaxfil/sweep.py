@@ -69,13 +69,15 @@ def bifurcation_diagram(
     - `progress`: show a progress bar.
 
     **Returns** a `BifurcationDiagram`. A lane that fails says why in `results` and harms no other.
-    Ctrl-C ends the sweep with a warning and returns what is done; the outcome of the other lanes is
-    `interrupted`. The numbers do not depend on how many cores the machine has.
+    Ctrl-C ends the sweep after the chunks under way, with a warning, and returns what is done; the
+    outcome of the other lanes is `interrupted`. The numbers do not depend on how many cores the
+    machine has, nor a lane's on which others are swept with it.
 
     **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
     `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
-    cores or its accelerator, and returns the whole diagram, equal to that of one process. A
-    checkpoint may then be on a file system that they share. With `follow` the first one computes.
+    cores or its one accelerator, and returns the whole diagram, equal to that of one process on the
+    same hardware. A checkpoint may be on a file system that they share. With `follow` the first
+    process computes, and the others wait.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import equinox as eqx
@@ -254,6 +255,27 @@ def test_a_checkpoint_of_other_arguments_is_refused(begun, message):
     with pytest.raises(ValueError, match=r"`checkpoint` must be") as error:
         sweep(**{"values": [0.7, 0.8], **CHANGES[message]}, checkpoint=begun)
     assert re.search(message, str(error.value)), error.value
+
+
+class Gears(System):
+    """A leaf that is no parameter, and a function."""
+
+    omega: jnp.ndarray
+    teeth: jnp.ndarray
+    force: Callable
+
+    def vector_field(self, t, x, side):
+        return self.force(self.teeth * self.omega * t) - x
+
+
+def test_equations_are_told_apart_by_what_they_compute():
+    def equations(omega, teeth, scale):
+        system = Gears(jnp.asarray(omega), jnp.asarray(teeth), lambda u: scale * jnp.cos(u))
+        return checkpoint.equations(system, X0)
+
+    same = equations(1.0, 3, 0.1)
+    assert equations(2.0, 3, 0.1) == same
+    assert len({same, equations(1.0, 4, 0.1), equations(1.0, 3, 0.1 + 1e-16)}) == 3
 
 
 def test_a_checkpoint_of_another_version_is_refused(begun, monkeypatch):
