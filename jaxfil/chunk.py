@@ -8,8 +8,10 @@ one kernel if `whole`. It answers with samples, outcomes and last states.
 
 import functools as ft
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from typing import Any
 
 import equinox as eqx
@@ -80,12 +82,15 @@ def _cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
+_UNFINISHED = code(RESULTS.interrupted)
+
+
 class _Lanes:
     """All lanes of a sweep, unfinished at first, and the progress bar that counts them."""
 
     def __init__(self, p: int, samples: int, n: int, dtype: Any, checkpoint: Checkpoint | None):
         self.xs = np.full((p, samples, n), np.nan, dtype)
-        self.codes = np.full((p,), code(RESULTS.interrupted), np.int32)
+        self.codes = np.full((p,), _UNFINISHED, np.int32)
         self.checkpoint = checkpoint
 
     def piece(self, start: int, lanes: int, run: Callable[[], tuple]) -> tuple[Piece, bool]:
@@ -105,6 +110,14 @@ class _Lanes:
         self.xs[start:stop] = piece.xs
         self.codes[start:stop] = piece.codes  # last: these say that the lanes are finished
         return piece, kept is not None
+
+    def finished(self) -> tuple[np.ndarray, np.ndarray]:
+        """Samples and codes of outcomes as they are now; NaN where a lane is not finished."""
+        codes = self.codes.copy()
+        missing = codes == _UNFINISHED
+        if missing.any():  # a chunk under way may still be written
+            return np.where(missing[:, None, None], np.nan, self.xs), codes
+        return self.xs, codes
 
 
 class _Bar:
@@ -142,24 +155,31 @@ def side_by_side(
     rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
     lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
 
+    stop = threading.Event()
+
     def chunk(start: int) -> tuple[int, bool]:
+        if stop.is_set():
+            return 0, False
         here = slice(start, start + size)
         piece, kept = lanes.piece(start, size, lambda: job(rows[here], states[here]))
         return len(piece.codes), kept
 
     starts = processes.share(range(0, p, size))
-    bar = _Bar(sum(min(size, p - start) for start in starts), progress)
-    with ThreadPoolExecutor(_cores()) as pool, bar:
-        chunks = [pool.submit(chunk, start) for start in starts]
-        try:
+    pool = ThreadPoolExecutor(_cores())
+    chunks = [pool.submit(chunk, start) for start in starts]
+    try:
+        with (
+            suppress(KeyboardInterrupt),
+            _Bar(sum(min(size, p - s) for s in starts), progress) as bar,
+        ):
             for done in as_completed(chunks):
                 bar.count(*done.result())
-        except KeyboardInterrupt:
-            pass  # chunks under way are finished first
-        finally:
-            for waiting in chunks:
-                waiting.cancel()
-    return processes.gather(lanes.xs, size), processes.gather(lanes.codes, size)
+    finally:
+        with suppress(KeyboardInterrupt):  # a second one: chunks under way are not waited for
+            stop.set()
+            pool.shutdown()
+    xs, codes = lanes.finished()
+    return processes.gather(xs, size), processes.gather(codes, size)
 
 
 def one_after_another(
@@ -176,16 +196,14 @@ def one_after_another(
     if jax.process_index() == 0:
         job, size = _compiled_job(job, rows, n, True)
         rows = _filled_up(rows, size)
-        with _Bar(p, progress) as bar:
-            try:
-                for start in range(0, p, size):
-                    here = rows[start : start + size]
-                    piece, kept = lanes.piece(start, size, ft.partial(job, here, state))
-                    state = piece.end
-                    bar.count(len(piece.codes), kept)
-            except KeyboardInterrupt:
-                pass  # the lanes that are finished are the answer
-    return processes.from_first(lanes.xs), processes.from_first(lanes.codes)
+        with suppress(KeyboardInterrupt), _Bar(p, progress) as bar:
+            for start in range(0, p, size):
+                here = rows[start : start + size]
+                piece, kept = lanes.piece(start, size, ft.partial(job, here, state))
+                state = piece.end
+                bar.count(len(piece.codes), kept)
+    xs, codes = lanes.finished()
+    return processes.from_first(xs), processes.from_first(codes)
 
 
 def _filled_up(rows: np.ndarray, size: int) -> np.ndarray:

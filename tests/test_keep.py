@@ -132,14 +132,14 @@ def test_an_outcome_of_another_version_is_named():
 
 
 def interrupt_after(monkeypatch, pieces):
-    """Press Ctrl-C when so many pieces are finished."""
+    """Press Ctrl-C when so many pieces are finished, and again after the next."""
     finished = []
     before = chunk._Lanes.piece
 
     def piece(*args):
         done = before(*args)
         finished.append(done)
-        if len(finished) == pieces:
+        if len(finished) in (pieces, pieces + 1):
             signal.raise_signal(signal.SIGINT)
         return done
 

@@ -16,10 +16,10 @@ VALUES = np.linspace(0.6, 0.9, 300)  # five chunks: three for one process, two f
 SCRIPT = """
 import sys
 import jax
+from tests.test_processes import answers, sweep  # jaxfil, too, is imported before
 jax.config.update("jax_enable_x64", True)
 port, index, out = sys.argv[1:]
 jax.distributed.initialize(f"127.0.0.1:{port}", 2, int(index))
-from tests.test_processes import answers, sweep
 answers(out, index)
 try:
     sweep(transient=2 + int(index))
