@@ -2,14 +2,16 @@
 
 A folder and a record of every argument enter; pieces of finished lanes leave and come back. The
 folder holds Zarr groups that xarray opens: `sweep.zarr`, the record, and one for each piece. A
-group is written under another name and then renamed, which the file system does whole or not at
-all: what bears its name is complete, whenever the process was killed.
+group is written under a name of its own and then renamed, which the file system does whole or not
+at all: what bears its name is complete, whenever a process was killed, and two at the same work
+harm nothing.
 """
 
 import dataclasses
 import hashlib
 import os
 import shutil
+import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -78,16 +80,16 @@ class Checkpoint:
         self._put(_name(start, stop), store.dataset(variables, {}, {}))
 
     def _put(self, name: str, data: Any) -> None:
-        # The same name for the same process and piece: what a killed run left is written over.
-        partial = self._path / f".{jax.process_index()}-{name}"
-        store.write_zarr(data, partial)
+        partial = self._path / f".{uuid.uuid4().hex}-{name}"
         try:
+            store.write_zarr(data, partial)
             os.rename(partial, self._path / name)
-        except OSError:
+        except Exception:
             # Another process has put the same there first: a folder that is not empty stays.
             if not (self._path / name).exists():
                 raise
-            shutil.rmtree(partial)
+        for left in self._path.glob(f".*-{name}"):  # by a run that was killed
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def digest(record: Record) -> bytes:

@@ -71,7 +71,7 @@ def bifurcation_diagram(
     **Returns** a `BifurcationDiagram`. A lane that fails says why in `results` and harms no other.
     Ctrl-C ends the sweep after the chunks under way, with a warning, and returns what is done; the
     outcome of the other lanes is `interrupted`. The numbers do not depend on how many cores the
-    machine has, nor a lane's on which others are swept with it.
+    machine has.
 
     **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
     `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
@@ -93,7 +93,7 @@ def bifurcation_diagram(
     (3, 2, 5, 2)
     """
     check.system("system", system)
-    dtype, n = _state_type(x0)
+    dtype = _state_type(x0)
     system = scene.cast(system, dtype)
     where = points(name, values, dtype)
     for each in where.names:
@@ -103,16 +103,10 @@ def bifurcation_diagram(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
             f"{type(system).__name__} is None."
         )
-    if follow not in (None, "up", "down"):
-        raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
-    if follow is not None and not isinstance(name, str):
-        raise ValueError(f"`follow` must be None with several parameters, got {follow!r}.")
-    samples = check.count("samples", samples)
+    _check_follow(follow, where)
     stepper = diffrax.Dopri8() if stepper is None else stepper
     conditions = Conditions(
-        parameters={
-            key: np.asarray(v) for key, v in parameters(system).items() if key not in where.names
-        },
+        parameters=_others(system, where.names),
         x0=_initial_states(x0, where.shape, follow is not None).astype(dtype),
         transient=check.count("transient", transient, least=0),
         steps=check.count("steps", steps),
@@ -120,29 +114,12 @@ def bifurcation_diagram(
         follow=follow,
         version=__version__,
     )
+    samples = check.count("samples", samples)
     kept = _begun(checkpoint, ft.partial(_record, system, where, conditions, samples, stepper))
-    job = ft.partial(
-        compiled(_run),
-        system,
-        where.names,
-        transient=jnp.asarray(conditions.transient, jnp.int32),
-        samples=samples,
-        steps=jnp.asarray(conditions.steps, jnp.int32),
-        stepper=stepper,
-    )
-    if follow is None:
-        states = conditions.x0.reshape(-1, n)
-        xs, codes = side_by_side(job, where.rows, states, samples, kept, progress)
-    else:
-        order = np.argsort(where.rows[:, 0], kind="stable")
-        order = order if follow == "up" else order[::-1]
-        rows = where.rows[order]
-        xs, codes = one_after_another(job, rows, conditions.x0, samples, kept, progress)
-        back = np.argsort(order, kind="stable")
-        xs, codes = xs[back], codes[back]
+    xs, codes = _swept(system, where, conditions, samples, stepper, kept, progress)
     diagram = BifurcationDiagram(
         values=where.values,
-        xs=xs.reshape(*where.shape, samples, n),
+        xs=xs.reshape(*where.shape, *xs.shape[1:]),
         results=outcomes(codes.reshape(where.shape)),
         parameter=name if isinstance(name, str) else where.names,
         system=type(system).__name__,
@@ -152,11 +129,51 @@ def bifurcation_diagram(
     return diagram
 
 
-def _state_type(x0: Any) -> tuple[Any, int]:
-    """The float precision and the number of components of initial states."""
+def _swept(
+    system: System,
+    where: Points,
+    given: Conditions,
+    samples: int,
+    stepper: Any,
+    kept: Checkpoint | None,
+    progress: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
+    job = ft.partial(
+        compiled(_run),
+        system,
+        where.names,
+        transient=jnp.asarray(given.transient, jnp.int32),
+        samples=samples,
+        steps=jnp.asarray(given.steps, jnp.int32),
+        stepper=stepper,
+    )
+    if given.follow is None:
+        states = given.x0.reshape(-1, given.x0.shape[-1])
+        return side_by_side(job, where.rows, states, samples, kept, progress)
+    order = np.argsort(where.rows[:, 0], kind="stable")
+    order = order if given.follow == "up" else order[::-1]
+    xs, codes = one_after_another(job, where.rows[order], given.x0, samples, kept, progress)
+    back = np.argsort(order, kind="stable")
+    return xs[back], codes[back]
+
+
+def _check_follow(follow: Any, where: Points) -> None:
+    if follow not in (None, "up", "down"):
+        raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
+    if follow is not None and len(where.names) > 1:
+        raise ValueError(f"`follow` must be None with several parameters, got {follow!r}.")
+
+
+def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The parameters that are not swept."""
+    return {key: np.asarray(v) for key, v in parameters(system).items() if key not in names}
+
+
+def _state_type(x0: Any) -> Any:
+    """The float precision of initial states."""
     several = np.ndim(x0) > 1 and np.size(x0) > 0
-    first = check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0)
-    return first.dtype, first.shape[0]
+    return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
 
 
 def _initial_states(x0: Any, shape: tuple[int, ...], follow: bool) -> np.ndarray:
@@ -180,7 +197,7 @@ def _record(
     table = repr(tableau(stepper)).encode()
     columns = where.values if isinstance(where.values, tuple) else where.rows.T
     return {
-        "system": f"{type(system).__module__}.{type(system).__qualname__}",
+        "system": type(system).__name__,
         "equations": equations(system, np.zeros(conditions.x0.shape[-1:], conditions.x0.dtype)),
         **{f"system.{key}": value for key, value in conditions.parameters.items()},
         "name": ", ".join(where.names),

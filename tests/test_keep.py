@@ -147,6 +147,15 @@ def interrupt_after(monkeypatch, pieces):
     monkeypatch.setattr(chunk._Lanes, "piece", piece)
 
 
+@pytest.fixture
+def ctrl_c_interrupts():
+    """It does not in what a shell has started in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c_interrupts")
 @pytest.mark.parametrize("follow", [None, "down"])
 def test_what_is_done_comes_back_after_ctrl_c(monkeypatch, tmp_path, follow):
     values = np.linspace(0.6, 0.9, 200 if follow is None else 40)
@@ -204,6 +213,7 @@ def test_a_killed_sweep_goes_on_where_it_was(monkeypatch, tmp_path, follow):
     resumed = sweep(values, follow=follow, checkpoint=path)
     assert int(kept.name.split("-")[1]) not in ran and len(ran) in (2, 3)
     assert eqx.tree_equal(resumed, sweep(values, follow=follow))
+    assert not [name for name in os.listdir(path) if name.startswith(".")]
 
 
 def changed(**fields):
@@ -221,14 +231,11 @@ class Other(jf.systems.SDOscillator):
         return x[0] - 0.1
 
 
-Other.__name__ = Other.__qualname__ = "SDOscillator"
-Other.__module__ = jf.systems.SDOscillator.__module__
+Other.__name__ = "SDOscillator"
 
 CHANGES = {
     "system.f0 was 0.25 and is 0.26": {"system": changed(f0=0.26)},
-    "system was jaxfil.systems.SDOscillator and is jaxfil.systems.BeltFriction": {
-        "system": jf.systems.BeltFriction()
-    },
+    "system was SDOscillator and is BeltFriction": {"system": jf.systems.BeltFriction()},
     r"folder, or .*: equations was \w+ and is \w+\.$": {"system": Other(omega=0.7)},
     "name was omega and is zeta": {"name": "zeta"},
     "values of omega.1. was 0.8 and is 0.9": {"values": [0.7, 0.9]},
