@@ -10,6 +10,7 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 import jaxfil as jf
+from jaxfil import processes
 
 X0 = np.array([0.3, 0.1])
 VALUES = np.linspace(0.6, 0.9, 300)  # five chunks: three for one process, two for the other
@@ -44,6 +45,7 @@ def answers(out, index):
         whole=whole.xs,
         successful=whole.successful,
         follow=follow.xs,
+        zeros=processes.from_first(np.array([-0.0, 0.0]) if index == "0" else np.ones(2)),
     )
 
 
@@ -55,7 +57,7 @@ def free_port():
 
 def test_two_processes_find_what_one_finds(tmp_path):
     port = str(free_port())
-    processes = [
+    both = [
         subprocess.Popen(
             [sys.executable, "-c", SCRIPT, port, str(index), str(tmp_path)],
             cwd=Path(__file__).parent.parent,
@@ -65,8 +67,8 @@ def test_two_processes_find_what_one_finds(tmp_path):
         )
         for index in range(2)
     ]
-    told = [process.communicate(timeout=120)[0] for process in processes]
-    assert [process.returncode for process in processes] == [0, 0], told
+    told = [process.communicate(timeout=120)[0] for process in both]
+    assert [process.returncode for process in both] == [0, 0], told
     assert all("All processes must call with the same arguments" in text for text in told)
     one, follow = sweep(), sweep(VALUES[:20], follow="up")
     for index in range(2):
@@ -74,6 +76,7 @@ def test_two_processes_find_what_one_finds(tmp_path):
             assert_array_equal(two["whole"], one.xs)
             assert_array_equal(two["successful"], one.successful)
             assert_array_equal(two["follow"], follow.xs)
+            assert two["zeros"].tobytes() == np.array([-0.0, 0.0]).tobytes()
     assert len(list((tmp_path / "checkpoint").glob("lanes-*"))) == 5
     # One process goes on where two left off.
     assert_array_equal(sweep(checkpoint=tmp_path / "checkpoint").xs, one.xs)
