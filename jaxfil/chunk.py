@@ -190,18 +190,20 @@ def one_after_another(
     checkpoint: Checkpoint | None,
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples and outcomes of all lanes, each from the last one's end, in the first process."""
+    """Samples and outcomes of all lanes, each from the last one's end.
+
+    Every process computes all of them, for none could help another, and then takes the first one's.
+    """
     p, n = len(rows), len(state)
     lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
-    if jax.process_index() == 0:
-        job, size = _compiled_job(job, rows, n, True)
-        rows = _filled_up(rows, size)
-        with suppress(KeyboardInterrupt), _Bar(p, progress) as bar:
-            for start in range(0, p, size):
-                here = rows[start : start + size]
-                piece, kept = lanes.piece(start, size, ft.partial(job, here, state))
-                state = piece.end
-                bar.count(len(piece.codes), kept)
+    job, size = _compiled_job(job, rows, n, True)
+    rows = _filled_up(rows, size)
+    with suppress(KeyboardInterrupt), _Bar(p, progress) as bar:
+        for start in range(0, p, size):
+            here = rows[start : start + size]
+            piece, kept = lanes.piece(start, size, ft.partial(job, here, state))
+            state = piece.end
+            bar.count(len(piece.codes), kept)
     xs, codes = lanes.finished()
     return processes.from_first(xs), processes.from_first(codes)
 

@@ -76,8 +76,9 @@ def bifurcation_diagram(
     **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
     `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
     cores or its one accelerator, and returns the whole diagram, equal to that of one process on the
-    same hardware. A checkpoint may be on a file system that they share. With `follow` the first
-    process computes, and the others wait.
+    same hardware. A checkpoint may be on a file system that they share. With `follow` each computes
+    the whole. On CPU XLA lets a process wait half an hour for the slowest one, or as long as
+    `XLA_FLAGS=--xla_cpu_collective_timeout_seconds=…` says.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
