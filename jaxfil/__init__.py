@@ -38,18 +38,15 @@ from jaxfil.analysis.work_precision import (
     WorkPrecision as WorkPrecision,
     work_precision as work_precision,
 )
+from jaxfil.diagram import BifurcationDiagram as BifurcationDiagram, load as load
 from jaxfil.initial_value import solve as solve
 from jaxfil.results import KINDS as KINDS, RESULTS as RESULTS
 from jaxfil.rosenbrock import Rodas5P as Rodas5P
 from jaxfil.solution import Events as Events, Solution as Solution
 from jaxfil.stepper import RK4 as RK4
-from jaxfil.sweep import (
-    BifurcationDiagram as BifurcationDiagram,
-    bifurcation_diagram as bifurcation_diagram,
-)
+from jaxfil.sweep import bifurcation_diagram as bifurcation_diagram
 from jaxfil.system import System as System, piecewise as piecewise, smoothed as smoothed
-
-__version__ = "0.1.0"
+from jaxfil.version import __version__ as __version__
 
 
 def __getattr__(name: str):

@@ -7,6 +7,8 @@ sentence the user sees), and `KINDS`, the codes of the event table.
 import enum
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -58,6 +60,7 @@ class RESULTS(eqx.Enumeration):
     nonfinite = (
         "The state, the vector field, the switching function or a reset is not finite (NaN or inf)."
     )
+    interrupted = "The sweep was interrupted before this lane was finished."
 
 
 def outcome_names(results: RESULTS) -> np.ndarray:
@@ -66,6 +69,29 @@ def outcome_names(results: RESULTS) -> np.ndarray:
     for name in RESULTS._name_to_item:
         names[np.asarray(results == getattr(RESULTS, name))] = name
     return names
+
+
+def outcome_codes(names: np.ndarray) -> np.ndarray:
+    """The integers that stand for outcomes of these names, an array in their shape."""
+    codes = np.empty(np.shape(names), np.int32)
+    for name in np.unique(names):
+        if name not in RESULTS._name_to_item:
+            raise ValueError(
+                f"An outcome must be one of {', '.join(RESULTS._name_to_item)}, got {str(name)!r}."
+            )
+        codes[names == name] = code(getattr(RESULTS, name))
+    return codes
+
+
+def code(outcome: RESULTS) -> int:
+    """The integer that stands for an outcome."""
+    (number,) = jax.tree.leaves(outcome)
+    return int(number)
+
+
+def outcomes(codes: np.ndarray) -> RESULTS:
+    """The outcomes that integers stand for."""
+    return jax.tree.map(lambda _: jnp.asarray(codes), RESULTS.successful)
 
 
 class KINDS(enum.IntEnum):

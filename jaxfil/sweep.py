@@ -1,4 +1,4 @@
-"""Many lanes: one parameter of a system swept over thousands of values.
+"""Many lanes: parameters of a system swept over thousands of values.
 
 A system, the name of a parameter and its values enter; the motion that each value settles on,
 sampled once a forcing period, leaves. Lanes run in chunks, a chunk on every core at a time, and
@@ -6,92 +6,45 @@ each has its own outcome.
 """
 
 import functools as ft
+import hashlib
+import os
+import warnings
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxfil import check, scene
-from jaxfil.chunk import chunks, collect, compiled, one_after_another
+from jaxfil import check, processes, scene
+from jaxfil.checkpoint import Checkpoint, Record, digest, equations
+from jaxfil.chunk import BLOCK, compiled, one_after_another, side_by_side
+from jaxfil.diagram import BifurcationDiagram, Conditions
 from jaxfil.flow import integrate
 from jaxfil.kernel import in_blocks, one_kernel
 from jaxfil.lane import Policy, Span
-from jaxfil.parameter import parameter, replace
-from jaxfil.results import RESULTS, outcome_names
+from jaxfil.parameter import parameter, parameters, replace
+from jaxfil.points import Points, points
+from jaxfil.results import RESULTS, outcomes
 from jaxfil.stepper import tableau
 from jaxfil.system import System
-
-# Lanes that share a loop, on CPU: few enough for all of their numbers to stay in the first-level
-# cache, and to wait for few others.
-_BLOCK = 64
-
-
-class BifurcationDiagram(eqx.Module):
-    """The motion settled on against a parameter.
-
-    `xs[i, k]` is the state at the k-th sampled forcing period (t a multiple of the period) for
-    `values[i]`; NaN from where a lane failed. `results[i]` is the lane's outcome.
-    """
-
-    values: Float[np.ndarray, " p"]
-    xs: Float[np.ndarray, "p samples n"]
-    results: RESULTS
-    parameter: str = eqx.field(static=True)
-    system: str = eqx.field(static=True)
-
-    @property
-    def successful(self) -> np.ndarray:
-        """Which lanes reached their end, shape (p,)."""
-        return np.asarray(self.results == RESULTS.successful)
-
-    def plot(self, ax: Any = None, component: int = 0) -> Any:
-        """Draw one component of the samples against the parameter; returns the matplotlib axes."""
-        from jaxfil import plot
-
-        return plot.bifurcation_diagram(self, ax=ax, component=component)
-
-    def to_xarray(self) -> Any:
-        """An `xarray.Dataset` of `x` (parameter, sample, component) and `outcome` (parameter).
-
-        Needs the package xarray.
-        """
-        import xarray
-
-        return xarray.Dataset(
-            {
-                "x": ((self.parameter, "sample", "component"), self.xs),
-                "outcome": ((self.parameter,), outcome_names(self.results)),
-            },
-            coords={self.parameter: self.values},
-            attrs={"system": self.system},
-        )
-
-    def __repr__(self) -> str:
-        p, samples, n = self.xs.shape
-        lines = [
-            f"BifurcationDiagram of {self.system}",
-            f"  {self.parameter}: {p} values from {self.values[0]:g} to {self.values[-1]:g}",
-            f"  {samples} samples of {n} components each",
-            f"  {int(self.successful.sum())} of {p} lanes successful",
-        ]
-        return "\n".join(lines)
+from jaxfil.version import __version__
 
 
 def bifurcation_diagram(
     system: System,
-    name: str,
-    values: Float[Array | np.ndarray, " p"],
-    x0: Float[Array, " n"],
+    name: str | Sequence[str],
+    values: Float[Array | np.ndarray, " p"] | Float[Array | np.ndarray, "p k"] | Sequence[Any],
+    x0: Float[Array, "*shape n"],
     *,
     transient: int = 200,
     samples: int = 100,
     steps: int = 40,
     stepper: Any = None,
     follow: Literal["up", "down"] | None = None,
+    checkpoint: str | os.PathLike | None = None,
     progress: bool = True,
 ) -> BifurcationDiagram:
     """Sweep the parameter `name` of a forced system over `values`.
@@ -101,100 +54,192 @@ def bifurcation_diagram(
 
     **Arguments**
 
-    - `name`: a float leaf of the system; a dotted path for nested modules.
-    - `values`: shape (p,). New values never recompile.
-    - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n).
+    - `name`: a float leaf of the system; a dotted path for nested modules. Or k such names.
+    - `values`: shape (p,). New values never recompile. For k names, a tuple of k arrays, whose
+      product grid is swept, or one array of shape (p, k), a point in parameter space a row.
+    - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n); on a grid
+      (p1, p2, …, n).
     - `steps`: steps per forcing period.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `follow`: `"up"` or `"down"` starts each value, in ascending or descending order, from the
       last one's end, which follows an attractor; by default each starts from `x0`.
+    - `checkpoint`: a folder that keeps every chunk of lanes as soon as it is finished. The same
+      call goes on from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
+      numbers bit for bit. A call with other arguments is refused. Needs xarray and zarr.
     - `progress`: show a progress bar.
 
     **Returns** a `BifurcationDiagram`. A lane that fails says why in `results` and harms no other.
+    Ctrl-C ends the sweep after the chunks under way, with a warning, and returns what is done; the
+    outcome of the other lanes is `interrupted`. The numbers do not depend on how many cores the
+    machine has.
+
+    **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
+    `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
+    cores or its one accelerator, and returns the whole diagram, equal to that of one process on the
+    same hardware. A checkpoint may be on a file system that they share. With `follow` each computes
+    the whole. On CPU XLA lets a process wait half an hour for the slowest one, or as long as
+    `XLA_FLAGS=--xla_cpu_collective_timeout_seconds=…` says.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> sd, x0 = jf.systems.SDOscillator(), jnp.array([0.3, 0.1])
     >>> d = jf.bifurcation_diagram(
-    ...     jf.systems.SDOscillator(), "omega", jnp.array([0.6, 1.2]), jnp.array([0.3, 0.1]),
-    ...     transient=20, samples=5, progress=False)
+    ...     sd, "omega", jnp.array([0.6, 1.2]), x0, transient=20, samples=5, progress=False)
     >>> d.xs.shape
     (2, 5, 2)
+    >>> omega, f0 = jnp.array([0.6, 0.8, 1.2]), jnp.array([0.2, 0.3])
+    >>> d = jf.bifurcation_diagram(
+    ...     sd, ("omega", "f0"), (omega, f0), x0, transient=20, samples=5, progress=False)
+    >>> d.xs.shape
+    (3, 2, 5, 2)
     """
-    states = _initial_states(x0)
-    dtype = states.dtype
     check.system("system", system)
+    dtype = _state_type(x0)
     system = scene.cast(system, dtype)
-    parameter(system, name)
-    values = _values(values, dtype)
-    if states.shape[0] not in (1, values.shape[0]):
-        raise ValueError(
-            f"`x0` must be of shape (n,) or (p, n) with p = {values.shape[0]}, the number of "
-            f"values, got {states.shape}."
-        )
+    where = points(name, values, dtype)
+    for each in where.names:
+        parameter(system, each)
     if system.period is None:
         raise ValueError(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
             f"{type(system).__name__} is None."
         )
-    transient = check.count("transient", transient, least=0)
-    samples = check.count("samples", samples)
-    steps = check.count("steps", steps)
+    _check_follow(follow, where)
     stepper = diffrax.Dopri8() if stepper is None else stepper
-    tableau(stepper)
-    if follow not in (None, "up", "down"):
-        raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
+    conditions = Conditions(
+        parameters=_others(system, where.names),
+        x0=_initial_states(x0, where.shape, follow is not None).astype(dtype),
+        transient=check.count("transient", transient, least=0),
+        steps=check.count("steps", steps),
+        stepper=tableau(stepper).name,
+        follow=follow,
+        version=__version__,
+    )
+    samples = check.count("samples", samples)
+    kept = _begun(checkpoint, ft.partial(_record, system, where, conditions, samples, stepper))
+    xs, codes = _swept(system, where, conditions, samples, stepper, kept, progress)
+    diagram = BifurcationDiagram(
+        values=where.values,
+        xs=xs.reshape(*where.shape, *xs.shape[1:]),
+        results=outcomes(codes.reshape(where.shape)),
+        parameter=name if isinstance(name, str) else where.names,
+        system=type(system).__name__,
+        conditions=conditions,
+    )
+    _warn_if_interrupted(diagram, checkpoint)
+    return diagram
 
+
+def _swept(
+    system: System,
+    where: Points,
+    given: Conditions,
+    samples: int,
+    stepper: Any,
+    kept: Checkpoint | None,
+    progress: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
     job = ft.partial(
         compiled(_run),
         system,
-        name,
-        transient=jnp.asarray(transient, jnp.int32),
+        where.names,
+        transient=jnp.asarray(given.transient, jnp.int32),
         samples=samples,
-        steps=jnp.asarray(steps, jnp.int32),
+        steps=jnp.asarray(given.steps, jnp.int32),
         stepper=stepper,
     )
-    if follow is None:
-        order = np.arange(values.shape[0])
-        pieces = chunks(job, values, states)
-    else:
-        order = np.argsort(values, kind="stable")
-        order = order if follow == "up" else order[::-1]
-        if states.shape[0] != 1:
-            raise ValueError(f"`x0` must be of shape (n,) with `follow`, got {states.shape}.")
-        pieces = one_after_another(job, values[order], states[0])
-    xs, results = collect(pieces, values.shape[0], samples, states.shape[1], dtype, progress)
+    if given.follow is None:
+        states = given.x0.reshape(-1, given.x0.shape[-1])
+        return side_by_side(job, where.rows, states, samples, kept, progress)
+    order = np.argsort(where.rows[:, 0], kind="stable")
+    order = order if given.follow == "up" else order[::-1]
+    xs, codes = one_after_another(job, where.rows[order], given.x0, samples, kept, progress)
     back = np.argsort(order, kind="stable")
-    return BifurcationDiagram(
-        values=values,
-        xs=xs[back],
-        results=jax.tree.map(lambda code: jnp.asarray(code[back]), results),
-        parameter=name,
-        system=type(system).__name__,
-    )
+    return xs[back], codes[back]
 
 
-def _initial_states(x0: Any) -> np.ndarray:
-    """One or p initial states, shape (1 or p, n)."""
-    if np.ndim(x0) == 2 and np.shape(x0)[0] > 0:
-        check.state("x0", x0[0])
-        array = np.asarray(x0)
-        return array if array.dtype.kind == "f" else array.astype(jnp.result_type(float))
-    return np.asarray(check.state("x0", x0))[None]
+def _check_follow(follow: Any, where: Points) -> None:
+    if follow not in (None, "up", "down"):
+        raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
+    if follow is not None and len(where.names) > 1:
+        raise ValueError(f"`follow` must be None with several parameters, got {follow!r}.")
 
 
-def _values(values: Any, dtype: Any) -> np.ndarray:
-    array = np.asarray(values)
-    if array.ndim != 1 or array.shape[0] == 0 or array.dtype.kind not in "fiu":
+def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The parameters that are not swept."""
+    return {key: np.asarray(v) for key, v in parameters(system).items() if key not in names}
+
+
+def _state_type(x0: Any) -> Any:
+    """The float precision of initial states."""
+    several = np.ndim(x0) > 1 and np.size(x0) > 0
+    return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
+
+
+def _initial_states(x0: Any, shape: tuple[int, ...], follow: bool) -> np.ndarray:
+    """One initial state, shape (n,), or one for each lane."""
+    states = np.asarray(x0)
+    if follow and states.ndim != 1:
+        raise ValueError(f"`x0` must be of shape (n,) with `follow`, got {states.shape}.")
+    if states.ndim != 1 and states.shape[:-1] != shape:
+        lanes = ", ".join(map(str, shape))
         raise ValueError(
-            "`values` must be real numbers of shape (p,) with p ≥ 1, got shape "
-            f"{array.shape} of dtype {array.dtype}."
+            f"`x0` must be of shape (n,), or ({lanes}, n), a state for each lane, got "
+            f"{states.shape}."
         )
-    return array.astype(dtype)
+    return states
 
 
-def _lane(system, name, value, x0, transient, samples, steps, stepper):
-    """One value: samples (samples, n), outcome, and the last state."""
-    system = replace(system, name, value)
+def _record(
+    system: System, where: Points, conditions: Conditions, samples: int, stepper: Any
+) -> Record:
+    """All that the numbers of a sweep depend on, by the names that a user knows."""
+    table = repr(tableau(stepper)).encode()
+    columns = where.values if isinstance(where.values, tuple) else where.rows.T
+    return {
+        "system": type(system).__name__,
+        "equations": equations(system, np.zeros(conditions.x0.shape[-1:], conditions.x0.dtype)),
+        **{f"system.{key}": value for key, value in conditions.parameters.items()},
+        "name": ", ".join(where.names),
+        "points": str(where.shape),
+        **{f"values of {key}": v for key, v in zip(where.names, columns, strict=True)},
+        "x0": conditions.x0,
+        "transient": conditions.transient,
+        "samples": samples,
+        "steps": conditions.steps,
+        "stepper": conditions.stepper,
+        "coefficients": hashlib.sha256(table).hexdigest()[:16],
+        "follow": str(conditions.follow),
+        "jaxfil": conditions.version,
+        "jax": jax.__version__,
+        "backend": jax.default_backend(),
+    }
+
+
+def _begun(checkpoint: str | os.PathLike | None, record: Callable[[], Record]) -> Checkpoint | None:
+    """The checkpoint, if one is asked for, after a look whether all processes ask for the same."""
+    if jax.process_count() > 1:
+        processes.same(digest(record()))
+    return None if checkpoint is None else Checkpoint(checkpoint, record())
+
+
+def _warn_if_interrupted(diagram: BifurcationDiagram, checkpoint: Any) -> None:
+    missing = np.asarray(diagram.results == RESULTS.interrupted)
+    if missing.any():
+        rest = "" if checkpoint is None else f"; the same call goes on from {checkpoint}"
+        warnings.warn(
+            f"The sweep was interrupted: {int((~missing).sum())} of {missing.size} lanes are "
+            f"finished, the samples of the others are NaN{rest}.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+def _lane(system, names, row, x0, transient, samples, steps, stepper):
+    """One point in parameter space: samples (samples, n), outcome, and the last state."""
+    for i, name in enumerate(names):
+        system = replace(system, name, row[i])
     scene_ = scene.build(system, x0)
     period = jnp.asarray(system.period, x0.dtype)
     num_steps = (transient + samples) * steps
@@ -212,21 +257,21 @@ def _lane(system, name, value, x0, transient, samples, steps, stepper):
     return xs, lane.result, scene.pack(lane.x, x0.dtype)
 
 
-def _run(system, name, values, states, *, transient, samples, steps, stepper, followed, whole):
-    """A chunk of values side by side, or one after the other each from the last one's end."""
+def _run(system, names, rows, states, *, transient, samples, steps, stepper, followed, whole):
+    """A chunk of points side by side, or one after the other each from the last one's end."""
 
-    def lane(value, x0):
-        return _lane(system, name, value, x0, transient, samples, steps, stepper)
+    def lane(row, x0):
+        return _lane(system, names, row, x0, transient, samples, steps, stepper)
 
     if not followed:
         lanes = jax.vmap(lane)
-        return (in_blocks(lanes, _BLOCK) if whole else lanes)(values, states)
+        return (in_blocks(lanes, BLOCK) if whole else lanes)(rows, states)
 
     single = one_kernel(lane) if whole else lane
 
-    def next_value(x, value):
-        xs, result, end = single(value, x)
+    def next_point(x, row):
+        xs, result, end = single(row, x)
         return jnp.where(result == RESULTS.successful, end, x), (xs, result)
 
-    end, (xs, results) = jax.lax.scan(next_value, states, values)
+    end, (xs, results) = jax.lax.scan(next_point, states, rows)
     return xs, results, end

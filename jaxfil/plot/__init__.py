@@ -1,6 +1,6 @@
 """Pictures: a diagram or a solution enters, the matplotlib axes it was drawn on leave.
 
-The only file that knows matplotlib, which is why importing jaxfil does not import this one. Every
+The only folder that knows matplotlib, which is why importing jaxfil does not import this one. Every
 picture takes the axes to draw on, or makes its own, and gives them back. The colours are those of
 Okabe and Ito, which colour-blind readers tell apart.
 """
@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, own_axes, page as page
+from jaxfil.plot.periods import PERIODS as PERIODS, parameter_map as parameter_map
 from jaxfil.results import KINDS
 
 if TYPE_CHECKING:
@@ -22,12 +23,10 @@ if TYPE_CHECKING:
     from jaxfil.analysis.curve import BifurcationCurve
     from jaxfil.analysis.lyapunov import LyapunovSpectrum
     from jaxfil.analysis.work_precision import WorkPrecision
+    from jaxfil.diagram import BifurcationDiagram
     from jaxfil.solution import Solution
-    from jaxfil.sweep import BifurcationDiagram
 
-BLACK, VERMILLION = "#000000", "#D55E00"
 SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
-COLORS = ("#0072B2", VERMILLION, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
 MARKERS = {
     KINDS.crossing: ("o", "#0072B2"),
@@ -59,9 +58,13 @@ def bifurcation_diagram(
     A million samples take about a second, and a vector file holds them as an image. Values whose
     lane ended early are ticked along the lower edge.
     """
+    if not isinstance(diagram.parameter, str):
+        raise ValueError(
+            f"`diagram` must be a sweep of one parameter, got {', '.join(diagram.parameter)}."
+        )
     values, xs = np.asarray(diagram.values), np.asarray(diagram.xs)
     _check_component(component, xs.shape[-1])
-    ax = _own_axes() if ax is None else ax
+    ax = own_axes() if ax is None else ax
     column = xs[..., component]
     seen = np.isfinite(column)
     ax.plot(
@@ -91,7 +94,7 @@ def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> A
     """
     ts, xs = _path(sol)
     _check_component(component, xs.shape[1])
-    ax = _own_axes() if ax is None else ax
+    ax = own_axes() if ax is None else ax
     _shade_modes(ax, sol)
     ax.plot(ts, xs[:, component], color=BLACK, linewidth=1)
     ax.set_xlim(np.nanmin(ts), np.nanmax(ts))
@@ -105,7 +108,7 @@ def phase_portrait(sol: Solution, ax: Axes | None = None) -> Axes:
     _, xs = _path(sol)
     if xs.shape[1] < 2:
         raise ValueError("`sol` must have two components or more, got 1.")
-    ax = _own_axes() if ax is None else ax
+    ax = own_axes() if ax is None else ax
     ax.plot(xs[:, 0], xs[:, 1], color=BLACK, linewidth=1)
     _, contacts, kinds, _ = _contacts(sol)
     for kind in np.unique(kinds):
@@ -127,7 +130,7 @@ def branch(
     Shown is one component of x0, or with `extremes` its smallest and largest value on the orbit.
     """
     _check_component(component, branch.orbits.x0.shape[-1])
-    ax = _own_axes() if ax is None else ax
+    ax = own_axes() if ax is None else ax
     if extremes:
         curves = [column[:, component] for column in branch.extremes()]
         label = f"least and largest x[{component}]"
@@ -170,7 +173,7 @@ def branch(
 def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
     """Draw a bifurcation in the plane of two parameters, each kind in its colour, points of
     codimension two marked."""
-    ax = _own_axes() if ax is None else ax
+    ax = own_axes() if ax is None else ax
     kinds = np.array(curve.kinds)
     for kind in dict.fromkeys(curve.kinds):
         keep = kinds == kind
@@ -199,7 +202,7 @@ def lyapunov_exponents(
             f"`spectrum` must hold one spectrum for each of {values.size} values, got exponents of "
             f"shape {exponents.shape}."
         )
-    ax = _own_axes() if ax is None else ax
+    ax = own_axes() if ax is None else ax
     settled = np.asarray(spectrum.settled)
     ax.axhline(0, color=BLACK, linewidth=0.5)
     size = max(1.5, 2 * _marker_size(ax, values.size))
@@ -230,7 +233,7 @@ def lyapunov_convergence(spectrum: LyapunovSpectrum, ax: Axes | None = None) -> 
             f"`spectrum` must be of one lane, got {times.shape[0]} of them: take lane i with "
             "jax.tree.map(lambda a: a[i], spectrum)."
         )
-    ax = _own_axes() if ax is None else ax
+    ax = own_axes() if ax is None else ax
     for i, column in enumerate(running.T):
         color, last = SERIES[i % len(SERIES)], np.asarray(spectrum.exponents)[i]
         if not np.isfinite(last):
@@ -251,7 +254,7 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
     Steps get shorter to the right. Below the dashed line, the change of the reference on halving
     its step, errors are not resolved.
     """
-    ax = _own_axes() if ax is None else ax
+    ax = own_axes() if ax is None else ax
     size = max(float(np.max(abs(table.reference))), np.finfo(float).tiny)
     floor = max(table.reference_error, float(np.finfo(table.reference.dtype).eps) * size)
     lines = zip(table.steppers, table.seconds, table.errors, strict=True)
@@ -265,17 +268,6 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("error of x(t1)")
     ax.legend(fontsize="small")
     return ax
-
-
-def page() -> Figure:
-    """An empty figure that no window shows, for a picture that goes to a file."""
-    return Figure(figsize=(8, 5), dpi=200, layout="constrained")
-
-
-def _own_axes() -> Axes:
-    import matplotlib.pyplot as plt  # looks for a display, so only when a window is wanted
-
-    return plt.subplots(layout="constrained")[1]
 
 
 def _check_component(component: int, n: int) -> None:

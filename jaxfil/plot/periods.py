@@ -1,0 +1,55 @@
+"""A map of the plane of two parameters: the period of the motion at each of its points."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+
+from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, own_axes
+
+if TYPE_CHECKING:
+    from jaxfil.diagram import BifurcationDiagram
+
+# From this period on they share a colour.
+_MANY = len(COLORS) + 1
+# A colour for each period, the same in every map.
+PERIODS = {**dict(enumerate(COLORS, start=1)), _MANY: YELLOW, 0: BLACK, -1: WHITE}
+
+
+def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
+    """Draw the period of the motion over a grid of two parameters, a colour for each.
+
+    Periods are those of `BifurcationDiagram.periods`, in forcing periods. Black is longer than half
+    the samples can show: chaos, a torus, or a transient that is not over; white is a failed lane.
+    """
+    values = diagram.values
+    if not isinstance(values, tuple) or len(values) != 2 or min(map(len, values)) < 2:
+        names = [diagram.parameter] if isinstance(diagram.parameter, str) else diagram.parameter
+        raise ValueError(
+            "`diagram` must be a sweep over a grid of two parameters, two values or more of each, "
+            f"got {', '.join(names)} in the shape {diagram.successful.shape}."
+        )
+    ax = own_axes() if ax is None else ax
+    at = [np.argsort(axis)[: np.isfinite(axis).sum()] for axis in values]  # NaN comes last
+    periods = np.minimum(diagram.periods(), _MANY)[np.ix_(*at)].T
+    seen = [period for period in PERIODS if (periods == period).any()]
+    picture = ax.pcolormesh(
+        *(axis[order] for axis, order in zip(values, at, strict=True)),
+        np.argmax(periods[..., None] == np.array(seen), axis=-1),
+        cmap=ListedColormap([PERIODS[period] for period in seen]),
+        vmin=-0.5,
+        vmax=len(seen) - 0.5,
+        shading="nearest",
+        rasterized=True,
+    )
+    told = {_MANY: f"≥ {_MANY}", 0: f"> {diagram.xs.shape[-2] // 2}", -1: "failed"}
+    bar = ax.figure.colorbar(picture, ax=ax, ticks=range(len(seen)))
+    bar.ax.set_yticklabels([told.get(period, str(period)) for period in seen])
+    bar.ax.tick_params(length=0)
+    bar.ax.set_title("period", fontsize="medium")
+    ax.set_xlabel(diagram.parameter[0])
+    ax.set_ylabel(diagram.parameter[1])
+    return ax

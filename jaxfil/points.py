@@ -1,0 +1,72 @@
+"""Points in parameter space: what a sweep goes over.
+
+Names of parameters and their values, as a user gives them, enter; points in order, and the shape
+of the result that they make, leave.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Points:
+    """p points in the space of k parameters.
+
+    `values` is kept as it was given: shape (p,) for one name, k arrays for a grid, shape (p, k) for
+    points one by one. `rows`, shape (p, k), holds a point a row, the last parameter of a grid
+    varying fastest; `shape` is that of the result, a dimension for each parameter of a grid.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray | tuple[np.ndarray, ...]
+    rows: np.ndarray
+    shape: tuple[int, ...]
+
+
+def points(name: str | Sequence[str], values: Any, dtype: Any) -> Points:
+    """The points that `name` and `values` ask for, in a float precision."""
+    if isinstance(name, str):
+        axis = _axis(values, dtype, "(p,) with p ≥ 1")
+        return Points((name,), axis, axis[:, None], axis.shape)
+    names = tuple(name)
+    if len({*names}) < max(2, len(names)) or not all(isinstance(n, str) for n in names):
+        raise ValueError(f"`name` must be a string, or two or more different ones, got {name!r}.")
+    if hasattr(values, "ndim"):
+        return _one_by_one(names, np.asarray(values), dtype)
+    if not isinstance(values, Sequence) or len(values) != len(names):
+        raise ValueError(
+            f"`values` must be {len(names)} arrays, one for each name, for their product grid, or "
+            f"one array of shape (p, {len(names)}) for single points, got {_told(values)}."
+        )
+    axes = tuple(_axis(v, dtype, "(p,) with p ≥ 1 for each name") for v in values)
+    mesh = np.meshgrid(*axes, indexing="ij")
+    rows = np.stack([m.ravel() for m in mesh], axis=1)
+    return Points(names, axes, rows, mesh[0].shape)
+
+
+def _one_by_one(names: tuple[str, ...], rows: np.ndarray, dtype: Any) -> Points:
+    if rows.ndim != 2 or rows.shape[1] != len(names):
+        raise ValueError(
+            f"`values` must be of shape (p, {len(names)}), a column for each name, or a tuple of "
+            f"{len(names)} arrays for their product grid, got shape {rows.shape}."
+        )
+    _axis(rows[:, 0], dtype, f"(p, {len(names)}) with p ≥ 1")
+    rows = rows.astype(dtype)
+    return Points(names, rows, rows, rows.shape[:1])
+
+
+def _axis(values: Any, dtype: Any, shape: str) -> np.ndarray:
+    array = np.asarray(values)
+    if array.ndim != 1 or array.shape[0] == 0 or array.dtype.kind not in "fiu":
+        raise ValueError(
+            f"`values` must be real numbers of shape {shape}, got shape {array.shape} of dtype "
+            f"{array.dtype}."
+        )
+    return array.astype(dtype)
+
+
+def _told(values: Any) -> str:
+    return f"{len(values)} of them" if isinstance(values, Sequence) else repr(values)
