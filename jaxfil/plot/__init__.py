@@ -15,7 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, own_axes, page as page
+from jaxfil.plot.multipliers import multipliers as multipliers
 from jaxfil.plot.periods import PERIODS as PERIODS, parameter_map as parameter_map
+from jaxfil.plot.section import poincare_section as poincare_section
+from jaxfil.plot.surfaces import draw_surfaces
 from jaxfil.results import KINDS
 
 if TYPE_CHECKING:
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
     from jaxfil.analysis.work_precision import WorkPrecision
     from jaxfil.diagram import BifurcationDiagram
     from jaxfil.solution import Solution
+    from jaxfil.system import System
 
 SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
@@ -103,20 +107,28 @@ def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> A
     return ax
 
 
-def phase_portrait(sol: Solution, ax: Axes | None = None) -> Axes:
-    """Draw the second component against the first and mark every contact by its kind."""
-    _, xs = _path(sol)
+def phase_portrait(sol: Solution, ax: Axes | None = None, system: System | None = None) -> Axes:
+    """Draw the second component against the first: sliding segments thick, every contact marked by
+    its kind, and the surfaces of `system`, if it is given, dashed.
+
+    Surfaces are drawn where they cut the plane of the two components, at the last time and with the
+    other components as they are then.
+    """
+    ts, xs = _path(sol)
     if xs.shape[1] < 2:
         raise ValueError("`sol` must have two components or more, got 1.")
     ax = own_axes() if ax is None else ax
     ax.plot(xs[:, 0], xs[:, 1], color=BLACK, linewidth=1)
+    _draw_slides(ax, sol, ts, xs)
     _, contacts, kinds, _ = _contacts(sol)
     for kind in np.unique(kinds):
         marker, color = MARKERS[KINDS(kind)]
         x, y = contacts[kinds == kind, :2].T
         ax.plot(x, y, marker, color=color, markeredgecolor=BLACK, label=KINDS(kind).name)
-    if kinds.size:
-        ax.legend(fontsize="small", loc="upper right")
+    if system is not None:
+        draw_surfaces(ax, system, sol)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize="small", loc="best")
     ax.set_xlabel("x[0]")
     ax.set_ylabel("x[1]")
     return ax
@@ -294,6 +306,23 @@ def _tick_failures(ax: Axes, values: np.ndarray) -> None:
             label=label,
         )
         ax.legend(fontsize="small", loc="upper right")
+
+
+def _draw_slides(ax: Axes, sol: Solution, ts: np.ndarray, xs: np.ndarray) -> None:
+    """Thicken the path wherever it slides on a surface."""
+    times, _, modes = _saved(sol)
+    contacts, _, _, members = _contacts(sol)
+    label = "sliding"
+    for j in range(modes.shape[1]):
+        for start, width, held in zip(
+            *_spans(times, modes[:, j], contacts[members[:, j]]), strict=True
+        ):
+            low, high = min(start, start + width), max(start, start + width)
+            part = xs[(low <= ts) & (ts <= high)]
+            if held == 0 and len(part) > 1:
+                color = BANDS[0][1]
+                ax.plot(part[:, 0], part[:, 1], color=color, linewidth=4, zorder=1.5, label=label)
+                label = None  # one entry in the legend
 
 
 def _shade_modes(ax: Axes, sol: Solution) -> None:

@@ -1,0 +1,40 @@
+"""Floquet multipliers in the complex plane."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, own_axes
+
+if TYPE_CHECKING:
+    from jaxfil.analysis.orbit import Orbit
+
+
+def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
+    """Draw the Floquet multipliers of an orbit, or of a batch of them, and the unit circle.
+
+    Those outside it are drawn as crosses: the orbit is unstable.
+    """
+    values = np.ravel(np.asarray(orbit.multipliers, complex))
+    values = values[np.isfinite(values)]
+    ax = own_axes() if ax is None else ax
+    angle = np.linspace(0, 2 * np.pi, 361)
+    ax.plot(np.cos(angle), np.sin(angle), color=BLACK, linewidth=0.8)
+    ax.axhline(0, color=BLACK, linewidth=0.3)
+    ax.axvline(0, color=BLACK, linewidth=0.3)
+    outside = np.abs(values) > 1
+    for some, marker, color, label in (
+        (~outside, "o", COLORS[0], "inside"),
+        (outside, "x", VERMILLION, "outside"),
+    ):
+        if some.any():
+            ax.plot(np.real(values[some]), np.imag(values[some]), marker, color=color, label=label)
+    if values.size:
+        ax.legend(fontsize="small", loc="upper right")
+    ax.set_aspect("equal")
+    ax.set_xlabel("Re μ")
+    ax.set_ylabel("Im μ")
+    return ax

@@ -1,0 +1,31 @@
+"""A Poincaré section: the states at which a motion meets it."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxfil.plot.canvas import BLACK, own_axes
+
+
+def poincare_section(xs: Any, ax: Axes | None = None, components: tuple[int, int] = (0, 1)) -> Axes:
+    """Draw one component against another at every state of a section, shape (k, n) or (…, k, n).
+
+    A stroboscopic section is what `jaxfil.bifurcation_diagram` samples: `diagram.xs[i]` for one
+    value. That of another kind is `jaxfil.Solution.events.xs`, the states at contacts.
+    """
+    xs = np.asarray(xs)
+    if xs.ndim < 2 or xs.shape[-1] <= max(components):
+        raise ValueError(
+            f"`xs` must be states of shape (k, n) with n > {max(components)}, got shape {xs.shape}."
+        )
+    ax = own_axes() if ax is None else ax
+    points = xs.reshape(-1, xs.shape[-1])
+    points = points[np.isfinite(points).all(axis=1)]
+    # A point of a page covers some thousandth of it: so many that none hides the next.
+    size = float(np.clip(60 / np.sqrt(max(len(points), 1)), 1, 4))
+    x, y = (points[:, i] for i in components)
+    ax.plot(x, y, ".", color=BLACK, markersize=size, markeredgewidth=0, rasterized=True)
+    ax.set_xlabel(f"x[{components[0]}]")
+    ax.set_ylabel(f"x[{components[1]}]")
+    return ax

@@ -1,0 +1,37 @@
+"""The surfaces of a system in a plane of two components of its state."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxfil.plot.canvas import COLORS
+
+if TYPE_CHECKING:
+    from jaxfil.solution import Solution
+    from jaxfil.system import System
+
+# Points along each edge of the picture at which the switching function is evaluated.
+_GRID = 201
+
+
+def draw_surfaces(ax: Axes, system: System, sol: Solution) -> None:
+    """Dash the zeros of every switching function within what the axes show."""
+    limits = ax.get_xlim(), ax.get_ylim()
+    x, y = (np.linspace(*ends, _GRID) for ends in limits)
+    last = np.broadcast_to(np.asarray(sol.x_final), (_GRID, _GRID, np.size(sol.x_final))).copy()
+    last[..., 0], last[..., 1] = np.meshgrid(x, y)
+    heights = jax.vmap(jax.vmap(lambda x: jnp.atleast_1d(system.switching(sol.t_final, x))))
+    style = {"colors": COLORS[0], "linewidths": 1.0, "linestyles": "dashed"}
+    label = "H = 0"
+    for h in np.moveaxis(np.asarray(heights(jnp.asarray(last))), -1, 0):
+        if h.min() <= 0 <= h.max():
+            ax.contour(x, y, h, levels=[0.0], **style)
+            ax.plot([], [], "--", color=COLORS[0], linewidth=1.0, label=label)
+            label = None
+    ax.set_xlim(limits[0])
+    ax.set_ylim(limits[1])
