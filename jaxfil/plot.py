@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from jaxfil.results import KINDS
 
 if TYPE_CHECKING:
-    from jaxfil.analysis.branch import Branch
+    from jaxfil.analysis.branch import Branch, SpecialPoint
     from jaxfil.analysis.curve import BifurcationCurve
     from jaxfil.analysis.lyapunov import LyapunovSpectrum
     from jaxfil.analysis.work_precision import WorkPrecision
@@ -151,11 +151,10 @@ def branch(
             )
         for kind in dict.fromkeys(point.kind for point in branch.points):
             marker, color = POINTS[kind]
-            at = [point.index for point in branch.points if point.kind == kind]
-            where = [point.value for point in branch.points if point.kind == kind]
+            shown = [point for point in branch.points if point.kind == kind]
             ax.plot(
-                where,
-                curve[at],
+                [point.value for point in shown],
+                [_height(branch.values, curve, point) for point in shown],
                 marker,
                 color=color,
                 markeredgecolor=BLACK,
@@ -256,7 +255,7 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
     floor = max(table.reference_error, float(np.finfo(table.reference.dtype).eps) * size)
     lines = zip(table.steppers, table.seconds, table.errors, strict=True)
     for (name, seconds, errors), color in zip(lines, itertools.cycle(COLORS)):
-        order = np.argsort(seconds)
+        order = np.argsort(-table.dts)  # run times of neighbours may change places by chance
         told = np.maximum(errors, floor)[order]
         ax.loglog(seconds[order], told, "o-", color=color, markersize=4, label=name)
     if np.isfinite(floor):
@@ -270,6 +269,13 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
 def page() -> Figure:
     """An empty figure that no window shows, for a picture that goes to a file."""
     return Figure(figsize=(8, 5), dpi=200, layout="constrained")
+
+
+def _height(values: np.ndarray, curve: np.ndarray, point: SpecialPoint) -> float:
+    """Of a curve at a special point, which lies between the orbits index − 1 and index."""
+    pair = slice(max(point.index - 1, 0), point.index + 1)
+    order = np.argsort(values[pair])
+    return float(np.interp(point.value, values[pair][order], curve[pair][order]))
 
 
 def _own_axes() -> Axes:

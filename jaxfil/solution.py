@@ -36,6 +36,9 @@ class Events(eqx.Module):
     modes: Int[Array, "k m"]
     """Modes just after; 0 in the padding."""
 
+    def __repr__(self) -> str:
+        return event_rows(self)
+
 
 def events_of(table: Table | None) -> Events | None:
     """The event table of a lane, as the user sees it."""
@@ -122,9 +125,25 @@ def card(sol: Solution) -> str:
     state = np.array2string(np.asarray(sol.x_final), precision=6, separator=", ")
     lines.append(f"  t = {float(sol.t_final):.10g}, x = {state}, mode {sol.mode_final.tolist()}")
     if sol.ts is not None:
-        lines.append(f"  {int(np.isfinite(sol.ts).sum())} of {sol.ts.shape[0]} states saved")
+        saved = int(np.isfinite(sol.ts).sum())
+        lines.append(f"  {saved} states saved (room for {sol.ts.shape[0]})")
     lines.append(f"  {int(sol.stats['num_steps'])} steps, {_events_line(sol)}")
     return "\n".join(lines)
+
+
+def event_rows(events: Events) -> str:
+    """A line for each contact of one lane; shapes only for a batch or while traced."""
+    if isinstance(events.ts, jax.core.Tracer) or events.ts.ndim > 1:
+        return f"Events: tables of shape {events.ts.shape}"
+    lines = [f"{'t':>18}  {'kind':<9}{'surface':<9}x just before"]
+    for i in np.flatnonzero(np.asarray(events.kinds) != KINDS.none):
+        met = ", ".join(map(str, np.flatnonzero(events.members[i])))
+        x = np.array2string(
+            np.asarray(events.xs[i]), precision=6, separator=", ", suppress_small=True
+        )
+        kind = KINDS(int(events.kinds[i])).name
+        lines.append(f"{float(events.ts[i]):18.13f}  {kind:<9}{met:<9}{x}")
+    return "\n".join(lines) if len(lines) > 1 else "Events: no contacts"
 
 
 def _events_line(sol: Solution) -> str:
