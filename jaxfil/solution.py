@@ -37,6 +37,9 @@ class Events(eqx.Module):
     modes: Int[Array, "k m"]
     """Modes just after; 0 in the padding."""
 
+    def __repr__(self) -> str:
+        return event_rows(self)
+
 
 def events_of(table: Table | None) -> Events | None:
     """The event table of a lane, as the user sees it."""
@@ -77,6 +80,14 @@ class Solution(eqx.Module):
         if self._dense is None:
             raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
         return evaluate(self._dense, t)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the phase portrait, or the history of a state of one component; returns the
+        matplotlib axes. Needs saved times."""
+        from jaxfil import plot
+
+        draw = plot.time_history if self.x_final.shape[-1] == 1 else plot.phase_portrait
+        return draw(self, ax=ax)
 
     def __repr__(self) -> str:
         return card(self)
@@ -144,11 +155,27 @@ def card(sol: Solution) -> str:
     state = np.array2string(np.asarray(sol.x_final), precision=6, separator=", ")
     lines.append(f"  t = {float(sol.t_final):.10g}, x = {state}, mode {sol.mode_final.tolist()}")
     if sol.ts is not None:
-        lines.append(f"  {int(np.isfinite(sol.ts).sum())} of {sol.ts.shape[0]} states saved")
+        saved = int(np.isfinite(sol.ts).sum())
+        lines.append(f"  {saved} states saved (room for {sol.ts.shape[0]})")
     lines.append(f"  {int(sol.stats['num_steps'])} steps, {_events_line(sol)}")
     if sol.errors is not None:
         lines.append(f"  error about {float(np.max(sol.errors)):.1e}, from a run at half the step")
     return "\n".join(lines)
+
+
+def event_rows(events: Events) -> str:
+    """A line for each contact of one lane; shapes only for a batch or while traced."""
+    if isinstance(events.ts, jax.core.Tracer) or events.ts.ndim > 1:
+        return f"Events: tables of shape {events.ts.shape}"
+    lines = [f"{'t':>18}  {'kind':<9}{'surface':<9}x just before"]
+    for i in np.flatnonzero(np.asarray(events.kinds) != KINDS.none):
+        met = ", ".join(map(str, np.flatnonzero(events.members[i])))
+        x = np.array2string(
+            np.asarray(events.xs[i]), precision=6, separator=", ", suppress_small=True
+        )
+        kind = KINDS(int(events.kinds[i])).name
+        lines.append(f"{float(events.ts[i]):18.13f}  {kind:<9}{met:<9}{x}")
+    return "\n".join(lines) if len(lines) > 1 else "Events: no contacts"
 
 
 def _events_line(sol: Solution) -> str:

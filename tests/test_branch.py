@@ -5,9 +5,11 @@ Belt friction and the SD oscillator are those of Santhosh, Narayanan and Padmana
 """
 
 import functools
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import matplotlib
+import matplotlib.figure
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -276,6 +278,17 @@ def test_round_the_grazing_of_a_wall():
     beyond = branch.orbits.num_events[point.index + 1 :]
     assert len(beyond) > 3 and (beyond == 1).all()
     assert (branch.orbits.residual < 1e-10).all()
+
+
+def test_a_special_point_is_drawn_on_the_curve():
+    # Between the orbits number 1 and 2, halfway.
+    point = jf.SpecialPoint("contacts", 1.5, sd_branch().points[0].orbit, 2, (), ())
+    orbits = SimpleNamespace(x0=np.asarray([[0.0], [1.0], [4.0]]))
+    branch = SimpleNamespace(
+        parameter="a", values=np.arange(3.0), orbits=orbits, stable=np.ones(3, bool), points=[point]
+    )
+    marker = jf.plot.branch(branch, ax=matplotlib.figure.Figure().subplots()).lines[-1]
+    assert marker.get_xydata().tolist() == [[1.5, 2.5]]
 
 
 def test_a_branch_draws_itself():

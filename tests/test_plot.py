@@ -196,7 +196,71 @@ def test_every_contact_is_marked_by_its_kind():
     kinds = np.asarray(sol.events.kinds)
     assert_array_equal(marked(ax, KINDS.stick), sol.events.xs[kinds == KINDS.stick])
     assert_array_equal(marked(ax, KINDS.slip), sol.events.xs[kinds == KINDS.slip])
-    assert {t.get_text() for t in ax.get_legend().get_texts()} == {"stick", "slip"}
+    assert {t.get_text() for t in ax.get_legend().get_texts()} == {"sliding", "stick", "slip"}
+
+
+def test_slides_are_thick_and_surfaces_dashed():
+    sol = sticking()
+    belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=1.3)
+    ax = jf.plot.phase_portrait(sol, system=belt)
+    slides = [line.get_data() for line in ax.lines if line.get_linewidth() == 4]
+    # It starts on the belt, slips at 0.025, sticks at 3.388 and is carried to the period's end.
+    assert len(slides) == 2
+    assert_allclose(np.concatenate([y for _, y in slides]), 1.0, atol=1e-12)
+    assert_allclose([slides[0][0][0], slides[1][0][-1]], sol.xs[0, 0], atol=1e-9)
+    (surface,) = ax.collections
+    vertices = np.concatenate([path.vertices for path in surface.get_paths()])
+    assert_allclose(vertices[:, 1], 1.0, atol=1e-9)
+    assert "H = 0" in {t.get_text() for t in ax.get_legend().get_texts()}
+
+
+def test_a_section_shows_every_finite_state():
+    xs = np.arange(12.0).reshape(2, 3, 2)
+    xs[1, 2] = np.nan
+    (dots,) = jf.plot.poincare_section(xs).lines
+    assert_array_equal(np.array(dots.get_data()).T, xs.reshape(-1, 2)[:5])
+    with pytest.raises(ValueError, match=r"`xs` must be states of shape \(k, n\) with n > 2"):
+        jf.plot.poincare_section(xs, components=(0, 2))
+
+
+def test_multipliers_inside_and_outside_the_unit_circle():
+    class Found:
+        multipliers = jnp.array([0.5 + 0.5j, -2.0, jnp.nan])
+
+    ax = jf.plot.multipliers(Found())
+    _, _, _, inside, outside = ax.lines
+    assert_array_equal(np.array(inside.get_data()).ravel(), [0.5, 0.5])
+    assert_array_equal(np.array(outside.get_data()).ravel(), [-2.0, 0.0])
+    assert ax.get_aspect() == 1
+
+
+def test_exponents_by_synchronisation():
+    def pull(t, x):
+        return 1 - 0.5 * x
+
+    decay = jf.piecewise(pull, pull, lambda t, x: x[0] + 1e9)
+    x0, couplings = jnp.ones(1), jnp.array([-0.8, -0.7, 0.3, 0.5])
+    run = {"periods": 40, "transient": 0, "interval": 1.0, "stepper": jf.RK4()}
+    found = jf.synchronization_exponent(decay, x0, couplings, **run)
+    ax = found.plot()
+    apart, together = ax.lines[:2]
+    assert_array_equal(np.append(apart.get_xdata(), together.get_xdata()), couplings)
+    assert_array_equal(together.get_xdata(), couplings[np.asarray(found.synchronized)])
+    assert "couplings from -0.8 to 0.5" in repr(found)
+    rate = jf.transverse_exponent(decay, x0, coupling=0.2, **run)
+    (line,) = rate.plot().lines
+    assert_allclose(line.get_ydata(), -0.5, rtol=1e-3)
+    assert repr(rate).startswith("TransverseExponent: successful")
+    spectrum = jf.lyapunov_spectrum(decay, x0, **run)
+    (line,) = spectrum.plot().lines
+    assert_allclose(line.get_ydata(), -0.5, rtol=1e-3)
+    assert "-0.5 ± " in repr(spectrum)
+
+
+def test_a_solution_draws_itself():
+    assert sticking().plot().get_ylabel() == "x[1]"
+    decay = jf.piecewise(lambda t, x: -x, lambda t, x: -x, lambda t, x: x[0])
+    assert solved(decay, [1.0], 1.0).plot().get_ylabel() == "x[0]"
 
 
 def test_an_impact_breaks_the_line():

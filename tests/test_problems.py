@@ -38,6 +38,10 @@ def test_coulomb_oscillator():
     assert kinds == [CROSS, CROSS, CROSS, STICK]
     assert_allclose(times, np.pi * np.arange(1, 5), rtol=1e-12)
     assert_allclose(sol.events.xs[:4, 0], [-2.2, 1.4, -0.6, -0.2], atol=1e-12)
+    rows = repr(sol.events).splitlines()
+    assert rows[0].split() == ["t", "kind", "surface", "x", "just", "before"]
+    assert rows[4].split()[:4] == ["12.5663706143592", "stick", "0", "[-0.2,"] and len(rows) == 5
+    assert "5 states saved (room for 5)" in repr(sol)
     assert_allclose(sol.xs[-1], [-0.2, 0], atol=1e-12)
     assert_array_equal(sol.modes[:, 0], [1, -1, 1, 0, 0])
 
@@ -282,3 +286,11 @@ def test_two_relays():
     assert_allclose(times, [1 / 7], rtol=1e-13)
     assert_allclose(sol.xs[-1], [15.5 / 17, 15.5 / 17], rtol=1e-13)
     assert_array_equal(sol.modes[-1], [0])
+
+
+def test_tables_without_contacts_and_of_many_lanes_are_printed_too():
+    def events(x):
+        return jf.solve(jf.systems.TwoRelays(), x, 0.0, 0.1, 0.1, max_events=4).events
+
+    assert repr(events(jnp.asarray([1.5, 1.0]))) == "Events: no contacts"
+    assert repr(jax.vmap(events)(jnp.ones((3, 2)) * 1.5)) == "Events: tables of shape (3, 4)"

@@ -9,7 +9,9 @@ from typing import Any
 import diffrax
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxfil import check, scene
@@ -18,6 +20,7 @@ from jaxfil.analysis.variation import running, travel, vary
 from jaxfil.flow import advance
 from jaxfil.lane import Policy, Span
 from jaxfil.results import RESULTS
+from jaxfil.solution import outcome
 from jaxfil.start import begin
 from jaxfil.stepper import tableau
 from jaxfil.system import System
@@ -47,6 +50,35 @@ class LyapunovSpectrum(eqx.Module):
     x_final: Float[Array, " n"]
     settled: Bool[Array, ""]
     result: RESULTS
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the running estimates of one orbit's exponents; returns the matplotlib axes."""
+        from jaxfil import plot
+
+        return plot.lyapunov_convergence(self, ax=ax)
+
+    def __repr__(self) -> str:
+        exponents = self.exponents
+        return average_card("LyapunovSpectrum", self, exponents, self.standard_error)
+
+
+def average_card(name: str, found: Any, exponents: Any, errors: Any) -> str:
+    """What was averaged, over how long, and whether it is to be trusted, in a few lines."""
+    if isinstance(found.result._value, jax.core.Tracer) or found.times.ndim > 1:
+        return f"{name}: a batch of shape {found.times.shape[:-1]}"
+    numbers, spreads = np.atleast_1d(exponents), np.atleast_1d(errors)
+    pairs = zip(numbers, spreads, strict=True)
+    told = ", ".join(f"{a:.5g} ± {b:.1g}" if np.isfinite(a) else f"{a}" for a, b in pairs)
+    state = np.array2string(np.asarray(found.x0), precision=6, separator=", ")
+    lines = [
+        f"{name}: {outcome(found.result)}",
+        f"  {told} per unit time, over a time of {float(found.times[-1]):.6g} from x0 = {state}",
+    ]
+    if not found.settled:
+        lines.append(
+            "  not settled: the growth changed for good on the way; take a longer transient"
+        )
+    return "\n".join(lines)
 
 
 def lyapunov_spectrum(

@@ -91,6 +91,10 @@ class Orbit(eqx.Module):
         """The orbit as a `Solution` that holds every step."""
         return self._solved(periods, diffrax.SaveAt(t0=True, steps=True))
 
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the orbit in the plane of its first two components; returns the matplotlib axes."""
+        return self.trajectory().plot(ax)
+
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is kept where every step is.
         budget = (self.plan.steps + 6 * self.plan.max_events) * periods

@@ -11,6 +11,7 @@ from typing import Any
 import diffrax
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -18,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 from jaxfil import check, scene
 from jaxfil.analysis.batch_means import BATCHES, averages, batch_ends
 from jaxfil.analysis.drive_response import drive_response
-from jaxfil.analysis.lyapunov import counts_of, interval_of, span_of
+from jaxfil.analysis.lyapunov import average_card, counts_of, interval_of, span_of
 from jaxfil.analysis.variation import running
 from jaxfil.flow import advance, integrate
 from jaxfil.lane import Policy
@@ -54,6 +55,27 @@ class Synchronization(eqx.Module):
     x0: Float[Array, " n"]
     results: RESULTS
 
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the distances against the couplings; returns the matplotlib axes."""
+        from jaxfil import plot
+
+        return plot.synchronization(self, ax=ax)
+
+    def __repr__(self) -> str:
+        if isinstance(self.exponent, jax.core.Tracer) or self.exponent.ndim > 0:
+            return f"Synchronization: a batch of shape {self.exponent.shape}"
+        state = np.array2string(np.asarray(self.x0), precision=6, separator=", ")
+        low, high = float(self.couplings[0]), float(self.couplings[-1])
+        return "\n".join(
+            [
+                f"Synchronization: exponent {float(self.exponent):.5g}, biased by about "
+                f"{float(self.bias):.2g}",
+                f"  {int(np.sum(self.synchronized))} of {self.couplings.size} couplings from "
+                f"{low:g} to {high:g} synchronise to {float(self.tolerance):.1g} within a time of "
+                f"{float(self.time):.6g}, from x0 = {state}",
+            ]
+        )
+
 
 class TransverseExponent(eqx.Module):
     """λ1 from the rate at which a small distance between drive and response grows.
@@ -75,6 +97,20 @@ class TransverseExponent(eqx.Module):
     x_final: Float[Array, " n"]
     settled: Bool[Array, ""]
     result: RESULTS
+
+    @property
+    def exponents(self) -> Float[Array, " 1"]:
+        """The one that is known, as `LyapunovSpectrum.exponents`."""
+        return self.exponent[..., None]
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the running estimate; returns the matplotlib axes."""
+        from jaxfil import plot
+
+        return plot.lyapunov_convergence(self, ax=ax)
+
+    def __repr__(self) -> str:
+        return average_card("TransverseExponent", self, self.exponent, self.standard_error)
 
 
 def synchronization_exponent(

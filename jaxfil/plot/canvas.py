@@ -1,5 +1,6 @@
 """What pictures are drawn on, and with: pages, axes and the colours of Okabe and Ito."""
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -17,3 +18,15 @@ def own_axes() -> Axes:
     import matplotlib.pyplot as plt  # looks for a display, so only when a window is wanted
 
     return plt.subplots(layout="constrained")[1]
+
+
+def check_component(component: int, n: int) -> None:
+    """An error unless a state of n components has that one."""
+    if not -n <= component < n:
+        raise ValueError(f"`component` must be from 0 to {n - 1}, got {component}.")
+
+
+def marker_size(ax: Axes, columns: int) -> float:
+    """The width of a column of samples in points, from half a point up to two."""
+    width = ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).width
+    return float(np.clip(72 * width / columns, 0.5, 2.0))

@@ -1,0 +1,106 @@
+"""Lyapunov exponents: against a parameter, and as they converge."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxfil.plot.canvas import BLACK, COLORS, marker_size, own_axes
+
+if TYPE_CHECKING:
+    from jaxfil.analysis.lyapunov import LyapunovSpectrum
+    from jaxfil.analysis.synchronization import Synchronization, TransverseExponent
+
+
+def lyapunov_exponents(
+    values: np.ndarray, spectrum: LyapunovSpectrum, ax: Axes | None = None, parameter: str = ""
+) -> Axes:
+    """Draw all exponents of a batch of spectra, one for each value, against the parameter.
+
+    Exponents of −inf are ticked along the lower edge. Values whose average is no steady motion
+    (`settled` False) are drawn hollow, and left out altogether where the lane failed.
+    """
+    values, exponents = np.asarray(values), np.asarray(spectrum.exponents)
+    if exponents.shape[:1] != values.shape:
+        raise ValueError(
+            f"`spectrum` must hold one spectrum for each of {values.size} values, got exponents of "
+            f"shape {exponents.shape}."
+        )
+    ax = own_axes() if ax is None else ax
+    settled = np.asarray(spectrum.settled)
+    ax.axhline(0, color=BLACK, linewidth=0.5)
+    size = max(1.5, 2 * marker_size(ax, values.size))
+    for i, column in enumerate(exponents.T):
+        color = COLORS[i % len(COLORS)]
+        style = {"linestyle": "none", "marker": "o", "markersize": size, "color": color}
+        lost = np.isneginf(column)
+        ax.plot(values[settled & ~lost], column[settled & ~lost], label=f"λ{i + 1}", **style)
+        passing = np.isfinite(column) & ~settled
+        ax.plot(values[passing], column[passing], fillstyle="none", markeredgewidth=0.5, **style)
+        if lost.any():
+            edge = {"transform": ax.get_xaxis_transform(), "clip_on": False, "color": color}
+            height = np.full(lost.sum(), 0.015 + 0.03 * i)
+            ax.plot(values[lost], height, "|", label=f"λ{i + 1} = −∞", **edge)
+    ax.set_xlim(values.min(), values.max() if values.max() > values.min() else None)
+    ax.set_xlabel(parameter)
+    ax.set_ylabel("exponents per unit time")
+    ax.legend(fontsize="small", loc="best", markerscale=2)
+    return ax
+
+
+def lyapunov_convergence(
+    spectrum: LyapunovSpectrum | TransverseExponent, ax: Axes | None = None
+) -> Axes:
+    """Draw the running estimates of one spectrum, or of one transverse exponent, against the time
+    averaged over, with the band of one standard error that the last of them has, shrinking as
+    1/√t."""
+    times = np.asarray(spectrum.times)
+    if times.ndim != 1:
+        raise ValueError(
+            f"`spectrum` must be of one lane, got {times.shape[0]} of them: take lane i with "
+            "jax.tree.map(lambda a: a[i], spectrum)."
+        )
+    exponents = np.asarray(spectrum.exponents)
+    errors = np.atleast_1d(spectrum.standard_error)
+    running = np.asarray(spectrum.running).reshape(times.size, exponents.size)
+    ax = own_axes() if ax is None else ax
+    for i, (column, last, error) in enumerate(zip(running.T, exponents, errors, strict=True)):
+        if not np.isfinite(last):
+            continue
+        color, band = COLORS[i % len(COLORS)], error * np.sqrt(times[-1] / times)
+        ax.fill_between(times, last - band, last + band, color=color, alpha=0.2, linewidth=0)
+        ax.plot(times, column, color=color, label=f"λ{i + 1} = {last:.4g}")
+    ax.set_xlim(0, times[-1])
+    ax.set_xlabel("time averaged over")
+    ax.set_ylabel("running estimate")
+    if np.isfinite(exponents).any():
+        ax.legend(fontsize="small", loc="upper right")
+    return ax
+
+
+def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
+    """Draw the smallest distance of drive and response seen at each coupling, filled where they
+    synchronised, and the exponent that follows."""
+    couplings, distances = np.asarray(found.couplings), np.asarray(found.distances)
+    if couplings.ndim != 1:
+        raise ValueError(
+            f"`found` must be of one lane, got {couplings.shape[0]} of them: take lane i with "
+            "jax.tree.map(lambda a: a[i], found)."
+        )
+    ax = own_axes() if ax is None else ax
+    done = np.asarray(found.synchronized)
+    # Two that became equal are drawn where rounding puts them.
+    shown = np.maximum(distances, np.finfo(distances.dtype).eps)
+    ax.plot(couplings[~done], shown[~done], "o", color=COLORS[0], fillstyle="none")
+    ax.plot(couplings[done], shown[done], "o", color=COLORS[0], label="synchronised")
+    ax.axhline(float(found.tolerance), color=BLACK, linestyle="--", linewidth=0.8)
+    if np.isfinite(found.exponent):
+        label = f"λ1 = {float(found.exponent):.3g}"
+        ax.axvline(float(found.exponent), color=COLORS[1], linewidth=1, label=label)
+    ax.set_yscale("log")
+    ax.set_xlabel("coupling")
+    ax.set_ylabel("smallest distance")
+    ax.legend(fontsize="small", loc="best")
+    return ax

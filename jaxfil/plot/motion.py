@@ -1,0 +1,166 @@
+"""One motion: its components against time, and against each other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+
+from jaxfil.plot.canvas import BLACK, check_component, own_axes
+from jaxfil.plot.surfaces import draw_surfaces
+from jaxfil.results import KINDS
+
+if TYPE_CHECKING:
+    from jaxfil.solution import Solution
+    from jaxfil.system import System
+
+BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
+MARKERS = {
+    KINDS.crossing: ("o", "#0072B2"),
+    KINDS.stick: ("s", "#D55E00"),
+    KINDS.slip: ("D", "#009E73"),
+    KINDS.impact: ("^", "#CC79A7"),
+    KINDS.graze: ("*", "#F0E442"),
+}
+
+
+def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> Axes:
+    """Draw one component against time over bands that show the mode, one band for each surface.
+
+    A band changes at the contact between two saved times, and once at most: save often, as
+    `diffrax.SaveAt(t0=True, steps=True)` does.
+    """
+    ts, xs = _path(sol)
+    check_component(component, xs.shape[1])
+    ax = own_axes() if ax is None else ax
+    _shade_modes(ax, sol)
+    ax.plot(ts, xs[:, component], color=BLACK, linewidth=1)
+    ax.set_xlim(np.nanmin(ts), np.nanmax(ts))
+    ax.set_xlabel("t")
+    ax.set_ylabel(f"x[{component}]")
+    return ax
+
+
+def phase_portrait(sol: Solution, ax: Axes | None = None, system: System | None = None) -> Axes:
+    """Draw the second component against the first: sliding segments thick, every contact marked by
+    its kind, and the surfaces of `system`, if it is given, dashed.
+
+    Surfaces are drawn where they cut the plane of the two components, at the last time and with the
+    other components as they are then.
+    """
+    ts, xs = _path(sol)
+    if xs.shape[1] < 2:
+        raise ValueError("`sol` must have two components or more, got 1.")
+    ax = own_axes() if ax is None else ax
+    ax.plot(xs[:, 0], xs[:, 1], color=BLACK, linewidth=1)
+    _draw_slides(ax, sol, ts, xs)
+    _, contacts, kinds, _ = _contacts(sol)
+    for kind in np.unique(kinds):
+        marker, color = MARKERS[KINDS(kind)]
+        x, y = contacts[kinds == kind, :2].T
+        ax.plot(x, y, marker, color=color, markeredgecolor=BLACK, label=KINDS(kind).name)
+    if system is not None:
+        draw_surfaces(ax, system, sol)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize="small", loc="best")
+    ax.set_xlabel("x[0]")
+    ax.set_ylabel("x[1]")
+    return ax
+
+
+def _draw_slides(ax: Axes, sol: Solution, ts: np.ndarray, xs: np.ndarray) -> None:
+    """Thicken the path wherever it slides on a surface."""
+    times, _, modes = _saved(sol)
+    contacts, _, _, members = _contacts(sol)
+    label = "sliding"
+    for j in range(modes.shape[1]):
+        for start, width, held in zip(
+            *_spans(times, modes[:, j], contacts[members[:, j]]), strict=True
+        ):
+            low, high = min(start, start + width), max(start, start + width)
+            part = xs[(low <= ts) & (ts <= high)]
+            if held == 0 and len(part) > 1:
+                color = BANDS[0][1]
+                ax.plot(part[:, 0], part[:, 1], color=color, linewidth=4, zorder=1.5, label=label)
+                label = None  # one entry in the legend
+
+
+def _shade_modes(ax: Axes, sol: Solution) -> None:
+    """Fill one band of the axes for each surface, the first lowest, with its mode's colour."""
+    ts, _, modes = _saved(sol)
+    times, _, _, members = _contacts(sol)
+    m = modes.shape[1]
+    for j in range(m):
+        starts, widths, held = _spans(ts, modes[:, j], times[members[:, j]])
+        for mode, (_, color) in BANDS.items():
+            ax.broken_barh(
+                list(zip(starts[held == mode], widths[held == mode], strict=True)),
+                (j / m, 1 / m),
+                transform=ax.get_xaxis_transform(),
+                facecolor=color,
+                alpha=0.5,
+                linewidth=0,
+            )
+    shown = [
+        Patch(facecolor=color, alpha=0.5, edgecolor=BLACK, linewidth=0.5, label=label)
+        for mode, (label, color) in BANDS.items()
+        if (modes == mode).any()
+    ]
+    if shown:
+        ax.legend(handles=shown, fontsize="small", loc="upper right")
+
+
+def _spans(
+    ts: np.ndarray, modes: np.ndarray, contacts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start, width and mode of each span of time over which the mode stays the same."""
+    changes = np.flatnonzero(np.diff(modes))
+    edges = [ts[0]]
+    for before, after in zip(ts[changes], ts[changes + 1], strict=True):
+        low, high = min(before, after), max(before, after)
+        between = contacts[(low <= contacts) & (contacts <= high)]
+        edges.append(between[-1] if between.size else after)
+    edges.append(ts[-1])
+    return np.array(edges[:-1]), np.diff(edges), modes[np.append(changes, len(modes) - 1)]
+
+
+def _path(sol: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states saved, with the contacts among them in order and a gap at each impact."""
+    ts, xs, _ = _saved(sol)
+    times, contacts, kinds, _ = _contacts(sol)
+    impacts = times[kinds == KINDS.impact]
+    gaps = np.full((impacts.size, xs.shape[1]), np.nan)
+    every = np.concatenate([times, impacts, ts])  # so at one time: left limit, gap, right limit
+    order = np.argsort(every if ts[0] <= ts[-1] else -every, kind="stable")
+    return every[order], np.concatenate([contacts, gaps, xs])[order]
+
+
+def _saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, states and modes that were saved and reached."""
+    if np.ndim(sol.t_final):
+        raise ValueError(
+            f"`sol` must be one lane, got {np.shape(sol.t_final)} of them: "
+            "take lane i with jax.tree.map(lambda a: a[i], sol)."
+        )
+    if sol.ts is not None:
+        ts, xs, modes = map(np.asarray, (sol.ts, sol.xs, sol.modes))
+        real = np.isfinite(ts) & np.isfinite(xs).all(axis=1)
+        if real.sum() > 1:
+            return ts[real], xs[real], modes[real]
+    raise ValueError(
+        "`sol` must hold two saved times or more: "
+        "solve with saveat=diffrax.SaveAt(t0=True, steps=True) or diffrax.SaveAt(ts=...)."
+    )
+
+
+def _contacts(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time, state just before, kind and surfaces of every contact that the event table holds."""
+    table = sol.events
+    if table is None:
+        n, m = np.size(sol.x_final), np.size(sol.mode_final)
+        return np.zeros(0), np.zeros((0, n)), np.zeros(0, int), np.zeros((0, m), bool)
+    ts, xs, kinds, members = map(np.asarray, (table.ts, table.xs, table.kinds, table.members))
+    real = kinds != KINDS.none
+    return ts[real], xs[real], kinds[real], members[real]

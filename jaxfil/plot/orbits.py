@@ -1,0 +1,100 @@
+"""Branches of periodic orbits with their special points, and curves of bifurcations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, own_axes
+
+if TYPE_CHECKING:
+    from jaxfil.analysis.branch import Branch, SpecialPoint
+    from jaxfil.analysis.curve import BifurcationCurve
+
+CURVES = {
+    "grazing": "#0072B2",
+    "grazing-sliding": "#D55E00",
+    "adding-sliding": "#009E73",
+    "crossing-sliding": "#CC79A7",
+    "switching-sliding": "#E69F00",
+}
+POINTS = {
+    "fold": ("s", "#0072B2"),
+    "period-doubling": ("D", "#009E73"),
+    "neimark-sacker": ("^", "#CC79A7"),
+    "contacts": ("o", "#F0E442"),
+}
+
+
+def branch(
+    branch: Branch, ax: Axes | None = None, component: int = 0, extremes: bool = False
+) -> Axes:
+    """Draw a branch of orbits against its parameter, unstable parts dashed, special points marked.
+
+    Shown is one component of x0, or with `extremes` its smallest and largest value on the orbit.
+    """
+    check_component(component, branch.orbits.x0.shape[-1])
+    ax = own_axes() if ax is None else ax
+    if extremes:
+        curves = [column[:, component] for column in branch.extremes()]
+        label = f"least and largest x[{component}]"
+    else:
+        curves, label = [np.asarray(branch.orbits.x0)[:, component]], f"x[{component}] at t0"
+    stable = branch.stable
+    for curve in curves:
+        for solid, style in ((True, "-"), (False, "--")):
+            keep = stable == solid
+            if not keep.any():
+                continue
+            # A piece between two orbits is drawn as the second one is.
+            keep[:-1] |= keep[1:]
+            ax.plot(
+                branch.values,
+                np.where(keep, curve, np.nan),
+                style,
+                color=BLACK if solid else VERMILLION,
+                linewidth=1.2,
+                label=("stable" if solid else "unstable") if curve is curves[0] else None,
+            )
+        for kind in dict.fromkeys(point.kind for point in branch.points):
+            marker, color = POINTS[kind]
+            shown = [point for point in branch.points if point.kind == kind]
+            ax.plot(
+                [point.value for point in shown],
+                [_height(branch.values, curve, point) for point in shown],
+                marker,
+                color=color,
+                markeredgecolor=BLACK,
+                label=kind if curve is curves[0] else None,
+            )
+    ax.legend(fontsize="small")
+    ax.set_xlabel(branch.parameter)
+    ax.set_ylabel(label)
+    return ax
+
+
+def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
+    """Draw a bifurcation in the plane of two parameters, each kind in its colour, points of
+    codimension two marked."""
+    ax = own_axes() if ax is None else ax
+    kinds = np.array(curve.kinds)
+    for kind in dict.fromkeys(curve.kinds):
+        keep = kinds == kind
+        keep[:-1] |= keep[1:]
+        values = np.where(keep[:, None], curve.values, np.nan)
+        ax.plot(*values.T, color=CURVES.get(kind, BLACK), linewidth=1.5, label=kind)
+    for point in curve.points:
+        ax.plot(*point.values, "o", color=BLACK, label=f"{point.before} to {point.after}")
+    ax.legend(fontsize="small")
+    ax.set_xlabel(curve.parameters[0])
+    ax.set_ylabel(curve.parameters[1])
+    return ax
+
+
+def _height(values: np.ndarray, curve: np.ndarray, point: SpecialPoint) -> float:
+    """Of a curve at a special point, which lies between the orbits index − 1 and index."""
+    pair = slice(max(point.index - 1, 0), point.index + 1)
+    order = np.argsort(values[pair])
+    return float(np.interp(point.value, values[pair][order], curve[pair][order]))

@@ -1,0 +1,36 @@
+"""Error against run time."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxfil.plot.canvas import BLACK, COLORS, own_axes
+
+if TYPE_CHECKING:
+    from jaxfil.analysis.work_precision import WorkPrecision
+
+
+def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
+    """Draw the error of every run against its run time, a line for each stepper.
+
+    Steps get shorter to the right. Below the dashed line, the change of the reference on halving
+    its step, errors are not resolved.
+    """
+    ax = own_axes() if ax is None else ax
+    size = max(float(np.max(abs(table.reference))), np.finfo(float).tiny)
+    floor = max(table.reference_error, float(np.finfo(table.reference.dtype).eps) * size)
+    lines = zip(table.steppers, table.seconds, table.errors, strict=True)
+    for (name, seconds, errors), color in zip(lines, itertools.cycle(COLORS)):
+        order = np.argsort(-table.dts)  # run times of neighbours may change places by chance
+        told = np.maximum(errors, floor)[order]
+        ax.loglog(seconds[order], told, "o-", color=color, markersize=4, label=name)
+    if np.isfinite(floor):
+        ax.axhline(floor, color=BLACK, linewidth=0.8, linestyle="--", label="reference")
+    ax.set_xlabel("run time of a lane, s")
+    ax.set_ylabel("error of x(t1)")
+    ax.legend(fontsize="small")
+    return ax

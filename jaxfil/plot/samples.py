@@ -1,0 +1,64 @@
+"""A bifurcation diagram: every sample over its value."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, marker_size, own_axes
+
+if TYPE_CHECKING:
+    from jaxfil.diagram import BifurcationDiagram
+
+
+def bifurcation_diagram(
+    diagram: BifurcationDiagram, ax: Axes | None = None, component: int = 0
+) -> Axes:
+    """Draw one component of every sample against the parameter.
+
+    A million samples take about a second, and a vector file holds them as an image. Values whose
+    lane ended early are ticked along the lower edge.
+    """
+    if not isinstance(diagram.parameter, str):
+        raise ValueError(
+            f"`diagram` must be a sweep of one parameter, got {', '.join(diagram.parameter)}."
+        )
+    values, xs = np.asarray(diagram.values), np.asarray(diagram.xs)
+    check_component(component, xs.shape[-1])
+    ax = own_axes() if ax is None else ax
+    column = xs[..., component]
+    seen = np.isfinite(column)
+    ax.plot(
+        np.broadcast_to(values[:, None], column.shape)[seen],
+        column[seen],
+        color=BLACK,
+        alpha=0.4,
+        linestyle="none",
+        marker="o",
+        markersize=marker_size(ax, values.size),
+        markeredgewidth=0,
+        rasterized=True,
+    )
+    _tick_failures(ax, values[~diagram.successful])
+    if values.min() < values.max():
+        ax.set_xlim(values.min(), values.max())
+    ax.set_xlabel(diagram.parameter)
+    ax.set_ylabel(f"x[{component}] once a period")
+    return ax
+
+
+def _tick_failures(ax: Axes, values: np.ndarray) -> None:
+    if values.size:
+        label = f"{values.size} ended early"
+        ax.plot(
+            values,
+            np.zeros(values.size),
+            "|",
+            color=VERMILLION,
+            transform=ax.get_xaxis_transform(),
+            clip_on=False,
+            label=label,
+        )
+        ax.legend(fontsize="small", loc="upper right")
