@@ -121,15 +121,14 @@ def widths(args):
                 steps,
             )
             spent, _ = measure(run, 1)
-            found = run().exponents[:, 0]
-            found = found[found > 0]  # a periodic orbit coexists
-            error = jnp.std(found) / np.sqrt(found.size - 1)
+            found = np.asarray(run().exponents[:, 0])
+            chaotic = found[found > 0]  # a periodic orbit coexists
+            told = f"largest is {found.max():.5f}: all lanes periodic"
+            if chaotic.size > 1:
+                error = np.std(chaotic) / np.sqrt(chaotic.size - 1)
+                told = f"{np.mean(chaotic):8.5f} ± {error:.5f}, {chaotic.size} lanes chaotic"
             each = spent / (1.25 * args.study_periods * args.study_lanes)
-            print(
-                f"  {label:>6}  {jnp.mean(found):8.5f} ± {error:.5f}  {steps:5} steps"
-                f"  {each * 1e6:8.2f} µs a lane-period",
-                flush=True,
-            )
+            print(f"  {label:>6}  {told}  {steps:5} steps  {each * 1e6:8.2f} µs a lane-period")
 
 
 def spectra(system, x0, periods, steps):
