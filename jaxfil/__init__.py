@@ -38,6 +38,7 @@ from jaxfil.analysis.work_precision import (
     WorkPrecision as WorkPrecision,
     work_precision as work_precision,
 )
+from jaxfil.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
 from jaxfil.diagram import BifurcationDiagram as BifurcationDiagram, load as load
 from jaxfil.initial_value import solve as solve
 from jaxfil.results import KINDS as KINDS, RESULTS as RESULTS

@@ -46,6 +46,7 @@ ORDER = [
     "processes",
     "chunk",
     "sweep",
+    "basins",
     "plot",
     "__main__",
 ]

@@ -5,6 +5,7 @@ picture takes the axes to draw on, or makes its own, and gives them back. The co
 Okabe and Ito, which colour-blind readers tell apart.
 """
 
+from jaxfil.plot.basins import basins as basins
 from jaxfil.plot.canvas import page as page
 from jaxfil.plot.exponents import (
     lyapunov_convergence as lyapunov_convergence,

@@ -1,0 +1,56 @@
+"""Basins of attraction over a grid of initial states."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+
+from jaxfil.plot.canvas import BLACK, COLORS, WHITE, own_axes
+
+if TYPE_CHECKING:
+    from jaxfil.basins import Basins
+
+
+def basins(found: Basins, ax: Axes | None = None) -> Axes:
+    """Draw each initial state in the colour of the attractor that it leads to, and the section
+    points of the attractors. Black found no period, white failed."""
+    if min(found.labels.shape) < 2:
+        raise ValueError(
+            "`found` must be over a grid of two values or more of each component, got "
+            f"{found.labels.shape}."
+        )
+    ax = own_axes() if ax is None else ax
+    order = [np.argsort(axis) for axis in found.axes]
+    labels = found.labels[np.ix_(*order)].T
+    seen = np.unique(labels)
+    colors = {-1: WHITE, 0: BLACK}
+    shades = [colors.get(int(k), COLORS[(int(k) - 1) % len(COLORS)]) for k in seen]
+    picture = ax.pcolormesh(
+        *(axis[o] for axis, o in zip(found.axes, order, strict=True)),
+        np.searchsorted(seen, labels),
+        cmap=ListedColormap(shades),
+        vmin=-0.5,
+        vmax=len(seen) - 0.5,
+        shading="nearest",
+        rasterized=True,
+    )
+    bar = ax.figure.colorbar(picture, ax=ax, ticks=range(len(seen)))
+    told = {-1: "failed", 0: "no period"}
+    bar.ax.set_yticklabels([told.get(int(k), _name(found, int(k))) for k in seen])
+    bar.ax.tick_params(length=0)
+    limits = ax.get_xlim(), ax.get_ylim()
+    for points in found.attractors:
+        x, y = (points[:, c] for c in found.components)
+        ax.plot(x, y, "o", color=WHITE, markeredgecolor=BLACK, markersize=5)
+    ax.set_xlim(limits[0])
+    ax.set_ylim(limits[1])
+    ax.set_xlabel(f"x[{found.components[0]}] at t = 0")
+    ax.set_ylabel(f"x[{found.components[1]}] at t = 0")
+    return ax
+
+
+def _name(found: Basins, k: int) -> str:
+    return f"{k}: period {len(found.attractors[k - 1])}"
