@@ -153,8 +153,8 @@ def _event_tools(njit, kind, method):
 
 
 @functools.cache
-def kernel(kind, method):
-    """The compiled function of all lanes for one scene and method."""
+def loop_tools(kind, method):
+    """`begin` at t = 0, and `go` from one grid point to another, for one lane."""
     import numba
 
     from . import numba_fields as nf
@@ -175,10 +175,10 @@ def kernel(kind, method):
         return s, x1, x2, d1, d2, s * g, s * r
 
     @njit
-    def period(omega, span, steps, s, x1, x2, d1, d2, g, r, p):
-        """One period from a state to a state; time starts anew in each, so no digits are lost."""
-        h, t, k, budget = span / steps, 0.0, 0, 100 * steps + 1000
-        while k < steps and budget > 0:
+    def go(omega, h, k, stop, s, x1, x2, d1, d2, g, r, p):
+        """From grid point k of a period to grid point `stop`."""
+        t, budget = k * h, 100 * (stop - k) + 1000
+        while k < stop and budget > 0:
             budget -= 1
             dt = (k + 1) * h - t
             y1, y2, e1, e2, gy, ry = advance(omega, t, dt, x1, x2, d1, d2, s, p)
@@ -204,13 +204,25 @@ def kernel(kind, method):
             x1 = x2 = 1e300
         return s, x1, x2, d1, d2, g, r
 
+    return begin, go
+
+
+@functools.cache
+def kernel(kind, method):
+    """The compiled function of all lanes for one scene and method."""
+    import numba
+
+    begin, go = loop_tools(kind, method)
+
     @numba.njit(fastmath=True, parallel=True)
     def lanes(omegas, spans, steps, start, p, transient, samples, out):
         for i in numba.prange(len(omegas)):
             omega, span = omegas[i], spans[i]
             s, x1, x2, d1, d2, g, r = begin(omega, start[0], start[1], p)
             for j in range(transient + samples):
-                s, x1, x2, d1, d2, g, r = period(omega, span, steps, s, x1, x2, d1, d2, g, r, p)
+                # Time starts anew in each period, so that no digits are lost.
+                h = span / steps
+                s, x1, x2, d1, d2, g, r = go(omega, h, 0, steps, s, x1, x2, d1, d2, g, r, p)
                 if j >= transient:
                     out[i, j - transient, 0] = x1
                     out[i, j - transient, 1] = x2
