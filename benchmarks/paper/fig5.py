@@ -97,7 +97,7 @@ def table(values, sharp, blurred, change, steps):
             "",
             f"{blurred_mean:.4f} ± {blurred_error:.4f}",
             "",
-            f"a layer of {WIDTH} is another system",
+            "chaos itself is the same within the error",
         ),
         Row(
             f"smoothed, {steps} against {2 * steps} steps",

@@ -49,9 +49,8 @@ def chaotic(xs):
 
 
 def still_chaotic(values, lanes, holds, rng):
-    """Which of the lanes, (h, p, lanes), are chaotic after each of h holds; the first is from X0."""
+    """Which of the lanes, (h, p, lanes), are chaotic after each of h holds."""
     states = rng.uniform([-1.5, -1.0], [1.5, 1.0], (lanes, 2))
-    states[0] = X0
     grid, x = np.repeat(values, lanes), np.tile(states, (len(values), 1))
     found, gone = [], 0
     for hold in holds:

@@ -5,7 +5,6 @@ Frequencies enter; the orbits there leave, with the parts that stick to the belt
 
 import diffrax
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 

@@ -30,7 +30,7 @@ def threshold(couplings, periods):
 def rates(couplings, lanes, periods):
     """From the rate at which a small distance grows, (couplings, lanes)."""
     belt = jf.systems.BeltFriction(omega=4.6)
-    starts = jnp.array([0.001, 0.01]) * jnp.arange(lanes)[:, None] / lanes
+    starts = np.array([0.001, 0.01]) * np.arange(lanes)[:, None] / lanes
 
     @eqx.filter_jit
     def run(strengths, starts):
@@ -39,8 +39,8 @@ def rates(couplings, lanes, periods):
 
         return jax.vmap(lane)(strengths, starts).exponent
 
-    grid = jnp.repeat(jnp.asarray(couplings), lanes)
-    found = run(grid, jnp.tile(starts, (len(couplings), 1)))
+    grid = jnp.asarray(np.repeat(couplings, lanes))
+    found = run(grid, jnp.asarray(np.tile(starts, (len(couplings), 1))))
     return np.asarray(found).reshape(len(couplings), lanes)
 
 
