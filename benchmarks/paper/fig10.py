@@ -21,7 +21,7 @@ JUMP, GRAZING = 4.56382205, 4.652570419201206
 WINDOW = ((-0.06, 0.17), (-0.7, 0.7))
 
 
-def sweep(values, x0, transient, samples, follow=None):
+def sweep(values, x0, transient, samples, follow=None, steps=40):
     """Samples (p, samples, 2) of the motion from x0."""
     belt = jf.systems.BeltFriction()
     diagram = jf.bifurcation_diagram(
@@ -31,6 +31,7 @@ def sweep(values, x0, transient, samples, follow=None):
         x0,
         transient=transient,
         samples=samples,
+        steps=steps,
         follow=follow,
         progress=False,
     )
@@ -53,10 +54,11 @@ def chaotic(xs, longest=8):
 
 def jump(lanes, transient, low=4.55, high=4.58, rounds=5):
     """The value at which the motion from (0, 0) ceases to end on the orbit: the first of a row of
-    lanes that does not, again between its neighbours. Half of the last bracket is the error."""
+    lanes that does not, again between its neighbours. Half of the last bracket is the error; 40
+    steps a period would add 2e-8 to it."""
     for _ in range(rounds):
         values = np.linspace(low, high, lanes)
-        first = int(np.argmin(on_orbit(sweep(values, REST, transient, 1))))
+        first = int(np.argmin(on_orbit(sweep(values, REST, transient, 1, steps=80))))
         assert first > 0
         low, high = values[first - 1], values[first]
     return 0.5 * (low + high), 0.5 * (high - low)

@@ -18,7 +18,7 @@ from benchmarks.paper.table import Row
 TITLE = "Fig. 11: chaos of the belt, case 2, γ1 = 0, γ2 = 10000"
 CHAOS, QUIET = 4.6, 4.56
 ON_ORBIT = np.array([0.1483395597, 0.35818994986])  # at QUIET
-LONG = {"periods": 600, "transient": 400}
+LONG = {"periods": 500, "transient": 300}
 # 800 steps a period resolve a layer of 0.01: see the table. In it one direction contracts at a rate
 # of 2μg/(π·width) = 375: orthonormalised 32 times a period, λ2 stays above rounding.
 WIDTH = 0.01

@@ -17,7 +17,7 @@ TITLE = "Fig. 5: Lyapunov exponents of the SD oscillator, α = 0, f0 = 0.25, ζ 
 X0 = np.array([0.3, 0.1])
 CHAOS = 0.87
 # Periods averaged over and before.
-LONG = {"periods": 600, "transient": 400}
+LONG = {"periods": 500, "transient": 300}
 # A smoothed system needs steps that resolve its layer. 300 do that for a layer of 0.05: see the
 # table.
 WIDTH = 0.05
