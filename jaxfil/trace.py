@@ -13,12 +13,22 @@ import jax.core
 import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from jaxfil import fasttrig
 
 _FAST = {"sin": fasttrig.sin, "cos": fasttrig.cos, "atan": fasttrig.arctan}
 # XLA's float32 sine and cosine vectorise.
 _SINGLE = ("atan",)
+
+
+def _arctan2(y: Array, x: Array) -> Array:
+    """The angle of (x, y), x made unknown to the compiler: where it is known to be 1, XLA turns to
+    its arctangent, which is wrong (jaxlib 0.10.2)."""
+    return jax.lax.atan2(y, jnp.where(y == y, x, y))
+
+
+_SAFE = {"atan2": _arctan2}
 _CALLS = ("jit", "pjit", "closed_call")
 # Primitives that only move elements about: they move the dependencies the same way.
 _MOVES = (
@@ -77,6 +87,8 @@ def _evaluate(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], hold: Call
         name = eqn.primitive.name
         if name in _FAST and (name in _SINGLE or eqn.invars[0].aval.dtype == jnp.float64):
             outputs = [hold(_FAST[name](jnp.asarray(inputs[0])))]
+        elif name in _SAFE:
+            outputs = [_SAFE[name](*map(jnp.asarray, inputs))]
         elif name in _CALLS:
             inner = eqn.params["jaxpr"]
             outputs = _evaluate(inner.jaxpr, inner.consts, inputs, hold)

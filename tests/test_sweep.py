@@ -172,3 +172,23 @@ def test_a_field_with_a_sort_is_swept_as_it_is_solved():
         sol = jf.solve(system, x0, 0.0, 3 * system.period, system.period / 40)
         np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
     assert refused(Sorted)
+
+
+class Bent(Sorted):
+    """The same with an arctangent."""
+
+    def vector_field(self, t, x, side):
+        return super().vector_field(t, x, side) + jnp.arctan(3 * x)
+
+
+def test_an_arctangent_is_in_its_quadrant():
+    # XLA compiles arctan to wrong quadrants in 512-bit vectors, when there are lanes enough.
+    values, x0 = np.linspace(0.9, 1.1, 256), jnp.array([0.3, 0.1])
+    d = jf.bifurcation_diagram(
+        Bent(jnp.asarray(1.0)), "omega", values, x0, transient=1, samples=1, progress=False
+    )
+    assert refused(Bent)
+    for value, xs in zip(values[::85], d.xs[::85], strict=True):
+        system = Bent(jnp.asarray(value))
+        sol = jf.solve(system, x0, 0.0, 2 * system.period, system.period / 40)
+        np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)

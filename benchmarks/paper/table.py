@@ -1,0 +1,50 @@
+"""The table beside a figure: rows enter, lines of text leave."""
+
+import textwrap
+from typing import NamedTuple
+
+import numpy as np
+
+WIDTHS = {"what": 44, "paper": 18, "jaxfil": 22, "reference": 20, "why": 48}
+HEADS = ("quantity", "paper prints", "jaxfil finds", "reference", "why they differ")
+
+
+class Row(NamedTuple):
+    """A quantity: what the paper prints, what was found, an independent reference (physics worked
+    out apart from this library), and why they differ. `digits` are those of found numbers."""
+
+    what: str
+    paper: str
+    found: float | complex | str
+    reference: float | complex | str = ""
+    why: str = ""
+    digits: int = 13
+
+
+def told(value, digits):
+    """A number with its digits; text as it is."""
+    if isinstance(value, str):
+        return value
+    if np.iscomplexobj(value):
+        return f"{value.real:.{digits}g} ± {abs(value.imag):.{digits}g}i"
+    return f"{value:.{digits}g}".replace("inf", "∞").replace("-", "−")
+
+
+def layout(title, rows):
+    """A title and rows as a table of text whose cells wrap."""
+    lines = [title, ""]
+    for row in (HEADS, *map(cells, rows)):
+        columns = [textwrap.wrap(c, w) or [""] for c, w in zip(row, WIDTHS.values(), strict=True)]
+        for i in range(max(map(len, columns))):
+            parts = [c[i] if i < len(c) else "" for c in columns]
+            padded = [f"{p:<{w}}" for p, w in zip(parts, WIDTHS.values(), strict=True)]
+            lines.append("  ".join(padded).rstrip())
+        if row is HEADS:
+            lines.append("  ".join("-" * w for w in WIDTHS.values()))
+    return "\n".join(lines) + "\n"
+
+
+def cells(row):
+    """The texts of a row."""
+    numbers = (told(row.found, row.digits), told(row.reference, 16))
+    return (row.what, row.paper, *numbers, row.why)
