@@ -24,25 +24,24 @@ class Mode(NamedTuple):
 def flow(mode: Mode, omega, t0, z0):
     """z(t) of one mode from z0 at t0."""
     n, a = len(z0), mp.matrix(mode.a)
+    if mp.det(a) == 0:
+        # A stick or a flight, without a wave: A² = 0, and z is a polynomial.
+        first = a * mp.matrix(z0) + mp.matrix(mode.b)
+        second = a * mp.matrix(mode.b) / 2
+        return lambda t: list(mp.matrix(z0) + (t - t0) * first + (t - t0) ** 2 * second), 0
     wave = mp.lu_solve(1j * omega * mp.eye(n) - a, mp.matrix(mode.c))
-    # A mode without a restoring force has a constant rate instead of a place of rest.
-    singular = abs(mp.det(a)) == 0
-    rest = mp.zeros(n, 1) if singular else mp.lu_solve(a, -mp.matrix(mode.b))
-    rates, vectors = ([0] * n, mp.eye(n)) if singular else mp.eig(a)
+    rest = mp.lu_solve(a, -mp.matrix(mode.b))
+    rates, vectors = mp.eig(a)
     start = [z0[i] - rest[i] - mp.re(wave[i] * mp.expj(omega * t0)) for i in range(n)]
     parts = mp.lu_solve(vectors, mp.matrix(start))
 
     def at(t):
         grown = [p * mp.exp(r * (t - t0)) for p, r in zip(parts, rates, strict=True)]
         turn = mp.expj(omega * t)
-        drift = [v * (t - t0) for v in mode.b] if singular else [0] * n
-        return [
-            rest[i] + mp.re(wave[i] * turn) + drift[i]
-            + mp.re(mp.fsum(vectors[i, k] * grown[k] for k in range(n)))
-            for i in range(n)
-        ]
+        own = [mp.fsum(vectors[i, k] * grown[k] for k in range(n)) for i in range(n)]
+        return [rest[i] + mp.re(wave[i] * turn) + mp.re(own[i]) for i in range(n)]
 
-    return at, max((abs(r) for r in rates), default=0)
+    return at, max(abs(r) for r in rates)
 
 
 def follow(modes: dict[Any, Mode], after: Callable, mode, z0, t1, omega=0, pace=0.05):

@@ -25,6 +25,8 @@ from jaxfil.results import outcome_names
 
 RESULTS = pathlib.Path(__file__).parent / "results"
 REPEATS = 5
+# The real stability interval of Dopri8: |R(−z)| ≤ 1 up to here.
+STABLE = 5.17
 X0, T1, FRICTION = (0.5, 2.0), 12.0, 0.4
 
 
@@ -179,30 +181,32 @@ def compliant_wall(t1=6.0, e=0.8):
     ball = jf.systems.BouncingBall(g=jnp.ones(1), restitution=jnp.full(1, e))
     rigid, spent = timed(lambda: solve(ball, [1.0, 0.0], t1, [0.05], diffrax.Dopri8(), 64))
     fall = np.sqrt(2.0)
-    impacts = fall * np.array([1, 1 + 2 * e, 1 + 2 * e + 2 * e**2])
-    since, speed = t1 - impacts[1], fall * e**2
+    third = fall * (1 + 2 * e + 2 * e**2)
+    since, speed = t1 - third, fall * e**3
     wall = np.array([speed * since - since**2 / 2, speed - since])
     rows = [
         ["rigid", "Dopri8", "0.05", f"{int(rigid.stats['num_iterations'][0]):,}",
          f"{spent * 1e3:.2g}", f"{np.abs(np.asarray(rigid.xs[0, -1]) - wall).max():.1e}", ""]
     ]
-    assert impacts[1] < t1 < impacts[2]
     for k in (1e4, 1e6, 1e8, 1e10):
         c = 2 * zeta * np.sqrt(k)
         exact = np.array(floor_exact(k, c, t1)[0])
         system, touch = SoftFloor(jnp.full(1, k), jnp.full(1, c)), np.pi / np.sqrt(k)
         cases = [("Dopri8", diffrax.Dopri8(), touch / 3), ("Rodas5P", jf.Rodas5P(), touch / 8)]
-        cases.append(("Rodas5P", jf.Rodas5P(), 0.05))
+        cases = [*cases[: 1 if k > 1e8 else 2], ("Rodas5P", jf.Rodas5P(), 0.05)]
         for name, stepper, dt in cases:
-            dt, repeats = min(dt, 0.05), 1 if k > 1e8 else REPEATS
             run = ft.partial(solve, system, [1.0, 0.0], t1, [dt], stepper, 64)
-            sol, spent = timed(run, repeats)
-            rows.append([
-                f"k = {k:.0e}", name, f"{dt:.1e}", f"{int(sol.stats['num_iterations'][0]):,}",
-                f"{spent * 1e3:.2g}",
-                _error(str(outcome_names(sol.result)[0]), np.asarray(sol.xs[0, -1]), exact),
-                f"{np.abs(exact - wall).max():.1e}",
-            ])
+            sol, spent = timed(run, 1 if touch < 1e-3 and dt < touch else REPEATS)
+            error = _error(str(outcome_names(sol.result)[0]), np.asarray(sol.xs[0, -1]), exact)
+            if dt > touch:
+                told = jf.solve(
+                    SoftFloor(jnp.asarray(k), jnp.asarray(c)), jnp.array([1.0, 0.0]), 0.0, t1, dt,
+                    stepper=stepper, max_events=64, throw=False, estimate_error=True,
+                ).errors
+                error += f", estimate_error {np.max(told):.0e}"
+            cells = [f"{dt:.1e}", f"{int(sol.stats['num_iterations'][0]):,}", f"{spent * 1e3:.3g}"]
+            gap = f"{np.abs(exact - wall).max():.1e}"
+            rows.append([f"k = {k:.0e}", name, *cells, error, gap])
     head = ["floor", "stepper", "dt", "iterations", "ms", "error", "exact soft − exact rigid"]
     note = (
         "\nThe contact lasts π/√k: where dt is longer than that no fixed step resolves the motion in"
@@ -229,10 +233,10 @@ def smoothed_relay(t1=14.0):
         for i, w in enumerate(widths):
             here = apart[len(counts) * i : len(counts) * (i + 1)]
             cells = [f"{v:.1e}" for v in here]
-            # What the width itself does is of its size; steps are enough within twice the last.
-            good = [n for n, v in zip(counts, here, strict=True) if v < 3 * w]
+            # What the width itself does is seven times its size.
+            good = [n for n, v in zip(counts, here, strict=True) if v < 10 * w]
             rows.append([name, f"{w:.0e}", *cells, f"{good[0]:,}" if good else "more"])
-    head = ["stepper", "width", *(f"{n:,} steps" for n in counts), "steps for error < 3 width"]
+    head = ["stepper", "width", *(f"{n:,} steps" for n in counts), "steps for error < 10 width"]
     return "(c) Smoothed sgn against the exact answer at t = 14", table(head, rows)
 
 
@@ -247,9 +251,9 @@ def who(damping=1e6):
         run = ft.partial(stiff_peers.kvaerno_events, damping, FRICTION, X0, T1, rtol)
         cases.append(("diffrax Kvaerno5, Event in a loop", f"rtol = {rtol:.0e}", run))
     for rtol in (1e-4, 1e-6, 1e-8):
-        system = jf.smoothed(relays(damping, 0.0), 1e-8)
+        system = jf.smoothed(relays(damping, 0.0), 1e-11)
         run = ft.partial(stiff_peers.kvaerno_smooth, system, X0, T1, rtol)
-        cases.append(("diffrax Kvaerno5, smoothed 1e-8", f"rtol = {rtol:.0e}", run))
+        cases.append(("diffrax Kvaerno5, smoothed 1e-11", f"rtol = {rtol:.0e}", run))
     for rtol in (1e-4, 1e-6, 1e-8, 1e-10):
         run = ft.partial(stiff_peers.radau_events, damping, FRICTION, X0, T1, rtol)
         cases.append(("SciPy Radau with events", f"rtol = {rtol:.0e}", run))
@@ -286,9 +290,10 @@ def picture(found, path):
     from matplotlib import pyplot as plt
     from matplotlib.colors import LogNorm
     from matplotlib.patches import Patch
+    from matplotlib.patheffects import Normal, Stroke
 
     figure, axes = plt.subplots(
-        1, len(found), figsize=(11, 4.8), sharey=True, layout="constrained"
+        1, len(found), figsize=(11, 5.2), sharey=True, layout="constrained"
     )
     drawn = None
     for ax, (name, (dts, dampings, errors, told)) in zip(axes, found.items(), strict=True):
@@ -302,14 +307,16 @@ def picture(found, path):
             ax.pcolor(dts, dampings, marked, cmap="Greys", vmin=0, vmax=4, hatch=hatch,
                       edgecolor="0.3", linewidth=0, shading="nearest")
         ax.set(xscale="log", yscale="log", title=name, xlabel="step dt")
-    # Where the step of an explicit method of this size reaches its stability limit.
-    axes[0].plot(dts, 5.5 / dts, color="black", lw=1.2, ls="--")
+    (limit,) = axes[0].plot(
+        dts, STABLE / dts, color="white", lw=2, ls="--", label=f"stability limit d·dt = {STABLE}"
+    )
+    limit.set_path_effects([Stroke(linewidth=3.5, foreground="black"), Normal()])
     axes[0].set_ylim(dampings[0] / 1.8, dampings[-1] * 1.8)
     axes[0].set_ylabel("damping d of one side")
     figure.colorbar(drawn, ax=axes, label="error of the state at t = 12")
     marks = [Patch(facecolor="0.85", edgecolor="0.3", hatch="xx", label="told: not successful")]
     marks.append(Patch(facecolor="0.85", edgecolor="0.3", hatch="..", label="error above 1"))
-    axes[0].legend(handles=marks, loc="upper right", fontsize=8)
+    figure.legend(handles=[limit, *marks], loc="outside lower center", ncols=3, fontsize=9)
     figure.suptitle("A relay with one damped side: error over step and stiffness")
     figure.savefig(path, dpi=150)
     plt.close(figure)

@@ -206,8 +206,11 @@ def land(
         close = (size <= straight) & (size * abs(bend) <= small * abs(rate * h))
         inside = (room - stop_gradient(missing)) * direction >= 0
         reached = (jnp.where(cutting, close, size <= same) & inside) | (size <= same)
-        # A contact aimed at is here, with δ = 0, where rounding hides what is missing.
-        hidden = (abs(h) <= same) | (abs(stop_gradient(view.g[j])) <= view.noise[j])
+        # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step
+        # has gone past it by no more than the search takes for rounding.
+        g = stop_gradient(view.g[j])
+        past = (g < 0) & (-g <= view.touch[j])
+        hidden = (abs(h) <= same) | (abs(g) <= view.noise[j]) | past
         here = aimed & hidden & ~reached
         hit = falls & (here | ((lane.armed[j] | aimed) & reached))
         # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
