@@ -42,6 +42,7 @@ class Cubic(eqx.Module):
     d0: Array
     a: Array
     b: Array
+    disc: Array
     low: Array
     high: Array
 
@@ -51,7 +52,7 @@ class Cubic(eqx.Module):
         self.g0, self.d0, self.a, self.b = g0, d0, a, b
         # Roots of 3bθ² + 2aθ + d0, each by the formula that does not cancel. The minimum is the
         # one where the second derivative 2a + 6bθ = +2√disc.
-        disc = a * a - 3 * b * d0
+        disc = self.disc = a * a - 3 * b * d0
         root = jnp.sqrt(jnp.maximum(disc, 0))
         sum_ = jnp.where(a >= 0, a + root, a - root)
         near = -_quotient(d0, sum_)
@@ -116,8 +117,10 @@ def first_contact(
     central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
     near = touches | (central & (low_value <= _SUSPICIOUS * reach))
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
-    theta = jnp.where(contact, root, NEVER)
-    return theta, jnp.where(look & ~contact, cubic.low, NEVER)
+    # Where squares of guards overflow no contact can be told from none: both are then NaN.
+    known = 0 * cubic.disc
+    theta = jnp.where(contact, root, NEVER) + known
+    return theta, jnp.where(look & ~contact, cubic.low, NEVER) + known
 
 
 class Search(eqx.Module):
@@ -129,7 +132,8 @@ class Search(eqx.Module):
 
 
 def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: Array) -> Search:
-    """The earliest contact of a trial step of signed length h, over all surfaces.
+    """The earliest contact of a trial step of signed length h, over all surfaces; θ is NaN where
+    guards are too large for it to be found.
 
     A slide that repels at the end of the step is bisected to where it ceases to attract.
     """
@@ -202,8 +206,11 @@ def land(
         close = (size <= straight) & (size * abs(bend) <= small * abs(rate * h))
         inside = (room - stop_gradient(missing)) * direction >= 0
         reached = (jnp.where(cutting, close, size <= same) & inside) | (size <= same)
-        # A contact aimed at is here, with δ = 0, where rounding hides what is missing.
-        hidden = (abs(h) <= same) | (abs(stop_gradient(view.g[j])) <= view.noise[j])
+        # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step
+        # has gone past it by no more than the search takes for rounding.
+        g = stop_gradient(view.g[j])
+        past = (g < 0) & (-g <= view.touch[j])
+        hidden = (abs(h) <= same) | (abs(g) <= view.noise[j]) | past
         here = aimed & hidden & ~reached
         hit = falls & (here | ((lane.armed[j] | aimed) & reached))
         # A touch: the vertex of the guard is here, and nothing but rounding is left of it.

@@ -97,7 +97,7 @@ def _action(scene, policy, lane: Lane, running, view: View, found, landing, froz
     action = jnp.where(found.theta < NEVER, _REJECT, _ACCEPT)
     action = jnp.where(landing.landed, jnp.where(landing.touched, _TOUCH, _LAND), action)
     action = jnp.where(lane.pending, _SWITCH, action)
-    failures = [~all_finite(view.x, view.f, view.g)]
+    failures = [~all_finite(view.x, view.f, view.g, (found.theta,))]
     if policy.max_events is None:
         failures.append(jnp.zeros((), bool))
     else:

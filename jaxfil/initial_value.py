@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxfil import check, scene
 from jaxfil.flow import integrate
-from jaxfil.lane import Lane, Policy, Span
+from jaxfil.lane import SAME_TIME, Lane, Policy, Span
 from jaxfil.record import mode_codes
 from jaxfil.results import RESULTS
 from jaxfil.solution import Dense, Solution, errors, events_of
@@ -52,7 +52,7 @@ def solve(
 
     - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
     - `t0`, `t1`: the span of time; backward if t1 < t0.
-    - `dt`: the length of a step, positive.
+    - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|).
     - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`, or for
       stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`).
@@ -85,6 +85,7 @@ def solve(
     tableau(stepper)
     save, ts = _save_kind(saveat, dtype)
     _check_ts(ts, start, stop)
+    _check_pace(start, stop, length)
     max_events = check.count("max_events", max_events, optional=True)
     budget = check.count("max_steps", max_steps, optional=True)
     reverse = _is_reverse(adjoint)
@@ -174,6 +175,25 @@ def _check_ts(ts: Array | None, t0: Array, t1: Array) -> None:
         )
 
 
+def _resolution(t0: Array, t1: Array) -> Array:
+    """Times of the span that are no further apart than this are one time."""
+    return SAME_TIME * jnp.finfo(t0.dtype).eps * jnp.maximum(abs(t0), abs(t1))
+
+
+def _check_pace(t0: Array, t1: Array, dt: Array) -> None:
+    """A step is longer than what times of the span can tell apart; unknown while traced."""
+    start, stop, pace = (check.concrete(v) for v in (t0, t1, dt))
+    if start is None or stop is None or pace is None:
+        return
+    if not np.isfinite(start) or not np.isfinite(stop):
+        return
+    if pace <= (least := float(_resolution(t0, t1))):
+        raise ValueError(
+            f"`dt` must be greater than {least:.2g}, the rounding of times from t0 = {start} to "
+            f"t1 = {stop} in {t0.dtype}, got {pace}. Start at a t0 nearer to 0, or use float64."
+        )
+
+
 def _valid_ts(ts: Array, t0: Array, t1: Array) -> Array:
     sign = jnp.where(t1 < t0, -1.0, 1.0).astype(ts.dtype)
     inside = (sign * ts >= sign * t0) & (sign * ts <= sign * t1)
@@ -207,7 +227,8 @@ def _span(t0: Array, t1: Array, dt: Array, ts: Array | None, budget: int | None)
     """The grid of a solve. Bad values that were traced, and so not seen at the door, make it NaN,
     which is an outcome."""
     length = t1 - t0
-    valid = dt > 0 if ts is None else (dt > 0) & _valid_ts(ts, t0, t1)
+    valid = dt > _resolution(t0, t1)
+    valid = valid if ts is None else valid & _valid_ts(ts, t0, t1)
     dt = jnp.where(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
     # A span of more steps than an int32 holds ends as a budget used up, never as a wrapped number.

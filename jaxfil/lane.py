@@ -13,7 +13,7 @@ from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks, Scene
 
 # Times closer than this many eps of their size are one time.
-_SAME_TIME = 8
+SAME_TIME = 8
 
 
 class Span(eqx.Module):
@@ -36,7 +36,7 @@ class Span(eqx.Module):
     def same_time(self, tau: Array) -> Array:
         """The rounding of times near the elapsed time `tau`."""
         size = jnp.maximum(jnp.maximum(abs(self.t0 + tau), abs(tau)), 1e-3 * abs(self.dt))
-        return stop_gradient(_SAME_TIME * jnp.finfo(self.dt.dtype).eps * size)
+        return stop_gradient(SAME_TIME * jnp.finfo(self.dt.dtype).eps * size)
 
     def grid_point(self, index: Array) -> Array:
         """Elapsed time at the end of step number `index` (from 1)."""
