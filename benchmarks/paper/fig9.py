@@ -86,7 +86,7 @@ def described(orbit, i):
     kinds = np.asarray(orbit.events.kinds[i])
     counts = [np.sum(kinds == kind) for kind in (jf.KINDS.stick, jf.KINDS.crossing)]
     parts = [
-        f"{n} {name}{'s' * (n > 1)}"
+        f"{n} {name}{'s' if n > 1 else ''}"
         for n, name in zip(counts, ("stick", "crossing"), strict=True)
         if n
     ]
