@@ -89,7 +89,8 @@ def test_fig11_exponents():
     )
     error = np.std(sharp) / np.sqrt(29)
     assert abs(np.mean(sharp) - CHAOTIC) < 4 * error and error < 0.008
-    assert_allclose(orbit, ORBITAL, atol=1e-3)
+    assert_allclose(orbit.exponents.sum(), 2 * ORBITAL, rtol=1e-6)
+    assert np.all(abs(orbit.exponents - ORBITAL) < 4 * orbit.standard_error)
 
 
 def cells(line):

@@ -123,7 +123,7 @@ def draw_basin(ax, omega, inside):
     ax.plot([], [], "s", color=SKY, label="leads to the orbit")
     ax.plot([], [], "s", color=ORANGE, label="leads to chaos")
     ax.set(xlabel="initial displacement x", ylabel="initial velocity ẋ")
-    ax.legend(fontsize="small", loc="lower right")
+    ax.legend(fontsize="small", loc="lower right", framealpha=1)
     entitle(ax, f"ω = {omega}: (0, 0) is {'in' if omega < JUMP else 'out'}side the orbit's basin")
 
 

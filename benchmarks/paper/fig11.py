@@ -40,8 +40,9 @@ def batch(system, values, chaotic, counts):
     states = np.concatenate([np.zeros((len(values), 2)), near, ON_ORBIT[None]])
     lanes = np.concatenate([values, np.full(chaotic, CHAOS), [QUIET]])
     found = spectra(system, lanes, states, **counts)
-    sharp, count = found.exponents[len(values) : -1, 0], len(values)
-    return jax.tree.map(lambda a: a[:count], found), sharp[sharp > 0.03], found.exponents[-1]
+    sharp = found.exponents[len(values) : -1, 0]
+    swept, orbit = (jax.tree.map(lambda a, i=i: a[i], found) for i in (slice(len(values)), -1))
+    return swept, sharp[sharp > 0.03], orbit
 
 
 def make(points=500, blurred_points=119, chaotic=75, long=LONG, short=SHORT):
@@ -109,21 +110,29 @@ def onset(values, found):
     return float(values[found.exponents[:, 0] > 0.02].min())
 
 
+def with_error(spectrum, i):
+    """An exponent and its standard error."""
+    return f"{float(spectrum.exponents[i]):.4f} ± {float(spectrum.standard_error[i]):.4f}"
+
+
 def table(values, sharp, coarse, blurred, change, steps):
     (found, chaos, quiet), (blurred_found, blurred_chaos, blurred_quiet) = sharp, blurred
     mean, error = mean_of(chaos)
     sticking = found.exponents[found.exponents[:, 0] > 0.02, 1]
     lost = f"−∞ in {np.isneginf(sticking).sum()} of {len(sticking)}"
+    damped = float(blurred_quiet.exponents.sum())
     layer = f"a layer of {WIDTH} is another system: its tail damps everywhere"
+    turning = "a complex pair turns, which a finite average sees"
     after = "the jump of Fig. 10, where (0, 0) leaves the orbit's basin"
     rows = [
         Row("λ1 at ω = 4.6", "", f"{mean:.4f} ± {error:.4f}", "0.3799(4)"),
         Row("λ2 of chaotic values", "", lost, "−∞"),
-        Row("λ1 of the orbit at ω = 4.56", "", float(quiet[0]), -0.24525, "", 5),
-        Row("λ2 of it", "", float(quiet[1]), -0.24525, "", 5),
+        Row("λ1 of the orbit at ω = 4.56", "", with_error(quiet, 0), -0.24525, turning),
+        Row("λ2 of it", "", with_error(quiet, 1), -0.24525, turning),
+        Row("λ1 + λ2 of it", "", float(quiet.exponents.sum()), -0.4905, "αg exactly", 8),
         Row("chaos, λ1 > 0.02, from", "4.565", onset(values, found), 4.56382205, after, 5),
         Row("the same, smoothed", "", onset(coarse, blurred_found), "", layer, 5),
-        Row("λ1 + λ2 of the orbit, smoothed", "", float(blurred_quiet.sum()), "", layer, 4),
+        Row("λ1 + λ2 of the orbit, smoothed", "", damped, "", layer, 4),
     ]
     if len(blurred_chaos) > 2:
         mean, error = mean_of(blurred_chaos)

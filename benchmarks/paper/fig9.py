@@ -82,11 +82,15 @@ def portrait(ax, xs, modes):
 
 
 def described(orbit, i):
-    """How often the i-th orbit sticks and crosses."""
+    """How often the i-th orbit begins to stick, and crosses."""
     kinds = np.asarray(orbit.events.kinds[i])
     counts = [np.sum(kinds == kind) for kind in (jf.KINDS.stick, jf.KINDS.crossing)]
-    times = ("never", "once", "twice")
-    return f"sticks {times[counts[0]]}, crosses {times[counts[1]]}"
+    parts = [
+        f"{n} {name}{'s' if n > 1 else ''}"
+        for n, name in zip(counts, ("stick", "crossing"), strict=True)
+        if n
+    ]
+    return ", ".join(parts) or "no contact"
 
 
 def sequence(orbit, i):
