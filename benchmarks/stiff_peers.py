@@ -122,7 +122,14 @@ def radau_events(damping, friction, x0, t1, rtol):
 
         margin.terminal, margin.direction = True, -1
         sol = solve_ivp(
-            field, (t, t1), x, "Radau", events=margin, rtol=rtol, atol=rtol, jac=jacobian,
+            field,
+            (t, t1),
+            x,
+            "Radau",
+            events=margin,
+            rtol=rtol,
+            atol=rtol,
+            jac=jacobian,
             max_step=0.1,
         )
         t, x = sol.t[-1], sol.y[:, -1].copy()
