@@ -129,8 +129,8 @@ def compliant_wall(t1=6.0, e=0.8):
     head = ["floor", "stepper", "dt", "iterations", "ms", "error", "exact soft − exact rigid"]
     note = (
         "\nThe contact lasts π/√k: where dt is longer than that no fixed step resolves the motion"
-        "\nin the floor: an L-stable method settles there instead of coming back, successfully, and at"
-        "\nhalf the step it does the same, so that estimate_error cannot tell."
+        "\nin the floor: an L-stable method settles there instead of coming back, and at"
+        "\nhalf the step it does the same, so that neither outcome nor estimate_error tells."
     )
     return f"(b) A soft floor and a rigid one: e = {e}, t = {t1:g}", table(head, rows) + note
 
