@@ -9,13 +9,13 @@ import dataclasses
 import pathlib
 import time
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxfil as jf
+from benchmarks.extreme_systems import Circle, Comb, Parabolas, Ring, Scaled, Spring, Turn
 from benchmarks.pieces import motion
 from benchmarks.texts import table
 from jaxfil.results import outcome_names
@@ -126,21 +126,6 @@ def snap_through():
     return rows_of("snap-through", settings, results, apart(xs, np.array(exact)), 1e-11)
 
 
-class Scaled(jf.System):
-    """x'' = −x − F sgn x' in other units of time and state."""
-
-    friction: jax.Array
-    time: jax.Array
-    state: jax.Array
-
-    def vector_field(self, t, x, side):
-        speed = -x[0] - self.friction * self.state * side
-        return jnp.stack([x[1], speed]) / self.time
-
-    def switching(self, t, x):
-        return x[1]
-
-
 # setting, time scale, state scale, friction, t0 in units of time
 SCALES = [
     *((f"time {a:g}, state {b:g}", a, b, 0.4, 0.0) for a in (1e-12, 1e12) for b in (1e-12, 1e12)),
@@ -166,18 +151,6 @@ def scaled():
     return rows_of("Coulomb", settings, results, errors, allowed)
 
 
-class Circle(jf.System):
-    """Round the origin below the line x₂ = 1 + gap, round (−1, 0) above it."""
-
-    gap: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([-x[1], x[0] + 0.5 * (1 - side)])
-
-    def switching(self, t, x):
-        return 1 + self.gap - x[1]
-
-
 def grazing():
     """The circle |x| = 1, which misses the line by `gap`, or crosses it and is gone."""
     gaps = np.array([1e-9, 1e-12, 1e-13, 1e-14, -1e-14, -1e-13, -1e-12, -1e-9])
@@ -199,30 +172,6 @@ def grazing():
     notes = [f"{n} contacts" for n in counts]
     errors = apart(xs, np.array(exact))
     return rows_of("circle and line", settings, results, errors, np.array(allowed), notes)
-
-
-class Spring(jf.System):
-    """x'' = −A sgn x: parabolas."""
-
-    pull: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -self.pull * side])
-
-    def switching(self, t, x):
-        return x[0]
-
-
-class Comb(jf.System):
-    """x' = sgn sin kt: a surface that no state has a say in."""
-
-    k: jax.Array
-
-    def vector_field(self, t, x, side):
-        return side[None] + 0 * x
-
-    def switching(self, t, x):
-        return jnp.sin(self.k * t)
 
 
 def many_contacts():
@@ -263,38 +212,6 @@ def many_contacts():
     note = f"outside the promise; estimate_error tells {told[1]:.0e}"
     rows.append(Row("x' = sgn sin 200t", "dt = 0.3", names[1], error[1], 3 * told[1], note))
     return rows
-
-
-class Turn(jf.systems.CoulombOscillator):
-    """x'' = −x with a surface that changes nothing, seen twice a turn."""
-
-    @property
-    def period(self):
-        return 2 * jnp.pi
-
-
-class Ring(jf.System):
-    """Slides round |x| = radius for ever, once in 2π."""
-
-    radius: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([-x[1] - side * x[0], x[0] - side * x[1]])
-
-    def switching(self, t, x):
-        return x[0] ** 2 + x[1] ** 2 - self.radius**2
-
-    @property
-    def period(self):
-        return 2 * jnp.pi
-
-
-class Parabolas(Spring):
-    """The same, seen once in two flights from (0, 1): every method of order two is exact."""
-
-    @property
-    def period(self):
-        return 4 / self.pull
 
 
 def long_runs():
@@ -351,14 +268,22 @@ def broken_lanes(lanes=1000):
         told = dict(zip(*np.unique(names_[tenth], return_counts=True), strict=True))
         note = "the broken: " + ", ".join(f"{n} {k}" for k, n in told.items())
         error = 0.0 if same and len(bad) == 0 else np.inf
-        rows.append(Row(scene, f"{tenth.sum()} of {lanes} lanes broken", "successful", error, 0.0, note))
+        rows.append(
+            Row(scene, f"{tenth.sum()} of {lanes} lanes broken", "successful", error, 0.0, note)
+        )
     return rows
 
 
 def single_precision():
     """float32: the same scenes, errors in its own eps."""
-    cases = [("ω = 0.1", 0.3, 0.1, 0.0), ("ω = 10", 0.3, 10.0, 0.0), ("F = 0", 0.0, 0.8, 0.0),
-             ("F = 1e6", 1e6, 0.8, 0.0), ("t0 = 1e3", 0.3, 0.8, 1e3), ("t0 = 1e7", 0.3, 0.8, 1e7)]
+    cases = [
+        ("ω = 0.1", 0.3, 0.1, 0.0),
+        ("ω = 10", 0.3, 10.0, 0.0),
+        ("F = 0", 0.0, 0.8, 0.0),
+        ("F = 1e6", 1e6, 0.8, 0.0),
+        ("t0 = 1e3", 0.3, 0.8, 1e3),
+        ("t0 = 1e7", 0.3, 0.8, 1e7),
+    ]
     settings, frictions, omegas, t0 = (np.array(v) for v in zip(*cases, strict=True))
     single = [np.asarray(v, np.float32) for v in (frictions, omegas)]
     system = jf.systems.DenHartog(*map(jnp.asarray, single))
@@ -375,8 +300,16 @@ def single_precision():
     return rows_of("dry friction, float32", settings, results, errors, allowed)
 
 
-PARTS = (dry_friction, snap_through, scaled, grazing, many_contacts, long_runs, broken_lanes,
-         single_precision)
+PARTS = (
+    dry_friction,
+    snap_through,
+    scaled,
+    grazing,
+    many_contacts,
+    long_runs,
+    broken_lanes,
+    single_precision,
+)
 
 
 def main():

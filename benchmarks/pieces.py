@@ -1,6 +1,6 @@
 """Exact motions of an undamped forced oscillator with a relay, in closed form per piece.
 
-    x'' + x = A cos(ωt) + s·P,   s = sgn x (snap-through), or s = −sgn x' (dry friction, which sticks)
+    x'' + x = A cos(ωt) + s·P,   s = sgn x (snap-through), or s = −sgn x' (dry friction)
 
 Numbers enter; the state at the end and the number of contacts leave. Each piece is
 P s + V cos(ωt) + a cos τ + b sin τ, V = A/(1 − ω²), in extended precision; its end is the first
@@ -18,7 +18,9 @@ PER_PERIOD = 60  # samples of a period, of the forcing or of the oscillator
 def phase(omega, t):
     """ωt mod 2π of two floats, exactly."""
     with mpmath.workdps(60):
-        return REAL(str(mpmath.fmod(mpmath.mpf(float(omega)) * mpmath.mpf(float(t)), 2 * mpmath.pi)))
+        return REAL(
+            str(mpmath.fmod(mpmath.mpf(float(omega)) * mpmath.mpf(float(t)), 2 * mpmath.pi))
+        )
 
 
 def first_fall(guard, delta, length):
@@ -50,11 +52,13 @@ def motion(law, pull, omega, x0, t1, t0=0.0, force=1.0):
     side = np.sign(x if snap else v) or _side(x, phi, pull, force, snap)
     while True:
         if side == 0:
-            at = first_fall(lambda tau: pull - abs(force * np.cos(phi + omega * tau) - x), delta, left)
             v = REAL(0)
+            guard = _hold(x, phi, omega, force, pull)
         else:
             flow = _flow(x, v, phi, omega, gain, side * pull * (1 if snap else -1))
-            at = first_fall(lambda tau: side * flow(tau)[0 if snap else 1], delta, left)
+            guard = _height(flow, side, 0 if snap else 1)
+        at = first_fall(guard, delta, left)
+        if side != 0:
             x, v = flow(left if at is None else at)
         if at is None:
             return np.array([x, v], float), count
@@ -77,6 +81,15 @@ def _flow(x, v, phi, omega, gain, centre):
         return position, -gain * omega * np.sin(angle) - a * sin + b * cos
 
     return flow
+
+
+def _hold(x, phi, omega, force, pull):
+    """What friction has left in a stick at x."""
+    return lambda tau: pull - abs(force * np.cos(phi + omega * tau) - x)
+
+
+def _height(flow, side, component):
+    return lambda tau: side * flow(tau)[component]
 
 
 def _side(x, phi, pull, force, snap):

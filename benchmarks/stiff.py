@@ -11,105 +11,29 @@ import statistics
 import time
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import mpmath as mp
 import numpy as np
 
 import jaxfil as jf
-from benchmarks import stiff_peers
-from benchmarks.linear_pieces import Mode, follow
+from benchmarks import stability, stiff_peers
+from benchmarks.stiff_scenes import (
+    FRICTION,
+    T1,
+    X0,
+    SoftFloor,
+    TwoRates,
+    floor_exact,
+    rates_exact,
+    relay_exact,
+    relays,
+    solve,
+)
 from benchmarks.texts import table
 from jaxfil.results import outcome_names
 
 RESULTS = pathlib.Path(__file__).parent / "results"
 REPEATS = 5
-# The real stability interval of Dopri8: |R(−z)| ≤ 1 up to here.
-STABLE = 5.17
-X0, T1, FRICTION = (0.5, 2.0), 12.0, 0.4
-
-
-class DampedRelay(jf.System):
-    """x'' = 2 cos 1.3t − x − F sgn w − d max(w, 0), w = x' − v: a contact damped on one side."""
-
-    damping: jax.Array
-    v: jax.Array
-
-    def vector_field(self, t, x, side):
-        w = x[1] - self.v
-        damper = 0.5 * (1 + side) * self.damping * w
-        return jnp.stack([x[1], 2 * jnp.cos(1.3 * t) - x[0] - FRICTION * side - damper])
-
-    def switching(self, t, x):
-        return x[1] - self.v
-
-
-class TwoRates(jf.System):
-    """x' = −k(x − cos t) above zero, −(x − cos t) below: a stiff side and a soft one."""
-
-    k: jax.Array
-
-    def vector_field(self, t, x, side):
-        return -jnp.where(side > 0, self.k, 1.0) * (x - jnp.cos(t))
-
-    def switching(self, t, x):
-        return x[0]
-
-
-class SoftFloor(jf.System):
-    """y'' = −1 above a floor, −1 − ky − cy' in it."""
-
-    k: jax.Array
-    c: jax.Array
-
-    def vector_field(self, t, x, side):
-        inside = 0.5 * (1 - side)
-        return jnp.stack([x[1], -1 - inside * (self.k * x[0] + self.c * x[1])])
-
-    def switching(self, t, x):
-        return x[0]
-
-
-@ft.cache
-def relay_exact(damping, v):
-    """(x, x') at T1, by pieces in y = x − vt and w."""
-
-    def push(t, z):
-        return 2 * mp.cos(mp.mpf(1.3) * t) - z[0]
-
-    pull, v = mp.mpf(FRICTION), mp.mpf(v)
-    # On the damped side −d(x' − v): the damper's pull on the belt is a constant.
-    modes = {
-        1: Mode([[0, 1], [-1, -damping]], [0, damping * v - pull], [0, 2], lambda t, z: z[1] - v),
-        -1: Mode([[0, 1], [-1, 0]], [0, pull], [0, 2], lambda t, z: v - z[1]),
-        0: Mode([[0, 0], [0, 0]], [v, 0], [0, 0], lambda t, z: pull - abs(push(t, z))),
-    }
-
-    def after(mode, t, z):
-        force = push(t, z)
-        held = mode != 0 and abs(force) < pull
-        return 0 if held else (1 if force > 0 else -1)
-
-    return follow(modes, after, 1, X0, T1, 1.3)
-
-
-@ft.cache
-def rates_exact(k):
-    """x at T1 from 2."""
-    modes = {
-        s: Mode([[-rate]], [0], [rate], lambda t, z, s=s: s * z[0]) for s, rate in ((1, k), (-1, 1))
-    }
-    return follow(modes, lambda mode, t, z: -mode, 1, [2.0], T1, 1.0)
-
-
-@ft.cache
-def floor_exact(k, c, t1):
-    modes = {
-        1: Mode([[0, 1], [0, 0]], [0, -1], [0, 0], lambda t, z: z[0]),
-        -1: Mode([[0, 1], [-k, -c]], [0, -1], [0, 0], lambda t, z: -z[0]),
-    }
-    return follow(modes, lambda mode, t, z: -mode, 1, [1.0, 0.0], t1)
 
 
 def timed(call, repeats=REPEATS):
@@ -120,25 +44,6 @@ def timed(call, repeats=REPEATS):
         jax.block_until_ready(call())
         spent.append(time.perf_counter() - begun)
     return out, statistics.median(spent)
-
-
-@eqx.filter_jit
-@eqx.filter_vmap(in_axes=(eqx.if_array(0), None, 0, None, 0, None))
-def lanes(system, x0, t1, stepper, dt, max_events):
-    return jf.solve(system, x0, 0.0, t1, dt, stepper=stepper, max_events=max_events, throw=False)
-
-
-def solve(systems, x0, t1, dt, stepper, max_events=None):
-    """Lanes of `systems`: outcomes, states at the end, contacts."""
-    dt = jnp.asarray(dt, float)
-    t1 = jnp.broadcast_to(jnp.asarray(t1, float), dt.shape)
-    sol = lanes(systems, jnp.asarray(x0, float), t1, stepper, dt, max_events)
-    return sol
-
-
-def relays(dampings, v):
-    dampings = jnp.asarray(dampings, float)
-    return DampedRelay(dampings, jnp.broadcast_to(jnp.asarray(v, float), dampings.shape))
 
 
 def contact_damping():
@@ -185,8 +90,15 @@ def compliant_wall(t1=6.0, e=0.8):
     since, speed = t1 - third, fall * e**3
     wall = np.array([speed * since - since**2 / 2, speed - since])
     rows = [
-        ["rigid", "Dopri8", "0.05", f"{int(rigid.stats['num_iterations'][0]):,}",
-         f"{spent * 1e3:.2g}", f"{np.abs(np.asarray(rigid.xs[0, -1]) - wall).max():.1e}", ""]
+        [
+            "rigid",
+            "Dopri8",
+            "0.05",
+            f"{int(rigid.stats['num_iterations'][0]):,}",
+            f"{spent * 1e3:.2g}",
+            f"{np.abs(np.asarray(rigid.xs[0, -1]) - wall).max():.1e}",
+            "",
+        ]
     ]
     for k in (1e4, 1e6, 1e8, 1e10):
         c = 2 * zeta * np.sqrt(k)
@@ -200,8 +112,15 @@ def compliant_wall(t1=6.0, e=0.8):
             error = _error(str(outcome_names(sol.result)[0]), np.asarray(sol.xs[0, -1]), exact)
             if dt > touch:
                 told = jf.solve(
-                    SoftFloor(jnp.asarray(k), jnp.asarray(c)), jnp.array([1.0, 0.0]), 0.0, t1, dt,
-                    stepper=stepper, max_events=64, throw=False, estimate_error=True,
+                    SoftFloor(jnp.asarray(k), jnp.asarray(c)),
+                    jnp.array([1.0, 0.0]),
+                    0.0,
+                    t1,
+                    dt,
+                    stepper=stepper,
+                    max_events=64,
+                    throw=False,
+                    estimate_error=True,
                 ).errors
                 error += f", estimate_error {np.max(told):.0e}"
             cells = [f"{dt:.1e}", f"{int(sol.stats['num_iterations'][0]):,}", f"{spent * 1e3:.3g}"]
@@ -209,8 +128,9 @@ def compliant_wall(t1=6.0, e=0.8):
             rows.append([f"k = {k:.0e}", name, *cells, error, gap])
     head = ["floor", "stepper", "dt", "iterations", "ms", "error", "exact soft − exact rigid"]
     note = (
-        "\nThe contact lasts π/√k: where dt is longer than that no fixed step resolves the motion in"
-        "\nthe floor, and an L-stable method settles there instead of coming back."
+        "\nThe contact lasts π/√k: where dt is longer than that no fixed step resolves the motion"
+        "\nin the floor: an L-stable method settles there instead of coming back, and at"
+        "\nhalf the step it does the same, so that neither outcome nor estimate_error tells."
     )
     return f"(b) A soft floor and a rigid one: e = {e}, t = {t1:g}", table(head, rows) + note
 
@@ -228,8 +148,10 @@ def smoothed_relay(t1=14.0):
         system = jax.vmap(lambda w: jf.smoothed(base, w))(jnp.asarray([w for w, _ in pairs]))
         sol = solve(system, [3.0, 0.0], t1, [t1 / n for _, n in pairs], stepper)
         xs, names = np.asarray(sol.xs[:, -1]), outcome_names(sol.result)
-        apart = [np.abs(x - exact).max() if n == "successful" else np.inf
-                 for x, n in zip(xs, names, strict=True)]
+        apart = [
+            np.abs(x - exact).max() if n == "successful" else np.inf
+            for x, n in zip(xs, names, strict=True)
+        ]
         for i, w in enumerate(widths):
             here = apart[len(counts) * i : len(counts) * (i + 1)]
             cells = [f"{v:.1e}" for v in here]
@@ -261,65 +183,11 @@ def who(damping=1e6):
     for name, setting, run in cases:
         x, spent = timed(run, 3 if "SciPy" in name else REPEATS)
         error = np.abs(np.asarray(x) - exact).max()
-        rows.append([name, setting, f"{error:.1e}" if error < 10 else "failed", f"{spent * 1e3:.3g}"])
+        rows.append(
+            [name, setting, f"{error:.1e}" if error < 10 else "failed", f"{spent * 1e3:.3g}"]
+        )
     head = ["who", "setting", "error at t = 12", "ms"]
     return f"(d) One relay with damping {damping:.0e}, one lane", table(head, rows, right=(3,))
-
-
-def stability_map():
-    """(e) Errors over dt and damping: {name: (dts, dampings, errors)}."""
-    dts, dampings = np.geomspace(1e-3, 0.3, 16), 10.0 ** np.arange(0, 8.25, 0.5)
-    exact = np.array([relay_exact(float(d), 0.0)[0] for d in dampings])
-    grid = [(d, h) for d in dampings for h in dts]
-    found = {}
-    for name, stepper in (("Dopri8 (explicit)", diffrax.Dopri8()), ("Rodas5P", jf.Rodas5P())):
-        systems = relays([d for d, _ in grid], 0.0)
-        sol = solve(systems, X0, T1, [h for _, h in grid], stepper, 256)
-        xs = np.asarray(sol.xs[:, -1]).reshape(len(dampings), len(dts), 2)
-        errors = np.abs(xs - exact[:, None]).max(axis=-1)
-        told = (outcome_names(sol.result) != "successful").reshape(errors.shape)
-        found[name] = dts, dampings, errors, told
-    return found
-
-
-def picture(found, path):
-    """A panel a method: the error as colour, failures hatched."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-    from matplotlib.colors import LogNorm
-    from matplotlib.patches import Patch
-    from matplotlib.patheffects import Normal, Stroke
-
-    figure, axes = plt.subplots(
-        1, len(found), figsize=(11, 5.2), sharey=True, layout="constrained"
-    )
-    drawn = None
-    for ax, (name, (dts, dampings, errors, told)) in zip(axes, found.items(), strict=True):
-        shown = np.ma.masked_where(told | ~(errors < 1), errors)
-        drawn = ax.pcolormesh(
-            dts, dampings, np.maximum(shown, 1e-14), norm=LogNorm(1e-14, 1), cmap="viridis",
-            shading="nearest",
-        )
-        for where, hatch in ((told, "xx"), (~told & ~(errors < 1), "..")):
-            marked = np.ma.masked_where(~where, np.ones_like(errors))
-            ax.pcolor(dts, dampings, marked, cmap="Greys", vmin=0, vmax=4, hatch=hatch,
-                      edgecolor="0.3", linewidth=0, shading="nearest")
-        ax.set(xscale="log", yscale="log", title=name, xlabel="step dt")
-    (limit,) = axes[0].plot(
-        dts, STABLE / dts, color="white", lw=2, ls="--", label=f"stability limit d·dt = {STABLE}"
-    )
-    limit.set_path_effects([Stroke(linewidth=3.5, foreground="black"), Normal()])
-    axes[0].set_ylim(dampings[0] / 1.8, dampings[-1] * 1.8)
-    axes[0].set_ylabel("damping d of one side")
-    figure.colorbar(drawn, ax=axes, label="error of the state at t = 12")
-    marks = [Patch(facecolor="0.85", edgecolor="0.3", hatch="xx", label="told: not successful")]
-    marks.append(Patch(facecolor="0.85", edgecolor="0.3", hatch="..", label="error above 1"))
-    figure.legend(handles=[limit, *marks], loc="outside lower center", ncols=3, fontsize=9)
-    figure.suptitle("A relay with one damped side: error over step and stiffness")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
 
 
 def main():
@@ -330,20 +198,11 @@ def main():
         title, text = part()
         texts += [title, text, ""]
         print(title, text, f"[{time.perf_counter() - started:.0f} s]\n", sep="\n", flush=True)
-    found = stability_map()
-    picture(found, RESULTS / "stability.png")
-    texts.append("(e) results/stability.png: " + summary(found))
+    found = stability.errors()
+    stability.picture(found, RESULTS / "stability.png")
+    texts.append("(e) results/stability.png: " + stability.summary(found))
     (RESULTS / "stiff.txt").write_text("\n".join(texts) + "\n")
     print(texts[-1], f"{time.perf_counter() - begun:.0f} s", sep="\n")
-
-
-def summary(found):
-    parts = []
-    for name, (_, _, errors, told) in found.items():
-        wrong = int((~told & ~(errors < 1)).sum())
-        parts.append(f"{name}: of {errors.size} pairs {int((~told & (errors < 1e-6)).sum())} below "
-                     f"1e-6, {wrong} above 1, {int(told.sum())} told")
-    return "; ".join(parts) + "."
 
 
 if __name__ == "__main__":

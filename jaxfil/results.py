@@ -58,8 +58,8 @@ class RESULTS(eqx.Enumeration):
         "where it is not meant to, so that the orbit ends or changes before the bifurcation."
     )
     nonfinite = (
-        "The state, the vector field, the switching function or a reset is not finite (NaN or inf), "
-        "or the switching function is too large to be squared."
+        "The state, the vector field, the switching function or a reset is not finite (NaN or "
+        "inf), or the switching function is too large to be squared."
     )
     interrupted = "The sweep was interrupted before this lane was finished."
 

@@ -1,0 +1,95 @@
+"""The error of an explicit and a linearly implicit method over step and stiffness, as a picture.
+
+Nothing enters; errors, a picture of them and a sentence leave. The scene is the damped relay.
+"""
+
+import diffrax
+import numpy as np
+
+import jaxfil as jf
+from benchmarks.stiff_scenes import T1, X0, relay_exact, relays, solve
+from jaxfil.results import outcome_names
+
+# The real stability interval of Dopri8: |R(−z)| ≤ 1 up to here.
+STABLE = 5.17
+
+
+def errors():
+    """{name: (dts, dampings, errors, told)}, the last two of shape (dampings, dts)."""
+    dts, dampings = np.geomspace(1e-3, 0.3, 16), 10.0 ** np.arange(0, 8.25, 0.5)
+    exact = np.array([relay_exact(float(d), 0.0)[0] for d in dampings])
+    grid = [(d, h) for d in dampings for h in dts]
+    found = {}
+    for name, stepper in (("Dopri8 (explicit)", diffrax.Dopri8()), ("Rodas5P", jf.Rodas5P())):
+        systems = relays([d for d, _ in grid], 0.0)
+        sol = solve(systems, X0, T1, [h for _, h in grid], stepper, 256)
+        xs = np.asarray(sol.xs[:, -1]).reshape(len(dampings), len(dts), 2)
+        apart = np.abs(xs - exact[:, None]).max(axis=-1)
+        told = (outcome_names(sol.result) != "successful").reshape(apart.shape)
+        found[name] = dts, dampings, apart, told
+    return found
+
+
+def picture(found, path):
+    """A panel a method: the error as colour, failures hatched."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+    from matplotlib.colors import LogNorm
+    from matplotlib.patches import Patch
+    from matplotlib.patheffects import Normal, Stroke
+
+    figure, axes = plt.subplots(1, len(found), figsize=(11, 5.2), sharey=True, layout="constrained")
+    drawn = None
+    for ax, (name, (dts, dampings, errors, told)) in zip(axes, found.items(), strict=True):
+        shown = np.ma.masked_where(told | ~(errors < 1), errors)
+        drawn = ax.pcolormesh(
+            dts,
+            dampings,
+            np.maximum(shown, 1e-14),
+            norm=LogNorm(1e-14, 1),
+            cmap="viridis",
+            shading="nearest",
+        )
+        for where, hatch in ((told, "xx"), (~told & ~(errors < 1), "..")):
+            marked = np.ma.masked_where(~where, np.ones_like(errors))
+            ax.pcolor(
+                dts,
+                dampings,
+                marked,
+                cmap="Greys",
+                vmin=0,
+                vmax=4,
+                hatch=hatch,
+                edgecolor="0.3",
+                linewidth=0,
+                shading="nearest",
+            )
+        ax.set(xscale="log", yscale="log", title=name, xlabel="step dt")
+    (limit,) = axes[0].plot(
+        dts, STABLE / dts, color="white", lw=2, ls="--", label=f"stability limit d·dt = {STABLE}"
+    )
+    limit.set_path_effects([Stroke(linewidth=3.5, foreground="black"), Normal()])
+    axes[0].set_ylim(dampings[0] / 1.8, dampings[-1] * 1.8)
+    axes[0].set_ylabel("damping d of one side")
+    figure.colorbar(drawn, ax=axes, label="error of the state at t = 12")
+    marks = [Patch(facecolor="0.85", edgecolor="0.3", hatch="xx", label="told: not successful")]
+    marks.append(
+        Patch(facecolor="0.85", edgecolor="0.3", hatch="..", label="unstable: error above 1")
+    )
+    figure.legend(handles=[limit, *marks], loc="outside lower center", ncols=3, fontsize=9)
+    figure.suptitle("A relay with one damped side: error over step and stiffness")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def summary(found):
+    parts = []
+    for name, (_, _, errors, told) in found.items():
+        wrong = int((~told & ~(errors < 1)).sum())
+        parts.append(
+            f"{name}: of {errors.size} pairs {int((~told & (errors < 1e-6)).sum())} below "
+            f"1e-6, {wrong} above 1, {int(told.sum())} told"
+        )
+    return "; ".join(parts) + "."
