@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
+from benchmarks.page import PAGE, page
 from benchmarks.paper import fig4, fig5, fig6, fig8, fig9, fig10, fig11, section5
 from benchmarks.paper.__main__ import RESULTS
 from benchmarks.paper.figure import FIGURES
@@ -129,3 +130,7 @@ def test_every_figure_has_its_title_and_its_maker():
     assert [module.__name__.rpartition(".")[2] for module in modules] == list(FIGURES)
     assert all(callable(module.make) and module.TITLE for module in modules)
     assert [mark for mark, _ in fig8.MARKS.values()] == [*"os^D"]
+
+
+def test_the_results_page_is_what_its_command_writes():
+    assert PAGE.read_text() == page()
