@@ -17,9 +17,11 @@ import numpy as np
 
 import jaxfil as jf
 
+# System, its frequencies, initial state, and couplings at which drive and response neither meet,
+# which would end a lane, nor run away from each other without bound.
 SCENES = {
-    "belt": (jf.systems.BeltFriction, (4.2, 4.7), (0.0, 0.0)),
-    "sd": (jf.systems.SDOscillator, (0.6, 1.3), (0.3, 0.1)),
+    "belt": (jf.systems.BeltFriction, (4.2, 4.7), (0.0, 0.0), (-1.0, -0.9)),
+    "sd": (jf.systems.SDOscillator, (0.6, 1.3), (0.3, 0.1), (-0.014, -0.0139)),
 }
 # Vectors as wide as the machine has them, as `jaxfil.bifurcation_diagram` uses them.
 OPTIONS = {"xla_cpu_prefer_vector_width": "512"} if jax.default_backend() == "cpu" else None
@@ -53,10 +55,9 @@ def plain(system, x0, periods, steps):
     return sol.x_final
 
 
-def methods(x0, periods, steps):
+def methods(x0, couplings, periods, steps):
     """Name -> (function of a system, lane-periods it runs)."""
     common = dict(steps=steps, transient=0)
-    couplings = jnp.linspace(-1.0, -0.9, 4)  # none synchronises: every lane runs to the end
     return {
         "plain integration": (lambda s: plain(s, x0, periods, steps), periods),
         "variational, all exponents": (
@@ -78,11 +79,10 @@ def rates(args):
     print(
         f"{args.lanes} lanes, {args.periods} periods, {args.steps} steps of Dopri8 each, one core"
     )
-    for name, (system, ends, start) in SCENES.items():
+    for name, (system, ends, start, couplings) in SCENES.items():
         values, base = jnp.linspace(*ends, args.lanes), None
-        for method, (function, periods) in methods(
-            jnp.array(start), args.periods, args.steps
-        ).items():
+        x0, four = jnp.array(start), jnp.linspace(*couplings, 4)
+        for method, (function, periods) in methods(x0, four, args.periods, args.steps).items():
             spent, first = measure(
                 over(function, lambda w, s=system: s(omega=w), values), args.repeats
             )
@@ -106,7 +106,7 @@ def widths(args):
         ("sd", 0.87, 8.0, (0.3, 0.1, 0.03, 0.01, 0.003)),
         ("belt", 4.6, 4.0, (0.1, 0.03, 0.01)),
     ):
-        system, _, start = SCENES[name]
+        system, _, start, _ = SCENES[name]
         x0 = jnp.array(start) + 0.01 * jnp.arange(args.study_lanes)[:, None]
         exact = system(omega=omega)
         settings = [("exact", exact, 40)]
