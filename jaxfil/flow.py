@@ -26,8 +26,8 @@ from jaxtyping import Array
 
 from jaxfil import filippov
 from jaxfil.contact import NEVER, land, missing_time, search
-from jaxfil.lane import Lane, Policy, Span, View
-from jaxfil.record import record_event, save_sample, save_state
+from jaxfil.lane import Ahead, Lane, Policy, Span, View, running
+from jaxfil.record import keep_sample, record_event, save_state
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
 from jaxfil.start import begin
@@ -84,14 +84,7 @@ def choose_length(scene: Scene, span: Span, policy: Policy, lane: Lane) -> Lengt
     return Length(h, end, target - end, cutting, gridded & whole, saving & whole)
 
 
-def _running(span: Span, lane: Lane) -> Array:
-    """Whether a lane has something left to do."""
-    unfinished = lane.index < span.num_steps
-    affordable = lane.num_iterations < span.max_iterations
-    return unfinished & affordable & (lane.result == RESULTS.successful)
-
-
-def _action(scene, policy, lane: Lane, running, view: View, found, landing, frozen, tries) -> Array:
+def _action(scene, policy, lane: Lane, on, view: View, found, landing, frozen, tries) -> Array:
     """What to do with a trial step, or the number of the failure it has met, as one float: all that
     follows needs nothing else of what went into it."""
     action = jnp.where(found.theta < NEVER, _REJECT, _ACCEPT)
@@ -111,7 +104,7 @@ def _action(scene, policy, lane: Lane, running, view: View, found, landing, froz
     failures.append(frozen >= _FROZEN)
     for number, failed in reversed(list(enumerate(failures))):
         action = jnp.where(failed, _FAIL + number, action)
-    action = jnp.where(running, action, _IDLE)
+    action = jnp.where(on, action, _IDLE)
     (action,) = scene.hold(action.astype(scene.dtype))
     return action
 
@@ -125,19 +118,34 @@ def _outcome(action: Array, result: RESULTS) -> RESULTS:
 def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane) -> Lane:
     """One iteration. A lane that has come to its end stays as it is."""
     length = choose_length(scene, span, policy, lane)
-    x = step(
-        table,
-        lambda t, x: filippov.field(scene, t, x, lane.mode),
-        span.t0 + lane.tau,
-        lane.x,
-        lane.f,
-        length.h,
-        scene.once,
-    )
+    x = follow(scene, table, span, lane, length)
     if scene.m == 0:
         return _accept_smooth(scene, span, policy, lane, length, x)
+    return judge(scene, span, policy, lane, length, x)
+
+
+def follow(scene: Scene, table: Tableau, span: Span, lane: Lane, length: Length) -> Blocks:
+    """The state at the end of a trial step in the lane's mode."""
+
+    def field(t, x):
+        return filippov.field(scene, t, x, lane.mode)
+
+    return step(table, field, span.t0 + lane.tau, lane.x, lane.f, length.h, scene.once)
+
+
+def judge(
+    scene: Scene,
+    span: Span,
+    policy: Policy,
+    lane: Lane,
+    length: Length,
+    x: Blocks,
+    ahead: Ahead | None = None,
+) -> Lane:
+    """The lane after a trial step that ends at x: accepted, rejected, landed or switched. What is
+    known `ahead` is as in `look`."""
     x = where(lane.pending, lane.x, x)
-    view = look(scene, span, lane, length.end, x)
+    view = look(scene, span, lane, length.end, x, ahead)
     found = search(scene, span, lane, view, length.h, length.cutting)
     landing = land(scene, span, lane, view, length.h, length.room, length.cutting)
     return _decide(scene, span, policy, lane, length, view, found, landing)
@@ -149,8 +157,8 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
     # A flight this short cannot be told from the correction that ends it.
     again = abs(view.tau - lane.contact_tau) <= 4 * span.same_time(view.tau)
     frozen = jnp.where(lane.pending, jnp.where(again, lane.frozen + 1, 0), lane.frozen)
-    running = _running(span, lane)
-    action = _action(scene, policy, lane, running, view, found, landing, frozen, tries)
+    on = running(span, lane)
+    action = _action(scene, policy, lane, on, view, found, landing, frozen, tries)
     landed, rejected = (action == _LAND) | (action == _TOUCH), action == _REJECT
     accepted, switched = action == _ACCEPT, action == _SWITCH
 
@@ -188,7 +196,7 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
         tries=jnp.where(rejected, lane.tries + 1, 0),
         frozen=jnp.where(switched, frozen, lane.frozen),
         contact_tau=jnp.where(switched, stop_gradient(view.tau), lane.contact_tau),
-        num_iterations=lane.num_iterations + running.astype(jnp.int32),
+        num_iterations=lane.num_iterations + on.astype(jnp.int32),
         num_accepted=lane.num_accepted + (moved & accepted).astype(jnp.int32),
         num_events=lane.num_events + switched.astype(jnp.int32),
         num_saved=lane.num_saved,
@@ -202,8 +210,8 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
 def _accept_smooth(scene, span, policy, lane: Lane, length: Length, x: Blocks) -> Lane:
     """The whole of an iteration where there are no surfaces."""
     view = look(scene, span, lane, length.end, x)
-    running = _running(span, lane)
-    ok = all_finite(view.x, view.f) & running
+    on = running(span, lane)
+    ok = all_finite(view.x, view.f) & on
     saving, gridded = length.saving & ok, length.gridded & ok
     moved = ok & ~(saving & ~gridded)
     after = eqx.tree_at(
@@ -223,11 +231,11 @@ def _accept_smooth(scene, span, policy, lane: Lane, length: Length, x: Blocks) -
             where(moved, view.f, lane.f),
             where(moved, view.size, lane.size),
             lane.index + gridded.astype(jnp.int32),
-            lane.num_iterations + running.astype(jnp.int32),
+            lane.num_iterations + on.astype(jnp.int32),
             lane.num_accepted + moved.astype(jnp.int32),
         ),
     )
-    result = RESULTS.where(ok | ~running, lane.result, RESULTS.nonfinite)
+    result = RESULTS.where(ok | ~on, lane.result, RESULTS.nonfinite)
     after = eqx.tree_at(lambda lane: lane.result, after, result)
     return _keep(scene, span, policy, lane, after, view, moved, gridded, saving)
 
@@ -236,15 +244,11 @@ def _keep(scene, span, policy, lane, after: Lane, view: View, moved, gridded, sa
     """`after` with the state of `view` saved, if the policy says so."""
     if policy.save == "none":
         return after
+    if policy.save == "samples":
+        return keep_sample(policy, lane, after, view.x, gridded)
     if policy.save == "steps":
         saving = moved
-    elif policy.save == "samples":
-        past = after.index - policy.first
-        saving = gridded & (past >= 0) & (past % policy.every == 0)
-    if policy.save == "samples":
-        saves = save_sample(scene, lane, view, saving)
-    else:
-        saves = save_state(scene, span, lane, view, saving)
+    saves = save_state(scene, span, lane, view, saving)
     return eqx.tree_at(
         lambda lane: (lane.saves, lane.num_saved),
         after,
@@ -274,13 +278,13 @@ def integrate(
     def buffers(lane: Lane) -> list:
         return [v for name in records for v in vars(getattr(lane, name)).values()]
 
-    running = ft.partial(_running, span)
     body = ft.partial(advance, scene, table, span, policy)
     if kind == "lax":
-        lane = jax.lax.while_loop(lambda lane: eqxi.unvmap_any(running(lane)), body, first)
+        on = ft.partial(running, span)
+        lane = jax.lax.while_loop(lambda lane: eqxi.unvmap_any(on(lane)), body, first)
     else:
         lane = eqxi.while_loop(
-            running,
+            ft.partial(running, span),
             body,
             first,
             kind=kind,
@@ -288,6 +292,11 @@ def integrate(
             max_steps=max_iterations,
             checkpoints=checkpoints,
         )
+    return finish(span, lane)
+
+
+def finish(span: Span, lane: Lane) -> Lane:
+    """A lane that no longer runs, told why if it has not come to its end."""
     spent = (lane.index < span.num_steps) & (lane.result == RESULTS.successful)
     result = RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)
     return eqx.tree_at(lambda lane: lane.result, lane, result)

@@ -109,6 +109,16 @@ class Lane(eqx.Module):
     saves: Saves | None
 
 
+class Ahead(eqx.Module):
+    """State and field at the end of a trial step on the sides that a lane is on, and the guards of
+    these sides with their rates."""
+
+    x: Blocks
+    f: Blocks
+    g: Blocks
+    rate: Blocks
+
+
 class View(eqx.Module):
     """What is known at the end of a trial step. `num_modes` is how many modes could go on from a
     switch made here (1: all is well); `repels` whether it slides where the surface repels. `noise`
@@ -125,6 +135,13 @@ class View(eqx.Module):
     touch: Blocks
     num_modes: Array
     repels: Array
+
+
+def running(span: Span, lane: Lane) -> Array:
+    """Whether a lane has something left to do."""
+    unfinished = lane.index < span.num_steps
+    affordable = lane.num_iterations < span.max_iterations
+    return unfinished & affordable & (lane.result == RESULTS.successful)
 
 
 def epsilon(scene: Scene) -> float:

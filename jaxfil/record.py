@@ -5,13 +5,14 @@ A lane before and after an iteration enters; its buffers with one more entry lea
 
 from typing import Any
 
+import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.kernel import write_row
-from jaxfil.lane import Lane, Saves, Span, Table, View
+from jaxfil.lane import Lane, Policy, Saves, Span, Table, View
 from jaxfil.results import KINDS
 from jaxfil.scene import Blocks, Scene, any_of, pack
 
@@ -105,11 +106,24 @@ def record_event(scene: Scene, span: Span, lane: Lane, view: View, made: Array) 
     )
 
 
-def save_sample(scene: Scene, lane: Lane, view: View, save: Array) -> Saves:
-    """The saves of `lane` with the state of `view`, where `save` is set: states alone."""
+def is_sample(policy: Policy, index: Array) -> Array:
+    """Whether a grid point is a sample."""
+    assert policy.first is not None and policy.every is not None
+    past = index - policy.first
+    return (past >= 0) & (past % policy.every == 0)
+
+
+def keep_sample(policy: Policy, lane: Lane, after: Lane, x: Blocks, gridded: Array) -> Lane:
+    """`after`, to which `lane` has gone on, with its state x saved if it is `gridded`, at a grid
+    point just reached, and that is a sample."""
     assert lane.saves is not None
-    xs = write_row(lane.saves.xs, lane.num_saved, pack(view.x, scene.dtype), save)
-    return Saves(lane.saves.ts, xs, lane.saves.modes)
+    save = gridded & is_sample(policy, after.index)
+    xs = write_row(lane.saves.xs, lane.num_saved, jnp.stack(x), save)
+    return eqx.tree_at(
+        lambda lane: (lane.saves, lane.num_saved),
+        after,
+        (Saves(lane.saves.ts, xs, lane.saves.modes), lane.num_saved + save.astype(jnp.int32)),
+    )
 
 
 def save_state(scene: Scene, span: Span, lane: Lane, view: View, save: Array) -> Saves | None:

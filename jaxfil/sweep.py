@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil import check, processes, scene
+from jaxfil.block import integrate_block
 from jaxfil.checkpoint import Checkpoint, Record, digest, equations
 from jaxfil.chunk import BLOCK, compiled, one_after_another, side_by_side
 from jaxfil.diagram import BifurcationDiagram, Conditions
@@ -236,11 +237,10 @@ def _warn_if_interrupted(diagram: BifurcationDiagram, checkpoint: Any) -> None:
         )
 
 
-def _lane(system, names, row, x0, transient, samples, steps, stepper):
-    """One point in parameter space: samples (samples, n), outcome, and the last state."""
+def _problem(system, names, transient, samples, steps, stepper, row, x0):
+    """What `integrate` is given for one point in parameter space."""
     for i, name in enumerate(names):
         system = replace(system, name, row[i])
-    scene_ = scene.build(system, x0)
     period = jnp.asarray(system.period, x0.dtype)
     num_steps = (transient + samples) * steps
     span = Span(
@@ -251,21 +251,27 @@ def _lane(system, names, row, x0, transient, samples, steps, stepper):
         max_iterations=32 * jnp.minimum(num_steps, 2**25) + 100_000,
     )
     policy = Policy("samples", None, first=(transient + 1) * steps, every=steps)
-    lane = integrate(scene_, tableau(stepper), span, policy, scene.unpack(x0), num_saves=samples)
-    assert lane.saves is not None
+    return scene.build(system, x0), tableau(stepper), span, policy
+
+
+def _outcome(lane):
+    """Samples (samples, n), outcome, and the last state (n,) of a lane, or of many."""
     xs = jnp.where(jnp.isfinite(lane.saves.xs), lane.saves.xs, jnp.nan)
-    return xs, lane.result, scene.pack(lane.x, x0.dtype)
+    return xs, lane.result, jnp.stack(lane.x, axis=-1)
 
 
 def _run(system, names, rows, states, *, transient, samples, steps, stepper, followed, whole):
     """A chunk of points side by side, or one after the other each from the last one's end."""
+    problem = ft.partial(_problem, system, names, transient, samples, steps, stepper)
 
     def lane(row, x0):
-        return _lane(system, names, row, x0, transient, samples, steps, stepper)
+        return _outcome(integrate(*problem(row, x0), scene.unpack(x0), num_saves=samples))
+
+    def block(rows, states):
+        return _outcome(integrate_block(problem, rows, states, samples))
 
     if not followed:
-        lanes = jax.vmap(lane)
-        return (in_blocks(lanes, BLOCK) if whole else lanes)(rows, states)
+        return (in_blocks(block, BLOCK) if whole else jax.vmap(lane))(rows, states)
 
     single = one_kernel(lane) if whole else lane
 

@@ -11,7 +11,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil import filippov
-from jaxfil.lane import Lane, Span, View, epsilon
+from jaxfil.lane import Ahead, Lane, Span, View, epsilon
 from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
 
 # A guard is zero to rounding below this many eps times the size of its terms.
@@ -37,17 +37,22 @@ def _project(x: Blocks, h: Blocks, normals: tuple, on: Blocks) -> Blocks:
     return x
 
 
-def _larger(size: Blocks, x: Blocks) -> Blocks:
+def larger(size: Blocks, x: Blocks) -> Blocks:
     """The largest |x| so far."""
     return tuple(jnp.maximum(s, stop_gradient(abs(v))) for s, v in zip(size, x, strict=True))
 
 
-def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
-    """The state, mode, field, guards and rates at the end of a step; a pending switch is made."""
+def look(
+    scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks, ahead: Ahead | None = None
+) -> View:
+    """The state, mode, field, guards and rates at the end of a step; a pending switch is made.
+
+    What is known `ahead` is taken for a lane that stays on its sides, to the last bit.
+    """
     t = span.t0 + tau
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     if scene.m == 0:
-        size = _larger(lane.size, x)
+        size = larger(lane.size, x)
         return View(tau, x, scene.field(t, x, ()), size, (), (), (), (), (), one, false)
     moved = false
     if scene.resets:
@@ -56,7 +61,7 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
         moved = any_of(tuple(a != b for a, b in zip(after, x, strict=True)))
         x = after
     h, h_t, normals = scene.gradients(t, x)
-    size = _larger(lane.size, x)
+    size = larger(lane.size, x)
     here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(lane.x, x, strict=True))
     noise = surface_noise(scene, t, here, h_t, normals)
     touch = surface_noise(scene, t, size, h_t, normals)
@@ -78,6 +83,14 @@ def look(scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks) -> View:
     f = scene.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
     repels = ~filippov.attracting(mode, rates, span.direction) if scene.slides else false
     g, rate, noise = guards(scene, t, x, f, mode, noise)
+    if ahead is not None:
+        stays = ~lane.pending
+        for s in lane.mode:
+            stays = stays & (s != 0)
+        f, g, rate = (
+            where(stays, known, new)
+            for known, new in ((ahead.f, f), (ahead.g, g), (ahead.rate, rate))
+        )
     touch = tuple(jnp.where(s == 0, v, w) for s, v, w in zip(mode, noise, touch, strict=True))
     return View(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels)
 
