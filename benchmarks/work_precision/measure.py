@@ -65,9 +65,9 @@ def _row(problem, curve, setting, quick):
 
 
 def _times(call, quick):
-    """Seconds of repeated calls: for a tenth of a second, at most a hundred and at least three,
+    """Seconds of repeated calls: for a twentieth of a second, at most a hundred and at least three,
     unless they take half a second."""
-    spent, enough = [], 0.02 if quick else 0.1
+    spent, enough = [], 0.02 if quick else 0.05
     while sum(spent) < enough or (len(spent) < 3 and sum(spent) < 0.5):
         if len(spent) == 100:
             break

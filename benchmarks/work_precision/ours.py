@@ -12,8 +12,8 @@ NAME = "jaxfil"
 # How often a problem's longest step is halved.
 HALVINGS = {
     "Dopri8": range(6),
-    "Tsit5": range(7),
-    "RK4": range(1, 8),
+    "Tsit5": range(1, 7),
+    "RK4": range(2, 8),
 }
 
 
@@ -28,14 +28,14 @@ def scenes():
     systems = jf.systems
     belt = ft.partial(systems.BeltFriction, gamma1=10.0, gamma2=0.0)
     return {
-        "sd": (systems.SDOscillator(omega=0.7), 1.0),
-        "belt_1": (belt(omega=2.44), 0.2),
+        "sd": (systems.SDOscillator(omega=0.7), 2.0),
+        "belt_1": (belt(omega=2.44), 0.8),
         "belt_2": (systems.BeltFriction(omega=4.7), 0.06),
         "belt_2_chaos": (systems.BeltFriction(omega=4.6), 0.06),
         "rotating": (systems.RotatingOscillator(), 0.2),
-        "moving_belt": (systems.MovingBelt(), 1.0),
-        "slip_stick": (systems.SlipStick(), 0.5),
-        "impact": (systems.ImpactOscillator(amplitude=0.5, omega=1.2), 1.0),
+        "moving_belt": (systems.MovingBelt(), 2.0),
+        "slip_stick": (systems.SlipStick(), 1.0),
+        "impact": (systems.ImpactOscillator(amplitude=0.5, omega=1.2), 2.0),
     }
 
 

@@ -45,6 +45,7 @@ def draw(problem, rows, path):
         _curve(axes[0], *key, some)
     axes[0].set(xscale="log", yscale="log", ylabel="run time (ms)")
     axes[0].invert_xaxis()
+    axes[0].set_ylim(top=3 * axes[0].get_ylim()[1])  # room for the names of the widths
     titles = ("contacts located", "sgn H smoothed to tanh(H/width)")
     for ax, title in zip(axes, titles, strict=False):
         ax.set(xlabel="error at t1 (smaller to the right)")
@@ -68,22 +69,22 @@ def _curve(ax, program, method, rows):
 
 
 def _name_widths(ax, rows):
-    """The width beside the last point of each smoothed curve; those of the dearer method lie close
-    together, and their names are turned away from each other."""
-    for solver in ("Tsit5", "Kvaerno5"):
-        ends = {
-            method.split("width ")[1]: (some[-1].error, 1e3 * some[-1].seconds)
+    """The width above the last point of each smoothed curve. Those of the dearer method lie close
+    together: their names are moved apart."""
+    for solver, apart in (("Tsit5", 0), ("Kvaerno5", 6)):
+        ends = [
+            (some[-1].error, 1e3 * some[-1].seconds, method.split("width ")[1])
             for (_, method), some in curves(rows).items()
             if method.startswith(solver) and 0 < some[-1].error < math.inf
-        }
-        for width, end in ends.items():
-            left = solver == "Kvaerno5" and len(ends) > 1 and end == max(ends.values())
+        ]
+        for i, (error, spent, width) in enumerate(sorted(ends, reverse=True)):
             ax.annotate(
                 width,
-                end,
+                (error, spent),
                 textcoords="offset points",
-                xytext=(-6 if left else 6, -3),
-                ha="right" if left else "left",
+                xytext=(apart * (2 * i + 1 - len(ends)), 6),
+                ha="center",
+                rotation="vertical",
                 fontsize=8,
             )
 
