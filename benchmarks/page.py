@@ -6,6 +6,8 @@ shows them all, each under the command that makes it, leaves.
 
 from pathlib import Path
 
+from benchmarks.work_precision.problems import PROBLEMS
+
 RESULTS = Path(__file__).parent / "results"
 PAGE = RESULTS / "README.md"
 # Title, command, and the names of its results: NAME.txt is shown as it is, NAME.png as a picture.
@@ -14,6 +16,11 @@ SECTIONS = (
         "Error against throughput, beside other programs",
         "python -m benchmarks.throughput",
         ("throughput",),
+    ),
+    (
+        "Work against precision on eight problems, beside other programs",
+        "python -m benchmarks.work_precision",
+        ("work_precision", *(f"work_precision_{name}" for name in PROBLEMS)),
     ),
     ("Far outside the usual", "python -m benchmarks.extremes", ("extremes",)),
     ("Stiff scenes", "python -m benchmarks.stiff", ("stiff", "stability")),

@@ -1,0 +1,122 @@
+"""`python -m benchmarks.work_precision`: work against precision on eight problems, side by side.
+
+jaxfil, SciPy, diffrax and heyoka with located contacts, and diffrax on the smoothed problem.
+Writes `results/work_precision.txt` and a picture for each problem. `--only NAME` measures one
+problem and writes its picture alone; `--quick` measures fewer settings and writes nothing.
+"""
+
+import argparse
+import os
+import time
+
+from benchmarks.texts import table
+from benchmarks.work_precision import (
+    diffrax_events,
+    front,
+    heyoka_events,
+    measure,
+    ours,
+    picture,
+    scipy_events,
+    smoothed,
+    whole_loop,
+)
+from benchmarks.work_precision.problems import PROBLEMS
+from benchmarks.work_precision.program import LANES
+
+RESULTS = picture.RESULTS
+PROGRAMS = (ours, diffrax_events, heyoka_events, scipy_events, smoothed)
+HEAD = ["program", "method", "setting", "error", "ms", "contacts", "steps", "compile s"]
+ABOUT = f"""\
+Error: max |x(t1) − reference| of one trajectory. ms: median run time on one core, compilation left
+out; with "/ {LANES}" a lane's share in a batch of {LANES} lanes whose initial states differ by a
+thousandth. Contacts that differ from the problem's are marked "!". steps: jaxfil's are iterations,
+which include those that a contact takes. compile s: what the first run took more.
+jaxfil: jit(solve), jit(vmap(solve)). diffrax: `Event` in a loop that is compiled too. heyoka and
+SciPy: terminal events in a Python loop. They have no batch here (heyoka's own, in which all lanes
+take events together, was not tried), so that their single lane stands beside the others' batches.
+smoothed: diffrax on tanh(H/width), without events.
+"whole loop": one lane of the JAX programs under XLA_FLAGS={whole_loop.FLAG};
+by default XLA calls the kernels of a loop that touches more than a kilobyte one by one.
+"""
+
+
+def core():
+    """The last core that this process may use; None where the system does not say."""
+    return max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
+
+
+def measured(name, more, quick):
+    """All rows of a problem, and the programs left out."""
+    problem, found, skipped = PROBLEMS[name], list(more), []
+    for program in PROGRAMS:
+        if reason := program.missing():
+            skipped.append(f"{program.NAME} skipped: {reason}")
+            continue
+        for curve in program.curves(problem):
+            found += measure.rows(problem, curve, quick)
+    return found, skipped
+
+
+def text(name, rows, skipped):
+    """The table of a problem and who is in front."""
+    problem, body = PROBLEMS[name], []
+    for r in rows:
+        event = r.program != smoothed.NAME
+        mark = "!" if event and r.contacts != problem.contacts else ""
+        share = f" / {r.lanes}" if r.lanes > 1 else ""
+        body.append(
+            [
+                r.program,
+                r.method + share,
+                f"{r.unit} {r.setting:.2g}",
+                f"{r.error:.1e}",
+                f"{1e3 * r.seconds:.3g}",
+                f"{mark}{r.contacts}" if event else "",
+                f"{r.steps:,}",
+                f"{r.compiling:.1f}" if r.compiling >= 0.05 else "",
+            ]
+        )
+    head = f"{problem.title}: t1 = {problem.t1:.6g}, {problem.contacts} contacts"
+    lines = [head, f"Reference: {problem.source}.", "", table(HEAD, body, right=(3, 4, 5, 6, 7))]
+    return "\n".join([*lines, *skipped, "", *front.lines(rows), *front.plateaus(rows), ""])
+
+
+def overview(measured):
+    """How many times as long as jaxfil the fastest other program takes, at equal error."""
+    head, body = ["problem", "", *(f"at {level:.0e}" for level in front.LEVELS)], []
+    for name, rows in measured.items():
+        for title, some in front.contests(rows).items():
+            ratios = [front.ratio(some, level) for level in front.LEVELS]
+            body.append([name, title, *(f"{r:.2g}" for r in ratios)])
+    title = (
+        "Run time of the fastest other program over jaxfil's, at equal error (above 1: in front)"
+    )
+    return "\n".join([title, "", table(head, body, right=range(2, len(head))), ""])
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", choices=PROBLEMS, help="one problem")
+    parser.add_argument("--quick", action="store_true", help="fewer settings, no files")
+    asked = parser.parse_args()
+    names, begun = [asked.only] if asked.only else list(PROBLEMS), time.perf_counter()
+    chosen = core()
+    whole, texts, found = whole_loop.rows(names, chosen, asked.quick), [], {}
+    measure.prepare(chosen)
+    for name in names:
+        started = time.perf_counter()
+        rows, skipped = measured(name, whole[name], asked.quick)
+        rows.sort(key=lambda r: [p.NAME for p in PROGRAMS].index(r.program))
+        found[name] = rows
+        texts.append(text(name, rows, skipped))
+        print(texts[-1], f"[{time.perf_counter() - started:.0f} s]\n", sep="\n", flush=True)
+        if not asked.quick:
+            picture.draw(PROBLEMS[name], rows, RESULTS / f"work_precision_{name}.png")
+    if not asked.quick and not asked.only:
+        (RESULTS / "work_precision.txt").write_text("\n\n".join([ABOUT, overview(found), *texts]))
+    print(overview(found), f"{time.perf_counter() - begun:.0f} s", sep="\n")
+
+
+if __name__ == "__main__":
+    main()

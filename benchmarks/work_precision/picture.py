@@ -1,0 +1,107 @@
+"""Error against run time as a picture: contacts located on the left, smoothed on the right.
+
+A problem and its rows enter; a file leaves. A colour is a program, a mark a method, a line how the
+lanes ran.
+"""
+
+import math
+import pathlib
+
+from matplotlib.lines import Line2D
+
+from benchmarks.paper.canvas import BLACK, BLUE, GREEN, ORANGE, PURPLE, canvas
+from benchmarks.work_precision.front import curves
+from benchmarks.work_precision.program import LANES
+from benchmarks.work_precision.whole_loop import NOTE
+
+RESULTS = pathlib.Path(__file__).parents[1] / "results"
+COLORS = {"jaxfil": BLUE, "diffrax": ORANGE, "heyoka": BLACK, "SciPy": GREEN, "smoothed": PURPLE}
+MARKS = {
+    "Dopri8": "o",
+    "DOP853": "o",
+    "Tsit5": "s",
+    "RK45": "s",
+    "RK4": "^",
+    "Taylor": "*",
+    "Radau": "D",
+    "Kvaerno5": "D",
+    "LSODA": "v",
+}
+LINES = {
+    "one lane": {"ls": "-"},
+    "one lane, loop compiled whole": {"ls": "--", "mfc": "white"},
+    f"a lane of a batch of {LANES}": {"ls": ":", "lw": 1.6},
+}
+
+
+def draw(problem, rows, path):
+    """Both panels, or the left one alone where nothing was smoothed."""
+    smooth = any(r.program == "smoothed" for r in rows)
+    figure = canvas(7.6, 6.2)
+    axes = figure.subplots(1, 1 + smooth, sharex=True, sharey=True, squeeze=False)[0]
+    for key, some in curves([r for r in rows if r.lanes == 1]).items():
+        _curve(axes[-1 if key[0] == "smoothed" else 0], *key, some)
+    for key, some in curves([r for r in rows if r.lanes > 1]).items():
+        _curve(axes[0], *key, some)
+    axes[0].set(xscale="log", yscale="log", ylabel="run time (ms)")
+    axes[0].invert_xaxis()
+    axes[0].set_ylim(top=3 * axes[0].get_ylim()[1])  # room for the names of the widths
+    titles = ("contacts located", "sgn H smoothed to tanh(H/width)")
+    for ax, title in zip(axes, titles, strict=False):
+        ax.set(xlabel="error at t1 (smaller to the right)")
+        ax.set_title(title, fontsize="medium", loc="left")
+        ax.grid(alpha=0.25)
+    if smooth:
+        _name_widths(axes[1], [r for r in rows if r.program == "smoothed"])
+        _beside(axes[1], rows)
+    figure.suptitle(problem.title, fontsize="large")
+    figure.legend(handles=list(_handles(rows)), loc="outside lower center", ncols=4, fontsize=8)
+    figure.savefig(path)
+
+
+def _curve(ax, program, method, rows):
+    """Points in the order of settings; a run that failed has none."""
+    name = method.split(",")[0]
+    kind = 2 if rows[0].lanes > 1 else 1 if NOTE in method else 0
+    style = {"color": COLORS[program], "marker": MARKS[name], "ms": 5, "lw": 1.1}
+    points = [(r.error, 1e3 * r.seconds) for r in rows if 0 < r.error < math.inf]
+    ax.plot(*zip(*points, strict=True), **{**style, **list(LINES.values())[kind]})
+
+
+def _name_widths(ax, rows):
+    """The width above the last point of each smoothed curve. Those of the dearer method lie close
+    together: their names are moved apart."""
+    for solver, apart in (("Tsit5", 0), ("Kvaerno5", 6)):
+        ends = [
+            (some[-1].error, 1e3 * some[-1].seconds, method.split("width ")[1])
+            for (_, method), some in curves(rows).items()
+            if method.startswith(solver) and 0 < some[-1].error < math.inf
+        ]
+        for i, (error, spent, width) in enumerate(sorted(ends, reverse=True)):
+            ax.annotate(
+                width,
+                (error, spent),
+                textcoords="offset points",
+                xytext=(apart * (2 * i + 1 - len(ends)), 6),
+                ha="center",
+                rotation="vertical",
+                fontsize=8,
+            )
+
+
+def _beside(ax, rows):
+    """The jaxfil curve that the smoothed ones are to be seen beside."""
+    ours = curves([r for r in rows if r.lanes == 1])["jaxfil", "Dopri8"]
+    _curve(ax, "jaxfil", "Dopri8", ours)
+
+
+def _handles(rows):
+    shown = {(r.program, r.method.split(",")[0]) for r in rows}
+    for program, color in COLORS.items():
+        for method, mark in MARKS.items():
+            if (program, method) in shown:
+                label = f"{program} {method}"
+                yield Line2D([], [], color=color, marker=mark, ms=5, lw=1.1, label=label)
+    for label, style in LINES.items():
+        style = {"color": "0.4", "marker": "o", "ms": 5, "lw": 1.1, **style}
+        yield Line2D([], [], **style, label=label)
