@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxfil import check
 from jaxfil.diagram import BifurcationDiagram
+from jaxfil.labels import Labels
 from jaxfil.parameter import parameters
 from jaxfil.results import RESULTS
 from jaxfil.sweep import bifurcation_diagram
@@ -41,6 +42,8 @@ class Basins(eqx.Module):
     results: RESULTS
     components: tuple[int, int] = eqx.field(static=True)
     system: str = eqx.field(static=True)
+    names: Labels = eqx.field(static=True, default=Labels())
+    """What pictures call the components."""
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the basins and the section points of their attractors; returns the axes."""
@@ -124,6 +127,7 @@ def basins_of_attraction(
         results=jax.tree.map(lambda codes: np.reshape(codes, shape), diagram.results),
         components=(first, second),
         system=type(system).__name__,
+        names=diagram.labels.of(()),
     )
 
 
