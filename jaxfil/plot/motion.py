@@ -109,7 +109,7 @@ def _shade_modes(ax: Axes, sol: Solution) -> None:
         if (modes == mode).any()
     ]
     if shown:
-        ax.legend(handles=shown, fontsize="small", loc="upper right")
+        ax.legend(handles=shown, fontsize="small", loc="best")
 
 
 def _spans(
