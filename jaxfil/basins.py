@@ -99,6 +99,13 @@ def basins_of_attraction(
     [1, 2]
     """
     check.system("system", system)
+    if system.period is None:
+        raise ValueError(
+            "`system` must be forced: motions are looked at once a forcing period, and the period "
+            f"of {type(system).__name__} is None."
+        )
+    if len(axes) != 2:
+        raise ValueError(f"`axes` must be a pair, the values of two components, got {axes!r}.")
     values = tuple(_axis(i, axis) for i, axis in enumerate(axes))
     rest = np.zeros(2) if x0 is None else np.asarray(check.state("x0", x0), float)
     first, second = _components(components, rest.size)

@@ -91,7 +91,19 @@ class _Piecewise(System):
     _period: Array | float | None
 
     def vector_field(self, t, x, side):
-        return jnp.where(side > 0, self.f_plus(t, x), self.f_minus(t, x))
+        if jnp.ndim(side):
+            raise ValueError(
+                "`switching` must return a scalar, for two fields meet at one surface, got shape "
+                f"{jnp.shape(side)}. More surfaces, or none: write a jaxfil.System."
+            )
+        return jnp.where(side > 0, self._part("f_plus", t, x), self._part("f_minus", t, x))
+
+    def _part(self, name, t, x):
+        out = getattr(self, name)(t, x)
+        if not eqx.is_array(out) or out.shape != x.shape:
+            was = getattr(out, "shape", type(out).__name__)
+            raise ValueError(f"`{name}` must return a jax array of shape {x.shape}, got {was}.")
+        return out
 
     def switching(self, t, x):
         return self.surface(t, x)

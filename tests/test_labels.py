@@ -21,8 +21,8 @@ class Named(jf.System):
     force: jax.Array
 
     state_names = "q", "v"
-    symbols = {"omega": "Ω"}  # noqa: RUF012
-    units = {"q": "m", "v": "m/s", "omega": "rad/s", "t": "s"}  # noqa: RUF012
+    symbols = {"omega": "Ω"}
+    units = {"q": "m", "v": "m/s", "omega": "rad/s", "t": "s"}
 
     def vector_field(self, t, x, side):
         push = self.force * jnp.cos(self.omega * t)
@@ -41,8 +41,8 @@ NAMED = Named(jnp.array(1.3), jnp.array(0.5))
 
 class Plain(Named):
     state_names = ()
-    symbols = {}  # noqa: RUF012
-    units = {}  # noqa: RUF012
+    symbols = {}
+    units = {}
 
 
 def labels(ax):

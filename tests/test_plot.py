@@ -214,6 +214,21 @@ def test_slides_are_thick_and_surfaces_dashed():
     assert "H = 0" in {t.get_text() for t in ax.get_legend().get_texts()}
 
 
+def test_a_surface_that_is_the_whole_plane_is_not_in_the_legend():
+    # Two masses that stick: the plane of their places, at the velocities of the end, has H = 0.
+    class Pair(jf.System):
+        def vector_field(self, t, x, side):
+            return jnp.concatenate([x[2:], -x[:2] - side])
+
+        def switching(self, t, x):
+            return x[2:] - 0.1
+
+    pair = Pair()
+    ax = jf.plot.phase_portrait(solved(pair, [0.0, 0.2, 0.1, 0.1], 1.0), system=pair)
+    assert not ax.collections
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["sliding"]
+
+
 def test_a_section_shows_every_finite_state():
     xs = np.arange(12.0).reshape(2, 3, 2)
     xs[1, 2] = np.nan
