@@ -12,6 +12,7 @@ RESULTS = Path(__file__).parent / "results"
 PAGE = RESULTS / "README.md"
 # Title, command, and the names of its results: NAME.txt is shown as it is, NAME.png as a picture.
 SECTIONS = (
+    ("What it draws", "python -m benchmarks.gallery", ("gallery",)),
     (
         "Error against throughput, beside other programs",
         "python -m benchmarks.throughput",

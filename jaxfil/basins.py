@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxfil import check
 from jaxfil.diagram import BifurcationDiagram
+from jaxfil.labels import Labels
 from jaxfil.parameter import parameters
 from jaxfil.results import RESULTS
 from jaxfil.sweep import bifurcation_diagram
@@ -41,6 +42,8 @@ class Basins(eqx.Module):
     results: RESULTS
     components: tuple[int, int] = eqx.field(static=True)
     system: str = eqx.field(static=True)
+    names: Labels = eqx.field(static=True, default=Labels())
+    """What pictures call the components."""
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the basins and the section points of their attractors; returns the axes."""
@@ -96,6 +99,13 @@ def basins_of_attraction(
     [1, 2]
     """
     check.system("system", system)
+    if system.period is None:
+        raise ValueError(
+            "`system` must be forced: motions are looked at once a forcing period, and the period "
+            f"of {type(system).__name__} is None."
+        )
+    if len(axes) != 2:
+        raise ValueError(f"`axes` must be a pair, the values of two components, got {axes!r}.")
     values = tuple(_axis(i, axis) for i, axis in enumerate(axes))
     rest = np.zeros(2) if x0 is None else np.asarray(check.state("x0", x0), float)
     first, second = _components(components, rest.size)
@@ -124,6 +134,7 @@ def basins_of_attraction(
         results=jax.tree.map(lambda codes: np.reshape(codes, shape), diagram.results),
         components=(first, second),
         system=type(system).__name__,
+        names=diagram.labels.of(()),
     )
 
 

@@ -4,6 +4,7 @@ Arguments as the user gave them enter; arrays of one dtype leave, or a `ValueErr
 argument, what it must be and what it was.
 """
 
+import inspect
 from typing import Any
 
 import equinox as eqx
@@ -77,42 +78,61 @@ def system(name: str, value: Any) -> None:
         what = value.__name__ if isinstance(value, type) else type(value).__name__
         hint = "; create an instance of it" if isinstance(value, type) else ""
         raise ValueError(f"`{name}` must be an instance of jaxfil.System, got {what}{hint}.")
+    if callable(value.period):
+        raise ValueError(
+            f"`period` of {type(value).__name__} must be a number, a property or None, got a "
+            "method: write @property above it."
+        )
 
 
 def shapes(value: System, x: Array) -> tuple[int, ...]:
     """The shape of H, after a look at what all functions of a system return for a state like x."""
-    t, n = jnp.zeros((), x.dtype), x.shape[0]
-    h = _shape("switching", value.switching, t, x)
-    if h is None or len(h) > 1:
+    t = jnp.zeros((), x.dtype)
+    h = _shape(value, "switching", "a scalar or an array of shape (m,)", t=t, x=x)
+    if len(h) > 1:
         raise ValueError(
             f"`switching` of {type(value).__name__} must return a scalar or an array of shape "
-            f"(m,), got {_told(h)}."
+            f"(m,), got shape {h}."
         )
-    f = _shape("vector_field", value.vector_field, t, x, jnp.ones(h, x.dtype))
-    _same_as_state(value, "vector_field", f, n)
+    _same_as_state(value, "vector_field", t=t, x=x, side=jnp.ones(h, x.dtype))
     if has_resets(value):
-        r = _shape("reset", value.reset, t, x, jnp.zeros((), jnp.int32))
-        _same_as_state(value, "reset", r, n)
+        _same_as_state(value, "reset", t=t, x=x, surface=jnp.zeros((), jnp.int32))
     return h
 
 
-def _same_as_state(value: System, name: str, shape: tuple[int, ...] | None, n: int) -> None:
-    if shape != (n,):
+def _same_as_state(value: System, name: str, **args: Array) -> None:
+    must = f"an array of the shape of the state, {args['x'].shape}"
+    shape = _shape(value, name, must, **args)
+    if shape != args["x"].shape:
         raise ValueError(
-            f"`{name}` of {type(value).__name__} must return an array of the shape of the state, "
-            f"{(n,)}, got {_told(shape)}."
+            f"`{name}` of {type(value).__name__} must return {must}, got shape {shape}."
         )
 
 
-def _told(shape: tuple[int, ...] | None) -> str:
-    return "no array" if shape is None else f"shape {shape}"
-
-
-def _shape(name: str, function: Any, *args: Any) -> tuple[int, ...] | None:
-    """The shape a user's function returns; None if that is no array of real numbers."""
-    out = eqx.filter_eval_shape(function, *args)
-    if not isinstance(out, jax.ShapeDtypeStruct) or not jnp.issubdtype(out.dtype, jnp.number):
-        return None
-    if jnp.issubdtype(out.dtype, jnp.complexfloating):
-        raise ValueError(f"`{name}` must return real numbers, got {out.dtype}.")
+def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...]:
+    """The shape of the real numbers that one of the user's functions returns."""
+    function, told = getattr(value, name), f"`{name}` of {type(value).__name__}"
+    try:
+        inspect.signature(function).bind(*args.values())
+    except TypeError as error:
+        was = inspect.signature(function)
+        raise ValueError(f"{told} must take (self, {', '.join(args)}), got {was}.") from error
+    try:
+        out = eqx.filter_eval_shape(function, *args.values())
+    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
+        raise ValueError(
+            f"{told} must be made of jnp functions, for it is compiled, and {', '.join(args)} have "
+            "no values until it runs: jnp.where(side > 0, a, b) instead of `if`, jnp.sin instead "
+            "of math.sin or np.sin, jnp.stack instead of np.array; got "
+            f"{type(error).__name__}."
+        ) from error
+    if not isinstance(out, jax.ShapeDtypeStruct):
+        hint = ": write jnp.stack([…])" if isinstance(out, (list, tuple)) else ""
+        raise ValueError(f"{told} must return {must}, got no array but {_kind(out)}{hint}.")
+    if not jnp.issubdtype(out.dtype, jnp.number) or jnp.issubdtype(out.dtype, jnp.complexfloating):
+        raise ValueError(f"{told} must return real numbers, got {out.dtype}.")
     return out.shape
+
+
+def _kind(value: Any) -> str:
+    return "None" if value is None else f"an object of type {type(value).__name__}"

@@ -121,19 +121,25 @@ class _Lanes:
 
 
 class _Bar:
-    """A progress bar that counts lanes; those of a checkpoint leave its rate alone."""
+    """A progress bar that says that it compiles, and then counts lanes; those of a checkpoint
+    leave its rate alone."""
 
     def __init__(self, total: int, progress: bool):
         from tqdm.auto import tqdm
 
         shown = progress and jax.process_index() == 0
-        self._bar = tqdm(total=total, unit="lane", disable=not shown)
+        self._bar = tqdm(desc="compiling", total=total, unit="lane", disable=not shown)
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
         self._bar.close()
+
+    def start(self, total: int) -> None:
+        """Lanes run from now on."""
+        self._bar.set_description(refresh=False)
+        self._bar.reset(total)
 
     def count(self, lanes: int, kept: bool) -> None:
         if kept and not self._bar.disable:
@@ -151,33 +157,32 @@ def side_by_side(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples and outcomes of all lanes, a chunk at a time on each core of each process."""
     (p, _), n = rows.shape, states.shape[1]
-    job, size = _compiled_job(job, rows, n, False)
-    rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
-    lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
+    with _Bar(p, progress) as bar:
+        job, size = _compiled_job(job, rows, n, False)
+        rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
+        lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
 
-    stop = threading.Event()
+        stop = threading.Event()
 
-    def chunk(start: int) -> tuple[int, bool]:
-        if stop.is_set():
-            return 0, False
-        here = slice(start, start + size)
-        piece, kept = lanes.piece(start, size, lambda: job(rows[here], states[here]))
-        return len(piece.codes), kept
+        def chunk(start: int) -> tuple[int, bool]:
+            if stop.is_set():
+                return 0, False
+            here = slice(start, start + size)
+            piece, kept = lanes.piece(start, size, lambda: job(rows[here], states[here]))
+            return len(piece.codes), kept
 
-    starts = processes.share(range(0, p, size))
-    pool = ThreadPoolExecutor(_cores())
-    chunks = [pool.submit(chunk, start) for start in starts]
-    try:
-        with (
-            suppress(KeyboardInterrupt),
-            _Bar(sum(min(size, p - s) for s in starts), progress) as bar,
-        ):
-            for done in as_completed(chunks):
-                bar.count(*done.result())
-    finally:
-        with suppress(KeyboardInterrupt):  # a second one: chunks under way are not waited for
-            stop.set()
-            pool.shutdown()
+        starts = processes.share(range(0, p, size))
+        bar.start(sum(min(size, p - s) for s in starts))
+        pool = ThreadPoolExecutor(_cores())
+        chunks = [pool.submit(chunk, start) for start in starts]
+        try:
+            with suppress(KeyboardInterrupt):
+                for done in as_completed(chunks):
+                    bar.count(*done.result())
+        finally:
+            with suppress(KeyboardInterrupt):  # a second one: chunks under way are not waited for
+                stop.set()
+                pool.shutdown()
     xs, codes = lanes.finished()
     return processes.gather(xs, size), processes.gather(codes, size)
 
@@ -196,14 +201,16 @@ def one_after_another(
     """
     p, n = len(rows), len(state)
     lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
-    job, size = _compiled_job(job, rows, n, True)
-    rows = _filled_up(rows, size)
-    with suppress(KeyboardInterrupt), _Bar(p, progress) as bar:
-        for start in range(0, p, size):
-            here = rows[start : start + size]
-            piece, kept = lanes.piece(start, size, ft.partial(job, here, state))
-            state = piece.end
-            bar.count(len(piece.codes), kept)
+    with _Bar(p, progress) as bar:
+        job, size = _compiled_job(job, rows, n, True)
+        rows = _filled_up(rows, size)
+        bar.start(p)
+        with suppress(KeyboardInterrupt):
+            for start in range(0, p, size):
+                here = rows[start : start + size]
+                piece, kept = lanes.piece(start, size, ft.partial(job, here, state))
+                state = piece.end
+                bar.count(len(piece.codes), kept)
     xs, codes = lanes.finished()
     return processes.from_first(xs), processes.from_first(codes)
 

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxfil import store
+from jaxfil.labels import Labels
 from jaxfil.results import RESULTS, outcome_codes, outcome_names, outcomes
 
 # Names of a data set that are no parameter's.
-_VARIABLES = {"x", "outcome", "sample", "component", "point"}
+_VARIABLES = {"x", "outcome", "sample", "component", "point", "unit"}
 _ATTRIBUTES = {
     "system",
     "swept",
@@ -62,6 +63,8 @@ class BifurcationDiagram(eqx.Module):
     parameter: str | tuple[str, ...] = eqx.field(static=True)
     system: str = eqx.field(static=True)
     conditions: Conditions
+    labels: Labels = eqx.field(static=True, default=Labels())
+    """What pictures and named arrays call its quantities."""
 
     @property
     def successful(self) -> np.ndarray:
@@ -96,10 +99,11 @@ class BifurcationDiagram(eqx.Module):
     def to_xarray(self) -> Any:
         """An `xarray.Dataset` of `x` (parameters, sample, component) and `outcome` (parameters).
 
-        Outcomes are words. The attributes say what else it takes to make the diagram again: the
-        system, its other parameters, the initial state, steps and stepper. Points in parameter
-        space have the dimension `point` and a coordinate for each parameter. Needs the package
-        xarray.
+        Outcomes are words. Components have the names that the system gives them, and a coordinate
+        `unit` where it gives units; parameters have their symbol as `long_name`. The attributes
+        say what else it takes to make the diagram again: the system, its other parameters, the
+        initial state, steps and stepper. Points in parameter space have the dimension `point` and
+        a coordinate for each parameter. Needs the package xarray.
         """
         dims, coordinates = self._coordinates()
         samples, n = self.xs.shape[-2:]
@@ -114,20 +118,35 @@ class BifurcationDiagram(eqx.Module):
                 variables[_key(name)] = [f"{_key(name)}_{i}" for i in range(value.ndim)], value
         counts = {
             "sample": ("sample", np.arange(samples)),
-            "component": ("component", np.arange(n)),
+            "component": ("component", self._components(n)),
         }
+        units = [self.labels.unit(name) for name in self.labels.state]
+        if any(units):
+            counts["unit"] = "component", np.array(units, object)
         return store.dataset(variables, coordinates | counts, self._attributes())
+
+    def _components(self, n: int) -> np.ndarray:
+        names = self.labels.state
+        return np.array(names, object) if names else np.arange(n)
+
+    def _axis(self, name: str, dimension: str, values: Any) -> tuple[str, Any, dict]:
+        """A parameter's values along a dimension, with its symbol and unit as xarray shows them."""
+        told = {"long_name": self.labels.symbol(name), "units": self.labels.unit(name)}
+        attributes = {key: word for key, word in told.items() if word not in ("", name)}
+        return dimension, values, attributes
 
     def _coordinates(self) -> tuple[tuple[str, ...], dict[str, Any]]:
         """The dimensions of a lane, and the values of the parameters along them."""
         if isinstance(self.parameter, str):
             key = _key(self.parameter)
-            return (key,), {key: (key, self.values)}
+            return (key,), {key: self._axis(self.parameter, key, self.values)}
         keys = tuple(map(_key, self.parameter))
         if isinstance(self.values, tuple):
-            pairs = zip(keys, self.values, strict=True)
-            return keys, {key: (key, axis) for key, axis in pairs}
-        return ("point",), {key: ("point", self.values[:, i]) for i, key in enumerate(keys)}
+            along, columns = keys, self.values
+        else:
+            along, columns = ("point",) * len(keys), self.values.T
+        axes = map(self._axis, self.parameter, along, columns)
+        return tuple(dict.fromkeys(along)), dict(zip(keys, axes, strict=True))
 
     def _attributes(self) -> dict[str, Any]:
         given = self.conditions
@@ -203,7 +222,20 @@ def load(path: str | os.PathLike) -> BifurcationDiagram:
             follow=data.attrs.get("follow"),
             version=data.attrs["jaxfil_version"],
         ),
+        labels=_labels(data, swept),
     )
+
+
+def _labels(data: Any, swept: tuple[str, ...]) -> Labels:
+    """What was called how, from the names of components and the attributes of parameters."""
+    components = data["component"].values
+    names = () if components.dtype.kind == "i" else tuple(map(str, components))
+    units = dict(zip(names, map(str, data["unit"].values), strict=True)) if "unit" in data else {}
+    told = {name: data[_key(name)].attrs for name in swept}
+    units |= {name: attrs["units"] for name, attrs in told.items() if "units" in attrs}
+    symbols = {n: attrs["long_name"] for n, attrs in told.items() if "long_name" in attrs}
+    known = {name: unit for name, unit in units.items() if unit}
+    return Labels(names, tuple(sorted(symbols.items())), tuple(sorted(known.items())))
 
 
 def _parameters(data: Any, dtype: Any) -> dict[str, np.ndarray]:

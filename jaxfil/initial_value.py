@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxfil import check, scene
 from jaxfil.flow import integrate
+from jaxfil.labels import labels_of
 from jaxfil.lane import SAME_TIME, Lane, Policy, Span
 from jaxfil.record import mode_codes
 from jaxfil.results import RESULTS
@@ -79,6 +80,7 @@ def solve(
     dtype = x.dtype
     check.system("system", system)
     system = scene.cast(system, dtype)
+    labels = labels_of(system, x.shape[0])
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
     length = check.scalar("dt", dt, dtype, positive=True)
     stepper = diffrax.Dopri8() if stepper is None else stepper
@@ -110,6 +112,7 @@ def solve(
         half, options = length / 2, options.of_companion()
         companion = _solve(system, x, start, stop, half, ts, stepper, options)
         sol = eqx.tree_at(lambda s: s.errors, sol, errors(sol, companion), is_leaf=_is_none)
+    sol = dataclasses.replace(sol, labels=labels)
     return _raise_unless_successful(sol) if throw else sol
 
 

@@ -28,9 +28,11 @@ def parameter(system: Any, name: str) -> Any:
     """The leaf called `name`."""
     known = parameters(system)
     if name not in known:
+        fields = vars(system) if isinstance(name, str) else {}
+        hint = f", which is {fields[name]!r} and no float" if name in fields else ""
         raise ValueError(
             f"`name` must be a parameter of {type(system).__name__}, one of "
-            f"{', '.join(known) or '(it has none)'}; got {name!r}."
+            f"{', '.join(known) or '(it has none)'}; got {name!r}{hint}."
         )
     return known[name]
 

@@ -31,8 +31,8 @@ def points(name: str | Sequence[str], values: Any, dtype: Any) -> Points:
     if isinstance(name, str):
         axis = _axis(values, dtype, "(p,) with p ≥ 1")
         return Points((name,), axis, axis[:, None], axis.shape)
-    names = tuple(name)
-    if len({*names}) < max(2, len(names)) or not all(isinstance(n, str) for n in names):
+    names = tuple(name) if np.ndim(name) == 1 else ()
+    if not all(isinstance(n, str) for n in names) or len({*names}) < max(2, len(names)):
         raise ValueError(f"`name` must be a string, or two or more different ones, got {name!r}.")
     if hasattr(values, "ndim"):
         return _one_by_one(names, np.asarray(values), dtype)

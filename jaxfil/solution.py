@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil import scene
 from jaxfil.filippov import field
+from jaxfil.labels import Labels
 from jaxfil.lane import Table
 from jaxfil.results import KINDS, RESULTS, outcome_names
 from jaxfil.stepper import step, tableau
@@ -70,6 +71,8 @@ class Solution(eqx.Module):
     errors: Float[Array, "k n"] | None = None
     """Estimated |xs − exact|, component by component, if asked for; inf where unknown."""
     _dense: Any = None
+    labels: Labels = eqx.field(static=True, default=Labels())
+    """What pictures call its quantities."""
 
     def evaluate(self, t: Array | float) -> Float[Array, " n"]:
         """The state at a time of the solved span, to the order of the stepper, shape (n,).

@@ -6,7 +6,7 @@ every number bit for bit. The only file that knows xarray, which is imported wit
 
 import importlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,11 @@ _PACKAGES = {".nc": ("xarray", "h5netcdf", "h5py"), ".zarr": ("xarray", "zarr")}
 
 
 def dataset(
-    variables: Mapping[str, tuple[Sequence[str], Any]],
-    coordinates: Mapping[str, tuple[Sequence[str], Any]],
+    variables: Mapping[str, tuple[Any, ...]],
+    coordinates: Mapping[str, tuple[Any, ...]],
     attributes: Mapping[str, Any],
 ) -> Any:
-    """An `xarray.Dataset` of named (dimensions, array) pairs."""
+    """An `xarray.Dataset` of named (dimensions, array) or (dimensions, array, attributes)."""
     return _xarray("xarray").Dataset(variables, coordinates, attributes)
 
 

@@ -25,6 +25,7 @@ from jaxfil.chunk import BLOCK, compiled, one_after_another, side_by_side
 from jaxfil.diagram import BifurcationDiagram, Conditions
 from jaxfil.flow import integrate
 from jaxfil.kernel import in_blocks, one_kernel
+from jaxfil.labels import labels_of
 from jaxfil.lane import Policy, Span
 from jaxfil.parameter import parameter, parameters, replace
 from jaxfil.points import Points, points
@@ -105,6 +106,7 @@ def bifurcation_diagram(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
             f"{type(system).__name__} is None."
         )
+    labels = labels_of(system, np.shape(x0)[-1]).of(where.names)
     _check_follow(follow, where)
     stepper = diffrax.Dopri8() if stepper is None else stepper
     conditions = Conditions(
@@ -126,6 +128,7 @@ def bifurcation_diagram(
         parameter=name if isinstance(name, str) else where.names,
         system=type(system).__name__,
         conditions=conditions,
+        labels=labels,
     )
     _warn_if_interrupted(diagram, checkpoint)
     return diagram

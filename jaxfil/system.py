@@ -5,7 +5,7 @@ parameters of the problem.
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -30,10 +30,16 @@ class System(eqx.Module):
       sliding is then not compiled, and meeting a sliding region is an outcome of its own.
     - `reset`: define it for impacts; without it none are compiled.
     - `period`: the period of the forcing, or `None` for an autonomous system.
+    - `state_names`, `symbols`, `units`: what pictures and named arrays call the components of the
+      state and the parameters, and in which units; by default x[0], the name in the code, none.
 
     ```python
     class Relay(jf.System):
         omega: Array
+
+        state_names = "x", "x'"
+        symbols = {"omega": "Ω"}
+        units = {"x": "m", "x'": "m/s", "omega": "rad/s", "t": "s"}
 
         def vector_field(self, t, x, side):
             return jnp.stack([x[1], -x[0] - side + jnp.cos(self.omega * t)])
@@ -48,6 +54,9 @@ class System(eqx.Module):
     """
 
     slides: ClassVar[bool] = True
+    state_names: ClassVar[Sequence[str]] = ()
+    symbols: ClassVar[Mapping[str, str]] = {}
+    units: ClassVar[Mapping[str, str]] = {}
 
     @abc.abstractmethod
     def vector_field(self, t: Float[Array, ""], x: Float[Array, " n"], side: Array) -> Array:
@@ -82,7 +91,19 @@ class _Piecewise(System):
     _period: Array | float | None
 
     def vector_field(self, t, x, side):
-        return jnp.where(side > 0, self.f_plus(t, x), self.f_minus(t, x))
+        if jnp.ndim(side):
+            raise ValueError(
+                "`switching` must return a scalar, for two fields meet at one surface, got shape "
+                f"{jnp.shape(side)}. More surfaces, or none: write a jaxfil.System."
+            )
+        return jnp.where(side > 0, self._part("f_plus", t, x), self._part("f_minus", t, x))
+
+    def _part(self, name, t, x):
+        out = getattr(self, name)(t, x)
+        if not eqx.is_array(out) or out.shape != x.shape:
+            was = getattr(out, "shape", type(out).__name__)
+            raise ValueError(f"`{name}` must return a jax array of shape {x.shape}, got {was}.")
+        return out
 
     def switching(self, t, x):
         return self.surface(t, x)
@@ -135,6 +156,20 @@ class _Smoothed(System):
     @property
     def period(self):
         return self.system.period
+
+    @property
+    def state_names(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.system.state_names
+
+    @property
+    def symbols(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return {f"system.{name}": symbol for name, symbol in self.system.symbols.items()}
+
+    @property
+    def units(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        same = {"t", *self.system.state_names}
+        given = self.system.units.items()
+        return {name if name in same else f"system.{name}": unit for name, unit in given}
 
 
 def smoothed(system: System, width: Array | float) -> System:

@@ -41,6 +41,8 @@ class SDOscillator(System):
     """None stands for α = 0: the discontinuous system has no such parameter."""
 
     slides: ClassVar[bool] = False
+    state_names: ClassVar = ("x", "x'")
+    symbols: ClassVar = {"zeta": "ζ", "omega": "Ω", "alpha": "α"}
 
     def vector_field(self, t, x, side):
         snap = side if self.alpha is None else x[0] / jnp.sqrt(x[0] ** 2 + self.alpha**2)
@@ -73,6 +75,16 @@ class BeltFriction(System):
     v: Array = _parameter(1.0)
     omega: Array = _parameter(4.6)
 
+    state_names: ClassVar = ("x", "x'")
+    symbols: ClassVar = {
+        "mu": "μ",
+        "alpha": "α",
+        "beta": "β",
+        "gamma1": "γ1",
+        "gamma2": "γ2",
+        "omega": "ω",
+    }
+
     def vector_field(self, t, x, side):
         w = x[1] - self.v
         friction = self.g * (self.alpha * w - self.beta * w * w * w - self.mu * side)
@@ -93,6 +105,9 @@ class CoulombOscillator(System):
 
     friction: Array = _parameter(0.4)
 
+    state_names: ClassVar = ("x", "x'")
+    symbols: ClassVar = {"friction": "F"}
+
     def vector_field(self, t, x, side):
         return jnp.stack([x[1], -x[0] - self.friction * side])
 
@@ -106,6 +121,9 @@ class MovingBelt(System):
     Calvo, Montijano and Rández, DISODE45 (ACM TOMS 42, 2016)."""
 
     friction: Array = _parameter(0.4)
+
+    state_names: ClassVar = ("x", "x'")
+    symbols: ClassVar = {"friction": "F"}
 
     def vector_field(self, t, x, side):
         force = jnp.cos(0.7 * t) - x[0] - 0.4 * x[1]
@@ -124,6 +142,8 @@ class RotatingOscillator(System):
     omega: Array = _parameter(-6.283185307179586)
 
     slides: ClassVar[bool] = False
+    state_names: ClassVar = ("x₁", "x₂")
+    symbols: ClassVar = {"omega": "ω"}
 
     def vector_field(self, t, x, side):
         spin = -side * self.omega
@@ -136,6 +156,8 @@ class RotatingOscillator(System):
 class SlipStick(System):
     """x₁' = x₂; x₂' = −x₁ + 1/(1.2 − x₂) for x₂ < 0.2, −x₁ − 1/(0.8 + x₂) above: autonomous
     stick–slip, period 9.230770458083, leaving the stick exactly at (1, 0.2)."""
+
+    state_names: ClassVar = ("x₁", "x₂")
 
     def vector_field(self, t, x, side):
         below, above = side < 0, side > 0
@@ -153,6 +175,9 @@ class DenHartog(System):
 
     friction: Array = _parameter(0.3)
     omega: Array = _parameter(0.8)
+
+    state_names: ClassVar = ("x", "x'")
+    symbols: ClassVar = {"friction": "S", "omega": "Ω"}
 
     def vector_field(self, t, x, side):
         return jnp.stack([x[1], jnp.cos(self.omega * t) - x[0] - self.friction * side])
@@ -178,6 +203,15 @@ class ImpactOscillator(System):
     restitution: Array = _parameter(0.8)
 
     slides: ClassVar[bool] = False
+    state_names: ClassVar = ("x", "x'")
+    symbols: ClassVar = {
+        "stiffness": "k",
+        "damping": "c",
+        "amplitude": "A",
+        "omega": "ω",
+        "wall": "d",
+        "restitution": "e",
+    }
 
     def vector_field(self, t, x, side):
         force = self.amplitude * jnp.cos(self.omega * t)
@@ -202,6 +236,8 @@ class BouncingBall(System):
     restitution: Array = _parameter(0.9)
 
     slides: ClassVar[bool] = False
+    state_names: ClassVar = ("y", "y'")
+    symbols: ClassVar = {"restitution": "e"}
 
     def vector_field(self, t, x, side):
         return jnp.stack([x[1], -self.g])
@@ -217,6 +253,8 @@ class FilippovSpiral(System):
     """ẋ = −sgn x + 2 sgn y, ẏ = −2 sgn x − sgn y: from (0, 1) it reaches the origin at t = 1/2
     after infinitely many crossings and rests there. Filippov (1988)."""
 
+    state_names: ClassVar = ("x", "y")
+
     def vector_field(self, t, x, side):
         return jnp.stack([-side[0] + 2 * side[1], -2 * side[0] - side[1]])
 
@@ -228,6 +266,8 @@ class VisibleFold(System):
     """ẋ = (1, −1) outside the circle |x|² = 2, (x, y) inside: from (−1, 0.1) it slides on the
     circle and leaves it at the visible fold (−1, −1)."""
 
+    state_names: ClassVar = ("x", "y")
+
     def vector_field(self, t, x, side):
         return jnp.where(side > 0, jnp.array([1.0, -1.0], x.dtype), x)
 
@@ -237,6 +277,8 @@ class VisibleFold(System):
 
 class TwoRelays(System):
     """ẋ = (−2, 1.5) if x > y, else (2, −3): from (1.5, 1) it slides along x = y from t = 1/7."""
+
+    state_names: ClassVar = ("x", "y")
 
     def vector_field(self, t, x, side):
         right = jnp.array([-2.0, 1.5], x.dtype)

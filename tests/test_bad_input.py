@@ -1,5 +1,6 @@
 """Bad calls: a ValueError that names the argument, what it must be and what it was."""
 
+import math
 import re
 
 import diffrax
@@ -35,6 +36,19 @@ class Custom(jf.System):
 
 def custom(field=lambda x: -x, surface=lambda x: x[0] - 9, after=lambda x: x):
     return Custom(field, surface, after)
+
+
+class Short(jf.System):
+    """A field that forgets its side, and a period of any kind."""
+
+    period: object = None
+
+    def vector_field(self, t, x):
+        return x
+
+
+def same(t, x):
+    return x
 
 
 def solve(system=GOOD, x0=X0, t0=0.0, t1=1.0, dt=0.1, **kwargs):
@@ -96,6 +110,40 @@ CALLS = {
         "switching",
         "(2, 2)",
     ),
+    "field branches": (
+        lambda: solve(custom(field=lambda x: x if x[0] > 0 else -x)),
+        "vector_field",
+        "TracerBoolConversionError",
+    ),
+    "field calls math": (
+        lambda: solve(custom(field=lambda x: x * math.sin(x[0]))),
+        "jnp.sin",
+        "ConcretizationTypeError",
+    ),
+    "field is of NumPy": (
+        lambda: solve(custom(field=lambda x: np.array([x[1], x[0]]))),
+        "jnp.stack",
+        "TracerArrayConversionError",
+    ),
+    "field is a list": (lambda: solve(custom(field=list)), "jnp.stack", "type list"),
+    "field without side": (lambda: solve(Short()), "(self, t, x, side)", "(t, x)"),
+    "H is a condition": (lambda: solve(custom(surface=lambda x: x[0] > 0)), "switching", "bool"),
+    "period is a method": (lambda: solve(Short(period=lambda: 1.0)), "period", "method"),
+    "piecewise by two surfaces": (
+        lambda: solve(jf.piecewise(same, same, lambda t, x: x)),
+        "switching",
+        "(2,)",
+    ),
+    "piecewise by no surface": (
+        lambda: solve(jf.piecewise(same, same, lambda t, x: x[:0])),
+        "switching",
+        "(0,)",
+    ),
+    "piecewise of a list": (
+        lambda: solve(jf.piecewise(same, lambda t, x: [x[1], x[0]], lambda t, x: x[0])),
+        "f_minus",
+        "list",
+    ),
     "reset of another shape": (
         lambda: solve(custom(after=lambda x: x[:1])),
         "reset",
@@ -114,6 +162,26 @@ CALLS = {
         lambda: diagram(GOOD, "friction"),
         "period",
         "CoulombOscillator",
+    ),
+    "diagram of an integer": (
+        lambda: diagram(jf.drive_response(FORCED, 1), "coupling"),
+        "coupling",
+        "no float",
+    ),
+    "diagram with name and values exchanged": (
+        lambda: diagram(name=jnp.ones(2), values="omega"),
+        "name",
+        "[1., 1.]",
+    ),
+    "basins without a period": (
+        lambda: jf.basins_of_attraction(GOOD, ([0.0], [0.0])),
+        "system",
+        "CoulombOscillator",
+    ),
+    "basins over three axes": (
+        lambda: jf.basins_of_attraction(FORCED, ([0.0], [0.0], [1.0])),
+        "axes",
+        "[1.0]",
     ),
     "diagram of a matrix": (lambda: diagram(values=np.ones((2, 3))), "values", "(2, 3)"),
     "diagram of nothing": (lambda: diagram(values=np.ones(0)), "values", "(0,)"),

@@ -48,7 +48,7 @@ def test_it_prints_and_draws_itself(found):
     (mesh,) = ax.collections
     assert_array_equal(np.unique(mesh.get_array()), [0, 1, 2])
     assert_allclose([line.get_xdata()[0] for line in ax.lines], [p[0, 0] for p in found.attractors])
-    assert "t = 0" in ax.get_xlabel()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x at t = 0", "x' at t = 0")
     plt.close("all")
 
 

@@ -133,6 +133,8 @@ def test_a_wall_is_grazed_where_the_amplitude_reaches_it():
 def test_the_curve_of_grazing_is_where_the_amplitude_is_one(sd_grazing):
     system = jf.systems.SDOscillator(omega=0.84)
     curve = jf.continue_bifurcation(system, ("omega", "f0"), sd_grazing, stop=(0.75, 0.95))
+    ax = curve.plot(jf.plot.page().add_subplot())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Ω", "f0")
     omega, f0 = curve.values.T
     exact = np.sqrt((1 - omega**2) ** 2 + (2 * 0.0141 * omega) ** 2)
     np.testing.assert_allclose(f0, exact, rtol=0, atol=1e-9)

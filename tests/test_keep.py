@@ -109,7 +109,7 @@ def test_files_are_xarrays_own(tmp_path):
     d = sweep([0.7, 0.8])
     d.save(tmp_path / "a.nc")
     with xarray.open_dataset(tmp_path / "a.nc") as data:
-        np.testing.assert_array_equal(data["x"].sel(omega=0.8, component=1), d.xs[1, :, 1])
+        np.testing.assert_array_equal(data["x"].sel(omega=0.8, component="x'"), d.xs[1, :, 1])
 
 
 def test_bad_paths(tmp_path, monkeypatch):

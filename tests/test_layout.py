@@ -27,6 +27,7 @@ ORDER = [
     "trace",
     "scene",
     "parameter",
+    "labels",
     "filippov",
     "rosenbrock",
     "stepper",

@@ -68,7 +68,7 @@ def test_every_notebook_is_known():
 def test_a_notebook_is_stored_as_it_ran(file):
     notebook = nbformat.read(file, as_version=4)
     nbformat.validate(notebook)
-    assert len(notebook.cells) <= 13, "a notebook is read at one sitting"
+    assert len(notebook.cells) <= 10, "a notebook is read at one sitting"
     cells = code_cells(notebook)
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     assert all(cell.outputs for cell in cells), "a cell has nothing to show"

@@ -74,8 +74,8 @@ def test_a_diagram_shows_every_sample_over_its_value(component):
     x, y = dots.get_data()
     assert_array_equal(x, np.repeat(diagram.values, 4))
     assert_array_equal(y, diagram.xs[:, :, component].ravel())
-    assert ax.get_xlabel() == "omega"
-    assert f"x[{component}]" in ax.get_ylabel()
+    assert ax.get_xlabel() == "Ω"
+    assert ax.get_ylabel() == ("x once a period", "x' once a period")[component]
     assert ax.get_xlim() == (0.7, 0.9)
     assert dots.get_rasterized()
 
@@ -90,7 +90,7 @@ def test_the_axes_given_are_drawn_on_and_come_back():
 
 def test_a_diagram_draws_itself():
     ax = swept().plot(component=1)
-    assert "x[1]" in ax.get_ylabel()
+    assert ax.get_ylabel() == "x' once a period"
 
 
 def test_a_page_is_shown_in_no_window():
@@ -214,6 +214,21 @@ def test_slides_are_thick_and_surfaces_dashed():
     assert "H = 0" in {t.get_text() for t in ax.get_legend().get_texts()}
 
 
+def test_a_surface_that_is_the_whole_plane_is_not_in_the_legend():
+    # Two masses that stick: the plane of their places, at the velocities of the end, has H = 0.
+    class Pair(jf.System):
+        def vector_field(self, t, x, side):
+            return jnp.concatenate([x[2:], -x[:2] - side])
+
+        def switching(self, t, x):
+            return x[2:] - 0.1
+
+    pair = Pair()
+    ax = jf.plot.phase_portrait(solved(pair, [0.0, 0.2, 0.1, 0.1], 1.0), system=pair)
+    assert not ax.collections
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["sliding"]
+
+
 def test_a_section_shows_every_finite_state():
     xs = np.arange(12.0).reshape(2, 3, 2)
     xs[1, 2] = np.nan
@@ -258,7 +273,7 @@ def test_exponents_by_synchronisation():
 
 
 def test_a_solution_draws_itself():
-    assert sticking().plot().get_ylabel() == "x[1]"
+    assert sticking().plot().get_ylabel() == "x'"
     decay = jf.piecewise(lambda t, x: -x, lambda t, x: -x, lambda t, x: x[0])
     assert solved(decay, [1.0], 1.0).plot().get_ylabel() == "x[0]"
 

@@ -25,6 +25,7 @@ from jaxfil.analysis.bifurcation import (
 from jaxfil.analysis.family import Plane
 from jaxfil.analysis.newton import Root, newton
 from jaxfil.analysis.touch import conditions, kind_of
+from jaxfil.labels import Labels, labels_of
 from jaxfil.parameter import parameter
 from jaxfil.results import RESULTS
 from jaxfil.system import System
@@ -52,6 +53,8 @@ class BifurcationCurve(eqx.Module):
     kinds: tuple[str, ...] = eqx.field(static=True)
     points: list[CodimensionTwo]
     ended: tuple[str, str] = eqx.field(static=True)
+    labels: Labels = eqx.field(static=True, default=Labels())
+    """What pictures call the parameters."""
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the curve in the plane of its two parameters; returns the matplotlib axes."""
@@ -135,6 +138,7 @@ def continue_bifurcation(
         kinds=kinds,
         points=changes,
         ended=(ended_back, ended),
+        labels=labels_of(system, bifurcation.x.shape[-1]).of((names[0], names[1])),
     )
 
 

@@ -88,8 +88,11 @@ class Orbit(eqx.Module):
         return self._solved(1, diffrax.SaveAt(dense=True))._dense
 
     def trajectory(self, periods: int = 1) -> Solution:
-        """The orbit as a `Solution` that holds every step."""
-        return self._solved(periods, diffrax.SaveAt(t0=True, steps=True))
+        """The orbit as a `Solution` that holds ten states for each step: a step of high order is
+        too long for a straight line."""
+        end = self.plan.t0 + periods * self.period
+        ts = jnp.linspace(self.plan.t0, end, 10 * self.plan.steps * periods + 1)
+        return self._solved(periods, diffrax.SaveAt(ts=ts))
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the orbit in the plane of its first two components; returns the matplotlib axes."""

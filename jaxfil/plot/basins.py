@@ -39,7 +39,8 @@ def basins(found: Basins, ax: Axes | None = None) -> Axes:
     )
     bar = ax.figure.colorbar(picture, ax=ax, ticks=range(len(seen)))
     told = {-1: "failed", 0: "no period"}
-    bar.ax.set_yticklabels([told.get(int(k), _name(found, int(k))) for k in seen])
+    told |= {k: f"{k}: period {len(points)}" for k, points in enumerate(found.attractors, start=1)}
+    bar.ax.set_yticklabels([told[int(k)] for k in seen])
     bar.ax.tick_params(length=0)
     limits = ax.get_xlim(), ax.get_ylim()
     for points in found.attractors:
@@ -47,10 +48,6 @@ def basins(found: Basins, ax: Axes | None = None) -> Axes:
         ax.plot(x, y, "o", color=WHITE, markeredgecolor=BLACK, markersize=5)
     ax.set_xlim(limits[0])
     ax.set_ylim(limits[1])
-    ax.set_xlabel(f"x[{found.components[0]}] at t = 0")
-    ax.set_ylabel(f"x[{found.components[1]}] at t = 0")
+    ax.set_xlabel(found.names.component(found.components[0], "{} at t = 0"))
+    ax.set_ylabel(found.names.component(found.components[1], "{} at t = 0"))
     return ax
-
-
-def _name(found: Basins, k: int) -> str:
-    return f"{k}: period {len(found.attractors[k - 1])}"

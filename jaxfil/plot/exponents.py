@@ -76,7 +76,7 @@ def lyapunov_convergence(
     ax.set_xlabel("time averaged over")
     ax.set_ylabel("running estimate")
     if np.isfinite(exponents).any():
-        ax.legend(fontsize="small", loc="upper right")
+        ax.legend(fontsize="small", loc="best")
     return ax
 
 

@@ -38,8 +38,8 @@ def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> A
     _shade_modes(ax, sol)
     ax.plot(ts, xs[:, component], color=BLACK, linewidth=1)
     ax.set_xlim(np.nanmin(ts), np.nanmax(ts))
-    ax.set_xlabel("t")
-    ax.set_ylabel(f"x[{component}]")
+    ax.set_xlabel(sol.labels.time)
+    ax.set_ylabel(sol.labels.component(component))
     return ax
 
 
@@ -65,8 +65,8 @@ def phase_portrait(sol: Solution, ax: Axes | None = None, system: System | None 
         draw_surfaces(ax, system, sol)
     if ax.get_legend_handles_labels()[0]:
         ax.legend(fontsize="small", loc="best")
-    ax.set_xlabel("x[0]")
-    ax.set_ylabel("x[1]")
+    ax.set_xlabel(sol.labels.component(0))
+    ax.set_ylabel(sol.labels.component(1))
     return ax
 
 
@@ -109,7 +109,7 @@ def _shade_modes(ax: Axes, sol: Solution) -> None:
         if (modes == mode).any()
     ]
     if shown:
-        ax.legend(handles=shown, fontsize="small", loc="upper right")
+        ax.legend(handles=shown, fontsize="small", loc="best")
 
 
 def _spans(

@@ -33,7 +33,7 @@ def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
         if some.any():
             ax.plot(np.real(values[some]), np.imag(values[some]), marker, color=color, label=label)
     if values.size:
-        ax.legend(fontsize="small", loc="upper right")
+        ax.legend(fontsize="small", loc="best")
     ax.set_aspect("equal")
     ax.set_xlabel("Re μ")
     ax.set_ylabel("Im μ")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil.labels import labels_of
 from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, own_axes
 
 if TYPE_CHECKING:
@@ -39,9 +40,9 @@ def branch(
     ax = own_axes() if ax is None else ax
     if extremes:
         curves = [column[:, component] for column in branch.extremes()]
-        label = f"least and largest x[{component}]"
+        wording = "least and largest {}"
     else:
-        curves, label = [np.asarray(branch.orbits.x0)[:, component]], f"x[{component}] at t0"
+        curves, wording = [np.asarray(branch.orbits.x0)[:, component]], "{} at t0"
     stable = branch.stable
     for curve in curves:
         for solid, style in ((True, "-"), (False, "--")):
@@ -70,8 +71,9 @@ def branch(
                 label=kind if curve is curves[0] else None,
             )
     ax.legend(fontsize="small")
-    ax.set_xlabel(branch.parameter)
-    ax.set_ylabel(label)
+    labels = labels_of(branch.orbits.system, branch.orbits.x0.shape[-1])
+    ax.set_xlabel(labels.parameter(branch.parameter))
+    ax.set_ylabel(labels.component(component, wording))
     return ax
 
 
@@ -88,8 +90,8 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
     for point in curve.points:
         ax.plot(*point.values, "o", color=BLACK, label=f"{point.before} to {point.after}")
     ax.legend(fontsize="small")
-    ax.set_xlabel(curve.parameters[0])
-    ax.set_ylabel(curve.parameters[1])
+    ax.set_xlabel(curve.labels.parameter(curve.parameters[0]))
+    ax.set_ylabel(curve.labels.parameter(curve.parameters[1]))
     return ax
 
 

@@ -50,6 +50,6 @@ def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
     bar.ax.set_yticklabels([told.get(period, str(period)) for period in seen])
     bar.ax.tick_params(length=0)
     bar.ax.set_title("period", fontsize="medium")
-    ax.set_xlabel(diagram.parameter[0])
-    ax.set_ylabel(diagram.parameter[1])
+    ax.set_xlabel(diagram.labels.parameter(diagram.parameter[0]))
+    ax.set_ylabel(diagram.labels.parameter(diagram.parameter[1]))
     return ax

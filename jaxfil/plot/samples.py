@@ -44,8 +44,8 @@ def bifurcation_diagram(
     _tick_failures(ax, values[~diagram.successful])
     if values.min() < values.max():
         ax.set_xlim(values.min(), values.max())
-    ax.set_xlabel(diagram.parameter)
-    ax.set_ylabel(f"x[{component}] once a period")
+    ax.set_xlabel(diagram.labels.parameter(diagram.parameter))
+    ax.set_ylabel(diagram.labels.component(component, "{} once a period"))
     return ax
 
 

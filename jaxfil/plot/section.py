@@ -1,18 +1,30 @@
 """A Poincaré section: the states at which a motion meets it."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil.labels import Labels, labels_of
 from jaxfil.plot.canvas import BLACK, own_axes
 
+if TYPE_CHECKING:
+    from jaxfil.system import System
 
-def poincare_section(xs: Any, ax: Axes | None = None, components: tuple[int, int] = (0, 1)) -> Axes:
+
+def poincare_section(
+    xs: Any,
+    ax: Axes | None = None,
+    components: tuple[int, int] = (0, 1),
+    system: System | None = None,
+) -> Axes:
     """Draw one component against another at every state of a section, shape (k, n) or (…, k, n).
 
     A stroboscopic section is what `jaxfil.bifurcation_diagram` samples: `diagram.xs[i]` for one
     value. That of another kind is `jaxfil.Solution.events.xs`, the states at contacts.
+    The axes have the names that `system` gives the components, if it is given.
     """
     xs = np.asarray(xs)
     if xs.ndim < 2 or xs.shape[-1] <= max(components):
@@ -26,6 +38,7 @@ def poincare_section(xs: Any, ax: Axes | None = None, components: tuple[int, int
     size = float(np.clip(60 / np.sqrt(max(len(points), 1)), 1, 4))
     x, y = (points[:, i] for i in components)
     ax.plot(x, y, ".", color=BLACK, markersize=size, markeredgewidth=0, rasterized=True)
-    ax.set_xlabel(f"x[{components[0]}]")
-    ax.set_ylabel(f"x[{components[1]}]")
+    labels = Labels() if system is None else labels_of(system, xs.shape[-1])
+    ax.set_xlabel(labels.component(components[0]))
+    ax.set_ylabel(labels.component(components[1]))
     return ax

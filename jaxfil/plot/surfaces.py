@@ -29,7 +29,7 @@ def draw_surfaces(ax: Axes, system: System, sol: Solution) -> None:
     style = {"colors": COLORS[0], "linewidths": 1.0, "linestyles": "dashed"}
     label = "H = 0"
     for h in np.moveaxis(np.asarray(heights(jnp.asarray(last))), -1, 0):
-        if h.min() <= 0 <= h.max():
+        if h.min() < 0 < h.max():  # a surface that the last state is on may be all of the plane
             ax.contour(x, y, h, levels=[0.0], **style)
             ax.plot([], [], "--", color=COLORS[0], linewidth=1.0, label=label)
             label = None

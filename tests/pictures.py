@@ -1,0 +1,263 @@
+"""`python -m tests.pictures`: a picture of each kind, kept in `tests/references`.
+
+Made-up results enter, so that nothing is computed; PNG files and a file of the words on them leave,
+which `tests/test_pictures.py` compares new pictures with. Words are kept apart from the pictures,
+and ticks left out, since another release of matplotlib or FreeType draws other ones.
+"""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import matplotlib.style
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+import jaxfil as jf
+from jaxfil.diagram import Conditions
+from jaxfil.labels import labels_of
+from jaxfil.results import outcome_codes, outcomes
+
+FOLDER = Path(__file__).parent / "references"
+WORDS = FOLDER / "words.json"
+SIZE, DPI = (3.3, 2.5), 100
+
+SD, BELT = jf.systems.SDOscillator(), jf.systems.BeltFriction(v=0.5)
+NAMES = labels_of(SD, 2)
+
+
+def motion():
+    """A turn on a belt of velocity 1/2: it sticks, slips, crosses and ends at a wall."""
+    ts = np.linspace(0.0, 8.0, 161)
+    stick, slip, cross, impact = np.pi / 6, 5 * np.pi / 6, 2 * np.pi + 0.4, 7.5
+    held = (stick <= ts) & (ts < slip)
+    xs = np.stack([-np.cos(ts), np.where(held, 0.5, np.sin(ts))], axis=1)
+    xs[ts >= impact, 1] *= -0.8
+    modes = np.stack([np.where(held, 0, np.where(ts < cross, -1, 1)), np.ones(161, int)], axis=1)
+    times = np.array([stick, slip, cross, impact, np.inf])
+    kinds = [jf.KINDS.stick, jf.KINDS.slip, jf.KINDS.crossing, jf.KINDS.impact, jf.KINDS.none]
+    with np.errstate(invalid="ignore"):
+        before = np.stack([-np.cos(times), np.sin(times)], axis=1)
+    members = np.array([[1, 0], [1, 0], [1, 0], [0, 1], [0, 0]], bool)
+    surfaces = np.array([0, 0, 0, 1, -1])
+    events = jf.Events(times, before, surfaces, members, np.array(kinds), np.zeros((5, 2), int))
+    return jf.Solution(
+        ts=ts,
+        xs=xs,
+        modes=modes,
+        events=events,
+        num_events=np.array(4),
+        result=jf.RESULTS.successful,
+        stats={},
+        t_final=jnp.asarray(8.0),
+        x_final=jnp.asarray(xs[-1]),
+        mode_final=np.array([1, 1]),
+        labels=NAMES,
+    )
+
+
+def section():
+    """Points of a curve that folds, shape (400, 2)."""
+    s = np.linspace(0.0, 40.0, 400)
+    return np.stack([np.cos(s) + 0.3 * np.cos(2.1 * s), np.sin(s)], axis=1)
+
+
+def diagram(parameter, values, xs, names):
+    """A sweep with these samples and outcomes."""
+    return jf.BifurcationDiagram(
+        values=values,
+        xs=xs,
+        results=outcomes(outcome_codes(np.array(names))),
+        parameter=parameter,
+        system="SDOscillator",
+        conditions=Conditions({}, np.zeros(2), 0, 40, "RK4", None, jf.__version__),
+        labels=NAMES,
+    )
+
+
+def period_doublings():
+    """The logistic map's diagram, and a value that failed."""
+    values, x, samples = np.linspace(2.8, 4.0, 60), np.full(60, 0.4), []
+    for k in range(40):
+        x = values * x * (1 - x)
+        samples += [x] * (k >= 20)
+    xs = np.stack(samples, axis=1)[..., None] * np.array([1.0, -1.0])
+    xs[50] = np.nan
+    return diagram("omega", values, xs, ["successful"] * 50 + ["nonfinite"] + ["successful"] * 9)
+
+
+def periods():
+    """A plane of two parameters in which the period grows to the right, and one lane failed."""
+    i, j, k = np.ogrid[:8, :6, :40]
+    xs = 1.0 + (k % (1 + i // 2 + j // 3)) + 0.0 * i
+    xs[7] = np.sqrt(np.arange(40.0))
+    names = np.full((8, 6), "successful")
+    names[0, 5] = "zeno"
+    values = np.linspace(0.6, 1.3, 8), np.linspace(0.1, 0.3, 6)
+    return diagram(("omega", "f0"), values, xs[..., None], names)
+
+
+def spectrum(values=None):
+    """Two exponents, of one lane or one for each value, the second lost in the last quarter."""
+    times = np.linspace(10.0, 400.0, 40)
+    at = np.zeros(()) if values is None else values
+    exponents = np.stack([0.1 * np.sin(6 * at) + 0.05, -0.1 - 0.2 * at**2], axis=-1)
+    if values is not None:
+        exponents[3 * len(values) // 4 :, 1] = -np.inf
+    decay = np.stack([np.cos(times) / times, -2 / times], axis=-1)
+    return jf.LyapunovSpectrum(
+        exponents=exponents,
+        standard_error=np.full(exponents.shape, 0.004),
+        running=exponents[..., None, :] + decay,
+        times=times,
+        x0=np.zeros(2),
+        x_final=np.zeros(2),
+        settled=np.ones(at.shape, bool) if values is None else at < 0.9,
+        result=jf.RESULTS.successful,
+    )
+
+
+def synchronized():
+    """Drives and responses that keep apart below a coupling of 0.4."""
+    couplings = np.linspace(0.0, 1.0, 11)
+    distances = np.where(couplings < 0.4, 0.3 - couplings / 2, 1e-10)
+    return jf.Synchronization(
+        exponent=np.array(0.4),
+        couplings=couplings,
+        distances=distances,
+        synchronized=couplings >= 0.4,
+        tolerance=np.array(1e-9),
+        time=np.array(2000.0),
+        bias=np.array(0.05),
+        x0=np.zeros(2),
+        results=jf.RESULTS.successful,
+    )
+
+
+def branch():
+    """A branch with a fold, unstable above it."""
+    s = np.linspace(-1.0, 1.5, 40)
+    values, height = 0.9 - 0.1 * s**2, np.stack([s, 2 * s], axis=1)
+    points = [
+        SimpleNamespace(kind="fold", value=0.9, index=16),
+        SimpleNamespace(kind="contacts", value=0.78, index=33),
+    ]
+    return SimpleNamespace(
+        parameter="omega",
+        values=values,
+        orbits=SimpleNamespace(x0=height, system=SD),
+        stable=s < 0,
+        points=points,
+    )
+
+
+def curve():
+    """A curve of grazing that becomes one of crossing-sliding."""
+    values = np.stack([np.linspace(0.6, 1.3, 30), np.linspace(-1, 1, 30) ** 2 + 0.1], axis=1)
+    kinds = ("grazing-sliding",) * 12 + ("crossing-sliding",) * 18
+    change = SimpleNamespace(values=values[12], before=kinds[0], after=kinds[-1])
+    return jf.BifurcationCurve(
+        parameters=("omega", "f0"),
+        values=values,
+        ts=np.zeros(30),
+        xs=np.zeros((30, 2)),
+        kinds=kinds,
+        points=[change],
+        ended=("", ""),
+        labels=NAMES,
+    )
+
+
+def basins():
+    """Two attractors, one of period two, whose basins spiral; chaos and a failed state."""
+    axes = np.linspace(-2.0, 2.0, 30), np.linspace(-1.0, 1.0, 20)
+    x, y = np.meshgrid(*axes, indexing="ij")
+    labels = np.where(np.sin(3 * np.hypot(x, y) + np.arctan2(y, x)) > 0, 1, 2)
+    labels[:4], labels[-1, -1] = 0, -1
+    return jf.Basins(
+        axes=axes,
+        labels=labels,
+        attractors=(np.array([[0.5, 0.2]]), np.array([[-1.0, 0.3], [1.2, -0.6]])),
+        results=jf.RESULTS.successful,
+        components=(0, 1),
+        system="SDOscillator",
+        names=NAMES,
+    )
+
+
+def errors():
+    """Two steppers of orders four and eight, down to what the reference resolves."""
+    dts = np.array([0.2, 0.1, 0.05, 0.025])
+    return jf.WorkPrecision(
+        steppers=("RK4", "Dopri8"),
+        dts=dts,
+        errors=np.stack([dts**4, 1e-2 * dts**8]),
+        seconds=np.stack([1e-6 / dts, 3e-6 / dts]),
+        num_events=np.zeros((2, 4), int),
+        outcomes=np.full((2, 4), "successful"),
+        reached=np.ones((2, 4), bool),
+        reference=np.array([1.0, 0.5]),
+        reference_stepper="Dopri8",
+        reference_events=0,
+        reference_error=1e-13,
+        reference_check=1e-13,
+        period=None,
+    )
+
+
+VALUES = np.linspace(0.0, 1.2, 25)
+PICTURES = {
+    "basins": lambda ax: jf.plot.basins(basins(), ax),
+    "bifurcation_curve": lambda ax: jf.plot.bifurcation_curve(curve(), ax),
+    "bifurcation_diagram": lambda ax: jf.plot.bifurcation_diagram(period_doublings(), ax),
+    "branch": lambda ax: jf.plot.branch(branch(), ax),
+    "lyapunov_convergence": lambda ax: jf.plot.lyapunov_convergence(spectrum(), ax),
+    "lyapunov_exponents": lambda ax: jf.plot.lyapunov_exponents(VALUES, spectrum(VALUES), ax, "Ω"),
+    "multipliers": lambda ax: jf.plot.multipliers(
+        SimpleNamespace(multipliers=np.array([0.5 + 0.5j, 0.5 - 0.5j, -1.2])), ax
+    ),
+    "parameter_map": lambda ax: jf.plot.parameter_map(periods(), ax),
+    "phase_portrait": lambda ax: jf.plot.phase_portrait(motion(), ax, BELT),
+    "poincare_section": lambda ax: jf.plot.poincare_section(section(), ax, system=SD),
+    "synchronization": lambda ax: jf.plot.synchronization(synchronized(), ax),
+    "time_history": lambda ax: jf.plot.time_history(motion(), ax),
+    "work_precision": lambda ax: jf.plot.work_precision(errors(), ax),
+}
+
+
+def words(figure):
+    """What is written on the axes of a figure but the numbers of their ticks, in order."""
+    told = []
+    for ax in figure.axes:
+        told += [ax.get_title(), ax.get_xlabel(), ax.get_ylabel()]
+        if ax.get_legend() is not None:
+            told += [text.get_text() for text in ax.get_legend().get_texts()]
+        told += [text.get_text() for text in ax.texts]
+    # The scales of colour, whose ticks are words.
+    told += [text.get_text() for ax in figure.axes[1:] for text in ax.get_yticklabels()]
+    return [text for text in told if text]
+
+
+def draw(name, path):
+    """Write the picture `name` without its words and ticks to `path`; the words leave."""
+    with matplotlib.style.context("default"):
+        figure = Figure(figsize=SIZE, dpi=DPI)
+        PICTURES[name](figure.add_axes((0.06, 0.06, 0.88, 0.88)))
+        told = words(figure)
+        for ax in figure.axes:
+            ax.xaxis.set_visible(False)
+            ax.yaxis.set_visible(False)
+            if ax.get_legend() is not None:
+                ax.get_legend().remove()
+        for text in figure.findobj(Text):
+            text.set_visible(False)
+        figure.savefig(path)
+    return told
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    told = {name: draw(name, FOLDER / f"{name}.png") for name in PICTURES}
+    WORDS.write_text(json.dumps(told, ensure_ascii=False, indent=1) + "\n")
