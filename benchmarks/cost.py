@@ -9,10 +9,15 @@ import time
 
 import jax
 
-from benchmarks import cost_ladder
+from benchmarks import cost_calls, cost_ladder, cost_memory, cost_single
 from benchmarks.report import RESULTS
 
-SECTIONS = {"ladder": cost_ladder}
+SECTIONS = {
+    "ladder": cost_ladder,
+    "calls": cost_calls,
+    "single": cost_single,
+    "memory": cost_memory,
+}
 
 
 def main():
