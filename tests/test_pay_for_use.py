@@ -11,10 +11,12 @@ from typing import ClassVar
 import diffrax
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxfil as jf
 from benchmarks import hlo
+from benchmarks.worker import Counter
 
 
 class Smooth(jf.System):
@@ -41,6 +43,8 @@ class Impact(Crossing):
         return jnp.stack([x[0], -0.9876 * x[1]])
 
 
+# Frequencies and belt speeds of two runs.
+NEW = ((4.3, 1.0), (4.4, 1.1))
 TS = diffrax.SaveAt(ts=jnp.array([0.3, 0.7]))
 PROGRAMS = {
     "smooth": (Smooth, {}),
@@ -155,3 +159,18 @@ def test_operations_are_counted_in_the_loop_alone_with_the_dearest_branch():
     program = jax.jit(run).lower(jnp.ones(7)).compile().as_text()
     assert hlo.per_turn(program, 7, {"sqrt"}) == hlo.per_turn(program, 7, {"divide"}) == 1
     assert hlo.per_turn(program, 7, {"cbrt"}) == 0
+
+
+def test_new_numbers_neither_trace_nor_compile_again():
+    counter = Counter()
+    counter.watch()
+    # Made before any is used: to make an array is to compile something too.
+    systems = [jf.systems.BeltFriction(omega=np.float64(w), v=np.float64(v)) for w, v in NEW]
+    starts = [jnp.array([0.0, 0.1]), jnp.array([0.2, 0.3])]
+    run = jax.jit(lambda s, x0, t1, dt: jf.solve(s, x0, 0.0, t1, dt, stepper=jf.RK4()).xs)
+    for i, (system, x0) in enumerate(zip(systems, starts, strict=True)):
+        before = dict(counter.counts)
+        jax.block_until_ready(run(system, x0, 0.1 + 0.1 * i, 0.01 + 0.003 * i))
+        found = counter.since(before)
+        made = found["traces"] + found["compilations"]
+        assert (made == 0) == (i == 1)
