@@ -15,6 +15,7 @@ SECTIONS = (
         "python -m benchmarks.throughput",
         ("throughput",),
     ),
+    ("What a scene costs", "python -m benchmarks.cost", ("cost",)),
     ("Far outside the usual", "python -m benchmarks.extremes", ("extremes",)),
     ("Stiff scenes", "python -m benchmarks.stiff", ("stiff", "stability")),
     ("Lyapunov exponents: what smoothing does", "python -m benchmarks.lyapunov", ("lyapunov",)),
