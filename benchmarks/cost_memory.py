@@ -97,13 +97,14 @@ def report(quick):
         body.append([name, f"{each:,.0f}", f"{bend:.1%}", f"{step / LANES[0]:,.1f}", f"{bow:.1%}"])
     head = ["Coulomb oscillator, float64, midpoint", "bytes a lane", "off the line"]
     head += ["bytes a lane and step", "off the line"]
-    return f"{TITLE}\n\n{table(head, body, range(1, len(head)))}\n{ABOUT}"
+    return f"{TITLE}\n\n{table(head, body, range(1, len(head)))}\n{ABOUT.rstrip()}"
 
 
 TITLE = "Memory: temporaries and results of the compiled program"
 ABOUT = f"""
 Bytes a lane: the slope from {LANES[0]} to {LANES[-1]} lanes at {STEPS[1]} steps. Bytes a lane and
-step: the slope from {STEPS[0]} to {STEPS[-1]:,} steps at {LANES[0]} lanes.
-Off the line: the largest deviation from it, in parts of the largest number. A diagram keeps n
-numbers for each lane and sample; its periods and steps are traced values, which its program, and so
-its memory, does not depend on."""
+step: the slope from {STEPS[0]} to {STEPS[-1]:,} steps at {LANES[0]} lanes. Off the line: the largest
+deviation from it, in parts of the largest number. Reverse mode keeps checkpoints, and grows with
+the root of the steps: that is no straight line. A diagram keeps n numbers for each lane and sample;
+its periods and steps are traced values, which its program, and so its memory, does not depend on.
+"""
