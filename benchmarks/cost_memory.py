@@ -104,7 +104,8 @@ TITLE = "Memory: temporaries and results of the compiled program"
 ABOUT = f"""
 Bytes a lane: the slope from {LANES[0]} to {LANES[-1]} lanes at {STEPS[1]} steps. Bytes a lane and
 step: the slope from {STEPS[0]} to {STEPS[-1]:,} steps at {LANES[0]} lanes. Off the line: the
-largest deviation from it, in parts of the largest number. Reverse mode keeps checkpoints, and grows with
-the root of the steps: that is no straight line. A diagram keeps n numbers for each lane and sample;
-its periods and steps are traced values, which its program, and so its memory, does not depend on.
+largest deviation from it, in parts of the largest number. Reverse mode keeps checkpoints, and
+grows with the root of the steps: that is no straight line. A diagram keeps n numbers for each lane
+and sample; its periods and steps are traced values, which its program, and so its memory, does not
+depend on.
 """
