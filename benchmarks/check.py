@@ -25,6 +25,7 @@ TIGHT = {
     "jaxfil_sweep": dict(stepper="Dopri8", steps=400),
     "numba_scalar": dict(method="dop853", steps=400),
     "numba_vector": dict(method="dop853", steps=400),
+    "heyoka_batch": dict(tol=1e-15),
     "diffrax_events": dict(solver="Tsit5", rtol=1e-12),
     "scipy_events": dict(rtol=1e-13),
 }

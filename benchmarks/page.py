@@ -23,6 +23,7 @@ SECTIONS = (
         "python -m benchmarks.work_precision",
         ("work_precision", *(f"work_precision_{name}" for name in PROBLEMS)),
     ),
+    ("What a scene costs", "python -m benchmarks.cost", ("cost",)),
     ("Far outside the usual", "python -m benchmarks.extremes", ("extremes",)),
     ("Stiff scenes", "python -m benchmarks.stiff", ("stiff", "stability")),
     ("Lyapunov exponents: what smoothing does", "python -m benchmarks.lyapunov", ("lyapunov",)),

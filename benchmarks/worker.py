@@ -44,7 +44,7 @@ class Worker:
         self.process.wait()
 
 
-class _Counter:
+class Counter:
     """How often JAX traced and compiled anything, and the seconds that took in all."""
 
     def __init__(self):
@@ -113,7 +113,7 @@ def main():
 
     # Answers have the standard output to themselves.
     out, sys.stdout = sys.stdout, sys.stderr
-    peer, cores, counter, known = peers.load(module), len(affinity), _Counter(), set()
+    peer, cores, counter, known = peers.load(module), len(affinity), Counter(), set()
     peer.prepare(cores)
     if "jax" in sys.modules:
         counter.watch()

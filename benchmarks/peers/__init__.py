@@ -16,7 +16,14 @@ Each module offers
 
 import importlib
 
-MODULES = ("jaxfil_sweep", "numba_scalar", "numba_vector", "diffrax_events", "scipy_events")
+MODULES = (
+    "jaxfil_sweep",
+    "numba_scalar",
+    "numba_vector",
+    "heyoka_batch",
+    "diffrax_events",
+    "scipy_events",
+)
 
 
 def load(name):

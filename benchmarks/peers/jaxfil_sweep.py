@@ -40,7 +40,7 @@ def effort(quick):
 
 
 @functools.cache
-def _stepper(name):
+def stepper(name):
     import diffrax
 
     import jaxfil as jf
@@ -68,7 +68,7 @@ def sample(scene, omegas, transient, samples, setting, cores=1):
         transient=transient,
         samples=samples,
         steps=setting["steps"],
-        stepper=_stepper(setting["stepper"]),
+        stepper=stepper(setting["stepper"]),
         progress=False,
     )
     return np.asarray(diagram.xs)
