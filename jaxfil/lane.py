@@ -121,8 +121,9 @@ class Ahead(eqx.Module):
 
 class View(eqx.Module):
     """What is known at the end of a trial step. `num_modes` is how many modes could go on from a
-    switch made here (1: all is well); `repels` whether it slides where the surface repels. `noise`
-    is the rounding of the guards here, `touch` all that may have gathered in them since t0."""
+    switch made here (1: all is well); `repels` whether it slides where the surface repels; `moved`
+    whether a reset has moved the state. `noise` is the rounding of the guards here, `touch` all
+    that may have gathered in them since t0."""
 
     tau: Array
     x: Blocks
@@ -135,6 +136,7 @@ class View(eqx.Module):
     touch: Blocks
     num_modes: Array
     repels: Array
+    moved: Array
 
 
 def running(span: Span, lane: Lane) -> Array:

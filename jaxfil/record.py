@@ -14,7 +14,7 @@ from jaxtyping import Array
 from jaxfil.kernel import write_row
 from jaxfil.lane import Lane, Policy, Saves, Span, Table, View
 from jaxfil.results import KINDS
-from jaxfil.scene import Blocks, Scene, any_of, pack
+from jaxfil.scene import Blocks, Scene, pack
 
 # Equinox types it for Python's booleans and its own buffers; it takes arrays and returns them.
 _set: Any = eqxi.buffer_at_set
@@ -59,9 +59,8 @@ def _kind(lane: Lane, view: View, resets: bool) -> Array:
         change = jnp.where(new == 0, KINDS.stick.value, slip).astype(jnp.int8)
         kind = jnp.where(hit & (old != new), change, kind)
     if resets:
-        moved = any_of(tuple(a != b for a, b in zip(lane.x, view.x, strict=True)))
         impact = jnp.asarray(KINDS.impact.value, jnp.int8)
-        kind = jnp.where(moved & ~lane.graze, impact, kind)
+        kind = jnp.where(view.moved, impact, kind)
     return kind
 
 

@@ -53,8 +53,8 @@ def look(
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     if scene.m == 0:
         size = larger(lane.size, x)
-        return View(tau, x, scene.field(t, x, ()), size, (), (), (), (), (), one, false)
-    moved = false
+        return View(tau, x, scene.field(t, x, ()), size, (), (), (), (), (), one, false, false)
+    moved: Array = false
     if scene.resets:
         surface = jnp.argmax(jnp.stack(lane.hit))
         after = where(lane.pending & ~lane.graze, scene.reset(t, x, surface), x)
@@ -68,16 +68,19 @@ def look(
     if scene.slides:
         landed = lane.pending & ~lane.graze & ~moved
         held = zip(lane.mode, lane.hit, strict=True)
-        x = _project(x, h, normals, tuple((s == 0) | (landed & hit) for s, hit in held))
+        on = tuple(((s == 0) & ~moved) | (landed & hit) for s, hit in held)
+        x = _project(x, h, normals, on)
         x = scene.hold(*x)
     fields, rates = filippov.corners(scene, t, x)
-    mode, num_modes = _switch(scene, span, lane, rates, h, touch)
+    mode, num_modes = _switch(scene, span, lane, rates, h, touch, moved)
     if scene.resets:
         # A wall has one side: an impact that does not turn the motion back leads nowhere.
-        through = any_of(tuple(a != b for a, b in zip(mode, lane.mode, strict=True)))
+        sides = zip(lane.hit, mode, lane.mode, strict=True)
+        through = any_of(tuple(hit & (a != b) for hit, a, b in sides))
         num_modes = jnp.where(moved & through, 0, num_modes)
     mode, num_modes = _once(scene, mode, num_modes)
-    f = filippov.blend_fields(scene, fields, mode, filippov.weights(mode, rates))
+    shares = filippov.weights(mode, rates) if scene.slides else mode
+    f = filippov.blend_fields(scene, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (num_modes == 0) & ~all_finite(*rates)
     f = scene.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
@@ -92,7 +95,7 @@ def look(
             for known, new in ((ahead.f, f), (ahead.g, g), (ahead.rate, rate))
         )
     touch = tuple(jnp.where(s == 0, v, w) for s, v, w in zip(mode, noise, touch, strict=True))
-    return View(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels)
+    return View(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels, moved)
 
 
 def _once(scene: Scene, mode: Blocks, count: Array) -> tuple[Blocks, Array]:
@@ -116,17 +119,24 @@ def guards(
 
 
 def _switch(
-    scene: Scene, span: Span, lane: Lane, rates: list[Blocks], h: Blocks, touch: Blocks
+    scene: Scene,
+    span: Span,
+    lane: Lane,
+    rates: list[Blocks],
+    h: Blocks,
+    touch: Blocks,
+    moved: Array,
 ) -> tuple[Blocks, Array]:
     """The mode after a landing and the number of admissible ones; elsewhere the old mode and 1.
 
-    A slide that has reached the end of its weight leaves to that side. Everything else is chosen
-    among all modes on the surfaces the state is on: those hit, those slid on, and those met or
-    left at the same time.
+    A slide that has reached the end of its weight leaves to that side. A reset that has `moved` the
+    state may have carried it off a surface, or across another one. Everything else is chosen among
+    all modes on the surfaces the state is on: those hit, those slid on, and those met or left at
+    the same time.
     """
     rates = jax.tree.map(stop_gradient, rates)
     switching = lane.pending & ~lane.graze
-    current = filippov.weights(lane.mode, rates)
+    current = filippov.weights(lane.mode, rates) if scene.slides else lane.mode
     leaving = tuple(hit & (s == 0) for hit, s in zip(lane.hit, lane.mode, strict=True))
     sides = tuple(jnp.where(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
     left = tuple(
@@ -135,8 +145,7 @@ def _switch(
     )
     met = tuple(hit & ~go for hit, go in zip(lane.hit, leaving, strict=True))
     if scene.resets:
-        # A reset may carry the state off the surface.
-        off = tuple(hit & (abs(v) > least) for hit, v, least in zip(met, h, touch, strict=True))
+        off = tuple(moved & (abs(v) > least) for v, least in zip(h, touch, strict=True))
         left = tuple(
             jnp.where(o & switching, jnp.where(v > 0, jnp.ones_like(v), -jnp.ones_like(v)), s)
             for o, v, s in zip(off, h, left, strict=True)

@@ -94,14 +94,7 @@ def text(system, **options):
         ("switch._switch", "crossing", "smooth"),
         ("filippov._choose_on_one", "crossing", "smooth"),
         # Sliding: the blend's weights, the return to the surface, whether it draws the state back.
-        pytest.param(
-            "filippov.weights",
-            "sliding",
-            "crossing",
-            marks=pytest.mark.xfail(
-                strict=True, reason="a switch computes weights in scenes that never slide too"
-            ),
-        ),
+        ("filippov.weights", "sliding", "crossing"),
         ("switch._project", "sliding", "crossing"),
         ("filippov.attracting", "sliding", "crossing"),
         # Impacts, events, and saved states.
