@@ -5,9 +5,10 @@ results carry along, so that a picture needs no system.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxfil import check
@@ -72,12 +73,20 @@ def labels_of(system: System, n: int) -> Labels:
             f"`state_names` of {type(system).__name__} must be a tuple of different strings, one "
             f"for each of the {n} components of the state, got {names!r}."
         )
-    fields = {*parameters(system), *(field.name for field in dataclasses.fields(system))}
+    fields = {*parameters(system), *_fields(system)}
     return Labels(
         tuple(names),
         _pairs(system, "symbols", sorted(fields)),
         _pairs(system, "units", [*names, "t", *sorted(fields)]),
     )
+
+
+def _fields(module: Any, path: str = "") -> Iterator[str]:
+    """The names of all fields, those of modules within with their paths."""
+    for field in dataclasses.fields(module):
+        yield path + field.name
+        if isinstance(value := getattr(module, field.name, None), eqx.Module):
+            yield from _fields(value, f"{path}{field.name}.")
 
 
 def _pairs(system: System, attribute: str, known: list[str]) -> Pairs:

@@ -115,6 +115,11 @@ def test_named_arrays_have_the_names_and_keep_them(tmp_path, suffix):
     assert labels(back.plot(axes())) == ("Ω, rad/s", "q once a period, m")
 
 
+def test_a_smoothed_system_with_a_field_that_is_no_number():
+    smooth = labels_of(jf.smoothed(jf.systems.SDOscillator(), 0.1), 2)  # its alpha is None
+    assert ("system.omega", "Ω") in smooth.symbols
+
+
 def test_a_smoothed_system_has_the_names_of_its_own():
     smooth = labels_of(jf.smoothed(NAMED, 0.1), 2)
     assert smooth.component(1) == "v, m/s" and smooth.time == "t, s"
