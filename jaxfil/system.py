@@ -91,12 +91,14 @@ class _Piecewise(System):
     _period: Array | float | None
 
     def vector_field(self, t, x, side):
-        if jnp.ndim(side):
+        if jnp.size(side) != 1:
             raise ValueError(
                 "`switching` must return a scalar, for two fields meet at one surface, got shape "
                 f"{jnp.shape(side)}. More surfaces, or none: write a jaxfil.System."
             )
-        return jnp.where(side > 0, self._part("f_plus", t, x), self._part("f_minus", t, x))
+        return jnp.where(
+            jnp.reshape(side, ()) > 0, self._part("f_plus", t, x), self._part("f_minus", t, x)
+        )
 
     def _part(self, name, t, x):
         out = getattr(self, name)(t, x)
