@@ -71,11 +71,17 @@ def integrate_block(problem: Problem, rows: Array, states: Array, num_saves: int
     return jax.vmap(finish)(spans, lanes)
 
 
-def _coast(problem: Problem, row: Array, x0: Array, lane: Lane) -> tuple[Lane, Array]:
-    """A lane at the end of its step if nothing is in the way, and whether it has stopped."""
+def _try(problem: Problem, row: Array, x0: Array, lane: Lane) -> tuple[Length, Ahead]:
+    """A trial step of a lane on its own sides."""
     scene, table, span, policy = problem(row, x0)
     length = choose_length(scene, span, policy, lane)
-    ahead = look_ahead(scene, table, span, lane, length.h, length.end)
+    return length, look_ahead(scene, table, span, lane, length.h, length.end)
+
+
+def _coast(problem: Problem, row: Array, x0: Array, lane: Lane) -> tuple[Lane, Array]:
+    """A lane at the end of its step if nothing is in the way, and whether it has stopped."""
+    scene, _, span, policy = problem(row, x0)
+    length, ahead = _try(problem, row, x0, lane)
     clear = is_clear(scene, span, lane, length.h, length.end, ahead) & running(span, lane)
     (clear,) = scene.hold(clear.astype(scene.dtype))
     return coast(policy, lane, length.end, ahead, clear > 0), clear == 0
@@ -85,11 +91,6 @@ def _judge(problem: Problem, slides: bool, rows: Array, states: Array, lanes: La
     """A full iteration of all lanes, in which the steps of those that do not slide are the ones
     that they might have coasted through, to the last bit."""
 
-    def tried(row: Array, x0: Array, lane: Lane) -> tuple[Length, Ahead]:
-        scene, table, span, policy = problem(row, x0)
-        length = choose_length(scene, span, policy, lane)
-        return length, look_ahead(scene, table, span, lane, length.h, length.end)
-
     def slid(row: Array, x0: Array, lane: Lane, length: Length, x: Blocks) -> Blocks:
         scene, table, span, _ = problem(row, x0)
         return where(is_sliding(lane), follow(scene, table, span, lane, length), x)
@@ -98,7 +99,7 @@ def _judge(problem: Problem, slides: bool, rows: Array, states: Array, lanes: La
         scene, _, span, policy = problem(row, x0)
         return judge(scene, span, policy, lane, length, x, ahead)
 
-    lengths, aheads = jax.vmap(tried)(rows, states, lanes)
+    lengths, aheads = jax.vmap(ft.partial(_try, problem))(rows, states, lanes)
     xs = aheads.x
     if slides:
         xs = jax.lax.cond(

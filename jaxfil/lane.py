@@ -139,9 +139,9 @@ class View(eqx.Module):
     moved: Array
 
 
-def running(span: Span, lane: Lane) -> Array:
-    """Whether a lane has something left to do."""
-    unfinished = lane.index < span.num_steps
+def running(span: Span, lane: Lane, stop: Array | None = None) -> Array:
+    """Whether a lane has something left to do before step number `stop`, by default the last."""
+    unfinished = lane.index < (span.num_steps if stop is None else stop)
     affordable = lane.num_iterations < span.max_iterations
     return unfinished & affordable & (lane.result == RESULTS.successful)
 

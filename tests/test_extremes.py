@@ -7,20 +7,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
+from benchmarks.extreme_systems import Circle
 from jaxfil import RESULTS
 from tests.test_hard_numbers import Scaled
-
-
-class Circle(jf.System):
-    """Round the origin below the line x₂ = 1 + gap, round (−1, 0) above it."""
-
-    gap: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([-x[1], x[0] + 0.5 * (1 - side)])
-
-    def switching(self, t, x):
-        return 1 + self.gap - x[1]
 
 
 def test_grazing_within_1e_14():

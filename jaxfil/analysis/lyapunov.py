@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxfil import check, scene
 from jaxfil.analysis.batch_means import BATCHES, averages, batch_ends
-from jaxfil.analysis.variation import running, travel, vary
+from jaxfil.analysis.variation import travel, vary
 from jaxfil.flow import advance
-from jaxfil.lane import Policy, Span
+from jaxfil.lane import Policy, Span, running
 from jaxfil.results import RESULTS
 from jaxfil.solution import outcome
 from jaxfil.start import begin

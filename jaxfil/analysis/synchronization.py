@@ -20,9 +20,8 @@ from jaxfil import check, scene
 from jaxfil.analysis.batch_means import BATCHES, averages, batch_ends
 from jaxfil.analysis.drive_response import drive_response
 from jaxfil.analysis.lyapunov import average_card, counts_of, interval_of, span_of
-from jaxfil.analysis.variation import running
 from jaxfil.flow import advance, integrate
-from jaxfil.lane import Policy
+from jaxfil.lane import Policy, running
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks
 from jaxfil.start import begin
@@ -199,7 +198,7 @@ def _threshold(system, x0, couplings, tolerance, duration, counts, stepper):
 
         def on(state):
             lane, nearest, _ = state
-            return running(span, lane, span.num_steps) & (nearest > tolerance)
+            return running(span, lane) & (nearest > tolerance)
 
         def go(state):
             lane, nearest, left = state

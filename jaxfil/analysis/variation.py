@@ -20,8 +20,7 @@ from jaxtyping import Array
 
 from jaxfil import filippov
 from jaxfil.flow import advance
-from jaxfil.lane import Lane, Policy, Span, epsilon
-from jaxfil.results import RESULTS
+from jaxfil.lane import Lane, Policy, Span, epsilon, running
 from jaxfil.scene import Blocks, Scene, any_of, axpy, where
 from jaxfil.stepper import Tableau
 
@@ -54,12 +53,6 @@ def vary(scene: Scene, lane: Lane, every: Array) -> Variation:
     dropped = jnp.zeros((), bool)
     zeros = (zero,) * scene.n
     return Variation(lane, generic_frame(scene), zeros, every, dropped, zeros)
-
-
-def running(span: Span, lane: Lane, stop: Array) -> Array:
-    """Whether a lane has still to go on to step number `stop`."""
-    affordable = lane.num_iterations < span.max_iterations
-    return (lane.index < stop) & affordable & (lane.result == RESULTS.successful)
 
 
 def travel(
