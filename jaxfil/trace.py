@@ -1,10 +1,12 @@
 """A user's function, traced once.
 
 A function of arrays enters; a `Traced` leaves: callable as the original is, under every
-transformation, with its float64 sines and cosines and its arctangents replaced by ones that
-vectorise, and able to say which of its results depend on which of its arguments.
+transformation, with its float64 sines and cosines, its arctangents and its products of small
+matrices replaced by ones that vectorise, and able to say which of its results depend on which of
+its arguments.
 """
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
@@ -29,6 +31,8 @@ def _arctan2(y: Array, x: Array) -> Array:
 
 
 _SAFE = {"atan2": _arctan2}
+# Multiplications of a product of matrices at most that are written out one by one.
+_SMALL = 64
 _CALLS = ("jit", "pjit", "closed_call")
 # Primitives that only move elements about: they move the dependencies the same way.
 _MOVES = (
@@ -52,15 +56,25 @@ class Traced:
         self._tree = jax.tree.structure(shape)
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
         waves = _dependencies(self._closed.jaxpr, self._no_consts(), nothing, sources=_FAST)
-        self._hold, self._shared = hold, sum(int(np.sum(flags)) for flags in waves) > 1
+        shared = sum(int(np.sum(flags)) for flags in waves) > 1
+        # As functions of their own they are put through a transformation once, however often they
+        # are called.
+        self._run = self._compiled(hold)
+        self._alone = self._run if shared else self._compiled(lambda v: v)
+
+    def _compiled(self, hold: Callable) -> Callable:
+        closed = self._closed
+
+        def traced(leaves: list) -> list:
+            return _evaluate(closed.jaxpr, closed.consts, leaves, hold)
+
+        return jax.jit(traced)
 
     def _no_consts(self) -> list[np.ndarray]:
         return [np.zeros(np.shape(c), bool) for c in self._closed.consts]
 
     def __call__(self, *args: Any, alone: bool = False) -> Any:
-        leaves = jax.tree.leaves(args)
-        hold = (lambda v: v) if alone and not self._shared else self._hold
-        out = _evaluate(self._closed.jaxpr, self._closed.consts, leaves, hold)
+        out = (self._alone if alone else self._run)(jax.tree.leaves(args))
         return jax.tree.unflatten(self._tree, out)
 
     def depends(self, *args: Any) -> Any:
@@ -89,6 +103,8 @@ def _evaluate(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], hold: Call
             outputs = [hold(_FAST[name](jnp.asarray(inputs[0])))]
         elif name in _SAFE:
             outputs = [_SAFE[name](*map(jnp.asarray, inputs))]
+        elif name == "dot_general" and _is_small(eqn):
+            outputs = [_product(eqn, *map(jnp.asarray, inputs))]
         elif name in _CALLS:
             inner = eqn.params["jaxpr"]
             outputs = _evaluate(inner.jaxpr, inner.consts, inputs, hold)
@@ -96,6 +112,28 @@ def _evaluate(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], hold: Call
             outputs = _evaluate_one(jaxpr, eqn, inputs)
         values.update(zip(eqn.outvars, outputs, strict=True))
     return [_read(values, v) for v in jaxpr.outvars]
+
+
+def _is_small(eqn: Any) -> bool:
+    """Whether a product of matrices is few multiplications of real numbers."""
+    (contracted, _), (batch, _) = eqn.params["dimension_numbers"]
+    a, out = eqn.invars[0].aval, eqn.outvars[0].aval
+    count = out.size * np.prod([a.shape[k] for k in contracted])
+    kinds = {v.aval.dtype for v in (*eqn.invars, *eqn.outvars)}
+    return not batch and count <= _SMALL and kinds == {out.dtype} and out.dtype.kind == "f"
+
+
+def _product(eqn: Any, a: Array, b: Array) -> Array:
+    """A product of small matrices written out: in a batch, XLA would leave it to a library."""
+    (of_a, of_b), _ = eqn.params["dimension_numbers"]
+    rows, columns = (
+        jnp.moveaxis(v, of, range(len(of))).reshape(math.prod(v.shape[k] for k in of), -1).T
+        for v, of in ((a, of_a), (b, of_b))
+    )
+    terms = [
+        [sum(u * v for u, v in zip(row, column, strict=True)) for column in columns] for row in rows
+    ]
+    return jnp.array(terms, a.dtype).reshape(eqn.outvars[0].aval.shape)
 
 
 def _evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
