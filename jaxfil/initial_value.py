@@ -4,21 +4,18 @@ A system, an initial state, a time span and a step enter; a `Solution` leaves.
 """
 
 import dataclasses
-import functools as ft
 import math
 from typing import Any
 
 import diffrax
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil import check, scene
 from jaxfil.flow import integrate
-from jaxfil.kernel import one_kernel
 from jaxfil.labels import labels_of
 from jaxfil.lane import SAME_TIME, Lane, Policy, Span
 from jaxfil.record import mode_codes
@@ -109,11 +106,11 @@ def solve(
         reverse=reverse,
         checkpoints=getattr(adjoint, "checkpoints", None),
     )
-    sol = _run(system, x, start, stop, length, ts, stepper, options)
+    sol = _solve(system, x, start, stop, length, ts, stepper, options)
     if estimate_error:
         system, x, start, stop, ts = _constant((system, x, start, stop, ts))
         half, options = length / 2, options.of_companion()
-        companion = _run(system, x, start, stop, half, ts, stepper, options)
+        companion = _solve(system, x, start, stop, half, ts, stepper, options)
         sol = eqx.tree_at(lambda s: s.errors, sol, errors(sol, companion), is_leaf=_is_none)
     sol = dataclasses.replace(sol, labels=labels)
     return _raise_unless_successful(sol) if throw else sol
@@ -136,7 +133,6 @@ class _Options(eqx.Module):
     budget: int | None = eqx.field(static=True)
     reverse: bool = eqx.field(static=True)
     checkpoints: int | None = eqx.field(static=True)
-    whole: bool = eqx.field(static=True, default=False)
 
     def of_companion(self) -> "_Options":
         """Those of the run at half the step, which nothing differentiates."""
@@ -245,24 +241,6 @@ def _span(t0: Array, t1: Array, dt: Array, ts: Array | None, budget: int | None)
     return Span(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
 
 
-# What XLA has refused to compile into one kernel: see `one_kernel`.
-_REFUSED: set[Any] = set()
-
-
-def _run(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
-    """A lane that is one and has no derivative, on a processor, is one kernel, which starts in a
-    tenth of the time of its many parts and is compiled in half of theirs."""
-    args = (system, x0, t0, t1, dt, ts, stepper)
-    what = jax.tree.structure((args, options))
-    plain = not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args))
-    if plain and not options.reverse and jax.default_backend() == "cpu" and what not in _REFUSED:
-        try:
-            return _solve(*args, dataclasses.replace(options, whole=True))
-        except jax.errors.JaxRuntimeError:
-            _REFUSED.add(what)
-    return _solve(*args, options)
-
-
 @eqx.filter_jit
 def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
     scene_ = scene.build(system, x0)
@@ -270,18 +248,17 @@ def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
     kind = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
     num_saves = {"none": 0, "ts": 0 if ts is None else ts.shape[0], "steps": options.budget}[kind]
     policy = Policy(kind, options.max_events, None if ts is None else ts - t0)
-    run = ft.partial(
-        integrate,
+    lane = integrate(
         scene_,
         tableau(stepper),
         span,
         policy,
+        scene.unpack(x0),
         num_saves=num_saves or 0,
         kind="checkpointed" if options.reverse else "lax",
         checkpoints=options.checkpoints,
         max_iterations=options.budget if options.reverse else None,
     )
-    lane = (one_kernel(run) if options.whole else run)(scene.unpack(x0))
     return _solution(scene_, span, lane, options, system, x0, stepper)
 
 

@@ -1,4 +1,4 @@
-"""One kernel for a whole function, and rows written in it.
+"""One kernel for a whole function.
 
 A function of arrays enters; the same function leaves, which XLA's CPU backend compiles into a
 single kernel, its loops and conditionals included, instead of one kernel for each of their parts.
@@ -7,14 +7,17 @@ its numbers stay in the first-level cache.
 """
 
 import functools as ft
+import itertools
 from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.core
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_batching import custom_vmap
+from jax.custom_derivatives import SymbolicZero
 from jax.experimental.xla_metadata import set_xla_metadata
-from jaxtyping import Array
 
 # A call that XLA neither inlines nor splits. A version that does not know these ignores them.
 _WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
@@ -39,40 +42,119 @@ def one_kernel(function: Callable) -> Callable:
     return call
 
 
-@custom_vmap
-def write_row(rows: Array, i: Array, row: Array, write: Array) -> Array:
-    """`rows`, shape (k, n), with row number i set where `write`.
+# What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
+# add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
+# scatters, sorts, and calls of libraries, which a product of matrices may become.
+_NAMES = """
+abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh broadcast_in_dim cbrt
+ceil clamp concatenate cond convert_element_type copy copy_p cos cosh custom_jvp_call div
+dynamic_slice eq erf erf_inv erfc exp exp2 expm1 floor gather ge gt integer_pow iota is_finite
+jit le log log1p logistic lt max min mul ne neg nextafter not optimization_barrier or pad pjit
+pow reduce_and reduce_max reduce_min reduce_or reduce_precision reduce_prod reduce_sum rem
+reshape rev round rsqrt scan select_n sign sin sinh slice split sqrt square squeeze stack
+stop_gradient sub tan tanh transpose unstack unvmap_any while xor
+"""
+_FITTING = frozenset(_NAMES.split())
+# As many lanes as are one kernel together: the columns of a Jacobian. A larger batch takes twice as
+# long to compile so.
+_FEW = 8
 
-    A batch of these would be a scatter, which no single kernel may hold and which takes the time of
-    all lanes for the few that write. Here it is a loop over the lanes, entered if any of them
-    writes, and without a derivative in reverse mode.
+
+def kernel_if_it_fits(function: Callable) -> Callable:
+    """`function` of arrays as a single kernel on a processor, if all of it fits into one.
+
+    That is known from its operations, before it is compiled, so that this also serves inside of a
+    transformation that somebody else compiles. So are its forward derivatives, and no large batch
+    of either.
     """
-    return rows.at[i].set(jnp.where(write, row, rows[i]))
+
+    def call(*args):
+        program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+        if jax.default_backend() != "cpu" or not _fits(program.jaxpr):
+            return function(*args)
+        # What the function has closed over becomes an argument: it may come as a batch.
+        count, values = len(program.consts), [*program.consts, *jax.tree.leaves(args)]
+
+        def run(*values):
+            return jax.core.eval_jaxpr(program.jaxpr, values[:count], *values[count:])
+
+        def spread(batched):
+            return [any(batched)] * len(program.out_avals)
+
+        out = _whole(jax.make_jaxpr(run)(*values), spread, 1)(*values)
+        return jax.tree.unflatten(jax.tree.structure(shapes), out)
+
+    return call
 
 
-@write_row.def_vmap
-def _write_rows(axis_size: int, batched: Any, *args: Array) -> tuple[Array, bool]:
-    rows, i, row, write = (
-        v if flag else jnp.broadcast_to(v, (axis_size, *v.shape))
-        for v, flag in zip(args, batched, strict=True)
-    )
-    if jax.default_backend() != "cpu":
-        return jax.vmap(lambda *a: write_row.fun(*a))(rows, i, row, write), True
+def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
+    """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
+    results are a batch's if some of its arguments are."""
+    run = ft.partial(jax.core.eval_jaxpr, program.jaxpr, program.consts)
+    together = custom_vmap(one_kernel(run))
+    whole = jax.custom_jvp(together)
 
-    keep, every = (lambda rows, *_: rows), one_kernel(_write_each)
-    return jax.lax.cond(jnp.any(write), every, keep, rows, i, row, write), True
+    @together.def_vmap
+    def batch(axis_size: int, batched: Any, *values: Any) -> tuple:
+        spreads = spread(batched)
+        axes, out_axes = ([0 if flag else None for flag in flags] for flags in (batched, spreads))
+        several = jax.vmap(run, axes, out_axes, axis_size=axis_size)
+        count = lanes * axis_size
+        if count <= _FEW:
+            several = _whole(jax.make_jaxpr(several)(*values), spread, count)
+        return several(*values), spreads
+
+    def push(values: tuple, tangents: tuple) -> tuple:
+        moving = [k for k, v in enumerate(tangents) if not isinstance(v, SymbolicZero)]
+        rates = [tangents[k] for k in moving]
+        pushed = jax.make_jaxpr(ft.partial(_pushed, run, moving))(values, rates)
+        real = [jnp.issubdtype(v.dtype, jnp.inexact) for v in program.out_avals]
+
+        def both(batched: Any) -> list:
+            ends = spread(batched[: len(values)])
+            either = list(batched[: len(values)])
+            for k, flag in zip(moving, batched[len(values) :], strict=True):
+                either[k] = either[k] or flag
+            return ends + list(itertools.compress(spread(either), real))
+
+        out = _whole(pushed, both, lanes)(*values, *rates)
+        ends, rates = out[: len(real)], iter(out[len(real) :])
+        still = [np.zeros(v.shape, jax.dtypes.float0) for v in program.out_avals]
+        return ends, [next(rates) if moves else v for moves, v in zip(real, still, strict=True)]
+
+    whole.defjvp(push, symbolic_zeros=True)
+    return whole
 
 
-def _write_each(rows: Array, i: Array, row: Array, write: Array) -> Array:
-    """`write_row` for one lane after the other."""
+def _pushed(run: Callable, moving: list[int], values: Any, rates: list) -> list:
+    """The results of `run`, and the tangents of those that are real numbers, as the values numbered
+    `moving` move at `rates`."""
 
-    def write_lane(lane: Array, rows: Array) -> Array:
-        new, zero = row[lane][None, None], jnp.zeros_like(i[lane])
-        place = (lane.astype(i.dtype), i[lane], zero)
-        written = ft.partial(jax.lax.dynamic_update_slice, update=new, start_indices=place)
-        return jax.lax.cond(write[lane], written, lambda rows: rows, rows)
+    def moved(*moves: Any) -> list:
+        here = list(values)
+        for k, v in zip(moving, moves, strict=True):
+            here[k] = v
+        return run(*here)
 
-    return jax.lax.fori_loop(0, rows.shape[0], write_lane, rows)
+    ends, tangents = jax.jvp(moved, [values[k] for k in moving], rates)
+    return [*ends, *(v for v in tangents if v.dtype != jax.dtypes.float0)]
+
+
+def _fits(jaxpr: Any) -> bool:
+    """Whether all operations of a program fit into a single kernel."""
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        if name == "custom_vmap_call":  # that of `entry.write`, which knows what to be in a batch
+            continue
+        if name not in _FITTING or not all(map(_fits, _programs(eqn.params))):
+            return False
+    return True
+
+
+def _programs(params: Any) -> list:
+    """The programs inside of an operation: the bodies of a loop, the branches of a conditional."""
+    leaves = jax.tree.leaves(params, is_leaf=lambda v: hasattr(v, "eqns"))
+    return [v for v in leaves if hasattr(v, "eqns")]
 
 
 def in_blocks(function: Callable, size: int) -> Callable:

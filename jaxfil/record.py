@@ -11,13 +11,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.kernel import write_row
+from jaxfil.entry import write
 from jaxfil.lane import Lane, Policy, Saves, Span, Table, View
 from jaxfil.results import KINDS
 from jaxfil.scene import Blocks, Scene, pack
 
-# Equinox types it for Python's booleans and its own buffers; it takes arrays and returns them.
-_set: Any = eqxi.buffer_at_set
+
+def _entered(record: Any, i: Array, yes: Array, entry: Any) -> Any:
+    """`record`, of arrays of k entries, with `entry`, of one each, as number i where `yes`."""
+    if all(isinstance(v, jax.Array) for v in vars(record).values()):
+        return write(record, i, entry, yes)
+    # The buffers of a loop that keeps checkpoints.
+    # Equinox types it for Python's booleans; it takes arrays.
+    put: Any = eqxi.buffer_at_set
+    rows = {name: put(v, i, vars(entry)[name], pred=yes) for name, v in vars(record).items()}
+    return type(record)(**rows)
 
 
 def empty_table(scene: Scene, size: int | None) -> Table | None:
@@ -94,15 +102,15 @@ def record_event(scene: Scene, span: Span, lane: Lane, view: View, made: Array) 
     if table is None:
         return None
     size = table.ts.shape[0]
-    write = made & (lane.num_events < size)
-    i = jnp.minimum(lane.num_events, size - 1)
-    return Table(
-        ts=_set(table.ts, i, _event_time(span, lane, view), pred=write),
-        xs=_set(table.xs, i, pack(lane.x, scene.dtype), pred=write),
-        members=_set(table.members, i, jnp.stack(lane.hit), pred=write),
-        kinds=_set(table.kinds, i, _kind(lane, view, scene.resets), pred=write),
-        modes=_set(table.modes, i, mode_codes(view.mode), pred=write),
+    entry = Table(
+        ts=_event_time(span, lane, view),
+        xs=pack(lane.x, scene.dtype),
+        members=jnp.stack(lane.hit),
+        kinds=_kind(lane, view, scene.resets),
+        modes=mode_codes(view.mode),
     )
+    i = jnp.minimum(lane.num_events, size - 1)
+    return _entered(table, i, made & (lane.num_events < size), entry)
 
 
 def is_sample(policy: Policy, index: Array) -> Array:
@@ -117,7 +125,7 @@ def keep_sample(policy: Policy, lane: Lane, after: Lane, x: Blocks, gridded: Arr
     point just reached, and that is a sample."""
     assert lane.saves is not None
     save = gridded & is_sample(policy, after.index)
-    xs = write_row(lane.saves.xs, lane.num_saved, jnp.stack(x), save)
+    xs = write(lane.saves.xs, lane.num_saved, jnp.stack(x), save)
     return eqx.tree_at(
         lambda lane: (lane.saves, lane.num_saved),
         after,
@@ -131,10 +139,6 @@ def save_state(scene: Scene, span: Span, lane: Lane, view: View, save: Array) ->
     if saves is None:
         return None
     size = saves.ts.shape[0]
-    write = save & (lane.num_saved < size)
+    entry = Saves(span.t0 + view.tau, pack(view.x, scene.dtype), mode_codes(view.mode))
     i = jnp.minimum(lane.num_saved, size - 1)
-    return Saves(
-        ts=_set(saves.ts, i, span.t0 + view.tau, pred=write),
-        xs=_set(saves.xs, i, pack(view.x, scene.dtype), pred=write),
-        modes=_set(saves.modes, i, mode_codes(view.mode), pred=write),
-    )
+    return _entered(saves, i, save & (lane.num_saved < size), entry)

@@ -1,14 +1,18 @@
-"""A single run is one kernel: the same numbers as the many parts of a traced one, where XLA can
-compile it, and where it cannot."""
+"""One lane is one kernel, in a user's own transformation too: the same numbers as its many parts,
+where XLA can compile it, and where it cannot."""
 
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
 import jaxfil as jf
-from jaxfil import initial_value
+from jaxfil import kernel
+
+X0 = jnp.array([1.0, 0.5])
 
 
 class Coupled(jf.System):
@@ -30,22 +34,148 @@ class Coupled(jf.System):
         return x[0] - 0.5
 
 
-def run(a, how):
-    sol = jf.solve(Coupled(a, how), jnp.array([1.0, 0.5]), 0.0, 2.0, 0.05, stepper=jf.RK4())
-    return sol.x_final, sol.events.ts[:2]
+def run(a, how, x0=X0):
+    sol = jf.solve(Coupled(a, how), x0, 0.0, 2.0, 0.05, stepper=jf.RK4())
+    assert sol.events is not None
+    return sol.x_final, sol.events.ts[:2], sol.events.kinds[:2]
 
 
-@pytest.mark.parametrize("how", ["product", "solve", "scatter"])
-def test_a_run_alone_gives_what_a_traced_one_gives(how, monkeypatch):
-    refused = set()
-    monkeypatch.setattr(initial_value, "_REFUSED", refused)
-    alone = run(jnp.float64(0.3), how)
-    assert len(refused) == (how != "product")
-    traced = jax.jit(run, static_argnums=1)(jnp.float64(0.3), how)
-    assert np.isfinite(alone[1]).any(), "there was no contact"
-    for a, b in zip(alone, traced, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-14)
-    assert len(refused) == (how != "product")
+def is_whole(function, *args):
+    """Whether a compiled program starts no loop of its own, only kernels that hold theirs."""
+    text = jax.jit(function).lower(*args).compile().as_text()
+    assert text is not None
+    return " while(" not in text[text.index("ENTRY") :]
+
+
+@pytest.mark.parametrize("how", ["solve", "scatter"])
+def test_what_does_not_fit_is_left_in_parts(how):
+    assert not is_whole(lambda a: run(a, how), jnp.float64(0.3))
+
+
+@pytest.fixture
+def in_parts(monkeypatch):
+    """Call it for nothing to fit into one kernel any more, in this test."""
+
+    def start():
+        monkeypatch.setattr(kernel, "_fits", lambda jaxpr: False)
+        jax.clear_caches()
+
+    yield start
+    jax.clear_caches()
+
+
+def test_a_lane_and_its_derivatives_give_what_their_parts_give(in_parts):
+    a = jnp.float64(0.3)
+
+    def alone(a):
+        return run(a, "product")
+
+    def jacobian(a):
+        return jax.jacfwd(lambda a, x0: run(a, "product", x0)[:2], argnums=(0, 1))(a, X0)
+
+    def curvature(a):
+        return jax.jacfwd(jax.jacfwd(lambda a: alone(a)[0]))(a)
+
+    def all_of_them():
+        return alone(a), *(jax.jit(f)(a) for f in (alone, jacobian, curvature))
+
+    assert is_whole(alone, a) and is_whole(jacobian, a)
+    whole = all_of_them()
+    in_parts()
+    parts = all_of_them()
+    assert np.isfinite(parts[0][1]).any(), "there was no contact"
+    for u, v in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
+        np.testing.assert_allclose(u, v, rtol=1e-13, atol=1e-14)
+
+
+def test_batches_of_all_kinds_give_what_single_lanes_give():
+    """Few lanes are one kernel, many are not, and so are their derivatives in any order."""
+    some, many = jnp.linspace(0.2, 0.4, 4), jnp.linspace(0.2, 0.4, 40)
+
+    def end(a):
+        return run(a, "product")[:2]
+
+    def batch(a):
+        return jax.vmap(end)(a)
+
+    assert is_whole(batch, some) and not is_whole(batch, many)
+    slope = jax.jit(jax.jacfwd(end))
+    for a in (some, many):
+        ends, slopes = jax.jit(batch)(a), jax.jit(jax.vmap(jax.jacfwd(end)))(a)
+        swapped = jax.jit(lambda a: jax.jvp(batch, (a,), (jnp.ones_like(a),))[1])(a)
+        for i in (0, 3):
+            for got, ref in ((ends, end), (slopes, slope), (swapped, slope)):
+                for u, v in zip(got, ref(a[i]), strict=True):
+                    np.testing.assert_allclose(u[i], v, rtol=1e-13, atol=1e-14)
+    nested = jax.jit(jax.vmap(jax.vmap(end)))(many.reshape(2, 20))
+    for u, v in zip(nested, jax.jit(batch)(many), strict=True):
+        np.testing.assert_allclose(u.reshape(v.shape), v, rtol=1e-13, atol=1e-14)
+
+
+def everything(x, k):
+    """Each operation that is held to fit into one kernel."""
+    unary = [lax.abs, lax.acos, lax.asin, lax.asinh, lax.atan, lax.atanh, lax.cbrt, lax.ceil]
+    unary += [lax.cos, lax.cosh, lax.erf, lax.erf_inv, lax.erfc, lax.exp, lax.exp2, lax.expm1]
+    unary += [lax.floor, lax.log, lax.log1p, lax.logistic, lax.neg, lax.round, lax.rsqrt, lax.sign]
+    unary += [lax.sin, lax.sinh, lax.sqrt, lax.square, lax.tan, lax.tanh, lax.stop_gradient]
+    binary = [lax.add, lax.atan2, lax.div, lax.max, lax.min, lax.mul, lax.pow]
+    binary += [lax.rem, lax.sub]
+    compare = [lax.eq, lax.ge, lax.gt, lax.le, lax.lt, lax.ne]
+    flags = [f(x, k * x) for f in compare]
+    out = [f(x) for f in unary] + [lax.acosh(1 + x)] + [f(x, 1 + x) for f in binary]
+    out += [lax.nextafter(lax.stop_gradient(x), 1.0 + lax.stop_gradient(x))]
+    out += [flags[0] & flags[1], flags[0] | flags[1], flags[0] ^ flags[1], ~flags[0]]
+    out += [lax.is_finite(x), lax.integer_pow(x, 3), lax.clamp(0.1, x, 0.9), lax.reduce_precision(
+        x, 8, 23), lax.argmax(x, 0, np.int32), lax.argmin(x, 0, np.int32)]  # fmt: skip
+    out += [f(x) for f in (jnp.sum, jnp.prod, jnp.max, jnp.min)] + [jnp.any(x > 1), jnp.all(x > 1)]
+    out += [
+        x.reshape(2, 3).T,
+        lax.rev(x, (0,)),
+        jnp.concatenate([x, x]),
+        lax.pad(x, 0.0, [(1, 1, 0)]),
+    ]
+    out += [jnp.stack([x, x]), lax.split(x, (2, 4)), list(x), x[1:3], x[None, :], x[0:1].squeeze(0)]
+    index = k.astype(int)
+    out += [lax.dynamic_slice(x, (index,), (2,)), x[jnp.array([2, 1])], jnp.where(x > 1, x, 0.0)]
+    out += [
+        lax.scan(lambda c, v: (c * v, c + v), x[0], x)[1],
+        lax.while_loop(lambda v: v[0] < 9, lambda v: v + x, x),
+    ]
+    out += [
+        lax.cond(k > 1, jnp.sin, jnp.cos, x),
+        lax.optimization_barrier(x),
+        jnp.array(x, copy=True),
+    ]
+    out += [lax.iota(np.int32, 3), jax.jit(jnp.sin)(x), jax.nn.relu(x), eqxi.unvmap_any(k > 1)]
+    out += [jax.linear_transpose(lambda v: v + v, x)(x)[0]]
+    return out
+
+
+def names(jaxpr):
+    for eqn in jaxpr.eqns:
+        yield eqn.primitive.name
+        for program in kernel._programs(eqn.params):
+            yield from names(program)
+
+
+# Names that other versions of JAX have for some of them.
+OTHERS = {"pjit", "copy_p", "copy", "stop_gradient", "exp2", "square", "unstack", "stack", "split"}
+
+
+def test_one_kernel_holds_what_is_said_to_fit():
+    x, k = jnp.linspace(0.2, 0.7, 6), jnp.float64(1.0)
+    found = set(names(jax.make_jaxpr(everything)(x, k).jaxpr))
+    assert found <= kernel._FITTING, found - kernel._FITTING
+    assert kernel._FITTING - found <= OTHERS, kernel._FITTING - found - OTHERS
+
+    def moved(x, k):
+        return jax.jvp(lambda x: everything(x, k), (x,), (x,))
+
+    def lanes(x, k):
+        return jax.vmap(moved)(x, k)
+
+    for function, args in ((everything, (x, k)), (lanes, (jnp.stack([x] * 8), jnp.ones(8)))):
+        jax.jit(kernel.one_kernel(function)).lower(*args).compile()
 
 
 def test_an_error_of_the_users_own_is_told():
@@ -54,4 +184,4 @@ def test_an_error_of_the_users_own_is_told():
             return eqx.error_if(-x, x[0] < 0.9, "left the model's range")
 
     with pytest.raises(eqx.EquinoxRuntimeError, match="left the model's range"):
-        jf.solve(Guarded(jnp.float64(0.3), "product"), jnp.array([1.0, 0.5]), 0.0, 2.0, 0.05)
+        jf.solve(Guarded(jnp.float64(0.3), "product"), X0, 0.0, 2.0, 0.05)

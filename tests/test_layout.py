@@ -24,6 +24,7 @@ ORDER = [
     "check",
     "linear",
     "kernel",
+    "entry",
     "trace",
     "scene",
     "parameter",
