@@ -1,5 +1,7 @@
 """The hard cases again in float32, to 1e-4, from t0 = 0 and from t0 = 1000."""
 
+from typing import ClassVar
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -50,6 +52,10 @@ class Roots(jf.System):
 
     def switching(self, t, x):
         return jnp.prod(x[0] - self.roots)
+
+
+class Crossing(Affine):
+    slides: ClassVar[bool] = False
 
 
 def affine(plus, minus, b=((0, 0), (0, 0))):
@@ -211,6 +217,19 @@ def test_float32_slip_shorter_than_a_step():
     times = [0.021115703825789773, 2.61911511215335305, 2.74881294392022106, 2.9398327291587959]
     assert_array_equal(sol.events.kinds[:4], [SLIP, STICK, SLIP, STICK])
     assert_allclose(sol.events.ts[:4], times, atol=1e-4)
+
+
+@pytest.mark.parametrize(("dtype", "kind"), [(jnp.float32, Crossing), (jnp.float64, Affine)])
+def test_contact_behind_a_grid_point_by_less_than_times_are_told_apart(dtype, kind):
+    # All numbers but the time of the contact, 64 (1 + 4 eps), are exact in both precisions.
+    t, eps = 64.0, float(jnp.finfo(dtype).eps)
+    fields = jnp.asarray(((0, -1), (0, -2)), dtype)
+    system, x0 = kind(fields, jnp.zeros((2, 2), dtype)), jnp.asarray((0, t * (1 + 4 * eps)), dtype)
+    sol = jf.solve(system, x0, 0.0, t + 1, 0.25, max_events=64, throw=False)
+    assert sol.result == RESULTS.successful
+    assert_array_equal(sol.events.kinds[:2], [CROSS, KINDS.none])
+    assert_allclose(sol.events.ts[0], t * (1 + 4 * eps), rtol=eps)
+    assert_allclose(sol.xs[-1, 1], -2 * (1 - 4 * eps * t), rtol=4 * eps)
 
 
 @pytest.mark.parametrize("t0", [0.0, 1000.0])
