@@ -212,18 +212,20 @@ def land(
         bend = direction * (rate - lane.rate[j])
         close = (size <= straight) & (size * abs(bend) <= small * abs(rate * h))
         inside = (room - stop_gradient(missing)) * direction >= 0
-        reached = (jnp.where(cutting, close, size <= same) & inside) | (size <= same)
+        # Rounding of t hides what is missing to the end of a slide, whose guard is made of fields.
+        # A state knows its surface better: it is there when all that is left of g is rounding.
+        g = stop_gradient(view.g[j])
+        sliding = view.mode[j] == 0 if scene.slides else jnp.zeros((), bool)
+        zero = abs(g) <= view.noise[j]
+        reached = (size <= same) & (inside | sliding | zero) | (cutting & close & inside)
         # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step
         # has gone past it by no more than the search takes for rounding.
-        g = stop_gradient(view.g[j])
         past = (g < 0) & (-g <= view.touch[j])
-        hidden = (abs(h) <= same) | (abs(g) <= view.noise[j]) | past
-        here = aimed & hidden & ~reached
+        here = aimed & (zero | past | sliding & (abs(h) <= same)) & ~reached
         hit = falls & (here | ((lane.armed[j] | aimed) & reached))
         # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
         vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.touch[j] * bend)
-        zero = (abs(view.g[j]) <= view.touch[j]) & (view.mode[j] != 0)
-        touch = lane.armed[j] & zero & vertex
+        touch = lane.armed[j] & (abs(g) <= view.touch[j]) & ~sliding & vertex
         kind = jnp.where(hit, jnp.where(here, _HERE, _HIT), jnp.where(touch, _BRUSHED, _NOTHING))
         kinds.append(kind.astype(h.dtype))
         times.append(missing)

@@ -27,7 +27,7 @@ from jaxtyping import Array
 from jaxfil import filippov
 from jaxfil.contact import NEVER, land, missing_time, search
 from jaxfil.kernel import kernel_if_it_fits
-from jaxfil.lane import Ahead, Lane, Policy, Span, View, running
+from jaxfil.lane import Ahead, Lane, Policy, Span, View, later, running
 from jaxfil.record import keep_sample, record_event, save_state
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
@@ -78,11 +78,12 @@ def choose_length(scene: Scene, span: Span, policy: Policy, lane: Lane) -> Lengt
     full = target - lane.tau
     if scene.m == 0:
         return Length(full, target, full * 0, saving & False, (saving & False) | gridded, saving)
+    full = full - lane.rest
     cutting = (lane.cut != 0) & (abs(lane.cut) < abs(full)) & ~lane.pending
     whole = ~lane.pending & ~cutting
     h = jnp.where(cutting, lane.cut, jnp.where(lane.pending, 0.0, full))
     end = jnp.where(whole, target, lane.tau + h)
-    return Length(h, end, target - end, cutting, gridded & whole, saving & whole)
+    return Length(h, end, full - h, cutting, gridded & whole, saving & whole)
 
 
 def _action(scene, policy, lane: Lane, on, view: View, found, landing, frozen, tries) -> Array:
@@ -177,8 +178,11 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
     # A step that has ended just short of its contact: Newton says how much is missing.
     ahead = jnp.where(length.cutting & accepted, missing_time(span, lane, view), 0.0)
     index = lane.index + gridded.astype(jnp.int32)
+    h = jnp.where(lands, length.h + landing.delta, jnp.where(moved, length.h, 0.0))
+    tau, rest = later(lane.tau, lane.rest, h)
     after = Lane(
-        tau=jnp.where(moved, view.tau, jnp.where(lands, view.tau + landing.delta, lane.tau)),
+        tau=jnp.where(gridded, view.tau, tau),
+        rest=jnp.where(gridded, 0.0, rest),
         x=where(moved, view.x, where(lands, axpy(view.x, landing.delta, view.f), lane.x)),
         size=where(moved, view.size, lane.size),
         f=where(moved, view.f, lane.f),

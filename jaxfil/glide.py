@@ -66,6 +66,7 @@ def coast(policy: Policy, lane: Lane, end: Array, ahead: Ahead, clear: Array) ->
     after = eqx.tree_at(
         lambda lane: (
             lane.tau,
+            lane.rest,
             lane.x,
             lane.f,
             lane.size,
@@ -78,6 +79,7 @@ def coast(policy: Policy, lane: Lane, end: Array, ahead: Ahead, clear: Array) ->
         lane,
         (
             jnp.where(clear, end, lane.tau),
+            jnp.where(clear, 0.0, lane.rest),
             where(clear, ahead.x, lane.x),
             where(clear, ahead.f, lane.f),
             where(clear, larger(lane.size, ahead.x), lane.size),

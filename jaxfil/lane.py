@@ -82,6 +82,7 @@ class Lane(eqx.Module):
     """The state of one lane between two iterations. Blocks of m unless said otherwise."""
 
     tau: Array  # elapsed time
+    rest: Array  # and what its rounding has left out
     x: Blocks  # state, n components
     f: Blocks  # field of the mode at (tau, x), n components
     size: Blocks  # largest |x| so far, n components
@@ -144,6 +145,17 @@ def running(span: Span, lane: Lane, stop: Array | None = None) -> Array:
     unfinished = lane.index < (span.num_steps if stop is None else stop)
     affordable = lane.num_iterations < span.max_iterations
     return unfinished & affordable & (lane.result == RESULTS.successful)
+
+
+def later(tau: Array, rest: Array, h: Array) -> tuple[Array, Array]:
+    """The elapsed time tau + rest a time h later, rounded, and what the rounding leaves out.
+
+    Long after t0 a contact is located more finely than times are told apart. Without the rest each
+    one would shift the motion after it by the rounding of its time, and these shifts add up.
+    """
+    h = rest + h
+    end = tau + h
+    return end, stop_gradient(h - (end - tau))
 
 
 def epsilon(scene: Scene) -> float:

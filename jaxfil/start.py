@@ -89,6 +89,7 @@ def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -
         )
     return Lane(
         tau=tau,
+        rest=tau,
         x=x,
         f=f,
         size=tuple(stop_gradient(abs(v)) for v in x),

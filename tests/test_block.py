@@ -109,6 +109,20 @@ def system_at(system, omega):
     return eqx.tree_at(lambda s: s.omega, system, jnp.float64(omega))
 
 
+def test_a_lane_coasts_on_from_a_near_touch_without_losing_time():
+    # x = 1 + Re a exp(iωt) comes within 2e-3 of the surface, which is looked at once a period, at a
+    # time that float32 rounds by up to 6e-5; sampling times are rounded by as much.
+    sd, omega = jf.systems.SDOscillator(), float(np.float32(0.86648))
+    a = 0.25 / (1 - omega**2 + 2j * 0.0141 * omega)
+    x0 = np.array([1 + a.real, -omega * a.imag])
+    d = jf.bifurcation_diagram(
+        sd, "omega", [omega], np.float32(x0), transient=200, samples=100, steps=16, progress=False
+    )
+    rates = omega * a.imag, omega**2 * a.real
+    bound = 1.5 * np.finfo(np.float32).eps * 300 * 2 * np.pi / omega * np.max(np.abs(rates))
+    np.testing.assert_allclose(d.xs[0], np.broadcast_to(x0, (100, 2)), rtol=0, atol=bound)
+
+
 @pytest.mark.parametrize("name", ["stick-slip", "impacts"])
 def test_the_others_in_a_block_make_no_difference_to_the_last_bit(name):
     system, ends, x0 = SCENES[name]

@@ -1,5 +1,7 @@
 """The hard cases again in float32, to 1e-4, from t0 = 0 and from t0 = 1000."""
 
+from typing import ClassVar
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -50,6 +52,25 @@ class Roots(jf.System):
 
     def switching(self, t, x):
         return jnp.prod(x[0] - self.roots)
+
+
+class Crossing(Affine):
+    slides: ClassVar[bool] = False
+
+
+class Phase(jf.System):
+    """A clock that is put back to zero whenever it comes to 0.7."""
+
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return jnp.ones_like(x)
+
+    def switching(self, t, x):
+        return 0.7 - x[0]
+
+    def reset(self, t, x, surface):
+        return x - 0.7
 
 
 def affine(plus, minus, b=((0, 0), (0, 0))):
@@ -211,6 +232,38 @@ def test_float32_slip_shorter_than_a_step():
     times = [0.021115703825789773, 2.61911511215335305, 2.74881294392022106, 2.9398327291587959]
     assert_array_equal(sol.events.kinds[:4], [SLIP, STICK, SLIP, STICK])
     assert_allclose(sol.events.ts[:4], times, atol=1e-4)
+
+
+@pytest.mark.parametrize(("dtype", "kind"), [(jnp.float32, Crossing), (jnp.float64, Affine)])
+def test_contact_behind_a_grid_point_by_less_than_times_are_told_apart(dtype, kind):
+    # All numbers but the time of the contact, 64 (1 + 4 eps), are exact in both precisions.
+    t, eps = 64.0, float(jnp.finfo(dtype).eps)
+    fields = jnp.asarray(((0, -1), (0, -2)), dtype)
+    system, x0 = kind(fields, jnp.zeros((2, 2), dtype)), jnp.asarray((0, t * (1 + 4 * eps)), dtype)
+    sol = jf.solve(system, x0, 0.0, t + 1, 0.25, max_events=64, throw=False)
+    assert sol.result == RESULTS.successful
+    assert_array_equal(sol.events.kinds[:2], [CROSS, KINDS.none])
+    assert_allclose(sol.events.ts[0], t * (1 + 4 * eps), rtol=eps)
+    assert_allclose(sol.xs[-1, 1], -2 * (1 - 4 * eps * t), rtol=4 * eps)
+
+
+def test_float32_contacts_long_after_the_start_shift_nothing():
+    # Times near 2000 are 1.2e-4 apart, phases 6e-8.
+    sol = jf.solve(Phase(), jnp.asarray([0.0], jnp.float32), 0.0, 2000.5, 0.3, max_events=None)
+    assert_allclose(sol.xs[-1], 2000.5 % float(np.float32(0.7)), atol=2e-5)
+
+
+def test_float32_lanes_of_a_long_sweep():
+    # The orbit at 0.7: 60-digit reference. What rounding of times sets is eps |t x'|.
+    sd, x0 = jf.systems.SDOscillator(), np.array([2.972909733962379342, 0.618617859127108525])
+    omegas = np.append(0.7, np.linspace(0.6, 1.3, 63))
+    d = jf.bifurcation_diagram(
+        sd, "omega", omegas, np.float32(x0), transient=200, samples=100, steps=32, progress=False
+    )
+    assert d.xs.dtype == np.float32 and d.successful.all()
+    ts = 2 * np.pi / 0.7 * np.arange(201, 301)
+    rate = np.asarray(sd.vector_field(0.0, x0, 1.0))
+    assert np.all(abs(d.xs[0] - x0) <= 1.5 * np.finfo(np.float32).eps * np.outer(ts, abs(rate)))
 
 
 @pytest.mark.parametrize("t0", [0.0, 1000.0])
