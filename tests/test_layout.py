@@ -45,6 +45,7 @@ ORDER = [
     "points",
     "store",
     "diagram",
+    "companion",
     "checkpoint",
     "processes",
     "chunk",
