@@ -15,6 +15,7 @@ from jaxtyping import Float
 from jaxfil import store
 from jaxfil.labels import Labels
 from jaxfil.results import RESULTS, outcome_codes, outcome_names, outcomes
+from jaxfil.solution import precision
 
 # Names of a data set that are no parameter's.
 _VARIABLES = {"x", "outcome", "error", "sample", "component", "point", "unit"}
@@ -194,7 +195,7 @@ class BifurcationDiagram(eqx.Module):
         else:
             swept = [f"  {', '.join(self.parameter)}: {shape[0]} points"]
         lines = [
-            f"BifurcationDiagram of {self.system}",
+            f"BifurcationDiagram of {self.system}{precision(self.xs)}",
             *swept,
             f"  {samples} samples of {n} components each",
             f"  {int(self.successful.sum())} of {math.prod(shape)} lanes successful",
