@@ -113,7 +113,7 @@ def widths(args):
         settings += [(f"{w:g}", jf.smoothed(exact, w), finest(w, scale)) for w in width_list]
         print(f"{name} at ω = {omega}: width, λ1, steps a period, processor time")
         for label, case, steps in settings:
-            # Not with OPTIONS: in 512-bit vectors XLA (0.10.2) puts arctan in the wrong quadrant.
+            # Without OPTIONS: the times are those that a user's own jit has.
             run = ft.partial(
                 eqx.filter_jit(spectra),
                 case,

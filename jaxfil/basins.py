@@ -17,6 +17,7 @@ from jaxfil.diagram import BifurcationDiagram
 from jaxfil.labels import Labels
 from jaxfil.parameter import parameters
 from jaxfil.results import RESULTS
+from jaxfil.solution import precision
 from jaxfil.sweep import bifurcation_diagram
 from jaxfil.system import System
 
@@ -53,7 +54,8 @@ class Basins(eqx.Module):
 
     def __repr__(self) -> str:
         a, b = self.labels.shape
-        lines = [f"Basins of {self.system}: {a} × {b} initial states"]
+        told = precision(self.attractors[0]) if self.attractors else ""
+        lines = [f"Basins of {self.system}{told}: {a} × {b} initial states"]
         for k, points in enumerate(self.attractors, start=1):
             state = np.array2string(points[0], precision=6, separator=", ")
             lines.append(f"  {k}: period {len(points)} through {state}, {self._share(k)}")

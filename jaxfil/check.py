@@ -85,6 +85,13 @@ def system(name: str, value: Any) -> None:
         )
 
 
+def instance(name: str, value: Any, *kinds: type) -> None:
+    """A result of one of these public kinds."""
+    if not isinstance(value, kinds):
+        must = " or ".join(f"a jaxfil.{kind.__name__}" for kind in kinds)
+        raise ValueError(f"`{name}` must be {must}, got {_kind(value)}.")
+
+
 def shapes(value: System, x: Array) -> tuple[int, ...]:
     """The shape of H, after a look at what all functions of a system return for a state like x."""
     t = jnp.zeros((), x.dtype)

@@ -22,7 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil import check, scene, store
+from jaxfil.diagram import Conditions
+from jaxfil.points import Points
 from jaxfil.results import outcome_codes, outcome_names, outcomes
+from jaxfil.stepper import tableau
 from jaxfil.system import System, has_resets
 
 Record = Mapping[str, str | int | np.ndarray]
@@ -90,6 +93,32 @@ class Checkpoint:
                 raise
         for left in self._path.glob(f".*-{name}"):  # by a run that was killed
             shutil.rmtree(left, ignore_errors=True)
+
+
+def record_of(
+    system: System, where: Points, given: Conditions, *, samples: int, stepper: Any
+) -> Record:
+    """All that the numbers of a sweep depend on, by the names that a user knows."""
+    table = repr(tableau(stepper)).encode()
+    columns = where.values if isinstance(where.values, tuple) else where.rows.T
+    return {
+        "system": type(system).__name__,
+        "equations": equations(system, np.zeros(given.x0.shape[-1:], given.x0.dtype)),
+        **{f"system.{key}": value for key, value in given.parameters.items()},
+        "name": ", ".join(where.names),
+        "points": str(where.shape),
+        **{f"values of {key}": v for key, v in zip(where.names, columns, strict=True)},
+        "x0": given.x0,
+        "transient": given.transient,
+        "samples": samples,
+        "steps": given.steps,
+        "stepper": given.stepper,
+        "coefficients": hashlib.sha256(table).hexdigest()[:16],
+        "follow": str(given.follow),
+        "jaxfil": given.version,
+        "jax": jax.__version__,
+        "backend": jax.default_backend(),
+    }
 
 
 def digest(record: Record) -> bytes:

@@ -15,9 +15,10 @@ from jaxtyping import Float
 from jaxfil import store
 from jaxfil.labels import Labels
 from jaxfil.results import RESULTS, outcome_codes, outcome_names, outcomes
+from jaxfil.solution import precision
 
 # Names of a data set that are no parameter's.
-_VARIABLES = {"x", "outcome", "sample", "component", "point", "unit"}
+_VARIABLES = {"x", "outcome", "error", "sample", "component", "point", "unit"}
 _ATTRIBUTES = {
     "system",
     "swept",
@@ -55,6 +56,11 @@ class BifurcationDiagram(eqx.Module):
     In a grid of parameters, `parameter` is a tuple of names and `values` one of arrays, and
     `xs[i, j, k]` belongs to `values[0][i]` and `values[1][j]`; of points in parameter space,
     `values` has shape (p, number of names).
+
+    `errors[i]` estimates how far the samples of a lane are from the exact ones of that initial
+    state: the largest distance in each component from a run at half the step. It is of the size of
+    the attractor where a lane is chaotic, whose samples are on the attractor but no longer those of
+    the initial state.
     """
 
     values: Float[np.ndarray, " p"] | Float[np.ndarray, "p k"] | tuple[np.ndarray, ...]
@@ -65,6 +71,9 @@ class BifurcationDiagram(eqx.Module):
     conditions: Conditions
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures and named arrays call its quantities."""
+    errors: Float[np.ndarray, "*shape n"] | None = None
+    """Estimated largest |xs − exact| of each lane, component by component, if asked for; NaN where
+    the lane or the run at half the step failed."""
 
     @property
     def successful(self) -> np.ndarray:
@@ -97,7 +106,8 @@ class BifurcationDiagram(eqx.Module):
         return found
 
     def to_xarray(self) -> Any:
-        """An `xarray.Dataset` of `x` (parameters, sample, component) and `outcome` (parameters).
+        """An `xarray.Dataset` of `x` (parameters, sample, component) and `outcome` (parameters),
+        and of `error` (parameters, component) if errors were estimated.
 
         Outcomes are words. Components have the names that the system gives them, and a coordinate
         `unit` where it gives units; parameters have their symbol as `long_name`. The attributes
@@ -111,6 +121,8 @@ class BifurcationDiagram(eqx.Module):
             "x": ((*dims, "sample", "component"), self.xs),
             "outcome": (dims, outcome_names(self.results).astype(object)),
         }
+        if self.errors is not None:
+            variables["error"] = (*dims, "component"), self.errors
         if self.conditions.x0.ndim > 1:
             variables["x0"] = (*dims, "component"), self.conditions.x0
         for name, value in self.conditions.parameters.items():
@@ -183,11 +195,13 @@ class BifurcationDiagram(eqx.Module):
         else:
             swept = [f"  {', '.join(self.parameter)}: {shape[0]} points"]
         lines = [
-            f"BifurcationDiagram of {self.system}",
+            f"BifurcationDiagram of {self.system}{precision(self.xs)}",
             *swept,
             f"  {samples} samples of {n} components each",
             f"  {int(self.successful.sum())} of {math.prod(shape)} lanes successful",
         ]
+        if self.errors is not None:
+            lines.append(_errors_line(self.errors))
         return "\n".join(lines)
 
 
@@ -223,6 +237,7 @@ def load(path: str | os.PathLike) -> BifurcationDiagram:
             version=data.attrs["jaxfil_version"],
         ),
         labels=_labels(data, swept),
+        errors=data["error"].values if "error" in data else None,
     )
 
 
@@ -255,3 +270,15 @@ def _key(name: str) -> str:
 
 def _range(name: str, axis: np.ndarray) -> str:
     return f"  {name}: {axis.size} values from {axis[0]:g} to {axis[-1]:g}"
+
+
+def _errors_line(errors: np.ndarray) -> str:
+    """The errors of lanes, each the largest of its components."""
+    lanes = np.max(errors, axis=-1)
+    lanes = lanes[np.isfinite(lanes)]
+    if not lanes.size:
+        return "  error unknown: no lane has ended, or none at half the step"
+    return (
+        f"  error about {np.median(lanes):.1e} in the median lane, {lanes.max():.1e} at most, from "
+        "a run at half the step"
+    )

@@ -151,10 +151,12 @@ def _field_of_mode(scene_: Any, mode: Any, t: Array, x: Any) -> Any:
 
 def card(sol: Solution) -> str:
     """What happened, in a few lines; shapes only for a batch or while traced."""
+    told = precision(sol.x_final)
     if isinstance(sol.t_final, jax.core.Tracer) or sol.t_final.ndim > 0:
         batch = tuple(sol.t_final.shape)
-        return f"Solution: a batch of shape {batch}, states of {sol.x_final.shape[-1]} components"
-    lines = [f"Solution: {outcome(sol.result)}"]
+        n = sol.x_final.shape[-1]
+        return f"Solution{told}: a batch of shape {batch}, states of {n} components"
+    lines = [f"Solution{told}: {outcome(sol.result)}"]
     state = np.array2string(np.asarray(sol.x_final), precision=6, separator=", ")
     lines.append(f"  t = {float(sol.t_final):.10g}, x = {state}, mode {sol.mode_final.tolist()}")
     if sol.ts is not None:
@@ -189,6 +191,11 @@ def _events_line(sol: Solution) -> str:
     counts = [(k.name, int(np.sum(kinds == k))) for k in KINDS if k is not KINDS.none]
     parts = ", ".join(f"{number} {name}" for name, number in counts if number)
     return f"{total} contacts ({parts})"
+
+
+def precision(numbers: Any) -> str:
+    """What a card says of the precision of numbers: nothing in float64."""
+    return "" if numbers.dtype == np.float64 else f" in {numbers.dtype}"
 
 
 def outcome(result: RESULTS) -> str:

@@ -5,11 +5,12 @@ sampled once a forcing period, leaves. Lanes run in chunks, a chunk on every cor
 each has its own outcome.
 """
 
+import dataclasses
 import functools as ft
-import hashlib
 import os
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import diffrax
@@ -18,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxfil import check, processes, scene
+from jaxfil import check, companion, processes, scene
 from jaxfil.block import integrate_block
-from jaxfil.checkpoint import Checkpoint, Record, digest, equations
+from jaxfil.checkpoint import Checkpoint, Record, digest, record_of
 from jaxfil.chunk import BLOCK, compiled, one_after_another, side_by_side
 from jaxfil.diagram import BifurcationDiagram, Conditions
 from jaxfil.flow import integrate
@@ -29,7 +30,7 @@ from jaxfil.labels import labels_of
 from jaxfil.lane import Policy, Span
 from jaxfil.parameter import parameter, parameters, replace
 from jaxfil.points import Points, points
-from jaxfil.results import RESULTS, outcomes
+from jaxfil.results import RESULTS, code, outcomes
 from jaxfil.stepper import tableau
 from jaxfil.system import System
 from jaxfil.version import __version__
@@ -48,6 +49,7 @@ def bifurcation_diagram(
     follow: Literal["up", "down"] | None = None,
     checkpoint: str | os.PathLike | None = None,
     progress: bool = True,
+    estimate_error: bool = False,
 ) -> BifurcationDiagram:
     """Sweep the parameter `name` of a forced system over `values`.
 
@@ -69,11 +71,14 @@ def bifurcation_diagram(
       call goes on from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
       numbers bit for bit. A call with other arguments is refused. Needs xarray and zarr.
     - `progress`: show a progress bar.
+    - `estimate_error`: sweep a second time at half the step, and give the largest distance between
+      the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
 
-    **Returns** a `BifurcationDiagram`. A lane that fails says why in `results` and harms no other.
-    Ctrl-C ends the sweep after the chunks under way, with a warning, and returns what is done; the
-    outcome of the other lanes is `interrupted`. The numbers do not depend on how many cores the
-    machine has.
+    **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
+    n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for. A lane that fails says why in
+    `results` and harms no other. Ctrl-C ends the sweep after the chunks under way, with a warning,
+    and returns what is done; the outcome of the other lanes is `interrupted`. The numbers do not
+    depend on how many cores the machine has.
 
     **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
     `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
@@ -94,6 +99,10 @@ def bifurcation_diagram(
     ...     sd, ("omega", "f0"), (omega, f0), x0, transient=20, samples=5, progress=False)
     >>> d.xs.shape
     (3, 2, 5, 2)
+    >>> d = jf.bifurcation_diagram(sd, "omega", jnp.array([0.6, 1.2]), x0, transient=20, samples=5,
+    ...     steps=20, estimate_error=True, progress=False)
+    >>> d.errors.shape, bool(d.errors.max() < 1e-2)
+    ((2, 2), True)
     """
     check.system("system", system)
     dtype = _state_type(x0)
@@ -119,9 +128,19 @@ def bifurcation_diagram(
         version=__version__,
     )
     samples = check.count("samples", samples)
-    kept = _begun(checkpoint, ft.partial(_record, system, where, conditions, samples, stepper))
-    xs, codes = _swept(system, where, conditions, samples, stepper, kept, progress)
-    diagram = BifurcationDiagram(
+    record = ft.partial(record_of, system, where, samples=samples, stepper=stepper)
+    run = ft.partial(_swept, system, where, samples=samples, stepper=stepper, progress=progress)
+    kept = _begun(checkpoint, ft.partial(record, conditions), estimate_error)
+    xs, codes = run(conditions, kept)
+    finished = _all_finished("sweep", "samples", codes, checkpoint)
+    errors = np.full_like(xs[:, 0], np.nan) if estimate_error else None
+    if estimate_error and finished:
+        half = dataclasses.replace(conditions, steps=2 * conditions.steps)
+        folder = None if checkpoint is None else Path(checkpoint) / companion.FOLDER
+        other_xs, other_codes = run(half, folder and Checkpoint(folder, record(half)))
+        errors = companion.errors(xs, codes, other_xs, other_codes, half)
+        _all_finished("run at half the step", "errors", other_codes, checkpoint)
+    return BifurcationDiagram(
         values=where.values,
         xs=xs.reshape(*where.shape, *xs.shape[1:]),
         results=outcomes(codes.reshape(where.shape)),
@@ -129,18 +148,18 @@ def bifurcation_diagram(
         system=type(system).__name__,
         conditions=conditions,
         labels=labels,
+        errors=None if errors is None else errors.reshape(*where.shape, -1),
     )
-    _warn_if_interrupted(diagram, checkpoint)
-    return diagram
 
 
 def _swept(
     system: System,
     where: Points,
     given: Conditions,
+    kept: Checkpoint | None,
+    *,
     samples: int,
     stepper: Any,
-    kept: Checkpoint | None,
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
@@ -195,49 +214,27 @@ def _initial_states(x0: Any, shape: tuple[int, ...], follow: bool) -> np.ndarray
     return states
 
 
-def _record(
-    system: System, where: Points, conditions: Conditions, samples: int, stepper: Any
-) -> Record:
-    """All that the numbers of a sweep depend on, by the names that a user knows."""
-    table = repr(tableau(stepper)).encode()
-    columns = where.values if isinstance(where.values, tuple) else where.rows.T
-    return {
-        "system": type(system).__name__,
-        "equations": equations(system, np.zeros(conditions.x0.shape[-1:], conditions.x0.dtype)),
-        **{f"system.{key}": value for key, value in conditions.parameters.items()},
-        "name": ", ".join(where.names),
-        "points": str(where.shape),
-        **{f"values of {key}": v for key, v in zip(where.names, columns, strict=True)},
-        "x0": conditions.x0,
-        "transient": conditions.transient,
-        "samples": samples,
-        "steps": conditions.steps,
-        "stepper": conditions.stepper,
-        "coefficients": hashlib.sha256(table).hexdigest()[:16],
-        "follow": str(conditions.follow),
-        "jaxfil": conditions.version,
-        "jax": jax.__version__,
-        "backend": jax.default_backend(),
-    }
-
-
-def _begun(checkpoint: str | os.PathLike | None, record: Callable[[], Record]) -> Checkpoint | None:
+def _begun(
+    checkpoint: str | os.PathLike | None, record: Callable[[], Record], estimate_error: bool
+) -> Checkpoint | None:
     """The checkpoint, if one is asked for, after a look whether all processes ask for the same."""
     if jax.process_count() > 1:
-        processes.same(digest(record()))
+        processes.same(digest({**record(), "estimate_error": str(estimate_error)}))
     return None if checkpoint is None else Checkpoint(checkpoint, record())
 
 
-def _warn_if_interrupted(diagram: BifurcationDiagram, checkpoint: Any) -> None:
-    missing = np.asarray(diagram.results == RESULTS.interrupted)
+def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: Any) -> bool:
+    """Whether Ctrl-C left no lane unfinished; a warning where it did."""
+    missing = codes == code(RESULTS.interrupted)
     if missing.any():
         rest = "" if checkpoint is None else f"; the same call goes on from {checkpoint}"
         warnings.warn(
-            f"The sweep was interrupted: {int((~missing).sum())} of {missing.size} lanes are "
-            f"finished, the samples of the others are NaN{rest}.",
+            f"The {what} was interrupted: {int((~missing).sum())} of {missing.size} lanes are "
+            f"finished, the {lost} of the others are NaN{rest}.",
             RuntimeWarning,
             stacklevel=3,
         )
+    return not missing.any()
 
 
 def _problem(system, names, transient, samples, steps, stepper, row, x0):

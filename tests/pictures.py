@@ -28,6 +28,11 @@ SD, BELT = jf.systems.SDOscillator(), jf.systems.BeltFriction(v=0.5)
 NAMES = labels_of(SD, 2)
 
 
+def made(kind, **attributes):
+    """A result of that kind that has these attributes and no others."""
+    return object.__new__(type(kind)(kind.__name__, (kind,), attributes))
+
+
 def motion():
     """A turn on a belt of velocity 1/2: it sticks, slips, crosses and ends at a wall."""
     ts = np.linspace(0.0, 8.0, 161)
@@ -144,7 +149,8 @@ def branch():
         SimpleNamespace(kind="fold", value=0.9, index=16),
         SimpleNamespace(kind="contacts", value=0.78, index=33),
     ]
-    return SimpleNamespace(
+    return made(
+        jf.Branch,
         parameter="omega",
         values=values,
         orbits=SimpleNamespace(x0=height, system=SD),
@@ -216,7 +222,7 @@ PICTURES = {
     "lyapunov_convergence": lambda ax: jf.plot.lyapunov_convergence(spectrum(), ax),
     "lyapunov_exponents": lambda ax: jf.plot.lyapunov_exponents(VALUES, spectrum(VALUES), ax, "Ω"),
     "multipliers": lambda ax: jf.plot.multipliers(
-        SimpleNamespace(multipliers=np.array([0.5 + 0.5j, 0.5 - 0.5j, -1.2])), ax
+        made(jf.Orbit, multipliers=np.array([0.5 + 0.5j, 0.5 - 0.5j, -1.2])), ax
     ),
     "parameter_map": lambda ax: jf.plot.parameter_map(periods(), ax),
     "phase_portrait": lambda ax: jf.plot.phase_portrait(motion(), ax, BELT),

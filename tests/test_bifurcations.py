@@ -15,6 +15,7 @@ import jaxfil as jf
 from jaxfil.analysis.bifurcation import KINDS
 from jaxfil.parameter import replace
 from jaxfil.results import outcome_names
+from tests.test_cards import in_float32
 
 SD_LOW, SD_HIGH = 0.866716581971234, 1.117142393133526
 BELT = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0)
@@ -298,3 +299,4 @@ def test_a_bifurcation_prints_its_conditions(sd_grazing):
     card = repr(sd_grazing)
     assert "grazing at omega = 0.86671658197" in card
     assert "d²H/dt² 0.75119" in card
+    assert "Bifurcation in float32: grazing at omega = 0.8667" in repr(in_float32(sd_grazing))

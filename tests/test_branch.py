@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
 
 import jaxfil as jf
+from tests.pictures import made
 
 matplotlib.use("Agg")
 
@@ -284,9 +285,8 @@ def test_a_special_point_is_drawn_on_the_curve():
     # Between the orbits number 1 and 2, halfway.
     point = jf.SpecialPoint("contacts", 1.5, sd_branch().points[0].orbit, 2, (), ())
     orbits = SimpleNamespace(x0=np.asarray([[0.0, 0], [1, 0], [4, 0]]), system=S.SDOscillator())
-    branch = SimpleNamespace(
-        parameter="a", values=np.arange(3.0), orbits=orbits, stable=np.ones(3, bool), points=[point]
-    )
+    told = {"parameter": "a", "values": np.arange(3.0), "points": [point]}
+    branch = made(jf.Branch, **told, orbits=orbits, stable=np.ones(3, bool))
     marker = jf.plot.branch(branch, ax=matplotlib.figure.Figure().subplots()).lines[-1]
     assert marker.get_xydata().tolist() == [[1.5, 2.5]]
 

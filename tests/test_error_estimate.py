@@ -1,4 +1,5 @@
-"""`solve(..., estimate_error=True)` is honest: from a third of the true error to thirty times it.
+"""`estimate_error=True` is honest, of a solution and of a sweep: from a third of the true error to
+thirty times it.
 
 The true error is taken from numbers of other codes and from closed forms where a test says so, and
 else from a run of order 8 at a step far below those that are judged.
@@ -154,3 +155,72 @@ def test_card_and_refusal():
     assert jf.solve(system, x0, 0.0, 5.0, 0.5).errors is None
     with pytest.raises(ValueError, match="`estimate_error` must be False"):
         jf.solve(system, x0, 0.0, 5.0, 0.5, saveat=diffrax.SaveAt(steps=True), estimate_error=True)
+
+
+SWEEPS = {
+    "sd": (jf.systems.SDOscillator(), [0.3, 0.1], [0.7, 0.9]),
+    "belt 2": (jf.systems.BeltFriction(), [0.1, 0.3], [4.3, 4.6]),
+}
+
+
+def swept(name, **options):
+    system, x0, values = SWEEPS[name]
+    run = {"transient": 100, "samples": 10, "progress": False}
+    return jf.bifurcation_diagram(system, "omega", values, jnp.asarray(x0), **run | options)
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_honest_on_lanes_that_settle_and_of_the_attractors_size_on_chaotic_ones(name):
+    truth = swept(name, steps=200).xs
+    for steps in (16, 24):
+        d = swept(name, steps=steps, estimate_error=True)
+        np.testing.assert_array_equal(d.xs, swept(name, steps=steps).xs)
+        assert d.errors.shape == (2, 2)
+        error = np.max(abs(d.xs - truth), axis=1)
+        assert_honest(d.errors[0], error[0], np.max(abs(truth[0])))
+        size = np.ptp(truth[1], axis=0)
+        assert np.all(error[1] > 0.1 * size), "its samples are those of another motion"
+        assert np.all((0.1 * size < d.errors[1]) & (d.errors[1] < 10 * size))
+
+
+@pytest.mark.parametrize("options", [{"follow": "down"}, {"x0": np.eye(2)}, {"grid": True}])
+def test_a_sweeps_errors_are_its_distance_from_one_at_half_the_step(options):
+    def run(steps, **estimate):
+        run = {"transient": 2, "samples": 2, "progress": False, "stepper": jf.RK4()} | options
+        grid, x0 = run.pop("grid", False), run.pop("x0", np.array([0.3, 0.1]))
+        names = ("omega", "f0") if grid else "omega"
+        values = ([0.7, 0.8, 0.9], [0.2, 0.25]) if grid else [0.7, np.nan]
+        system = jf.systems.SDOscillator()
+        return jf.bifurcation_diagram(system, names, values, x0, steps=steps, **run, **estimate)
+
+    coarse, fine = run(20, estimate_error=True), run(40)
+    assert fine.errors is None and "error" not in repr(fine)
+    distance = np.max(abs(coarse.xs - fine.xs), axis=-2)
+    np.testing.assert_array_equal(coarse.errors, distance)
+    known = distance[coarse.successful].max(axis=-1)
+    assert coarse.errors.shape == (*coarse.successful.shape, 2) and known.size in (1, 6)
+    told = f"error about {np.median(known):.1e} in the median lane, {known.max():.1e} at most"
+    assert told in repr(coarse)
+
+
+class Driven(jf.System):
+    """x' = cos ωt − x, which settles on (cos t + sin t)/2 for ω = 1."""
+
+    omega: jnp.ndarray
+
+    def vector_field(self, t, x, side):
+        return jnp.cos(self.omega * t) - x
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+def test_a_sweeps_errors_are_no_smaller_than_rounding_and_unknown_where_nothing_ends():
+    run = {"transient": 20, "samples": 2, "steps": 60, "progress": False, "estimate_error": True}
+    driven, x0 = Driven(jnp.asarray(1.0)), jnp.asarray([0.5])
+    d = jf.bifurcation_diagram(driven, "omega", [1.0], x0, **run)
+    assert np.max(abs(d.xs - 0.5)) <= 3 * d.errors[0, 0] < 1e-13
+    assert d.errors[0, 0] > np.finfo(float).eps
+    lost = jf.bifurcation_diagram(driven, "omega", [np.nan], x0, **run)
+    assert np.isnan(lost.errors).all() and "error unknown" in repr(lost)

@@ -67,6 +67,7 @@ def test_the_dataset_says_what_it_is():
     }
 
 
+ESTIMATED = {"estimate_error": True, "steps": 10}
 DIAGRAMS = {
     "a line": lambda: sweep([0.7, np.nan, 0.8]),
     "a line in float32": lambda: sweep([0.7, 0.8], x0=X0.astype(np.float32)),
@@ -74,6 +75,8 @@ DIAGRAMS = {
     "a state for each lane": lambda: sweep([0.7, 0.8], x0=np.stack([X0, -X0])),
     "names of other things": lambda: sweep([0.1, 0.0], "x", system=named()),
     "a grid": lambda: sweep(([0.7, 0.8, 0.9], [0.2, 0.25]), ("omega", "f0")),
+    "errors of a line": lambda: sweep([0.7, np.nan, 0.8], **ESTIMATED),
+    "errors of a grid": lambda: sweep(([0.7, 0.8, 0.9], [0.2]), ("omega", "f0"), **ESTIMATED),
     "points": lambda: sweep(np.array([[0.7, 0.2], [0.8, 0.3]]), ("omega", "f0")),
 }
 
@@ -84,7 +87,9 @@ def test_what_is_saved_comes_back(make, tmp_path):
     for path in (tmp_path / "sweep.nc", str(tmp_path / "sweep.zarr")):
         diagram.save(path)
         back = jf.load(path)
-        assert eqx.tree_equal(*(dataclasses.replace(d, values=0, xs=0) for d in (diagram, back)))
+        assert eqx.tree_equal(
+            *(dataclasses.replace(d, values=0, xs=0, errors=0) for d in (diagram, back))
+        )
         for a, b in zip(arrays(diagram), arrays(back), strict=True):
             assert a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
         back.save(path)
@@ -92,7 +97,15 @@ def test_what_is_saved_comes_back(make, tmp_path):
 
 def arrays(diagram):
     values = diagram.values if isinstance(diagram.values, tuple) else (diagram.values,)
-    return *values, diagram.xs
+    return *values, diagram.xs, np.zeros(0) if diagram.errors is None else diagram.errors
+
+
+def test_the_dataset_has_the_errors_of_each_lane():
+    d = sweep([0.7, 0.8], **ESTIMATED)
+    data = d.to_xarray()
+    assert data["error"].dims == ("omega", "component")
+    np.testing.assert_array_equal(data["error"].sel(omega=0.8), d.errors[1])
+    assert "error" not in sweep([0.7]).to_xarray()
 
 
 def test_every_bit_is_kept(tmp_path):
@@ -170,6 +183,37 @@ def test_what_is_done_comes_back_after_ctrl_c(monkeypatch, tmp_path, follow):
     assert np.all(np.isnan(part.xs[~done]))
     np.testing.assert_array_equal(part.xs[done], whole.xs[done])
     assert eqx.tree_equal(whole, sweep(values, follow=follow, checkpoint=tmp_path))
+
+
+@pytest.mark.usefixtures("ctrl_c_interrupts")
+@pytest.mark.parametrize("pieces, lost", [(2, "samples"), (6, "errors")])
+def test_errors_come_back_after_ctrl_c_in_either_run(monkeypatch, tmp_path, pieces, lost):
+    values = np.linspace(0.6, 0.9, 200)  # four pieces in each of the two runs
+    whole = sweep(values, **ESTIMATED)
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, pieces)
+        with pytest.warns(RuntimeWarning, match=f"the {lost} of the others are NaN; the .* from"):
+            part = sweep(values, **ESTIMATED, checkpoint=tmp_path)
+    known = np.isfinite(part.errors[:, 0])
+    assert known.any() == part.successful.all() == (lost == "errors") and not known.all()
+    np.testing.assert_array_equal(part.errors[known], whole.errors[known])
+    assert eqx.tree_equal(whole, sweep(values, **ESTIMATED, checkpoint=tmp_path))
+
+
+def test_a_finished_sweep_is_only_read_when_its_errors_are_asked_for(monkeypatch, tmp_path):
+    plain = sweep([0.7, 0.8], **ESTIMATED | {"estimate_error": False}, checkpoint=tmp_path)
+    written = []
+    before = checkpoint.Checkpoint.write
+    monkeypatch.setattr(
+        checkpoint.Checkpoint,
+        "write",
+        lambda self, *args: (written.append(self._path), before(self, *args)),
+    )
+    asked = sweep([0.7, 0.8], **ESTIMATED, checkpoint=tmp_path)
+    assert written == [tmp_path / "half_step"]
+    assert eqx.tree_equal(dataclasses.replace(asked, errors=None), plain)
+    assert eqx.tree_equal(asked, sweep([0.7, 0.8], **ESTIMATED, checkpoint=tmp_path))
+    assert len(written) == 1
 
 
 KILLED = """

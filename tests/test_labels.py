@@ -10,6 +10,7 @@ import pytest
 
 import jaxfil as jf
 from jaxfil.labels import Labels, labels_of
+from tests.pictures import made
 
 X0 = jnp.array([0.3, 0.1])
 
@@ -73,11 +74,12 @@ def test_pictures_of_an_orbit_and_its_branch_say_what_the_system_calls_things(or
     assert labels(plain.plot(axes())) == ("x[0]", "x[1]")
     path = named.trajectory()
     assert labels(jf.plot.time_history(path, axes(), component=1)) == ("t, s", "v, m/s")
-    branch = SimpleNamespace(
+    branch = made(
+        jf.Branch,
         parameter="omega",
         values=np.arange(2.0),
         orbits=SimpleNamespace(x0=np.zeros((2, 2)), system=NAMED),
-        extremes=lambda: (np.zeros((2, 2)), np.ones((2, 2))),
+        extremes=lambda self: (np.zeros((2, 2)), np.ones((2, 2))),
         stable=np.ones(2, bool),
         points=[],
     )

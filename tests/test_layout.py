@@ -46,6 +46,7 @@ ORDER = [
     "points",
     "store",
     "diagram",
+    "companion",
     "checkpoint",
     "processes",
     "chunk",

@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxfil as jf
 from jaxfil import KINDS, RESULTS
 from jaxfil.results import outcome_names
+from tests.test_cards import in_float32
 
 S = jf.systems
 CROSS, STICK, SLIP = KINDS.crossing, KINDS.stick, KINDS.slip
@@ -199,6 +200,7 @@ def test_an_orbit_tells_what_it_is():
     assert "crossing, crossing" in card and "8.97597901026" in card
     assert "batch of shape (5,)" in repr(sd_orbits())
     assert "no contacts" in repr(one_belt(17.0))
+    assert "Orbit of SDOscillator in float32: successful" in repr(in_float32(sd_orbit()))
 
 
 # Den Hartog (1931), two stops a period: amplitude √(V² - S²U²), V = 1/(1 - Ω²), U = tan(π/2Ω)/Ω;

@@ -44,7 +44,7 @@ def test_fig4_harmonic_balance_is_the_closed_form():
 
 @pytest.mark.slow
 def test_fig5_smoothed_lanes_are_what_they_are_alone():
-    # In 512-bit vectors XLA's arctan is in the wrong quadrant for half of 64 lanes.
+    # XLA's own arctangent is wrong for 50 lanes and more (jax-ml/jax issue 39352).
     values, counts = np.linspace(0.6, 1.3, 64), {"periods": 1, "transient": 1, "steps": 100}
     batch = spectra(fig5.smooth, values, fig5.X0, **counts).x_final
     for i in (0, 5, 21, 63):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import re
 import time
 
 import diffrax
@@ -16,6 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import KINDS, RESULTS
+from tests.pictures import PICTURES, VALUES, made
 
 matplotlib.use("Agg")
 
@@ -239,10 +241,8 @@ def test_a_section_shows_every_finite_state():
 
 
 def test_multipliers_inside_and_outside_the_unit_circle():
-    class Found:
-        multipliers = jnp.array([0.5 + 0.5j, -2.0, jnp.nan])
-
-    ax = jf.plot.multipliers(Found())
+    found = made(jf.Orbit, multipliers=jnp.array([0.5 + 0.5j, -2.0, jnp.nan]))
+    ax = jf.plot.multipliers(found)
     _, _, _, inside, outside = ax.lines
     assert_array_equal(np.array(inside.get_data()).ravel(), [0.5, 0.5])
     assert_array_equal(np.array(outside.get_data()).ravel(), [-2.0, 0.0])
@@ -355,3 +355,48 @@ def test_exponents_that_do_not_fit_are_refused():
         jf.plot.lyapunov_exponents(np.zeros(3), spectrum(np.zeros((2, 2))))
     with pytest.raises(ValueError, match="`spectrum` must be of one lane"):
         jf.plot.lyapunov_convergence(spectrum(np.zeros((2, 2))))
+
+
+# The argument of each picture that is a result, and what it must be.
+DRAWN = {
+    "basins": ("found", "a jaxfil.Basins"),
+    "bifurcation_curve": ("curve", "a jaxfil.BifurcationCurve"),
+    "bifurcation_diagram": ("diagram", "a jaxfil.BifurcationDiagram"),
+    "branch": ("branch", "a jaxfil.Branch"),
+    "lyapunov_convergence": (
+        "spectrum",
+        "a jaxfil.LyapunovSpectrum or a jaxfil.TransverseExponent",
+    ),
+    "lyapunov_exponents": ("spectrum", "a jaxfil.LyapunovSpectrum"),
+    "multipliers": ("orbit", "a jaxfil.Orbit"),
+    "parameter_map": ("diagram", "a jaxfil.BifurcationDiagram"),
+    "phase_portrait": ("sol", "a jaxfil.Solution"),
+    "poincare_section": ("xs", "states of shape (k, n) with n > 1"),
+    "synchronization": ("found", "a jaxfil.Synchronization"),
+    "time_history": ("sol", "a jaxfil.Solution"),
+    "work_precision": ("table", "a jaxfil.WorkPrecision"),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_another_result_is_refused_by_its_name(name):
+    argument, must = DRAWN[name]
+    draw = getattr(jf.plot, name)
+    before = {"values": VALUES} if name == "lyapunov_exponents" else {}
+    for wrong in (None, np.zeros(3), jf.systems.SDOscillator(), jf.Bifurcation):
+        with pytest.raises(
+            ValueError, match=re.escape(f"`{argument}` must be {must}, got")
+        ) as told:
+            draw(**before, **{argument: wrong})
+        assert any(word in str(told.value) for word in (type(wrong).__name__, "None", "(3,)"))
+    for public in re.findall(r"jaxfil\.(\w+)", must):
+        assert hasattr(jf, public)
+    with pytest.raises(ValueError, match="`ax` must be matplotlib axes or None, got SDOscillator"):
+        PICTURES[name](jf.systems.SDOscillator())
+
+
+def test_surfaces_and_names_of_no_system_are_refused():
+    with pytest.raises(ValueError, match=r"instance of jaxfil\.System, got str"):
+        jf.plot.phase_portrait(sticking(), system="belt")
+    with pytest.raises(ValueError, match=r"instance of jaxfil\.System, got str"):
+        jf.plot.poincare_section(np.zeros((3, 2)), system="belt")

@@ -182,7 +182,8 @@ class Bent(Sorted):
 
 
 def test_an_arctangent_is_in_its_quadrant():
-    # XLA compiles arctan to wrong quadrants in 512-bit vectors, when there are lanes enough.
+    # XLA's own is in wrong quadrants in 512-bit vectors, when there are lanes enough: a field's is
+    # replaced.
     values, x0 = np.linspace(0.9, 1.1, 256), jnp.array([0.3, 0.1])
     d = jf.bifurcation_diagram(
         Bent(jnp.asarray(1.0)), "omega", values, x0, transient=1, samples=1, progress=False

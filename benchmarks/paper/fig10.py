@@ -5,12 +5,15 @@ chaotic attractor followed down: the two coexist. The jump in the first is where
 orbit's basin, which two pictures of the basin show; it is located by bisection in ω.
 """
 
+import functools as ft
+
 import numpy as np
 from matplotlib.colors import ListedColormap
 
 import jaxfil as jf
 from benchmarks.bifurcations import cubic_grazing
 from benchmarks.paper.canvas import BLACK, BLUE, ORANGE, SKY, VERMILLION, canvas, dots, entitle
+from benchmarks.paper.sweeps import sweep_of
 from benchmarks.paper.table import Row
 
 TITLE = "Fig. 10: bifurcation diagram of the belt, case 2, γ1 = 0, γ2 = 10000"
@@ -19,24 +22,8 @@ ON_ORBIT = np.array([0.1483395597, 0.35818994986])  # at 4.56
 ENDS, CLOSE = (4.2, 4.7), (4.45, 4.7)
 JUMP, GRAZING = 4.56382205, 4.652570419201206
 WINDOW = ((-0.06, 0.17), (-0.7, 0.7))
-
-
-def sweep(values, x0, transient, samples, follow=None, steps=40):
-    """Samples (p, samples, 2) of the motion from x0."""
-    belt = jf.systems.BeltFriction()
-    diagram = jf.bifurcation_diagram(
-        belt,
-        "omega",
-        values,
-        x0,
-        transient=transient,
-        samples=samples,
-        steps=steps,
-        follow=follow,
-        progress=False,
-    )
-    assert diagram.successful.all()
-    return diagram.xs
+# Samples (p, samples, 2) of the motion from x0.
+sweep = ft.partial(sweep_of, jf.systems.BeltFriction)
 
 
 def on_orbit(xs):

@@ -5,10 +5,13 @@ states whose motion is still chaotic after N periods. Where a diagram shows chao
 end depends on N: it ends for good in a crisis near Ω = 1.13, and is a transient above.
 """
 
+import functools as ft
+
 import numpy as np
 
 import jaxfil as jf
 from benchmarks.paper.canvas import BLACK, BLUE, COLORS, ORANGE, canvas, dots, entitle
+from benchmarks.paper.sweeps import sweep_of
 from benchmarks.paper.table import Row
 
 TITLE = "Fig. 6: bifurcation diagram of the SD oscillator, α = 0, f0 = 0.25, ζ = 0.0141"
@@ -18,22 +21,8 @@ GRAZING = 0.866716581971234
 HOLDS = (50, 200, 800, 3200)
 LOOK, LONGEST = 32, 12
 MEAN_LIFE_AT = 1.145
-
-
-def sweep(values, x0, transient, samples, follow=None):
-    """Samples (p, samples, 2) of the motion from x0."""
-    diagram = jf.bifurcation_diagram(
-        jf.systems.SDOscillator(),
-        "omega",
-        values,
-        x0,
-        transient=transient,
-        samples=samples,
-        follow=follow,
-        progress=False,
-    )
-    assert diagram.successful.all()
-    return diagram.xs
+# Samples (p, samples, 2) of the motion from x0.
+sweep = ft.partial(sweep_of, jf.systems.SDOscillator)
 
 
 def chaotic(xs):

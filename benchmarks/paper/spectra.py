@@ -9,9 +9,7 @@ import numpy as np
 
 import jaxfil as jf
 
-# Lanes of one call; calls run on all cores. XLA's default of 256-bit vectors stays: in 512-bit ones
-# it (0.10.2) puts the arctan of a smoothed system in the wrong quadrant for half of the lanes, and
-# every exponent with it.
+# Lanes of one call; calls run on all cores.
 CHUNK = 64
 
 

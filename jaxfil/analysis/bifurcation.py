@@ -39,7 +39,7 @@ from jaxfil.analysis.touch import (
 )
 from jaxfil.parameter import parameter, replace
 from jaxfil.results import RESULTS
-from jaxfil.solution import outcome
+from jaxfil.solution import outcome, precision
 from jaxfil.system import System
 
 KINDS = tuple(FAMILIES)
@@ -69,11 +69,12 @@ class Bifurcation(eqx.Module):
         return str(names) if names.ndim == 0 else names
 
     def __repr__(self) -> str:
+        told = precision(self.x)
         if isinstance(self.value, jax.core.Tracer) or self.value.ndim:
-            return f"Bifurcation: a batch of shape {self.value.shape} in {self.parameter}"
+            return f"Bifurcation{told}: a batch of shape {self.value.shape} in {self.parameter}"
         c, show = self.conditions, ft.partial(np.array2string, precision=8, separator=", ")
         return (
-            f"Bifurcation: {self.kind} at {self.parameter} = {float(self.value):.15g}, "
+            f"Bifurcation{told}: {self.kind} at {self.parameter} = {float(self.value):.15g}, "
             f"{outcome(self.result)}\n"
             f"  touches surface {int(self.touch.surface)} from side {int(self.touch.side):+d} at "
             f"t = {float(self.t):.10g}, x = {show(np.asarray(self.x))}\n"

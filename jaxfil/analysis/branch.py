@@ -19,6 +19,7 @@ from jaxfil.analysis.family import Family, Point, correct, metric, orbit_of, pla
 from jaxfil.analysis.orbit import Orbit, periodic_orbit
 from jaxfil.analysis.walk import walk
 from jaxfil.parameter import parameter, replace
+from jaxfil.solution import precision
 from jaxfil.system import System
 
 
@@ -94,7 +95,8 @@ class Branch(eqx.Module):
 
     def __repr__(self) -> str:
         lines = [
-            f"Branch of {type(self.orbits.system).__name__}: {len(self.values)} orbits, "
+            f"Branch of {type(self.orbits.system).__name__}{precision(self.orbits.x0)}: "
+            f"{len(self.values)} orbits, "
             f"{self.parameter} from {self.values[0]:.6g} to {self.values[-1]:.6g} "
             f"(range {self.values.min():.6g} to {self.values.max():.6g})",
             f"  ends: {self.ended[0]}; {self.ended[1]}",

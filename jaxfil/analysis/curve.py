@@ -28,6 +28,7 @@ from jaxfil.analysis.touch import conditions, kind_of
 from jaxfil.labels import Labels, labels_of
 from jaxfil.parameter import parameter
 from jaxfil.results import RESULTS
+from jaxfil.solution import precision
 from jaxfil.system import System
 
 _NEWTON_STEPS = 12
@@ -66,7 +67,8 @@ class BifurcationCurve(eqx.Module):
         a, b = self.parameters
         low, high = self.values.min(axis=0), self.values.max(axis=0)
         lines = [
-            f"BifurcationCurve, {len(self.values)} points: {', '.join(dict.fromkeys(self.kinds))}",
+            f"BifurcationCurve{precision(self.xs)}, {len(self.values)} points: "
+            f"{', '.join(dict.fromkeys(self.kinds))}",
             f"  {a} from {low[0]:.6g} to {high[0]:.6g}, {b} from {low[1]:.6g} to {high[1]:.6g}",
             f"  ends: {self.ended[0]}; {self.ended[1]}",
         ]

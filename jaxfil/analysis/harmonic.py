@@ -27,7 +27,7 @@ from jaxfil.analysis.bracket import zero_between
 from jaxfil.analysis.newton import Evaluation, newton
 from jaxfil.analysis.orbit import Orbit
 from jaxfil.results import RESULTS
-from jaxfil.solution import outcome
+from jaxfil.solution import outcome, precision
 from jaxfil.system import System
 
 # Cells of the grid per harmonic, and points of the Gauss rule in each part of a cell: a product of
@@ -66,10 +66,11 @@ class FourierOrbit(eqx.Module):
 
     def __repr__(self) -> str:
         shape: Any = self.coefficients.shape
+        told = precision(self.coefficients)
         if isinstance(self.coefficients, jax.core.Tracer) or len(shape) > 2:
-            return f"FourierOrbit: a batch of shape {shape[:-2]}, {self.harmonics} harmonics"
+            return f"FourierOrbit{told}: a batch of shape {shape[:-2]}, {self.harmonics} harmonics"
         return (
-            f"FourierOrbit: {outcome(self.result)}\n  {self.harmonics} harmonics of "
+            f"FourierOrbit{told}: {outcome(self.result)}\n  {self.harmonics} harmonics of "
             f"{shape[-1]} components, period {float(self.period):.12g}, residual "
             f"{float(self.residual):.1e} after {int(self.num_steps)} Newton steps"
         )

@@ -20,7 +20,7 @@ from jaxfil.analysis.variation import travel, vary
 from jaxfil.flow import advance
 from jaxfil.lane import Policy, Span, running
 from jaxfil.results import RESULTS
-from jaxfil.solution import outcome
+from jaxfil.solution import outcome, precision
 from jaxfil.start import begin
 from jaxfil.stepper import tableau
 from jaxfil.system import System
@@ -64,6 +64,7 @@ class LyapunovSpectrum(eqx.Module):
 
 def average_card(name: str, found: Any, exponents: Any, errors: Any) -> str:
     """What was averaged, over how long, and whether it is to be trusted, in a few lines."""
+    name += precision(found.x0)
     if isinstance(found.result._value, jax.core.Tracer) or found.times.ndim > 1:
         return f"{name}: a batch of shape {found.times.shape[:-1]}"
     numbers, spreads = np.atleast_1d(exponents), np.atleast_1d(errors)

@@ -24,7 +24,7 @@ from jaxfil.analysis.newton import Evaluation, Root, newton
 from jaxfil.analysis.shooting import Plan, Setting, Shot, shoot, starts_from, stretch, velocity
 from jaxfil.initial_value import solve
 from jaxfil.results import KINDS, RESULTS
-from jaxfil.solution import Dense, Events, Solution, outcome
+from jaxfil.solution import Dense, Events, Solution, outcome, precision
 from jaxfil.stepper import tableau
 from jaxfil.system import System
 
@@ -357,11 +357,13 @@ def _implicit_jvp(primals, tangents, *, unravel, rest, plan, periods, newton_ste
 
 
 def _card(orbit: Orbit) -> str:
+    told = precision(orbit.x0)
     if isinstance(orbit.x0, jax.core.Tracer) or orbit.x0.ndim > 1:
-        return f"Orbit: a batch of shape {orbit.x0.shape[:-1]}, states of {orbit.x0.shape[-1]}"
+        *batch, n = orbit.x0.shape
+        return f"Orbit{told}: a batch of shape {tuple(batch)}, states of {n}"
     show = ft.partial(np.array2string, precision=10, separator=", ")
     lines = [
-        f"Orbit of {type(orbit.system).__name__}: {outcome(orbit.result)}",
+        f"Orbit of {type(orbit.system).__name__}{told}: {outcome(orbit.result)}",
         f"  period {float(orbit.period):.12g}, x0 = {show(np.asarray(orbit.x0))} at t = "
         f"{float(orbit.plan.t0):g}",
         f"  multipliers {show(np.asarray(orbit.multipliers))}: "

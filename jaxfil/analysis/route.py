@@ -15,6 +15,7 @@ from jaxfil.analysis.branch import Branch, SpecialPoint, continue_orbit
 from jaxfil.analysis.orbit import Orbit
 from jaxfil.parameter import replace
 from jaxfil.results import RESULTS
+from jaxfil.solution import precision
 from jaxfil.system import System
 
 
@@ -34,7 +35,8 @@ class Route(eqx.Module):
 
     def __repr__(self) -> str:
         name = self.branch.parameter
-        rows = [f"Route of {type(self.branch.orbits.system).__name__} in {name}, {len(self)} found"]
+        system, told = self.branch.orbits.system, precision(self.branch.orbits.x0)
+        rows = [f"Route of {type(system).__name__} in {name}, {len(self)} found{told}"]
         for b in self.bifurcations:
             t = f", t = {float(b.t):.6g}" if isinstance(b, Bifurcation) else ""
             state = b.x if isinstance(b, Bifurcation) else b.orbit.x0

@@ -24,6 +24,7 @@ from jaxfil.flow import advance, integrate
 from jaxfil.lane import Policy, running
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks
+from jaxfil.solution import precision
 from jaxfil.start import begin
 from jaxfil.stepper import tableau
 from jaxfil.system import System
@@ -61,14 +62,15 @@ class Synchronization(eqx.Module):
         return plot.synchronization(self, ax=ax)
 
     def __repr__(self) -> str:
+        told = precision(self.exponent)
         if isinstance(self.exponent, jax.core.Tracer) or self.exponent.ndim > 0:
-            return f"Synchronization: a batch of shape {self.exponent.shape}"
+            return f"Synchronization{told}: a batch of shape {self.exponent.shape}"
         state = np.array2string(np.asarray(self.x0), precision=6, separator=", ")
         low, high = float(self.couplings[0]), float(self.couplings[-1])
         return "\n".join(
             [
-                f"Synchronization: exponent {float(self.exponent):.5g}, biased by about "
-                f"{float(self.bias):.2g}",
+                f"Synchronization{told}: exponent {float(self.exponent):.5g}, biased by "
+                f"about {float(self.bias):.2g}",
                 f"  {int(np.sum(self.synchronized))} of {self.couplings.size} couplings from "
                 f"{low:g} to {high:g} synchronise to {float(self.tolerance):.1g} within a time of "
                 f"{float(self.time):.6g}, from x0 = {state}",

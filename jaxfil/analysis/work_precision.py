@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxfil import check
 from jaxfil.initial_value import solve
 from jaxfil.results import outcome_names
+from jaxfil.solution import precision
 from jaxfil.stepper import tableau
 from jaxfil.system import System
 
@@ -90,10 +91,11 @@ class WorkPrecision(eqx.Module):
         return f"{self.period / dt:.4g} steps a period"
 
     def _reference_line(self) -> str:
+        told = precision(self.reference)
         if not np.isfinite(self.reference_error):
-            return "Reference: none, no stepper reached t1 at a finer step."
+            return f"Reference{told}: none, no stepper reached t1 at a finer step."
         line = (
-            f"Reference: {self.reference_stepper}, dt = {self.dts.min() * _FINE:.4g}, "
+            f"Reference{told}: {self.reference_stepper}, dt = {self.dts.min() * _FINE:.4g}, "
             f"{self.reference_events} contacts; halving its step changed it by "
             f"{self.reference_error:.1e}"
         )

@@ -1,28 +1,24 @@
 """Basins of attraction over a grid of initial states."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
+from jaxfil import check
+from jaxfil.basins import Basins
 from jaxfil.plot.canvas import BLACK, COLORS, WHITE, own_axes
-
-if TYPE_CHECKING:
-    from jaxfil.basins import Basins
 
 
 def basins(found: Basins, ax: Axes | None = None) -> Axes:
     """Draw each initial state in the colour of the attractor that it leads to, and the section
     points of the attractors. Black found no period, white failed."""
+    check.instance("found", found, Basins)
     if min(found.labels.shape) < 2:
         raise ValueError(
             "`found` must be over a grid of two values or more of each component, got "
             f"{found.labels.shape}."
         )
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     order = [np.argsort(axis) for axis in found.axes]
     labels = found.labels[np.ix_(*order)].T
     seen = np.unique(labels)

@@ -1,5 +1,7 @@
 """What pictures are drawn on, and with: pages, axes and the colours of Okabe and Ito."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,8 +15,12 @@ def page() -> Figure:
     return Figure(figsize=(8, 5), dpi=200, layout="constrained")
 
 
-def own_axes() -> Axes:
-    """Axes of a figure of their own."""
+def own_axes(ax: Any) -> Axes:
+    """The axes given, or without any those of a figure of their own."""
+    if isinstance(ax, Axes):
+        return ax
+    if ax is not None:
+        raise ValueError(f"`ax` must be matplotlib axes or None, got {type(ax).__name__}.")
     import matplotlib.pyplot as plt  # looks for a display, so only when a window is wanted
 
     return plt.subplots(layout="constrained")[1]

@@ -1,17 +1,12 @@
 """Lyapunov exponents: against a parameter, and as they converge."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil import check
+from jaxfil.analysis.lyapunov import LyapunovSpectrum
+from jaxfil.analysis.synchronization import Synchronization, TransverseExponent
 from jaxfil.plot.canvas import BLACK, COLORS, marker_size, own_axes
-
-if TYPE_CHECKING:
-    from jaxfil.analysis.lyapunov import LyapunovSpectrum
-    from jaxfil.analysis.synchronization import Synchronization, TransverseExponent
 
 
 def lyapunov_exponents(
@@ -22,13 +17,14 @@ def lyapunov_exponents(
     Exponents of −inf are ticked along the lower edge. Values whose average is no steady motion
     (`settled` False) are drawn hollow, and left out altogether where the lane failed.
     """
+    check.instance("spectrum", spectrum, LyapunovSpectrum)
     values, exponents = np.asarray(values), np.asarray(spectrum.exponents)
     if exponents.shape[:1] != values.shape:
         raise ValueError(
             f"`spectrum` must hold one spectrum for each of {values.size} values, got exponents of "
             f"shape {exponents.shape}."
         )
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     settled = np.asarray(spectrum.settled)
     ax.axhline(0, color=BLACK, linewidth=0.5)
     size = max(1.5, 2 * marker_size(ax, values.size))
@@ -56,6 +52,7 @@ def lyapunov_convergence(
     """Draw the running estimates of one spectrum, or of one transverse exponent, against the time
     averaged over, with the band of one standard error that the last of them has, shrinking as
     1/√t."""
+    check.instance("spectrum", spectrum, LyapunovSpectrum, TransverseExponent)
     times = np.asarray(spectrum.times)
     if times.ndim != 1:
         raise ValueError(
@@ -65,7 +62,7 @@ def lyapunov_convergence(
     exponents = np.asarray(spectrum.exponents)
     errors = np.atleast_1d(spectrum.standard_error)
     running = np.asarray(spectrum.running).reshape(times.size, exponents.size)
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     for i, (column, last, error) in enumerate(zip(running.T, exponents, errors, strict=True)):
         if not np.isfinite(last):
             continue
@@ -83,13 +80,14 @@ def lyapunov_convergence(
 def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
     """Draw the smallest distance of drive and response seen at each coupling, filled where they
     synchronised, and the exponent that follows."""
+    check.instance("found", found, Synchronization)
     couplings, distances = np.asarray(found.couplings), np.asarray(found.distances)
     if couplings.ndim != 1:
         raise ValueError(
             f"`found` must be of one lane, got {couplings.shape[0]} of them: take lane i with "
             "jax.tree.map(lambda a: a[i], found)."
         )
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     done = np.asarray(found.synchronized)
     # Two that became equal are drawn where rounding puts them.
     shown = np.maximum(distances, np.finfo(distances.dtype).eps)

@@ -1,20 +1,15 @@
 """One motion: its components against time, and against each other."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
+from jaxfil import check
 from jaxfil.plot.canvas import BLACK, check_component, own_axes
 from jaxfil.plot.surfaces import draw_surfaces
 from jaxfil.results import KINDS
-
-if TYPE_CHECKING:
-    from jaxfil.solution import Solution
-    from jaxfil.system import System
+from jaxfil.solution import Solution
+from jaxfil.system import System
 
 BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
 MARKERS = {
@@ -32,9 +27,10 @@ def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> A
     A band changes at the contact between two saved times, and once at most: save often, as
     `diffrax.SaveAt(t0=True, steps=True)` does.
     """
+    check.instance("sol", sol, Solution)
     ts, xs = _path(sol)
     check_component(component, xs.shape[1])
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     _shade_modes(ax, sol)
     ax.plot(ts, xs[:, component], color=BLACK, linewidth=1)
     ax.set_xlim(np.nanmin(ts), np.nanmax(ts))
@@ -50,10 +46,13 @@ def phase_portrait(sol: Solution, ax: Axes | None = None, system: System | None 
     Surfaces are drawn where they cut the plane of the two components, at the last time and with the
     other components as they are then.
     """
+    check.instance("sol", sol, Solution)
+    if system is not None:
+        check.system("system", system)
     ts, xs = _path(sol)
     if xs.shape[1] < 2:
         raise ValueError("`sol` must have two components or more, got 1.")
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     ax.plot(xs[:, 0], xs[:, 1], color=BLACK, linewidth=1)
     _draw_slides(ax, sol, ts, xs)
     _, contacts, kinds, _ = _contacts(sol)

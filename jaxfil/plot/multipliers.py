@@ -1,16 +1,11 @@
 """Floquet multipliers in the complex plane."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil import check
+from jaxfil.analysis.orbit import Orbit
 from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, own_axes
-
-if TYPE_CHECKING:
-    from jaxfil.analysis.orbit import Orbit
 
 
 def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
@@ -18,9 +13,10 @@ def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
 
     Those outside it are drawn as crosses: the orbit is unstable.
     """
+    check.instance("orbit", orbit, Orbit)
     values = np.ravel(np.asarray(orbit.multipliers, complex))
     values = values[np.isfinite(values)]
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     angle = np.linspace(0, 2 * np.pi, 361)
     ax.plot(np.cos(angle), np.sin(angle), color=BLACK, linewidth=0.8)
     ax.axhline(0, color=BLACK, linewidth=0.3)

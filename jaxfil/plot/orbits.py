@@ -1,18 +1,13 @@
 """Branches of periodic orbits with their special points, and curves of bifurcations."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil import check
+from jaxfil.analysis.branch import Branch, SpecialPoint
+from jaxfil.analysis.curve import BifurcationCurve
 from jaxfil.labels import labels_of
 from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, own_axes
-
-if TYPE_CHECKING:
-    from jaxfil.analysis.branch import Branch, SpecialPoint
-    from jaxfil.analysis.curve import BifurcationCurve
 
 CURVES = {
     "grazing": "#0072B2",
@@ -36,8 +31,9 @@ def branch(
 
     Shown is one component of x0, or with `extremes` its smallest and largest value on the orbit.
     """
+    check.instance("branch", branch, Branch)
     check_component(component, branch.orbits.x0.shape[-1])
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     if extremes:
         curves = [column[:, component] for column in branch.extremes()]
         wording = "least and largest {}"
@@ -80,7 +76,8 @@ def branch(
 def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
     """Draw a bifurcation in the plane of two parameters, each kind in its colour, points of
     codimension two marked."""
-    ax = own_axes() if ax is None else ax
+    check.instance("curve", curve, BifurcationCurve)
+    ax = own_axes(ax)
     kinds = np.array(curve.kinds)
     for kind in dict.fromkeys(curve.kinds):
         keep = kinds == kind

@@ -1,17 +1,12 @@
 """A map of the plane of two parameters: the period of the motion at each of its points."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
+from jaxfil import check
+from jaxfil.diagram import BifurcationDiagram
 from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, own_axes
-
-if TYPE_CHECKING:
-    from jaxfil.diagram import BifurcationDiagram
 
 # From this period on they share a colour.
 _MANY = len(COLORS) + 1
@@ -25,6 +20,7 @@ def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
     Periods are those of `BifurcationDiagram.periods`, in forcing periods. Black is longer than half
     the samples can show: chaos, a torus, or a transient that is not over; white is a failed lane.
     """
+    check.instance("diagram", diagram, BifurcationDiagram)
     values = diagram.values
     if not isinstance(values, tuple) or len(values) != 2 or min(map(len, values)) < 2:
         names = [diagram.parameter] if isinstance(diagram.parameter, str) else diagram.parameter
@@ -32,7 +28,7 @@ def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
             "`diagram` must be a sweep over a grid of two parameters, two values or more of each, "
             f"got {', '.join(names)} in the shape {diagram.successful.shape}."
         )
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     at = [np.argsort(axis)[: np.isfinite(axis).sum()] for axis in values]  # NaN comes last
     periods = np.minimum(diagram.periods(), _MANY)[np.ix_(*at)].T
     seen = [period for period in PERIODS if (periods == period).any()]

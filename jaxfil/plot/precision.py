@@ -1,17 +1,13 @@
 """Error against run time."""
 
-from __future__ import annotations
-
 import itertools
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil import check
+from jaxfil.analysis.work_precision import WorkPrecision
 from jaxfil.plot.canvas import BLACK, COLORS, own_axes
-
-if TYPE_CHECKING:
-    from jaxfil.analysis.work_precision import WorkPrecision
 
 
 def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
@@ -20,7 +16,8 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
     Steps get shorter to the right. Below the dashed line, the change of the reference on halving
     its step, errors are not resolved.
     """
-    ax = own_axes() if ax is None else ax
+    check.instance("table", table, WorkPrecision)
+    ax = own_axes(ax)
     size = max(float(np.max(abs(table.reference))), np.finfo(float).tiny)
     floor = max(table.reference_error, float(np.finfo(table.reference.dtype).eps) * size)
     lines = zip(table.steppers, table.seconds, table.errors, strict=True)

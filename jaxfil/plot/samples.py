@@ -1,16 +1,11 @@
 """A bifurcation diagram: every sample over its value."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil import check
+from jaxfil.diagram import BifurcationDiagram
 from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, marker_size, own_axes
-
-if TYPE_CHECKING:
-    from jaxfil.diagram import BifurcationDiagram
 
 
 def bifurcation_diagram(
@@ -21,13 +16,14 @@ def bifurcation_diagram(
     A million samples take about a second, and a vector file holds them as an image. Values whose
     lane ended early are ticked along the lower edge.
     """
+    check.instance("diagram", diagram, BifurcationDiagram)
     if not isinstance(diagram.parameter, str):
         raise ValueError(
             f"`diagram` must be a sweep of one parameter, got {', '.join(diagram.parameter)}."
         )
     values, xs = np.asarray(diagram.values), np.asarray(diagram.xs)
     check_component(component, xs.shape[-1])
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     column = xs[..., component]
     seen = np.isfinite(column)
     ax.plot(

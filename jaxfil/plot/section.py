@@ -1,17 +1,14 @@
 """A Poincaré section: the states at which a motion meets it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil import check
 from jaxfil.labels import Labels, labels_of
 from jaxfil.plot.canvas import BLACK, own_axes
-
-if TYPE_CHECKING:
-    from jaxfil.system import System
+from jaxfil.system import System
 
 
 def poincare_section(
@@ -26,12 +23,15 @@ def poincare_section(
     value. That of another kind is `jaxfil.Solution.events.xs`, the states at contacts.
     The axes have the names that `system` gives the components, if it is given.
     """
-    xs = np.asarray(xs)
-    if xs.ndim < 2 or xs.shape[-1] <= max(components):
+    if system is not None:
+        check.system("system", system)
+    given, xs = xs, np.asarray(xs)
+    if xs.dtype.kind not in "fiu" or xs.ndim < 2 or xs.shape[-1] <= max(components):
+        got = f"shape {xs.shape}" if xs.dtype.kind in "fiu" else type(given).__name__
         raise ValueError(
-            f"`xs` must be states of shape (k, n) with n > {max(components)}, got shape {xs.shape}."
+            f"`xs` must be states of shape (k, n) with n > {max(components)}, got {got}."
         )
-    ax = own_axes() if ax is None else ax
+    ax = own_axes(ax)
     points = xs.reshape(-1, xs.shape[-1])
     points = points[np.isfinite(points).all(axis=1)]
     # A point of a page covers some thousandth of it: so many that none hides the next.

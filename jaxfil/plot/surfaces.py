@@ -1,19 +1,13 @@
 """The surfaces of a system in a plane of two components of its state."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
 from jaxfil.plot.canvas import COLORS
-
-if TYPE_CHECKING:
-    from jaxfil.solution import Solution
-    from jaxfil.system import System
+from jaxfil.solution import Solution
+from jaxfil.system import System
 
 # Points along each edge of the picture at which the switching function is evaluated.
 _GRID = 201
