@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.flow import Length, choose_length, finish, follow, integrate, judge
+from jaxfil.flow import Length, Trial, choose_length, finish, follow, integrate, judge
 from jaxfil.glide import busy, coast, is_clear, is_sliding, look_ahead
 from jaxfil.lane import Ahead, Lane, Policy, Span, running
-from jaxfil.scene import Blocks, Scene, unpack, where
+from jaxfil.scene import Scene, unpack, where
 from jaxfil.start import begin
 from jaxfil.stepper import Tableau
 
@@ -80,9 +80,9 @@ def _try(problem: Problem, row: Array, x0: Array, lane: Lane) -> tuple[Length, A
 
 def _coast(problem: Problem, row: Array, x0: Array, lane: Lane) -> tuple[Lane, Array]:
     """A lane at the end of its step if nothing is in the way, and whether it has stopped."""
-    scene, _, span, policy = problem(row, x0)
+    scene, table, span, policy = problem(row, x0)
     length, ahead = _try(problem, row, x0, lane)
-    clear = is_clear(scene, span, lane, length.h, length.end, ahead) & running(span, lane)
+    clear = is_clear(scene, table, span, lane, length.h, length.end, ahead) & running(span, lane)
     (clear,) = scene.hold(clear.astype(scene.dtype))
     return coast(policy, lane, length.end, ahead, clear > 0), clear == 0
 
@@ -91,20 +91,22 @@ def _judge(problem: Problem, slides: bool, rows: Array, states: Array, lanes: La
     """A full iteration of all lanes, in which the steps of those that do not slide are the ones
     that they might have coasted through, to the last bit."""
 
-    def slid(row: Array, x0: Array, lane: Lane, length: Length, x: Blocks) -> Blocks:
+    def slid(row: Array, x0: Array, lane: Lane, length: Length, trial: Trial) -> Trial:
         scene, table, span, _ = problem(row, x0)
-        return where(is_sliding(lane), follow(scene, table, span, lane, length), x)
+        slide = follow(scene, table, span, lane, length)
+        x, error = (where(is_sliding(lane), a, b) for a, b in zip(slide, trial, strict=True))
+        return x, error
 
-    def decided(row: Array, x0: Array, lane: Lane, length: Length, x: Blocks, ahead: Ahead) -> Lane:
-        scene, _, span, policy = problem(row, x0)
-        return judge(scene, span, policy, lane, length, x, ahead)
+    def decided(row: Array, x0: Array, lane: Lane, length: Length, trial: Trial, ahead: Ahead):
+        scene, table, span, policy = problem(row, x0)
+        return judge(scene, table, span, policy, lane, length, trial, ahead)
 
     lengths, aheads = jax.vmap(ft.partial(_try, problem))(rows, states, lanes)
-    xs = aheads.x
+    trials = (aheads.x, aheads.error)
     if slides:
-        xs = jax.lax.cond(
+        trials = jax.lax.cond(
             jnp.any(jax.vmap(is_sliding)(lanes)),
-            lambda: jax.vmap(slid)(rows, states, lanes, lengths, xs),
-            lambda: xs,
+            lambda: jax.vmap(slid)(rows, states, lanes, lengths, trials),
+            lambda: trials,
         )
-    return jax.vmap(decided)(rows, states, lanes, lengths, xs, aheads)
+    return jax.vmap(decided)(rows, states, lanes, lengths, trials, aheads)

@@ -5,9 +5,10 @@ on the way. Batches come from `vmap`: every lane has its own clock in the one lo
 nobody.
 
 An iteration takes one smooth step in the current mode and does one of four things with it: accepts
-it; rejects it, and cuts the next one at the contact the step has run over; *lands*, if it has ended
-on a contact, with one Newton correction in time; or, in the iteration after a landing, which has
-length zero, *switches*: resets, chooses the mode at the corrected state, and goes on.
+it, if it can be trusted; rejects it, and cuts the next one at the contact the step has run over;
+*lands*, if it has ended on a contact, with one Newton correction in time; or, in the iteration
+after a landing, which has length zero, *switches*: resets, chooses the mode at the corrected state,
+and goes on.
 
 Derivatives. The lengths found by the search for contacts are constants; the Newton correction
 x += δf, t += δ, δ = −g/ġ is not. Differentiating it, with the new mode's field taken at the
@@ -32,8 +33,11 @@ from jaxfil.record import keep_sample, record_event, save_state
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
 from jaxfil.start import begin
-from jaxfil.stepper import Tableau, step
+from jaxfil.stepper import Tableau, is_too_long, step
 from jaxfil.switch import departure, look
+
+Trial = tuple[Blocks, Blocks]
+"""The end of a trial step, and what is known of its error: see `stepper.step`."""
 
 # This many contacts in a row, each at the time of the last, are an accumulation.
 _FROZEN = 12
@@ -47,6 +51,7 @@ _FAILURES = (
     RESULTS.undeclared_sliding,
     RESULTS.mode_undecided,
     RESULTS.zeno,
+    RESULTS.step_too_long,
 )
 # Trial steps rejected in a row before the search for a contact is given up.
 _TRIES = 60
@@ -86,7 +91,9 @@ def choose_length(scene: Scene, span: Span, policy: Policy, lane: Lane) -> Lengt
     return Length(h, end, full - h, cutting, gridded & whole, saving & whole)
 
 
-def _action(scene, policy, lane: Lane, on, view: View, found, landing, frozen, tries) -> Array:
+def _action(
+    scene, policy, lane: Lane, on, view: View, found, landing, frozen, tries, gross
+) -> Array:
     """What to do with a trial step, or the number of the failure it has met, as one float: all that
     follows needs nothing else of what went into it."""
     action = jnp.where(found.theta < NEVER, _REJECT, _ACCEPT)
@@ -104,6 +111,7 @@ def _action(scene, policy, lane: Lane, on, view: View, found, landing, frozen, t
     )
     failures.append((view.num_modes == 0) | (tries > _TRIES))
     failures.append(frozen >= _FROZEN)
+    failures.append(gross & ~lane.pending & (landing.landed | (found.theta >= NEVER)))
     for number, failed in reversed(list(enumerate(failures))):
         action = jnp.where(failed, _FAIL + number, action)
     action = jnp.where(on, action, _IDLE)
@@ -120,14 +128,14 @@ def _outcome(action: Array, result: RESULTS) -> RESULTS:
 def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane) -> Lane:
     """One iteration. A lane that has come to its end stays as it is."""
     length = choose_length(scene, span, policy, lane)
-    x = follow(scene, table, span, lane, length)
+    trial = follow(scene, table, span, lane, length)
     if scene.m == 0:
-        return _accept_smooth(scene, span, policy, lane, length, x)
-    return judge(scene, span, policy, lane, length, x)
+        return _accept_smooth(scene, table, span, policy, lane, length, trial)
+    return judge(scene, table, span, policy, lane, length, trial)
 
 
-def follow(scene: Scene, table: Tableau, span: Span, lane: Lane, length: Length) -> Blocks:
-    """The state at the end of a trial step in the lane's mode."""
+def follow(scene: Scene, table: Tableau, span: Span, lane: Lane, length: Length) -> Trial:
+    """A trial step in the lane's mode."""
 
     def field(t, x):
         return filippov.field(scene, t, x, lane.mode)
@@ -137,30 +145,34 @@ def follow(scene: Scene, table: Tableau, span: Span, lane: Lane, length: Length)
 
 def judge(
     scene: Scene,
+    table: Tableau,
     span: Span,
     policy: Policy,
     lane: Lane,
     length: Length,
-    x: Blocks,
+    trial: Trial,
     ahead: Ahead | None = None,
 ) -> Lane:
-    """The lane after a trial step that ends at x: accepted, rejected, landed or switched. What is
-    known `ahead` is as in `look`."""
-    x = where(lane.pending, lane.x, x)
+    """The lane after a trial step: accepted, rejected, landed or switched. What is known `ahead` is
+    as in `look`."""
+    x = where(lane.pending, lane.x, trial[0])
     view = look(scene, span, lane, length.end, x, ahead)
     found = search(scene, span, lane, view, length.h, length.cutting)
     landing = land(scene, span, lane, view, length.h, length.room, length.cutting)
-    return _decide(scene, span, policy, lane, length, view, found, landing)
+    gross = is_too_long(table, trial[1], view.f, length.h, view.size)
+    return _decide(scene, span, policy, lane, length, view, found, landing, gross)
 
 
-def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, landing) -> Lane:
+def _decide(
+    scene, span, policy, lane: Lane, length: Length, view: View, found, landing, gross
+) -> Lane:
     """Accept, reject, land or switch."""
     tries = jnp.where(found.theta < NEVER, lane.tries + 1, 0)
     # A flight this short cannot be told from the correction that ends it.
     again = abs(view.tau - lane.contact_tau) <= 4 * span.same_time(view.tau)
     frozen = jnp.where(lane.pending, jnp.where(again, lane.frozen + 1, 0), lane.frozen)
     on = running(span, lane)
-    action = _action(scene, policy, lane, on, view, found, landing, frozen, tries)
+    action = _action(scene, policy, lane, on, view, found, landing, frozen, tries, gross)
     landed, rejected = (action == _LAND) | (action == _TOUCH), action == _REJECT
     accepted, switched = action == _ACCEPT, action == _SWITCH
 
@@ -212,11 +224,12 @@ def _decide(scene, span, policy, lane: Lane, length: Length, view: View, found, 
     return _keep(scene, span, policy, lane, after, view, moved, gridded, saving)
 
 
-def _accept_smooth(scene, span, policy, lane: Lane, length: Length, x: Blocks) -> Lane:
+def _accept_smooth(scene, table, span, policy, lane: Lane, length: Length, trial: Trial) -> Lane:
     """The whole of an iteration where there are no surfaces."""
-    view = look(scene, span, lane, length.end, x)
+    view = look(scene, span, lane, length.end, trial[0])
     on = running(span, lane)
-    ok = all_finite(view.x, view.f) & on
+    finite = all_finite(view.x, view.f)
+    ok = finite & ~is_too_long(table, trial[1], view.f, length.h, view.size) & on
     saving, gridded = length.saving & ok, length.gridded & ok
     moved = ok & ~(saving & ~gridded)
     after = eqx.tree_at(
@@ -240,7 +253,8 @@ def _accept_smooth(scene, span, policy, lane: Lane, length: Length, x: Blocks) -
             lane.num_accepted + moved.astype(jnp.int32),
         ),
     )
-    result = RESULTS.where(ok | ~on, lane.result, RESULTS.nonfinite)
+    failure = RESULTS.where(finite, RESULTS.step_too_long, RESULTS.nonfinite)
+    result = RESULTS.where(ok | ~on, lane.result, failure)
     after = eqx.tree_at(lambda lane: lane.result, after, result)
     return _keep(scene, span, policy, lane, after, view, moved, gridded, saving)
 

@@ -16,7 +16,7 @@ from jaxfil.contact import stays_off
 from jaxfil.lane import Ahead, Lane, Policy, Span
 from jaxfil.record import keep_sample
 from jaxfil.scene import Scene, all_finite, any_of, where
-from jaxfil.stepper import Tableau, step
+from jaxfil.stepper import Tableau, is_too_long, step
 from jaxfil.switch import larger, surface_noise
 
 
@@ -29,12 +29,12 @@ def look_ahead(scene: Scene, table: Tableau, span: Span, lane: Lane, h: Array, e
     def field(t, x, alone=True):
         return scene.field(t, x, sides, alone)
 
-    x = step(table, field, span.t0 + lane.tau, lane.x, lane.f, h, scene.once)
+    x, error = step(table, field, span.t0 + lane.tau, lane.x, lane.f, h, scene.once)
     f = scene.hold(*field(t, x, False))
     value, slope = jax.jvp(scene.switching, (t, x), (jnp.ones_like(t), f))
     g = tuple(s * v for s, v in zip(sides, value, strict=True))
     rate = tuple(s * v for s, v in zip(sides, slope, strict=True))
-    return Ahead(x, f, scene.hold(*g), scene.hold(*rate))
+    return Ahead(x, error, f, scene.hold(*g), scene.hold(*rate))
 
 
 def is_sliding(lane: Lane) -> Array:
@@ -48,12 +48,15 @@ def busy(lane: Lane) -> Array:
     return is_sliding(lane) | lane.pending | (lane.cut != 0) | near
 
 
-def is_clear(scene: Scene, span: Span, lane: Lane, h: Array, end: Array, ahead: Ahead) -> Array:
+def is_clear(
+    scene: Scene, table: Tableau, span: Span, lane: Lane, h: Array, end: Array, ahead: Ahead
+) -> Array:
     """Whether a step is all there is: on no surface, and no guard comes near zero in it."""
     t, size = span.t0 + end, larger(lane.size, ahead.x)
     _, h_t, normals = scene.gradients(t, ahead.x)
     touch = surface_noise(scene, t, size, h_t, normals)
     clear = ~busy(lane) & all_finite(ahead.x, ahead.f, ahead.g)
+    clear = clear & ~is_too_long(table, ahead.error, ahead.f, h, size)
     for j in range(scene.m):
         d0, d1 = h * lane.rate[j], h * ahead.rate[j]
         clear = clear & stays_off(lane.g[j], d0, ahead.g[j], d1, touch[j])

@@ -111,10 +111,11 @@ class Lane(eqx.Module):
 
 
 class Ahead(eqx.Module):
-    """State and field at the end of a trial step on the sides that a lane is on, and the guards of
-    these sides with their rates."""
+    """State, what is known of its error, and field at the end of a trial step on the sides that a
+    lane is on, and the guards of these sides with their rates."""
 
     x: Blocks
+    error: Blocks
     f: Blocks
     g: Blocks
     rate: Blocks

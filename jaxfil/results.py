@@ -61,6 +61,10 @@ class RESULTS(eqx.Enumeration):
         "The state, the vector field, the switching function or a reset is not finite (NaN or "
         "inf), or the switching function is too large to be squared."
     )
+    step_too_long = (
+        "A step is too long for the motion: the error that the stepper estimates is a tenth of the "
+        "state or more. Try a smaller step, or `stepper=jf.Rodas5P()` if the field is stiff."
+    )
     interrupted = "The sweep was interrupted before this lane was finished."
 
 

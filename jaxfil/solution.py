@@ -140,7 +140,7 @@ def evaluate(dense: Dense, t: Any) -> Array:
     ts = dense.ts[i]
     f = field(scene_, ts, x, mode)
     smooth = ft.partial(_field_of_mode, scene_, mode)
-    out = step(tableau(dense.stepper), smooth, ts, x, f, t - ts, scene_.once)
+    out, _ = step(tableau(dense.stepper), smooth, ts, x, f, t - ts, scene_.once)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
     return jnp.where(reached, scene.pack(out, dtype), jnp.nan)
 

@@ -1,7 +1,7 @@
 """One smooth step: any explicit Runge–Kutta tableau, or a linearly implicit one for stiff fields.
 
-A field on components, a state and a step length enter; the state at the end of the step leaves.
-Nothing here knows of surfaces.
+A field on components, a state and a step length enter; the state at the end of the step leaves, and
+what the method says of its error. Nothing here knows of surfaces.
 """
 
 import functools as ft
@@ -10,7 +10,9 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.rosenbrock import RODAS5P, Rodas5P, RosenbrockTable, rosenbrock_step
@@ -26,11 +28,14 @@ class RK4(eqx.Module):
 
 
 class ExplicitTable(eqx.Module):
-    """c (s−1,), a as s−1 rows, b (s,): the explicit method without its first, trivial row."""
+    """c (s−1,), a as s−1 rows, b (s,): the explicit method without its first, trivial row. And d,
+    (s + 1,), of which h Σ d·slopes, that at the end of the step included, estimates the error of a
+    step; empty without an estimate of order four or more."""
 
     c: tuple[float, ...] = eqx.field(static=True)
     a: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     b: tuple[float, ...] = eqx.field(static=True)
+    d: tuple[float, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
 
     @property
@@ -43,6 +48,13 @@ Tableau = ExplicitTable | RosenbrockTable
 """What a step needs to know of a stepper."""
 
 
+# Order of a method from which on its estimate of an error says something of a single step: one of
+# lower order is as large as a state that starts to move from zero.
+_TRUSTED = 5
+# Estimated errors of a step up to this part of the state are left to the user to judge.
+_GROSS = 0.1
+
+
 def _floats(row: np.ndarray) -> tuple[float, ...]:
     return tuple(float(v) for v in row)
 
@@ -53,11 +65,11 @@ def tableau(stepper: Any) -> Tableau:
     if isinstance(stepper, type):
         raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
     if isinstance(stepper, RK4):
-        return ExplicitTable(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), name)
+        return ExplicitTable(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), (), name)
     if isinstance(stepper, Rodas5P):
         return RODAS5P
     if isinstance(stepper, diffrax.Euler):
-        return ExplicitTable((), (), (1.0,), name)
+        return ExplicitTable((), (), (1.0,), (), name)
     table = getattr(stepper, "tableau", None)
     if not isinstance(table, diffrax.ButcherTableau) or table.implicit:
         raise ValueError(
@@ -65,21 +77,26 @@ def tableau(stepper: Any) -> Tableau:
             f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
         )
     c, a, b = _floats(table.c), tuple(map(_floats, table.a_lower)), _floats(table.b_sol)
+    d = _floats(table.b_error) if stepper.order(None) >= _TRUSTED else ()
     if table.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
         c, a, b = c[:-1], a[:-1], b[:-1]
-    return ExplicitTable(c, a, b, name)
+    elif d:
+        d = (*d, 0.0)
+    return ExplicitTable(c, a, b, d, name)
+
+
+def _sum(coefficients: tuple[float, ...], slopes: list[Blocks], i: int) -> Any:
+    """Σ coefficients·slopes of component i, skipping the zeros of the tableau."""
+    total: Any = 0.0
+    for c, k in zip(coefficients, slopes, strict=True):
+        if c != 0:
+            total = c * k[i] + total
+    return total
 
 
 def _combine(x: Blocks, h: Array, coefficients: tuple[float, ...], slopes: list[Blocks]) -> Blocks:
-    """x + h Σ coefficients·slopes, skipping the zeros of the tableau."""
-    terms = [(c, k) for c, k in zip(coefficients, slopes, strict=True) if c != 0]
-    out = []
-    for i, x_i in enumerate(x):
-        total: Any = 0.0
-        for c, k in terms:
-            total = c * k[i] + total
-        out.append(x_i + h * total)
-    return tuple(out)
+    """x + h Σ coefficients·slopes."""
+    return tuple(x_i + h * _sum(coefficients, slopes, i) for i, x_i in enumerate(x))
 
 
 def _stage(field: Callable, c: float, t: Array, h: Array, inner: Blocks) -> Blocks:
@@ -94,13 +111,31 @@ def step(
     f: Blocks,
     h: Array,
     once: Callable[..., Blocks],
-) -> Blocks:
-    """The state at t + h. `f` is the field at (t, x), `once` is `Scene.once`: without it each stage
-    would be computed again inside every later stage that uses it."""
+) -> tuple[Blocks, Blocks]:
+    """The state at t + h, and what is known there of the step's error: all but the share of the
+    field at its end; empty if nothing is. `f` is the field at (t, x), `once` is `Scene.once`:
+    without it each stage would be computed again inside every later stage that uses it."""
     if isinstance(table, RosenbrockTable):
-        return rosenbrock_step(table, field, t, x, f, h, once)
+        return rosenbrock_step(table, field, t, x, f, h, once), ()
     slopes = [f]
     for c, row in zip(table.c, table.a, strict=True):
         inner = _combine(x, h, row, slopes)
         slopes.append(once(ft.partial(_stage, field, c), t, h, inner))
-    return once(lambda *end: end, *_combine(x, h, table.b, slopes))
+    end = _combine(x, h, table.b, slopes)
+    error = [stop_gradient(_sum(table.d[:-1], slopes, i)) for i in range(len(x) if table.d else 0)]
+    held = once(lambda *held: held, *end, *error)
+    return held[: len(x)], held[len(x) :]
+
+
+def is_too_long(table: Tableau, error: Blocks, f: Blocks, h: Array, size: Blocks) -> Array:
+    """Whether a step of length h that ends with the field f cannot be trusted, given what `step`
+    says of its error and the largest |x| so far, its end included."""
+    gross = jnp.zeros((), bool)
+    if isinstance(table, RosenbrockTable) or not error:
+        return gross
+    # What is smaller than this is rounding of the other components.
+    least = np.sqrt(np.finfo(h.dtype).eps) * ft.reduce(jnp.maximum, size)
+    for e, f_i, s in zip(error, f, size, strict=True):
+        missed = abs(h * (e + table.d[-1] * stop_gradient(f_i)))
+        gross = gross | (missed > _GROSS * jnp.maximum(s, least))
+    return gross

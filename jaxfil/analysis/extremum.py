@@ -50,7 +50,7 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
         mode = scene.unpack(start.mode.astype(dtype))
         smooth = lambda t, x: filippov.field(scene_, t, x, mode)  # noqa: E731
         x = scene.unpack(start.x)
-        x = step(table, smooth, start.t, x, smooth(start.t, x), h, scene_.once)
+        x, _ = step(table, smooth, start.t, x, smooth(start.t, x), h, scene_.once)
         t, f = start.t + h, scene.pack(smooth(start.t + h, x), dtype)
         x = scene.pack(x, dtype)
         value, rate = jax.jvp(function, (t, x), (jnp.ones_like(t), f))

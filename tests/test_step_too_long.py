@@ -1,0 +1,122 @@
+"""A step that its method cannot take is told, never called successful; one that is merely coarse,
+or starts from zero, is not."""
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfil as jf
+
+RELIABLE = [diffrax.Tsit5(), diffrax.Dopri5(), diffrax.Dopri8()]
+ALL = [*RELIABLE, jf.RK4(), diffrax.Heun(), diffrax.Euler(), jf.Rodas5P()]
+
+
+def name(stepper):
+    return type(stepper).__name__
+
+
+class Chain(jf.System):
+    """x_i' = x_{i+1}, and the last one's is constant: powers of time from zero."""
+
+    pull: float = 2.0
+    slides: bool = eqx.field(static=True, default=False)
+
+    def vector_field(self, t, x, side):
+        return jnp.append(x[1:], self.pull)
+
+    def switching(self, t, x):
+        return x[0] + 1.0
+
+
+class Fast(jf.System):
+    """x' = −λ (x − cos t): far past the stability of an explicit step at λh = 10."""
+
+    rate: float = 1e3
+    smooth: bool = eqx.field(static=True, default=False)
+
+    def vector_field(self, t, x, side):
+        return -self.rate * (x - jnp.cos(t))
+
+    def switching(self, t, x):
+        return jnp.zeros((0,)) if self.smooth else x[0] + 50.0
+
+
+# Slip–stick motion of x'' + x with a friction that has a pole beyond the belt's speed; its time is
+# (x, x') to 1e-9 at t = 20 from steps of 0.01.
+@pytest.mark.parametrize(
+    "stepper, dt, error",
+    [
+        (diffrax.Tsit5(), 1.0, 1e-2),
+        (diffrax.Tsit5(), 1.25, None),
+        (diffrax.Tsit5(), 2.5, None),
+        (diffrax.Dopri8(), 1.0, 1e-5),
+        (diffrax.Dopri8(), 1.25, None),
+        (diffrax.Dopri8(), 2.0, 2e-3),
+        (diffrax.Dopri8(), 2.5, None),
+    ],
+    ids=lambda v: name(v) if not isinstance(v, float | None) else str(v),
+)
+def test_what_is_called_successful_is_near(stepper, dt, error):
+    system, x0 = jf.systems.SlipStick(), jnp.array([1.0, 0.2])
+    ref = jf.solve(system, x0, 0.0, 20.0, 0.01)
+    sol = jf.solve(system, x0, 0.0, 20.0, dt, stepper=stepper, throw=False)
+    if error is None:
+        assert sol.result == jf.RESULTS.step_too_long
+        assert float(sol.t_final) < 20.0
+    else:
+        assert sol.result == jf.RESULTS.successful
+        np.testing.assert_allclose(sol.x_final, ref.x_final, atol=error)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("stepper", [*RELIABLE, jf.Rodas5P()], ids=name)
+def test_an_unstable_step_is_told(stepper, smooth):
+    run = jf.solve(
+        Fast(smooth=smooth), jnp.array([2.0]), 0.0, 1.0, 0.01, stepper=stepper, throw=False
+    )
+    if isinstance(stepper, jf.Rodas5P):
+        assert run.result == jf.RESULTS.successful
+        np.testing.assert_allclose(run.x_final, np.cos(1.0), atol=1e-2)
+    else:
+        assert run.result == jf.RESULTS.step_too_long
+    with pytest.raises(eqx.EquinoxRuntimeError, match="too long for the motion"):
+        jf.solve(Fast(smooth=smooth), jnp.array([2.0]), 0.0, 1.0, 0.01)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("n", [2, 4])
+@pytest.mark.parametrize("stepper", ALL, ids=name)
+def test_a_start_from_zero_is_no_gross_error(stepper, n, scale):
+    sol = jf.solve(Chain(2.0 * scale), jnp.zeros(n), 0.0, 6.0, 2.0, stepper=stepper, throw=False)
+    assert sol.result == jf.RESULTS.successful
+
+
+class Cancelling(jf.System):
+    """x1' is the difference of two numbers that are equal but for rounding."""
+
+    def vector_field(self, t, x, side):
+        return jnp.array([x[1] - x[2], -0.3 * x[1], -(0.1 * x[2] + 0.2 * x[2])])
+
+    def switching(self, t, x):
+        return x[1] - 1e-3
+
+
+@pytest.mark.parametrize("stepper", RELIABLE, ids=name)
+def test_rounding_of_another_component_is_no_gross_error(stepper):
+    x0 = jnp.array([0.0, 1.0, 1.0])
+    sol = jf.solve(Cancelling(), x0, 0.0, 3.0, 0.3, stepper=stepper, throw=False)
+    assert sol.result == jf.RESULTS.successful
+    assert 0 < abs(sol.x_final[0]) < 1e-14
+
+
+def test_a_lane_that_cannot_be_followed_harms_no_other():
+    belt = jf.systems.BeltFriction()
+    swept = {"progress": False, "transient": 5, "samples": 5, "stepper": diffrax.Tsit5()}
+    pulls = jnp.array([0.1, 1e4, 0.1])
+    d = jf.bifurcation_diagram(belt, "f0", pulls, jnp.zeros(2), steps=40, **swept)
+    told = np.asarray(d.results == jf.RESULTS.step_too_long)
+    np.testing.assert_array_equal(told, [False, True, False])
+    np.testing.assert_array_equal(d.xs[0], d.xs[2])
+    assert np.isfinite(d.xs[0]).all()
