@@ -69,8 +69,10 @@ def kernel_if_it_fits(function: Callable) -> Callable:
     """
 
     def call(*args):
+        if jax.default_backend() != "cpu":
+            return function(*args)
         program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-        if jax.default_backend() != "cpu" or not _fits(program.jaxpr):
+        if not _fits(program.jaxpr):
             return function(*args)
         # What the function has closed over becomes an argument: it may come as a batch.
         count, values = len(program.consts), [*program.consts, *jax.tree.leaves(args)]
