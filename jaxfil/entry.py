@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array
 
-from jaxfil.kernel import one_kernel
+from jaxfil.kernel import kernel_of_all
 
 
 @jax.custom_jvp
@@ -68,7 +68,8 @@ def _broadcast(axis_size: int, batched: Any, args: Any) -> Any:
 @custom_vmap
 def _write_lanes(rows: Any, i: Array, row: Any, yes: Array) -> Any:
     """`_write` for lanes along a first axis of all arguments."""
-    keep, every = (lambda rows, *_: rows), one_kernel(_write_each)
+    # Not `one_kernel`, whose barrier would copy the rows.
+    keep, every = (lambda rows, *_: rows), kernel_of_all(_write_each)
     return jax.lax.cond(jnp.any(yes), every, keep, rows, i, row, yes)
 
 

@@ -8,7 +8,7 @@ its numbers stay in the first-level cache.
 
 import functools as ft
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -18,6 +18,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jax.experimental.xla_metadata import set_xla_metadata
+from jaxtyping import Array
 
 # A call that XLA neither inlines nor splits. A version that does not know these ignores them.
 _WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
@@ -30,6 +31,26 @@ def one_kernel(function: Callable) -> Callable:
     compile a scatter, a sort or a library call there.
     """
 
+    def call(*args):
+        # What the function has closed over becomes an argument.
+        program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+        count = len(program.consts)
+
+        def run(*values):
+            out = jax.core.eval_jaxpr(program.jaxpr, values[:count], *values[count:])
+            return out, _all_used(values)
+
+        out = kernel_of_all(run)(*program.consts, *jax.tree.leaves(args))
+        out, _ = jax.lax.optimization_barrier(out)
+        return jax.tree.unflatten(jax.tree.structure(shapes), out)
+
+    return call
+
+
+def kernel_of_all(function: Callable) -> Callable:
+    """`function` as a single kernel, where it uses all of its arguments and closes over nothing: on
+    another one XLA (jaxlib 0.10.2) aborts."""
+
     def inside(*args):
         # The attributes are those of the call, not of what it calls.
         with set_xla_metadata(**dict.fromkeys(_WHOLE)):
@@ -40,6 +61,12 @@ def one_kernel(function: Callable) -> Callable:
             return jax.jit(inside)(*args)
 
     return call
+
+
+def _all_used(values: Sequence[Array]) -> Array:
+    """A number made of all values."""
+    firsts = [jnp.ravel(v)[0].astype(jnp.float32) for v in values if v.size]
+    return jnp.asarray(sum(firsts), jnp.float32)
 
 
 # What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which

@@ -7,13 +7,13 @@ in a slide (s = 0) only `hold` and `slide` are asked.
 
 import math
 
-import llvmlite.binding
 import numba
 import numpy as np
+from numba.core.codegen import get_host_cpu_features
 from scipy.integrate import DOP853, RK45
 
 # Vectors as wide as the machine has them, which LLVM does not take unasked.
-numba.config.CPU_FEATURES = llvmlite.binding.get_host_cpu_features().flatten() + ",-prefer-256-bit"
+numba.config.CPU_FEATURES = get_host_cpu_features() + ",-prefer-256-bit"
 
 njit = numba.njit(fastmath=True)
 # Without inf and nan, but in the written order: regrouping would undo the reduction of the angle.
