@@ -9,6 +9,7 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +25,10 @@ from jaxfil.solution import Dense, Solution, errors, events_of
 from jaxfil.stepper import tableau
 from jaxfil.system import System
 
+_FORWARD_ONLY = (
+    "`adjoint` must be diffrax.RecursiveCheckpointAdjoint() for derivatives in reverse mode "
+    "(jax.grad, jax.vjp), got diffrax.ForwardMode(), for those in forward mode (jax.jacfwd, jax.jvp)."
+)
 # Steps that end this close to the end of the span (in steps) are its last.
 _WHOLE = 1e-6
 
@@ -112,6 +117,8 @@ def solve(
         half, options = length / 2, options.of_companion()
         companion = _solve(system, x, start, stop, half, ts, stepper, options)
         sol = eqx.tree_at(lambda s: s.errors, sol, errors(sol, companion), is_leaf=_is_none)
+    if not reverse:
+        sol = eqxi.nondifferentiable_backward(sol, msg=_FORWARD_ONLY)
     sol = dataclasses.replace(sol, labels=labels)
     return _raise_unless_successful(sol) if throw else sol
 

@@ -139,25 +139,26 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
         pushed = jax.make_jaxpr(ft.partial(_pushed, run, moving))(values, rates)
         real = [jnp.issubdtype(v.dtype, jnp.inexact) for v in program.out_avals]
 
-        def both(batched: Any) -> list:
-            ends = spread(batched[: len(values)])
+        def spread_of_rates(batched: Any) -> list:
             either = list(batched[: len(values)])
             for k, flag in zip(moving, batched[len(values) :], strict=True):
                 either[k] = either[k] or flag
-            return ends + list(itertools.compress(spread(either), real))
+            return list(itertools.compress(spread(either), real))
 
-        out = _whole(pushed, both, lanes)(*values, *rates)
-        ends, rates = out[: len(real)], iter(out[len(real) :])
+        # The results come from a kernel of their own: a linearisation needs them before the rates.
+        out = iter(_whole(pushed, spread_of_rates, lanes)(*values, *rates))
         still = [np.zeros(v.shape, jax.dtypes.float0) for v in program.out_avals]
-        return ends, [next(rates) if moves else v for moves, v in zip(real, still, strict=True)]
+        return whole(*values), [
+            next(out) if moves else v for moves, v in zip(real, still, strict=True)
+        ]
 
     whole.defjvp(push, symbolic_zeros=True)
     return whole
 
 
 def _pushed(run: Callable, moving: list[int], values: Any, rates: list) -> list:
-    """The results of `run`, and the tangents of those that are real numbers, as the values numbered
-    `moving` move at `rates`."""
+    """The tangents of those results of `run` that are real numbers, as the values numbered `moving`
+    move at `rates`."""
 
     def moved(*moves: Any) -> list:
         here = list(values)
@@ -165,8 +166,8 @@ def _pushed(run: Callable, moving: list[int], values: Any, rates: list) -> list:
             here[k] = v
         return run(*here)
 
-    ends, tangents = jax.jvp(moved, [values[k] for k in moving], rates)
-    return [*ends, *(v for v in tangents if v.dtype != jax.dtypes.float0)]
+    _, tangents = jax.jvp(moved, [values[k] for k in moving], rates)
+    return [v for v in tangents if v.dtype != jax.dtypes.float0]
 
 
 def _fits(jaxpr: Any) -> bool:

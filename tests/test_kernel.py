@@ -112,6 +112,29 @@ def test_batches_of_all_kinds_give_what_single_lanes_give():
         np.testing.assert_allclose(u.reshape(v.shape), v, rtol=1e-13, atol=1e-14)
 
 
+def test_a_lane_can_be_linearised():
+    """As optimistix and lineax do: the state first, its derivative later."""
+
+    def end(a):
+        return run(a, "product")[:2]
+
+    def batch(a):
+        return jax.vmap(end)(a)
+
+    one, some = jnp.float64(0.3), jnp.linspace(0.2, 0.4, 3)
+    for f, a in ((end, one), (batch, some)):
+        ref = jax.jvp(f, (a,), (jnp.ones_like(a),))
+        for linearized in (jax.linearize(f, a), jax.linearize(jax.jit(f), a)):
+            got = linearized[0], linearized[1](jnp.ones_like(a))
+            for u, v in zip(jax.tree.leaves(got), jax.tree.leaves(ref), strict=True):
+                np.testing.assert_allclose(u, v, rtol=1e-13, atol=1e-14)
+
+
+def test_a_gradient_without_its_adjoint_is_refused_by_name():
+    with pytest.raises(RuntimeError, match="`adjoint` must be diffrax"):
+        jax.grad(lambda a: run(a, "product")[0][0])(jnp.float64(0.3))
+
+
 def everything(x, k):
     """Each operation that is held to fit into one kernel."""
     unary = [lax.abs, lax.acos, lax.asin, lax.asinh, lax.atan, lax.atanh, lax.cbrt, lax.ceil]
