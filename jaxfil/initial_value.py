@@ -26,8 +26,8 @@ from jaxfil.stepper import tableau
 from jaxfil.system import System
 
 _FORWARD_ONLY = (
-    "`adjoint` must be diffrax.RecursiveCheckpointAdjoint() for derivatives in reverse mode "
-    "(jax.grad, jax.vjp), got diffrax.ForwardMode(), for those in forward mode (jax.jacfwd, jax.jvp)."
+    "`adjoint` must be diffrax.RecursiveCheckpointAdjoint() for derivatives in reverse "
+    "mode (jax.grad, jax.vjp), got diffrax.ForwardMode(), for those in forward mode (jax.jacfwd)."
 )
 # Steps that end this close to the end of the span (in steps) are its last.
 _WHOLE = 1e-6
