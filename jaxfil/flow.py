@@ -27,7 +27,6 @@ from jaxtyping import Array
 
 from jaxfil import filippov
 from jaxfil.contact import NEVER, land, missing_time, search
-from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.lane import Ahead, Lane, Policy, Span, View, later, running
 from jaxfil.record import keep_sample, record_event, save_state
 from jaxfil.results import RESULTS
@@ -291,16 +290,11 @@ def integrate(
 
     `kind="checkpointed"` allows reverse-mode derivatives and needs a static `max_iterations`.
     """
-    body = ft.partial(advance, scene, table, span, policy)
-    on = ft.partial(running, span)
-
-    def run(x0: Blocks) -> Lane:
-        first = begin(scene, span, policy, x0, num_saves)
-        return jax.lax.while_loop(lambda lane: eqxi.unvmap_any(on(lane)), body, first)
-
-    if kind == "lax":
-        return finish(span, kernel_if_it_fits(run)(x0))
     first = begin(scene, span, policy, x0, num_saves)
+    body, on = ft.partial(advance, scene, table, span, policy), ft.partial(running, span)
+    if kind == "lax":
+        lane = jax.lax.while_loop(lambda lane: eqxi.unvmap_any(on(lane)), body, first)
+        return finish(span, lane)
     records = [name for name in ("table", "saves") if getattr(first, name) is not None]
 
     def buffers(lane: Lane) -> list:

@@ -25,7 +25,7 @@ from jaxfil.checkpoint import Checkpoint, Record, digest, record_of
 from jaxfil.chunk import BLOCK, compiled, one_after_another, side_by_side
 from jaxfil.diagram import BifurcationDiagram, Conditions
 from jaxfil.flow import integrate
-from jaxfil.kernel import in_blocks
+from jaxfil.kernel import in_blocks, one_kernel
 from jaxfil.labels import labels_of
 from jaxfil.lane import Policy, Span
 from jaxfil.parameter import parameter, parameters, replace
@@ -273,8 +273,10 @@ def _run(system, names, rows, states, *, transient, samples, steps, stepper, fol
     if not followed:
         return (in_blocks(block, BLOCK) if whole else jax.vmap(lane))(rows, states)
 
+    single = one_kernel(lane) if whole else lane
+
     def next_point(x, row):
-        xs, result, end = lane(row, x)
+        xs, result, end = single(row, x)
         return jnp.where(result == RESULTS.successful, end, x), (xs, result)
 
     end, (xs, results) = jax.lax.scan(next_point, states, rows)
