@@ -230,7 +230,9 @@ def test_sticking_chaos_by_its_rate():
     assert np.all(found.result == RESULTS.successful) and chaotic.sum() > 20
     away = np.abs(exponents - 0.3799)[chaotic]
     assert np.mean(away < 3 * errors[chaotic]) > 0.9
-    assert abs(exponents[chaotic].mean() - 0.3799) < 3 * errors.mean() / np.sqrt(chaotic.sum())
+    assert abs(exponents[chaotic].mean() - 0.3799) < 3 * errors[chaotic].mean() / np.sqrt(
+        chaotic.sum()
+    )
 
 
 @pytest.mark.parametrize(
