@@ -237,11 +237,8 @@ def long_runs(periods=1_000_000):
         setting = f"{periods:,} periods of {steps} steps"
         allowed = 1e-14 + units * EPS * periods * steps
         rows.append(Row(scene, setting, outcome, abs(drift(x)), allowed, note))
-    # The time of a contact is rounded, and the motion goes on from the rounded one; contacts that
-    # come at equal intervals are rounded to the same side.
-    shift = int(sol.num_events) * np.spacing(t1) / 2
-    note = "of the state: contact times are rounded"
-    rows.append(Row(scene, setting, outcome, apart(x, np.array(x0)), shift, note))
+    # Its phase too: what rounding leaves out of the times of two million contacts is not lost.
+    rows.append(Row(scene, setting, outcome, apart(x, np.array(x0)), allowed, "of the state"))
     return rows
 
 
