@@ -217,14 +217,13 @@ def land(
         g = stop_gradient(view.g[j])
         sliding = view.mode[j] == 0 if scene.slides else jnp.zeros((), bool)
         zero = abs(g) <= view.noise[j]
-        # Several surfaces that it meets within the rounding of times it meets together.
-        near = inside | sliding | zero if scene.m == 1 else jnp.ones((), bool)
-        reached = (size <= same) & near | (cutting & close & inside)
+        # So do several surfaces: those met within the rounding of times are met together.
+        loose = sliding | (scene.m > 1)
+        reached = (size <= same) & (inside | zero | loose) | (cutting & close & inside)
         # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step
         # has gone past it by no more than the search takes for rounding.
         past = (g < 0) & (-g <= view.touch[j])
-        short = abs(h) <= same if scene.m > 1 else sliding & (abs(h) <= same)
-        here = aimed & (zero | past | short) & ~reached
+        here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
         hit = falls & (here | ((lane.armed[j] | aimed) & reached))
         # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
         vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.touch[j] * bend)
