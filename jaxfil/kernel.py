@@ -32,19 +32,24 @@ def one_kernel(function: Callable) -> Callable:
     """
 
     def call(*args):
-        # What the function has closed over becomes an argument.
-        program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-        count = len(program.consts)
-
-        def run(*values):
-            out = jax.core.eval_jaxpr(program.jaxpr, values[:count], *values[count:])
-            return out, _all_used(values)
-
-        out = kernel_of_all(run)(*program.consts, *jax.tree.leaves(args))
+        run, values, tree = _opened(function, args)
+        out = kernel_of_all(lambda *values: (run(*values), _all_used(values)))(*values)
         out, _ = jax.lax.optimization_barrier(out)
-        return jax.tree.unflatten(jax.tree.structure(shapes), out)
+        return jax.tree.unflatten(tree, out)
 
     return call
+
+
+def _opened(function: Callable, args: tuple) -> tuple[Callable, list, Any]:
+    """A function from arrays to a list of arrays which closes over none, the values it takes, and
+    the structure of what it stands for."""
+    program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+    count = len(program.consts)
+
+    def run(*values):
+        return jax.core.eval_jaxpr(program.jaxpr, values[:count], *values[count:])
+
+    return run, [*program.consts, *jax.tree.leaves(args)], jax.tree.structure(shapes)
 
 
 def kernel_of_all(function: Callable) -> Callable:
@@ -98,20 +103,16 @@ def kernel_if_it_fits(function: Callable) -> Callable:
     def call(*args):
         if jax.default_backend() != "cpu":
             return function(*args)
-        program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+        # What the function has closed over becomes an argument: it may come as a batch.
+        run, values, tree = _opened(function, args)
+        program = jax.make_jaxpr(run)(*values)
         if not _fits(program.jaxpr):
             return function(*args)
-        # What the function has closed over becomes an argument: it may come as a batch.
-        count, values = len(program.consts), [*program.consts, *jax.tree.leaves(args)]
-
-        def run(*values):
-            return jax.core.eval_jaxpr(program.jaxpr, values[:count], *values[count:])
 
         def spread(batched):
             return [any(batched)] * len(program.out_avals)
 
-        out = _whole(jax.make_jaxpr(run)(*values), spread, 1)(*values)
-        return jax.tree.unflatten(jax.tree.structure(shapes), out)
+        return jax.tree.unflatten(tree, _whole(program, spread, 1)(*values))
 
     return call
 
