@@ -35,40 +35,23 @@ FOURIER = jf.FourierOrbit(
     np.zeros((3, 2)), np.array(1.0), np.array(0.0), jf.RESULTS.successful, np.array(2)
 )
 
+
+def in_both(result, told):
+    return result, in_float32(result), told
+
+
 # A result, the same in float32, and how its card tells it.
 CARDS = {
-    "solution": (MOTION, in_float32(MOTION), "Solution in float32: successful"),
-    "diagram": (
-        pictures.period_doublings(),
-        in_float32(pictures.period_doublings()),
-        "BifurcationDiagram of SDOscillator in float32",
+    "solution": in_both(MOTION, "Solution in float32: successful"),
+    "diagram": in_both(
+        pictures.period_doublings(), "BifurcationDiagram of SDOscillator in float32"
     ),
-    "basins": (
-        pictures.basins(),
-        in_float32(pictures.basins()),
-        "Basins of SDOscillator in float32: 30",
-    ),
-    "spectrum": (
-        pictures.spectrum(),
-        in_float32(pictures.spectrum()),
-        "LyapunovSpectrum in float32: successful",
-    ),
-    "synchronization": (
-        pictures.synchronized(),
-        in_float32(pictures.synchronized()),
-        "Synchronization in float32: exponent",
-    ),
-    "curve": (
-        pictures.curve(),
-        in_float32(pictures.curve()),
-        "BifurcationCurve in float32, 30 points",
-    ),
-    "work and precision": (
-        pictures.errors(),
-        in_float32(pictures.errors()),
-        "Reference in float32: Dopri8",
-    ),
-    "fourier": (FOURIER, in_float32(FOURIER), "FourierOrbit in float32: successful"),
+    "basins": in_both(pictures.basins(), "Basins of SDOscillator in float32: 30"),
+    "spectrum": in_both(pictures.spectrum(), "LyapunovSpectrum in float32: successful"),
+    "synchronization": in_both(pictures.synchronized(), "Synchronization in float32: exponent"),
+    "curve": in_both(pictures.curve(), "BifurcationCurve in float32, 30 points"),
+    "work and precision": in_both(pictures.errors(), "Reference in float32: Dopri8"),
+    "fourier": in_both(FOURIER, "FourierOrbit in float32: successful"),
     "branch": (
         branch(ORBITS),
         branch(SINGLE_ORBITS),
