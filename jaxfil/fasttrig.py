@@ -1,13 +1,13 @@
 """Sine, cosine and arctangent that vectorise.
 
-Float arrays enter, their sine, cosine (float64) or arctangent leaves: a polynomial or a rational
-function after range reduction. XLA's own sine and cosine are one scalar library call a lane on CPU,
-and cost more than all the rest of a typical oscillator's field; its arctangent of jaxlib 0.10.2 is
-wrong for arrays of 50 numbers and more (jax-ml/jax issue 39352).
+Arrays of float32 or float64 enter, their sine, cosine or arctangent leaves: a polynomial or a
+rational function after range reduction. XLA's own sine and cosine are one scalar library call a
+lane on CPU, and cost more than all the rest of a typical oscillator's field; its arctangent of
+jaxlib 0.10.2 is wrong for arrays of 50 numbers and more (jax-ml/jax issue 39352).
 
-Accuracy of sine and cosine: within 2 ulp of one for |x| < 1e5; beyond, the error stays of the order
-of eps·|x|, which is what rounding of the argument itself does. The arctangent's relative error is
-below 2 eps for every x.
+Accuracy of sine and cosine: within 2 ulp of one for |x| < 1e5 (in float32 1e4); beyond, the error
+stays of the order of eps·|x|, which is what rounding of the argument itself does. The arctangent's
+relative error is below 2 eps for every x.
 """
 
 import jax
@@ -16,10 +16,12 @@ import numpy as np
 from jaxtyping import Array
 
 # pi in parts of 33, 33 and 53 bits: a half-integer below 2^20 times one of the first two is exact
-# (Cody and Waite 1980; twice the parts of pi/2 in fdlibm).
+# (Cody and Waite 1980; twice the parts of pi/2 in fdlibm). In parts of 11, 11 and 24 bits for
+# float32: below 2^12.
 _PI = (3.14159265346825122834e00, 1.21542010126079319340e-10, 4.04453249759190126308e-21)
+_PI_SINGLE = (3.140625, 2029 * 2.0**-21, 1.50995799e-7)
 # (sin r / r - 1) / r^2 as a polynomial in r^2 on |r| <= pi/2, by Remez's algorithm: the error of
-# sin r stays below 2e-19.
+# sin r stays below 2e-19; of the first six terms below 3e-9.
 _SINE = (
     -0.16666666666666666,
     0.008333333333333113,
@@ -30,6 +32,7 @@ _SINE = (
     -7.642708523081675e-13,
     2.7184506289152276e-15,
 )
+_SINGLE_TERMS = 6
 # (arctan x / x - 1) / x^2 as P(x^2)/Q(x^2) on |x| <= 0.66, the leading coefficients first (Moshier,
 # Cephes library, atan.c, 1989: relative error 2e-16 at most).
 _ARCTAN_P = (
@@ -51,13 +54,22 @@ _ARCTAN_Q = (
 _HALF_PI_REST = 6.123233995736765886130e-17
 
 
+def _horner(coefficients: tuple[float, ...], z: Array) -> Array:
+    total = jnp.full_like(z, coefficients[0])
+    for coefficient in coefficients[1:]:
+        total = coefficient + z * total
+    return total
+
+
 def _reduced_sine(x: Array, turns: Array, parity: Array) -> Array:
     """(−1)^parity sin(x − turns·π), for an argument of at most π/2."""
-    r = ((x - turns * _PI[0]) - turns * _PI[1]) - turns * _PI[2]
+    single = x.dtype == jnp.float32
+    pi, sine = (_PI_SINGLE, _SINE[:_SINGLE_TERMS]) if single else (_PI, _SINE)
+    r = ((x - turns * pi[0]) - turns * pi[1]) - turns * pi[2]
+    if single:  # beyond 1e7, where half-integers are no longer numbers, nothing is known of r
+        r = jnp.where(abs(r) <= 3.0, r, 0 * r)
     z = r * r
-    tail = jnp.full_like(z, _SINE[-1])
-    for coefficient in reversed(_SINE[:-1]):
-        tail = coefficient + z * tail
+    tail = _horner(sine[::-1], z)
     half = 0.5 * parity
     sign = 1 - 4 * (half - jnp.floor(half))
     return sign * (r + r * (z * tail))
@@ -65,23 +77,16 @@ def _reduced_sine(x: Array, turns: Array, parity: Array) -> Array:
 
 @jax.custom_jvp
 def sin(x: Array) -> Array:
-    """Sine of a float64 array, of any shape."""
+    """Sine of a float array, of any shape."""
     turns = jnp.round(x * (1 / np.pi))
     return _reduced_sine(x, turns, turns)
 
 
 @jax.custom_jvp
 def cos(x: Array) -> Array:
-    """Cosine of a float64 array, of any shape."""
+    """Cosine of a float array, of any shape."""
     turns = jnp.round(x * (1 / np.pi) - 0.5)
     return _reduced_sine(x, turns + 0.5, turns + 1)
-
-
-def _horner(coefficients: tuple[float, ...], z: Array) -> Array:
-    total = jnp.full_like(z, coefficients[0])
-    for coefficient in coefficients[1:]:
-        total = coefficient + z * total
-    return total
 
 
 @jax.custom_jvp

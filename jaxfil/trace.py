@@ -1,8 +1,8 @@
 """A user's function, traced once.
 
 A function of arrays enters; a `Traced` leaves: callable as the original is, under every
-transformation, with its float64 sines and cosines, its arctangents and its products of small
-matrices replaced by ones that vectorise, and able to say which of its results depend on which of
+transformation, with its sines, cosines, arctangents and products of small matrices
+replaced by ones that vectorise, and able to say which of its results depend on which of
 its arguments.
 """
 
@@ -19,9 +19,8 @@ from jaxtyping import Array
 
 from jaxfil import fasttrig
 
+_FLOATS = (jnp.float32, jnp.float64)
 _FAST = {"sin": fasttrig.sin, "cos": fasttrig.cos, "atan": fasttrig.arctan}
-# XLA's float32 sine and cosine vectorise.
-_SINGLE = ("atan",)
 
 
 def _arctan2(y: Array, x: Array) -> Array:
@@ -99,7 +98,7 @@ def _evaluate(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], hold: Call
     for eqn in jaxpr.eqns:
         inputs = [_read(values, v) for v in eqn.invars]
         name = eqn.primitive.name
-        if name in _FAST and (name in _SINGLE or eqn.invars[0].aval.dtype == jnp.float64):
+        if name in _FAST and eqn.invars[0].aval.dtype in _FLOATS:
             outputs = [hold(_FAST[name](jnp.asarray(inputs[0])))]
         elif name in _SAFE:
             outputs = [_SAFE[name](*map(jnp.asarray, inputs))]
