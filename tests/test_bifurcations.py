@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
+from jaxfil.analysis.approach import touches
 from jaxfil.analysis.bifurcation import KINDS
 from jaxfil.parameter import replace
+from jaxfil.results import KINDS as EVENTS
 from jaxfil.results import outcome_names
 from tests.test_cards import in_float32
 
@@ -203,6 +205,31 @@ def test_everything_that_happens_to_an_orbit_in_one_call():
     expected = [10.904975822090772, 7.952394749883, 4.217222740070]
     np.testing.assert_allclose([b.value for b in route], expected, rtol=0, atol=1e-8)
     assert "switching-sliding" in repr(route)
+
+
+def with_a_graze(orbit, k):
+    """The orbit with a touch told in the middle of the flight that its contact number k ends."""
+    events = orbit.events
+    middle = 0.5 * (events.ts[k - 1] + events.ts[k])
+    inserted = jax.tree.map(lambda v: jnp.insert(v, k, v[k - 1], axis=0)[:-1], events)
+    inserted = eqx.tree_at(
+        lambda e: (e.ts, e.kinds),
+        inserted,
+        (inserted.ts.at[k].set(middle), inserted.kinds.at[k].set(int(EVENTS.graze))),
+    )
+    return eqx.tree_at(lambda o: o.events, orbit, inserted)
+
+
+def test_a_touch_within_a_flight_hides_nothing():
+    """The slip that is born in the adding-sliding bifurcation rises so little at first that its
+    vertex is told as a touch."""
+    system = replace(BELT, "omega", 1.402)
+    orbit = jf.periodic_orbit(system, jnp.array([1.56, 1.0]), steps=60)
+    slip = float(orbit.events.ts[3] - orbit.events.ts[2])
+    for seen in (orbit, with_a_graze(orbit, 3)):
+        reach, touch = touches(seen, "adding-sliding")[0]
+        assert reach == slip < 0.2
+        assert touch.side == -1
 
 
 @pytest.mark.slow

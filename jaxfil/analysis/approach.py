@@ -39,12 +39,15 @@ def _flights(orbit: Orbit) -> list[_Flight]:
     t0, period = float(orbit.plan.t0), float(orbit.period)
     first = np.asarray(orbit.first_mode).astype(float)
     events = orbit.events
-    count = 0 if events is None else int(np.sum(np.asarray(events.kinds) != KINDS.none))
+    # A touch ends no flight: the mode goes on.
+    kinds = np.full(0, KINDS.none) if events is None else np.asarray(events.kinds)
+    ends = np.flatnonzero((kinds != KINDS.none) & (kinds != KINDS.graze))
+    count = ends.size
     if events is None or count == 0:
         return [_Flight(-np.inf, np.inf, first, np.zeros(first.shape, bool))]
-    ts = np.asarray(events.ts)[:count]
-    modes = np.asarray(events.modes)[:count].astype(float)
-    members = np.asarray(events.members)[:count]
+    ts = np.asarray(events.ts)[ends]
+    modes = np.asarray(events.modes)[ends].astype(float)
+    members = np.asarray(events.members)[ends]
     stops = np.append(ts[1:], ts[0] + period)
     assert np.all(ts >= t0)
     return [_Flight(ts[i], stops[i], modes[i], members[(i + 1) % count]) for i in range(count)]
