@@ -15,8 +15,7 @@ import jaxfil as jf
 from jaxfil.analysis.approach import touches
 from jaxfil.analysis.bifurcation import KINDS
 from jaxfil.parameter import replace
-from jaxfil.results import KINDS as EVENTS
-from jaxfil.results import outcome_names
+from jaxfil.results import KINDS as EVENTS, outcome_names
 from tests.test_cards import in_float32
 
 SD_LOW, SD_HIGH = 0.866716581971234, 1.117142393133526
