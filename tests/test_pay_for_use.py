@@ -167,3 +167,20 @@ def test_new_numbers_neither_trace_nor_compile_again():
         found = counter.since(before)
         made = found["traces"] + found["compilations"]
         assert (made == 0) == (i == 1)
+
+
+def test_a_derivative_outside_of_jit_compiles_nothing_again():
+    """As a search by gradient asks for it, step by step."""
+    orbit = jf.periodic_orbit(
+        jf.systems.SDOscillator(omega=0.84), jnp.array([1.9, 0.0]), steps=60, stepper=jf.RK4()
+    )
+    counter = Counter()
+    counter.watch()
+    slope = jax.grad(lambda s: jf.grazing_margin(s, orbit))
+    systems = [jf.systems.SDOscillator(omega=np.float64(w)) for w in (0.83, 0.84, 0.85)]
+    found = []
+    for system in systems:
+        before = dict(counter.counts)
+        jax.block_until_ready(slope(system).f0)
+        found.append(counter.since(before)["compilations"])
+    assert found[0] > 0 and found[1:] == [0, 0]

@@ -19,6 +19,7 @@ from jaxfil import check, scene
 from jaxfil.analysis.bifurcation import Problem, defining_problem, guesses
 from jaxfil.analysis.newton import Evaluation, newton
 from jaxfil.analysis.orbit import Orbit
+from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.results import RESULTS
 from jaxfil.system import System
 
@@ -65,7 +66,7 @@ def grazing_margin(system: System, orbit: Orbit) -> Float[Array, ""]:
 
 def _evaluation(problem: Problem, z: Array) -> Evaluation:
     """Closing and Ḣ = 0: where the guard is smallest, whatever its value there."""
-    jacobian, (value, closing) = jax.jacfwd(problem.residual, has_aux=True)(z)
+    jacobian, (value, closing) = kernel_if_it_fits(jax.jacfwd(problem.residual, has_aux=True))(z)
     equations, unknowns = problem.scales(z, closing)
     n = z.shape[0] - 1
     keep = jnp.array([*range(n), n + 1])
@@ -97,13 +98,19 @@ def _margin_jvp(primals, tangents, *, problem, unravel, z):
     margin, z = _solved(theta, problem, unravel, z)
     if tangents[0] is None:
         return margin, jnp.zeros_like(margin)
+    return margin, _slope(theta, problem, unravel, z) @ tangents[0]
+
+
+# Compiled: a search by gradient that is not, calls it again and again.
+@eqx.filter_jit
+def _slope(theta: Array, problem: Problem, unravel: Any, z: Array) -> Array:
+    """The derivative of the margin by all parameters, that of the implicit function."""
     n = z.shape[0] - 1
 
     def both(v: Array) -> Array:
         return _with(problem, unravel, v[n + 1 :]).residual(v[: n + 1])[0]
 
-    matrix = jax.jacfwd(both)(jnp.concatenate([z, theta]))
+    matrix = kernel_if_it_fits(jax.jacfwd(both))(jnp.concatenate([z, theta]))
     keep = jnp.array([*range(n), n + 1])
     moved = -jnp.linalg.solve(matrix[keep, : n + 1], matrix[keep, n + 1 :])
-    slope = matrix[n, n + 1 :] + matrix[n, : n + 1] @ moved
-    return margin, slope @ tangents[0]
+    return matrix[n, n + 1 :] + matrix[n, : n + 1] @ moved
