@@ -27,6 +27,7 @@ from jaxtyping import Array
 
 from jaxfil import filippov
 from jaxfil.contact import NEVER, land, missing_time, search
+from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.lane import Ahead, Lane, Policy, Span, View, later, running
 from jaxfil.record import keep_sample, record_event, save_state
 from jaxfil.results import RESULTS
@@ -310,6 +311,14 @@ def integrate(
         checkpoints=checkpoints,
     )
     return finish(span, lane)
+
+
+def integrate_whole(
+    scene: Scene, table: Tableau, span: Span, policy: Policy, x0: Blocks, *, num_saves: int = 0
+) -> Lane:
+    """`integrate`, on a processor as one kernel if all of it fits into one: see `kernel`."""
+    run = ft.partial(integrate, scene, table, span, policy, num_saves=num_saves)
+    return kernel_if_it_fits(run)(x0)
 
 
 def finish(span: Span, lane: Lane) -> Lane:

@@ -4,7 +4,6 @@ A system, an initial state, a time span and a step enter; a `Solution` leaves.
 """
 
 import dataclasses
-import functools as ft
 import math
 from typing import Any
 
@@ -17,8 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil import check, scene
-from jaxfil.flow import integrate
-from jaxfil.kernel import kernel_if_it_fits
+from jaxfil.flow import integrate, integrate_whole
 from jaxfil.labels import labels_of
 from jaxfil.lane import SAME_TIME, Lane, Policy, Span
 from jaxfil.record import mode_codes
@@ -257,18 +255,17 @@ def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
     kind = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
     num_saves = {"none": 0, "ts": 0 if ts is None else ts.shape[0], "steps": options.budget}[kind]
     policy = Policy(kind, options.max_events, None if ts is None else ts - t0)
-    run = ft.partial(
-        integrate,
-        scene_,
-        tableau(stepper),
-        span,
-        policy,
-        num_saves=num_saves or 0,
-        kind="checkpointed" if options.reverse else "lax",
-        checkpoints=options.checkpoints,
-        max_iterations=options.budget if options.reverse else None,
-    )
-    lane = (run if options.reverse else kernel_if_it_fits(run))(scene.unpack(x0))
+    of_run = (scene_, tableau(stepper), span, policy, scene.unpack(x0))
+    if options.reverse:
+        lane = integrate(
+            *of_run,
+            num_saves=num_saves or 0,
+            kind="checkpointed",
+            checkpoints=options.checkpoints,
+            max_iterations=options.budget,
+        )
+    else:
+        lane = integrate_whole(*of_run, num_saves=num_saves or 0)
     return _solution(scene_, span, lane, options, system, x0, stepper)
 
 

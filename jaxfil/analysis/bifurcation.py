@@ -37,6 +37,7 @@ from jaxfil.analysis.touch import (
     defining,
     kind_of,
 )
+from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.parameter import parameter, replace
 from jaxfil.results import RESULTS
 from jaxfil.solution import outcome, precision
@@ -233,7 +234,7 @@ class Problem(eqx.Module):
 
 def evaluation(problem: Problem, extra: Any, z: Array) -> Evaluation:
     """Residual and Jacobian, with `extra(z)`, equations of order one, appended."""
-    jacobian, (value, aux) = jax.jacfwd(problem.residual, has_aux=True)(z)
+    jacobian, (value, aux) = kernel_if_it_fits(jax.jacfwd(problem.residual, has_aux=True))(z)
     equations, unknowns = problem.scales(z, aux)
     more, more_by = extra(z), jax.jacfwd(extra)(z)
     return Evaluation(

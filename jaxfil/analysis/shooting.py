@@ -15,7 +15,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil import scene
-from jaxfil.flow import integrate
+from jaxfil.flow import integrate, integrate_whole
+from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.lane import Policy, Span
 from jaxfil.results import RESULTS
 from jaxfil.solution import Events, events_of
@@ -92,7 +93,8 @@ def shoot(setting: Setting, plan: Plan, starts: Float[Array, "M n"], q: Float[Ar
             more = (x, size, lane.table, lane.num_events, mode, lane.result)
             return x, jax.tree.map(stop_gradient, more)
 
-        return jax.jacfwd(end, has_aux=True)(jnp.concatenate([start, q]))
+        z = jnp.concatenate([start, q])
+        return kernel_if_it_fits(jax.jacfwd(end, has_aux=True))(z)
 
     numbers = jnp.arange(plan.arcs).astype(starts.dtype)
     if plan.arcs == 1:  # a batch of one would take as long to trace as a batch
@@ -150,7 +152,9 @@ def stretch(setting: Setting, plan: Plan, q: Array, part: float) -> Callable[[Ar
     def forward(x: Array, number: Array) -> Array:
         scene_ = scene.build(system, x)
         span = plan.span(plan.t0 + number * length, length, max(1, round(1 / part)))
-        lane = integrate(scene_, tableau(plan.stepper), span, Policy("none", None), scene.unpack(x))
+        lane = integrate_whole(
+            scene_, tableau(plan.stepper), span, Policy("none", None), scene.unpack(x)
+        )
         return jnp.where(lane.result == RESULTS.successful, scene.pack(lane.x, x.dtype), x)
 
     return forward
