@@ -51,7 +51,7 @@ def grazing_margin(system: System, orbit: Orbit) -> Float[Array, ""]:
     if isinstance(orbit.x0, jax.core.Tracer):
         raise ValueError("`orbit` must be known numbers, got a traced Orbit: find it outside.")
     # The orbit's numbers are looked at, also while the system is being traced.
-    with jax.ensure_compile_time_eval():
+    with jax.core.eval_context():
         touch, missing = guesses(orbit, "grazing")[0]
     system = scene.cast(system, orbit.x0.dtype)
     theta, unravel = ravel_pytree(eqx.filter(system, scene.is_parameter))
