@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.core
+import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
@@ -32,24 +32,33 @@ def one_kernel(function: Callable) -> Callable:
     """
 
     def call(*args):
-        run, values, tree = _opened(function, args)
-        out = kernel_of_all(lambda *values: (run(*values), _all_used(values)))(*values)
-        out, _ = jax.lax.optimization_barrier(out)
-        return jax.tree.unflatten(tree, out)
+        program, values, tree = _opened(function, args)
+        return jax.tree.unflatten(tree, _kernel_of(program)(*values))
 
     return call
 
 
-def _opened(function: Callable, args: tuple) -> tuple[Callable, list, Any]:
-    """A function from arrays to a list of arrays which closes over none, the values it takes, and
-    the structure of what it stands for."""
-    program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-    count = len(program.consts)
+def _opened(function: Callable, args: tuple) -> tuple[Any, list, Any]:
+    """The program of a function, which takes what the function has closed over as arguments; the
+    values that it takes, and the structure of what its results stand for."""
+    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+    inner = closed.jaxpr
+    program = jexc.ClosedJaxpr(
+        inner.replace(constvars=(), invars=[*inner.constvars, *inner.invars]), ()
+    )
+    return program, [*closed.consts, *jax.tree.leaves(args)], jax.tree.structure(shapes)
 
-    def run(*values):
-        return jax.core.eval_jaxpr(program.jaxpr, values[:count], *values[count:])
 
-    return run, [*program.consts, *jax.tree.leaves(args)], jax.tree.structure(shapes)
+def _kernel_of(program: Any) -> Callable:
+    """A program that closes over nothing, as a function of its arguments and a single kernel."""
+    run = jexc.jaxpr_as_fun(program)
+
+    def call(*values):
+        out = kernel_of_all(lambda *values: (run(*values), _all_used(values)))(*values)
+        out, _ = jax.lax.optimization_barrier(out)
+        return out
+
+    return call
 
 
 def kernel_of_all(function: Callable) -> Callable:
@@ -87,25 +96,23 @@ reshape rev round rsqrt scan select_n sign sin sinh slice split sqrt square sque
 stop_gradient sub tan tanh transpose unstack unvmap_any while xor
 """
 _FITTING = frozenset(_NAMES.split())
-# As many lanes as are one kernel together: the columns of a Jacobian. A larger batch takes twice as
-# long to compile so.
-_FEW = 8
+# Lanes that are one kernel together, at most: a larger batch is so many of them at a time.
+_BLOCK = 64
 
 
 def kernel_if_it_fits(function: Callable) -> Callable:
     """`function` of arrays as a single kernel on a processor, if all of it fits into one.
 
     That is known from its operations, before it is compiled, so that this also serves inside of a
-    transformation that somebody else compiles. So are its forward derivatives, and no large batch
-    of either.
+    transformation that somebody else compiles. So are its forward derivatives, and the blocks of a
+    batch of either.
     """
 
     def call(*args):
         if jax.default_backend() != "cpu":
             return function(*args)
         # What the function has closed over becomes an argument: it may come as a batch.
-        run, values, tree = _opened(function, args)
-        program = jax.make_jaxpr(run)(*values)
+        program, values, tree = _opened(function, args)
         if not _fits(program.jaxpr):
             return function(*args)
 
@@ -120,19 +127,19 @@ def kernel_if_it_fits(function: Callable) -> Callable:
 def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
     results are a batch's if some of its arguments are."""
-    run = ft.partial(jax.core.eval_jaxpr, program.jaxpr, program.consts)
-    together = custom_vmap(one_kernel(run))
+    run = jexc.jaxpr_as_fun(program)
+    together = custom_vmap(_kernel_of(program))
     whole = jax.custom_jvp(together)
 
     @together.def_vmap
     def batch(axis_size: int, batched: Any, *values: Any) -> tuple:
         spreads = spread(batched)
         axes, out_axes = ([0 if flag else None for flag in flags] for flags in (batched, spreads))
-        several = jax.vmap(run, axes, out_axes, axis_size=axis_size)
-        count = lanes * axis_size
-        if count <= _FEW:
-            several = _whole(jax.make_jaxpr(several)(*values), spread, count)
-        return several(*values), spreads
+        rows = min(axis_size, max(1, _BLOCK // lanes))
+        several = jax.vmap(run, axes, out_axes, axis_size=rows)
+        some = [v[:rows] if flag else v for v, flag in zip(values, batched, strict=True)]
+        block = _whole(jax.make_jaxpr(several)(*some), spread, lanes * rows)
+        return in_turns(block, batched, spreads, axis_size, rows)(*values), spreads
 
     def push(values: tuple, tangents: tuple) -> tuple:
         moving = [k for k, v in enumerate(tangents) if not isinstance(v, SymbolicZero)]
@@ -194,12 +201,35 @@ def in_blocks(function: Callable, size: int) -> Callable:
     kernel = one_kernel(function)
 
     def blocks(*args):
-        p = args[0].shape[0]
-        count = -(-p // size)
-        if count == 1:
-            return kernel(*args)
-        pick = jnp.minimum(jnp.arange(count * size), p - 1).reshape(count, size)
-        out = jax.lax.map(lambda rows: kernel(*(a[rows] for a in args)), pick)
-        return jax.tree.map(lambda v: v.reshape(count * size, *v.shape[2:])[:p], out)
+        (p,) = {a.shape[0] for a in args}
+        return in_turns(kernel, [True] * len(args), None, p, size)(*args)
 
     return blocks
+
+
+def in_turns(
+    function: Callable, batched: Sequence[bool], spreads: Sequence[bool] | None, p: int, size: int
+) -> Callable:
+    """A function of `size` rows of those arguments that are `batched`, for p rows: applied to
+    `size` of them at a time. Its results are rows too, all or those that `spreads` flags."""
+    count = -(-p // size)
+
+    def call(*args):
+        if count == 1:
+            return function(*args)
+        pick = jnp.minimum(jnp.arange(count * size), p - 1).reshape(count, size)
+
+        def turn(rows: Array) -> Any:
+            return function(
+                *(a[rows] if flag else a for a, flag in zip(args, batched, strict=True))
+            )
+
+        def joined(v: Array) -> Array:
+            return v.reshape(count * size, *v.shape[2:])[:p]
+
+        out = jax.lax.map(turn, pick)
+        if spreads is None:
+            return jax.tree.map(joined, out)
+        return [joined(v) if flag else v[0] for v, flag in zip(out, spreads, strict=True)]
+
+    return call

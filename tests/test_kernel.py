@@ -89,8 +89,9 @@ def test_a_lane_and_its_derivatives_give_what_their_parts_give(in_parts):
 
 
 def test_batches_of_all_kinds_give_what_single_lanes_give():
-    """Few lanes are one kernel, many are not, and so are their derivatives in any order."""
-    some, many = jnp.linspace(0.2, 0.4, 4), jnp.linspace(0.2, 0.4, 40)
+    """Few lanes are one kernel, many a loop over blocks, and so are their derivatives in any
+    order."""
+    some, many = jnp.linspace(0.2, 0.4, 4), jnp.linspace(0.2, 0.4, 100)
 
     def end(a):
         return run(a, "product")[:2]
@@ -103,11 +104,11 @@ def test_batches_of_all_kinds_give_what_single_lanes_give():
     for a in (some, many):
         ends, slopes = jax.jit(batch)(a), jax.jit(jax.vmap(jax.jacfwd(end)))(a)
         swapped = jax.jit(lambda a: jax.jvp(batch, (a,), (jnp.ones_like(a),))[1])(a)
-        for i in (0, 3):
+        for i in (0, 3, -1):
             for got, ref in ((ends, end), (slopes, slope), (swapped, slope)):
                 for u, v in zip(got, ref(a[i]), strict=True):
                     np.testing.assert_allclose(u[i], v, rtol=1e-13, atol=1e-14)
-    nested = jax.jit(jax.vmap(jax.vmap(end)))(many.reshape(2, 20))
+    nested = jax.jit(jax.vmap(jax.vmap(end)))(many.reshape(2, 50))
     for u, v in zip(nested, jax.jit(batch)(many), strict=True):
         np.testing.assert_allclose(u.reshape(v.shape), v, rtol=1e-13, atol=1e-14)
 
@@ -197,7 +198,7 @@ def test_one_kernel_holds_what_is_said_to_fit():
     def lanes(x, k):
         return jax.vmap(moved)(x, k)
 
-    for function, args in ((everything, (x, k)), (lanes, (jnp.stack([x] * 8), jnp.ones(8)))):
+    for function, args in ((everything, (x, k)), (lanes, (jnp.stack([x] * 64), jnp.ones(64)))):
         jax.jit(kernel.one_kernel(function)).lower(*args).compile()
 
 
