@@ -172,6 +172,7 @@ def everything(x, k):
     ]
     out += [lax.iota(np.int32, 3), jax.jit(jnp.sin)(x), jax.nn.relu(x), eqxi.unvmap_any(k > 1)]
     out += [jax.linear_transpose(lambda v: v + v, x)(x)[0]]
+    out += [jax.linearize(lambda x: lax.cond(k > 1, jnp.sin, jnp.negative, x), x)[1](x)]
     return out
 
 

@@ -18,6 +18,7 @@ from jaxfil import check, scene
 from jaxfil.analysis.batch_means import BATCHES, averages, batch_ends
 from jaxfil.analysis.variation import travel, vary
 from jaxfil.flow import advance
+from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.lane import Policy, Span, running
 from jaxfil.results import RESULTS
 from jaxfil.solution import outcome, precision
@@ -179,20 +180,24 @@ def _spectrum(system, x0, duration, counts, stepper, batches):
     table, policy = tableau(stepper), Policy("none", None)
     span = span_of(duration, transient + periods, steps)
     alone = (transient - transient // 4) * steps
-    lane = jax.lax.while_loop(
-        lambda lane: running(span, lane, alone),
-        lambda lane: advance(scene_, table, span, policy, lane),
-        begin(scene_, span, policy, scene.unpack(x0), 0),
-    )
-
-    def batch(variation, stop):
-        after = travel(scene_, table, span, policy, steps, variation, stop)
-        return after, jnp.stack(after.growth)
-
     ends = batch_ends(periods, batches)
     stops = (transient + jnp.append(0, ends)) * steps
-    last, growth = jax.lax.scan(batch, vary(scene_, lane, steps), stops)
-    lane = last.lane
+
+    def run(x0):
+        lane = jax.lax.while_loop(
+            lambda lane: running(span, lane, alone),
+            lambda lane: advance(scene_, table, span, policy, lane),
+            begin(scene_, span, policy, scene.unpack(x0), 0),
+        )
+
+        def batch(variation, stop):
+            after = travel(scene_, table, span, policy, steps, variation, stop)
+            return after, jnp.stack(after.growth)
+
+        last, growth = jax.lax.scan(batch, vary(scene_, lane, steps), stops)
+        return last.lane, growth
+
+    lane, growth = kernel_if_it_fits(run)(x0)
     done = lane.index >= span.num_steps
     spent = ~done & (lane.result == RESULTS.successful)
     result = RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)

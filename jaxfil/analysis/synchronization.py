@@ -20,7 +20,7 @@ from jaxfil import check, scene
 from jaxfil.analysis.batch_means import BATCHES, averages, batch_ends
 from jaxfil.analysis.drive_response import drive_response
 from jaxfil.analysis.lyapunov import average_card, counts_of, interval_of, span_of
-from jaxfil.flow import advance, integrate
+from jaxfil.flow import advance, integrate_whole
 from jaxfil.lane import Policy, running
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks
@@ -170,7 +170,7 @@ def _settle(system: System, x0: Array, duration, transient, steps, table):
     scene_ = scene.build(system, x0)
     policy = Policy("none", None)
     span = span_of(duration, jnp.maximum(transient, 1), steps)
-    lane = integrate(scene_, table, span, policy, scene.unpack(x0))
+    lane = integrate_whole(scene_, table, span, policy, scene.unpack(x0))
     moved = transient > 0
     x = jnp.where(moved, scene.pack(lane.x, x0.dtype), x0)
     return x, RESULTS.where(moved, lane.result, RESULTS.successful)
@@ -282,7 +282,7 @@ def _transverse(system, x0, coupling, duration, counts, stepper, batches):
         start = (transient + k).astype(x0.dtype) * duration
         span = span_of(duration, jnp.ones_like(steps), steps)
         span = eqx.tree_at(lambda s: s.t0, span, start)
-        lane = integrate(scene_, table, span, policy, scene.unpack(z))
+        lane = integrate_whole(scene_, table, span, policy, scene.unpack(z))
         end = scene.pack(lane.x, x0.dtype)
         distance = _distance(lane.x)
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
