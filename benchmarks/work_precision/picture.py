@@ -55,6 +55,7 @@ def draw(problem, rows, path):
         _name_widths(axes[1], [r for r in rows if r.program == "smoothed"])
         _beside(axes[1], rows)
     figure.suptitle(problem.title, fontsize="large")
+    figure.get_layout_engine().set(wspace=0.06)  # the last tick of one panel, the first of the next
     figure.legend(handles=list(_handles(rows)), loc="outside lower center", ncols=4, fontsize=8)
     figure.savefig(path)
 
