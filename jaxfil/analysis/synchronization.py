@@ -21,6 +21,7 @@ from jaxfil.analysis.batch_means import BATCHES, averages, batch_ends
 from jaxfil.analysis.drive_response import drive_response
 from jaxfil.analysis.lyapunov import average_card, counts_of, interval_of, span_of
 from jaxfil.flow import advance, integrate_whole
+from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.lane import Policy, running
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks
@@ -216,7 +217,7 @@ def _threshold(system, x0, couplings, tolerance, duration, counts, stepper):
         spent = spent & (lane.result == RESULTS.successful)
         return nearest, RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)
 
-    nearest, results = jax.vmap(lane)(couplings)
+    nearest, results = jax.vmap(kernel_if_it_fits(lane))(couplings)
     results = RESULTS.where(settled == RESULTS.successful, results, settled)
     nearest = jnp.where(results == RESULTS.successful, nearest, jnp.nan)
     met = nearest <= tolerance
