@@ -51,6 +51,14 @@ def events_of(table: Table | None) -> Events | None:
     return Events(table.ts, table.xs, surfaces, table.members, table.kinds, table.modes)
 
 
+def switches(events: Events | None) -> np.ndarray:
+    """The rows of those contacts that are more than a touch, after which the mode goes on."""
+    if events is None:
+        return np.zeros(0, int)
+    kinds = np.asarray(events.kinds)
+    return np.flatnonzero((kinds != KINDS.none) & (kinds != KINDS.graze))
+
+
 class Solution(eqx.Module):
     """What `solve` returns. Unreached entries of `ts` and `xs` are inf, as in diffrax.
 

@@ -16,8 +16,7 @@ from jaxtyping import Array
 from jaxfil import filippov, scene
 from jaxfil.analysis.orbit import Orbit
 from jaxfil.analysis.touch import FAMILIES, Touch, conditions
-from jaxfil.results import KINDS
-from jaxfil.solution import Dense, evaluate
+from jaxfil.solution import Dense, evaluate, switches
 from jaxfil.system import System
 
 # Touches of an orbit that are told, the nearest first.
@@ -39,9 +38,7 @@ def _flights(orbit: Orbit) -> list[_Flight]:
     t0, period = float(orbit.plan.t0), float(orbit.period)
     first = np.asarray(orbit.first_mode).astype(float)
     events = orbit.events
-    # A touch ends no flight: the mode goes on.
-    kinds = np.full(0, KINDS.none) if events is None else np.asarray(events.kinds)
-    ends = np.flatnonzero((kinds != KINDS.none) & (kinds != KINDS.graze))
+    ends = switches(events)
     count = ends.size
     if events is None or count == 0:
         return [_Flight(-np.inf, np.inf, first, np.zeros(first.shape, bool))]

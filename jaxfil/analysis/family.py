@@ -19,7 +19,8 @@ from jaxfil.analysis.newton import Evaluation, Root, newton
 from jaxfil.analysis.orbit import Orbit, closing, not_vanished
 from jaxfil.analysis.shooting import Plan, Shot, shoot, velocity
 from jaxfil.parameter import replace
-from jaxfil.results import KINDS, RESULTS
+from jaxfil.results import RESULTS
+from jaxfil.solution import switches
 from jaxfil.system import System
 
 # A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
@@ -86,10 +87,9 @@ class Point:
         events = self.shot.events
         if events is None:
             return ()
-        kinds = np.asarray(events.kinds)
         rows = [
             (tuple(np.flatnonzero(events.members[i]).tolist()), tuple(events.modes[i].tolist()))
-            for i in np.flatnonzero((kinds != KINDS.none) & (kinds != KINDS.graze))
+            for i in switches(events)
         ]
         return min((tuple(rows[i:] + rows[:i]) for i in range(len(rows))), default=())
 
