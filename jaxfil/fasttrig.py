@@ -61,18 +61,39 @@ def _horner(coefficients: tuple[float, ...], z: Array) -> Array:
     return total
 
 
+def _estrin(coefficients, z):
+    if len(coefficients) == 1:
+        return jnp.full_like(z, coefficients[0])
+    terms = list(coefficients)
+    while len(terms) > 1:
+        pairs = [a + z * b for a, b in zip(terms[::2], terms[1::2])]
+        terms = pairs + terms[2 * len(pairs):]
+        z = z * z
+    return terms[0]
+
+
+def _negated(x: Array, turns: Array) -> Array:
+    """x, negated where a whole number of turns is odd.
+
+    A number of 1.5·2^52 (in float32 1.5·2^23) has no bits for fractions: added to it, an integer
+    has its parity in the lowest bit.
+    """
+    digits, size, word = (23, 32, jnp.int32) if x.dtype == jnp.float32 else (52, 64, jnp.int64)
+    parity = jax.lax.bitcast_convert_type(turns + 1.5 * 2.0**digits, word)
+    bits = jax.lax.bitcast_convert_type(x, word) ^ (parity << (size - 1))
+    return jax.lax.bitcast_convert_type(bits, x.dtype)
+
+
 def _reduced_sine(x: Array, turns: Array, parity: Array) -> Array:
     """(−1)^parity sin(x − turns·π), for an argument of at most π/2."""
     single = x.dtype == jnp.float32
     pi, sine = (_PI_SINGLE, _SINE[:_SINGLE_TERMS]) if single else (_PI, _SINE)
     r = ((x - turns * pi[0]) - turns * pi[1]) - turns * pi[2]
-    if single:  # beyond 1e7, where half-integers are no longer numbers, nothing is known of r
-        r = jnp.where(abs(r) <= 3.0, r, 0 * r)
+    if single:  # beyond 1e7, where the parity is lost, nothing is known of r
+        r = jnp.where(abs(turns) < 2.0**22, r, 0 * r)
     z = r * r
-    tail = _horner(sine[::-1], z)
-    half = 0.5 * parity
-    sign = 1 - 4 * (half - jnp.floor(half))
-    return sign * (r + r * (z * tail))
+    r = _negated(r, parity)
+    return r + (r * z) * _estrin(sine, z)
 
 
 @jax.custom_jvp
