@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.flow import Length, Trial, choose_length, finish, follow, integrate, judge
+from jaxfil.flow import Forcing, Length, Trial, choose_length, finish, follow, integrate, judge
 from jaxfil.glide import busy, coast, is_clear, is_sliding, look_ahead
 from jaxfil.lane import Ahead, Lane, Policy, Span, running
 from jaxfil.scene import Scene, unpack, where
@@ -91,22 +91,24 @@ def _judge(problem: Problem, slides: bool, rows: Array, states: Array, lanes: La
     """A full iteration of all lanes, in which the steps of those that do not slide are the ones
     that they might have coasted through, to the last bit."""
 
-    def slid(row: Array, x0: Array, lane: Lane, length: Length, trial: Trial) -> Trial:
+    def slid(
+        row: Array, x0: Array, lane: Lane, length: Length, trial: Trial, forcing: Forcing
+    ) -> Trial:
         scene, table, span, _ = problem(row, x0)
-        slide = follow(scene, table, span, lane, length)
+        slide = follow(scene, table, span, lane, length, forcing)
         x, error = (where(is_sliding(lane), a, b) for a, b in zip(slide, trial, strict=True))
         return x, error
 
     def decided(row: Array, x0: Array, lane: Lane, length: Length, trial: Trial, ahead: Ahead):
         scene, table, span, policy = problem(row, x0)
-        return judge(scene, table, span, policy, lane, length, trial, ahead)
+        return judge(scene, table, span, policy, lane, length, trial, ahead.forcing, ahead)
 
     lengths, aheads = jax.vmap(ft.partial(_try, problem))(rows, states, lanes)
     trials = (aheads.x, aheads.error)
     if slides:
         trials = jax.lax.cond(
             jnp.any(jax.vmap(is_sliding)(lanes)),
-            lambda: jax.vmap(slid)(rows, states, lanes, lengths, trials),
+            lambda: jax.vmap(slid)(rows, states, lanes, lengths, trials, aheads.forcing),
             lambda: trials,
         )
     return jax.vmap(decided)(rows, states, lanes, lengths, trials, aheads)

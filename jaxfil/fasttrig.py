@@ -67,7 +67,7 @@ def _estrin(coefficients, z):
     terms = list(coefficients)
     while len(terms) > 1:
         pairs = [a + z * b for a, b in zip(terms[::2], terms[1::2])]
-        terms = pairs + terms[2 * len(pairs):]
+        terms = pairs + terms[2 * len(pairs) :]
         z = z * z
     return terms[0]
 

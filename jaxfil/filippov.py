@@ -129,19 +129,21 @@ def _newton(mode: Blocks, rates: Sequence[Blocks], w: Blocks) -> Blocks:
 
 
 def corners(
-    scene: Scene, t: Array, x: Blocks, alone: bool = False
+    scene: Scene, t: Array, x: Blocks, alone: bool = False, forcing: list[Array] | None = None
 ) -> tuple[list[Blocks], list[Blocks]]:
     """The field on the combinations of sides of `Scene.corner_sides`, and dH/dt along each; `alone`
-    as in `Scene.field`."""
-    fields = [scene.field(t, x, sides, alone) for sides in scene.corner_sides()]
+    and `forcing` as in `Scene.field`."""
+    fields = [scene.field(t, x, sides, alone, forcing) for sides in scene.corner_sides()]
     return fields, [scene.rate(t, x, f) for f in fields]
 
 
-def field(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
-    """The field of a mode, blended while it slides."""
+def field(
+    scene: Scene, t: Array, x: Blocks, mode: Blocks, forcing: list[Array] | None = None
+) -> Blocks:
+    """The field of a mode, blended while it slides; `forcing` as in `Scene.field`."""
     if not scene.slides:
-        return scene.field(t, x, mode, alone=True)
-    fields, rates = corners(scene, t, x, alone=True)
+        return scene.field(t, x, mode, True, forcing)
+    fields, rates = corners(scene, t, x, True, forcing)
     return blend_fields(scene, fields, mode, weights(mode, rates))
 
 

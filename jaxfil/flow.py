@@ -38,6 +38,8 @@ from jaxfil.switch import departure, look
 
 Trial = tuple[Blocks, Blocks]
 """The end of a trial step, and what is known of its error: see `stepper.step`."""
+Forcing = list[list[Array]]
+"""What the field takes of time alone in a step: see `Scene.forcing`."""
 
 # This many contacts in a row, each at the time of the last, are an accumulation.
 _FROZEN = 12
@@ -128,19 +130,23 @@ def _outcome(action: Array, result: RESULTS) -> RESULTS:
 def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane) -> Lane:
     """One iteration. A lane that has come to its end stays as it is."""
     length = choose_length(scene, span, policy, lane)
-    trial = follow(scene, table, span, lane, length)
+    forcing = scene.forcing(span.t0 + lane.tau, length.h, table.times)
+    trial = follow(scene, table, span, lane, length, forcing)
     if scene.m == 0:
-        return _accept_smooth(scene, table, span, policy, lane, length, trial)
-    return judge(scene, table, span, policy, lane, length, trial)
+        return _accept_smooth(scene, table, span, policy, lane, length, trial, forcing)
+    return judge(scene, table, span, policy, lane, length, trial, forcing)
 
 
-def follow(scene: Scene, table: Tableau, span: Span, lane: Lane, length: Length) -> Trial:
+def follow(
+    scene: Scene, table: Tableau, span: Span, lane: Lane, length: Length, forcing: Forcing
+) -> Trial:
     """A trial step in the lane's mode."""
 
-    def field(t, x):
-        return filippov.field(scene, t, x, lane.mode)
+    def field(t, x, forcing=None):
+        return filippov.field(scene, t, x, lane.mode, forcing)
 
-    return step(table, field, span.t0 + lane.tau, lane.x, lane.f, length.h, scene.once)
+    t = span.t0 + lane.tau
+    return step(table, field, forcing, t, lane.x, lane.f, length.h, scene.once)
 
 
 def judge(
@@ -151,12 +157,13 @@ def judge(
     lane: Lane,
     length: Length,
     trial: Trial,
+    forcing: Forcing,
     ahead: Ahead | None = None,
 ) -> Lane:
     """The lane after a trial step: accepted, rejected, landed or switched. What is known `ahead` is
     as in `look`."""
     x = where(lane.pending, lane.x, trial[0])
-    view = look(scene, span, lane, length.end, x, ahead)
+    view = look(scene, span, lane, length.end, x, forcing[-1], ahead)
     found = search(scene, span, lane, view, length.h, length.cutting)
     landing = land(scene, span, lane, view, length.h, length.room, length.cutting)
     gross = is_too_long(table, trial[1], view.f, length.h, view.size)
@@ -224,9 +231,11 @@ def _decide(
     return _keep(scene, span, policy, lane, after, view, moved, gridded, saving)
 
 
-def _accept_smooth(scene, table, span, policy, lane: Lane, length: Length, trial: Trial) -> Lane:
+def _accept_smooth(
+    scene, table, span, policy, lane: Lane, length: Length, trial: Trial, forcing: Forcing
+) -> Lane:
     """The whole of an iteration where there are no surfaces."""
-    view = look(scene, span, lane, length.end, trial[0])
+    view = look(scene, span, lane, length.end, trial[0], forcing[-1])
     on = running(span, lane)
     finite = all_finite(view.x, view.f)
     ok = finite & ~is_too_long(table, trial[1], view.f, length.h, view.size) & on

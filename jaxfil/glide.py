@@ -26,15 +26,17 @@ def look_ahead(scene: Scene, table: Tableau, span: Span, lane: Lane, h: Array, e
     t = span.t0 + end
     sides = tuple(jnp.where(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in lane.mode)
 
-    def field(t, x, alone=True):
-        return scene.field(t, x, sides, alone)
+    def field(t, x, forcing=None):
+        return scene.field(t, x, sides, True, forcing)
 
-    x, error = step(table, field, span.t0 + lane.tau, lane.x, lane.f, h, scene.once)
-    f = scene.hold(*field(t, x, False))
+    start = span.t0 + lane.tau
+    forcing = scene.forcing(start, h, table.times)
+    x, error = step(table, field, forcing, start, lane.x, lane.f, h, scene.once)
+    f = scene.hold(*scene.field(t, x, sides, forcing=forcing[-1]))
     value, slope = jax.jvp(scene.switching, (t, x), (jnp.ones_like(t), f))
     g = tuple(s * v for s, v in zip(sides, value, strict=True))
     rate = tuple(s * v for s, v in zip(sides, slope, strict=True))
-    return Ahead(x, error, f, scene.hold(*g), scene.hold(*rate))
+    return Ahead(x, error, f, scene.hold(*g), scene.hold(*rate), forcing)
 
 
 def is_sliding(lane: Lane) -> Array:

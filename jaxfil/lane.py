@@ -112,13 +112,14 @@ class Lane(eqx.Module):
 
 class Ahead(eqx.Module):
     """State, what is known of its error, and field at the end of a trial step on the sides that a
-    lane is on, and the guards of these sides with their rates."""
+    lane is on, the guards of these sides with their rates, and the forcing within the step."""
 
     x: Blocks
     error: Blocks
     f: Blocks
     g: Blocks
     rate: Blocks
+    forcing: list[list[Array]]
 
 
 class View(eqx.Module):

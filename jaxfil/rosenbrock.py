@@ -63,6 +63,11 @@ class RosenbrockTable(eqx.Module):
         """Evaluations of the field per step."""
         return len(self.b)
 
+    @property
+    def times(self) -> list[float]:
+        """Where in a step the field is evaluated as it is: at its end."""
+        return [1.0]
+
 
 def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> RosenbrockTable:
     """The table of a method published for the variables u, where x(t + h) = x + Σ m_i u_i,

@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from jaxfil import check
 from jaxfil.system import System, has_resets
-from jaxfil.trace import Traced
+from jaxfil.trace import EARLY, FIRST, LATE, Traced
 
 Blocks = tuple[Array, ...]
 """The components of a vector: n (state) or m (surface) scalars."""
@@ -75,6 +75,7 @@ class Scene:
     switched: tuple[tuple[int, ...], ...]
     separate: bool
     _field: Callable[..., Blocks]
+    _forcing: Callable[[Array], list[Array]]
     _switching: Callable[[Array, Blocks], Blocks]
     _reset: Callable[[Array, Blocks, Array], Blocks]
 
@@ -98,9 +99,25 @@ class Scene:
         """The same values, each computed once."""
         return self.once(lambda *held: held, *values)
 
-    def field(self, t: Array, x: Blocks, sides: Blocks, alone: bool = False) -> Blocks:
-        """F(t, x, sides). `alone`: all that is made of it is one vector, blended or not."""
-        return self._field(t, x, sides, alone)
+    def forcing(self, t: Array, h: Array, times: Sequence[float]) -> list[list[Array]]:
+        """What the field takes of time alone and is dear, at t + c·h for each c of `times`."""
+
+        def at(t: Array, h: Array) -> list[list[Array]]:
+            return [self._forcing(t + c * h) for c in times]
+
+        return self.once(at, t, h)
+
+    def field(
+        self,
+        t: Array,
+        x: Blocks,
+        sides: Blocks,
+        alone: bool = False,
+        forcing: list[Array] | None = None,
+    ) -> Blocks:
+        """F(t, x, sides), with what `forcing` has found for t, if it is given. `alone`: all that is
+        made of it is one vector, blended or not."""
+        return self._field(t, x, sides, alone, forcing)
 
     def switching(self, t: Array, x: Blocks) -> Blocks:
         """H(t, x)."""
@@ -167,7 +184,8 @@ def build(system: System, x0: Array) -> Scene:
 
     x, sides = unpack(x0), (jnp.ones((), dtype),) * m
     one, hold = _fences(dynamic, x0) if jax.default_backend() == "cpu" else (None, lambda v: v)
-    traced_field = Traced(field, dynamic, t0, x, sides, hold=hold)
+    when = (FIRST, EARLY, LATE, LATE)
+    traced_field = Traced(field, dynamic, t0, x, sides, hold=hold, when=when)
     traced_switching = Traced(switching, dynamic, t0, x, hold=hold)
     resets = has_resets(system) and m > 0
     traced_reset = Traced(reset, dynamic, t0, x, jnp.int32(0), hold=hold) if resets else reset
@@ -184,7 +202,10 @@ def build(system: System, x0: Array) -> Scene:
         _one=one,
         switched=switched,
         separate=m > 0 and _separate(switched, steers),
-        _field=lambda t, x, sides, alone: traced_field(dynamic, t, x, sides, alone=alone),
+        _field=lambda t, x, sides, alone, known: traced_field(
+            dynamic, t, x, sides, alone=alone, known=known
+        ),
+        _forcing=lambda t: traced_field.ahead(dynamic, t),
         _switching=lambda t, x: traced_switching(dynamic, t, x),
         _reset=lambda t, x, surface: traced_reset(dynamic, t, x, jnp.asarray(surface, jnp.int32)),
     )

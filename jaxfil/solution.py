@@ -148,13 +148,15 @@ def evaluate(dense: Dense, t: Any) -> Array:
     ts = dense.ts[i]
     f = field(scene_, ts, x, mode)
     smooth = ft.partial(_field_of_mode, scene_, mode)
-    out, _ = step(tableau(dense.stepper), smooth, ts, x, f, t - ts, scene_.once)
+    table, h = tableau(dense.stepper), t - ts
+    forcing = scene_.forcing(ts, h, table.times)
+    out, _ = step(table, smooth, forcing, ts, x, f, h, scene_.once)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
     return jnp.where(reached, scene.pack(out, dtype), jnp.nan)
 
 
-def _field_of_mode(scene_: Any, mode: Any, t: Array, x: Any) -> Any:
-    return field(scene_, t, x, mode)
+def _field_of_mode(scene_: Any, mode: Any, t: Array, x: Any, forcing: Any = None) -> Any:
+    return field(scene_, t, x, mode, forcing)
 
 
 def card(sol: Solution) -> str:

@@ -5,7 +5,7 @@ what the method says of its error. Nothing here knows of surfaces.
 """
 
 import functools as ft
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import diffrax
@@ -42,6 +42,11 @@ class ExplicitTable(eqx.Module):
     def stages(self) -> int:
         """Evaluations of the field per step, the one at its start included."""
         return len(self.b)
+
+    @property
+    def times(self) -> list[float]:
+        """Where in a step the field is evaluated after its start, its end last."""
+        return [*sorted({*self.c} - {1.0}), 1.0]
 
 
 Tableau = ExplicitTable | RosenbrockTable
@@ -99,13 +104,14 @@ def _combine(x: Blocks, h: Array, coefficients: tuple[float, ...], slopes: list[
     return tuple(x_i + h * _sum(coefficients, slopes, i) for i, x_i in enumerate(x))
 
 
-def _stage(field: Callable, c: float, t: Array, h: Array, inner: Blocks) -> Blocks:
-    return field(t + c * h, inner)
+def _stage(field: Callable, c: float, t: Array, h: Array, inner: Blocks, forcing: list) -> Blocks:
+    return field(t + c * h, inner, forcing)
 
 
 def step(
     table: Tableau,
-    field: Callable[[Array, Blocks], Blocks],
+    field: Callable[[Array, Blocks, list[Array]], Blocks],
+    forcing: Sequence[list[Array]],
     t: Array,
     x: Blocks,
     f: Blocks,
@@ -113,14 +119,16 @@ def step(
     once: Callable[..., Blocks],
 ) -> tuple[Blocks, Blocks]:
     """The state at t + h, and what is known there of the step's error: all but the share of the
-    field at its end; empty if nothing is. `f` is the field at (t, x), `once` is `Scene.once`:
-    without it each stage would be computed again inside every later stage that uses it."""
+    field at its end; empty if nothing is. `f` is the field at (t, x), `forcing` what `Scene.forcing`
+    has found for `table.times`, `once` is `Scene.once`: without it each stage would be computed
+    again inside every later stage that uses it."""
     if isinstance(table, RosenbrockTable):
         return rosenbrock_step(table, field, t, x, f, h, once), ()
     slopes = [f]
+    known = dict(zip(table.times, forcing, strict=True))
     for c, row in zip(table.c, table.a, strict=True):
         inner = _combine(x, h, row, slopes)
-        slopes.append(once(ft.partial(_stage, field, c), t, h, inner))
+        slopes.append(once(ft.partial(_stage, field, c), t, h, inner, known[c]))
     end = _combine(x, h, table.b, slopes)
     error = [stop_gradient(_sum(table.d[:-1], slopes, i)) for i in range(len(x) if table.d else 0)]
     held = once(lambda *held: held, *end, *error)

@@ -43,17 +43,24 @@ def larger(size: Blocks, x: Blocks) -> Blocks:
 
 
 def look(
-    scene: Scene, span: Span, lane: Lane, tau: Array, x: Blocks, ahead: Ahead | None = None
+    scene: Scene,
+    span: Span,
+    lane: Lane,
+    tau: Array,
+    x: Blocks,
+    forcing: list[Array],
+    ahead: Ahead | None = None,
 ) -> View:
     """The state, mode, field, guards and rates at the end of a step; a pending switch is made.
 
-    What is known `ahead` is taken for a lane that stays on its sides, to the last bit.
+    `forcing` is that of the end: see `Scene.forcing`. What is known `ahead` is taken for a lane that stays on its sides, to the last bit.
     """
     t = span.t0 + tau
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     if scene.m == 0:
         size = larger(lane.size, x)
-        return View(tau, x, scene.field(t, x, ()), size, (), (), (), (), (), one, false, false)
+        f = scene.field(t, x, (), forcing=forcing)
+        return View(tau, x, f, size, (), (), (), (), (), one, false, false)
     moved: Array = false
     if scene.resets:
         surface = jnp.argmax(jnp.stack(lane.hit))
@@ -71,7 +78,7 @@ def look(
         on = tuple(((s == 0) & ~moved) | (landed & hit) for s, hit in held)
         x = _project(x, h, normals, on)
         x = scene.hold(*x)
-    fields, rates = filippov.corners(scene, t, x)
+    fields, rates = filippov.corners(scene, t, x, forcing=forcing)
     mode, num_modes = _switch(scene, span, lane, rates, h, touch, moved)
     if scene.resets:
         # A wall has one side: an impact that does not turn the motion back leads nowhere.

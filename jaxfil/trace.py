@@ -30,6 +30,8 @@ def _arctan2(y: Array, x: Array) -> Array:
 
 
 _SAFE = {"atan2": _arctan2}
+# What takes longer than a few multiplications.
+_DEAR = (*_FAST, *_SAFE, "exp", "log", "pow", "tan", "tanh")
 # Multiplications of a product of matrices at most that are written out one by one.
 _SMALL = 64
 _CALLS = ("jit", "pjit", "closed_call")
@@ -46,13 +48,30 @@ _MOVES = (
 )
 
 
+# When an argument is known: from the start, with the time, or with the state.
+FIRST, EARLY, LATE = range(3)
+
+
 class Traced:
     """`function` for arguments shaped like `example`. `hold` is applied to each of those,
-    unless a call says that its result is used `alone` and one number in it depends on them."""
+    unless a call says that its result is used `alone` and one number in it depends on them.
 
-    def __init__(self, function: Callable, *example: Any, hold: Callable = lambda v: v):
+    `when` says of each argument when it is known. What is dear and can be computed early, `ahead`
+    of the late arguments, a call can be given as `known`.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        *example: Any,
+        hold: Callable = lambda v: v,
+        when: Sequence[int] | None = None,
+    ):
         self._closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
         self._tree = jax.tree.structure(shape)
+        order = when or (LATE,) * len(example)
+        each = zip(order, example, strict=True)
+        self._when = [k for k, arg in each for _ in jax.tree.leaves(arg)]
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
         waves = _dependencies(self._closed.jaxpr, self._no_consts(), nothing, sources=_FAST)
         shared = sum(int(np.sum(flags)) for flags in waves) > 1
@@ -60,21 +79,35 @@ class Traced:
         # are called.
         self._run = self._compiled(hold)
         self._alone = self._run if shared else self._compiled(lambda v: v)
+        self._ahead = jax.jit(self._found)
+        self._after = jax.jit(self._rest)
 
     def _compiled(self, hold: Callable) -> Callable:
-        closed = self._closed
+        return jax.jit(lambda leaves: _Evaluation(hold)(self._closed, leaves, self._when))
 
-        def traced(leaves: list) -> list:
-            return _evaluate(closed.jaxpr, closed.consts, leaves, hold)
+    def _found(self, leaves: list) -> list:
+        unknown = [None] * (len(self._when) - len(leaves))
+        evaluation = _Evaluation(lambda v: v)
+        evaluation(self._closed, [*leaves, *unknown], self._when)
+        return evaluation.found
 
-        return jax.jit(traced)
+    def _rest(self, leaves: list, known: list) -> list:
+        return _Evaluation(lambda v: v, known)(self._closed, leaves, self._when)
 
     def _no_consts(self) -> list[np.ndarray]:
         return [np.zeros(np.shape(c), bool) for c in self._closed.consts]
 
-    def __call__(self, *args: Any, alone: bool = False) -> Any:
-        out = (self._alone if alone else self._run)(jax.tree.leaves(args))
+    def __call__(self, *args: Any, alone: bool = False, known: list | None = None) -> Any:
+        leaves = jax.tree.leaves(args)
+        if known is None:
+            out = (self._alone if alone else self._run)(leaves)
+        else:
+            out = self._after(leaves, known)
         return jax.tree.unflatten(self._tree, out)
+
+    def ahead(self, *args: Any) -> list:
+        """What is dear and early, given all arguments that are not late."""
+        return self._ahead(jax.tree.leaves(args))
 
     def depends(self, *args: Any) -> Any:
         """Which results depend on the flagged arguments: pytrees of flags in, of flags out."""
@@ -87,30 +120,66 @@ class Traced:
         return jax.tree.unflatten(self._tree, [bool(np.any(flag)) for flag in out])
 
 
-def _read(values: dict[Any, Any], atom: Any) -> Any:
-    return atom.val if isinstance(atom, jexc.Literal) else values[atom]
+class _Evaluation:
+    """A function equation by equation, with the fast functions in place of XLA's.
+
+    What is dear and early is left in `found`, or taken from `known`, in order. An unknown value is
+    None, and what is made of it too.
+    """
+
+    def __init__(self, hold: Callable, known: Sequence[Array] | None = None):
+        self._hold = hold
+        self._known = None if known is None else iter(known)
+        self.found = []
+
+    def __call__(self, closed: Any, args: Sequence[Any], when: Sequence[int]) -> list[Any]:
+        return [v for v, _ in self._run(closed, list(zip(args, when, strict=True)))]
+
+    def _run(self, closed: Any, args: Sequence[tuple]) -> list[tuple]:
+        """Values with when they are known, in and out."""
+        jaxpr = closed.jaxpr
+        values: dict[Any, tuple] = dict(zip(jaxpr.invars, args, strict=True))
+        values.update((v, (c, FIRST)) for v, c in zip(jaxpr.constvars, closed.consts, strict=True))
+
+        def read(atom: Any) -> tuple:
+            return (atom.val, FIRST) if isinstance(atom, jexc.Literal) else values[atom]
+
+        for eqn in jaxpr.eqns:
+            inputs = [read(v) for v in eqn.invars]
+            if eqn.primitive.name in _CALLS:
+                outputs = self._run(eqn.params["jaxpr"], inputs)
+            else:
+                when = max((k for _, k in inputs), default=FIRST)
+                made = self._made(jaxpr, eqn, [v for v, _ in inputs], when)
+                outputs = [(v, when) for v in made]
+            values.update(zip(eqn.outvars, outputs, strict=True))
+        return [read(v) for v in jaxpr.outvars]
+
+    def _made(self, jaxpr: Any, eqn: Any, inputs: Sequence[Any], when: int) -> Sequence[Any]:
+        """What one equation gives."""
+        if any(v is None for v in inputs):
+            return [None] * len(eqn.outvars)
+        if when != EARLY or eqn.primitive.name not in _DEAR:
+            return _evaluate(jaxpr, eqn, inputs, self._hold)
+        outputs = (
+            _evaluate(jaxpr, eqn, inputs, self._hold)
+            if self._known is None
+            else [next(self._known)]
+        )
+        self.found.extend(outputs)
+        return outputs
 
 
-def _evaluate(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], hold: Callable) -> list[Any]:
-    """Equation by equation, with the fast functions in place of XLA's."""
-    values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
-    values.update(zip(jaxpr.invars, args, strict=True))
-    for eqn in jaxpr.eqns:
-        inputs = [_read(values, v) for v in eqn.invars]
-        name = eqn.primitive.name
-        if name in _FAST and eqn.invars[0].aval.dtype in _FLOATS:
-            outputs = [hold(_FAST[name](jnp.asarray(inputs[0])))]
-        elif name in _SAFE:
-            outputs = [_SAFE[name](*map(jnp.asarray, inputs))]
-        elif name == "dot_general" and _is_small(eqn):
-            outputs = [_product(eqn, *map(jnp.asarray, inputs))]
-        elif name in _CALLS:
-            inner = eqn.params["jaxpr"]
-            outputs = _evaluate(inner.jaxpr, inner.consts, inputs, hold)
-        else:
-            outputs = _evaluate_one(jaxpr, eqn, inputs)
-        values.update(zip(eqn.outvars, outputs, strict=True))
-    return [_read(values, v) for v in jaxpr.outvars]
+def _evaluate(jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable) -> Sequence[Any]:
+    """One equation, by a fast function if there is one."""
+    name = eqn.primitive.name
+    if name in _FAST and eqn.invars[0].aval.dtype in _FLOATS:
+        return [hold(_FAST[name](jnp.asarray(inputs[0])))]
+    if name in _SAFE:
+        return [_SAFE[name](*map(jnp.asarray, inputs))]
+    if name == "dot_general" and _is_small(eqn):
+        return [_product(eqn, *map(jnp.asarray, inputs))]
+    return _evaluate_one(jaxpr, eqn, inputs)
 
 
 def _is_small(eqn: Any) -> bool:

@@ -48,9 +48,9 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
     def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
         """State, value and rate of change after a part h of a step."""
         mode = scene.unpack(start.mode.astype(dtype))
-        smooth = lambda t, x: filippov.field(scene_, t, x, mode)  # noqa: E731
-        x = scene.unpack(start.x)
-        x, _ = step(table, smooth, start.t, x, smooth(start.t, x), h, scene_.once)
+        smooth = lambda t, x, known=None: filippov.field(scene_, t, x, mode, known)  # noqa: E731
+        x, forcing = scene.unpack(start.x), scene_.forcing(start.t, h, table.times)
+        x, _ = step(table, smooth, forcing, start.t, x, smooth(start.t, x), h, scene_.once)
         t, f = start.t + h, scene.pack(smooth(start.t + h, x), dtype)
         x = scene.pack(x, dtype)
         value, rate = jax.jvp(function, (t, x), (jnp.ones_like(t), f))

@@ -215,7 +215,7 @@ def _frozen(scene_: Scene, mode: Array) -> Scene:
         resets=False,
         switched=((),) * scene_.n,
         separate=False,
-        _field=lambda t, x, sides, alone: filippov.field(scene_, t, x, modes),
+        _field=lambda t, x, sides, alone, forcing: filippov.field(scene_, t, x, modes, forcing),
     )
 
 
