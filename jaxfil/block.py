@@ -25,8 +25,9 @@ Problem = Callable[[Array, Array], tuple[Scene, Tableau, Span, Policy]]
 """A row of parameters and an initial state to what `integrate` is given; it keeps samples."""
 
 # Lanes coast until one in so many cannot, and are judged until one in so many is left that could
-# not. Measured: twice or half as many cost a few per cent.
-_STOPPED, _BUSY = 8, 32
+# not. A lane that sticks is busy for long: it must not be left behind, or those that stick later
+# would meet it still sticking. Measured: twice or half as many cost a few per cent.
+_CROSSING, _SLIDING = (8, 32), (16, 128)
 
 
 def integrate_block(problem: Problem, rows: Array, states: Array, num_saves: int) -> Lane:
@@ -39,6 +40,7 @@ def integrate_block(problem: Problem, rows: Array, states: Array, num_saves: int
     if scene.m == 0:  # there is nothing to meet
         return jax.vmap(alone)(rows, states)
     spans = jax.vmap(lambda row, x0: problem(row, x0)[2])(rows, states)
+    few_stopped, few_busy = _SLIDING if scene.slides else _CROSSING
 
     def start(row: Array, x0: Array) -> Lane:
         scene, _, span, policy = problem(row, x0)
@@ -49,14 +51,14 @@ def integrate_block(problem: Problem, rows: Array, states: Array, num_saves: int
 
     def unstopped(state: tuple[Lane, Array]) -> Array:
         lanes, stopped = state
-        return _STOPPED * jnp.sum(stopped & on(lanes)) < jnp.sum(on(lanes))
+        return few_stopped * jnp.sum(stopped & on(lanes)) < jnp.sum(on(lanes))
 
     def coasted(state: tuple[Lane, Array]) -> tuple[Lane, Array]:
         return jax.vmap(ft.partial(_coast, problem))(rows, states, state[0])
 
     def unsettled(state: tuple[Lane, Array]) -> Array:
         lanes, first = state
-        return first | (_BUSY * jnp.sum(jax.vmap(busy)(lanes) & on(lanes)) > jnp.sum(on(lanes)))
+        return first | (few_busy * jnp.sum(jax.vmap(busy)(lanes) & on(lanes)) > jnp.sum(on(lanes)))
 
     def judged(state: tuple[Lane, Array]) -> tuple[Lane, Array]:
         return _judge(problem, scene.slides, rows, states, state[0]), state[1] & False

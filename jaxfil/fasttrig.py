@@ -61,17 +61,6 @@ def _horner(coefficients: tuple[float, ...], z: Array) -> Array:
     return total
 
 
-def _estrin(coefficients, z):
-    if len(coefficients) == 1:
-        return jnp.full_like(z, coefficients[0])
-    terms = list(coefficients)
-    while len(terms) > 1:
-        pairs = [a + z * b for a, b in zip(terms[::2], terms[1::2])]
-        terms = pairs + terms[2 * len(pairs) :]
-        z = z * z
-    return terms[0]
-
-
 def _negated(x: Array, turns: Array) -> Array:
     """x, negated where a whole number of turns is odd.
 
@@ -93,7 +82,7 @@ def _reduced_sine(x: Array, turns: Array, parity: Array) -> Array:
         r = jnp.where(abs(turns) < 2.0**22, r, 0 * r)
     z = r * r
     r = _negated(r, parity)
-    return r + (r * z) * _estrin(sine, z)
+    return r + (r * z) * _horner(sine[::-1], z)
 
 
 @jax.custom_jvp

@@ -119,9 +119,9 @@ def step(
     once: Callable[..., Blocks],
 ) -> tuple[Blocks, Blocks]:
     """The state at t + h, and what is known there of the step's error: all but the share of the
-    field at its end; empty if nothing is. `f` is the field at (t, x), `forcing` what `Scene.forcing`
-    has found for `table.times`, `once` is `Scene.once`: without it each stage would be computed
-    again inside every later stage that uses it."""
+    field at its end; empty if nothing is. `f` is the field at (t, x), `forcing` what
+    `Scene.forcing` has found for `table.times`, `once` is `Scene.once`: without it each stage would
+    be computed again inside every later stage that uses it."""
     if isinstance(table, RosenbrockTable):
         return rosenbrock_step(table, field, t, x, f, h, once), ()
     slopes = [f]

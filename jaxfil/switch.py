@@ -53,7 +53,8 @@ def look(
 ) -> View:
     """The state, mode, field, guards and rates at the end of a step; a pending switch is made.
 
-    `forcing` is that of the end: see `Scene.forcing`. What is known `ahead` is taken for a lane that stays on its sides, to the last bit.
+    `forcing` is that of the end: see `Scene.forcing`. What is known `ahead` is taken for a lane
+    that stays on its sides, to the last bit.
     """
     t = span.t0 + tau
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
