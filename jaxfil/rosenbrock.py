@@ -129,7 +129,7 @@ RODAS5P = _table(
 
 def rosenbrock_step(
     table: RosenbrockTable,
-    field: Callable[[Array, Blocks], Blocks],
+    field: Callable[..., Blocks],
     t: Array,
     x: Blocks,
     f: Blocks,

@@ -110,7 +110,7 @@ def _stage(field: Callable, c: float, t: Array, h: Array, inner: Blocks, forcing
 
 def step(
     table: Tableau,
-    field: Callable[[Array, Blocks, list[Array]], Blocks],
+    field: Callable[..., Blocks],
     forcing: Sequence[list[Array]],
     t: Array,
     x: Blocks,
