@@ -160,6 +160,7 @@ def everything(x, k):
     ]
     out += [jnp.stack([x, x]), lax.split(x, (2, 4)), list(x), x[1:3], x[None, :], x[0:1].squeeze(0)]
     index = k.astype(int)
+    out += [lax.bitcast_convert_type(lax.stop_gradient(x), jnp.int64) << 1]
     out += [lax.dynamic_slice(x, (index,), (2,)), x[jnp.array([2, 1])], jnp.where(x > 1, x, 0.0)]
     out += [
         lax.scan(lambda c, v: (c * v, c + v), x[0], x)[1],
