@@ -130,6 +130,16 @@ def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array
     return low > jnp.maximum(_SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
 
 
+def _found(g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array) -> Array:
+    """`first_contact` as one number."""
+    theta, low = first_contact(g0, d0, g1, d1, armed, noise)
+    return jnp.where(theta < NEVER, theta, low + _LOOK)
+
+
+def _nothing(g0: Array, *_: Array) -> Array:
+    return jnp.full_like(g0, NEVER + _LOOK)
+
+
 class Search(eqx.Module):
     """What a trial step has run over: θ of the earliest contact or minimum to be looked at
     (`NEVER`: nothing), and the surfaces of that contact (none for a minimum)."""
@@ -148,15 +158,9 @@ def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: 
     for j in range(scene.m):
         fresh = jnp.maximum(view.noise[j], lane.noise[j])
         noise = jnp.where(lane.armed[j], jnp.maximum(view.noise[j], view.touch[j]), fresh)
-        theta, low = first_contact(
-            lane.g[j],
-            h * lane.rate[j],
-            stop_gradient(view.g[j]),
-            h * view.rate[j],
-            lane.armed[j],
-            noise,
-        )
-        found.append(jnp.where(theta < NEVER, theta, low + _LOOK))
+        ends = lane.g[j], h * lane.rate[j], stop_gradient(view.g[j]), h * view.rate[j]
+        met = ~(lane.armed[j] & stays_off(*ends, noise))
+        found.append(scene.where_any(met, _found, _nothing, *ends, lane.armed[j], noise))
     contact = minimum = jnp.asarray(NEVER, h.dtype)
     thetas = []
     for number in scene.hold(*found):

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,6 +95,13 @@ class Scene:
             return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
         return jax.lax.cond(self._one > 0, function, never, *args)
+
+    def where_any(self, flag: Array, function: Callable, otherwise: Callable, *args: Any) -> Any:
+        """`function(*args)` if the flag of any lane is set, else `otherwise(*args)`, which must be
+        the same where it is not set. On a processor the other one is not computed."""
+        if self._one is None:
+            return function(*args)
+        return jax.lax.cond(eqxi.unvmap_any(flag), function, otherwise, *args)
 
     def hold(self, *values: Array) -> Blocks:
         """The same values, each computed once."""
