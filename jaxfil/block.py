@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.flow import Forcing, Length, Trial, choose_length, finish, follow, integrate, judge
+from jaxfil.flow import Length, Trial, choose_length, finish, follow, integrate, judge
 from jaxfil.glide import busy, coast, is_clear, is_sliding, look_ahead
 from jaxfil.lane import Ahead, Lane, Policy, Span, running
-from jaxfil.scene import Scene, unpack, where
+from jaxfil.scene import Forcing, Scene, unpack, where
 from jaxfil.start import begin
 from jaxfil.stepper import Tableau
 
@@ -94,7 +94,7 @@ def _judge(problem: Problem, slides: bool, rows: Array, states: Array, lanes: La
     that they might have coasted through, to the last bit."""
 
     def slid(
-        row: Array, x0: Array, lane: Lane, length: Length, trial: Trial, forcing: Forcing
+        row: Array, x0: Array, lane: Lane, length: Length, trial: Trial, forcing: list[Forcing]
     ) -> Trial:
         scene, table, span, _ = problem(row, x0)
         slide = follow(scene, table, span, lane, length, forcing)

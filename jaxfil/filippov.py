@@ -25,7 +25,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.linear import solve_small
-from jaxfil.scene import Blocks, Scene
+from jaxfil.scene import Blocks, Forcing, Scene
 
 # Newton iterations for the weights of an intersection at most. The system is multi-affine: affine
 # (one iteration) when each term of the field sees one side.
@@ -129,7 +129,7 @@ def _newton(mode: Blocks, rates: Sequence[Blocks], w: Blocks) -> Blocks:
 
 
 def corners(
-    scene: Scene, t: Array, x: Blocks, alone: bool = False, forcing: list[Array] | None = None
+    scene: Scene, t: Array, x: Blocks, alone: bool = False, forcing: Forcing | None = None
 ) -> tuple[list[Blocks], list[Blocks]]:
     """The field on the combinations of sides of `Scene.corner_sides`, and dH/dt along each; `alone`
     and `forcing` as in `Scene.field`."""
@@ -138,7 +138,7 @@ def corners(
 
 
 def field(
-    scene: Scene, t: Array, x: Blocks, mode: Blocks, forcing: list[Array] | None = None
+    scene: Scene, t: Array, x: Blocks, mode: Blocks, forcing: Forcing | None = None
 ) -> Blocks:
     """The field of a mode, blended while it slides; `forcing` as in `Scene.field`."""
     if not scene.slides:

@@ -31,15 +31,13 @@ from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.lane import Ahead, Lane, Policy, Span, View, later, running
 from jaxfil.record import keep_sample, record_event, save_state
 from jaxfil.results import RESULTS
-from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
+from jaxfil.scene import Blocks, Forcing, Scene, all_finite, any_of, axpy, where
 from jaxfil.start import begin
 from jaxfil.stepper import Tableau, is_too_long, step
 from jaxfil.switch import departure, look
 
 Trial = tuple[Blocks, Blocks]
 """The end of a trial step, and what is known of its error: see `stepper.step`."""
-Forcing = list[list[Array]]
-"""What the field takes of time alone in a step: see `Scene.forcing`."""
 
 # This many contacts in a row, each at the time of the last, are an accumulation.
 _FROZEN = 12
@@ -138,7 +136,7 @@ def advance(scene: Scene, table: Tableau, span: Span, policy: Policy, lane: Lane
 
 
 def follow(
-    scene: Scene, table: Tableau, span: Span, lane: Lane, length: Length, forcing: Forcing
+    scene: Scene, table: Tableau, span: Span, lane: Lane, length: Length, forcing: list[Forcing]
 ) -> Trial:
     """A trial step in the lane's mode."""
 
@@ -157,7 +155,7 @@ def judge(
     lane: Lane,
     length: Length,
     trial: Trial,
-    forcing: Forcing,
+    forcing: list[Forcing],
     ahead: Ahead | None = None,
 ) -> Lane:
     """The lane after a trial step: accepted, rejected, landed or switched. What is known `ahead` is
@@ -232,7 +230,7 @@ def _decide(
 
 
 def _accept_smooth(
-    scene, table, span, policy, lane: Lane, length: Length, trial: Trial, forcing: Forcing
+    scene, table, span, policy, lane: Lane, length: Length, trial: Trial, forcing: list[Forcing]
 ) -> Lane:
     """The whole of an iteration where there are no surfaces."""
     view = look(scene, span, lane, length.end, trial[0], forcing[-1])

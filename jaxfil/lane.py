@@ -10,7 +10,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.results import RESULTS
-from jaxfil.scene import Blocks, Scene
+from jaxfil.scene import Blocks, Forcing, Scene
 
 # Times closer than this many eps of their size are one time.
 SAME_TIME = 8
@@ -119,7 +119,7 @@ class Ahead(eqx.Module):
     f: Blocks
     g: Blocks
     rate: Blocks
-    forcing: list[list[Array]]
+    forcing: list[Forcing]
 
 
 class View(eqx.Module):

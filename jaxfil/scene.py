@@ -23,6 +23,8 @@ from jaxfil.trace import EARLY, FIRST, LATE, Traced
 
 Blocks = tuple[Array, ...]
 """The components of a vector: n (state) or m (surface) scalars."""
+Forcing = list[Array]
+"""What a field takes of time alone, at one time: see `Scene.forcing`."""
 
 
 def unpack(x: Array) -> Blocks:
@@ -76,7 +78,7 @@ class Scene:
     switched: tuple[tuple[int, ...], ...]
     separate: bool
     _field: Callable[..., Blocks]
-    _forcing: Callable[[Array], list[Array]]
+    _forcing: Callable[[Array], Forcing]
     _switching: Callable[[Array, Blocks], Blocks]
     _reset: Callable[[Array, Blocks, Array], Blocks]
 
@@ -107,13 +109,14 @@ class Scene:
         """The same values, each computed once."""
         return self.once(lambda *held: held, *values)
 
-    def forcing(self, t: Array, h: Array, times: Sequence[float]) -> list[list[Array]]:
-        """What the field takes of time alone and is dear, at t + c·h for each c of `times`."""
+    def forcing(self, t: Array, h: Array, times: Sequence[float]) -> list[Forcing]:
+        """What the field takes of time alone and is dear, at t + c·h for each c of `times`: both
+        sides of a surface and all stages at one time share it."""
 
-        def at(t: Array, h: Array) -> list[list[Array]]:
+        def at(t: Array, h: Array) -> list[Forcing]:
             return [self._forcing(t + c * h) for c in times]
 
-        return self.once(at, t, h)
+        return self.once(at, t, h) if jax.eval_shape(self._forcing, t) else [[] for _ in times]
 
     def field(
         self,
@@ -121,7 +124,7 @@ class Scene:
         x: Blocks,
         sides: Blocks,
         alone: bool = False,
-        forcing: list[Array] | None = None,
+        forcing: Forcing | None = None,
     ) -> Blocks:
         """F(t, x, sides), with what `forcing` has found for t, if it is given. `alone`: all that is
         made of it is one vector, blended or not."""

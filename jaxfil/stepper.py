@@ -16,7 +16,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.rosenbrock import RODAS5P, Rodas5P, RosenbrockTable, rosenbrock_step
-from jaxfil.scene import Blocks
+from jaxfil.scene import Blocks, Forcing
 
 
 class RK4(eqx.Module):
@@ -104,14 +104,16 @@ def _combine(x: Blocks, h: Array, coefficients: tuple[float, ...], slopes: list[
     return tuple(x_i + h * _sum(coefficients, slopes, i) for i, x_i in enumerate(x))
 
 
-def _stage(field: Callable, c: float, t: Array, h: Array, inner: Blocks, forcing: list) -> Blocks:
+def _stage(
+    field: Callable[..., Blocks], c: float, t: Array, h: Array, inner: Blocks, forcing: Forcing
+) -> Blocks:
     return field(t + c * h, inner, forcing)
 
 
 def step(
     table: Tableau,
     field: Callable[..., Blocks],
-    forcing: Sequence[list[Array]],
+    forcing: Sequence[Forcing],
     t: Array,
     x: Blocks,
     f: Blocks,

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from jaxfil import filippov
 from jaxfil.lane import Ahead, Lane, Span, View, epsilon
-from jaxfil.scene import Blocks, Scene, all_finite, any_of, axpy, where
+from jaxfil.scene import Blocks, Forcing, Scene, all_finite, any_of, axpy, where
 
 # A guard is zero to rounding below this many eps times the size of its terms.
 _NOISE = 32
@@ -48,7 +48,7 @@ def look(
     lane: Lane,
     tau: Array,
     x: Blocks,
-    forcing: list[Array],
+    forcing: Forcing,
     ahead: Ahead | None = None,
 ) -> View:
     """The state, mode, field, guards and rates at the end of a step; a pending switch is made.

@@ -2,8 +2,8 @@
 
 A function of arrays enters; a `Traced` leaves: callable as the original is, under every
 transformation, with its sines, cosines, arctangents and products of small matrices
-replaced by ones that vectorise, and able to say which of its results depend on which of
-its arguments.
+replaced by ones that vectorise; able to compute what needs only some of its arguments ahead of the
+others, and to say which of its results depend on which of its arguments.
 """
 
 import math
@@ -80,29 +80,24 @@ class Traced:
         self._run = self._compiled(hold)
         self._alone = self._run if shared else self._compiled(lambda v: v)
         self._ahead = jax.jit(self._found)
-        self._after = jax.jit(self._rest)
 
     def _compiled(self, hold: Callable) -> Callable:
-        return jax.jit(lambda leaves: _Evaluation(hold)(self._closed, leaves, self._when))
+        def traced(leaves: list, known: list | None) -> list:
+            return _Evaluation(hold, known)(self._closed, leaves, self._when)
+
+        return jax.jit(traced)
 
     def _found(self, leaves: list) -> list:
-        unknown = [None] * (len(self._when) - len(leaves))
+        late = [None] * (len(self._when) - len(leaves))
         evaluation = _Evaluation(lambda v: v)
-        evaluation(self._closed, [*leaves, *unknown], self._when)
+        evaluation(self._closed, [*leaves, *late], self._when)
         return evaluation.found
-
-    def _rest(self, leaves: list, known: list) -> list:
-        return _Evaluation(lambda v: v, known)(self._closed, leaves, self._when)
 
     def _no_consts(self) -> list[np.ndarray]:
         return [np.zeros(np.shape(c), bool) for c in self._closed.consts]
 
     def __call__(self, *args: Any, alone: bool = False, known: list | None = None) -> Any:
-        leaves = jax.tree.leaves(args)
-        if known is None:
-            out = (self._alone if alone else self._run)(leaves)
-        else:
-            out = self._after(leaves, known)
+        out = (self._alone if alone else self._run)(jax.tree.leaves(args), known)
         return jax.tree.unflatten(self._tree, out)
 
     def ahead(self, *args: Any) -> list:
@@ -159,14 +154,12 @@ class _Evaluation:
         """What one equation gives."""
         if any(v is None for v in inputs):
             return [None] * len(eqn.outvars)
-        if when != EARLY or eqn.primitive.name not in _DEAR:
-            return _evaluate(jaxpr, eqn, inputs, self._hold)
-        outputs = (
-            _evaluate(jaxpr, eqn, inputs, self._hold)
-            if self._known is None
-            else [next(self._known)]
-        )
-        self.found.extend(outputs)
+        ahead = when == EARLY and eqn.primitive.name in _DEAR
+        if ahead and self._known is not None:
+            return [next(self._known)]
+        outputs = _evaluate(jaxpr, eqn, inputs, self._hold)
+        if ahead:
+            self.found.extend(outputs)
         return outputs
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import jaxfil as jf
 from jaxfil import fasttrig
-from jaxfil.trace import Traced
+from jaxfil.trace import EARLY, FIRST, LATE, Traced
 
 PAIRS = [(fasttrig.sin, np.sin), (fasttrig.cos, np.cos)]
 
@@ -111,6 +111,31 @@ def test_the_rewrite_takes_out_every_sine(dtype):
     assert " cos " not in text and " sin " not in text
     for got, expected in zip(fast(a, x), function(a, x), strict=True):
         np.testing.assert_allclose(got, expected, rtol=4.5 * np.finfo(dtype).eps)
+
+
+def test_what_needs_time_alone_is_found_ahead_and_then_taken():
+    def function(a, t, x):
+        force = jax.jit(lambda t: jnp.cos(a * t))(t)
+        return force * x + jnp.sin(x) + jnp.exp(a) + t * t
+
+    a, t, x = jnp.float64(0.7), jnp.float64(3.0), jnp.float64(0.2)
+    traced = Traced(function, a, t, x, when=(FIRST, EARLY, LATE))
+    (found,) = traced.ahead(a, t)
+    np.testing.assert_allclose(found, np.cos(2.1), rtol=1e-15)
+    np.testing.assert_allclose(traced(a, t, x, known=[found]), function(a, t, x), rtol=1e-15)
+    # Another number would be taken too.
+    np.testing.assert_allclose(
+        traced(a, t, x, known=[found + 1]), function(a, t, x) + x, rtol=1e-15
+    )
+    slope = jax.grad(lambda t: traced(a, t, x, known=traced.ahead(a, t)))(t)
+    np.testing.assert_allclose(slope, -0.7 * np.sin(2.1) * 0.2 + 6.0, rtol=1e-15)
+
+
+def test_nothing_is_ahead_of_a_field_without_forcing():
+    traced = Traced(
+        lambda t, x: jnp.sin(x) + t, jnp.float64(0.0), jnp.float64(0.0), when=(EARLY, LATE)
+    )
+    assert traced.ahead(jnp.float64(1.0)) == []
 
 
 def test_dependencies_are_told_component_by_component():
