@@ -113,7 +113,8 @@ def picture(rows, path):
 
     scenes = list(dict.fromkeys(r["scene"] for r in rows))
     names = sorted({r["who"] for r in rows}, key=lambda who: (who != OURS, who))
-    figure, axes = plt.subplots(1, len(scenes), figsize=(6 * len(scenes), 4.8), squeeze=False)
+    size = (6 * len(scenes), 5.4)
+    figure, axes = plt.subplots(1, len(scenes), figsize=size, squeeze=False, layout="constrained")
     for ax, scene in zip(axes[0], scenes, strict=True):
         for i, who in enumerate(names):
             _curves(ax, [r for r in rows if r["scene"] == scene and r["who"] == who], f"C{i}")
@@ -126,9 +127,9 @@ def picture(rows, path):
         ax.set_ylabel("lane-periods per second")
         ax.invert_xaxis()
         ax.grid(alpha=0.3)
-    axes[0][0].legend(fontsize=7)
+    lines = axes[0][0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=3 * len(scenes), fontsize=8)
     figure.suptitle("Rate against error: filled on one core, open on all")
-    figure.tight_layout()
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
