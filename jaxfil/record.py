@@ -117,7 +117,7 @@ def keep_sample(policy: Policy, lane: Lane, after: Lane, x: Blocks, gridded: Arr
     """`after`, to which `lane` has gone on, with its state x saved if it is `gridded`, at a grid
     point just reached, and that is a sample."""
     assert lane.saves is not None and policy.first is not None and policy.every is not None
-    # Counted, since a remainder for every lane would take a tenth of the time of a step.
+    # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
     save = gridded & (after.index == policy.first + lane.num_saved * policy.every)
     xs = write(lane.saves.xs, lane.num_saved, jnp.stack(x), save)
     return eqx.tree_at(
