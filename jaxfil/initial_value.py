@@ -16,11 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil import check, scene
-from jaxfil.flow import integrate, integrate_whole
+from jaxfil.flow import integrate
+from jaxfil.kernel import kernel_if_it_fits
 from jaxfil.labels import labels_of
-from jaxfil.lane import SAME_TIME, Lane, Policy, Span
+from jaxfil.lane import SAME_TIME, Lane, Policy, Saves, Span
 from jaxfil.record import mode_codes
 from jaxfil.results import RESULTS
+from jaxfil.scene import Blocks
 from jaxfil.solution import Dense, Solution, errors, events_of
 from jaxfil.stepper import tableau
 from jaxfil.system import System
@@ -255,39 +257,49 @@ def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
     kind = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
     num_saves = {"none": 0, "ts": 0 if ts is None else ts.shape[0], "steps": options.budget}[kind]
     policy = Policy(kind, options.max_events, None if ts is None else ts - t0)
-    of_run = (scene_, tableau(stepper), span, policy, scene.unpack(x0))
+    adjoint = {}
     if options.reverse:
+        adjoint = {"kind": "checkpointed", "checkpoints": options.checkpoints}
+        adjoint["max_iterations"] = options.budget
+
+    def run(x: Blocks) -> Lane:
+        # With what the outcome makes of the end: its derivatives need no values from elsewhere.
         lane = integrate(
-            *of_run,
-            num_saves=num_saves or 0,
-            kind="checkpointed",
-            checkpoints=options.checkpoints,
-            max_iterations=options.budget,
+            scene_, tableau(stepper), span, policy, x, num_saves=num_saves or 0, **adjoint
         )
-    else:
-        lane = integrate_whole(*of_run, num_saves=num_saves or 0)
+        return _ended(scene_, span, lane)
+
+    lane = (run if options.reverse else kernel_if_it_fits(run))(scene.unpack(x0))
     return _solution(scene_, span, lane, options, system, x0, stepper)
+
+
+def _ended(scene_, span: Span, lane: Lane) -> Lane:
+    """A finished lane; one that has kept nothing with its end, infinite unless it is the end asked
+    for."""
+    if lane.saves is not None:
+        return lane
+    done = lane.result == RESULTS.successful
+    t, x = span.t0 + lane.tau, scene.pack(lane.x, scene_.dtype)
+    end = Saves(
+        jnp.where(done, t, jnp.inf)[None],
+        jnp.where(done, x, jnp.inf)[None],
+        mode_codes(lane.mode)[None],
+    )
+    return eqx.tree_at(lambda lane: lane.saves, lane, end, is_leaf=_is_none)
 
 
 def _solution(scene_, span: Span, lane: Lane, options: _Options, system, x0, stepper) -> Solution:
     """The result of a finished lane, as the user sees it."""
-    dtype = scene_.dtype
-    done = lane.result == RESULTS.successful
-    t_final, x_final = span.t0 + lane.tau, scene.pack(lane.x, dtype)
-    mode_final = mode_codes(lane.mode)
+    t_final, x_final = span.t0 + lane.tau, scene.pack(lane.x, scene_.dtype)
+    assert lane.saves is not None
     dense = None
-    if lane.saves is None:
-        ts = jnp.where(done, t_final, jnp.inf)[None]
-        xs = jnp.where(done, x_final, jnp.inf)[None]
-        modes = mode_final[None]
-    else:
-        ts, xs, modes = lane.saves.ts, lane.saves.xs, lane.saves.modes
-        if options.with_t0 or options.save == "dense":
-            ts, xs = jnp.append(span.t0[None], ts), jnp.append(x0[None], xs, axis=0)
-            modes = jnp.append(mode_codes(lane.first_mode)[None], modes, axis=0)
-        if options.save == "dense":
-            dense = Dense(system, span.t0, t_final, ts, xs, modes, stepper)
-            ts = xs = modes = None
+    ts, xs, modes = lane.saves.ts, lane.saves.xs, lane.saves.modes
+    if options.with_t0 or options.save == "dense":
+        ts, xs = jnp.append(span.t0[None], ts), jnp.append(x0[None], xs, axis=0)
+        modes = jnp.append(mode_codes(lane.first_mode)[None], modes, axis=0)
+    if options.save == "dense":
+        dense = Dense(system, span.t0, t_final, ts, xs, modes, stepper)
+        ts = xs = modes = None
     return Solution(
         ts=ts,
         xs=xs,
@@ -302,7 +314,7 @@ def _solution(scene_, span: Span, lane: Lane, options: _Options, system, x0, ste
         },
         t_final=t_final,
         x_final=x_final,
-        mode_final=mode_final,
+        mode_final=mode_codes(lane.mode),
         _dense=dense,
     )
 

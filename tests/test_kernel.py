@@ -113,6 +113,18 @@ def test_batches_of_all_kinds_give_what_single_lanes_give():
         np.testing.assert_allclose(u.reshape(v.shape), v, rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.parametrize("throw", [False, True])
+def test_derivatives_of_the_end_need_no_kernel_but_their_own(throw):
+    def end(x0, a):
+        return jf.solve(Coupled(a, "product"), x0, 0.0, 2.0, 0.05, throw=throw).xs[-1]
+
+    for function, kernels in ((end, 1), (jax.jacfwd(end), 1)):
+        text = jax.jit(function).lower(X0, jnp.float64(0.3)).compile().as_text()
+        assert text is not None
+        entry = text[text.index("ENTRY") :]
+        assert entry.count("xla_cpu_small_call") >= entry.count(" call(") == kernels
+
+
 def test_a_lane_can_be_linearised():
     """As optimistix and lineax do: the state first, its derivative later."""
 
