@@ -4,8 +4,12 @@ An initial state enters; a `Lane` ready for the loop leaves. Off the surfaces th
 On a surface it is what the fields there say, never the sign of a zero.
 """
 
+import functools as ft
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
@@ -87,7 +91,7 @@ def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -
             jnp.where(a, r, span.direction * jnp.maximum(span.direction * r, 0.0))
             for a, r in zip(armed, rate, strict=True)
         )
-    return Lane(
+    lane = Lane(
         tau=tau,
         rest=tau,
         x=x,
@@ -116,6 +120,36 @@ def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -
         table=empty_table(scene, policy.max_events),
         saves=empty_saves(scene, policy.save, num_saves),
     )
+    return lane if scene.m == 0 else _varied(lane)
+
+
+def _varied(lane: Lane) -> Lane:
+    """The same lane; what contacts give derivatives has them from the start, of value zero.
+
+    JAX traces the derivatives of a loop anew until it knows which of its numbers have any: an
+    eighth of the time to a first Jacobian.
+    """
+
+    def kept(lane: Lane) -> list:
+        records = [record for record in (lane.table, lane.saves) if record is not None]
+        return [lane.tau, *lane.x, *(v for record in records for v in (record.ts, record.xs))]
+
+    return eqx.tree_at(kept, lane, [_with_rate_of(lane.f[0], v) for v in kept(lane)])
+
+
+@jax.custom_jvp
+def _with_rate_of(source: Array, v: Array) -> Array:
+    """v, with a derivative, be it zero, if `source` has one."""
+    return v
+
+
+@ft.partial(_with_rate_of.defjvp, symbolic_zeros=True)
+def _with_rate_of_jvp(primals: tuple, tangents: tuple) -> tuple:
+    (_, v), (moved, rate) = primals, tangents
+    if not isinstance(moved, SymbolicZero):
+        still = jnp.zeros_like(v) if isinstance(rate, SymbolicZero) else rate
+        rate = jnp.where(False, moved, still)
+    return v, rate
 
 
 def _first_result(
