@@ -20,6 +20,7 @@ MODULES = (
     "jaxfil_sweep",
     "numba_scalar",
     "numba_vector",
+    "cpp_vector",
     "heyoka_batch",
     "diffrax_events",
     "scipy_events",

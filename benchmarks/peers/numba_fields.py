@@ -10,7 +10,8 @@ import math
 import numba
 import numpy as np
 from numba.core.codegen import get_host_cpu_features
-from scipy.integrate import DOP853, RK45
+
+from .tableaus import TABLEAUS, weighted
 
 # Vectors as wide as the machine has them, which LLVM does not take unasked.
 numba.config.CPU_FEATURES = get_host_cpu_features() + ",-prefer-256-bit"
@@ -102,22 +103,6 @@ FIELDS = {
     "sd": (sd_field, sd_height, sd_place, sd_hold, sd_slide),
 }
 
-RK4 = (
-    np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.0, 0]]),
-    np.array([1, 2, 2, 1]) / 6,
-    np.array([0, 0.5, 0.5, 1.0]),
-)
-TABLEAUS = {
-    "rk4": RK4,
-    "dopri5": (RK45.A, RK45.B, RK45.C),
-    "dop853": (DOP853.A[:12, :12], DOP853.B, DOP853.C[:12]),
-}
-
-
-def _terms(coefficients, component):
-    used = [(a, j) for j, a in enumerate(coefficients) if a]
-    return " + ".join(f"{float(a)!r} * k{j}{component}" for a, j in used)
-
 
 def step_source(tableau):
     """The text of one step, unrolled, with the coefficients as literals.
@@ -137,11 +122,11 @@ def step_source(tableau):
 
     for i in range(1, len(c)):
         name = force(c[i])
-        lines.append(f"    y1 = x1 + h * ({_terms(a[i], 1)})")
-        lines.append(f"    y2 = x2 + h * ({_terms(a[i], 2)})")
+        lines.append(f"    y1 = x1 + h * ({weighted(a[i], 1)})")
+        lines.append(f"    y2 = x2 + h * ({weighted(a[i], 2)})")
         lines.append(f"    k{i}1, k{i}2 = field({name}, y1, y2, s, p)")
-    lines.append(f"    y1 = x1 + h * ({_terms(b, 1)})")
-    lines.append(f"    y2 = x2 + h * ({_terms(b, 2)})")
+    lines.append(f"    y1 = x1 + h * ({weighted(b, 1)})")
+    lines.append(f"    y2 = x2 + h * ({weighted(b, 2)})")
     lines.append(f"    d1, d2 = field({force(1.0)}, y1, y2, s, p)")
     lines.append("    return y1, y2, d1, d2")
     return "\n".join(lines)
