@@ -24,7 +24,7 @@ from jaxfil.record import mode_codes
 from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks
 from jaxfil.solution import Dense, Solution, errors, events_of
-from jaxfil.stepper import tableau
+from jaxfil.stepper import checked, tableau
 from jaxfil.system import System
 
 _FORWARD_ONLY = (
@@ -90,8 +90,7 @@ def solve(
     labels = labels_of(system, x.shape[0])
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
     length = check.scalar("dt", dt, dtype, positive=True)
-    stepper = diffrax.Dopri8() if stepper is None else stepper
-    tableau(stepper)
+    stepper = checked(stepper)
     save, ts = _save_kind(saveat, dtype)
     _check_ts(ts, start, stop)
     _check_pace(start, stop, length)
@@ -119,8 +118,6 @@ def solve(
         half, options = length / 2, options.of_companion()
         companion = _solve(system, x, start, stop, half, ts, stepper, options)
         sol = eqx.tree_at(lambda s: s.errors, sol, errors(sol, companion), is_leaf=_is_none)
-    if not reverse:
-        sol = eqxi.nondifferentiable_backward(sol, msg=_FORWARD_ONLY)
     sol = dataclasses.replace(sol, labels=labels)
     return _raise_unless_successful(sol) if throw else sol
 
@@ -187,9 +184,9 @@ def _check_ts(ts: Array | None, t0: Array, t1: Array) -> None:
         )
 
 
-def _resolution(t0: Array, t1: Array) -> Array:
+def _resolution(t0: Any, t1: Any, maximum: Any = jnp.maximum) -> Any:
     """Times of the span that are no further apart than this are one time."""
-    return SAME_TIME * jnp.finfo(t0.dtype).eps * jnp.maximum(abs(t0), abs(t1))
+    return SAME_TIME * np.finfo(t0.dtype).eps * maximum(abs(t0), abs(t1))
 
 
 def _check_pace(t0: Array, t1: Array, dt: Array) -> None:
@@ -199,7 +196,7 @@ def _check_pace(t0: Array, t1: Array, dt: Array) -> None:
         return
     if not np.isfinite(start) or not np.isfinite(stop):
         return
-    if pace <= (least := float(_resolution(t0, t1))):
+    if pace <= (least := float(_resolution(start, stop, np.maximum))):
         raise ValueError(
             f"`dt` must be greater than {least:.2g}, the rounding of times from t0 = {start} to "
             f"t1 = {stop} in {t0.dtype}, got {pace}. Start at a t0 nearer to 0, or use float64."
@@ -270,7 +267,8 @@ def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
         return _ended(scene_, span, lane)
 
     lane = (run if options.reverse else kernel_if_it_fits(run))(scene.unpack(x0))
-    return _solution(scene_, span, lane, options, system, x0, stepper)
+    sol = _solution(scene_, span, lane, options, system, x0, stepper)
+    return sol if options.reverse else eqxi.nondifferentiable_backward(sol, msg=_FORWARD_ONLY)
 
 
 def _ended(scene_, span: Span, lane: Lane) -> Lane:

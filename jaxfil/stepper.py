@@ -64,23 +64,36 @@ def _floats(row: np.ndarray) -> tuple[float, ...]:
     return tuple(float(v) for v in row)
 
 
-def tableau(stepper: Any) -> Tableau:
-    """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
-    name = type(stepper).__name__
+_DEFAULT = diffrax.Dopri8()
+
+
+def checked(stepper: Any) -> Any:
+    """The stepper that is meant, `diffrax.Dopri8()` by None; refused unless `tableau` reads it."""
+    if stepper is None:
+        return _DEFAULT
     if isinstance(stepper, type):
         raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
+    table = getattr(stepper, "tableau", None)
+    explicit = isinstance(table, diffrax.ButcherTableau) and not table.implicit
+    if not explicit and not isinstance(stepper, RK4 | Rodas5P | diffrax.Euler):
+        raise ValueError(
+            "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
+            f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
+        )
+    return stepper
+
+
+def tableau(stepper: Any) -> Tableau:
+    """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
+    stepper = checked(stepper)
+    name = type(stepper).__name__
     if isinstance(stepper, RK4):
         return ExplicitTable(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), (), name)
     if isinstance(stepper, Rodas5P):
         return RODAS5P
     if isinstance(stepper, diffrax.Euler):
         return ExplicitTable((), (), (1.0,), (), name)
-    table = getattr(stepper, "tableau", None)
-    if not isinstance(table, diffrax.ButcherTableau) or table.implicit:
-        raise ValueError(
-            "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
-            f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
-        )
+    table = stepper.tableau
     c, a, b = _floats(table.c), tuple(map(_floats, table.a_lower)), _floats(table.b_sol)
     d = _floats(table.b_error) if stepper.order(None) >= _TRUSTED else ()
     if table.fsal:  # the last stage is the field at the end, which the loop evaluates anyway

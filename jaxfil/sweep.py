@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +30,7 @@ from jaxfil.lane import Policy, Span
 from jaxfil.parameter import parameter, parameters, replace
 from jaxfil.points import Points, points
 from jaxfil.results import RESULTS, code, outcomes
-from jaxfil.stepper import tableau
+from jaxfil.stepper import checked, tableau
 from jaxfil.system import System
 from jaxfil.version import __version__
 
@@ -117,7 +116,7 @@ def bifurcation_diagram(
         )
     labels = labels_of(system, np.shape(x0)[-1]).of(where.names)
     _check_follow(follow, where)
-    stepper = diffrax.Dopri8() if stepper is None else stepper
+    stepper = checked(stepper)
     conditions = Conditions(
         parameters=_others(system, where.names),
         x0=_initial_states(x0, where.shape, follow is not None).astype(dtype),

@@ -6,7 +6,6 @@ standard error, a running estimate, and whether the orbit was the same kind of m
 
 from typing import Any
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.core
@@ -23,7 +22,7 @@ from jaxfil.lane import Policy, Span, running
 from jaxfil.results import RESULTS
 from jaxfil.solution import outcome, precision
 from jaxfil.start import begin
-from jaxfil.stepper import tableau
+from jaxfil.stepper import checked, tableau
 from jaxfil.system import System
 
 
@@ -130,8 +129,7 @@ def lyapunov_spectrum(
     system = scene.cast(system, x.dtype)
     duration = interval_of(system, interval, x.dtype)
     counts = counts_of(periods, transient, steps)
-    stepper = diffrax.Dopri8() if stepper is None else stepper
-    tableau(stepper)
+    stepper = checked(stepper)
     return _spectrum(system, x, duration, counts, stepper, min(BATCHES, periods))
 
 

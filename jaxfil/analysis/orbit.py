@@ -25,7 +25,7 @@ from jaxfil.analysis.shooting import Plan, Setting, Shot, shoot, starts_from, st
 from jaxfil.initial_value import solve
 from jaxfil.results import KINDS, RESULTS
 from jaxfil.solution import Dense, Events, Solution, outcome, precision
-from jaxfil.stepper import tableau
+from jaxfil.stepper import checked
 from jaxfil.system import System
 
 # An autonomous period below this part of the guess is not looked for.
@@ -189,8 +189,7 @@ def periodic_orbit(
     guess = jnp.ones((), dtype)
     if autonomous:
         guess = check.scalar("period", period, dtype, positive=True)
-    stepper = diffrax.Dopri8() if stepper is None else stepper
-    tableau(stepper)
+    stepper = checked(stepper)
     plan = Plan(
         t0=check.scalar("t0", t0, dtype),
         steps=check.count("steps", steps) * periods,

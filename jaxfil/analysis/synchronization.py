@@ -8,7 +8,6 @@ itself. Stefański and Kapitaniak, Discrete Dynamics in Nature and Society 4 (20
 
 from typing import Any
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.core
@@ -27,7 +26,7 @@ from jaxfil.results import RESULTS
 from jaxfil.scene import Blocks
 from jaxfil.solution import precision
 from jaxfil.start import begin
-from jaxfil.stepper import tableau
+from jaxfil.stepper import checked, tableau
 from jaxfil.system import System
 
 # A distance of fewer eps of the size of the state is rounding.
@@ -156,8 +155,7 @@ def synchronization_exponent(
     duration = interval_of(system, interval, x.dtype)
     within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
     counts = counts_of(periods, transient, steps)
-    stepper = diffrax.Dopri8() if stepper is None else stepper
-    tableau(stepper)
+    stepper = checked(stepper)
     return _threshold(system, x, grid, within, duration, counts, stepper)
 
 
@@ -263,8 +261,7 @@ def transverse_exponent(
     strength = check.scalar("coupling", coupling, x.dtype)
     duration = interval_of(system, interval, x.dtype)
     counts = counts_of(periods, transient, steps)
-    stepper = diffrax.Dopri8() if stepper is None else stepper
-    tableau(stepper)
+    stepper = checked(stepper)
     return _transverse(system, x, strength, duration, counts, stepper, min(BATCHES, periods))
 
 
