@@ -68,9 +68,14 @@ _DEFAULT = diffrax.Dopri8()
 
 
 def checked(stepper: Any) -> Any:
-    """The stepper that is meant, `diffrax.Dopri8()` by None; refused unless `tableau` reads it."""
-    if stepper is None:
-        return _DEFAULT
+    """The stepper asked for, `diffrax.Dopri8()` by None, if it is one that `tableau` reads."""
+    stepper = _DEFAULT if stepper is None else stepper
+    _refuse_others(stepper)
+    return stepper
+
+
+def _refuse_others(stepper: Any) -> None:
+    """An error for what is no stepper, or of no kind that `tableau` reads."""
     if isinstance(stepper, type):
         raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
     table = getattr(stepper, "tableau", None)
@@ -80,12 +85,11 @@ def checked(stepper: Any) -> Any:
             "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
             f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
         )
-    return stepper
 
 
 def tableau(stepper: Any) -> Tableau:
     """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
-    stepper = checked(stepper)
+    _refuse_others(stepper)
     name = type(stepper).__name__
     if isinstance(stepper, RK4):
         return ExplicitTable(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), (), name)

@@ -95,6 +95,7 @@ def test_a_run_that_does_not_reach_the_end_has_no_error():
         ({"steppers": []}, "`steppers` must be a list of steppers"),
         ({"steppers": jf.RK4()}, "`steppers` must be a list of steppers"),
         ({"steppers": ["RK4"]}, "`stepper` must be"),
+        ({"steppers": [None]}, "`stepper` must be"),
         ({"repeats": 0}, "`repeats` must be an integer of at least 1"),
         ({"lanes": 0}, "`lanes` must be an integer of at least 1"),
         ({"t1": "later"}, "`t1` must be a number"),
