@@ -320,12 +320,9 @@ def integrate(
     return finish(span, lane)
 
 
-def integrate_whole(
-    scene: Scene, table: Tableau, span: Span, policy: Policy, x0: Blocks, *, num_saves: int = 0
-) -> Lane:
+def integrate_whole(scene: Scene, table: Tableau, span: Span, policy: Policy, x0: Blocks) -> Lane:
     """`integrate`, on a processor as one kernel if all of it fits into one: see `kernel`."""
-    run = ft.partial(integrate, scene, table, span, policy, num_saves=num_saves)
-    return kernel_if_it_fits(run)(x0)
+    return kernel_if_it_fits(ft.partial(integrate, scene, table, span, policy))(x0)
 
 
 def finish(span: Span, lane: Lane) -> Lane:

@@ -254,10 +254,10 @@ def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
     kind = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
     num_saves = {"none": 0, "ts": 0 if ts is None else ts.shape[0], "steps": options.budget}[kind]
     policy = Policy(kind, options.max_events, None if ts is None else ts - t0)
-    adjoint = {}
+    adjoint: dict[str, Any] = {}
     if options.reverse:
-        adjoint = {"kind": "checkpointed", "checkpoints": options.checkpoints}
-        adjoint["max_iterations"] = options.budget
+        checkpoints, budget = options.checkpoints, options.budget
+        adjoint = dict(kind="checkpointed", checkpoints=checkpoints, max_iterations=budget)
 
     def run(x: Blocks) -> Lane:
         # With what the outcome makes of the end: its derivatives need no values from elsewhere.

@@ -118,11 +118,11 @@ def test_derivatives_of_the_end_need_no_kernel_but_their_own(throw):
     def end(x0, a):
         return jf.solve(Coupled(a, "product"), x0, 0.0, 2.0, 0.05, throw=throw).xs[-1]
 
-    for function, kernels in ((end, 1), (jax.jacfwd(end), 1)):
+    for function in (end, jax.jacfwd(end)):
         text = jax.jit(function).lower(X0, jnp.float64(0.3)).compile().as_text()
         assert text is not None
         entry = text[text.index("ENTRY") :]
-        assert entry.count("xla_cpu_small_call") >= entry.count(" call(") == kernels
+        assert entry.count("xla_cpu_small_call") >= entry.count(" call(") == 1
 
 
 def test_a_lane_can_be_linearised():
