@@ -32,31 +32,26 @@ static bool none(Mask m) {
     return !any;
 }
 
+template <class T, int N> static inline T series(T z, const double (&terms)[N]) {
+    T sum = z * terms[N - 1] + terms[N - 2];
+#pragma GCC unroll 20
+    for (int k = N - 3; k >= 0; k--) sum = sum * z + terms[k];
+    return sum;
+}
+constexpr double COSINE[] = {1, -1 / 2., 1 / 24., -1 / 720., 1 / 40320., -1 / 3628800., 1 / 479001600.,
+                             -1 / 87178291200., 1 / 20922789888000., -1 / 6402373705728000.,
+                             1 / 2432902008176640000.};
+constexpr double SINE[] = {1, -1 / 6., 1 / 120., -1 / 5040., 1 / 362880., -1 / 39916800., 1 / 6227020800.,
+                           -1 / 1307674368000., 1 / 355687428096000., -1 / 121645100408832000.};
+
 // Cosine and sine to 1e-16 for a phase of a few turns. Pi is in two pieces, the first of 40 bits, so
 // that its multiples are exact.
 template <class T> static inline void turn(T x, T &cosine, T &sine) {
     T turns = whole(x * (1 / M_PI));
     T r = (x - turns * 3.141592653588304) - turns * 1.4891536147466924e-12;
     T z = r * r, sign = 1 - 2 * size(turns - 2 * whole(0.5 * turns));
-    T c = z * (1 / 2432902008176640000.) - 1 / 6402373705728000.;
-    c = c * z + 1 / 20922789888000.;
-    c = c * z - 1 / 87178291200.;
-    c = c * z + 1 / 479001600.;
-    c = c * z - 1 / 3628800.;
-    c = c * z + 1 / 40320.;
-    c = c * z - 1 / 720.;
-    c = c * z + 1 / 24.;
-    c = c * z - 0.5;
-    T s = z * (-1 / 121645100408832000.) + 1 / 355687428096000.;
-    s = s * z - 1 / 1307674368000.;
-    s = s * z + 1 / 6227020800.;
-    s = s * z - 1 / 39916800.;
-    s = s * z + 1 / 362880.;
-    s = s * z - 1 / 5040.;
-    s = s * z + 1 / 120.;
-    s = s * z - 1 / 6.;
-    cosine = sign * (c * z + 1.0);
-    sine = sign * (s * z + 1.0) * r;
+    cosine = sign * series(z, COSINE);
+    sine = sign * series(z, SINE) * r;
 }
 template <class T> static inline T cosine(T x) {
     T c, s;  // the sine is never computed: nobody asks for it

@@ -14,17 +14,19 @@ import tempfile
 
 import numpy as np
 
-from .tableaus import TABLEAUS, weighted
+from .numba_scalar import SHAPED, effort, family, label
+from .tableaus import TABLEAUS, written_out
+
+__all__ = ["SHAPED", "available", "effort", "family", "label", "prepare", "sample"]
 
 NAME = "C++ vector"
-SHAPED = False
 SOURCE = pathlib.Path(__file__).with_suffix(".cpp")
 # Lanes of a pack: WIDTH there.
 WIDTH = 8
 SETTINGS = [dict(method="rk4", steps=n) for n in (100, 200, 400, 800)]
 SETTINGS += [dict(method="dop853", steps=n) for n in (20, 30, 40, 64, 100)]
 SETTINGS += [dict(method="taylor12", steps=n) for n in (12, 16, 25, 40, 64, 80)]
-# As fast as it goes: no rounding of a run depends on the order of its sums.
+# Fast math may regroup sums, those that reduce an angle too: measured errors say if it harms.
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-ffast-math", "-mprefer-vector-width=512")
 
 
@@ -38,43 +40,27 @@ def available():
     return "" if _compiler() else "no g++ is installed"
 
 
-def label(setting):
-    return f"{setting['method']} {setting['steps']}"
-
-
-def family(setting):
-    return setting["method"]
-
-
 def prepare(cores):
     """Threads are started as asked for, in each call."""
 
 
-def effort(quick):
-    return None
-
-
 def step_source(tableau):
     """The lines of `Motion::at` for a Runge–Kutta method; stages at one time share a cosine."""
-    a, b, c = tableau
-    lines, forces = ["T k01 = x2, k02 = d2;"], {}
-
-    def force(node):
-        if node not in forces:
-            forces[node] = f"w{len(forces)}"
-            phase = f"T(omega * (t + {float(node)!r} * h))"
-            lines.append(f"T {forces[node]} = p.f0 * cosine({phase});")
-        return forces[node]
-
-    for i in range(1, len(c)):
-        name = force(c[i])
-        lines.append(f"T z{i} = x1 + h * ({weighted(a[i], 1)});")
-        lines.append(f"T k{i}1 = x2 + h * ({weighted(a[i], 2)});")
-        lines.append(f"T k{i}2 = p.field({name}, z{i}, k{i}1, s);")
-    lines.append(f"y1 = x1 + h * ({weighted(b, 1)});")
-    lines.append(f"y2 = x2 + h * ({weighted(b, 2)});")
-    lines.append(f"e2 = p.field({force(1.0)}, y1, y2, s);")
-    return "\n".join(lines)
+    lines = written_out(
+        tableau,
+        "T {force} = p.f0 * cosine(T(omega * (t + {node} * h)));",
+        [
+            "T z{i} = x1 + h * ({first});",
+            "T k{i}1 = x2 + h * ({second});",
+            "T k{i}2 = p.field({force}, z{i}, k{i}1, s);",
+        ],
+        [
+            "y1 = x1 + h * ({first});",
+            "y2 = x2 + h * ({second});",
+            "e2 = p.field({force}, y1, y2, s);",
+        ],
+    )
+    return "\n".join(["T k01 = x2, k02 = d2;", *lines])
 
 
 @functools.cache

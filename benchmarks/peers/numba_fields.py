@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numba.core.codegen import get_host_cpu_features
 
-from .tableaus import TABLEAUS, weighted
+from .tableaus import TABLEAUS, written_out
 
 # Vectors as wide as the machine has them, which LLVM does not take unasked.
 numba.config.CPU_FEATURES = get_host_cpu_features() + ",-prefer-256-bit"
@@ -110,26 +110,22 @@ def step_source(tableau):
     Entering: the state at t and its slope, which is the first stage. Leaving: both at t + h. Stages
     at one and the same time share a cosine.
     """
-    a, b, c = tableau
-    lines = ["def step(omega, t, h, x1, x2, k01, k02, s, p):", "    f0 = p[0]"]
-    forces = {}
-
-    def force(node):
-        if node not in forces:
-            forces[node] = f"w{len(forces)}"
-            lines.append(f"    {forces[node]} = f0 * cos(omega * (t + {float(node)!r} * h))")
-        return forces[node]
-
-    for i in range(1, len(c)):
-        name = force(c[i])
-        lines.append(f"    y1 = x1 + h * ({weighted(a[i], 1)})")
-        lines.append(f"    y2 = x2 + h * ({weighted(a[i], 2)})")
-        lines.append(f"    k{i}1, k{i}2 = field({name}, y1, y2, s, p)")
-    lines.append(f"    y1 = x1 + h * ({weighted(b, 1)})")
-    lines.append(f"    y2 = x2 + h * ({weighted(b, 2)})")
-    lines.append(f"    d1, d2 = field({force(1.0)}, y1, y2, s, p)")
-    lines.append("    return y1, y2, d1, d2")
-    return "\n".join(lines)
+    lines = written_out(
+        tableau,
+        "    {force} = f0 * cos(omega * (t + {node} * h))",
+        [
+            "    y1 = x1 + h * ({first})",
+            "    y2 = x2 + h * ({second})",
+            "    k{i}1, k{i}2 = field({force}, y1, y2, s, p)",
+        ],
+        [
+            "    y1 = x1 + h * ({first})",
+            "    y2 = x2 + h * ({second})",
+            "    d1, d2 = field({force}, y1, y2, s, p)",
+        ],
+    )
+    head = ["def step(omega, t, h, x1, x2, k01, k02, s, p):", "    f0 = p[0]"]
+    return "\n".join([*head, *lines, "    return y1, y2, d1, d2"])
 
 
 def compile_step(kind, method):

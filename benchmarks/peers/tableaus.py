@@ -1,6 +1,6 @@
-"""Explicit Runge–Kutta methods as tableaus (A, b, c), and the sums of their stages as text.
+"""Explicit Runge–Kutta methods as tableaus (A, b, c), and their steps as text.
 
-In: a row of coefficients. Out: the sum that Python and C++ both read. SciPy has the numbers.
+In: a tableau and the lines of a language. Out: one step written out. SciPy has the numbers.
 """
 
 import numpy as np
@@ -18,7 +18,27 @@ TABLEAUS = {
 }
 
 
-def weighted(coefficients, component):
+def _weighted(coefficients, component):
     """The sum of coefficients times slopes k{stage}{component}, zeros left out."""
     used = [(a, j) for j, a in enumerate(coefficients) if a]
     return " + ".join(f"{float(a)!r} * k{j}{component}" for a, j in used)
+
+
+def written_out(tableau, force, stage, end):
+    """The lines of one step in a language whose lines these are: `force` for the forcing {force} at
+    a {node} of the step, once for each, `stage` for number {i} and `end`, both with the {force} of
+    their time and the sums {first} and {second} of the slopes of either component."""
+    a, b, c = tableau
+    lines, forces = [], {}
+
+    def add(template, node, row, i=0):
+        if node not in forces:
+            forces[node] = f"w{len(forces)}"
+            lines.append(force.format(force=forces[node], node=repr(float(node))))
+        sums = dict(first=_weighted(row, 1), second=_weighted(row, 2))
+        lines.extend(line.format(i=i, force=forces[node], **sums) for line in template)
+
+    for i in range(1, len(c)):
+        add(stage, c[i], a[i], i)
+    add(end, 1.0, b)
+    return lines
