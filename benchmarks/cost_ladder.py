@@ -17,8 +17,8 @@ import numpy as np
 import jaxfil as jf
 from benchmarks import cost_scenes, hlo
 from benchmarks.texts import table
-from jaxfil.chunk import BLOCK, compiled
-from jaxfil.kernel import one_kernel
+from jaxfil.sweep.execution import BLOCK, compiled
+from jaxfil.xla.kernel import one_kernel
 
 LANES, STEPS = 1024, 40
 # Where surfaces are met.

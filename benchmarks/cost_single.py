@@ -14,7 +14,7 @@ from benchmarks import reference
 from benchmarks.peers import jaxfil_sweep
 from benchmarks.scenes import SCENES
 from benchmarks.texts import table
-from jaxfil.results import outcome_names
+from jaxfil.model.outcomes import outcome_names
 
 SETTINGS = [dict(stepper="Dopri8", steps=n) for n in (16, 25, 40, 64)]
 SETTINGS += [dict(stepper="RK4", steps=n) for n in (100, 200)]

@@ -18,7 +18,7 @@ import jaxfil as jf
 from benchmarks.extreme_systems import Circle, Comb, Parabolas, Ring, Scaled, Spring, Turn
 from benchmarks.pieces import motion
 from benchmarks.texts import table
-from jaxfil.results import outcome_names
+from jaxfil.model.outcomes import outcome_names
 
 OUT = pathlib.Path(__file__).parent / "results" / "extremes.txt"
 EPS = np.finfo(float).eps

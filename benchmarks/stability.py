@@ -8,7 +8,7 @@ import numpy as np
 
 import jaxfil as jf
 from benchmarks.stiff_scenes import T1, X0, relay_exact, relays, solve
-from jaxfil.results import outcome_names
+from jaxfil.model.outcomes import outcome_names
 
 # The real stability interval of Dopri8: |R(−z)| ≤ 1 up to here.
 STABLE = 5.17

@@ -30,7 +30,7 @@ from benchmarks.stiff_scenes import (
     solve,
 )
 from benchmarks.texts import table
-from jaxfil.results import outcome_names
+from jaxfil.model.outcomes import outcome_names
 
 RESULTS = pathlib.Path(__file__).parent / "results"
 REPEATS = 5

@@ -1,57 +1,66 @@
 """Differentiable, batched simulation and bifurcation analysis of nonsmooth systems in JAX."""
 
 import importlib
+from types import ModuleType
 
 from jaxfil import systems as systems
-from jaxfil.analysis.bifurcation import (
+from jaxfil.bifurcations.locate import (
     Bifurcation as Bifurcation,
     find_bifurcation as find_bifurcation,
 )
-from jaxfil.analysis.branch import (
-    Branch as Branch,
-    SpecialPoint as SpecialPoint,
-    continue_orbit as continue_orbit,
-)
-from jaxfil.analysis.curve import (
+from jaxfil.bifurcations.margin import grazing_margin as grazing_margin
+from jaxfil.bifurcations.sequence import Route as Route, find_bifurcations as find_bifurcations
+from jaxfil.bifurcations.two_parameter import (
     BifurcationCurve as BifurcationCurve,
     continue_bifurcation as continue_bifurcation,
 )
-from jaxfil.analysis.drive_response import drive_response as drive_response
-from jaxfil.analysis.harmonic import (
-    FourierOrbit as FourierOrbit,
-    harmonic_balance as harmonic_balance,
-)
-from jaxfil.analysis.lyapunov import (
+from jaxfil.exponents.drive_response import drive_response as drive_response
+from jaxfil.exponents.lyapunov import (
     LyapunovSpectrum as LyapunovSpectrum,
     lyapunov_spectrum as lyapunov_spectrum,
 )
-from jaxfil.analysis.margin import grazing_margin as grazing_margin
-from jaxfil.analysis.orbit import Orbit as Orbit, periodic_orbit as periodic_orbit
-from jaxfil.analysis.route import Route as Route, find_bifurcations as find_bifurcations
-from jaxfil.analysis.synchronization import (
+from jaxfil.exponents.synchronization import (
     Synchronization as Synchronization,
     TransverseExponent as TransverseExponent,
     synchronization_exponent as synchronization_exponent,
     transverse_exponent as transverse_exponent,
 )
-from jaxfil.analysis.work_precision import (
+from jaxfil.integrate.rosenbrock import Rodas5P as Rodas5P
+from jaxfil.integrate.solution import Events as Events, Solution as Solution
+from jaxfil.integrate.solve import solve as solve
+from jaxfil.integrate.stepper import RK4 as RK4
+from jaxfil.integrate.work_precision import (
     WorkPrecision as WorkPrecision,
     work_precision as work_precision,
 )
-from jaxfil.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
-from jaxfil.diagram import BifurcationDiagram as BifurcationDiagram, load as load
-from jaxfil.initial_value import solve as solve
-from jaxfil.results import KINDS as KINDS, RESULTS as RESULTS
-from jaxfil.rosenbrock import Rodas5P as Rodas5P
-from jaxfil.solution import Events as Events, Solution as Solution
-from jaxfil.stepper import RK4 as RK4
-from jaxfil.sweep import bifurcation_diagram as bifurcation_diagram
-from jaxfil.system import System as System, piecewise as piecewise, smoothed as smoothed
+from jaxfil.model import drawing
+from jaxfil.model.outcomes import KINDS as KINDS, RESULTS as RESULTS
+from jaxfil.model.system import System as System, piecewise as piecewise, smoothed as smoothed
+from jaxfil.orbits.branch import (
+    Branch as Branch,
+    SpecialPoint as SpecialPoint,
+    continue_orbit as continue_orbit,
+)
+from jaxfil.orbits.harmonic_balance import (
+    FourierOrbit as FourierOrbit,
+    harmonic_balance as harmonic_balance,
+)
+from jaxfil.orbits.orbit import Orbit as Orbit, periodic_orbit as periodic_orbit
+from jaxfil.sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
+from jaxfil.sweep.diagram import BifurcationDiagram as BifurcationDiagram, load as load
+from jaxfil.sweep.sweep import bifurcation_diagram as bifurcation_diagram
 from jaxfil.version import __version__ as __version__
 
 
+def _plot() -> ModuleType:
+    # matplotlib is imported with the first picture, not before.
+    return importlib.import_module("jaxfil.plot")
+
+
+drawing.use(_plot)
+
+
 def __getattr__(name: str):
-    # matplotlib is imported with the first use of `jaxfil.plot`, not before.
     if name == "plot":
-        return importlib.import_module("jaxfil.plot")
+        return _plot()
     raise AttributeError(f"module 'jaxfil' has no attribute {name!r}")

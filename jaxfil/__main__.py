@@ -25,12 +25,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxfil.analysis.work_precision import work_precision
-from jaxfil.results import RESULTS
-from jaxfil.rosenbrock import Rodas5P
-from jaxfil.stepper import RK4
-from jaxfil.sweep import bifurcation_diagram
-from jaxfil.system import System
+from jaxfil.integrate.rosenbrock import Rodas5P
+from jaxfil.integrate.stepper import RK4
+from jaxfil.integrate.work_precision import work_precision
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.system import System
+from jaxfil.sweep.sweep import bifurcation_diagram
 from jaxfil.systems import TEXTBOOK
 
 PICTURES = (".png", ".pdf", ".svg")

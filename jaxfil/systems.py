@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.system import System
+from jaxfil.model.system import System
 
 
 def _parameter(default: float):

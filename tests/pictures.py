@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import jaxfil as jf
-from jaxfil.diagram import Conditions
-from jaxfil.labels import labels_of
-from jaxfil.results import outcome_codes, outcomes
+from jaxfil.model.labels import labels_of
+from jaxfil.model.outcomes import outcome_codes, outcomes
+from jaxfil.sweep.diagram import Conditions
 
 FOLDER = Path(__file__).parent / "references"
 WORDS = FOLDER / "words.json"

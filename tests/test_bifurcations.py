@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil.analysis.approach import touches
-from jaxfil.analysis.bifurcation import KINDS
-from jaxfil.parameter import replace
-from jaxfil.results import KINDS as EVENTS, outcome_names
+from jaxfil.bifurcations.candidates import touches
+from jaxfil.bifurcations.locate import KINDS
+from jaxfil.model.outcomes import KINDS as EVENTS, outcome_names
+from jaxfil.model.parameter import replace
 from tests.test_cards import in_float32
 
 SD_LOW, SD_HIGH = 0.866716581971234, 1.117142393133526

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 
 import jaxfil as jf
-from jaxfil import chunk
-from jaxfil.contact import NEVER, first_contact, stays_off
+from jaxfil.integrate.event_location import NEVER, first_contact, stays_off
+from jaxfil.sweep import execution
 
 number = st.floats(-4, 4).map(lambda v: v**3)
 FEW = {"transient": 4, "samples": 6, "progress": False}
@@ -135,4 +135,4 @@ def test_the_others_in_a_block_make_no_difference_to_the_last_bit(name):
     wild = jf.bifurcation_diagram(system, "omega", values, states, **run)
     assert not np.array_equal(wild.xs[::2], calm.xs[::2])
     np.testing.assert_array_equal(wild.xs[1::2], calm.xs[1::2])
-    assert chunk.BLOCK >= 40, "they share a block"
+    assert execution.BLOCK >= 40, "they share a block"

@@ -16,9 +16,9 @@ import pytest
 import xarray
 
 import jaxfil as jf
-from jaxfil import checkpoint, chunk
-from jaxfil.results import outcome_names
-from jaxfil.system import System
+from jaxfil.model.outcomes import outcome_names
+from jaxfil.model.system import System
+from jaxfil.sweep import checkpoint, execution
 
 X0 = np.array([0.3, 0.1])
 
@@ -147,7 +147,7 @@ def test_an_outcome_of_another_version_is_named():
 def interrupt_after(monkeypatch, pieces):
     """Press Ctrl-C when so many pieces are finished, and again after the next."""
     finished = []
-    before = chunk._Lanes.piece
+    before = execution._Lanes.piece
 
     def piece(*args):
         done = before(*args)
@@ -157,7 +157,7 @@ def interrupt_after(monkeypatch, pieces):
         return done
 
     monkeypatch.setattr(chunk, "_cores", lambda: 1)
-    monkeypatch.setattr(chunk._Lanes, "piece", piece)
+    monkeypatch.setattr(execution._Lanes, "piece", piece)
 
 
 @pytest.fixture
@@ -330,7 +330,7 @@ def test_equations_are_told_apart_by_what_they_compute():
 
 
 def test_a_checkpoint_of_another_version_is_refused(begun, monkeypatch):
-    monkeypatch.setattr("jaxfil.sweep.__version__", "9.9")
+    monkeypatch.setattr("jaxfil.sweep.sweep.__version__", "9.9")
     with pytest.raises(ValueError, match=rf"jaxfil was {jf.__version__} and is 9\.9"):
         sweep([0.7, 0.8], checkpoint=begun)
 

@@ -10,7 +10,7 @@ import pytest
 from jax import lax
 
 import jaxfil as jf
-from jaxfil import kernel
+from jaxfil.xla import kernel
 
 X0 = jnp.array([1.0, 0.5])
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil.labels import Labels, labels_of
+from jaxfil.model.labels import Labels, labels_of
 from tests.pictures import made
 
 X0 = jnp.array([0.3, 0.1])

@@ -5,12 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxfil.analysis import batch_means
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import RESULTS, scene
-from jaxfil.analysis import batch_means
-from jaxfil.analysis.variation import generic_frame
+from jaxfil import RESULTS
+from jaxfil.exponents.variational import generic_frame
+from jaxfil.integrate import components
 
 
 class Linear(jf.System):
@@ -175,7 +176,7 @@ ONCE = {"periods": 1, "transient": 0, "steps": 400, "stepper": jf.RK4()}
 
 def by_differences(system, x0, t1):
     """(1/t1) log of the diagonal of R in J Q = Q' R, J by central differences."""
-    frame = np.array(generic_frame(scene.build(system, x0)))
+    frame = np.array(generic_frame(components.build(system, x0)))
     move = 1e-6
 
     @jax.jit

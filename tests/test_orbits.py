@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import KINDS, RESULTS
-from jaxfil.results import outcome_names
+from jaxfil.model.outcomes import outcome_names
 from tests.test_cards import in_float32
 
 S = jf.systems

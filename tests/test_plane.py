@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import jaxfil as jf
-from jaxfil.results import outcome_codes, outcomes
+from jaxfil.model.outcomes import outcome_codes, outcomes
 
 matplotlib.use("Agg")
 

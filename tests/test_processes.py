@@ -10,7 +10,7 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 import jaxfil as jf
-from jaxfil import processes
+from jaxfil.sweep import multiprocess
 
 X0 = np.array([0.3, 0.1])
 VALUES = np.linspace(0.6, 0.9, 300)  # five chunks: three for one process, two for the other
@@ -45,7 +45,7 @@ def answers(out, index):
         whole=whole.xs,
         successful=whole.successful,
         follow=follow.xs,
-        zeros=processes.from_first(np.array([-0.0, 0.0]) if index == "0" else np.ones(2)),
+        zeros=multiprocess.from_first(np.array([-0.0, 0.0]) if index == "0" else np.ones(2)),
     )
 
 

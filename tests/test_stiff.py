@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import jaxfil as jf
 from jaxfil import KINDS
-from jaxfil.rosenbrock import RODAS5P
+from jaxfil.integrate.rosenbrock import RODAS5P
 from tests.test_order import PROBLEMS, fitted
 
 

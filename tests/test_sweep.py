@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil import chunk
-from jaxfil.system import System
+from jaxfil.model.system import System
+from jaxfil.sweep import execution
 
 BELT = jf.systems.BeltFriction()
 
 
 def refused(kind):
     """Whether XLA has refused to compile a system of this class into one kernel."""
-    return any(kind.__name__ in str(job) for job in chunk._REFUSED)
+    return any(kind.__name__ in str(job) for job in execution._REFUSED)
 
 
 def test_a_lane_equals_its_single_run():

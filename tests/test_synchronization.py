@@ -8,7 +8,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import RESULTS, filippov, scene
+from jaxfil import RESULTS
+from jaxfil.integrate import components, filippov
+from jaxfil.model.parameter import cast
 
 BELT = jf.systems.BeltFriction(omega=4.6)
 PERIOD = 2 * np.pi / 4.6
@@ -56,11 +58,11 @@ def ends(z, coupling, t0, t1, dt):
 
 def test_what_belongs_to_what():
     pair = jf.drive_response(BELT, 0.3)
-    built = scene.build(scene.cast(pair, jnp.float64), jnp.zeros(4))
+    built = components.build(cast(pair, jnp.float64), jnp.zeros(4))
     assert built.m == 2 and built.slides and built.separate
     assert built.switched == ((), (0,), (), (1,))
     smooth = jf.drive_response(Decay(jnp.asarray(-0.1)), 0.3)
-    assert scene.build(scene.cast(smooth, jnp.float64), jnp.zeros(4)).m == 0
+    assert components.build(cast(smooth, jnp.float64), jnp.zeros(4)).m == 0
     assert not jf.drive_response(jf.systems.SDOscillator(), 0.3).slides
     assert pair.period == BELT.period
 
@@ -71,8 +73,8 @@ def test_a_surface_that_another_side_steers_is_not_separate():
             return jnp.stack([x[0] + x[1], x[0] - x[1]])
 
     x = jnp.ones(2)
-    assert scene.build(scene.cast(Brakes(), x.dtype), x).separate
-    built = scene.build(Crossed(), x)
+    assert components.build(cast(Brakes(), x.dtype), x).separate
+    built = components.build(Crossed(), x)
     assert not built.separate and len(built.corner_sides()) == 4
 
 

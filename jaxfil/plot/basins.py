@@ -4,11 +4,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
-from jaxfil import check
-from jaxfil.basins import Basins
+from jaxfil.model import check
+from jaxfil.model.drawing import draws
 from jaxfil.plot.canvas import BLACK, COLORS, WHITE, own_axes
+from jaxfil.sweep.basins import Basins
 
 
+@draws(Basins)
 def basins(found: Basins, ax: Axes | None = None) -> Axes:
     """Draw each initial state in the colour of the attractor that it leads to, and the section
     points of the attractors. Black found no period, white failed."""

@@ -3,9 +3,10 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxfil import check
-from jaxfil.analysis.lyapunov import LyapunovSpectrum
-from jaxfil.analysis.synchronization import Synchronization, TransverseExponent
+from jaxfil.exponents.lyapunov import LyapunovSpectrum
+from jaxfil.exponents.synchronization import Synchronization, TransverseExponent
+from jaxfil.model import check
+from jaxfil.model.drawing import draws
 from jaxfil.plot.canvas import BLACK, COLORS, marker_size, own_axes
 
 
@@ -46,6 +47,7 @@ def lyapunov_exponents(
     return ax
 
 
+@draws(LyapunovSpectrum, TransverseExponent)
 def lyapunov_convergence(
     spectrum: LyapunovSpectrum | TransverseExponent, ax: Axes | None = None
 ) -> Axes:
@@ -77,6 +79,7 @@ def lyapunov_convergence(
     return ax
 
 
+@draws(Synchronization)
 def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
     """Draw the smallest distance of drive and response seen at each coupling, filled where they
     synchronised, and the exponent that follows."""

@@ -4,12 +4,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from jaxfil import check
+from jaxfil.integrate.solution import Solution
+from jaxfil.model import check
+from jaxfil.model.drawing import draws
+from jaxfil.model.outcomes import KINDS
+from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLACK, check_component, own_axes
 from jaxfil.plot.surfaces import draw_surfaces
-from jaxfil.results import KINDS
-from jaxfil.solution import Solution
-from jaxfil.system import System
 
 BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
 MARKERS = {
@@ -19,6 +20,13 @@ MARKERS = {
     KINDS.impact: ("^", "#CC79A7"),
     KINDS.graze: ("*", "#F0E442"),
 }
+
+
+@draws(Solution)
+def _solution(sol: Solution, ax: Axes | None = None) -> Axes:
+    """The phase portrait, or the history of a state of one component."""
+    picture = time_history if sol.x_final.shape[-1] == 1 else phase_portrait
+    return picture(sol, ax=ax)
 
 
 def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> Axes:

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxfil import check
-from jaxfil.analysis.orbit import Orbit
+from jaxfil.model import check
+from jaxfil.orbits.orbit import Orbit
 from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, own_axes
 
 

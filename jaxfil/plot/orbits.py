@@ -3,10 +3,11 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxfil import check
-from jaxfil.analysis.branch import Branch, SpecialPoint
-from jaxfil.analysis.curve import BifurcationCurve
-from jaxfil.labels import labels_of
+from jaxfil.bifurcations.two_parameter import BifurcationCurve
+from jaxfil.model import check
+from jaxfil.model.drawing import draws
+from jaxfil.model.labels import labels_of
+from jaxfil.orbits.branch import Branch, SpecialPoint
 from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, own_axes
 
 CURVES = {
@@ -24,6 +25,7 @@ POINTS = {
 }
 
 
+@draws(Branch)
 def branch(
     branch: Branch, ax: Axes | None = None, component: int = 0, extremes: bool = False
 ) -> Axes:
@@ -73,6 +75,7 @@ def branch(
     return ax
 
 
+@draws(BifurcationCurve)
 def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
     """Draw a bifurcation in the plane of two parameters, each kind in its colour, points of
     codimension two marked."""

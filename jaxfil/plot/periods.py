@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
-from jaxfil import check
-from jaxfil.diagram import BifurcationDiagram
+from jaxfil.model import check
 from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, own_axes
+from jaxfil.sweep.diagram import BifurcationDiagram
 
 # From this period on they share a colour.
 _MANY = len(COLORS) + 1

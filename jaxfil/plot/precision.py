@@ -5,11 +5,13 @@ import itertools
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxfil import check
-from jaxfil.analysis.work_precision import WorkPrecision
+from jaxfil.integrate.work_precision import WorkPrecision
+from jaxfil.model import check
+from jaxfil.model.drawing import draws
 from jaxfil.plot.canvas import BLACK, COLORS, own_axes
 
 
+@draws(WorkPrecision)
 def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
     """Draw the error of every run against its run time, a line for each stepper.
 

@@ -3,9 +3,19 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxfil import check
-from jaxfil.diagram import BifurcationDiagram
+from jaxfil.model import check
+from jaxfil.model.drawing import draws
 from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, marker_size, own_axes
+from jaxfil.plot.periods import parameter_map
+from jaxfil.sweep.diagram import BifurcationDiagram
+
+
+@draws(BifurcationDiagram)
+def _diagram(diagram: BifurcationDiagram, ax: Axes | None = None, component: int = 0) -> Axes:
+    """The samples against one parameter, or on a grid of two the map of periods."""
+    if isinstance(diagram.parameter, str):
+        return bifurcation_diagram(diagram, ax, component)
+    return parameter_map(diagram, ax)
 
 
 def bifurcation_diagram(

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxfil import check
-from jaxfil.labels import Labels, labels_of
+from jaxfil.model import check
+from jaxfil.model.labels import Labels, labels_of
+from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLACK, own_axes
-from jaxfil.system import System
 
 
 def poincare_section(

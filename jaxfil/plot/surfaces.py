@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
+from jaxfil.integrate.solution import Solution
+from jaxfil.model.system import System
 from jaxfil.plot.canvas import COLORS
-from jaxfil.solution import Solution
-from jaxfil.system import System
 
 # Points along each edge of the picture at which the switching function is evaluated.
 _GRID = 201

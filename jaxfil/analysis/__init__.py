@@ -1,1 +1,0 @@
-"""Analyses on top of the integrator."""

@@ -1,0 +1,205 @@
+"""Where an orbit comes near a touch: the guesses from which a bifurcation is located.
+
+An orbit and a kind of bifurcation enter; `Touch`es leave, the nearest first. On one side of a
+bifurcation the orbit has a short piece that is not there on the other: a short flight between two
+contacts, or where there is none yet, a guard with a minimum or a contact with nearly no rate.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.bifurcations.tangency import FAMILIES, Touch, conditions
+from jaxfil.integrate import components, filippov
+from jaxfil.integrate.solution import Dense, evaluate, switches
+from jaxfil.model.system import System
+from jaxfil.orbits.orbit import Orbit
+
+# Touches of an orbit that are told, the nearest first.
+_CANDIDATES = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class _Flight:
+    """A stretch of an orbit in one mode, in times that may pass the end of the period."""
+
+    start: float
+    stop: float
+    mode: np.ndarray
+    surfaces: np.ndarray  # those met at its end
+
+
+def _flights(orbit: Orbit) -> list[_Flight]:
+    """The orbit cut at its contacts; an orbit without any is one endless flight."""
+    t0, period = float(orbit.plan.t0), float(orbit.period)
+    first = np.asarray(orbit.first_mode).astype(float)
+    events = orbit.events
+    ends = switches(events)
+    count = ends.size
+    if events is None or count == 0:
+        return [_Flight(-np.inf, np.inf, first, np.zeros(first.shape, bool))]
+    ts = np.asarray(events.ts)[ends]
+    modes = np.asarray(events.modes)[ends].astype(float)
+    members = np.asarray(events.members)[ends]
+    stops = np.append(ts[1:], ts[0] + period)
+    assert np.all(ts >= t0)
+    return [_Flight(ts[i], stops[i], modes[i], members[(i + 1) % count]) for i in range(count)]
+
+
+def touches(orbit: Orbit, kind: str) -> list[tuple[float, Touch]]:
+    """The nearest touches from which a bifurcation of this kind could come, each with the time by
+    which the orbit misses it (or is past it)."""
+    flights = _flights(orbit)
+    dense = orbit.dense()
+    ts, xs = np.asarray(dense.ts), np.asarray(dense.xs)
+    real = np.isfinite(ts)
+    ts, xs = ts[real], xs[real]
+    found = []
+    for i, flight in enumerate(flights):
+        before, after = flights[i - 1], flights[(i + 1) % len(flights)]
+        for j in range(flight.mode.size):
+            found += _short(flight, before, after, j, kind, len(flights))
+            if FAMILIES[kind] == "arrival":
+                found += _arrivals(orbit, flight, after, j, kind, ts, xs)
+            else:
+                found += _impacts(orbit, flight, after, j, kind, ts, xs)
+                found += _minima(orbit, flight, j, kind, ts, xs)
+    found.sort(key=lambda entry: entry[0])
+    nearest = found[:_CANDIDATES]
+    return [(entry[0], _touch(orbit, dense, *entry[1:])) for entry in nearest]
+
+
+def _short(
+    flight: _Flight, before: _Flight, after: _Flight, j: int, kind: str, count: int
+) -> list[tuple]:
+    """A flight that may be the one born in the bifurcation: its length, and the touch there."""
+    a, b, c = before.mode[j], flight.mode[j], after.mode[j]
+    patterns = {
+        "grazing": a != 0 and c == a and b == -a,
+        "grazing-sliding": a != 0 and c == a and b == 0,
+        "adding-sliding": a == 0 and c == 0 and b != 0,
+        "crossing-sliding": a != 0 and b == 0 and c == -a,
+        "switching-sliding": a != 0 and b == -a and c == 0,
+    }
+    if not patterns[kind] or count < 2:
+        return []
+    side = {"adding-sliding": b, "crossing-sliding": c, "switching-sliding": b}.get(kind, a)
+    length = flight.stop - flight.start
+    left = flight.start - 0.5 * (before.stop - before.start)
+    right = flight.stop + 0.5 * (after.stop - after.start)
+    middle = flight.start if FAMILIES[kind] == "arrival" else flight.start + 0.5 * length
+    return [(length, j, side, before.mode, left, middle, right)]
+
+
+def _minima(
+    orbit: Orbit, flight: _Flight, j: int, kind: str, ts: np.ndarray, xs: np.ndarray
+) -> list[tuple]:
+    """Where the guard of a flight has a minimum: the time in which it would reach zero."""
+    sliding = FAMILIES[kind] == "slide"
+    if (flight.mode[j] == 0) != sliding:
+        return []
+    period = float(orbit.period)
+    times = np.concatenate([ts[:-1] - period, ts[:-1], ts[:-1] + period])
+    states = np.tile(xs[:-1], (3, 1))
+    low, high = max(flight.start, ts[0] - 0.5 * period), min(flight.stop, ts[-1] + 0.5 * period)
+    inside = (times > low) & (times < high)
+    times, states = times[inside], states[inside]
+    if times.size < 3:
+        return []
+    guard, weight = (
+        np.asarray(v)
+        for v in _guards(
+            orbit.system, jnp.asarray(times), jnp.asarray(states), jnp.asarray(flight.mode), j
+        )
+    )
+    found = []
+    for k in range(1, times.size - 1):
+        if guard[k] <= guard[k - 1] and guard[k] < guard[k + 1] and ts[0] <= times[k] < ts[-1]:
+            # Of a sine that reaches as far as this guard, so that the lowest minimum comes first.
+            reach = float(np.sqrt(max(guard[k], 0) / np.max(guard)) * period / np.pi)
+            side = np.sign(weight[k]) if sliding else flight.mode[j]
+            left = times[k] - min(0.5 * (times[k] - flight.start), 0.25 * period)
+            right = times[k] + min(0.5 * (flight.stop - times[k]), 0.25 * period)
+            found.append((reach, j, side, flight.mode, left, times[k], right))
+    return found
+
+
+@eqx.filter_jit
+def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[Array, Array]:
+    """The guard of surface j and the sliding weight at many points of a flight."""
+
+    def one(t: Array, x: Array) -> tuple[Array, Array]:
+        scene_ = components.build(system, x)
+        blocks, modes = components.unpack(x), components.unpack(mode)
+        weight = jnp.zeros((), x.dtype)
+        if scene_.slides:
+            _, rates = filippov.corners(scene_, t, blocks)
+            weight = filippov.weights(modes, rates)[j]
+        return filippov.guard(scene_, t, blocks, modes)[j], weight
+
+    return jax.vmap(one)(ts, xs)
+
+
+def _impacts(
+    orbit: Orbit, flight: _Flight, after: _Flight, j: int, kind: str, ts, xs
+) -> list[tuple]:
+    """Impacts on a wall: the time in which the rate of approach would vanish."""
+    side = flight.mode[j]
+    if kind != "grazing" or not flight.surfaces[j] or side == 0 or after.mode[j] != side:
+        return []
+    reach = _reach(orbit, flight, j, side, ts, xs)
+    period, at = float(orbit.period), flight.stop
+    left = at - min(0.5 * (at - flight.start), 0.25 * period)
+    right = at + min(0.5 * (after.stop - after.start), 0.25 * period)
+    return [(reach, j, side, flight.mode, left, at, right)]
+
+
+def _reach(orbit: Orbit, flight: _Flight, j: int, side: float, ts, xs) -> float:
+    """The time in which Ḣ_s at the end of a flight would vanish."""
+    within = ts[0] + (flight.stop - ts[0]) % float(orbit.period)
+    x = jnp.asarray(xs[np.argmin(abs(ts - within))])
+    at = jnp.asarray(flight.stop, x.dtype)
+    there = Touch(x, at, at, at, *(jnp.asarray(v) for v in (flight.mode, j, side)))
+    found = conditions(orbit.system, at, x, there)
+    return abs(float(found.rate)) / max(abs(float(found.bend)), 1e-300)
+
+
+def _arrivals(
+    orbit: Orbit, flight: _Flight, after: _Flight, j: int, kind: str, ts, xs
+) -> list[tuple]:
+    """Contacts at which the orbit arrives near the end of the sliding region: the time in which
+    Ḣ_s would vanish."""
+    a, c = flight.mode[j], after.mode[j]
+    crosses, sticks = a != 0 and c == -a, a != 0 and c == 0
+    if not flight.surfaces[j] or not (crosses or (sticks and kind == "switching-sliding")):
+        return []
+    side = -a
+    at = flight.stop
+    reach = _reach(orbit, flight, j, side, ts, xs)
+    left = at - min(0.5 * (at - flight.start), 0.25 * float(orbit.period))
+    return [(reach, j, side, flight.mode, left, at, at)]
+
+
+_state_at = eqx.filter_jit(evaluate)
+
+
+def _touch(orbit: Orbit, dense: Dense, j: int, side: float, mode, left, middle, right) -> Touch:
+    """The touch as arrays, its flight starting within the period that the orbit is known for."""
+    t0, period = float(orbit.plan.t0), float(orbit.period)
+    shift = period * np.floor((left - t0) / period)
+    left, middle, right = (min(v - shift, t0 + 2 * period) for v in (left, middle, right))
+    x = _state_at(dense, left)
+    dtype = x.dtype
+    return Touch(
+        x=x,
+        phase=jnp.asarray(middle / period, dtype),
+        start=jnp.asarray(left / period, dtype),
+        stop=jnp.asarray(right / period, dtype),
+        mode=jnp.asarray(mode, dtype),
+        surface=jnp.asarray(j, jnp.int32),
+        side=jnp.asarray(side, dtype),
+    )

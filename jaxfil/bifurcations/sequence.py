@@ -1,0 +1,87 @@
+"""`find_bifurcations`: everything that happens to an orbit between two values of a parameter.
+
+A system, the name of a parameter, an orbit and where to stop enter; the branch and the ordered list
+of its bifurcations leave, each located and named.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+
+from jaxfil.bifurcations.candidates import touches
+from jaxfil.bifurcations.locate import KINDS, Bifurcation, find_bifurcation
+from jaxfil.model.card import precision
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import replace
+from jaxfil.model.system import System
+from jaxfil.orbits.branch import Branch, SpecialPoint, continue_orbit
+from jaxfil.orbits.orbit import Orbit
+
+
+class Route(eqx.Module):
+    """A branch of orbits and its bifurcations in the order in which they are met: a `Bifurcation`
+    where the orbit touches a surface, a `SpecialPoint` for folds, period doublings and
+    Neimark–Sacker points, and where the contacts change in a way that has no name."""
+
+    branch: Branch
+    bifurcations: list[Any]
+
+    def __iter__(self) -> Any:
+        return iter(self.bifurcations)
+
+    def __len__(self) -> int:
+        return len(self.bifurcations)
+
+    def __repr__(self) -> str:
+        name = self.branch.parameter
+        system, told = self.branch.orbits.system, precision(self.branch.orbits.x0)
+        rows = [f"Route of {type(system).__name__} in {name}, {len(self)} found{told}"]
+        for b in self.bifurcations:
+            t = f", t = {float(b.t):.6g}" if isinstance(b, Bifurcation) else ""
+            state = b.x if isinstance(b, Bifurcation) else b.orbit.x0
+            x = ", ".join(f"{float(v):.6g}" for v in state)
+            rows.append(f"  {b.kind:<18} {name} = {float(b.value):<18.13g} x = ({x}){t}")
+        return "\n".join([*rows, f"  ends: {'; '.join(self.branch.ended)}"])
+
+
+def find_bifurcations(
+    system: System,
+    name: str,
+    orbit: Orbit,
+    *,
+    stop: float | tuple[float, float],
+    **options: Any,
+) -> Route:
+    """What happens to `orbit` as the parameter `name` goes to `stop`.
+
+    The branch is followed by `continue_orbit` (which takes the `options`); each change of the
+    contacts on it is then located again by `find_bifurcation` and named by its conditions.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=11.5)
+    >>> orbit = jf.periodic_orbit(belt, jnp.array([0.1, 0.0]))
+    >>> for b in jf.find_bifurcations(belt, "omega", orbit, stop=10.5):
+    ...     print(b.kind, round(float(b.value), 9))
+    grazing-sliding 10.904975822
+    """
+    branch = continue_orbit(system, name, orbit, stop=stop, **options)
+    return Route(branch, [_named(system, name, point) for point in branch.points])
+
+
+def _named(system: System, name: str, point: SpecialPoint) -> Bifurcation | SpecialPoint:
+    """The bifurcation at a change of the contacts; the point itself if it is of no known kind."""
+    if point.kind != "contacts":
+        return point
+    orbit = dataclasses.replace(point.orbit, system=replace(system, name, point.value))
+    nearest = []
+    for kind in KINDS:
+        nearest += [(reach, kind) for reach, _ in touches(orbit, kind)[:1]]
+    for _, kind in sorted(nearest):
+        found = find_bifurcation(system, name, orbit, kind, throw=False)
+        located = (found.result == RESULTS.successful) | (found.result == RESULTS.other_kind)
+        close = abs(float(found.value) - point.value) <= 1e-6 * abs(point.value)
+        if bool(located) and close and int(found.code) >= 0:
+            return found
+    return point

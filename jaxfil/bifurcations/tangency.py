@@ -1,0 +1,234 @@
+"""The touch of an orbit with a boundary: the equations that define it.
+
+A system, its parameter's values and a guess of the touch enter; how far the equations are from
+holding leaves, and the conditions that tell the kind. Three families cover all kinds:
+
+- "flight": in a mode ±1 the orbit touches Σ: H = Ḣ_s = 0 (grazing, grazing-sliding);
+- "slide": a slide touches the end of the sliding region: Ḣ_s = 0 and D Ḣ_s = 0, D along the slide
+  (adding-sliding);
+- "arrival": from the other side it arrives on Σ at the end of the sliding region: H = Ḣ_s = 0
+  (crossing-sliding, switching-sliding).
+
+Ḣ_s = ∂H/∂t + ⟨∇H, F_s⟩: time counts as a state. Around the touch the orbit is followed in one mode
+as if Σ were not there, from phase `start` to phase `stop`, and by the full flow elsewhere: near the
+bifurcation, on either side of it, everything is then smooth.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int
+
+from jaxfil.integrate import components, filippov
+from jaxfil.integrate.components import Scene
+from jaxfil.integrate.loop import integrate
+from jaxfil.integrate.state import Policy, Span
+from jaxfil.integrate.stepper import tableau
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.system import System
+from jaxfil.orbits.shooting import Plan
+
+# Which family a kind belongs to, and the modes before, during and after the short piece of the
+# orbit that is born in it, as multiples of s.
+FAMILIES = {
+    "grazing": "flight",
+    "grazing-sliding": "flight",
+    "adding-sliding": "slide",
+    "crossing-sliding": "arrival",
+    "switching-sliding": "arrival",
+}
+
+# Pieces of the flight on either side of the touch.
+_PIECES = 8
+# A guard this small beside its largest value on the flight is zero: the touch itself.
+_ROUNDING = 1e-7
+
+
+class Touch(eqx.Module):
+    """A touch of surface `surface`, on side `side` (±1), at `phase` (in periods since t = 0). The
+    flight in `mode` around it is followed from `start`, in state `x`, to `stop`."""
+
+    x: Float[Array, " n"]
+    phase: Float[Array, ""]
+    start: Float[Array, ""]
+    stop: Float[Array, ""]
+    mode: Float[Array, " m"]
+    surface: Int[Array, ""]
+    side: Float[Array, ""]
+
+
+class Conditions(eqx.Module):
+    """What defines a bifurcation and tells its kind, at the point of touch: H, Ḣ and Ḧ along F_s,
+    Ḣ along the field of the other side, and along the slide the first and second derivative of
+    Ḣ_s. Times s, so that positive is away from Σ on side s."""
+
+    h: Array
+    rate: Array
+    bend: Array
+    other_rate: Array
+    slide_rate: Array
+    slide_bend: Array
+
+
+class _Rates:
+    """H of the touched surface and its derivatives along the fields at the touch."""
+
+    def __init__(self, system: System, x: Float[Array, " n"], touch: Touch):
+        self.scene, self.touch = components.build(system, x), touch
+        self.number = jnp.arange(touch.mode.shape[0], dtype=jnp.int32)
+
+    def h(self, t: Array, x: Array) -> Array:
+        """s H."""
+        values = jnp.stack(self.scene.switching(t, components.unpack(x)))
+        return self.touch.side * jnp.sum(jnp.where(self.number == self.touch.surface, values, 0))
+
+    def along(self, side: Any, function: Callable) -> Callable[[Array, Array], Array]:
+        """The derivative of a function of (t, x) along the field with this side of the surface."""
+        mode = jnp.where(self.number == self.touch.surface, side, self.touch.mode)
+
+        def derivative(t: Array, x: Array) -> Array:
+            blocks = filippov.field(self.scene, t, components.unpack(x), components.unpack(mode))
+            field = components.pack(blocks, x.dtype)
+            return jax.jvp(function, (t, x), (jnp.ones_like(t), field))[1]
+
+        return derivative
+
+    @property
+    def rate(self) -> Callable[[Array, Array], Array]:
+        """s Ḣ_s."""
+        return self.along(self.touch.side, self.h)
+
+
+def defining(
+    system: System, family: str, t: Array, x: Float[Array, " n"], touch: Touch
+) -> Float[Array, "2"]:
+    """The two equations of a family at (t, x)."""
+    rates = _Rates(system, x, touch)
+    if family == "slide":
+        return jnp.stack([rates.rate(t, x), rates.along(0 * touch.side, rates.rate)(t, x)])
+    return jnp.stack([rates.h(t, x), rates.rate(t, x)])
+
+
+@eqx.filter_jit
+def conditions(system: System, t: Array, x: Float[Array, " n"], touch: Touch) -> Conditions:
+    """All conditions at (t, x)."""
+    rates, s = _Rates(system, x, touch), touch.side
+    rate = rates.rate
+    slide_rate = slide_bend = jnp.zeros_like(t)
+    if rates.scene.slides:
+        on_slide = rates.along(0 * s, rate)
+        slide_rate, slide_bend = on_slide(t, x), rates.along(0 * s, on_slide)(t, x)
+    return Conditions(
+        h=rates.h(t, x),
+        rate=rate(t, x),
+        bend=rates.along(s, rate)(t, x),
+        other_rate=rates.along(-s, rates.h)(t, x),
+        slide_rate=slide_rate,
+        slide_bend=slide_bend,
+    )
+
+
+def kind_of(family: str, found: Conditions, eps: float) -> tuple[Array, ...]:
+    """Whether the conditions are those of each kind, in the order of `FAMILIES`."""
+    # Where both rates vanish together there is no sliding region.
+    scale = abs(found.other_rate) + abs(found.rate)
+    slides = (found.other_rate > 0) & (scale > jnp.sqrt(eps) * abs(found.bend))
+    visible, no = found.bend > 0, jnp.zeros((), bool)
+    if family == "flight":
+        return visible & ~slides, visible & slides, no, no, no
+    if family == "slide":
+        # On a slide Ḣ_s is negative within the sliding region: it reaches zero from below.
+        return no, no, (found.slide_bend < 0) & (found.other_rate > 0), no, no
+    arrives = found.other_rate > 0
+    return no, no, no, arrives & visible, arrives & (found.bend < 0)
+
+
+class Closing(eqx.Module):
+    """How far an orbit through a touch is from closing, and what is met on the way. `holds` tells
+    whether the flight that was followed as if Σ were not there is one: its guards stay positive,
+    but for the touch."""
+
+    gap: Float[Array, " n"]
+    t: Array
+    x: Float[Array, " n"]
+    size: Float[Array, " n"]
+    holds: Array
+    result: RESULTS
+
+
+def close(system: System, period: Array, plan: Plan, family: str, touch: Touch) -> Closing:
+    """Once round the orbit from the start of the flight."""
+    scene_ = components.build(system, touch.x)
+    frozen = _frozen(scene_, touch.mode)
+    start, at = touch.start * period, touch.phase * period
+    stop = at if family == "arrival" else touch.stop * period
+    # One program for all pieces of the flight, whose ends are looked at on the way.
+    times = jnp.concatenate([_divided(start, at), _divided(at, stop)])
+    lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
+
+    def piece(x: Array, now: tuple[Array, Array]) -> tuple:
+        x, size, result = _flow(frozen, plan, now[0], now[1], period, x)
+        return x, (x, size, result)
+
+    _, (xs, sizes, results) = jax.lax.scan(piece, touch.x, (times, lengths))
+    # The full flow round the rest, or for an arrival, which it meets as it is, all of it.
+    full_from, x_from = (start, touch.x) if family == "arrival" else (stop, xs[-1])
+    end, size, result = _flow(scene_, plan, full_from, start + period - full_from, period, x_from)
+    for i in reversed(range(2 * _PIECES)):
+        one = jax.tree.map(lambda v, i=i: v[i], results)
+        result = RESULTS.where(one == RESULTS.successful, result, one)
+    return Closing(
+        gap=end - touch.x,
+        t=at,
+        x=xs[_PIECES - 1],
+        size=jnp.maximum(size, jnp.max(sizes, axis=0)),
+        holds=_holds(scene_, touch.mode, *stop_gradient((times + lengths, xs))),
+        result=result,
+    )
+
+
+def _divided(start: Array, stop: Array) -> Array:
+    """The beginnings of equal pieces."""
+    return start + (stop - start) * jnp.arange(_PIECES).astype(start.dtype) / _PIECES
+
+
+def _holds(scene_: Scene, mode: Array, ts: Array, xs: Array) -> Array:
+    """Whether all guards are positive but for rounding."""
+    modes = components.unpack(mode)
+    guards = lambda t, x: jnp.stack(filippov.guard(scene_, t, components.unpack(x), modes))  # noqa: E731
+    values = jax.vmap(guards)(ts, xs)
+    return jnp.all(values >= -_ROUNDING * jnp.max(abs(values), axis=0))
+
+
+def _frozen(scene_: Scene, mode: Array) -> Scene:
+    """The scene of a single mode, without surfaces."""
+    modes = components.unpack(mode)
+    return dataclasses.replace(
+        scene_,
+        m=0,
+        slides=False,
+        resets=False,
+        switched=((),) * scene_.n,
+        separate=False,
+        _field=lambda t, x, sides, alone, forcing: filippov.field(scene_, t, x, modes, forcing),
+    )
+
+
+def _flow(
+    scene_: Scene, plan: Plan, t0: Array, length: Array, period: Array, x: Array
+) -> tuple[Array, Array, RESULTS]:
+    """End, sizes and outcome of one stretch of time."""
+    count = jnp.ceil(plan.steps * abs(stop_gradient(length / period)))
+    num = jnp.clip(jnp.nan_to_num(count), 1, 8 * plan.steps).astype(jnp.int32)
+    dt = stop_gradient(length) / num.astype(x.dtype)
+    span = Span(t0, length, dt, num, 32 * num + 64 * plan.max_events + 1024)
+    lane = integrate(
+        scene_, tableau(plan.stepper), span, Policy("none", None), components.unpack(x)
+    )
+    size = jnp.maximum(components.pack(lane.size, x.dtype), abs(x))
+    return components.pack(lane.x, x.dtype), stop_gradient(size), lane.result

@@ -1,0 +1,48 @@
+"""."""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.state import Span
+from jaxfil.model import check
+from jaxfil.model.system import System
+
+
+def counts_of(periods: Any, transient: Any, steps: Any) -> tuple[Array, Array, Array]:
+    """Whole numbers as traced values, so that new ones compile nothing."""
+    periods = check.count("periods", periods)
+    transient = check.count("transient", transient, least=0)
+    steps = check.count("steps", steps)
+    if (periods + transient) * steps >= 2**31:
+        raise ValueError(
+            "`periods`, `transient` and `steps` must make fewer than 2³¹ steps, got "
+            f"({periods} + {transient}) × {steps}."
+        )
+    whole = jnp.int32
+    return jnp.asarray(periods, whole), jnp.asarray(transient, whole), jnp.asarray(steps, whole)
+
+
+def interval_of(system: System, interval: Any, dtype: Any) -> Array:
+    """The time between two orthonormalisations."""
+    if interval is not None:
+        return check.scalar("interval", interval, dtype, positive=True)
+    if system.period is None:
+        raise ValueError(
+            f"`interval` must be a positive number: {type(system).__name__} has no forcing period "
+            "to take its place; got None."
+        )
+    return jnp.asarray(system.period, dtype)
+
+
+def span_of(duration: Array, intervals: Array, steps: Array) -> Span:
+    """The grid of `intervals` intervals of that duration, `steps` steps each."""
+    num_steps = intervals * steps
+    return Span(
+        t0=jnp.zeros_like(duration),
+        length=intervals.astype(duration.dtype) * duration,
+        dt=duration / steps.astype(duration.dtype),
+        num_steps=num_steps,
+        max_iterations=32 * jnp.minimum(num_steps, 2**25) + 100_000,
+    )

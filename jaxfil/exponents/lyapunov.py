@@ -1,0 +1,156 @@
+"""Lyapunov exponents from the variational equation.
+
+A system and an initial state enter; all n exponents of the orbit they lead to leave, each with a
+standard error, a running estimate, and whether the orbit was the same kind of motion throughout.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxfil.exponents.batch_means import BATCHES, average_card, averages, batch_ends
+from jaxfil.exponents.intervals import counts_of, interval_of, span_of
+from jaxfil.exponents.variational import travel, vary
+from jaxfil.integrate import components
+from jaxfil.integrate.initial_mode import begin
+from jaxfil.integrate.loop import advance
+from jaxfil.integrate.state import Policy, running
+from jaxfil.integrate.stepper import checked, tableau
+from jaxfil.model import check
+from jaxfil.model.drawing import draw
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import cast
+from jaxfil.model.system import System
+from jaxfil.xla.kernel import kernel_if_it_fits
+
+
+class LyapunovSpectrum(eqx.Module):
+    """All exponents of one orbit, largest first, per unit time.
+
+    - `exponents`: shape (n,). −inf for a direction that sticking takes away altogether. NaN for one
+      that contracts against another by more than rounding resolves within one interval (take a
+      shorter `interval`), and for a lane that failed.
+    - `standard_error`: shape (n,), by batch means; 0 for −inf.
+    - `running`: the estimates at `times`, shape (batches, n), for a picture of the convergence.
+    - `times`: the time averaged over so far, shape (batches,).
+    - `x0`, `x_final`: the state before the transient, which decides between coexisting attractors,
+      and at the end, shape (n,).
+    - `settled`: False if the growth changed for good somewhere within the average, as it does where
+      a transient ends. The exponents are then those of no motion: take a longer transient.
+    - `result`: the lane's outcome.
+    """
+
+    exponents: Float[Array, " n"]
+    standard_error: Float[Array, " n"]
+    running: Float[Array, "batches n"]
+    times: Float[Array, " batches"]
+    x0: Float[Array, " n"]
+    x_final: Float[Array, " n"]
+    settled: Bool[Array, ""]
+    result: RESULTS
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the running estimates of one orbit's exponents; returns the matplotlib axes."""
+        return draw(self, ax=ax)
+
+    def __repr__(self) -> str:
+        exponents = self.exponents
+        return average_card("LyapunovSpectrum", self, exponents, self.standard_error)
+
+
+def lyapunov_spectrum(
+    system: System,
+    x0: Float[Array, " n"],
+    *,
+    periods: int = 1000,
+    transient: int = 200,
+    steps: int = 40,
+    interval: Array | float | None = None,
+    stepper: Any = None,
+) -> LyapunovSpectrum:
+    r"""The Lyapunov exponents λ_i = lim (1/T) Σ_k log R_ii(k) of the orbit from `x0` at t = 0.
+
+    n tangent vectors are carried along the orbit, exactly through crossings, slides and resets, and
+    orthonormalised once a forcing period: M_k Q_{k−1} = Q_k R(k) with M_k the derivative of the
+    flow over period k. The orbit runs `transient` periods first, the last quarter of them with the
+    tangent vectors, which lets them turn to where they belong; then `periods` more are averaged
+    over.
+
+    **Arguments**
+
+    - `x0`: initial state, shape (n,).
+    - `periods`, `transient`: forcing periods averaged over, and run before.
+    - `steps`: steps per forcing period.
+    - `interval`: the time that takes the place of the forcing period; an autonomous system needs
+      one. Within an interval the ratio of two directions' growths must stay far from 1/eps.
+    - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
+
+    Runs under `jax.jit` and `equinox.filter_vmap` (over a system with batched leaves, or over x0),
+    each lane with its own outcome, and has forward-mode derivatives.
+
+    **Returns** a `LyapunovSpectrum`.
+
+    Benettin, Galgani, Giorgilli and Strelcyn, Meccanica 15 (1980) 9–30; Müller, Chaos, Solitons and
+    Fractals 5 (1995) 1671–1681 for discontinuous systems.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> decay = jf.piecewise(lambda t, x: -x, lambda t, x: -x, lambda t, x: x[0])
+    >>> found = jf.lyapunov_spectrum(decay, jnp.ones(1), periods=10, transient=0, interval=0.5)
+    >>> print(round(float(found.exponents[0]), 5))
+    -1.0
+    """
+    x = check.state("x0", x0)
+    check.system("system", system)
+    system = cast(system, x.dtype)
+    duration = interval_of(system, interval, x.dtype)
+    counts = counts_of(periods, transient, steps)
+    stepper = checked(stepper)
+    return _spectrum(system, x, duration, counts, stepper, min(BATCHES, periods))
+
+
+@eqx.filter_jit
+def _spectrum(system, x0, duration, counts, stepper, batches):
+    periods, transient, steps = counts
+    scene_ = components.build(system, x0)
+    table, policy = tableau(stepper), Policy("none", None)
+    span = span_of(duration, transient + periods, steps)
+    alone = (transient - transient // 4) * steps
+    ends = batch_ends(periods, batches)
+    stops = (transient + jnp.append(0, ends)) * steps
+
+    def run(x0):
+        lane = jax.lax.while_loop(
+            lambda lane: running(span, lane, alone),
+            lambda lane: advance(scene_, table, span, policy, lane),
+            begin(scene_, span, policy, components.unpack(x0), 0),
+        )
+
+        def batch(variation, stop):
+            after = travel(scene_, table, span, policy, steps, variation, stop)
+            return after, jnp.stack(after.growth)
+
+        last, growth = jax.lax.scan(batch, vary(scene_, lane, steps), stops)
+        return last.lane, growth
+
+    lane, growth = kernel_if_it_fits(run)(x0)
+    done = lane.index >= span.num_steps
+    spent = ~done & (lane.result == RESULTS.successful)
+    result = RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)
+    times = ends.astype(x0.dtype) * duration
+    growth = jnp.where(done, growth[1:], jnp.nan)  # the first only turned the frame
+    exponents, running_, error, settled = averages(growth, times)
+    return LyapunovSpectrum(
+        exponents=exponents,
+        standard_error=error,
+        running=running_,
+        times=times,
+        x0=x0,
+        x_final=components.pack(lane.x, x0.dtype),
+        settled=settled,
+        result=result,
+    )

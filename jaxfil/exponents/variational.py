@@ -1,0 +1,197 @@
+"""The variational equation: an orbit and a frame of tangent vectors through the loop.
+
+A lane and n vectors enter; the lane at a later grid point and the orthonormalised frame leave, with
+the logarithms of how much each direction has grown. Lanes of a batch wait for nobody on the way.
+
+Between contacts a tangent is carried by the derivative of the iteration with respect to the state
+at fixed time. At a contact whose time moves by dt* with the initial state it jumps by the saltation
+matrix: v⁺ = R_x v + (R_x f⁻ + R_t − f⁺) dt*, dt* = −(∇g·v)/ġ, with R the reset (the identity where
+there is none) and f∓ the fields before and after. Leine and Nijmeijer, Dynamics and Bifurcations of
+Non-Smooth Mechanical Systems (2004).
+"""
+
+import functools as ft
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate import filippov
+from jaxfil.integrate.components import Blocks, Scene, any_of, axpy, where
+from jaxfil.integrate.loop import advance
+from jaxfil.integrate.state import Lane, Policy, Span, epsilon, running
+from jaxfil.integrate.stepper import Tableau
+
+# A direction to which those before it leave less than this many eps of its length is lost.
+_LOST = 1e4
+
+
+class Variation(eqx.Module):
+    """A lane with n tangent vectors. `delay` holds dt* of each while a switch is pending, `left`
+    the steps to the next orthonormalisation, `dropped` whether a slide or a reset may have taken a
+    direction away since the last one, `growth` Σ log R_ii."""
+
+    lane: Lane
+    frame: tuple[Blocks, ...]
+    delay: Blocks
+    left: Array
+    dropped: Array
+    growth: Blocks
+
+
+def generic_frame(scene: Scene) -> tuple[Blocks, ...]:
+    """n orthonormal vectors, none of which is likely to be special to the system."""
+    q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(scene.n, scene.n)))
+    return tuple(tuple(jnp.asarray(v, scene.dtype) for v in column) for column in q.T)
+
+
+def vary(scene: Scene, lane: Lane, every: Array) -> Variation:
+    """A lane with a generic frame, to be orthonormalised every `every` steps."""
+    zero = jnp.zeros((), scene.dtype)
+    dropped = jnp.zeros((), bool)
+    zeros = (zero,) * scene.n
+    return Variation(lane, generic_frame(scene), zeros, every, dropped, zeros)
+
+
+def travel(
+    scene: Scene,
+    table: Tableau,
+    span: Span,
+    policy: Policy,
+    every: Array,
+    variation: Variation,
+    stop: Array,
+) -> Variation:
+    """Carry an orbit and its frame to step number `stop`; `growth` starts at zero."""
+    start = eqx.tree_at(
+        lambda v: v.growth, variation, tuple(jnp.zeros_like(g) for g in variation.growth)
+    )
+    return jax.lax.while_loop(
+        lambda v: running(span, v.lane, stop),
+        lambda v: _orthonormalised(scene, every, v.lane, _push(scene, table, span, policy, v)),
+        start,
+    )
+
+
+def _push(
+    scene: Scene, table: Tableau, span: Span, policy: Policy, variation: Variation
+) -> Variation:
+    """One iteration of the loop."""
+    lane = variation.lane
+
+    def through(x):
+        f = filippov.field(scene, span.t0 + lane.tau, x, lane.mode)
+        start = eqx.tree_at(lambda lane: (lane.x, lane.f), lane, (x, f))
+        after = advance(scene, table, span, policy, start)
+        return (after.x, after.tau), after
+
+    _, derivative, after = jax.linearize(through, lane.x, has_aux=True)
+    frame, delay = [], []
+    for v, dt in zip(variation.frame, variation.delay, strict=True):
+        pushed, late = derivative(v)
+        if scene.m > 0:
+            switched = lane.pending & ~after.pending
+            pushed = where(switched, _salted(scene, span, lane, after, v, dt), pushed)
+        frame.append(pushed)
+        delay.append(late)
+    moved = any_of(tuple(s == 0 for s in after.mode))
+    if scene.resets:
+        moved = moved | after.pending
+    return Variation(
+        after,
+        tuple(frame),
+        tuple(delay),
+        variation.left - (after.index - lane.index),
+        variation.dropped | moved,
+        variation.growth,
+    )
+
+
+def _salted(scene: Scene, span: Span, lane: Lane, after: Lane, v: Blocks, dt: Array) -> Blocks:
+    """A tangent after a switch. It was carried to the contact itself, whose time moves by dt: it
+    holds f⁻ dt already, and gives up f⁺ dt to be at a fixed time again."""
+    t = span.t0 + lane.tau
+    if scene.resets:
+        hit = jnp.argmax(jnp.stack(lane.hit))
+        _, kicked = jax.jvp(lambda t, x: scene.reset(t, x, hit), (t, lane.x), (dt, v))
+        v = where(lane.graze, v, kicked)
+    v = axpy(v, -dt, after.f)
+    if scene.slides:
+        _, _, normals = scene.gradients(t, after.x)
+        for normal, s in zip(normals, after.mode, strict=True):
+            size = sum(a * a for a in normal)
+            out = sum(a * b for a, b in zip(v, normal, strict=True))
+            share = jnp.where(s == 0, out / jnp.where(size == 0, 1, size), 0.0)
+            v = axpy(v, -share, normal)
+    return v
+
+
+def _orthonormalised(scene: Scene, every: Array, before: Lane, variation: Variation) -> Variation:
+    """The same, with its frame orthonormalised where that is due."""
+    due = (variation.left <= 0) & (variation.lane.index > before.index)
+    # `once`: without it the first vector would be computed again for every number after it.
+    orthonormal = ft.partial(gram_schmidt, scene)
+    frame, lengths = scene.once(orthonormal, variation.frame, variation.dropped)
+    growth = tuple(
+        g + jnp.where(due, log, 0.0) for g, log in zip(variation.growth, lengths, strict=True)
+    )
+    return Variation(
+        variation.lane,
+        tuple(where(due, q, v) for q, v in zip(frame, variation.frame, strict=True)),
+        variation.delay,
+        jnp.where(due, every, variation.left),
+        variation.dropped & ~due,
+        growth,
+    )
+
+
+def gram_schmidt(
+    scene: Scene, frame: tuple[Blocks, ...], dropped: Array
+) -> tuple[tuple[Blocks, ...], Blocks]:
+    """An orthonormal frame, and log R_ii of each vector.
+
+    A vector of which the ones before it leave nothing but rounding is replaced by one that is
+    orthogonal to them. Its logarithm is −inf where a slide or a reset may have `dropped` it, which
+    has then no length at all, and NaN elsewhere: it is too small to be told.
+    """
+    done: list[Blocks] = []
+    logs = []
+    for v in frame:
+        size = _norm(v)
+        rest = v
+        for _ in range(2):  # the second time removes what rounding left
+            for q in done:
+                rest = axpy(rest, -_dot(q, rest), q)
+        length = _norm(rest)
+        lost = length <= _LOST * epsilon(scene) * size
+        length = jnp.where(lost, 1.0, length)
+        unit = tuple(a / length for a in rest)
+        done.append(where(lost, _complement(scene, done), unit))
+        nothing = jnp.where(dropped, -jnp.inf, jnp.nan)
+        logs.append(jnp.where(lost, nothing, jnp.log(length)))
+    return tuple(done), tuple(logs)
+
+
+def _dot(a: Blocks, b: Blocks) -> Array:
+    return jnp.asarray(sum(u * v for u, v in zip(a, b, strict=True)))
+
+
+def _norm(v: Blocks) -> Array:
+    square = _dot(v, v)
+    zero = square == 0  # the square root has no derivative there
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+
+
+def _complement(scene: Scene, done: list[Blocks]) -> Blocks:
+    """A unit vector orthogonal to orthonormal ones: what they leave of the axis they leave most."""
+    best = tuple(jnp.zeros((), scene.dtype) for _ in range(scene.n))
+    most = jnp.zeros((), scene.dtype)
+    for j in range(scene.n):
+        axis = tuple(jnp.asarray(float(i == j), scene.dtype) for i in range(scene.n))
+        for q in done:
+            axis = axpy(axis, -q[j], q)
+        square = axis[j]  # a projection's diagonal is the square of its column
+        best, most = where(square > most, axis, best), jnp.maximum(most, square)
+    return tuple(v / jnp.sqrt(most) for v in best)

@@ -1,0 +1,262 @@
+"""First contact inside a step.
+
+The guards' values and rates at both ends of a trial step enter; where in the step one of them first
+becomes negative leaves, as a fraction θ of the step, and, when a step has ended on a contact, the
+time δ that is missing.
+
+The guard is positive in the current mode. Between the ends it is taken as the cubic through values
+and rates; its minimum is searched, so that a dip below zero and back inside one step is found. A
+surface that the lane has just left starts at exactly zero with a rate that is zero or positive:
+its contact is a root after the cubic's maximum, never the one at the start.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.components import Blocks, Scene, any_of
+from jaxfil.integrate.state import Lane, Span, View, epsilon
+
+NEVER = 2.0
+"""θ of a contact that does not happen in this step."""
+
+# A minimum to be looked at is told from a contact by so much: what was found at a surface is then
+# one number, and its cubic is computed once.
+_LOOK = 4.0
+# A minimum this small a part of the guard's range is stepped to and looked at: the cubic's own
+# error could hide a dip below it.
+_SUSPICIOUS = 1 / 64
+# Rejections in a row after which the search is helped along.
+_STALLED = 12
+# A step is cut at such a minimum only well inside it: at its ends the cubic is exact.
+_MARGIN = 0.02
+
+
+class Cubic(eqx.Module):
+    """g(θ) = g0 + d0 θ + a θ² + b θ³ on [0, 1], its minimum and its maximum."""
+
+    g0: Array
+    d0: Array
+    a: Array
+    b: Array
+    disc: Array
+    low: Array
+    high: Array
+
+    def __init__(self, g0: Array, d0: Array, g1: Array, d1: Array):
+        rise = g1 - g0
+        a, b = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
+        self.g0, self.d0, self.a, self.b = g0, d0, a, b
+        # Roots of 3bθ² + 2aθ + d0, each by the formula that does not cancel. The minimum is the
+        # one where the second derivative 2a + 6bθ = +2√disc.
+        disc = self.disc = a * a - 3 * b * d0
+        root = jnp.sqrt(jnp.maximum(disc, 0))
+        sum_ = jnp.where(a >= 0, a + root, a - root)
+        near = -_quotient(d0, sum_)
+        far = -_quotient(sum_, 3 * b)
+        exists = disc > 0
+        self.low = jnp.where(exists, jnp.where(a >= 0, near, far), NEVER)
+        self.high = jnp.where(exists, jnp.where(a >= 0, far, near), NEVER)
+
+    def __call__(self, theta: Array) -> Array:
+        return self.g0 + theta * (self.d0 + theta * (self.a + theta * self.b))
+
+    def slope(self, theta: Array) -> Array:
+        return self.d0 + theta * (2 * self.a + 3 * theta * self.b)
+
+    def bend(self, theta: Array) -> Array:
+        return 2 * (self.a + 3 * theta * self.b)
+
+
+def _quotient(a: Array, b: Array) -> Array:
+    """a/b, far outside the step where b = 0."""
+    zero = b == 0
+    return jnp.where(zero, NEVER, a / jnp.where(zero, 1, b))
+
+
+def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
+    """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
+
+    A guard that starts at zero, at θ = 0, and has its maximum at lo comes back to zero between
+    1.5 lo (where its rate started at zero too) and 2 lo (a parabola). Two of Halley's iterations
+    leave about the cubic's own error; what they leave the next trial step finds.
+    """
+    theta = jnp.where(armed, 0.5 * (lo + hi), jnp.minimum(1.75 * lo, hi))
+    for _ in range(2):
+        value, slope = cubic(theta), cubic.slope(theta)
+        bottom = slope * slope - 0.5 * value * cubic.bend(theta)
+        theta = jnp.clip(theta - _quotient(value * slope, bottom), lo, hi)
+    return theta
+
+
+def first_contact(
+    g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array
+) -> tuple[Array, Array]:
+    """θ of the first contact, and θ of a minimum to be looked at; `NEVER` where there is none.
+
+    `d0`, `d1` are rates times the step. `noise` is what rounding does to the guard; a surface not
+    `armed` was left at this step's start or has not been left by more than `noise` since.
+    """
+    cubic = Cubic(g0, d0, g1, d1)
+    inside = (cubic.low > 0) & (cubic.low < 1)
+    low_value = cubic(cubic.low)
+    dips = inside & (low_value < -noise)
+    contact = dips | (g1 < -noise)
+    hi = jnp.where(dips, cubic.low, 1.0)
+    rises_first = (cubic.high > 0) & (cubic.high < hi)
+    lo = jnp.where(rises_first, cubic.high, 0.0)
+    root = _descending_root(cubic, lo, hi, armed)
+    # A surface just left must rise before it can be met again. If the cubic does not show that
+    # rise the step is too long for it: look at a quarter.
+    root = jnp.where(armed | rises_first, root, 0.25 * hi)
+    reach = abs(d0) + abs(d1)
+    touches = abs(low_value) <= 4 * noise
+    central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
+    near = touches | (central & (low_value <= _SUSPICIOUS * reach))
+    look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
+    # Where squares of guards overflow no contact can be told from none: both are then NaN.
+    known = 0 * cubic.disc
+    theta = jnp.where(contact, root, NEVER) + known
+    return theta, jnp.where(look & ~contact, cubic.low, NEVER) + known
+
+
+def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array:
+    """Whether an armed guard stays so far above zero that `first_contact` finds nothing. Cheaper,
+    and never true in error: a cubic lies above the least of its Bernstein coefficients."""
+    low = jnp.minimum(jnp.minimum(g0, g1), jnp.minimum(g0 + d0 / 3, g1 - d1 / 3))
+    return low > jnp.maximum(_SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
+
+
+def _found(g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array) -> Array:
+    """`first_contact` as one number."""
+    theta, low = first_contact(g0, d0, g1, d1, armed, noise)
+    return jnp.where(theta < NEVER, theta, low + _LOOK)
+
+
+def _nothing(g0: Array, *_: Array) -> Array:
+    return jnp.full_like(g0, NEVER + _LOOK)
+
+
+class Search(eqx.Module):
+    """What a trial step has run over: θ of the earliest contact or minimum to be looked at
+    (`NEVER`: nothing), and the surfaces of that contact (none for a minimum)."""
+
+    theta: Array
+    surfaces: Blocks
+
+
+def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: Array) -> Search:
+    """The earliest contact of a trial step of signed length h, over all surfaces; θ is NaN where
+    guards are too large for it to be found.
+
+    A slide that repels at the end of the step is bisected to where it ceases to attract.
+    """
+    found = []
+    for j in range(scene.m):
+        fresh = jnp.maximum(view.noise[j], lane.noise[j])
+        noise = jnp.where(lane.armed[j], jnp.maximum(view.noise[j], view.touch[j]), fresh)
+        ends = lane.g[j], h * lane.rate[j], stop_gradient(view.g[j]), h * view.rate[j]
+        met = ~(lane.armed[j] & stays_off(*ends, noise))
+        found.append(scene.where_any(met, _found, _nothing, *ends, lane.armed[j], noise))
+    contact = minimum = jnp.asarray(NEVER, h.dtype)
+    thetas = []
+    for number in scene.hold(*found):
+        thetas.append(jnp.minimum(number, NEVER))
+        contact = jnp.minimum(contact, number)
+        minimum = jnp.minimum(minimum, jnp.where(number < _LOOK, NEVER, number - _LOOK))
+    # One look at a time: a step that was cut short is taken as it is.
+    minimum = jnp.where(cutting, NEVER, minimum)
+    if scene.slides:
+        bisect = view.repels & (abs(h) > span.same_time(view.tau))
+        minimum = jnp.where(bisect, jnp.minimum(minimum, 0.5), minimum)
+    first = (contact < NEVER) & (contact <= minimum)
+    surfaces = tuple(first & (theta <= contact * (1 + 1e-6)) for theta in thetas)
+    # A search that does not converge from one side is helped by a step that falls short.
+    theta = jnp.minimum(contact, minimum)
+    stalled = (theta < NEVER) & (lane.tries >= _STALLED) & (lane.tries % 4 == 3)
+    return Search(jnp.where(stalled, 0.5 * theta, theta), surfaces)
+
+
+# What the end of a step is to a surface.
+_NOTHING, _BRUSHED, _HIT, _HERE = 0.0, 1.0, 2.0, 3.0
+
+
+class Landing(eqx.Module):
+    """Whether a step has ended on a contact, the surfaces, whether they are only touched, and the
+    signed time δ from the end of the step to the contact."""
+
+    landed: Array
+    surfaces: Blocks
+    touched: Array
+    delta: Array
+
+
+def land(
+    scene: Scene, span: Span, lane: Lane, view: View, h: Array, room: Array, cutting: Array
+) -> Landing:
+    """Whether this step has ended on a contact.
+
+    `room` is the signed time from its end to the next grid point. δ is one Newton step: with g the
+    guard, its error is of order δ² g̈/ġ, and that of its derivative of order δ g̈/ġ, which is what
+    is kept small here.
+    """
+    direction = span.direction
+    same = span.same_time(view.tau)
+    small = epsilon(scene) ** (2 / 3)
+    straight = small * abs(span.dt)
+    kinds, times = [], []
+    for j in range(scene.m):
+        rate, aimed = view.rate[j], cutting & lane.aim[j]
+        falls = direction * rate < 0
+        missing = -view.g[j] / jnp.where(falls, rate, -direction)
+        size = abs(stop_gradient(missing))
+        bend = direction * (rate - lane.rate[j])
+        close = (size <= straight) & (size * abs(bend) <= small * abs(rate * h))
+        inside = (room - stop_gradient(missing)) * direction >= 0
+        # Rounding of t hides what is missing to the end of a slide, whose guard is made of fields.
+        # A state knows its surface better: it is there when all that is left of g is rounding.
+        g = stop_gradient(view.g[j])
+        sliding = view.mode[j] == 0 if scene.slides else jnp.zeros((), bool)
+        zero = abs(g) <= view.noise[j]
+        # So do several surfaces: those met within the rounding of times are met together.
+        loose = sliding | (scene.m > 1)
+        reached = (size <= same) & (inside | zero | loose) | (cutting & close & inside)
+        # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step
+        # has gone past it by no more than the search takes for rounding.
+        past = (g < 0) & (-g <= view.touch[j])
+        here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
+        hit = falls & (here | ((lane.armed[j] | aimed) & reached))
+        # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
+        vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.touch[j] * bend)
+        touch = lane.armed[j] & (abs(g) <= view.touch[j]) & ~sliding & vertex
+        kind = jnp.where(hit, jnp.where(here, _HERE, _HIT), jnp.where(touch, _BRUSHED, _NOTHING))
+        kinds.append(kind.astype(h.dtype))
+        times.append(missing)
+    # One number a surface, computed once: all that follows is made of it.
+    kinds = scene.hold(*kinds)
+    hits = tuple(kind >= _HIT for kind in kinds)
+    landed = any_of(hits)
+    touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
+    pairs = zip(hits, kinds, strict=True)
+    surfaces = tuple(hit | (touched & (kind == _BRUSHED)) for hit, kind in pairs)
+    delta: Any = jnp.zeros_like(h)
+    for kind, missing in reversed(list(zip(kinds, times, strict=True))):
+        missing = jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
+        delta = jnp.where(kind >= _HIT, missing, delta)
+    # Rounding can put a contact just past the end of the span it belongs to.
+    late = (stop_gradient(delta) - room) * direction > 0
+    (delta,) = scene.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))
+    return Landing(landed | touched, surfaces, touched, delta)
+
+
+def missing_time(span: Span, lane: Lane, view: View) -> Array:
+    """The signed time from here to the contact aimed at, by Newton; 0 if it is not ahead."""
+    missing: Any = jnp.zeros_like(view.tau)
+    for aim, g, rate in zip(lane.aim, view.g, view.rate, strict=True):
+        falls = span.direction * rate < 0
+        ahead = -g / jnp.where(falls, rate, -span.direction)
+        missing = jnp.where(aim & falls & (g > 0), stop_gradient(ahead), missing)
+    return missing

@@ -1,0 +1,228 @@
+"""What happens on a surface: convex combinations, the sliding weight, and the choice of a mode.
+
+Fields on all sides of the surfaces at one point enter, with the mode of motion: per surface +1 or
+−1 (on that side) or 0 (sliding). The field of the mode, its weights, and after a contact the modes
+that continue the solution leave.
+
+On several surfaces at once the field is the product-weight (Alexander–Seidman) blend of the 2^m
+corner fields: with weights w in [−1, 1]^m, F(w) = Σ_s F_s Π_j (1 + s_j w_j)/2, where w_j = ±1 off
+the surface and, for the surfaces slid on, w solves dH_j/dt(w) = 0. For one surface this is
+Filippov's convex combination with λ = (1 + w)/2.
+
+Where surfaces are separate (`Scene.separate`: each is switched by its own side alone, as those of
+two oscillators that do not touch each other's switches), so are their weights and modes: each is
+that of one surface, and two corners, all sides + and all −, say everything.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.components import Blocks, Forcing, Scene
+from jaxfil.xla.small_linear import solve_small
+
+# Newton iterations for the weights of an intersection at most. The system is multi-affine: affine
+# (one iteration) when each term of the field sees one side.
+_NEWTON = 20
+
+
+def _mix(s: Array, w: Array, above: Blocks, below: Blocks) -> Blocks:
+    """The field on side s of one surface, or where s = 0 the blend of both with weight w. A side is
+    taken as it is, untouched by a NaN of the other."""
+    share = 0.5 * (1 + w)
+    return tuple(
+        jnp.where(s > 0, a, jnp.where(s < 0, b, b + share * (a - b)))
+        for a, b in zip(above, below, strict=True)
+    )
+
+
+def blend(corners: Sequence[Blocks], mode: Blocks, weights: Blocks) -> Blocks:
+    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of `Scene.corner_sides`."""
+    for s, w in zip(mode, weights, strict=True):
+        half = len(corners) // 2
+        corners = [_mix(s, w, corners[i], corners[half + i]) for i in range(half)]
+    return corners[0]
+
+
+def blend_fields(scene: Scene, fields: Sequence[Blocks], mode: Blocks, weights: Blocks) -> Blocks:
+    """`blend` of the corner fields; components that no side enters are taken as they are."""
+    if scene.separate:
+        above, below = fields
+        return tuple(
+            _mix(mode[seen[0]], weights[seen[0]], (a,), (b,))[0] if seen else a
+            for seen, a, b in zip(scene.switched, above, below, strict=True)
+        )
+    switched = [i for i, seen in enumerate(scene.switched) if seen]
+    parts = blend([tuple(f[i] for i in switched) for f in fields], mode, weights)
+    mixed = dict(zip(switched, parts, strict=True))
+    return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
+
+
+def _slope(corners: Sequence[Blocks], mode: Blocks, weights: Blocks, j: int) -> Blocks:
+    """∂ blend/∂w_j."""
+    for i, (s, w) in enumerate(zip(mode, weights, strict=True)):
+        half = len(corners) // 2
+        pairs = [(corners[k], corners[half + k]) for k in range(half)]
+        if i == j:
+            corners = [tuple(0.5 * (p - q) for p, q in zip(a, b, strict=True)) for a, b in pairs]
+        else:
+            corners = [_mix(s, w, a, b) for a, b in pairs]
+    return corners[0]
+
+
+def _safe_quotient(a: Array, b: Array) -> Array:
+    """a/b, and 0 where b = 0, with finite derivatives there."""
+    zero = b == 0
+    return jnp.where(zero, 0, a / jnp.where(zero, 1, b))
+
+
+def weights(mode: Blocks, rates: Sequence[Blocks]) -> Blocks:
+    """The weights of a mode: ±1 off a surface, the solution of dH/dt(w) = 0 on it.
+
+    `rates[s][j]` is dH_j/dt along the field of corner s. The solution may lie outside [−1, 1]:
+    beyond the end of a slide it is the smooth continuation that root finding needs.
+    """
+    if len(mode) == 0:
+        return ()
+    if len(rates) == 2:
+        return tuple(
+            jnp.where(s == 0, _safe_quotient(below + above, below - above), s)
+            for s, above, below in zip(mode, *rates, strict=True)
+        )
+    # Newton on constants, then one differentiable iteration: its derivative is the implicit one.
+    fixed = [tuple(stop_gradient(v) for v in row) for row in rates]
+
+    def unsettled(state: tuple) -> Array:
+        _, change, k = state
+        return (change > 0) & (k < _NEWTON)
+
+    def improve(state: tuple) -> tuple:
+        w, _, k = state
+        better = _newton(mode, fixed, w)
+        now = sum(abs(a - b) for a, b in zip(better, w, strict=True))
+        done = now <= 4 * jnp.finfo(w[0].dtype).eps
+        return better, jnp.where(done, 0, now), k + 1
+
+    w = tuple(stop_gradient(s) for s in mode)
+    start = (w, jnp.ones_like(w[0]), jnp.zeros((), jnp.int32))
+    w, _, _ = jax.lax.while_loop(unsettled, improve, start)
+    return _newton(mode, rates, w)
+
+
+def _newton(mode: Blocks, rates: Sequence[Blocks], w: Blocks) -> Blocks:
+    """One Newton iteration for the weights of the surfaces slid on."""
+    residual = blend(rates, mode, w)
+    slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
+    matrix, right = [], []
+    for j, s in enumerate(mode):
+        sliding = s == 0
+        right.append(jnp.where(sliding, residual[j], 0.0))
+        matrix.append([jnp.where(sliding, slopes[i][j], float(i == j)) for i in range(len(w))])
+    update = solve_small(matrix, right)
+    return tuple(a - b for a, b in zip(w, update, strict=True))
+
+
+def corners(
+    scene: Scene, t: Array, x: Blocks, alone: bool = False, forcing: Forcing | None = None
+) -> tuple[list[Blocks], list[Blocks]]:
+    """The field on the combinations of sides of `Scene.corner_sides`, and dH/dt along each; `alone`
+    and `forcing` as in `Scene.field`."""
+    fields = [scene.field(t, x, sides, alone, forcing) for sides in scene.corner_sides()]
+    return fields, [scene.rate(t, x, f) for f in fields]
+
+
+def field(
+    scene: Scene, t: Array, x: Blocks, mode: Blocks, forcing: Forcing | None = None
+) -> Blocks:
+    """The field of a mode, blended while it slides; `forcing` as in `Scene.field`."""
+    if not scene.slides:
+        return scene.field(t, x, mode, True, forcing)
+    fields, rates = corners(scene, t, x, True, forcing)
+    return blend_fields(scene, fields, mode, weights(mode, rates))
+
+
+def guard(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
+    """What must stay positive in a mode: ±H_j on a side, 1 − w_j² while sliding."""
+    h = scene.switching(t, x)
+    off = tuple(s * v for s, v in zip(mode, h, strict=True))
+    if not scene.slides:
+        return off
+    _, rates = corners(scene, t, x)
+    w = weights(mode, rates)
+    return tuple(
+        jnp.where(s == 0, (1 - v) * (1 + v), g) for s, v, g in zip(mode, w, off, strict=True)
+    )
+
+
+def attracting(mode: Blocks, rates: Sequence[Blocks], direction: Array) -> Array:
+    """Whether every surface slid on draws the state back: dH_j/dt falls with the weight w_j."""
+    ok = jnp.ones((), bool)
+    if len(rates) == 2:
+        for s, above, below in zip(mode, *rates, strict=True):
+            ok = ok & ((s != 0) | (direction * (above - below) < 0))
+        return ok
+    w = weights(mode, rates)
+    for j, s in enumerate(mode):
+        ok = ok & ((s != 0) | (direction * _slope(rates, mode, w, j)[j] < 0))
+    return ok
+
+
+def _admissible(
+    candidate: Blocks, rates: Sequence[Blocks], mode: Blocks, on: Blocks, direction: Array
+) -> Array:
+    """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
+    surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
+    w = weights(candidate, rates)
+    rate = blend(rates, candidate, w)
+    eps = jnp.finfo(direction.dtype).eps
+    ok = jnp.ones((), bool)
+    for j, c in enumerate(candidate):
+        scale = sum(abs(r[j]) for r in rates)
+        solved = (abs(rate[j]) <= 64 * eps * scale) & (scale > 0)
+        slides = (abs(w[j]) <= 1) & solved
+        leaves = c * direction * rate[j] > 0
+        ok = ok & jnp.where(on[j], jnp.where(c == 0, slides, leaves), mode[j] == c)
+    return ok
+
+
+def choose(
+    m: int, rates: Sequence[Blocks], mode: Blocks, on: Blocks, direction: Array
+) -> tuple[Blocks, Array]:
+    """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
+
+    One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a
+    tangency that first derivatives do not decide.
+    """
+    if len(rates) == 2:
+        each = [
+            _choose_on_one(above, below, s, on_j, direction)
+            for above, below, s, on_j in zip(*rates, mode, on, strict=True)
+        ]
+        count: Any = jnp.ones((), jnp.int32)
+        for _, count_j in each:
+            count = count * count_j
+        return tuple(s for s, _ in each), count
+    candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)))
+    columns = tuple(jnp.asarray(column, direction.dtype) for column in candidates.T)
+    ok = jax.vmap(lambda *c: _admissible(c, rates, mode, on, direction))(*columns)
+    first = jnp.argmax(ok)
+    any_ok = jnp.any(ok)
+    chosen = tuple(jnp.where(any_ok, c[first], s) for c, s in zip(columns, mode, strict=True))
+    return chosen, jnp.sum(ok, dtype=jnp.int32)
+
+
+def _choose_on_one(
+    above: Array, below: Array, mode: Array, on: Array, direction: Array
+) -> tuple[Array, Array]:
+    """`choose` on a single surface, where the rates on its two sides say it all."""
+    plus, minus = direction * above > 0, direction * below < 0
+    slide = (above * below <= 0) & (above != below)
+    count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
+    side = jnp.where(plus, 1.0, jnp.where(minus, -1.0, 0.0)).astype(direction.dtype)
+    return jnp.where(on & (count > 0), side, mode), jnp.where(on, count, 1)

@@ -1,0 +1,166 @@
+"""The first moment: which mode a lane starts in.
+
+An initial state enters; a `Lane` ready for the loop leaves. Off the surfaces the mode is the side.
+On a surface it is what the fields there say, never the sign of a zero.
+"""
+
+import functools as ft
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate import filippov
+from jaxfil.integrate.components import Blocks, Scene, all_finite
+from jaxfil.integrate.mode_switch import guards, surface_noise
+from jaxfil.integrate.recording import empty_saves, empty_table
+from jaxfil.integrate.state import Lane, Policy, Span, epsilon
+from jaxfil.model.outcomes import RESULTS
+
+# Rounding of a rate at a tangency, in eps of the largest rate there.
+_RATE_NOISE = 64
+
+
+def _resolved_rates(scene: Scene, t: Array, x: Blocks, direction: Array) -> list[Blocks]:
+    """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
+    the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
+    one = jnp.ones_like(t)
+    fields, rates, seconds, thirds = [], [], [], []
+    for sides in scene.corner_sides():
+
+        def first(t, x, sides=sides):
+            return scene.rate(t, x, scene.field(t, x, sides))
+
+        def second(t, x, sides=sides, first=first):
+            return jax.jvp(first, (t, x), (one, scene.field(t, x, sides)))[1]
+
+        f = scene.field(t, x, sides)
+        fields.append(f)
+        rates.append(first(t, x))
+        seconds.append(second(t, x))
+        thirds.append(jax.jvp(second, (t, x), (one, f))[1])
+    resolved = []
+    for rate, second_, third in zip(rates, seconds, thirds, strict=True):
+        row = []
+        for j in range(scene.m):
+            scale = sum(abs(r[j]) for r in rates)
+            tiny = jnp.where(scale > 0, epsilon(scene) * scale, 1.0)
+            sign = jnp.where(second_[j] != 0, direction * jnp.sign(second_[j]), jnp.sign(third[j]))
+            flat = abs(rate[j]) <= _RATE_NOISE * epsilon(scene) * scale
+            row.append(jnp.where(flat, tiny * sign, rate[j]))
+        resolved.append(tuple(row))
+    return resolved
+
+
+def _first_mode(
+    scene: Scene, span: Span, x: Blocks, h: Blocks, noise: Blocks
+) -> tuple[Blocks, Blocks, Array]:
+    """The mode at t0, the surfaces the state starts on, and the number of admissible modes."""
+    sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
+    on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
+    rates = _resolved_rates(scene, span.t0, x, span.direction)
+    rates = jax.tree.map(stop_gradient, rates)
+    mode, count = filippov.choose(scene.m, rates, sides, on, span.direction)
+    return mode, on, count
+
+
+def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -> Lane:
+    """The lane at t0."""
+    dtype, t = scene.dtype, span.t0
+    tau = jnp.zeros((), dtype)
+    zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+    mode: Blocks = ()
+    g = rate = noise = armed = ()
+    count: Array = jnp.ones((), jnp.int32)
+    if scene.m == 0:
+        f = scene.field(t, x, ())
+    else:
+        h, h_t, normals = scene.gradients(t, x)
+        size = tuple(stop_gradient(abs(v)) for v in x)
+        noise = surface_noise(scene, t, size, h_t, normals)
+        mode, on, count = _first_mode(scene, span, x, h, noise)
+        moving = tuple(jnp.where(s == 0, 1.0, s).astype(dtype) for s in mode)
+        f = filippov.field(scene, t, x, mode if scene.slides else moving)
+        g, rate, noise = guards(scene, t, x, f, mode, noise)
+        armed = tuple((s == 0) | ~on_j for s, on_j in zip(mode, on, strict=True))
+        g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
+        rate = tuple(
+            jnp.where(a, r, span.direction * jnp.maximum(span.direction * r, 0.0))
+            for a, r in zip(armed, rate, strict=True)
+        )
+    lane = Lane(
+        tau=tau,
+        rest=tau,
+        x=x,
+        f=f,
+        size=tuple(stop_gradient(abs(v)) for v in x),
+        mode=mode,
+        first_mode=mode,
+        g=tuple(stop_gradient(v) for v in g),
+        rate=rate,
+        armed=armed,
+        noise=noise,
+        cut=tau,
+        aim=(false,) * scene.m,
+        pending=false,
+        hit=(false,) * scene.m,
+        graze=false,
+        index=zero,
+        tries=zero,
+        frozen=zero,
+        contact_tau=tau - jnp.inf,
+        num_iterations=zero,
+        num_accepted=zero,
+        num_events=zero,
+        num_saved=zero,
+        result=_first_result(scene, span, x, f, mode, count),
+        table=empty_table(scene, policy.max_events),
+        saves=empty_saves(scene, policy.save, num_saves),
+    )
+    return lane if scene.m == 0 else _varied(lane)
+
+
+def _varied(lane: Lane) -> Lane:
+    """The same lane; what contacts give derivatives has them from the start, of value zero.
+
+    JAX traces the derivatives of a loop anew until it knows which of its numbers have any: a tenth
+    of the time to a first Jacobian.
+    """
+
+    def kept(lane: Lane) -> list:
+        records = [record for record in (lane.table, lane.saves) if record is not None]
+        return [lane.tau, *lane.x, *(v for record in records for v in (record.ts, record.xs))]
+
+    return eqx.tree_at(kept, lane, [_with_rate_of(lane.f[0], v) for v in kept(lane)])
+
+
+@jax.custom_jvp
+def _with_rate_of(source: Array, v: Array) -> Array:
+    """v, with a derivative, be it zero, if `source` has one."""
+    return v
+
+
+@ft.partial(_with_rate_of.defjvp, symbolic_zeros=True)
+def _with_rate_of_jvp(primals: tuple, tangents: tuple) -> tuple:
+    (_, v), (moved, rate) = primals, tangents
+    if not isinstance(moved, SymbolicZero):
+        still = jnp.zeros_like(v) if isinstance(rate, SymbolicZero) else rate
+        rate = jnp.where(False, moved, still)
+    return v, rate
+
+
+def _first_result(
+    scene: Scene, span: Span, x: Blocks, f: Blocks, mode: Blocks, count: Array
+) -> RESULTS:
+    """The outcome at t0: bad numbers, or a start that no single solution leaves."""
+    result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)
+    result = RESULTS.where(count < 1, RESULTS.mode_undecided, result)
+    if not scene.slides:
+        for s in mode:
+            slid = (s == 0) & (count == 1)
+            result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
+    fine = all_finite(x, f, (span.t0, span.length, span.dt))
+    return RESULTS.where(fine, result, RESULTS.nonfinite)

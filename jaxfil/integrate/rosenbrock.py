@@ -1,0 +1,186 @@
+"""A linearly implicit step for stiff fields.
+
+A field on components, a state and a step length enter; the state at the end of the step leaves,
+after s small linear systems with one and the same matrix I − γhJ, J = ∂F/∂x by automatic
+differentiation: no inner iteration, so that all lanes of a batch do the same work.
+
+With α, γ_ij and b its coefficients, c_i and γ_i the sums of rows of α and γ_ij, a step reads
+
+    (I − γhJ) k_i = F(t + c_i h, x + h Σ_j α_ij k_j) + hJ Σ_{j<i} γ_ij k_j + γ_i h ∂F/∂t
+    x(t + h) = x + h Σ_i b_i k_i
+
+(Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.7). The product with J is
+left out by solving for v_i = k_i + Σ_{j<i} (γ_ij/γ) k_j. The usual variables u_i = h Σ_j γ_ij k_j
+save these sums, but their coefficients, up to 165, take two digits from every step.
+"""
+
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.components import Blocks, axpy
+from jaxfil.xla.small_linear import Factors, factored
+
+
+class Rodas5P(eqx.Module):
+    """Rodas5P: eight stages, order five, L-stable and stiffly accurate, for stiff fields.
+
+    Accepted wherever `stepper` is. G. Steinebach, Construction of Rosenbrock–Wanner method Rodas5P
+    and numerical benchmarks within the Julia Differential Equations package, BIT Numerical
+    Mathematics 63, 27 (2023).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> fast = jf.piecewise(
+    ...     lambda t, x: -1e6 * (x - 1), lambda t, x: -1e6 * x, lambda t, x: t[None] - 0.5
+    ... )
+    >>> sol = jf.solve(fast, jnp.zeros(1), 0.0, 1.0, 0.1, stepper=jf.Rodas5P())
+    >>> round(float(sol.xs[-1, 0]), 9)
+    1.0
+    """
+
+
+class RosenbrockTable(eqx.Module):
+    """The coefficients in the module's formulas: γ, c (s,), γ_i (s,), b (s,), and as s rows α and
+    γ_ij/γ."""
+
+    gamma: float = eqx.field(static=True)
+    c: tuple[float, ...] = eqx.field(static=True)
+    drift: tuple[float, ...] = eqx.field(static=True)
+    alpha: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    coupling: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    b: tuple[float, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    @property
+    def stages(self) -> int:
+        """Evaluations of the field per step."""
+        return len(self.b)
+
+    @property
+    def times(self) -> list[float]:
+        """Where in a step the field is evaluated as it is: at its end."""
+        return [1.0]
+
+
+def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> RosenbrockTable:
+    """The table of a method published for the variables u, where x(t + h) = x + Σ m_i u_i,
+    α = aΓ and Γ⁻¹ = 1/γ − C."""
+    s = len(m)
+
+    def square(rows: list) -> np.ndarray:
+        return np.asarray([[*row, *[0.0] * (s - len(row))] for row in rows])
+
+    full = np.linalg.inv(np.eye(s) / gamma - square(coupling))
+    alpha, b = square(a) @ full, np.asarray(m) @ full
+    # Sixteen published digits leave 1e-14: a constant field must not be left with it.
+    b[-2] += 1 - b.sum()
+    return RosenbrockTable(
+        gamma=gamma,
+        c=tuple(map(float, alpha.sum(axis=1))),
+        drift=tuple(map(float, full.sum(axis=1))),
+        alpha=tuple(tuple(map(float, alpha[i, :i])) for i in range(s)),
+        coupling=tuple(tuple(map(float, full[i, :i] / gamma)) for i in range(s)),
+        b=tuple(map(float, b)),
+        name=name,
+    )
+
+
+# Of the published numbers those are left out that are sums of rows.
+# fmt: off
+_LAST = [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256,
+         0.030198172008377946]
+RODAS5P = _table(
+    name="Rodas5P",
+    gamma=0.21193756319429014,
+    a=[
+        [],
+        [3.0],
+        [2.849394379747939, 0.45842242204463923],
+        [-6.954028509809101, 2.489845061869568, -10.358996098473584],
+        [2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641],
+        _LAST,
+        [*_LAST, 1.0],
+        [*_LAST, 1.0, 1.0],
+    ],
+    coupling=[
+        [],
+        [-14.155112264123755],
+        [-17.97296035885952, -2.859693295451294],
+        [147.12150275711716, -1.41221402718213, 71.68940251302358],
+        [165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306],
+        [24.854864614690072, -3.0009227002832186, 47.4931110020768, 5.5814197821558125,
+         -0.6610691825249471],
+        [30.91273214028599, -3.1208243349937974, 77.79954646070892, 34.28646028294783,
+         -19.097331116725623, -28.087943162872662],
+        [37.80277123390563, -3.2571969029072276, 112.26918849496327, 66.9347231244047,
+         -40.06618937091002, -54.66780262877968, -9.48861652309627],
+    ],
+    m=[*_LAST, 1.0, 1.0, 1.0],
+)
+# fmt: on
+
+
+def rosenbrock_step(
+    table: RosenbrockTable,
+    field: Callable[..., Blocks],
+    t: Array,
+    x: Blocks,
+    f: Blocks,
+    h: Array,
+    once: Callable[..., Any],
+) -> Blocks:
+    """The state at t + h; `f` is the field at (t, x), `once` is `Scene.once`."""
+    factors, drift = once(ft.partial(_linearised, field, table.gamma), t, x, h)
+    slopes: list[Blocks] = []
+    rows = zip(table.c, table.drift, table.alpha, table.coupling, strict=True)
+    for coefficients in rows:
+        stage = ft.partial(_stage, field, *coefficients)
+        slopes.append(once(stage, factors, drift, t, x, f, h, slopes))
+    return once(ft.partial(_advanced, table.b), x, h, slopes)
+
+
+def _linearised(
+    field: Callable, gamma: float, t: Array, x: Blocks, h: Array
+) -> tuple[Factors, Blocks]:
+    """The factors of I − γhJ, and h ∂F/∂t."""
+    _, push = jax.linearize(field, t, x)
+    one, zero = jnp.ones_like(t), jnp.zeros_like(t)
+    n = len(x)
+    drift = push(one, (zero,) * n)
+    columns = [push(zero, tuple(one if i == k else zero for i in range(n))) for k in range(n)]
+    matrix = [
+        [float(i == k) - gamma * h * column[i] for k, column in enumerate(columns)]
+        for i in range(n)
+    ]
+    return factored(matrix), tuple(h * v for v in drift)
+
+
+def _sum(coefficients: Sequence[float], slopes: Sequence[Blocks]) -> Blocks:
+    """Σ coefficients·slopes, of one slope at least."""
+    out: list[Any] = []
+    for component in zip(*slopes, strict=True):
+        out.append(sum(c * k for c, k in zip(coefficients, component, strict=True)))
+    return tuple(out)
+
+
+def _advanced(coefficients: Sequence[float], x: Blocks, h: Array, slopes: list[Blocks]) -> Blocks:
+    """x + h Σ coefficients·slopes."""
+    return axpy(x, h, _sum(coefficients, slopes))
+
+
+def _stage(field, c, sum_, alpha, coupling, factors: Factors, drift, t, x, f, h, slopes) -> Blocks:
+    """The next k, from v = k + Σ coupling·slopes."""
+    if not slopes:
+        return tuple(factors.solve([k + sum_ * v for k, v in zip(f, drift, strict=True)]))
+    slope = field(t + c * h, _advanced(alpha, x, h, slopes))
+    known = _sum(coupling, slopes)
+    right = [k + w + sum_ * v for k, w, v in zip(slope, known, drift, strict=True)]
+    v = factors.solve(right)
+    return tuple(a - w for a, w in zip(v, known, strict=True))

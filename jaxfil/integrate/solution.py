@@ -1,0 +1,202 @@
+"""The `Solution`: what happened, and what can be asked of it.
+
+Nothing is computed here but on request: a card of a few lines, and the state between saved times.
+"""
+
+import functools as ft
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxfil.integrate import components
+from jaxfil.integrate.filippov import field
+from jaxfil.integrate.state import Table
+from jaxfil.integrate.stepper import step, tableau
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.drawing import draw
+from jaxfil.model.labels import Labels
+from jaxfil.model.outcomes import KINDS, RESULTS
+from jaxfil.model.system import System
+
+
+class Events(eqx.Module):
+    """The contacts of a solution in order, padded with inf, −1, False and `KINDS.none`."""
+
+    ts: Float[Array, " k"]
+    """Times."""
+    xs: Float[Array, "k n"]
+    """States just before (left limits, before a reset)."""
+    surfaces: Int[Array, " k"]
+    """The surface; the lowest number where several are met at once."""
+    members: Bool[Array, "k m"]
+    """All surfaces that are met at that time."""
+    kinds: Int[Array, " k"]
+    """`KINDS`: crossing, stick, slip, impact or graze."""
+    modes: Int[Array, "k m"]
+    """Modes just after; 0 in the padding."""
+
+    def __repr__(self) -> str:
+        return event_rows(self)
+
+
+def events_of(table: Table | None) -> Events | None:
+    """The event table of a lane, as the user sees it."""
+    if table is None:
+        return None
+    first = jnp.argmax(table.members, axis=-1).astype(jnp.int32)
+    surfaces = jnp.where(jnp.any(table.members, axis=-1), first, -1)
+    return Events(table.ts, table.xs, surfaces, table.members, table.kinds, table.modes)
+
+
+def switches(events: Events | None) -> np.ndarray:
+    """The rows of those contacts that are more than a touch, after which the mode goes on."""
+    if events is None:
+        return np.zeros(0, int)
+    kinds = np.asarray(events.kinds)
+    return np.flatnonzero((kinds != KINDS.none) & (kinds != KINDS.graze))
+
+
+class Solution(eqx.Module):
+    """What `solve` returns. Unreached entries of `ts` and `xs` are inf, as in diffrax.
+
+    `xs` and `modes` are right limits: a state saved at the time of a contact is the one after it.
+    Modes are +1 or −1 (on that side of a surface) or 0 (sliding on it).
+    """
+
+    ts: Float[Array, " k"] | None
+    xs: Float[Array, "k n"] | None
+    modes: Int[Array, "k m"] | None
+    events: Events | None
+    num_events: Int[Array, ""]
+    result: RESULTS
+    stats: dict[str, Any]
+    t_final: Float[Array, ""]
+    x_final: Float[Array, " n"]
+    mode_final: Int[Array, " m"]
+    errors: Float[Array, "k n"] | None = None
+    """Estimated |xs − exact|, component by component, if asked for; inf where unknown."""
+    _dense: Any = None
+    labels: Labels = eqx.field(static=True, default=Labels())
+    """What pictures call its quantities."""
+
+    def evaluate(self, t: Array | float) -> Float[Array, " n"]:
+        """The state at a time of the solved span, to the order of the stepper, shape (n,).
+
+        Needs `saveat=diffrax.SaveAt(dense=True)`. The step that contains `t` is taken again, up to
+        `t`: nothing is interpolated. NaN outside the span that was reached.
+        """
+        if self._dense is None:
+            raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
+        return evaluate(self._dense, t)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the phase portrait, or the history of a state of one component; returns the
+        matplotlib axes. Needs saved times."""
+        return draw(self, ax=ax)
+
+    def __repr__(self) -> str:
+        return card(self)
+
+
+def errors(sol: Solution, companion: Solution) -> Float[Array, "k n"]:
+    """What is left between a solution and its companion at half the step, shape (k, n).
+
+    With a global error C·dtᵖ the distance is (1 − 2⁻ᵖ) of it. (A companion at twice the step costs
+    a sixth of this one, but where a step is not small against the motion between two contacts it
+    was seen to report anything from a fifth to 500 times the error; this one keeps within a fifth
+    of it.) Rounding, which two runs may share, is taken to be one unit a step at random. A
+    companion that fails or a state that was not reached leaves the error unknown, inf.
+    """
+    assert sol.xs is not None and companion.xs is not None
+    xs = jax.lax.stop_gradient(sol.xs)
+    known = jnp.isfinite(xs) & jnp.isfinite(companion.xs)
+    size = jnp.max(jnp.where(known, abs(xs), 0.0), axis=-1, keepdims=True)
+    units = jnp.sqrt(companion.stats["num_steps"].astype(xs.dtype))
+    rounding = jnp.finfo(xs.dtype).eps * size * units
+    distance = jnp.where(known, abs(xs - companion.xs), jnp.inf)
+    return jnp.maximum(distance, rounding)
+
+
+class Dense(eqx.Module):
+    """Every step's start: enough to take any step again."""
+
+    system: System
+    t0: Array
+    t1: Array
+    ts: Array
+    xs: Array
+    modes: Array
+    stepper: Any
+
+
+def evaluate(dense: Dense, t: Any) -> Array:
+    """The state at a time, shape (n,); NaN outside the span."""
+    dtype = dense.xs.dtype
+    t = jnp.asarray(t, dtype)
+    forward = dense.t1 >= dense.t0
+    sign = jnp.where(forward, 1.0, -1.0).astype(dtype)
+    keys = jnp.where(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
+    i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
+    scene_ = components.build(dense.system, dense.xs[i])
+    x, mode = components.unpack(dense.xs[i]), components.unpack(dense.modes[i].astype(dtype))
+    ts = dense.ts[i]
+    f = field(scene_, ts, x, mode)
+    smooth = ft.partial(_field_of_mode, scene_, mode)
+    table, h = tableau(dense.stepper), t - ts
+    forcing = scene_.forcing(ts, h, table.times)
+    out, _ = step(table, smooth, forcing, ts, x, f, h, scene_.once)
+    reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
+    return jnp.where(reached, components.pack(out, dtype), jnp.nan)
+
+
+def _field_of_mode(scene_: Any, mode: Any, t: Array, x: Any, forcing: Any = None) -> Any:
+    return field(scene_, t, x, mode, forcing)
+
+
+def card(sol: Solution) -> str:
+    """What happened, in a few lines; shapes only for a batch or while traced."""
+    told = precision(sol.x_final)
+    if isinstance(sol.t_final, jax.core.Tracer) or sol.t_final.ndim > 0:
+        batch = tuple(sol.t_final.shape)
+        n = sol.x_final.shape[-1]
+        return f"Solution{told}: a batch of shape {batch}, states of {n} components"
+    lines = [f"Solution{told}: {outcome(sol.result)}"]
+    state = np.array2string(np.asarray(sol.x_final), precision=6, separator=", ")
+    lines.append(f"  t = {float(sol.t_final):.10g}, x = {state}, mode {sol.mode_final.tolist()}")
+    if sol.ts is not None:
+        saved = int(np.isfinite(sol.ts).sum())
+        lines.append(f"  {saved} states saved (room for {sol.ts.shape[0]})")
+    lines.append(f"  {int(sol.stats['num_steps'])} steps, {_events_line(sol)}")
+    if sol.errors is not None:
+        lines.append(f"  error about {float(np.max(sol.errors)):.1e}, from a run at half the step")
+    return "\n".join(lines)
+
+
+def event_rows(events: Events) -> str:
+    """A line for each contact of one lane; shapes only for a batch or while traced."""
+    if isinstance(events.ts, jax.core.Tracer) or events.ts.ndim > 1:
+        return f"Events: tables of shape {events.ts.shape}"
+    lines = [f"{'t':>18}  {'kind':<9}{'surface':<9}x just before"]
+    for i in np.flatnonzero(np.asarray(events.kinds) != KINDS.none):
+        met = ", ".join(map(str, np.flatnonzero(events.members[i])))
+        x = np.array2string(
+            np.asarray(events.xs[i]), precision=6, separator=", ", suppress_small=True
+        )
+        kind = KINDS(int(events.kinds[i])).name
+        lines.append(f"{float(events.ts[i]):18.13f}  {kind:<9}{met:<9}{x}")
+    return "\n".join(lines) if len(lines) > 1 else "Events: no contacts"
+
+
+def _events_line(sol: Solution) -> str:
+    total = int(sol.num_events)
+    if sol.events is None or total == 0:
+        return f"{total} contacts"
+    kinds = np.asarray(sol.events.kinds)
+    counts = [(k.name, int(np.sum(kinds == k))) for k in KINDS if k is not KINDS.none]
+    parts = ", ".join(f"{number} {name}" for name, number in counts if number)
+    return f"{total} contacts ({parts})"

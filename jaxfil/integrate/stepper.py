@@ -1,0 +1,168 @@
+"""One smooth step: any explicit Runge–Kutta tableau, or a linearly implicit one for stiff fields.
+
+A field on components, a state and a step length enter; the state at the end of the step leaves, and
+what the method says of its error. Nothing here knows of surfaces.
+"""
+
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.components import Blocks, Forcing
+from jaxfil.integrate.rosenbrock import RODAS5P, Rodas5P, RosenbrockTable, rosenbrock_step
+
+
+class RK4(eqx.Module):
+    """The classical Runge–Kutta method of order four."""
+
+    c = np.array([0.5, 0.5, 1.0])
+    a = (np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0]))
+    b = np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6])
+
+
+class ExplicitTable(eqx.Module):
+    """c (s−1,), a as s−1 rows, b (s,): the explicit method without its first, trivial row. And d,
+    (s + 1,), of which h Σ d·slopes, that at the end of the step included, estimates the error of a
+    step; empty without an estimate of order four or more."""
+
+    c: tuple[float, ...] = eqx.field(static=True)
+    a: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    b: tuple[float, ...] = eqx.field(static=True)
+    d: tuple[float, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    @property
+    def stages(self) -> int:
+        """Evaluations of the field per step, the one at its start included."""
+        return len(self.b)
+
+    @property
+    def times(self) -> list[float]:
+        """Where in a step the field is evaluated after its start, its end last."""
+        return [*sorted({*self.c} - {1.0}), 1.0]
+
+
+Tableau = ExplicitTable | RosenbrockTable
+"""What a step needs to know of a stepper."""
+
+
+# Order of a method from which on its estimate of an error says something of a single step: one of
+# lower order is as large as a state that starts to move from zero.
+_TRUSTED = 5
+# Estimated errors of a step up to this part of the state are left to the user to judge.
+_GROSS = 0.1
+
+
+def _floats(row: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(v) for v in row)
+
+
+_DEFAULT = diffrax.Dopri8()
+
+
+def checked(stepper: Any) -> Any:
+    """The stepper asked for, `diffrax.Dopri8()` by None, if it is one that `tableau` reads."""
+    stepper = _DEFAULT if stepper is None else stepper
+    _refuse_others(stepper)
+    return stepper
+
+
+def _refuse_others(stepper: Any) -> None:
+    """An error for what is no stepper, or of no kind that `tableau` reads."""
+    if isinstance(stepper, type):
+        raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
+    table = getattr(stepper, "tableau", None)
+    explicit = isinstance(table, diffrax.ButcherTableau) and not table.implicit
+    if not explicit and not isinstance(stepper, RK4 | Rodas5P | diffrax.Euler):
+        raise ValueError(
+            "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
+            f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
+        )
+
+
+def tableau(stepper: Any) -> Tableau:
+    """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
+    _refuse_others(stepper)
+    name = type(stepper).__name__
+    if isinstance(stepper, RK4):
+        return ExplicitTable(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), (), name)
+    if isinstance(stepper, Rodas5P):
+        return RODAS5P
+    if isinstance(stepper, diffrax.Euler):
+        return ExplicitTable((), (), (1.0,), (), name)
+    table = stepper.tableau
+    c, a, b = _floats(table.c), tuple(map(_floats, table.a_lower)), _floats(table.b_sol)
+    d = _floats(table.b_error) if stepper.order(None) >= _TRUSTED else ()
+    if table.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
+        c, a, b = c[:-1], a[:-1], b[:-1]
+    elif d:
+        d = (*d, 0.0)
+    return ExplicitTable(c, a, b, d, name)
+
+
+def _sum(coefficients: tuple[float, ...], slopes: list[Blocks], i: int) -> Any:
+    """Σ coefficients·slopes of component i, skipping the zeros of the tableau."""
+    total: Any = 0.0
+    for c, k in zip(coefficients, slopes, strict=True):
+        if c != 0:
+            total = c * k[i] + total
+    return total
+
+
+def _combine(x: Blocks, h: Array, coefficients: tuple[float, ...], slopes: list[Blocks]) -> Blocks:
+    """x + h Σ coefficients·slopes."""
+    return tuple(x_i + h * _sum(coefficients, slopes, i) for i, x_i in enumerate(x))
+
+
+def _stage(
+    field: Callable[..., Blocks], c: float, t: Array, h: Array, inner: Blocks, forcing: Forcing
+) -> Blocks:
+    return field(t + c * h, inner, forcing)
+
+
+def step(
+    table: Tableau,
+    field: Callable[..., Blocks],
+    forcing: Sequence[Forcing],
+    t: Array,
+    x: Blocks,
+    f: Blocks,
+    h: Array,
+    once: Callable[..., Blocks],
+) -> tuple[Blocks, Blocks]:
+    """The state at t + h, and what is known there of the step's error: all but the share of the
+    field at its end; empty if nothing is. `f` is the field at (t, x), `forcing` what
+    `Scene.forcing` has found for `table.times`, `once` is `Scene.once`: without it each stage would
+    be computed again inside every later stage that uses it."""
+    if isinstance(table, RosenbrockTable):
+        return rosenbrock_step(table, field, t, x, f, h, once), ()
+    slopes = [f]
+    known = dict(zip(table.times, forcing, strict=True))
+    for c, row in zip(table.c, table.a, strict=True):
+        inner = _combine(x, h, row, slopes)
+        slopes.append(once(ft.partial(_stage, field, c), t, h, inner, known[c]))
+    end = _combine(x, h, table.b, slopes)
+    error = [stop_gradient(_sum(table.d[:-1], slopes, i)) for i in range(len(x) if table.d else 0)]
+    held = once(lambda *held: held, *end, *error)
+    return held[: len(x)], held[len(x) :]
+
+
+def is_too_long(table: Tableau, error: Blocks, f: Blocks, h: Array, size: Blocks) -> Array:
+    """Whether a step of length h that ends with the field f cannot be trusted, given what `step`
+    says of its error and the largest |x| so far, its end included."""
+    gross = jnp.zeros((), bool)
+    if isinstance(table, RosenbrockTable) or not error:
+        return gross
+    # What is smaller than this is rounding of the other components.
+    least = np.sqrt(np.finfo(h.dtype).eps) * ft.reduce(jnp.maximum, size)
+    for e, f_i, s in zip(error, f, size, strict=True):
+        missed = abs(h * (e + table.d[-1] * stop_gradient(f_i)))
+        gross = gross | (missed > _GROSS * jnp.maximum(s, least))
+    return gross

@@ -1,0 +1,145 @@
+"""The door: bad arguments are named before anything is compiled.
+
+Arguments as the user gave them enter; arrays of one dtype leave, or a `ValueError` that names the
+argument, what it must be and what it was.
+"""
+
+import inspect
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.model.system import System, has_resets
+
+
+def concrete(value: Any) -> np.ndarray | None:
+    """The value as NumPy numbers, or None while it is being traced."""
+    if isinstance(value, jax.core.Tracer):
+        return None
+    return np.asarray(value)
+
+
+def state(name: str, x: Any) -> Array:
+    """A state of shape (n,), in its own float precision (the default one for integers)."""
+    try:
+        array = jnp.asarray(x)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{name}` must be an array of shape (n,), got {x!r}.") from error
+    if array.ndim != 1 or array.shape[0] == 0:
+        raise ValueError(
+            f"`{name}` must be of shape (n,) with n ≥ 1, got shape {array.shape}. "
+            "Batches come from `jax.vmap` or `equinox.filter_vmap`."
+        )
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"`{name}` must be of a real dtype, got {array.dtype}.")
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        array = array.astype(jnp.result_type(float))
+    return array
+
+
+def scalar(name: str, value: Any, dtype: Any, *, positive: bool = False) -> Array:
+    """A real number, traced or not."""
+    must = "a positive number" if positive else "a number"
+    if isinstance(value, (str, bytes, bool)) or value is None:
+        raise ValueError(f"`{name}` must be {must}, got {value!r}.")
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{name}` must be {must}, got {value!r}.") from error
+    if array.ndim != 0:
+        raise ValueError(f"`{name}` must be {must}, got an array of shape {array.shape}.")
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"`{name}` must be {must}, got dtype {array.dtype}.")
+    known = concrete(value)
+    if positive and known is not None and not known > 0:
+        raise ValueError(f"`{name}` must be {must}, got {known}.")
+    return array.astype(dtype)
+
+
+def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> Any:
+    """A Python integer of at least `least`, or None where that is allowed."""
+    if value is None and optional:
+        return None
+    whole = isinstance(value, (int, np.integer))
+    if not whole or isinstance(value, bool) or value < least:
+        must = f"an integer of at least {least}" + (" or None" if optional else "")
+        raise ValueError(f"`{name}` must be {must}, got {value!r}.")
+    return int(value)
+
+
+def system(name: str, value: Any) -> None:
+    """A `System`."""
+    if not isinstance(value, System):
+        what = value.__name__ if isinstance(value, type) else type(value).__name__
+        hint = "; create an instance of it" if isinstance(value, type) else ""
+        raise ValueError(f"`{name}` must be an instance of jaxfil.System, got {what}{hint}.")
+    if callable(value.period):
+        raise ValueError(
+            f"`period` of {type(value).__name__} must be a number, a property or None, got a "
+            "method: write @property above it."
+        )
+
+
+def instance(name: str, value: Any, *kinds: type) -> None:
+    """A result of one of these public kinds."""
+    if not isinstance(value, kinds):
+        must = " or ".join(f"a jaxfil.{kind.__name__}" for kind in kinds)
+        raise ValueError(f"`{name}` must be {must}, got {_kind(value)}.")
+
+
+def shapes(value: System, x: Array) -> tuple[int, ...]:
+    """The shape of H, after a look at what all functions of a system return for a state like x."""
+    t = jnp.zeros((), x.dtype)
+    h = _shape(value, "switching", "a scalar or an array of shape (m,)", t=t, x=x)
+    if len(h) > 1:
+        raise ValueError(
+            f"`switching` of {type(value).__name__} must return a scalar or an array of shape "
+            f"(m,), got shape {h}."
+        )
+    _same_as_state(value, "vector_field", t=t, x=x, side=jnp.ones(h, x.dtype))
+    if has_resets(value):
+        _same_as_state(value, "reset", t=t, x=x, surface=jnp.zeros((), jnp.int32))
+    return h
+
+
+def _same_as_state(value: System, name: str, **args: Array) -> None:
+    must = f"an array of the shape of the state, {args['x'].shape}"
+    shape = _shape(value, name, must, **args)
+    if shape != args["x"].shape:
+        raise ValueError(
+            f"`{name}` of {type(value).__name__} must return {must}, got shape {shape}."
+        )
+
+
+def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...]:
+    """The shape of the real numbers that one of the user's functions returns."""
+    function, told = getattr(value, name), f"`{name}` of {type(value).__name__}"
+    try:
+        inspect.signature(function).bind(*args.values())
+    except TypeError as error:
+        was = inspect.signature(function)
+        raise ValueError(f"{told} must take (self, {', '.join(args)}), got {was}.") from error
+    try:
+        out = eqx.filter_eval_shape(function, *args.values())
+    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
+        raise ValueError(
+            f"{told} must be made of jnp functions, for it is compiled, and {', '.join(args)} have "
+            "no values until it runs: jnp.where(side > 0, a, b) instead of `if`, jnp.sin instead "
+            "of math.sin or np.sin, jnp.stack instead of np.array; got "
+            f"{type(error).__name__}."
+        ) from error
+    if not isinstance(out, jax.ShapeDtypeStruct):
+        hint = ": write jnp.stack([…])" if isinstance(out, (list, tuple)) else ""
+        raise ValueError(f"{told} must return {must}, got no array but {_kind(out)}{hint}.")
+    if not jnp.issubdtype(out.dtype, jnp.number) or jnp.issubdtype(out.dtype, jnp.complexfloating):
+        raise ValueError(f"{told} must return real numbers, got {out.dtype}.")
+    return out.shape
+
+
+def _kind(value: Any) -> str:
+    return "None" if value is None else f"an object of type {type(value).__name__}"

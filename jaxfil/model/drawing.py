@@ -1,0 +1,35 @@
+"""How a result is drawn, without knowing how.
+
+A function that draws one kind of result enters through `draws`; `draw` gives back the axes that it
+has drawn on. Results are made in rooms that `jaxfil.plot` imports, so they cannot import it:
+`jaxfil.plot` registers here what it draws, and each result's `plot()` looks here.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+_Drawer = TypeVar("_Drawer", bound=Callable[..., Any])
+_DRAWERS: dict[type, Callable[..., Any]] = {}
+_IMPORTERS: list[Callable[[], object]] = []
+
+
+def use(importer: Callable[[], object]) -> None:
+    """Have `importer` called before a picture is drawn: it imports what registers pictures."""
+    _IMPORTERS.append(importer)
+
+
+def draws(*kinds: type) -> Callable[[_Drawer], _Drawer]:
+    """A decorator: the function, called with a result of one of these kinds, draws it."""
+
+    def register(drawer: _Drawer) -> _Drawer:
+        _DRAWERS.update(dict.fromkeys(kinds, drawer))
+        return drawer
+
+    return register
+
+
+def draw(result: Any, **options: Any) -> Any:
+    """Draw a result; returns the matplotlib axes."""
+    for importer in _IMPORTERS:
+        importer()
+    return _DRAWERS[type(result)](result, **options)

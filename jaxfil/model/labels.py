@@ -1,0 +1,103 @@
+"""What the quantities of a system are called in pictures and in named arrays.
+
+A system whose class gives `state_names`, `symbols` or `units` enters; its `Labels` leave, which
+results carry along, so that a picture needs no system.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxfil.model import check
+from jaxfil.model.parameter import parameters
+from jaxfil.model.system import System
+
+Pairs = tuple[tuple[str, str], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Labels:
+    """Names of the components of a state, symbols of parameters, and units by name; what is not
+    there is called as in the code and has no unit."""
+
+    state: tuple[str, ...] = ()
+    symbols: Pairs = ()
+    units: Pairs = ()
+
+    def component(self, i: int, wording: str = "{}") -> str:
+        """Of the component i, `wording` around its name: "x once a period, m"."""
+        name = self.state[i] if self.state else f"x[{i}]"
+        return self._with_unit(wording.format(name), name)
+
+    def parameter(self, name: str) -> str:
+        """Of a parameter, its symbol: "Ω, rad/s"."""
+        return self._with_unit(self.symbol(name), name)
+
+    @property
+    def time(self) -> str:
+        """Of the time."""
+        return self._with_unit("t", "t")
+
+    def symbol(self, name: str) -> str:
+        """The symbol of a parameter, or its name."""
+        return dict(self.symbols).get(name, name)
+
+    def unit(self, name: str) -> str:
+        """The unit of a component, a parameter or the time `t`; empty if none is given."""
+        return dict(self.units).get(name, "")
+
+    def of(self, names: tuple[str, ...]) -> "Labels":
+        """Those of the state and of these parameters alone."""
+        kept = {*self.state, *names}
+        return Labels(
+            self.state,
+            tuple(pair for pair in self.symbols if pair[0] in names),
+            tuple(pair for pair in self.units if pair[0] in kept),
+        )
+
+    def _with_unit(self, words: str, name: str) -> str:
+        unit = self.unit(name)
+        return f"{words}, {unit}" if unit else words
+
+
+def labels_of(system: System, n: int) -> Labels:
+    """The labels of a system with a state of n components."""
+    names = system.state_names
+    several = isinstance(names, (tuple, list)) and all(isinstance(name, str) for name in names)
+    if not several or len(names) not in (0, n) or len(set(names)) < len(names):
+        check.shapes(system, jnp.zeros(n))  # is it the state that has the wrong length?
+        raise ValueError(
+            f"`state_names` of {type(system).__name__} must be a tuple of different strings, one "
+            f"for each of the {n} components of the state, got {names!r}."
+        )
+    fields = {*parameters(system), *_fields(system)}
+    return Labels(
+        tuple(names),
+        _pairs(system, "symbols", sorted(fields)),
+        _pairs(system, "units", [*names, "t", *sorted(fields)]),
+    )
+
+
+def _fields(module: Any, path: str = "") -> Iterator[str]:
+    """The names of all fields, those of modules within with their paths."""
+    for field in dataclasses.fields(module):
+        yield path + field.name
+        if isinstance(value := getattr(module, field.name, None), eqx.Module):
+            yield from _fields(value, f"{path}{field.name}.")
+
+
+def _pairs(system: System, attribute: str, known: list[str]) -> Pairs:
+    """A dictionary of the class, by names that the system knows, as pairs in their order."""
+    given: Any = getattr(system, attribute)
+    must = f"`{attribute}` of {type(system).__name__} must be a dictionary of strings"
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{must}, got {given!r}.")
+    for name, told in given.items():
+        if name not in known:
+            raise ValueError(f"{must} by a name among {', '.join(known)}; got {name!r}.")
+        if not isinstance(told, str):
+            raise ValueError(f"{must}, got {told!r} for {name!r}.")
+    return tuple(sorted(given.items()))

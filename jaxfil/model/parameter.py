@@ -1,0 +1,63 @@
+"""A parameter by its name.
+
+A system and the name of a float leaf (a dotted path for nested modules) enter; the leaf, or the
+system with another value in its place, leaves.
+"""
+
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxfil.model.system import System
+
+_Tree = TypeVar("_Tree")
+
+
+def parameters(system: Any) -> dict[str, Any]:
+    """Names and values of all float leaves."""
+    leaves = jax.tree_util.tree_leaves_with_path(system)
+    return {_name(path): leaf for path, leaf in leaves if is_parameter(leaf)}
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")
+
+
+def parameter(system: Any, name: str) -> Any:
+    """The leaf called `name`."""
+    known = parameters(system)
+    if name not in known:
+        fields = vars(system) if isinstance(name, str) else {}
+        hint = f", which is {fields[name]!r} and no float" if name in fields else ""
+        raise ValueError(
+            f"`name` must be a parameter of {type(system).__name__}, one of "
+            f"{', '.join(known) or '(it has none)'}; got {name!r}{hint}."
+        )
+    return known[name]
+
+
+def replace(system: _Tree, name: str, value: Any) -> _Tree:
+    """`system` with the leaf called `name` replaced, shape and dtype kept."""
+    parameter(system, name)
+
+    def swap(path: Any, leaf: Any) -> Any:
+        if _name(path) != name:
+            return leaf
+        return jnp.broadcast_to(jnp.asarray(value, jnp.asarray(leaf).dtype), jnp.shape(leaf))
+
+    return jax.tree_util.tree_map_with_path(swap, system)
+
+
+def is_parameter(leaf: Any) -> bool:
+    """Whether a leaf of a system is a real number or an array of them."""
+    return isinstance(leaf, (float, np.floating)) or eqx.is_inexact_array(leaf)
+
+
+def cast(system: System, dtype: Any) -> System:
+    """`system` with every float leaf an array of the given dtype, so that none is static."""
+    return jax.tree.map(
+        lambda leaf: jnp.asarray(leaf, dtype) if is_parameter(leaf) else leaf, system
+    )

@@ -1,0 +1,189 @@
+"""What the user writes: a nonsmooth system as an equinox module.
+
+Vector fields and switching functions enter; a `System` leaves, whose float leaves are the
+parameters of the problem.
+"""
+
+import abc
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxfil.xla import fast_trig
+
+
+class System(eqx.Module):
+    r"""A set of smooth vector fields glued along surfaces.
+
+    $$\dot x = F(t, x, \mathrm{side}), \qquad \mathrm{side}_j = \mathrm{sgn}\, H_j(t, x)$$
+
+    Write a subclass with `vector_field`, and `switching` unless the system is smooth. Every float
+    leaf is a parameter: it may be swept, differentiated, batched, and new values never recompile.
+
+    - `slides`: set it to `False` in a system that only ever crosses its surfaces; the code for
+      sliding is then not compiled, and meeting a sliding region is an outcome of its own.
+    - `reset`: define it for impacts; without it none are compiled.
+    - `period`: the period of the forcing, or `None` for an autonomous system.
+    - `state_names`, `symbols`, `units`: what pictures and named arrays call the components of the
+      state and the parameters, and in which units; by default x[0], the name in the code, none.
+
+    ```python
+    class Relay(jf.System):
+        omega: Array
+
+        state_names = "x", "x'"
+        symbols = {"omega": "Ω"}
+        units = {"x": "m", "x'": "m/s", "omega": "rad/s", "t": "s"}
+
+        def vector_field(self, t, x, side):
+            return jnp.stack([x[1], -x[0] - side + jnp.cos(self.omega * t)])
+
+        def switching(self, t, x):
+            return x[1]
+
+        @property
+        def period(self):
+            return 2 * jnp.pi / self.omega
+    ```
+    """
+
+    slides: ClassVar[bool] = True
+    state_names: ClassVar[Sequence[str]] = ()
+    symbols: ClassVar[Mapping[str, str]] = {}
+    units: ClassVar[Mapping[str, str]] = {}
+
+    @abc.abstractmethod
+    def vector_field(self, t: Float[Array, ""], x: Float[Array, " n"], side: Array) -> Array:
+        """F, shape (n,). `side` is exactly +1 or -1: a scalar if `switching` returns a scalar,
+        of shape (m,) if it returns (m,)."""
+
+    def switching(self, t: Float[Array, ""], x: Float[Array, " n"]) -> Array:
+        """H, a scalar or shape (m,): the surfaces are its zeros. Not overridden: smooth."""
+        return jnp.zeros((0,), x.dtype)
+
+    def reset(
+        self, t: Float[Array, ""], x: Float[Array, " n"], surface: Int[Array, ""]
+    ) -> Float[Array, " n"]:
+        """The state, shape (n,), just after an impact on surface number `surface`."""
+        return x
+
+    @property
+    def period(self) -> Array | float | None:
+        """Period of the forcing in units of t; None if the system is autonomous."""
+        return None
+
+
+def has_resets(system: System) -> bool:
+    """Whether the class of `system` defines `reset`."""
+    return type(system).reset is not System.reset
+
+
+class _Piecewise(System):
+    f_plus: Callable
+    f_minus: Callable
+    surface: Callable
+    _period: Array | float | None
+
+    def vector_field(self, t, x, side):
+        if jnp.size(side) != 1:
+            raise ValueError(
+                "`switching` must return a scalar, for two fields meet at one surface, got shape "
+                f"{jnp.shape(side)}. More surfaces, or none: write a jaxfil.System."
+            )
+        return jnp.where(
+            jnp.reshape(side, ()) > 0, self._part("f_plus", t, x), self._part("f_minus", t, x)
+        )
+
+    def _part(self, name, t, x):
+        out = getattr(self, name)(t, x)
+        if not eqx.is_array(out) or out.shape != x.shape:
+            was = getattr(out, "shape", type(out).__name__)
+            raise ValueError(f"`{name}` must return a jax array of shape {x.shape}, got {was}.")
+        return out
+
+    def switching(self, t, x):
+        return self.surface(t, x)
+
+    @property
+    def period(self):
+        return self._period
+
+
+def piecewise(
+    f_plus: Callable[[Array, Array], Array],
+    f_minus: Callable[[Array, Array], Array],
+    switching: Callable[[Array, Array], Array],
+    period: Array | float | None = None,
+) -> System:
+    """The system with field `f_plus(t, x)` where `switching(t, x)` > 0 and `f_minus` where < 0.
+
+    All three may be equinox modules; their float leaves are then parameters of the system.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> up, down = lambda t, x: jnp.ones(1), lambda t, x: -jnp.ones(1)
+    >>> chatter = jf.piecewise(down, up, lambda t, x: x[0])
+    >>> sol = jf.solve(chatter, jnp.ones(1), 0.0, 2.0, 0.1)
+    >>> float(sol.xs[-1, 0]), int(sol.modes[-1, 0])
+    (0.0, 0)
+    """
+    for name, value in (("f_plus", f_plus), ("f_minus", f_minus), ("switching", switching)):
+        if not callable(value):
+            raise ValueError(f"`{name}` must be a callable of (t, x), got {value!r}.")
+    return _Piecewise(f_plus, f_minus, switching, period)
+
+
+class _Smoothed(System):
+    system: System
+    width: Array
+
+    def vector_field(self, t, x, side):
+        h = jnp.atleast_1d(self.system.switching(t, x))
+        scalar = jnp.ndim(self.system.switching(t, x)) == 0
+        blend = 2 / np.pi * fast_trig.arctan(h / self.width)
+        total = jnp.zeros_like(x)
+        for corner in np.ndindex(*(2,) * h.shape[0]):
+            sides = 1.0 - 2.0 * jnp.asarray(corner, x.dtype)
+            weight = jnp.prod(0.5 * (1 + sides * blend))
+            field = self.system.vector_field(t, x, sides[0] if scalar else sides)
+            total = total + weight * field
+        return total
+
+    @property
+    def period(self):
+        return self.system.period
+
+    @property
+    def state_names(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.system.state_names
+
+    @property
+    def symbols(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return {f"system.{name}": symbol for name, symbol in self.system.symbols.items()}
+
+    @property
+    def units(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        same = {"t", *self.system.state_names}
+        given = self.system.units.items()
+        return {name if name in same else f"system.{name}": unit for name, unit in given}
+
+
+def smoothed(system: System, width: Array | float) -> System:
+    r"""`system` with sgn H replaced by (2/π) arctan(H/width): a smooth system.
+
+    Each surface's two fields are blended with weights (1 ± (2/π) arctan(H_j/width))/2, product
+    weights where there are several surfaces. What the event-driven answer is compared with.
+    """
+    if not isinstance(system, System):
+        raise ValueError(f"`system` must be a jaxfil.System, got {type(system).__name__}.")
+    if not isinstance(width, jax.core.Tracer) and not np.all(np.asarray(width) > 0):
+        raise ValueError(f"`width` must be positive, got {width!r}.")
+    if has_resets(system):
+        raise ValueError("`system` must have no `reset`: an impact cannot be smoothed.")
+    return _Smoothed(system, jnp.asarray(width))

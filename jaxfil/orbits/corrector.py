@@ -1,0 +1,194 @@
+"""One-parameter families of orbits: a point on the branch, and what brings a guess onto it.
+
+A system, the name of its parameter and a guess u = (starts of the arcs, the period if it is
+unknown, the parameter) enter, with a plane that the point is to lie in; the `Point` leaves, with
+the tangent of the branch there.
+"""
+
+import dataclasses
+import functools as ft
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxfil.integrate.solution import switches
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import replace
+from jaxfil.model.system import System
+from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.orbit import Orbit, closing, not_vanished
+from jaxfil.orbits.shooting import Plan, Shot, shoot, velocity
+
+# A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
+# root of the period map needs many, as it is halved again and again.
+_NEWTON_STEPS, _MANY_STEPS = 12, 40
+
+
+class Plane(eqx.Module):
+    """normal · (u − base)/scale = offset."""
+
+    base: Float[Array, " N"]
+    scale: Float[Array, " N"]
+    normal: Float[Array, " N"]
+    offset: Float[Array, ""]
+
+
+class Family(eqx.Module):
+    """The orbits of a system as its parameter `name` varies."""
+
+    system: System
+    plan: Plan
+    name: str = eqx.field(static=True)
+    periods: int = eqx.field(static=True)
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether the period is one of the unknowns."""
+        return self.system.period is None
+
+    def setting(self, q: Array) -> tuple[System, Array]:
+        """The system and the period for q = (period,) parameter."""
+        system = replace(self.system, self.name, q[-1])
+        if self.autonomous:
+            return system, q[0]
+        return system, jnp.asarray(system.period) * self.periods
+
+    def split(self, u: Array) -> tuple[Array, Array]:
+        """The starts of the arcs, shape (M, n), and q."""
+        k = 1 + int(self.autonomous)
+        return u[:-k].reshape(self.plan.arcs, -1), u[-k:]
+
+
+@dataclasses.dataclass(frozen=True)
+class Point:
+    """An orbit of a family: its unknowns u, their scales, the tangent of the branch in scaled
+    unknowns (of length one), and the `Shot`, all as NumPy arrays."""
+
+    u: np.ndarray
+    scale: np.ndarray
+    tangent: np.ndarray
+    shot: Shot
+    residual: float
+    num_steps: int
+
+    @property
+    def value(self) -> float:
+        """The parameter."""
+        return float(self.u[-1])
+
+    @property
+    def sequence(self) -> tuple:
+        """The contacts in order: surfaces and modes after. An orbit has no first contact: of all
+        rotations the least is taken, so that a contact may pass t0."""
+        events = self.shot.events
+        if events is None:
+            return ()
+        rows = [
+            (tuple(np.flatnonzero(events.members[i]).tolist()), tuple(events.modes[i].tolist()))
+            for i in switches(events)
+        ]
+        return min((tuple(rows[i:] + rows[:i]) for i in range(len(rows))), default=())
+
+
+@eqx.filter_jit
+def _correct(family: Family, u: Array, plane: Plane, newton_steps: Array) -> Root:
+    starts, q = family.split(plane.base)
+    normal = velocity(family.setting, family.plan, starts[0], q)
+    normal = normal / jnp.sqrt(normal @ normal)
+    evaluate = ft.partial(_evaluation, family, plane, starts[0], normal)
+    return newton(evaluate, u, newton_steps)
+
+
+def _evaluation(family: Family, plane: Plane, anchor: Array, phase: Array, u: Array) -> Evaluation:
+    """The closing of all arcs, the phase of an autonomous orbit, and the plane."""
+    starts, q = family.split(u)
+    shot = shoot(family.setting, family.plan, starts, q)
+    residual, jacobian = closing(shot, starts)
+    m, n = starts.shape
+    equations, parameter_scale = jnp.tile(shot.size, m), plane.scale[-1:]
+    unknowns, result = equations, shot.result
+    if family.autonomous:
+        result = not_vanished(shot, q[0], family.split(plane.base)[1][0])
+        row = jnp.zeros_like(u).at[:n].set(phase)
+        residual = jnp.append(residual, phase @ (starts[0] - anchor))
+        jacobian = jnp.concatenate([jacobian, row[None]])
+        equations = jnp.append(equations, abs(phase) @ shot.size)
+        unknowns = jnp.append(unknowns, abs(q[0]))
+    gap = plane.normal @ ((u - plane.base) / plane.scale) - plane.offset
+    return Evaluation(
+        jnp.append(residual, gap),
+        jnp.concatenate([jacobian, (plane.normal / plane.scale)[None]]),
+        jnp.append(equations, 1.0),
+        jnp.concatenate([unknowns, parameter_scale]),
+        result,
+        shot,
+    )
+
+
+def correct(family: Family, guess: np.ndarray, plane: Plane, along: np.ndarray) -> Point | None:
+    """The point of the branch in a plane, near a guess; None if there is none. Its tangent points
+    to the side of `along`."""
+    root = _correct(family, jnp.asarray(guess), plane, jnp.asarray(_NEWTON_STEPS, jnp.int32))
+    if not bool(root.result == RESULTS.successful):
+        return None
+    return _point(jax.tree.map(np.asarray, root), plane, along)
+
+
+def correct_many(
+    family: Family, guesses: np.ndarray, planes: Plane, along: np.ndarray
+) -> list[Point]:
+    """`correct` for many guesses and planes at once; those that converged."""
+    steps = jnp.asarray(_MANY_STEPS, jnp.int32)
+    roots = eqx.filter_vmap(lambda u, plane: _correct(family, u, plane, steps))(guesses, planes)
+    found = np.flatnonzero(np.asarray(roots.result == RESULTS.successful))
+    pick = lambda tree, i: jax.tree.map(lambda v: np.asarray(v)[i], tree)  # noqa: E731
+    return [_point(pick(roots, i), pick(planes, i), along) for i in found]
+
+
+def _point(root: Root, plane: Plane, along: np.ndarray) -> Point:
+    scale = np.asarray(plane.scale)
+    # The branch runs along what the equations without the plane leave free.
+    rows = np.asarray(root.at.jacobian)[:-1] * scale
+    tangent = np.linalg.svd(rows)[2][-1]
+    tangent = tangent if tangent @ along >= 0 else -tangent
+    return Point(
+        np.asarray(root.z), scale, tangent, root.at.aux, float(root.at.size), int(root.num_steps)
+    )
+
+
+def metric(family: Family, point: Point) -> np.ndarray:
+    """The metric at a point. All arcs together count as one state."""
+    m = family.plan.arcs
+    size = np.tile(np.asarray(point.shot.size) * np.sqrt(m), m)
+    q = point.u[size.shape[0] :]
+    return np.append(size, np.where(q == 0, 1.0, abs(q)))
+
+
+def plane_across(base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float) -> Plane:
+    """A `Plane` of NumPy arrays, or many of them."""
+    return Plane(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
+
+
+def orbit_of(family: Family, point: Point) -> Orbit:
+    """A point as the `Orbit` it is."""
+    starts, q = family.split(jnp.asarray(point.u))
+    system, period = family.setting(q)
+    shot: Any = jax.tree.map(jnp.asarray, point.shot)
+    return Orbit(
+        x0=starts[0],
+        period=period,
+        monodromy=shot.monodromy,
+        residual=jnp.asarray(point.residual),
+        events=shot.events,
+        num_events=shot.num_events,
+        first_mode=shot.first_mode,
+        result=RESULTS.successful,
+        system=system,
+        starts=starts,
+        num_steps=jnp.asarray(point.num_steps),
+        plan=family.plan,
+    )

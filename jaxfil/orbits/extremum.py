@@ -1,0 +1,89 @@
+"""The largest value of a function along a trajectory, between the steps too.
+
+A solution that holds every step and a function of (t, x) enter; where the function is largest, and
+the state there, leave. The value is located as an integrator would: on the likeliest steps the zero
+of the function's derivative along the field is bracketed, and the step is taken again up to it.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxfil.integrate import components, filippov
+from jaxfil.integrate.solution import Dense
+from jaxfil.integrate.stepper import step, tableau
+from jaxfil.orbits.regula_falsi import zero_between
+
+# Steps on which it is located, those with the largest estimates.
+_LOOKED_AT = 3
+
+
+class Extremum(eqx.Module):
+    """The largest value of a function, its time and state, and the mode there."""
+
+    value: Float[Array, ""]
+    t: Float[Array, ""]
+    x: Float[Array, " n"]
+    mode: Float[Array, " m"]
+
+
+class _Start(eqx.Module):
+    """Where a step starts, and its length."""
+
+    t: Array
+    x: Array
+    mode: Array
+    h: Array
+
+
+def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum:
+    """The largest value of `function(t, x)` over all steps of a trajectory."""
+    dtype = dense.xs.dtype
+    scene_ = components.build(dense.system, dense.xs[0])
+    table = tableau(dense.stepper)
+
+    def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
+        """State, value and rate of change after a part h of a step."""
+        mode = components.unpack(start.mode.astype(dtype))
+        smooth = lambda t, x, known=None: filippov.field(scene_, t, x, mode, known)  # noqa: E731
+        x, forcing = components.unpack(start.x), scene_.forcing(start.t, h, table.times)
+        x, _ = step(table, smooth, forcing, start.t, x, smooth(start.t, x), h, scene_.once)
+        t, f = start.t + h, components.pack(smooth(start.t + h, x), dtype)
+        x = components.pack(x, dtype)
+        value, rate = jax.jvp(function, (t, x), (jnp.ones_like(t), f))
+        return x, value, rate
+
+    def estimate(start: _Start) -> tuple[Array, Array]:
+        """The largest value on a step by the parabola through both slopes; the slopes."""
+        _, values, rates = jax.vmap(lambda h: look(start, h))(jnp.stack([0 * start.h, start.h]))
+        gap = rates[0] - rates[1]
+        peak = values[0] + 0.5 * rates[0] ** 2 * start.h / jnp.where(gap == 0, 1, gap)
+        inside = (rates[0] > 0) & (rates[1] < 0)
+        return jnp.maximum(jnp.max(values), jnp.where(inside, peak, -jnp.inf)), rates
+
+    def locate(start: _Start, rates: Array) -> tuple[Array, Array, Array]:
+        """The largest value on one step, its time and state."""
+        peak = zero_between(lambda h: look(start, h)[2], 0 * start.h, start.h, *rates)
+        inside = (rates[0] > 0) & (rates[1] < 0)
+        ends = jnp.stack([0 * start.h, jnp.where(inside, peak, 0), start.h])
+        xs, values, _ = jax.vmap(lambda h: look(start, h))(ends)
+        best = jnp.argmax(values)
+        return values[best], start.t + ends[best], xs[best]
+
+    ends = jnp.append(dense.ts[1:], jnp.inf)
+    real = jnp.isfinite(ends) & (ends != dense.ts)
+    starts = _Start(
+        t=jnp.where(real, dense.ts, dense.ts[0]),
+        x=jnp.where(real[:, None], dense.xs, dense.xs[0]),
+        mode=dense.modes,
+        h=jnp.where(real, ends - dense.ts, 0),
+    )
+    estimates, rates = jax.vmap(estimate)(starts)
+    _, likely = jax.lax.top_k(jnp.where(real, estimates, -jnp.inf), min(_LOOKED_AT, real.size))
+    starts, rates = jax.tree.map(lambda v: v[likely], (starts, rates))
+    values, ts, xs = jax.vmap(locate)(starts, rates)
+    best = jnp.argmax(jnp.where(real[likely], values, -jnp.inf))
+    return Extremum(values[best], ts[best], xs[best], starts.mode[best].astype(dtype))

@@ -1,0 +1,306 @@
+"""`harmonic_balance`: a periodic orbit of a forced system as a Fourier series.
+
+A system, a guess and a number of harmonics enter; a `FourierOrbit` leaves. The equations are
+Galerkin's, ∫ (ẋ − F(t, x, sgn H)) ψ_k dt = 0 for the constant and every cosine and sine up to
+harmonic K: alternating between the series and values in time.
+
+sgn H has no derivative that Newton could use, and sampled on a grid its jump is known to a grid
+cell only. So the zeros of H on the series are located, in every cell of the grid, and the integral
+is taken from zero to zero with a Gauss rule: the residual is then a smooth function of the
+coefficients. Its derivative has two parts, by autodiff at every point and every zero: ∂F/∂x under
+the integral, and the jump of F at each zero times the rate at which the zero moves (Leibniz).
+"""
+
+import functools as ft
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxfil.model import check
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import cast
+from jaxfil.model.system import System
+from jaxfil.orbits.newton import Evaluation, newton
+from jaxfil.orbits.orbit import Orbit
+from jaxfil.orbits.regula_falsi import zero_between
+
+# Cells of the grid per harmonic, and points of the Gauss rule in each part of a cell: a product of
+# two highest harmonics, half a turn in a cell, is integrated to 1e-10.
+_CELLS, _POINTS = 4, 6
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
+
+
+class FourierOrbit(eqx.Module):
+    """x(t) = c₀ + Σ_k a_k cos kωt + b_k sin kωt: `coefficients` are c₀, a₁, b₁, a₂, b₂, …, shape
+    (2K + 1, n), and ω = 2π/`period`. `residual` is the largest one of Galerkin's equations, as a
+    part of the size of ẋ."""
+
+    coefficients: Float[Array, "k n"]
+    period: Float[Array, ""]
+    residual: Float[Array, ""]
+    result: RESULTS
+    num_steps: Int[Array, ""]
+
+    @property
+    def harmonics(self) -> int:
+        """K, the number of the highest harmonic."""
+        return (self.coefficients.shape[-2] - 1) // 2
+
+    @property
+    def amplitudes(self) -> Float[Array, "k n"]:
+        """√(a_k² + b_k²) of every harmonic, from 0 (|c₀|) to K, shape (K + 1, n)."""
+        c = self.coefficients
+        pairs = jnp.sqrt(c[..., 1::2, :] ** 2 + c[..., 2::2, :] ** 2)
+        return jnp.concatenate([abs(c[..., :1, :]), pairs], axis=-2)
+
+    def evaluate(self, t: Array | float) -> Float[Array, " n"]:
+        """The state at a time, shape (n,)."""
+        t = jnp.asarray(t, self.coefficients.dtype)
+        return _basis(t / self.period, self.harmonics) @ self.coefficients
+
+    def __repr__(self) -> str:
+        shape: Any = self.coefficients.shape
+        told = precision(self.coefficients)
+        if isinstance(self.coefficients, jax.core.Tracer) or len(shape) > 2:
+            return f"FourierOrbit{told}: a batch of shape {shape[:-2]}, {self.harmonics} harmonics"
+        return (
+            f"FourierOrbit{told}: {outcome(self.result)}\n  {self.harmonics} harmonics of "
+            f"{shape[-1]} components, period {float(self.period):.12g}, residual "
+            f"{float(self.residual):.1e} after {int(self.num_steps)} Newton steps"
+        )
+
+
+def harmonic_balance(
+    system: System,
+    guess: Orbit | Callable[[Array], Array] | Float[Array, "k n"],
+    harmonics: int,
+    *,
+    periods: int = 1,
+    newton_steps: int = 50,
+    throw: bool = True,
+) -> FourierOrbit:
+    """The periodic orbit near `guess` as a Fourier series of `harmonics` harmonics.
+
+    Where the acceleration jumps, the harmonics of a velocity fall as 1/k² and those of a position
+    as 1/k³, and the mean square error of the position as K^(−5/2): many harmonics buy little there,
+    and shooting is exact. With friction, where the jumps are at zeros of the velocity, these are
+    displaced by what is missing of it, and all errors fall as 1/K only. Orbits that stick are out
+    of reach of a series (solve `jf.smoothed`).
+
+    **Arguments**
+
+    - `guess`: an `Orbit`; a function of t; or coefficients as in `FourierOrbit`, of any number of
+      harmonics.
+    - `harmonics`: K, the number of the highest harmonic.
+    - `periods`: forcing periods after which the orbit closes.
+    - `newton_steps`: evaluations of the residual at most.
+    - `throw`: raise an error unless the outcome is successful; otherwise return it.
+
+    **Returns** a `FourierOrbit`. For a batch use `equinox.filter_vmap` with `throw=False`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> system = jf.systems.SDOscillator(omega=0.7)
+    >>> guess = lambda t: jnp.stack([3 * jnp.cos(0.7 * t), -2.1 * jnp.sin(0.7 * t)])
+    >>> series = jf.harmonic_balance(system, guess, harmonics=9)
+    >>> print(jnp.round(series.amplitudes[:4, 0], 3))
+    [0.    2.973 0.    0.124]
+    """
+    check.system("system", system)
+    harmonics = check.count("harmonics", harmonics)
+    periods = check.count("periods", periods)
+    # Traced: another number compiles nothing.
+    budget = jnp.asarray(check.count("newton_steps", newton_steps), jnp.int32)
+    if system.period is None:
+        raise ValueError(
+            f"`system` must be forced, but the period of {type(system).__name__} is None: use "
+            "`periodic_orbit`."
+        )
+    first = _first(system, guess, harmonics, periods)
+    series = _solve(cast(system, first.dtype), first, periods, budget)
+    if not throw:
+        return series
+    return series.result.error_if(series, series.result != RESULTS.successful)
+
+
+def _first(system: System, guess: Any, harmonics: int, periods: int) -> Array:
+    """The coefficients of the guess, shape (2K + 1, n)."""
+    assert system.period is not None
+    size = 2 * harmonics + 1
+    if isinstance(guess, Orbit):
+        # Where in its own period the orbit is at equally spaced times of ours, in forcing periods.
+        elapsed = periods * _phases(4 * size * periods, guess.x0.dtype)
+        forcing = guess.period if guess.system.period is None else guess.system.period
+        local = jnp.mod(elapsed * forcing, guess.period)
+        order = jnp.argsort(local)
+        values = guess.states(guess.plan.t0 + local[order])[jnp.argsort(order)]
+        phases = (guess.plan.t0 / forcing + elapsed) / periods
+        return _project(phases.astype(values.dtype), values, harmonics)
+    if callable(guess):
+        phases = _phases(4 * size, jnp.result_type(float))
+        values: Any = jax.vmap(guess)(phases * system.period * periods)
+        values = values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)
+        return _project(phases.astype(values.dtype), values, harmonics)
+    array = jnp.asarray(guess)
+    if array.ndim != 2 or array.shape[0] % 2 == 0:
+        raise ValueError(
+            "`guess` must be an Orbit, a function of t, or coefficients of shape (2K + 1, n), got "
+            f"shape {array.shape}."
+        )
+    array = array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
+    return jnp.zeros((size, array.shape[1]), array.dtype).at[: array.shape[0]].set(array[:size])
+
+
+def _phases(count: int, dtype: Any) -> Array:
+    """Equally spaced in a period."""
+    return jnp.arange(count).astype(dtype) / count
+
+
+def _project(phases: Array, values: Array, harmonics: int) -> Array:
+    """Coefficients of samples at equally spaced phases."""
+    basis = jax.vmap(ft.partial(_basis, harmonics=harmonics))(phases)
+    norm = jnp.where(jnp.arange(2 * harmonics + 1) == 0, 1.0, 2.0).astype(values.dtype)
+    return norm[:, None] * (basis.T @ values) / phases.shape[0]
+
+
+def _basis(phase: Array, harmonics: int) -> Float[Array, " k"]:
+    """1, cos 2πφ, sin 2πφ, cos 4πφ, …, shape (2K + 1,)."""
+    angles = 2 * jnp.pi * phase * jnp.arange(1, harmonics + 1).astype(phase.dtype)
+    waves = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1).reshape(-1)
+    return jnp.concatenate([jnp.ones((1,), phase.dtype), waves])
+
+
+def _slope(c: Array, harmonics: int) -> Array:
+    """Coefficients of dx/dφ."""
+    k = 2 * jnp.pi * jnp.arange(1, harmonics + 1).astype(c.dtype)[:, None]
+    waves = jnp.stack([k * c[2::2], -k * c[1::2]], axis=1).reshape(-1, c.shape[1])
+    return jnp.concatenate([jnp.zeros_like(c[:1]), waves])
+
+
+class _Balance(eqx.Module):
+    """Galerkin's equations of a system for size = 2K + 1 coefficients of n components."""
+
+    system: System
+    period: Array
+    size: int = eqx.field(static=True)
+    n: int = eqx.field(static=True)
+
+    def state(self, c: Array, phase: Array) -> Array:
+        """x at a phase, shape (n,)."""
+        return _basis(phase, (self.size - 1) // 2) @ c
+
+    def switching(self, phase: Array, x: Array) -> Array:
+        """H, shape (m,)."""
+        return jnp.atleast_1d(self.system.switching(phase * self.period, x))
+
+    def force(self, phase: Array, x: Array, sides: Array) -> Array:
+        """T F, shape (n,)."""
+        h_shape = check.shapes(self.system, x)
+        side = sides[0] if h_shape == () else sides
+        return self.period * self.system.vector_field(phase * self.period, x, side)
+
+
+@eqx.filter_jit
+def _solve(system: System, first: Array, periods: int, newton_steps: Array) -> FourierOrbit:
+    size, n = first.shape
+    period = jnp.asarray(system.period, first.dtype) * periods
+    balance = _Balance(system, period, size, n)
+
+    def evaluate(z: Array) -> Evaluation:
+        value, jacobian = _equations(balance, z.reshape(size, n))
+        scale = jnp.max(abs(z.reshape(size, n)), axis=0)
+        scale = jnp.tile(jnp.where(scale == 0, 1, scale), size)
+        fine = jnp.all(jnp.isfinite(value))
+        result = RESULTS.where(fine, RESULTS.successful, RESULTS.nonfinite)
+        return Evaluation(value, jacobian, 2 * jnp.pi * scale, scale, result, None)
+
+    root = newton(evaluate, first.ravel(), newton_steps)
+    return FourierOrbit(root.z.reshape(size, n), period, root.at.size, root.result, root.num_steps)
+
+
+def _equations(balance: _Balance, c: Array) -> tuple[Array, Array]:
+    """Coefficients of dx/dφ − T F, shape (size · n,), and their derivative."""
+    size, n = balance.size, balance.n
+    harmonics = (size - 1) // 2
+    basis = jax.vmap(ft.partial(_basis, harmonics=harmonics))
+    # The coefficient of a wave is twice its mean with the function.
+    norm = jnp.where(jnp.arange(size) == 0, 1.0, 2.0).astype(c.dtype)[:, None]
+    slope = ft.partial(_slope, harmonics=harmonics)
+
+    phases, weights, sides, zeros = _quadrature(balance, c)
+    at_points = basis(phases)
+    states = at_points @ c
+    force = jax.vmap(balance.force)(phases, states, sides)
+    by_state = jax.vmap(jax.jacfwd(balance.force, argnums=1))(phases, states, sides)
+    value = slope(c) - norm * (at_points.T @ (weights[:, None] * force))
+
+    weighted = at_points * weights[:, None]
+    integral = jnp.einsum("pk,pij,pl->kilj", weighted, by_state, at_points, optimize="optimal")
+    if zeros is not None:
+        where, jump, moves = zeros
+        at_zeros = basis(where)
+        integral += jnp.einsum(
+            "pk,pi,pj,pl->kilj", at_zeros, jump, moves, at_zeros, optimize="optimal"
+        )
+    eye = jnp.eye(size * n, dtype=c.dtype).reshape(size * n, size, n)
+    linear = jax.vmap(slope)(eye).reshape(size * n, size * n).T
+    derivative = linear - (norm[:, :, None, None] * integral).reshape(size * n, size * n)
+    return value.ravel(), derivative
+
+
+def _quadrature(balance: _Balance, c: Array) -> tuple[Array, Array, Array, tuple | None]:
+    """Phases (p,), weights (p,) and sides (p, m) of all points; and of every zero of H its phase,
+    the jump of T F across it (n,), and the derivative of its phase with respect to x (n,)."""
+    cells = _CELLS * ((balance.size - 1) // 2) + 8
+    edges = jnp.arange(cells + 1).astype(c.dtype) / cells
+    surfaces = lambda p: balance.switching(p, balance.state(c, p))  # noqa: E731
+    at_edges = jax.vmap(surfaces)(edges)
+    m = at_edges.shape[1]
+    cell = ft.partial(_cell, surfaces, m)
+    phases, weights, sides, roots, crosses = jax.vmap(cell)(
+        edges[:-1], edges[1:], at_edges[:-1], at_edges[1:]
+    )
+    flat = (phases.ravel(), weights.ravel(), sides.reshape(phases.size, m))
+    if m == 0:
+        return *flat, None
+
+    def move(phase: Array, j: Array, crosses: Array, h_before: Array) -> tuple[Array, Array]:
+        x = balance.state(c, phase)
+        rate = jax.jvp(surfaces, (phase,), (jnp.ones_like(phase),))[1][j]
+        normal = jax.jacfwd(balance.switching, argnums=1)(phase, x)[j]
+        side = jnp.where(balance.switching(phase, x) > 0, 1.0, -1.0).astype(c.dtype)
+        before = jnp.where(h_before[j] > 0, 1.0, -1.0).astype(c.dtype)
+        jump = balance.force(phase, x, side.at[j].set(before))
+        jump -= balance.force(phase, x, side.at[j].set(-before))
+        return jnp.where(crosses, jump, 0), -normal / jnp.where(rate == 0, 1, rate)
+
+    numbers = jnp.broadcast_to(jnp.arange(m), roots.shape)
+    before = jnp.repeat(at_edges[:-1, None], m, axis=1)
+    jump, moves = jax.vmap(jax.vmap(move))(roots, numbers, crosses, before)
+    return *flat, (roots.ravel(), jump.reshape(-1, balance.n), moves.reshape(-1, balance.n))
+
+
+def _cell(
+    surfaces: Callable, m: int, a: Array, b: Array, h_a: Array, h_b: Array
+) -> tuple[Array, ...]:
+    """Points, weights and sides of a cell cut at the zeros of H, and the zeros."""
+    crosses = (h_a > 0) != (h_b > 0)
+    zeros = [
+        jnp.where(crosses[j], zero_between(lambda p, j=j: surfaces(p)[j], a, b, h_a[j], h_b[j]), b)
+        for j in range(m)
+    ]
+    cuts = jnp.sort(jnp.stack([a, *zeros, b]))
+    middle, half = 0.5 * (cuts[:-1] + cuts[1:]), 0.5 * (cuts[1:] - cuts[:-1])
+    sides = jnp.where(jax.vmap(surfaces)(middle) > 0, 1.0, -1.0).astype(a.dtype)
+    points = middle[:, None] + half[:, None] * jnp.asarray(_NODES, a.dtype)
+    weights = half[:, None] * jnp.asarray(_WEIGHTS, a.dtype)
+    sides = jnp.repeat(sides[:, None], _POINTS, axis=1)
+    roots = jnp.stack(zeros) if m else jnp.zeros((0,), a.dtype)
+    return points, weights, sides, roots, crosses

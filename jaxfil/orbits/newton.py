@@ -1,0 +1,150 @@
+"""Damped Newton iteration with a Jacobian in hand.
+
+A function that gives residual, Jacobian and outcome at a point enters, with a first guess; the
+`Root` leaves. Everything is traced: in a batch each lane has its own damping and its own outcome.
+
+A period map of a nonsmooth system is smooth only in pieces, and a step across a kink may make the
+residual larger although the direction is right. A step is halved until the residual falls, but not
+for ever: the shortest one tried is taken as it is, which carries the iteration over the kink.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxfil.model.outcomes import RESULTS
+
+# Steps are halved down to this part of the full one; then it is taken although nothing falls.
+_SHORTEST = 1 / 32
+# So many steps without a residual smaller than the smallest so far end the search.
+_PATIENCE = 6
+# A full step below this many eps of the unknowns' scales ends the iteration: its error is the
+# square of that. Where rounding of the residual is larger than that, a step below eps^(2/3) that
+# cannot be improved does.
+_CONVERGED = 256
+# A full step above this power of eps, in the unknowns' scales, leads nowhere: the Jacobian is zero
+# in some direction, but for rounding.
+_ENDLESS = -0.75
+
+
+class Evaluation(eqx.Module):
+    """Residual and Jacobian at a point of N unknowns, the scales of the equations and of the
+    unknowns, the outcome of the evaluation itself, and what else is known there."""
+
+    residual: Float[Array, " N"]
+    jacobian: Float[Array, "N N"]
+    equation_scale: Float[Array, " N"]
+    unknown_scale: Float[Array, " N"]
+    result: RESULTS
+    aux: Any
+
+    @property
+    def size(self) -> Array:
+        """The largest residual, each in its scale; inf where it is not finite."""
+        largest = jnp.max(abs(self.residual) / self.equation_scale)
+        return jnp.where(jnp.isfinite(largest), largest, jnp.inf)
+
+
+class Root(eqx.Module):
+    """Where Newton's iteration ended: the unknowns, what is known there, and the outcome."""
+
+    z: Float[Array, " N"]
+    at: Evaluation
+    num_steps: Int[Array, ""]
+    result: RESULTS
+
+
+class _State(eqx.Module):
+    z: Array
+    at: Evaluation
+    step: Array
+    damping: Array
+    least: Array  # the smallest residual so far
+    patience: Array
+    num_steps: Array
+    running: Array
+    result: RESULTS
+
+
+def newton(
+    evaluate: Callable[[Array], Evaluation], z: Float[Array, " N"], max_steps: Array | int
+) -> Root:
+    """A zero of the residual from the guess `z`, by at most `max_steps` evaluations.
+
+    The outcome is `successful`, `newton_stalled`, `newton_singular`, `newton_max_steps_reached`,
+    or that of the evaluation at the guess if this one fails.
+    """
+    evaluate = eqx.filter_jit(evaluate)  # traced once, though it is called twice
+    blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(evaluate, z))
+    zero = jnp.zeros((), jnp.int32)
+    first = _State(
+        z=z,
+        at=blank,
+        step=jnp.zeros_like(z),
+        damping=jnp.ones((), z.dtype),
+        least=jnp.asarray(jnp.inf, z.dtype),
+        patience=zero,
+        num_steps=zero,
+        running=jnp.ones((), bool),
+        result=RESULTS.newton_max_steps_reached,
+    )
+
+    def unfinished(state: _State) -> Array:
+        return state.running & (state.num_steps < max_steps)
+
+    last = jax.lax.while_loop(unfinished, lambda s: _iterate(evaluate, s), first)
+    return Root(last.z, last.at, last.num_steps, last.result)
+
+
+def _iterate(evaluate: Callable, state: _State) -> _State:
+    """One evaluation, at the end of the damped step, and what follows from it."""
+    first = state.num_steps == 0
+    trial = state.z + state.damping * state.step
+    at = evaluate(trial)
+    # A residual that is zero to rounding falls no more.
+    eps = jnp.finfo(trial.dtype).eps
+    falls = (at.size <= (1 - 0.25 * state.damping) * state.at.size) | (at.size <= 4 * eps)
+    sound = (at.result == RESULTS.successful) & jnp.isfinite(at.size)
+    forced = state.damping <= _SHORTEST
+    accepted = first | (sound & (falls | forced))
+    step = -_solve(at.jacobian, at.residual)
+    length = jnp.max(abs(step) / at.unknown_scale)
+    old_length = jnp.max(abs(state.step) / state.at.unknown_scale)
+
+    solvable = length <= eps**_ENDLESS
+    converged = accepted & sound & (length <= _CONVERGED * eps)
+    floor = ~accepted & (old_length <= eps ** (2 / 3)) & (state.damping == 1)
+    better = accepted & (at.size < 0.9 * state.least)
+    patience = jnp.where(better, 0, state.patience + accepted.astype(jnp.int32))
+    failed = first & ~sound
+    singular = accepted & sound & ~solvable & ~converged
+    stalled = (patience >= _PATIENCE) | (~accepted & forced)
+    result = RESULTS.where(stalled, RESULTS.newton_stalled, state.result)
+    result = RESULTS.where(singular, RESULTS.newton_singular, result)
+    unknown = failed & (at.result == RESULTS.successful)
+    result = RESULTS.where(failed, at.result, result)
+    result = RESULTS.where(unknown, RESULTS.nonfinite, result)
+    result = RESULTS.where(converged | floor, RESULTS.successful, result)
+    pick = lambda a, b: jax.tree.map(lambda u, v: jnp.where(accepted, u, v), a, b)  # noqa: E731
+    return _State(
+        z=jnp.where(accepted, trial, state.z),
+        at=pick(at, state.at),
+        step=jnp.where(accepted & solvable, step, state.step),
+        damping=jnp.where(accepted, jnp.minimum(1, 4 * state.damping), 0.5 * state.damping),
+        least=jnp.where(accepted, jnp.minimum(at.size, state.least), state.least),
+        patience=patience,
+        num_steps=state.num_steps + 1,
+        running=~(converged | floor | failed | singular | stalled),
+        result=result,
+    )
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """x of A x = b, not finite where A is singular to rounding."""
+    rows = jnp.max(abs(matrix), axis=1, keepdims=True)
+    scaled = matrix / jnp.where(rows == 0, 1, rows)
+    return jnp.linalg.solve(scaled, right / jnp.where(rows == 0, 1, rows)[:, 0])

@@ -1,0 +1,169 @@
+"""The shooting function: arcs of an orbit, how far they are from closing, and their derivatives.
+
+A system and a period that depend on some global unknowns q (a parameter, the period itself), and
+the states at the starts of the arcs, enter; a `Shot` leaves, with the derivatives of every arc with
+respect to its own start and to q, by forward mode through every contact.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int
+
+from jaxfil.integrate import components
+from jaxfil.integrate.initial_mode import begin
+from jaxfil.integrate.loop import integrate, integrate_whole
+from jaxfil.integrate.solution import Events, events_of
+from jaxfil.integrate.state import Policy, Span
+from jaxfil.integrate.stepper import tableau
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.system import System
+from jaxfil.xla.kernel import kernel_if_it_fits
+
+
+class Plan(eqx.Module):
+    """How orbits are shot: from `t0`, over `steps` steps in `arcs` arcs."""
+
+    t0: Array
+    steps: int = eqx.field(static=True)
+    arcs: int = eqx.field(static=True)
+    stepper: Any = eqx.field(static=True)
+    max_events: int = eqx.field(static=True)
+
+    def span(self, t0: Array, length: Array, arcs: int) -> Span:
+        """The grid of one of `arcs` arcs."""
+        num = -(-self.steps // arcs)
+        budget = 32 * num + 64 * self.max_events + 1024
+        return Span(
+            t0,
+            length,
+            stop_gradient(length) / num,
+            jnp.asarray(num, jnp.int32),
+            jnp.asarray(budget, jnp.int32),
+        )
+
+
+class Shot(eqx.Module):
+    """All arcs of an orbit: their ends, derivatives, and the contacts met on the way.
+
+    `size` is the largest |x| of each component, `result` the first arc's that failed.
+    """
+
+    ends: Float[Array, "M n"]
+    by_start: Float[Array, "M n n"]
+    by_global: Float[Array, "M n k"]
+    size: Float[Array, " n"]
+    events: Events | None
+    num_events: Int[Array, ""]
+    first_mode: Int[Array, " m"]
+    result: RESULTS
+
+    @property
+    def monodromy(self) -> Float[Array, "n n"]:
+        """∂x(t0 + T)/∂x(t0), the product of the arcs' derivatives."""
+        total = self.by_start[0]
+        for matrix in self.by_start[1:]:
+            total = matrix @ total
+        return total
+
+
+Setting = Callable[[Array], tuple[System, Array]]
+"""Global unknowns (k,) to the system and the period."""
+
+
+def shoot(setting: Setting, plan: Plan, starts: Float[Array, "M n"], q: Float[Array, " k"]) -> Shot:
+    """Integrate every arc from its start."""
+    n = starts.shape[1]
+
+    def arc(number: Array, start: Array):
+        def end(z: Array):
+            system, period = setting(z[n:])
+            scene_ = components.build(system, z[:n])
+            length = period / plan.arcs
+            span = plan.span(plan.t0 + number * length, length, plan.arcs)
+            policy = Policy("none", plan.max_events)
+            lane = integrate(scene_, tableau(plan.stepper), span, policy, components.unpack(z[:n]))
+            x = components.pack(lane.x, z.dtype)
+            size = components.pack(lane.size, z.dtype)
+            mode = components.pack(lane.first_mode, z.dtype).astype(jnp.int8)
+            more = (x, size, lane.table, lane.num_events, mode, lane.result)
+            return x, jax.tree.map(stop_gradient, more)
+
+        z = jnp.concatenate([start, q])
+        return kernel_if_it_fits(jax.jacfwd(end, has_aux=True))(z)
+
+    numbers = jnp.arange(plan.arcs).astype(starts.dtype)
+    if plan.arcs == 1:  # a batch of one would take as long to trace as a batch
+        done = jax.tree.map(lambda v: v[None], arc(numbers[0], starts[0]))
+    else:
+        done = jax.vmap(arc)(numbers, starts)
+    by, (ends, sizes, tables, counts, modes, results) = done
+    result = RESULTS.successful
+    for i in reversed(range(plan.arcs)):
+        one = jax.tree.map(lambda v, i=i: v[i], results)
+        result = RESULTS.where(one == RESULTS.successful, result, one)
+    size = jnp.maximum(jnp.max(sizes, axis=0), jnp.max(abs(ends), axis=0))
+    return Shot(
+        ends=ends,
+        by_start=by[:, :, :n],
+        by_global=by[:, :, n:],
+        size=jnp.where(size == 0, 1, size),
+        events=_merged(events_of(tables), plan.max_events),
+        num_events=jnp.sum(counts, dtype=jnp.int32),
+        first_mode=modes[0],
+        result=result,
+    )
+
+
+def _merged(events: Events | None, size: int) -> Events | None:
+    """The tables of all arcs in one, in order of time, its first `size` rows."""
+    if events is None:
+        return None
+    flat = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), events)
+    order = jnp.argsort(flat.ts, stable=True)[:size]
+    return jax.tree.map(lambda v: v[order], flat)
+
+
+def starts_from(setting: Setting, plan: Plan, x0: Float[Array, " n"], q: Array) -> Array:
+    """The starts of all arcs on the trajectory from x0, shape (M, n). An arc that cannot be
+    integrated, and those after it, start where the last one did."""
+    if plan.arcs == 1:
+        return x0[None]
+    forward = stretch(setting, plan, q, 1 / plan.arcs)
+
+    def next_start(x: Array, number: Array) -> tuple[Array, Array]:
+        end = forward(x, number)
+        return end, end
+
+    numbers = jnp.arange(plan.arcs - 1).astype(x0.dtype)
+    return jnp.concatenate([x0[None], jax.lax.scan(next_start, x0, numbers)[1]])
+
+
+def stretch(setting: Setting, plan: Plan, q: Array, part: float) -> Callable[[Array, Array], Array]:
+    """A function from a state at the start of stretch number 0, 1, …, each this `part` of the
+    period, to that at its end: the same state where it cannot be integrated."""
+    system, period = setting(q)
+    length = part * period
+
+    def forward(x: Array, number: Array) -> Array:
+        scene_ = components.build(system, x)
+        span = plan.span(plan.t0 + number * length, length, max(1, round(1 / part)))
+        lane = integrate_whole(
+            scene_, tableau(plan.stepper), span, Policy("none", None), components.unpack(x)
+        )
+        return jnp.where(lane.result == RESULTS.successful, components.pack(lane.x, x.dtype), x)
+
+    return forward
+
+
+def velocity(setting: Setting, plan: Plan, x0: Float[Array, " n"], q: Array) -> Array:
+    """The field at (t0, x0) in the mode in which the solution starts, shape (n,)."""
+    system, period = setting(q)
+    scene_ = components.build(system, x0)
+    span = plan.span(plan.t0, period, plan.arcs)
+    lane = begin(scene_, span, Policy("none", None), components.unpack(x0), 0)
+    return components.pack(lane.f, x0.dtype)

@@ -1,0 +1,176 @@
+"""Basins of attraction: which motion each initial state leads to.
+
+A forced system and a grid of initial states enter; the attractors found and the number of the one
+that each state leads to leave.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxfil.model import check
+from jaxfil.model.card import precision
+from jaxfil.model.drawing import draw
+from jaxfil.model.labels import Labels
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import parameters
+from jaxfil.model.system import System
+from jaxfil.sweep.diagram import BifurcationDiagram
+from jaxfil.sweep.sweep import bifurcation_diagram
+
+# Labels of states that lead to no periodic motion.
+APERIODIC, FAILED = 0, -1
+
+
+class Basins(eqx.Module):
+    """Which attractor each initial state of a grid leads to.
+
+    - `axes`: the grid's values of the two `components`, shapes (a,) and (b,).
+    - `labels`: shape (a, b). `labels[i, j]` belongs to `axes[0][i]` and `axes[1][j]`: k ≥ 1 for
+      `attractors[k - 1]`; 0 where no period was found (chaos, a torus, a period longer than half
+      the samples, or a transient that is not over); −1 where the lane failed.
+    - `attractors`: the section points of each periodic motion found, shape (its period, n), those
+      of short periods first. Chaotic motions share the label 0 and have no entry.
+    - `results`: the outcome of each lane, shape (a, b).
+    """
+
+    axes: tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"]]
+    labels: Int[np.ndarray, "a b"]
+    attractors: tuple[Float[np.ndarray, "period n"], ...]
+    results: RESULTS
+    components: tuple[int, int] = eqx.field(static=True)
+    system: str = eqx.field(static=True)
+    names: Labels = eqx.field(static=True, default=Labels())
+    """What pictures call the components."""
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the basins and the section points of their attractors; returns the axes."""
+        return draw(self, ax=ax)
+
+    def __repr__(self) -> str:
+        a, b = self.labels.shape
+        told = precision(self.attractors[0]) if self.attractors else ""
+        lines = [f"Basins of {self.system}{told}: {a} × {b} initial states"]
+        for k, points in enumerate(self.attractors, start=1):
+            state = np.array2string(points[0], precision=6, separator=", ")
+            lines.append(f"  {k}: period {len(points)} through {state}, {self._share(k)}")
+        for label, told in ((APERIODIC, "no period found"), (FAILED, "failed")):
+            if (self.labels == label).any():
+                lines.append(f"  {told}: {self._share(label)}")
+        return "\n".join(lines)
+
+    def _share(self, label: int) -> str:
+        return f"{np.mean(self.labels == label):.1%} of the states"
+
+
+def basins_of_attraction(
+    system: System,
+    axes: tuple[Any, Any],
+    *,
+    x0: Float[Array, " n"] | None = None,
+    components: tuple[int, int] = (0, 1),
+    transient: int = 500,
+    samples: int = 32,
+    tolerance: float = 1e-4,
+    **options: Any,
+) -> Basins:
+    """The long-term motion of a forced system from every initial state of a grid.
+
+    Each state runs `transient` forcing periods from t = 0, then `samples` more. Motions of one
+    period m, |x(t + mT) − x(t)| ≤ `tolerance` · max |x|, are one attractor if one passes, at the
+    phase of the section, as near to a point of the other.
+
+    **Arguments**
+
+    - `axes`: the values of the two components in the grid, shapes (a,) and (b,).
+    - `components`: which two; the others start from `x0`, shape (n,), by default zeros (2,).
+    - `samples`: forcing periods looked at; periods of up to half their number are found.
+    - `options`: `steps`, `stepper`, `progress` and `checkpoint` of `bifurcation_diagram`.
+
+    **Returns** `Basins`.
+
+    >>> import jaxfil as jf
+    >>> found = jf.basins_of_attraction(
+    ...     jf.systems.SDOscillator(omega=0.6), ([-1.0, 1.0], [0.1]), transient=900, progress=False)
+    >>> found.labels.ravel().tolist()  # one about −1, one about +1
+    [1, 2]
+    """
+    check.system("system", system)
+    if system.period is None:
+        raise ValueError(
+            "`system` must be forced: motions are looked at once a forcing period, and the period "
+            f"of {type(system).__name__} is None."
+        )
+    if len(axes) != 2:
+        raise ValueError(f"`axes` must be a pair, the values of two components, got {axes!r}.")
+    values = tuple(_axis(i, axis) for i, axis in enumerate(axes))
+    rest = np.zeros(2) if x0 is None else np.asarray(check.state("x0", x0), float)
+    first, second = _components(components, rest.size)
+    states = np.broadcast_to(rest, (len(values[0]), len(values[1]), rest.size)).copy()
+    states[..., first], states[..., second] = np.meshgrid(*values, indexing="ij")
+    names = [name for name, leaf in parameters(system).items() if np.ndim(leaf) == 0]
+    if not names:
+        raise ValueError(f"`system` must have a float field, got {type(system).__name__}.")
+    # One lane for each state: a sweep over a parameter that stays what it is.
+    leaf = np.full(states[..., 0].size, parameters(system)[names[0]])
+    diagram = bifurcation_diagram(
+        system,
+        names[0],
+        leaf,
+        jnp.asarray(states.reshape(-1, rest.size)),
+        transient=transient,
+        samples=samples,
+        **options,
+    )
+    labels, attractors = _classified(diagram, tolerance)
+    shape = states.shape[:2]
+    return Basins(
+        axes=(values[0], values[1]),
+        labels=labels.reshape(shape),
+        attractors=attractors,
+        results=jax.tree.map(lambda codes: np.reshape(codes, shape), diagram.results),
+        components=(first, second),
+        system=type(system).__name__,
+        names=diagram.labels.of(()),
+    )
+
+
+def _axis(i: int, axis: Any) -> np.ndarray:
+    values = np.asarray(axis, float)
+    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
+        raise ValueError(f"`axes[{i}]` must be numbers of shape (k,), got shape {values.shape}.")
+    return values
+
+
+def _components(components: Any, n: int) -> tuple[int, int]:
+    pair = tuple(components)
+    if len(pair) != 2 or len(set(pair)) != 2 or not all(0 <= c < n for c in pair):
+        raise ValueError(
+            f"`components` must be two different ones from 0 to {n - 1}, got {components!r}."
+        )
+    return pair
+
+
+def _classified(
+    diagram: BifurcationDiagram, tolerance: float
+) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """The label of every lane, and the section points of every attractor."""
+    periods = diagram.periods(tolerance)
+    labels = np.where(periods > 0, APERIODIC, periods)
+    attractors: list[np.ndarray] = []
+    for period in np.unique(periods[periods > 0]):
+        left = np.flatnonzero(periods == period)
+        while left.size:
+            points = diagram.xs[left[0], -period:]
+            # Ten times what two lanes of one motion may be away from where they repeat.
+            near = 10 * tolerance * np.max(np.abs(points), axis=0)
+            away = np.abs(diagram.xs[left, -1][:, None] - points)
+            same = np.any(np.all(away <= near, axis=-1), axis=-1)
+            attractors.append(points)
+            labels[left[same]] = len(attractors)
+            left = left[~same]
+    return labels, tuple(attractors)

@@ -1,0 +1,192 @@
+"""Checkpoints: finished pieces of a sweep on disk, and what the sweep was asked for.
+
+A folder and a record of every argument enter; pieces of finished lanes leave and come back. The
+folder holds Zarr groups that xarray opens: `sweep.zarr`, the record, and one for each piece. A
+group is written under a name of its own and then renamed, which the file system does whole or not
+at all: what bears its name is complete, whenever a process was killed, and two at the same work
+harm nothing.
+"""
+
+import dataclasses
+import hashlib
+import os
+import shutil
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxfil.integrate.stepper import tableau
+from jaxfil.model import check
+from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
+from jaxfil.model.parameter import is_parameter
+from jaxfil.model.system import System, has_resets
+from jaxfil.sweep import dataset_io
+from jaxfil.sweep.diagram import Conditions
+from jaxfil.sweep.parameter_grid import Points
+
+Record = Mapping[str, str | int | np.ndarray]
+"""What a sweep was asked for: every argument by name."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Piece:
+    """Finished lanes: samples (lanes, samples, n), codes of outcomes (lanes,), last states, or the
+    last state of all where each lane starts from the last one's end."""
+
+    xs: np.ndarray
+    codes: np.ndarray
+    end: np.ndarray
+
+
+class Checkpoint:
+    """The folder of one sweep, made if it is not there, refused if it holds another one."""
+
+    def __init__(self, path: str | os.PathLike, record: Record):
+        self._path = Path(path)
+        self._path.mkdir(parents=True, exist_ok=True)
+        if not (self._path / "sweep.zarr").exists():
+            strange = [name for name in os.listdir(self._path) if not name.startswith(".")]
+            if strange:
+                raise ValueError(
+                    f"`checkpoint` must be a new folder, or one of an earlier run; {path} holds "
+                    f"{strange[0]}."
+                )
+            self._put("sweep.zarr", _pack(record))
+        changes = _changes(_unpack(dataset_io.read_zarr(self._path / "sweep.zarr")), record)
+        if changes:
+            raise ValueError(
+                f"`checkpoint` must be a new folder, or the arguments those of the run that began "
+                f"{path}: {'; '.join(changes)}."
+            )
+
+    def read(self, start: int, stop: int) -> Piece | None:
+        """The lanes from number `start` to `stop`, or None if they are not finished."""
+        path = self._path / _name(start, stop)
+        if not path.exists():
+            return None
+        data = dataset_io.read_zarr(path)
+        return Piece(data["x"].values, outcome_codes(data["outcome"].values), data["end"].values)
+
+    def write(self, start: int, stop: int, piece: Piece) -> None:
+        """Keep finished lanes."""
+        names = outcome_names(outcomes(piece.codes)).astype(object)
+        end = ("end_lane", "component")[-piece.end.ndim :]
+        variables = {
+            "x": (("lane", "sample", "component"), piece.xs),
+            "outcome": (("lane",), names),
+            "end": (end, piece.end),
+        }
+        self._put(_name(start, stop), dataset_io.dataset(variables, {}, {}))
+
+    def _put(self, name: str, data: Any) -> None:
+        partial = self._path / f".{uuid.uuid4().hex}-{name}"
+        try:
+            dataset_io.write_zarr(data, partial)
+            os.rename(partial, self._path / name)
+        except Exception:
+            # Another process has put the same there first: a folder that is not empty stays.
+            if not (self._path / name).exists():
+                raise
+        for left in self._path.glob(f".*-{name}"):  # by a run that was killed
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def record_of(
+    system: System, where: Points, given: Conditions, *, samples: int, stepper: Any
+) -> Record:
+    """All that the numbers of a sweep depend on, by the names that a user knows."""
+    table = repr(tableau(stepper)).encode()
+    columns = where.values if isinstance(where.values, tuple) else where.rows.T
+    return {
+        "system": type(system).__name__,
+        "equations": equations(system, np.zeros(given.x0.shape[-1:], given.x0.dtype)),
+        **{f"system.{key}": value for key, value in given.parameters.items()},
+        "name": ", ".join(where.names),
+        "points": str(where.shape),
+        **{f"values of {key}": v for key, v in zip(where.names, columns, strict=True)},
+        "x0": given.x0,
+        "transient": given.transient,
+        "samples": samples,
+        "steps": given.steps,
+        "stepper": given.stepper,
+        "coefficients": hashlib.sha256(table).hexdigest()[:16],
+        "follow": str(given.follow),
+        "jaxfil": given.version,
+        "jax": jax.__version__,
+        "backend": jax.default_backend(),
+    }
+
+
+def digest(record: Record) -> bytes:
+    """A hash of all arguments."""
+    sha = hashlib.sha256()
+    for name, value in sorted(record.items()):
+        sha.update(f"{name} {_shown(value)} ".encode())
+        sha.update(value.tobytes() if isinstance(value, np.ndarray) else b"")
+    return sha.digest()
+
+
+def equations(system: System, x: np.ndarray) -> str:
+    """A hash of what a system computes from its parameters, a time and a state.
+
+    It is that of the program lowered for XLA: of everything the functions of the system do, their
+    constants included, and of nothing that changes from one process to the next.
+    """
+    leaves, static = eqx.partition(system, is_parameter)
+    state = jnp.asarray(x)
+    h = check.shapes(system, state)
+
+    def everything(leaves, t, x):
+        s = eqx.combine(leaves, static)
+        field = s.vector_field(t, x, jnp.ones(h, x.dtype))
+        after = s.reset(t, x, jnp.zeros((), jnp.int32)) if has_resets(s) else None
+        return field, s.switching(t, x), after, s.period
+
+    text = jax.jit(everything).lower(leaves, jnp.zeros((), state.dtype), state).as_text()
+    return hashlib.sha256(f"{text} {system.slides}".encode()).hexdigest()[:16]
+
+
+def _name(start: int, stop: int) -> str:
+    return f"lanes-{start}-{stop}.zarr"
+
+
+def _pack(record: Record) -> Any:
+    arrays = {name: v for name, v in record.items() if isinstance(v, np.ndarray)}
+    variables = {name: ([f"{name}_{i}" for i in range(v.ndim)], v) for name, v in arrays.items()}
+    return dataset_io.dataset(variables, {}, {k: v for k, v in record.items() if k not in arrays})
+
+
+def _unpack(data: Any) -> Record:
+    return data.attrs | {name: data[name].values for name in data}
+
+
+def _changes(before: Record, now: Record) -> list[str]:
+    """What differs between two records, from what to what."""
+    changes = []
+    for name in dict.fromkeys([*now, *before]):
+        a, b = before.get(name, "absent"), now.get(name, "absent")
+        if _shown(a) != _shown(b):
+            changes.append(f"{name} was {_shown(a)} and is {_shown(b)}")
+        elif isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+            other = np.argwhere(_bits(a) != _bits(b))
+            if len(other):
+                i = tuple(map(int, other[0]))
+                place = str(list(i)) if i else ""
+                changes.append(f"{name}{place} was {a[i]} and is {b[i]}")
+    return changes
+
+
+def _bits(array: np.ndarray) -> np.ndarray:
+    return array.view(f"u{array.dtype.itemsize}")
+
+
+def _shown(value: str | int | np.ndarray) -> str:
+    if isinstance(value, np.ndarray):
+        return f"of shape {value.shape} and dtype {value.dtype}"
+    return str(value)

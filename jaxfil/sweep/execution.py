@@ -1,0 +1,221 @@
+"""Chunks of lanes: compiled once, run on every core, each kept as soon as it is finished.
+
+A job, the points in parameter space of its lanes and their initial states enter; samples and
+outcomes of all lanes leave. A job is called as `job(rows, states, followed=..., whole=...)`: with
+lanes side by side, or, `followed`, one after the other each from the last one's end; compiled into
+one kernel if `whole`. It answers with samples, outcomes and last states.
+"""
+
+import functools as ft
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxfil.model.outcomes import RESULTS, code
+from jaxfil.sweep import multiprocess
+from jaxfil.sweep.checkpoint import Checkpoint, Piece
+
+# Lanes that share a loop, on CPU: few enough for all of their numbers to stay in the first-level
+# cache, and to wait for few others.
+BLOCK = 64
+# Chunks that a sweep is cut into at least, if it has the blocks, so that many cores get some each;
+# and blocks of a chunk at most, to be a stroke of the progress bar.
+_CHUNKS, _BLOCKS = 64, 16
+# Values of one call when each starts from the last one's end.
+_FOLLOW = 16
+# Vectors as wide as the machine has them. (XLA's fast math would be a fifth faster still, but NaN
+# goes unnoticed under it, whatever its options promise.)
+_CPU_OPTIONS = {"xla_cpu_prefer_vector_width": "512"}
+
+
+@ft.cache
+def compiled(run: Callable) -> Callable:
+    """`run`, compiled for this machine."""
+    options = _CPU_OPTIONS if jax.default_backend() == "cpu" else None
+    # Equinox's overloads leave out the keywords that it hands on to `jax.jit`.
+    return eqx.filter_jit(run, compiler_options=options)  # pyright: ignore[reportCallIssue]
+
+
+# Jobs that XLA has refused to compile into one kernel: see `one_kernel`.
+_REFUSED: set[Any] = set()
+
+
+def _compiled_job(job: Callable, rows: np.ndarray, n: int, followed: bool) -> tuple[Callable, int]:
+    """`job` compiled, as one kernel where that can be, and the lanes of its calls.
+
+    Their number depends on the sweep and not on the machine's cores, and a call is filled up with
+    lanes that fail at once: a lane's last bits may depend on the shape that it was compiled in.
+    """
+    what = jax.tree.structure((job.args, job.keywords))
+    whole = jax.default_backend() == "cpu" and what not in _REFUSED
+    lanes = _FOLLOW if followed else _lanes(len(rows), whole)
+    call = ft.partial(job, followed=followed, whole=whole)
+    nowhere = np.full((lanes, rows.shape[1]), np.nan, rows.dtype)
+    try:
+        call(nowhere, np.full((n,) if followed else (lanes, n), np.nan, rows.dtype))
+    except jax.errors.JaxRuntimeError:
+        if not whole:
+            raise
+        _REFUSED.add(what)
+        return _compiled_job(job, rows, n, followed)
+    return call, lanes
+
+
+def _lanes(p: int, whole: bool) -> int:
+    """Lanes of a chunk of p. Without a single kernel every operation of the loop starts its own,
+    and only many lanes make up for that."""
+    blocks = -(-p // BLOCK)
+    return BLOCK * min(-(-blocks // _CHUNKS) if whole else blocks, _BLOCKS)
+
+
+def _cores() -> int:
+    if jax.default_backend() != "cpu":
+        return 1
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+_UNFINISHED = code(RESULTS.interrupted)
+
+
+class _Lanes:
+    """All lanes of a sweep, unfinished at first, and the progress bar that counts them."""
+
+    def __init__(self, p: int, samples: int, n: int, dtype: Any, checkpoint: Checkpoint | None):
+        self.xs = np.full((p, samples, n), np.nan, dtype)
+        self.codes = np.full((p,), _UNFINISHED, np.int32)
+        self.checkpoint = checkpoint
+
+    def piece(self, start: int, lanes: int, run: Callable[[], tuple]) -> tuple[Piece, bool]:
+        """Lanes from number `start` on as `run` gives them, or as the checkpoint holds them; and
+        whether it held them."""
+        stop = min(start + lanes, len(self.codes))
+        kept = self.checkpoint.read(start, stop) if self.checkpoint else None
+        if kept is None:
+            xs, results, end = run()
+            (codes,) = jax.tree.leaves(results)
+            here = slice(stop - start)
+            piece = Piece(np.asarray(xs)[here], np.asarray(codes)[here], np.asarray(end))
+            if self.checkpoint:
+                self.checkpoint.write(start, stop, piece)
+        else:
+            piece = kept
+        self.xs[start:stop] = piece.xs
+        self.codes[start:stop] = piece.codes  # last: these say that the lanes are finished
+        return piece, kept is not None
+
+    def finished(self) -> tuple[np.ndarray, np.ndarray]:
+        """Samples and codes of outcomes as they are now; NaN where a lane is not finished."""
+        codes = self.codes.copy()
+        missing = codes == _UNFINISHED
+        if missing.any():  # a chunk under way may still be written
+            return np.where(missing[:, None, None], np.nan, self.xs), codes
+        return self.xs, codes
+
+
+class _Bar:
+    """A progress bar that says that it compiles, and then counts lanes; those of a checkpoint
+    leave its rate alone."""
+
+    def __init__(self, total: int, progress: bool):
+        from tqdm.auto import tqdm
+
+        shown = progress and jax.process_index() == 0
+        self._bar = tqdm(desc="compiling", total=total, unit="lane", disable=not shown)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._bar.close()
+
+    def start(self, total: int) -> None:
+        """Lanes run from now on."""
+        self._bar.set_description(refresh=False)
+        self._bar.reset(total)
+
+    def count(self, lanes: int, kept: bool) -> None:
+        if kept and not self._bar.disable:
+            self._bar.initial += lanes
+        self._bar.update(lanes)
+
+
+def side_by_side(
+    job: Callable,
+    rows: np.ndarray,
+    states: np.ndarray,
+    samples: int,
+    checkpoint: Checkpoint | None,
+    progress: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples and outcomes of all lanes, a chunk at a time on each core of each process."""
+    (p, _), n = rows.shape, states.shape[1]
+    with _Bar(p, progress) as bar:
+        job, size = _compiled_job(job, rows, n, False)
+        rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
+        lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
+
+        stop = threading.Event()
+
+        def chunk(start: int) -> tuple[int, bool]:
+            if stop.is_set():
+                return 0, False
+            here = slice(start, start + size)
+            piece, kept = lanes.piece(start, size, lambda: job(rows[here], states[here]))
+            return len(piece.codes), kept
+
+        starts = multiprocess.share(range(0, p, size))
+        bar.start(sum(min(size, p - s) for s in starts))
+        pool = ThreadPoolExecutor(_cores())
+        chunks = [pool.submit(chunk, start) for start in starts]
+        try:
+            with suppress(KeyboardInterrupt):
+                for done in as_completed(chunks):
+                    bar.count(*done.result())
+        finally:
+            with suppress(KeyboardInterrupt):  # a second one: chunks under way are not waited for
+                stop.set()
+                pool.shutdown()
+    xs, codes = lanes.finished()
+    return multiprocess.gather(xs, size), multiprocess.gather(codes, size)
+
+
+def one_after_another(
+    job: Callable,
+    rows: np.ndarray,
+    state: np.ndarray,
+    samples: int,
+    checkpoint: Checkpoint | None,
+    progress: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples and outcomes of all lanes, each from the last one's end.
+
+    Every process computes all of them, for none could help another, and then takes the first one's.
+    """
+    p, n = len(rows), len(state)
+    lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
+    with _Bar(p, progress) as bar:
+        job, size = _compiled_job(job, rows, n, True)
+        rows = _filled_up(rows, size)
+        bar.start(p)
+        with suppress(KeyboardInterrupt):
+            for start in range(0, p, size):
+                here = rows[start : start + size]
+                piece, kept = lanes.piece(start, size, ft.partial(job, here, state))
+                state = piece.end
+                bar.count(len(piece.codes), kept)
+    xs, codes = lanes.finished()
+    return multiprocess.from_first(xs), multiprocess.from_first(codes)
+
+
+def _filled_up(rows: np.ndarray, size: int) -> np.ndarray:
+    """Rows of NaN behind, up to a multiple of `size`."""
+    missing = -len(rows) % size
+    return np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, rows.dtype)])

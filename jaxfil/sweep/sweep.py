@@ -1,0 +1,284 @@
+"""Many lanes: parameters of a system swept over thousands of values.
+
+A system, the name of a parameter and its values enter; the motion that each value settles on,
+sampled once a forcing period, leaves. Lanes run in chunks, a chunk on every core at a time, and
+each has its own outcome.
+"""
+
+import dataclasses
+import functools as ft
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxfil.integrate import components
+from jaxfil.integrate.batch_loop import integrate_block
+from jaxfil.integrate.loop import integrate
+from jaxfil.integrate.state import Policy, Span
+from jaxfil.integrate.stepper import checked, tableau
+from jaxfil.model import check
+from jaxfil.model.labels import labels_of
+from jaxfil.model.outcomes import RESULTS, code, outcomes
+from jaxfil.model.parameter import cast, parameter, parameters, replace
+from jaxfil.model.system import System
+from jaxfil.sweep import multiprocess, step_halving
+from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, record_of
+from jaxfil.sweep.diagram import BifurcationDiagram, Conditions
+from jaxfil.sweep.execution import BLOCK, compiled, one_after_another, side_by_side
+from jaxfil.sweep.parameter_grid import Points, points
+from jaxfil.version import __version__
+from jaxfil.xla.kernel import in_blocks, one_kernel
+
+
+def bifurcation_diagram(
+    system: System,
+    name: str | Sequence[str],
+    values: Float[Array | np.ndarray, " p"] | Float[Array | np.ndarray, "p k"] | Sequence[Any],
+    x0: Float[Array, "*shape n"],
+    *,
+    transient: int = 200,
+    samples: int = 100,
+    steps: int = 40,
+    stepper: Any = None,
+    follow: Literal["up", "down"] | None = None,
+    checkpoint: str | os.PathLike | None = None,
+    progress: bool = True,
+    estimate_error: bool = False,
+) -> BifurcationDiagram:
+    """Sweep the parameter `name` of a forced system over `values`.
+
+    For each value the system runs `transient` forcing periods from t = 0 unseen, then `samples`
+    periods, and its state is kept at the end of each: a stroboscopic Poincaré section.
+
+    **Arguments**
+
+    - `name`: a float leaf of the system; a dotted path for nested modules. Or k such names.
+    - `values`: shape (p,). New values never recompile. For k names, a tuple of k arrays, whose
+      product grid is swept, or one array of shape (p, k), a point in parameter space a row.
+    - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n); on a grid
+      (p1, p2, …, n).
+    - `steps`: steps per forcing period.
+    - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
+    - `follow`: `"up"` or `"down"` starts each value, in ascending or descending order, from the
+      last one's end, which follows an attractor; by default each starts from `x0`.
+    - `checkpoint`: a folder that keeps every chunk of lanes as soon as it is finished. The same
+      call goes on from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
+      numbers bit for bit. A call with other arguments is refused. Needs xarray and zarr.
+    - `progress`: show a progress bar.
+    - `estimate_error`: sweep a second time at half the step, and give the largest distance between
+      the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
+
+    **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
+    n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for. A lane that fails says why in
+    `results` and harms no other. Ctrl-C ends the sweep after the chunks under way, with a warning,
+    and returns what is done; the outcome of the other lanes is `interrupted`. The numbers do not
+    depend on how many cores the machine has.
+
+    **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
+    `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
+    cores or its one accelerator, and returns the whole diagram, equal to that of one process on the
+    same hardware. A checkpoint may be on a file system that they share. With `follow` each computes
+    the whole. On CPU XLA lets a process wait half an hour for the slowest one, or as long as
+    `XLA_FLAGS=--xla_cpu_collective_timeout_seconds=…` says.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> sd, x0 = jf.systems.SDOscillator(), jnp.array([0.3, 0.1])
+    >>> d = jf.bifurcation_diagram(
+    ...     sd, "omega", jnp.array([0.6, 1.2]), x0, transient=20, samples=5, progress=False)
+    >>> d.xs.shape
+    (2, 5, 2)
+    >>> omega, f0 = jnp.array([0.6, 0.8, 1.2]), jnp.array([0.2, 0.3])
+    >>> d = jf.bifurcation_diagram(
+    ...     sd, ("omega", "f0"), (omega, f0), x0, transient=20, samples=5, progress=False)
+    >>> d.xs.shape
+    (3, 2, 5, 2)
+    >>> d = jf.bifurcation_diagram(sd, "omega", jnp.array([0.6, 1.2]), x0, transient=20, samples=5,
+    ...     steps=20, estimate_error=True, progress=False)
+    >>> d.errors.shape, bool(d.errors.max() < 1e-2)
+    ((2, 2), True)
+    """
+    check.system("system", system)
+    dtype = _state_type(x0)
+    system = cast(system, dtype)
+    where = points(name, values, dtype)
+    for each in where.names:
+        parameter(system, each)
+    if system.period is None:
+        raise ValueError(
+            f"`system` must be forced: a diagram samples once a forcing period, and the period of "
+            f"{type(system).__name__} is None."
+        )
+    labels = labels_of(system, np.shape(x0)[-1]).of(where.names)
+    _check_follow(follow, where)
+    stepper = checked(stepper)
+    conditions = Conditions(
+        parameters=_others(system, where.names),
+        x0=_initial_states(x0, where.shape, follow is not None).astype(dtype),
+        transient=check.count("transient", transient, least=0),
+        steps=check.count("steps", steps),
+        stepper=tableau(stepper).name,
+        follow=follow,
+        version=__version__,
+    )
+    samples = check.count("samples", samples)
+    record = ft.partial(record_of, system, where, samples=samples, stepper=stepper)
+    run = ft.partial(_swept, system, where, samples=samples, stepper=stepper, progress=progress)
+    kept = _begun(checkpoint, ft.partial(record, conditions), estimate_error)
+    xs, codes = run(conditions, kept)
+    finished = _all_finished("sweep", "samples", codes, checkpoint)
+    errors = np.full_like(xs[:, 0], np.nan) if estimate_error else None
+    if estimate_error and finished:
+        half = dataclasses.replace(conditions, steps=2 * conditions.steps)
+        folder = None if checkpoint is None else Path(checkpoint) / step_halving.FOLDER
+        other_xs, other_codes = run(half, folder and Checkpoint(folder, record(half)))
+        errors = step_halving.errors(xs, codes, other_xs, other_codes, half)
+        _all_finished("run at half the step", "errors", other_codes, checkpoint)
+    return BifurcationDiagram(
+        values=where.values,
+        xs=xs.reshape(*where.shape, *xs.shape[1:]),
+        results=outcomes(codes.reshape(where.shape)),
+        parameter=name if isinstance(name, str) else where.names,
+        system=type(system).__name__,
+        conditions=conditions,
+        labels=labels,
+        errors=None if errors is None else errors.reshape(*where.shape, -1),
+    )
+
+
+def _swept(
+    system: System,
+    where: Points,
+    given: Conditions,
+    kept: Checkpoint | None,
+    *,
+    samples: int,
+    stepper: Any,
+    progress: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
+    job = ft.partial(
+        compiled(_run),
+        system,
+        where.names,
+        transient=jnp.asarray(given.transient, jnp.int32),
+        samples=samples,
+        steps=jnp.asarray(given.steps, jnp.int32),
+        stepper=stepper,
+    )
+    if given.follow is None:
+        states = given.x0.reshape(-1, given.x0.shape[-1])
+        return side_by_side(job, where.rows, states, samples, kept, progress)
+    order = np.argsort(where.rows[:, 0], kind="stable")
+    order = order if given.follow == "up" else order[::-1]
+    xs, codes = one_after_another(job, where.rows[order], given.x0, samples, kept, progress)
+    back = np.argsort(order, kind="stable")
+    return xs[back], codes[back]
+
+
+def _check_follow(follow: Any, where: Points) -> None:
+    if follow not in (None, "up", "down"):
+        raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
+    if follow is not None and len(where.names) > 1:
+        raise ValueError(f"`follow` must be None with several parameters, got {follow!r}.")
+
+
+def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The parameters that are not swept."""
+    return {key: np.asarray(v) for key, v in parameters(system).items() if key not in names}
+
+
+def _state_type(x0: Any) -> Any:
+    """The float precision of initial states."""
+    several = np.ndim(x0) > 1 and np.size(x0) > 0
+    return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
+
+
+def _initial_states(x0: Any, shape: tuple[int, ...], follow: bool) -> np.ndarray:
+    """One initial state, shape (n,), or one for each lane."""
+    states = np.asarray(x0)
+    if follow and states.ndim != 1:
+        raise ValueError(f"`x0` must be of shape (n,) with `follow`, got {states.shape}.")
+    if states.ndim != 1 and states.shape[:-1] != shape:
+        lanes = ", ".join(map(str, shape))
+        raise ValueError(
+            f"`x0` must be of shape (n,), or ({lanes}, n), a state for each lane, got "
+            f"{states.shape}."
+        )
+    return states
+
+
+def _begun(
+    checkpoint: str | os.PathLike | None, record: Callable[[], Record], estimate_error: bool
+) -> Checkpoint | None:
+    """The checkpoint, if one is asked for, after a look whether all processes ask for the same."""
+    if jax.process_count() > 1:
+        multiprocess.same(digest({**record(), "estimate_error": str(estimate_error)}))
+    return None if checkpoint is None else Checkpoint(checkpoint, record())
+
+
+def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: Any) -> bool:
+    """Whether Ctrl-C left no lane unfinished; a warning where it did."""
+    missing = codes == code(RESULTS.interrupted)
+    if missing.any():
+        rest = "" if checkpoint is None else f"; the same call goes on from {checkpoint}"
+        warnings.warn(
+            f"The {what} was interrupted: {int((~missing).sum())} of {missing.size} lanes are "
+            f"finished, the {lost} of the others are NaN{rest}.",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    return not missing.any()
+
+
+def _problem(system, names, transient, samples, steps, stepper, row, x0):
+    """What `integrate` is given for one point in parameter space."""
+    for i, name in enumerate(names):
+        system = replace(system, name, row[i])
+    period = jnp.asarray(system.period, x0.dtype)
+    num_steps = (transient + samples) * steps
+    span = Span(
+        t0=jnp.zeros((), x0.dtype),
+        length=(transient + samples).astype(x0.dtype) * period,
+        dt=period / steps.astype(x0.dtype),
+        num_steps=num_steps,
+        max_iterations=32 * jnp.minimum(num_steps, 2**25) + 100_000,
+    )
+    policy = Policy("samples", None, first=(transient + 1) * steps, every=steps)
+    return components.build(system, x0), tableau(stepper), span, policy
+
+
+def _outcome(lane):
+    """Samples (samples, n), outcome, and the last state (n,) of a lane, or of many."""
+    xs = jnp.where(jnp.isfinite(lane.saves.xs), lane.saves.xs, jnp.nan)
+    return xs, lane.result, jnp.stack(lane.x, axis=-1)
+
+
+def _run(system, names, rows, states, *, transient, samples, steps, stepper, followed, whole):
+    """A chunk of points side by side, or one after the other each from the last one's end."""
+    problem = ft.partial(_problem, system, names, transient, samples, steps, stepper)
+
+    def lane(row, x0):
+        return _outcome(integrate(*problem(row, x0), components.unpack(x0), num_saves=samples))
+
+    def block(rows, states):
+        return _outcome(integrate_block(problem, rows, states, samples))
+
+    if not followed:
+        return (in_blocks(block, BLOCK) if whole else jax.vmap(lane))(rows, states)
+
+    single = one_kernel(lane) if whole else lane
+
+    def next_point(x, row):
+        xs, result, end = single(row, x)
+        return jnp.where(result == RESULTS.successful, end, x), (xs, result)
+
+    end, (xs, results) = jax.lax.scan(next_point, states, rows)
+    return xs, results, end

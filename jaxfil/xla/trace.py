@@ -1,0 +1,244 @@
+"""A user's function, traced once.
+
+A function of arrays enters; a `Traced` leaves: callable as the original is, under every
+transformation, with its sines, cosines, arctangents and products of small matrices
+replaced by ones that vectorise; able to compute what needs only some of its arguments ahead of the
+others, and to say which of its results depend on which of its arguments.
+"""
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
+
+import jax
+import jax.core
+import jax.extend.core as jexc
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.xla import fast_trig
+
+_FLOATS = (jnp.float32, jnp.float64)
+_FAST = {"sin": fast_trig.sin, "cos": fast_trig.cos, "atan": fast_trig.arctan}
+
+
+def _arctan2(y: Array, x: Array) -> Array:
+    """The angle of (x, y), x made unknown to the compiler: where it is known to be 1, XLA turns to
+    its arctangent, which is wrong (jaxlib 0.10.2)."""
+    return jax.lax.atan2(y, jnp.where(y == y, x, y))
+
+
+_SAFE = {"atan2": _arctan2}
+# What takes longer than a few multiplications.
+_DEAR = (*_FAST, *_SAFE, "exp", "log", "pow", "tan", "tanh")
+# Multiplications of a product of matrices at most that are written out one by one.
+_SMALL = 64
+_CALLS = ("jit", "pjit", "closed_call")
+# Primitives that only move elements about: they move the dependencies the same way.
+_MOVES = (
+    "broadcast_in_dim",
+    "concatenate",
+    "reshape",
+    "rev",
+    "slice",
+    "squeeze",
+    "stack",
+    "transpose",
+)
+
+
+# When an argument is known: from the start, with the time, or with the state.
+FIRST, EARLY, LATE = range(3)
+
+
+class Traced:
+    """`function` for arguments shaped like `example`. `hold` is applied to each of those,
+    unless a call says that its result is used `alone` and one number in it depends on them.
+
+    `when` says of each argument when it is known. What is dear and can be computed early, `ahead`
+    of the late arguments, a call can be given as `known`.
+    """
+
+    def __init__(
+        self,
+        function: Callable,
+        *example: Any,
+        hold: Callable = lambda v: v,
+        when: Sequence[int] | None = None,
+    ):
+        self._closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+        self._tree = jax.tree.structure(shape)
+        order = when or (LATE,) * len(example)
+        each = zip(order, example, strict=True)
+        self._when = [k for k, arg in each for _ in jax.tree.leaves(arg)]
+        nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
+        waves = _dependencies(self._closed.jaxpr, self._no_consts(), nothing, sources=_FAST)
+        shared = sum(int(np.sum(flags)) for flags in waves) > 1
+        # As functions of their own they are put through a transformation once, however often they
+        # are called.
+        self._run = self._compiled(hold)
+        self._alone = self._run if shared else self._compiled(lambda v: v)
+        self._ahead = jax.jit(self._found)
+
+    def _compiled(self, hold: Callable) -> Callable:
+        def traced(leaves: list, known: list | None) -> list:
+            return _Evaluation(hold, known)(self._closed, leaves, self._when)
+
+        return jax.jit(traced)
+
+    def _found(self, leaves: list) -> list:
+        late = [None] * (len(self._when) - len(leaves))
+        evaluation = _Evaluation(lambda v: v)
+        evaluation(self._closed, [*leaves, *late], self._when)
+        return evaluation.found
+
+    def _no_consts(self) -> list[np.ndarray]:
+        return [np.zeros(np.shape(c), bool) for c in self._closed.consts]
+
+    def __call__(self, *args: Any, alone: bool = False, known: list | None = None) -> Any:
+        out = (self._alone if alone else self._run)(jax.tree.leaves(args), known)
+        return jax.tree.unflatten(self._tree, out)
+
+    def ahead(self, *args: Any) -> list:
+        """What is dear and early, given all arguments that are not late."""
+        return self._ahead(jax.tree.leaves(args))
+
+    def depends(self, *args: Any) -> Any:
+        """Which results depend on the flagged arguments: pytrees of flags in, of flags out."""
+        jaxpr = self._closed.jaxpr
+        flags = [
+            np.full(v.aval.shape, flag)
+            for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
+        ]
+        out = _dependencies(jaxpr, self._no_consts(), flags)
+        return jax.tree.unflatten(self._tree, [bool(np.any(flag)) for flag in out])
+
+
+class _Evaluation:
+    """A function equation by equation, with the fast functions in place of XLA's.
+
+    What is dear and early is left in `found`, or taken from `known`, in order. An unknown value is
+    None, and what is made of it too.
+    """
+
+    def __init__(self, hold: Callable, known: Sequence[Array] | None = None):
+        self._hold = hold
+        self._known = None if known is None else iter(known)
+        self.found = []
+
+    def __call__(self, closed: Any, args: Sequence[Any], when: Sequence[int]) -> list[Any]:
+        return [v for v, _ in self._run(closed, list(zip(args, when, strict=True)))]
+
+    def _run(self, closed: Any, args: Sequence[tuple]) -> list[tuple]:
+        """Values with when they are known, in and out."""
+        jaxpr = closed.jaxpr
+        values: dict[Any, tuple] = dict(zip(jaxpr.invars, args, strict=True))
+        values.update((v, (c, FIRST)) for v, c in zip(jaxpr.constvars, closed.consts, strict=True))
+
+        def read(atom: Any) -> tuple:
+            return (atom.val, FIRST) if isinstance(atom, jexc.Literal) else values[atom]
+
+        for eqn in jaxpr.eqns:
+            inputs = [read(v) for v in eqn.invars]
+            if eqn.primitive.name in _CALLS:
+                outputs = self._run(eqn.params["jaxpr"], inputs)
+            else:
+                when = max((k for _, k in inputs), default=FIRST)
+                made = self._made(jaxpr, eqn, [v for v, _ in inputs], when)
+                outputs = [(v, when) for v in made]
+            values.update(zip(eqn.outvars, outputs, strict=True))
+        return [read(v) for v in jaxpr.outvars]
+
+    def _made(self, jaxpr: Any, eqn: Any, inputs: Sequence[Any], when: int) -> Sequence[Any]:
+        """What one equation gives."""
+        if any(v is None for v in inputs):
+            return [None] * len(eqn.outvars)
+        ahead = when == EARLY and eqn.primitive.name in _DEAR
+        if ahead and self._known is not None:
+            return [next(self._known)]
+        outputs = _evaluate(jaxpr, eqn, inputs, self._hold)
+        if ahead:
+            self.found.extend(outputs)
+        return outputs
+
+
+def _evaluate(jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable) -> Sequence[Any]:
+    """One equation, by a fast function if there is one."""
+    name = eqn.primitive.name
+    if name in _FAST and eqn.invars[0].aval.dtype in _FLOATS:
+        return [hold(_FAST[name](jnp.asarray(inputs[0])))]
+    if name in _SAFE:
+        return [_SAFE[name](*map(jnp.asarray, inputs))]
+    if name == "dot_general" and _is_small(eqn):
+        return [_product(eqn, *map(jnp.asarray, inputs))]
+    return _evaluate_one(jaxpr, eqn, inputs)
+
+
+def _is_small(eqn: Any) -> bool:
+    """Whether a product of matrices is few multiplications of real numbers."""
+    (contracted, _), (batch, _) = eqn.params["dimension_numbers"]
+    a, out = eqn.invars[0].aval, eqn.outvars[0].aval
+    count = out.size * np.prod([a.shape[k] for k in contracted])
+    kinds = {v.aval.dtype for v in (*eqn.invars, *eqn.outvars)}
+    return not batch and count <= _SMALL and kinds == {out.dtype} and out.dtype.kind == "f"
+
+
+def _product(eqn: Any, a: Array, b: Array) -> Array:
+    """A product of small matrices written out: in a batch, XLA would leave it to a library."""
+    (of_a, of_b), _ = eqn.params["dimension_numbers"]
+    rows, columns = (
+        jnp.moveaxis(v, of, range(len(of))).reshape(math.prod(v.shape[k] for k in of), -1).T
+        for v, of in ((a, of_a), (b, of_b))
+    )
+    terms = [
+        [sum(u * v for u, v in zip(row, column, strict=True)) for column in columns] for row in rows
+    ]
+    return jnp.array(terms, a.dtype).reshape(eqn.outvars[0].aval.shape)
+
+
+def _evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
+    """One equation as it stands."""
+    pairs = zip(eqn.invars, inputs, strict=True)
+    free = [(v, x) for v, x in pairs if not isinstance(v, jexc.Literal)]
+    single = jaxpr.replace(
+        constvars=(), invars=[v for v, _ in free], outvars=eqn.outvars, eqns=[eqn]
+    )
+    return jax.core.eval_jaxpr(single, (), *(x for _, x in free))
+
+
+def _dependencies(
+    jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], sources: Collection[str] = ()
+) -> list[np.ndarray]:
+    """Element-wise dependency flags through a jaxpr; what the primitives `sources` give is
+    flagged."""
+    values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
+    values.update(zip(jaxpr.invars, args, strict=True))
+
+    def read(atom: Any) -> np.ndarray:
+        shape = atom.aval.shape
+        return np.zeros(shape, bool) if isinstance(atom, jexc.Literal) else values[atom]
+
+    for eqn in jaxpr.eqns:
+        inputs = [read(v) for v in eqn.invars]
+        name, shapes = eqn.primitive.name, [v.aval.shape for v in eqn.outvars]
+        if name in sources:
+            outputs = [np.ones(shape, bool) for shape in shapes]
+        elif name in _CALLS:
+            inner = eqn.params["jaxpr"]
+            none = [np.zeros(np.shape(c), bool) for c in inner.consts]
+            outputs = _dependencies(inner.jaxpr, none, inputs, sources)
+        elif name in _MOVES:
+            with jax.ensure_compile_time_eval():
+                moved = eqn.primitive.bind(*map(jnp.asarray, inputs), **eqn.params)
+            outputs = [np.asarray(moved)]
+        elif len(shapes) == 1 and all(x.shape in ((), shapes[0]) for x in inputs):
+            flag = np.zeros(shapes[0], bool)
+            for x in inputs:
+                flag = flag | x
+            outputs = [flag]
+        else:
+            some = any(bool(np.any(x)) for x in inputs)
+            outputs = [np.full(shape, some) for shape in shapes]
+        values.update(zip(eqn.outvars, outputs, strict=True))
+    return [read(v) for v in jaxpr.outvars]
