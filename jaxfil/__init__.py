@@ -5,11 +5,15 @@ from types import ModuleType
 
 from jaxfil import systems as systems
 from jaxfil.bifurcations.locate import (
+    BIFURCATION_KINDS as BIFURCATION_KINDS,
     Bifurcation as Bifurcation,
     find_bifurcation as find_bifurcation,
 )
 from jaxfil.bifurcations.margin import grazing_margin as grazing_margin
-from jaxfil.bifurcations.sequence import Route as Route, find_bifurcations as find_bifurcations
+from jaxfil.bifurcations.sequence import (
+    BifurcationSequence as BifurcationSequence,
+    find_bifurcations as find_bifurcations,
+)
 from jaxfil.bifurcations.two_parameter import (
     BifurcationCurve as BifurcationCurve,
     continue_bifurcation as continue_bifurcation,
@@ -33,8 +37,8 @@ from jaxfil.integrate.work_precision import (
     WorkPrecision as WorkPrecision,
     work_precision as work_precision,
 )
-from jaxfil.model import drawing
-from jaxfil.model.outcomes import KINDS as KINDS, RESULTS as RESULTS
+from jaxfil.model import deprecation, drawing
+from jaxfil.model.outcomes import RESULTS as RESULTS, EventKind as EventKind
 from jaxfil.model.system import System as System, piecewise as piecewise, smoothed as smoothed
 from jaxfil.orbits.branch import (
     Branch as Branch,
@@ -60,7 +64,13 @@ def _plot() -> ModuleType:
 drawing.use(_plot)
 
 
+_RENAMED = {"KINDS": "EventKind", "Route": "BifurcationSequence"}
+
+
 def __getattr__(name: str):
     if name == "plot":
         return _plot()
+    if name in _RENAMED:
+        deprecation.warn_renamed(f"jaxfil.{name}", f"jaxfil.{_RENAMED[name]}")
+        return globals()[_RENAMED[name]]
     raise AttributeError(f"module 'jaxfil' has no attribute {name!r}")

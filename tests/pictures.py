@@ -42,7 +42,13 @@ def motion():
     xs[ts >= impact, 1] *= -0.8
     modes = np.stack([np.where(held, 0, np.where(ts < cross, -1, 1)), np.ones(161, int)], axis=1)
     times = np.array([stick, slip, cross, impact, np.inf])
-    kinds = [jf.KINDS.stick, jf.KINDS.slip, jf.KINDS.crossing, jf.KINDS.impact, jf.KINDS.none]
+    kinds = [
+        jf.EventKind.stick,
+        jf.EventKind.slip,
+        jf.EventKind.crossing,
+        jf.EventKind.impact,
+        jf.EventKind.none,
+    ]
     with np.errstate(invalid="ignore"):
         before = np.stack([-np.cos(times), np.sin(times)], axis=1)
     members = np.array([[1, 0], [1, 0], [1, 0], [0, 1], [0, 0]], bool)

@@ -55,9 +55,9 @@ def solve(system=GOOD, x0=X0, t0=0.0, t1=1.0, dt=0.1, **kwargs):
     return jf.solve(system, x0, t0, t1, dt, **kwargs)
 
 
-def diagram(system=FORCED, name="omega", values=OMEGAS, x0=X0, **kwargs):
+def diagram(system=FORCED, parameter="omega", values=OMEGAS, x0=X0, **kwargs):
     budget = {"transient": 1, "samples": 2, "steps": 10, "progress": False} | kwargs
-    return jf.bifurcation_diagram(system, name, values, x0, **budget)
+    return jf.bifurcation_diagram(system, parameter, values, x0, **budget)
 
 
 def saving(ts):
@@ -157,7 +157,7 @@ CALLS = {
     ),
     "smoothed width is negative": (lambda: jf.smoothed(GOOD, -0.5), "width", "-0.5"),
     "smoothed system is None": (lambda: jf.smoothed(None, 0.1), "system", "NoneType"),
-    "diagram of no such leaf": (lambda: diagram(name="omgea"), "omgea", "omega"),
+    "diagram of no such leaf": (lambda: diagram(parameter="omgea"), "omgea", "omega"),
     "diagram without a period": (
         lambda: diagram(GOOD, "friction"),
         "period",
@@ -169,8 +169,8 @@ CALLS = {
         "no float",
     ),
     "diagram with name and values exchanged": (
-        lambda: diagram(name=jnp.ones(2), values="omega"),
-        "name",
+        lambda: diagram(parameter=jnp.ones(2), values="omega"),
+        "parameter",
         "[1., 1.]",
     ),
     "basins without a period": (

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil.bifurcations.candidates import touches
-from jaxfil.bifurcations.locate import KINDS
-from jaxfil.model.outcomes import KINDS as EVENTS, outcome_names
-from jaxfil.model.parameter import replace
+from jaxfil.bifurcations.candidates import tangency_candidates
+from jaxfil.bifurcations.locate import BIFURCATION_KINDS
+from jaxfil.model.outcomes import EventKind, outcome_names
+from jaxfil.model.parameter import replace_parameter
 from tests.test_cards import in_float32
 
 SD_LOW, SD_HIGH = 0.866716581971234, 1.117142393133526
@@ -28,7 +28,7 @@ def sd_orbits(values):
 
     def one(w):
         return jf.periodic_orbit(
-            replace(system, "omega", w), jnp.array([1.5, 0.0]), steps=60, throw=False
+            replace_parameter(system, "omega", w), jnp.array([1.5, 0.0]), steps=60, throw=False
         )
 
     return system, eqx.filter_vmap(one)(jnp.asarray(values))
@@ -214,7 +214,7 @@ def with_a_graze(orbit, k):
     inserted = eqx.tree_at(
         lambda e: (e.ts, e.kinds),
         inserted,
-        (inserted.ts.at[k].set(middle), inserted.kinds.at[k].set(int(EVENTS.graze))),
+        (inserted.ts.at[k].set(middle), inserted.kinds.at[k].set(int(EventKind.graze))),
     )
     return eqx.tree_at(lambda o: o.events, orbit, inserted)
 
@@ -226,7 +226,7 @@ def test_a_touch_within_a_flight_hides_nothing():
     orbit = jf.periodic_orbit(system, jnp.array([1.56, 1.0]), steps=60)
     slip = float(orbit.events.ts[3] - orbit.events.ts[2])
     for seen in (orbit, with_a_graze(orbit, 3)):
-        reach, touch = touches(seen, "adding-sliding")[0]
+        reach, touch = tangency_candidates(seen, "adding-sliding")[0]
         assert reach == slip < 0.2
         assert touch.side == -1
 
@@ -294,7 +294,7 @@ def test_a_failed_orbit_in_a_batch_harms_no_other(sd):
     system, _ = sd
 
     def one(w, x):
-        return jf.periodic_orbit(replace(system, "omega", w), x, steps=60, throw=False)
+        return jf.periodic_orbit(replace_parameter(system, "omega", w), x, steps=60, throw=False)
 
     states = jnp.array([[1.5, 0.0], [jnp.nan, 0.0], [1.5, 0.0]])
     broken = eqx.filter_vmap(one)(jnp.array([0.97 * SD_LOW, 0.8, 1.03 * SD_HIGH]), states)
@@ -308,17 +308,17 @@ def test_bad_arguments_are_named(sd, sd_grazing):
     orbit = lane(orbits, 0)
     with pytest.raises(ValueError, match=r"`kind` must be one of grazing, .*got 'fold'"):
         jf.find_bifurcation(system, "omega", orbit, "fold")
-    with pytest.raises(ValueError, match=r"`name` must be a parameter of SDOscillator"):
+    with pytest.raises(ValueError, match=r"`parameter` must be a parameter of SDOscillator"):
         jf.find_bifurcation(system, "freq", orbit, "grazing")
     with pytest.raises(ValueError, match=r"`orbit` must be an Orbit, got ndarray"):
         jf.find_bifurcation(system, "omega", np.zeros(2), "grazing")
     with pytest.raises(ValueError, match=r"`orbit` must be a single Orbit"):
         jf.grazing_margin(system, orbits)
-    with pytest.raises(ValueError, match=r"`names` must be two different parameters"):
+    with pytest.raises(ValueError, match=r"`parameters` must be two different parameters"):
         jf.continue_bifurcation(system, ("omega", "omega"), sd_grazing, stop=(0.8, 0.9))
     with pytest.raises(ValueError, match=r"`stop` must be \(low, high\) around"):
         jf.continue_bifurcation(system, ("omega", "f0"), sd_grazing, stop=(0.9, 1.0))
-    assert KINDS[0] == "grazing"
+    assert BIFURCATION_KINDS[0] == "grazing"
 
 
 def test_a_bifurcation_prints_its_conditions(sd_grazing):

@@ -319,7 +319,7 @@ def test_a_branch_draws_itself():
     "change, message",
     [
         ({"system": S.SDOscillator}, "`system` must be an instance"),
-        ({"name": "omegaa"}, "`name` must be a parameter of SDOscillator, one of f0"),
+        ({"parameter": "omegaa"}, "`parameter` must be a parameter of SDOscillator, one of f0"),
         ({"orbit": jnp.zeros(2)}, "`orbit` must be a single Orbit or a SpecialPoint"),
         ({"orbit": "batch"}, "`orbit` must be a single Orbit or a SpecialPoint"),
         ({"orbit": "fold"}, "`orbit` must be a period doubling, got a fold"),
@@ -334,12 +334,12 @@ def test_a_branch_draws_itself():
 def test_bad_calls(change, message):
     branch = sd_branch()
     first = branch.at(branch.values[0])[0]
-    call = {"system": S.SDOscillator(), "name": "omega", "orbit": first, "stop": 0.8} | change
+    call = {"system": S.SDOscillator(), "parameter": "omega", "orbit": first, "stop": 0.8} | change
     special = {"batch": branch.orbits, "fold": of_kind(branch, "fold")[0]}
     orbit = call["orbit"]
     call["orbit"] = special[orbit] if isinstance(orbit, str) else orbit
     with pytest.raises(ValueError, match=message):
-        jf.continue_orbit(call.pop("system"), call.pop("name"), call.pop("orbit"), **call)
+        jf.continue_orbit(call.pop("system"), call.pop("parameter"), call.pop("orbit"), **call)
 
 
 def test_an_orbit_of_another_system_is_refused():

@@ -58,9 +58,9 @@ CARDS = {
         "Branch of SDOscillator in float32: 2 orbits",
     ),
     "route": (
-        jf.Route(branch(ORBITS), []),
-        jf.Route(branch(SINGLE_ORBITS), []),
-        "Route of SDOscillator in omega, 0 found in float32",
+        jf.BifurcationSequence(branch(ORBITS), []),
+        jf.BifurcationSequence(branch(SINGLE_ORBITS), []),
+        "BifurcationSequence of SDOscillator in omega, 0 found in float32",
     ),
 }
 

@@ -18,7 +18,7 @@ from hypothesis.extra import numpy as arrays
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 from tests import exact
 from tests.exact import Relays
 
@@ -106,7 +106,7 @@ def difference(system, x0, direction, h=1e-7):
 def compare(system, x0, direction, motion, values, slopes, sol):
     """Assert that one solution is the exact motion."""
     count = int(sol.num_events)
-    assert [KINDS(k).name for k in np.asarray(sol.events.kinds[:count])] == motion.kinds
+    assert [EventKind(k).name for k in np.asarray(sol.events.kinds[:count])] == motion.kinds
     assert sol.events.surfaces[:count].tolist() == motion.surfaces
     assert any(bool(sol.result == r) for r in OUTCOMES[motion.outcome]), motion.outcome
     exact_slopes = difference(system, x0, direction)

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 
 
 class Affine(jf.System):
@@ -78,7 +78,7 @@ def table(sol):
     """Times and kinds of the events that happened."""
     count = int(sol.num_events)
     assert np.all(np.isinf(sol.events.ts[count:]))
-    assert np.all(sol.events.kinds[count:] == KINDS.none)
+    assert np.all(sol.events.kinds[count:] == EventKind.none)
     return np.asarray(sol.events.ts[:count]), sol.events.kinds[:count].tolist()
 
 
@@ -106,7 +106,7 @@ def test_contact_exactly_on_a_grid_point_or_a_saved_time(dt):
     sol = run(affine((1, -1), (-1, -3)), (0, 1), 1.5, dt, ts=[0.5, 1.0, 1.5])
     ts, kinds = table(sol)
     assert_allclose(ts, [1.0], rtol=1e-14)
-    assert kinds == [KINDS.crossing]
+    assert kinds == [EventKind.crossing]
     assert_allclose(sol.xs, [[0.5, 0.5], [1, 0], [0.5, -1.5]], atol=1e-14)
     assert_array_equal(sol.modes[:, 0], [1, -1, -1])
 
@@ -118,7 +118,7 @@ def test_impact_on_a_saved_time_saves_the_right_limit(dt):
     sol = run(ball, (4.9, 0), 1.5, dt, ts=[0.5, 1.0, 1.5])
     ts, kinds = table(sol)
     assert_allclose(ts, [1.0], rtol=1e-14)
-    assert kinds == [KINDS.impact]
+    assert kinds == [EventKind.impact]
     assert_allclose(sol.xs[1], [0, 4.9], atol=1e-12)
     assert_allclose(sol.xs[2], [1.225, 0], atol=1e-12)
     assert_allclose(sol.events.xs[0], [0, -9.8], atol=1e-12)
@@ -135,7 +135,7 @@ def test_same_contact_again_after_the_switch():
     powers = np.cumsum(0.9 ** np.arange(6))
     want = np.broadcast_to(10 / 7 * (2 * powers - 1), (7, 6))
     assert_allclose(sols.events.ts[:, :6], want, rtol=1e-12)
-    assert_array_equal(sols.events.kinds[:, :6], KINDS.impact)
+    assert_array_equal(sols.events.kinds[:, :6], EventKind.impact)
 
 
 @pytest.mark.parametrize("timed", [0, 1])
@@ -148,7 +148,7 @@ def test_several_roots_of_one_surface_in_a_step(roots, timed):
     sol = run(system, (0, 0), 1.0, 1.0)
     ts, kinds = table(sol)
     assert_allclose(ts, roots, rtol=1e-11)
-    assert kinds == [KINDS.crossing] * len(roots)
+    assert kinds == [EventKind.crossing] * len(roots)
     pieces = np.diff([0, *roots, 1]) * (-1) ** np.arange(len(roots), -1, -1)
     assert_allclose(sol.xs[-1], [1, pieces.sum()], atol=1e-11)
 
@@ -159,7 +159,7 @@ def test_several_roots_of_one_surface_in_a_step_of_a_curved_motion():
     sol = run(affine((0, 0), (0, 0), turn, turn, n=(1, 0), c=-0.999), (1, 0), 5.0, 0.5)
     ts, kinds = table(sol)
     assert_allclose(ts, [np.arccos(-0.999), 2 * np.pi - np.arccos(-0.999)], rtol=1e-7)
-    assert kinds == [KINDS.crossing] * 2
+    assert kinds == [EventKind.crossing] * 2
 
 
 @pytest.mark.parametrize(("levels", "end"), [((0.4, 0.9), -7.8), ((0.9, 0.4), 1.2)])
@@ -184,7 +184,7 @@ def test_both_surfaces_at_once(mixed, dt):
     sol = run(system, (-1, -1), 2.0, dt)
     ts, kinds = table(sol)
     assert_allclose(ts, [1.0], rtol=1e-14)
-    assert kinds == [KINDS.crossing]
+    assert kinds == [EventKind.crossing]
     assert_array_equal(sol.events.members[0], True)
     assert sol.events.surfaces[0] == 0
     assert_allclose(sol.xs[-1], [2, 3], rtol=1e-13)
@@ -217,7 +217,7 @@ def test_grazing_touch(dt):
     sol = run(system, (-1, 1), 2.0, dt)
     ts, kinds = table(sol)
     assert sol.result == RESULTS.successful
-    assert kinds == [KINDS.graze]
+    assert kinds == [EventKind.graze]
     assert_allclose(ts, [1.0], atol=1e-6)
     assert_array_equal(sol.modes[:, 0], 1)
     assert_allclose(sol.xs[-1], [1, 1], rtol=1e-13)
@@ -231,5 +231,5 @@ def test_grazing_touch_missed_by_a_little(gap, dt):
     above, below = (run(system, (-1, 1 + s * gap), 2.0, dt) for s in (1, -1))
     assert above.num_events == 0
     ts, kinds = table(below)
-    assert kinds == [KINDS.crossing] * 2
+    assert kinds == [EventKind.crossing] * 2
     assert_allclose(ts, [1 - np.sqrt(gap), 1 + np.sqrt(gap)], atol=1e-15 / np.sqrt(gap) + 1e-13)

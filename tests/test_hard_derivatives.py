@@ -8,7 +8,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil import KINDS
+from jaxfil import EventKind
 
 
 class Level(eqx.Module):
@@ -70,7 +70,7 @@ def test_derivative_at_grazing():
     # v² = 2h: the contact time's derivative is infinite, the motion beyond it stays below.
     two = jnp.asarray(2.0)
     (t, x, kind), (d_t, d_x, _) = jax.jvp(rise, (two, two), (jnp.ones(()), jnp.zeros(())))
-    assert kind == KINDS.graze
+    assert kind == EventKind.graze
     assert_allclose(t, 2.0, atol=1e-6)
     assert_allclose(x, -5.0, atol=1e-6)
     assert np.isinf(d_t)

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 
 
 class Affine(jf.System):
@@ -85,7 +85,7 @@ def corner(field, n=((1, 0), (0, 1)), c=(0, 0)):
 BALL = jf.systems.BouncingBall(g=9.8, restitution=0.9)
 SPIRAL = jf.systems.FilippovSpiral()
 COULOMB = jf.systems.CoulombOscillator(friction=0.4)
-CROSS, STICK, SLIP = KINDS.crossing, KINDS.stick, KINDS.slip
+CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip
 BOUNCES = list(10 / 7 * (2 * np.cumsum(0.9 ** np.arange(6)) - 1))
 Y_TWICE = ((0, 1), (0, 1))
 
@@ -102,7 +102,7 @@ CASES = {
         [1],
         [CROSS],
     ),
-    "same contact again": (BALL, (10, 0), 12.5, 0.2, None, BOUNCES, [KINDS.impact] * 6),
+    "same contact again": (BALL, (10, 0), 12.5, 0.2, None, BOUNCES, [EventKind.impact] * 6),
     "two roots in a step": (
         Roots(jnp.asarray([0.3, 0.6], jnp.float32)),
         (0, 0),
@@ -242,7 +242,7 @@ def test_contact_behind_a_grid_point_by_less_than_times_are_told_apart(dtype, ki
     system, x0 = kind(fields, jnp.zeros((2, 2), dtype)), jnp.asarray((0, t * (1 + 4 * eps)), dtype)
     sol = jf.solve(system, x0, 0.0, t + 1, 0.25, max_events=64, throw=False)
     assert sol.result == RESULTS.successful
-    assert_array_equal(sol.events.kinds[:2], [CROSS, KINDS.none])
+    assert_array_equal(sol.events.kinds[:2], [CROSS, EventKind.none])
     assert_allclose(sol.events.ts[0], t * (1 + 4 * eps), rtol=eps)
     assert_allclose(sol.xs[-1, 1], -2 * (1 - 4 * eps * t), rtol=4 * eps)
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 
 TRACED = []
 
@@ -256,7 +256,7 @@ def test_trivial_case_of_a_surface_never_met():
     sol = jf.solve(Relay(jnp.asarray(1.0)), jnp.asarray([9.0, 0.0]), 0.0, 4.0, 0.1)
     assert sol.num_events == 0
     assert_array_equal(sol.events.ts, np.inf)
-    assert_array_equal(sol.events.kinds, KINDS.none)
+    assert_array_equal(sol.events.kinds, EventKind.none)
     assert_allclose(sol.xs[-1], [1, -4], rtol=1e-13)
 
 

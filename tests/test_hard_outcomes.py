@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 
 
 class Affine(jf.System):
@@ -175,7 +175,7 @@ def test_very_stiff_sides():
         Stiff(jnp.asarray(k)), jnp.asarray([0.002 + 1 / k]), 0.998, 1.001, 2e-6, saveat=saveat
     )
     assert_allclose(sol.events.ts[0], 1 + 1 / k, rtol=1e-12)
-    assert sol.events.kinds[0] == KINDS.crossing
+    assert sol.events.kinds[0] == EventKind.crossing
     assert sol.num_events == 1
     assert_allclose(sol.xs[:, 0], [0.001 + 1 / k, -1, -1], rtol=1e-9)
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 
 
 class Corner(jf.System):
@@ -44,7 +44,7 @@ def table(sol):
     """Times and kinds of the events that happened."""
     count = int(sol.num_events)
     assert np.all(np.isinf(sol.events.ts[count:]))
-    assert np.all(sol.events.kinds[count:] == KINDS.none)
+    assert np.all(sol.events.kinds[count:] == EventKind.none)
     return np.asarray(sol.events.ts[:count]), sol.events.kinds[:count].tolist()
 
 
@@ -73,7 +73,7 @@ def test_slip_shorter_than_a_step_inside_a_stick(omega, steps):
     period = 2 * np.pi / omega
     sol = run(belt, (x1, 1), period, period / steps)
     ts, kinds = table(sol)
-    assert kinds == [KINDS.stick if m == 0 else KINDS.slip for m in modes]
+    assert kinds == [EventKind.stick if m == 0 else EventKind.slip for m in modes]
     assert_allclose(ts, times, atol=1e-10 if steps == 60 else 1e-5)
     assert_allclose(sol.xs[-1], [x1, 1], atol=1e-10 if steps == 60 else 1e-5)
 
@@ -90,9 +90,9 @@ def sticks_and_slips(belts, x0, periods, per_period):
     good, kinds = jax.jit(jax.vmap(lane))(belts)
     assert good.all()
     for row in np.asarray(kinds):
-        order = row[(row == KINDS.stick) | (row == KINDS.slip)]
+        order = row[(row == EventKind.stick) | (row == EventKind.slip)]
         assert np.all(order[1:] != order[:-1])
-    return (kinds == KINDS.stick).sum(axis=1), (kinds == KINDS.slip).sum(axis=1)
+    return (kinds == EventKind.stick).sum(axis=1), (kinds == EventKind.slip).sum(axis=1)
 
 
 def test_leaving_a_stick_in_the_linear_case():
@@ -119,7 +119,7 @@ def test_held_surface(dt):
     sol = run(system, (0, 0), 100.0, dt)
     ts, kinds = table(sol)
     assert_allclose(ts, [0.5, 1.0], rtol=1e-13)
-    assert kinds == [KINDS.crossing, KINDS.stick]
+    assert kinds == [EventKind.crossing, EventKind.stick]
     assert_allclose(sol.xs[-1], [99, 1], rtol=1e-13)
 
 
@@ -133,7 +133,7 @@ RELAY = jf.piecewise(
 def test_chattering(dt, start):
     sol = run(RELAY, (0, start), 5.0, dt, ts=[1.5, 3.0, 5.0])
     ts, kinds = table(sol)
-    assert kinds == [KINDS.stick]
+    assert kinds == [EventKind.stick]
     assert_allclose(ts, [1.0], rtol=1e-14)
     assert_array_equal(sol.xs[:, 1], 0)
     assert_array_equal(sol.modes[:, 0], 0)
@@ -150,7 +150,7 @@ def test_zeno(dt):
     assert np.all(np.isinf(sol.xs[1:]))
     ts, kinds = table(sol)
     assert_allclose(ts[:5], 10 / 7 * (3 - 2 * 0.5 ** np.arange(5)), rtol=1e-12)
-    assert set(kinds) == {KINDS.impact}
+    assert set(kinds) == {EventKind.impact}
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.1, 1.0])
@@ -170,7 +170,7 @@ def test_stick_slip_chains_of_the_coulomb_oscillator():
     # Exact: turns at π, 2π, 3π, sticks at 4π with x = 3 - 8 F.
     sol = run(jf.systems.CoulombOscillator(friction=0.4), (3, 0), 20.0, 0.05)
     ts, kinds = table(sol)
-    assert kinds == [KINDS.crossing] * 3 + [KINDS.stick]
+    assert kinds == [EventKind.crossing] * 3 + [EventKind.stick]
     assert_allclose(ts, np.pi * np.arange(1, 5), rtol=1e-12)
     assert_allclose(sol.xs[-1], [-0.2, 0], atol=1e-12)
 
@@ -195,7 +195,7 @@ def test_leaving_a_slide_at_a_fold():
         fold = jf.systems.VisibleFold()
         sol = jf.solve(fold, jnp.asarray([-1.0, 0.1]), 0.0, 3.0, 3.0 / steps, max_events=4)
         _, kinds = table(sol)
-        assert kinds == [KINDS.stick, KINDS.slip]
+        assert kinds == [EventKind.stick, EventKind.slip]
         assert_allclose(sol.events.xs[1], [-1, -1], rtol=1e-12)
         return abs(float(sol.events.ts[1]) - exit_)
 

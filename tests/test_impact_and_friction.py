@@ -55,7 +55,7 @@ def test_only_what_a_reset_moves_is_an_impact():
     system = BeltAndWall(jnp.float64(50.0))
     sol = jf.solve(system, jnp.array([0.1, 0.3]), 0.0, 3.0, 0.13)
     assert int(sol.num_events) == 1
-    assert int(sol.events.kinds[0]) == jf.KINDS.stick.value
+    assert int(sol.events.kinds[0]) == jf.EventKind.stick.value
 
 
 def test_the_derivative_goes_through_the_impact():

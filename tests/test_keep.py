@@ -23,10 +23,10 @@ from jaxfil.sweep import checkpoint, execution
 X0 = np.array([0.3, 0.1])
 
 
-def sweep(values, name="omega", x0=X0, **kwargs):
+def sweep(values, parameter="omega", x0=X0, **kwargs):
     run = {"transient": 2, "samples": 2, "steps": 20, "stepper": jf.RK4(), "progress": False}
     system = kwargs.pop("system", jf.systems.SDOscillator(omega=0.7))
-    return jf.bifurcation_diagram(system, name, values, x0, **run | kwargs)
+    return jf.bifurcation_diagram(system, parameter, values, x0, **run | kwargs)
 
 
 class Named(System):
@@ -281,7 +281,7 @@ CHANGES = {
     "system.f0 was 0.25 and is 0.26": {"system": changed(f0=0.26)},
     "system was SDOscillator and is BeltFriction": {"system": jf.systems.BeltFriction()},
     r"folder, or .*: equations was \w+ and is \w+\.$": {"system": Other(omega=0.7)},
-    "name was omega and is zeta": {"name": "zeta"},
+    "parameter was omega and is zeta": {"parameter": "zeta"},
     "values of omega.1. was 0.8 and is 0.9": {"values": [0.7, 0.9]},
     r"points was \(2,\) and is \(3,\)": {"values": [0.7, 0.8, 0.9]},
     "x0.1. was 0.1 and is 0.2": {"x0": np.array([0.3, 0.2])},
@@ -336,7 +336,7 @@ def test_a_checkpoint_of_another_version_is_refused(begun, monkeypatch):
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path):
-    (tmp_path / "thesis.tex").touch()
+    (tmp_path / "thesis.tex").tangency()
     with pytest.raises(ValueError, match=r"must be a new folder.*holds thesis\.tex"):
         sweep([0.7], checkpoint=tmp_path)
 

@@ -15,12 +15,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 from jaxfil.model.outcomes import outcome_names
 from tests.test_cards import in_float32
 
 S = jf.systems
-CROSS, STICK, SLIP = KINDS.crossing, KINDS.stick, KINDS.slip
+CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip
 # A guess off by a fifth, with every pattern of signs.
 OFF = jnp.asarray([[1.2, 1.2], [1.2, 0.8], [0.8, 1.2], [0.8, 0.8]])
 
@@ -145,7 +145,7 @@ def test_sd_oscillator_from_guesses_off_by_a_fifth():
     found = sd_orbits()
     assert (found.result == RESULTS.successful).all()
     assert_allclose(found.x0[:4], np.broadcast_to(SD, (4, 2)), rtol=0, atol=1e-10)
-    assert_array_equal(found.events.kinds[:, :3], [[CROSS, CROSS, KINDS.none]] * 5)
+    assert_array_equal(found.events.kinds[:, :3], [[CROSS, CROSS, EventKind.none]] * 5)
     # Known to five digits; their product exactly, as crossings keep areas.
     for multipliers in found.multipliers:
         want = [0.35398 - 0.80689j, 0.35398 + 0.80689j]

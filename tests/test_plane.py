@@ -21,9 +21,9 @@ NAMES = ("omega", "f0")
 OMEGA, F0 = np.array([0.7, 0.9, 0.8]), np.array([0.2, 0.3])
 
 
-def sweep(values, x0=X0, name=NAMES, samples=2, **kwargs):
+def sweep(values, x0=X0, parameter=NAMES, samples=2, **kwargs):
     return jf.bifurcation_diagram(
-        SD, name, values, x0, transient=3, samples=samples, steps=20, progress=False, **kwargs
+        SD, parameter, values, x0, transient=3, samples=samples, steps=20, progress=False, **kwargs
     )
 
 
@@ -75,9 +75,12 @@ def test_datasets_keep_the_shape(grid):
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"name": ("omega", "omega")}, r"`name` must be a string, or two or more different ones"),
-        ({"name": ("omega",)}, r"`name` must be a string, or two or more different ones"),
-        ({"name": ("omega", "nu")}, r"`name` must be a parameter of SDOscillator.*'nu'"),
+        (
+            {"parameter": ("omega", "omega")},
+            r"`parameter` must be a string, or two or more different ones",
+        ),
+        ({"parameter": ("omega",)}, r"`parameter` must be a string, or two or more different ones"),
+        ({"parameter": ("omega", "nu")}, r"`parameter` must be a parameter of SDOscillator.*'nu'"),
         ({"values": (OMEGA,)}, r"`values` must be 2 arrays.*shape \(p, 2\).*got 1 of them"),
         ({"values": OMEGA}, r"`values` must be of shape \(p, 2\).*got shape \(3,\)"),
         ({"values": (OMEGA, [])}, r"`values` must be real numbers .* each name, got shape \(0,\)"),

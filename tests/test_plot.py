@@ -16,7 +16,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 from tests.pictures import PICTURES, VALUES, made
 
 matplotlib.use("Agg")
@@ -196,8 +196,8 @@ def test_every_contact_is_marked_by_its_kind():
     sol = sticking()
     ax = jf.plot.phase_portrait(sol)
     kinds = np.asarray(sol.events.kinds)
-    assert_array_equal(marked(ax, KINDS.stick), sol.events.xs[kinds == KINDS.stick])
-    assert_array_equal(marked(ax, KINDS.slip), sol.events.xs[kinds == KINDS.slip])
+    assert_array_equal(marked(ax, EventKind.stick), sol.events.xs[kinds == EventKind.stick])
+    assert_array_equal(marked(ax, EventKind.slip), sol.events.xs[kinds == EventKind.slip])
     assert {t.get_text() for t in ax.get_legend().get_texts()} == {"sliding", "stick", "slip"}
 
 
@@ -282,7 +282,7 @@ def test_an_impact_breaks_the_line():
     sol = solved(jf.systems.BouncingBall(), [10.0, 0.0], 4.5)
     ax = jf.plot.phase_portrait(sol)
     line, _ = ax.lines
-    impacts = marked(ax, KINDS.impact)
+    impacts = marked(ax, EventKind.impact)
     assert len(impacts) == 2
     x, v = line.get_data()
     assert np.isnan(x).sum() == 2

@@ -12,9 +12,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 
-CROSS, STICK, SLIP = KINDS.crossing, KINDS.stick, KINDS.slip
+CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip
 
 
 def table(sol):
@@ -228,7 +228,7 @@ def test_impact_oscillator(omega, amplitude):
     counts, kinds, gaps = jax.jit(jax.vmap(impacts))(scales)
     assert_array_equal(counts[:2], 0)
     assert np.all(np.asarray(counts[2:]) >= 1)
-    assert_array_equal(kinds[2:], KINDS.impact)
+    assert_array_equal(kinds[2:], EventKind.impact)
     assert_allclose(gaps[:2], 0, atol=1e-11)
 
 
@@ -238,7 +238,7 @@ def test_bouncing_ball():
     sol = jf.solve(ball, jnp.asarray([10.0, 0.0]), 0.0, 40.0, 0.25, throw=False)
     times, kinds = table(sol)
     assert sol.result == RESULTS.zeno
-    assert set(kinds) == {KINDS.impact}
+    assert set(kinds) == {EventKind.impact}
     assert_allclose(times[:3], [10 / 7, 4, 6.3142857142857143], rtol=1e-13)
     assert_allclose(times[:100], 10 / 7 * (2 * np.cumsum(0.9 ** np.arange(100)) - 1), rtol=1e-11)
     assert_allclose(sol.t_final, 190 / 7, rtol=1e-10)

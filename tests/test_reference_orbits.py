@@ -14,9 +14,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from jaxfil import KINDS, RESULTS
+from jaxfil import RESULTS, EventKind
 
-CROSS, STICK, SLIP = KINDS.crossing, KINDS.stick, KINDS.slip
+CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip
 
 
 @jax.jit

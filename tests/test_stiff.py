@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil import KINDS
+from jaxfil import EventKind
 from jaxfil.integrate.rosenbrock import RODAS5P
 from tests.test_order import PROBLEMS, fitted
 
@@ -140,7 +140,7 @@ class DampedRelay(jf.System):
         return x[1] - self.v
 
 
-STICK, SLIP, CROSS = KINDS.stick.value, KINDS.slip.value, KINDS.crossing.value
+STICK, SLIP, CROSS = EventKind.stick.value, EventKind.slip.value, EventKind.crossing.value
 RELAY = [STICK, SLIP, CROSS, STICK, SLIP, STICK]
 BELT = [STICK, SLIP, CROSS, STICK, SLIP, CROSS, STICK, SLIP]
 # From (0.5, 2) with F = 0.4 to t = 12: (v, d), the contacts' times and ∂/∂F of these, (x, w) at 12
@@ -234,7 +234,7 @@ def test_relay_and_belt_with_a_damped_contact(damped, row):
     # eps·d too early or late. At d = 1e8 a touch within rounding may be told before, and the rate,
     # 1e-8, is rounding itself: the derivatives of those times are not asked for.
     told = sol.events.kinds[: sol.num_events]
-    real = np.flatnonzero(told != KINDS.graze)
+    real = np.flatnonzero(told != EventKind.graze)
     assert told[real].tolist() == (RELAY if row < 3 else BELT)
     assert row == 5 or len(real) == len(told)
     assert_allclose(ts[real], want_ts, rtol=0, atol=TIMES[row])

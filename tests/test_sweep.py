@@ -123,18 +123,18 @@ def test_new_values_trace_nothing():
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"name": "omegaa"}, "`name` must be a parameter of BeltFriction, one of f0"),
+        ({"parameter": "omegaa"}, "`parameter` must be a parameter of BeltFriction, one of f0"),
         ({"values": np.zeros((2, 2))}, r"`values` must be real numbers of shape \(p,\)"),
         ({"x0": np.zeros((3, 2))}, "`x0` must be of shape"),
         ({"transient": -1}, "`transient` must be an integer of at least 0"),
         ({"samples": 0}, "`samples` must be an integer of at least 1"),
         ({"steps": 2.5}, "`steps` must be an integer of at least 1"),
         ({"follow": "sideways"}, '`follow` must be "up", "down" or None'),
-        ({"system": jf.systems.CoulombOscillator(), "name": "friction"}, "must be forced"),
+        ({"system": jf.systems.CoulombOscillator(), "parameter": "friction"}, "must be forced"),
     ],
 )
 def test_bad_calls(change, message):
-    call = {"system": BELT, "name": "omega", "values": [4.3, 4.4], "x0": np.zeros(2), **change}
+    call = {"system": BELT, "parameter": "omega", "values": [4.3, 4.4], "x0": np.zeros(2), **change}
     with pytest.raises(ValueError, match=message):
         jf.bifurcation_diagram(**call, progress=False)
 

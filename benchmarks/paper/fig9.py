@@ -84,7 +84,7 @@ def portrait(ax, xs, modes):
 def described(orbit, i):
     """How often the i-th orbit begins to stick, and crosses."""
     kinds = np.asarray(orbit.events.kinds[i])
-    counts = [np.sum(kinds == kind) for kind in (jf.KINDS.stick, jf.KINDS.crossing)]
+    counts = [np.sum(kinds == kind) for kind in (jf.EventKind.stick, jf.EventKind.crossing)]
     parts = [
         f"{n} {name}{'s' if n > 1 else ''}"
         for n, name in zip(counts, ("stick", "crossing"), strict=True)

@@ -1,6 +1,6 @@
 """Where an orbit comes near a touch: the guesses from which a bifurcation is located.
 
-An orbit and a kind of bifurcation enter; `Touch`es leave, the nearest first. On one side of a
+An orbit and a kind of bifurcation enter; `Tangency`es leave, the nearest first. On one side of a
 bifurcation the orbit has a short piece that is not there on the other: a short flight between two
 contacts, or where there is none yet, a guard with a minimum or a contact with nearly no rate.
 """
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.bifurcations.tangency import FAMILIES, Touch, conditions
+from jaxfil.bifurcations.tangency import FAMILIES, Tangency, conditions
 from jaxfil.integrate import components, filippov
 from jaxfil.integrate.solution import Dense, evaluate, switches
 from jaxfil.model.system import System
@@ -35,7 +35,7 @@ class _Flight:
 
 def _flights(orbit: Orbit) -> list[_Flight]:
     """The orbit cut at its contacts; an orbit without any is one endless flight."""
-    t0, period = float(orbit.plan.t0), float(orbit.period)
+    t0, period = float(orbit.options.t0), float(orbit.period)
     first = np.asarray(orbit.first_mode).astype(float)
     events = orbit.events
     ends = switches(events)
@@ -50,7 +50,7 @@ def _flights(orbit: Orbit) -> list[_Flight]:
     return [_Flight(ts[i], stops[i], modes[i], members[(i + 1) % count]) for i in range(count)]
 
 
-def touches(orbit: Orbit, kind: str) -> list[tuple[float, Touch]]:
+def tangency_candidates(orbit: Orbit, kind: str) -> list[tuple[float, Tangency]]:
     """The nearest touches from which a bifurcation of this kind could come, each with the time by
     which the orbit misses it (or is past it)."""
     flights = _flights(orbit)
@@ -70,7 +70,7 @@ def touches(orbit: Orbit, kind: str) -> list[tuple[float, Touch]]:
                 found += _minima(orbit, flight, j, kind, ts, xs)
     found.sort(key=lambda entry: entry[0])
     nearest = found[:_CANDIDATES]
-    return [(entry[0], _touch(orbit, dense, *entry[1:])) for entry in nearest]
+    return [(entry[0], _tangency(orbit, dense, *entry[1:])) for entry in nearest]
 
 
 def _short(
@@ -163,7 +163,7 @@ def _reach(orbit: Orbit, flight: _Flight, j: int, side: float, ts, xs) -> float:
     within = ts[0] + (flight.stop - ts[0]) % float(orbit.period)
     x = jnp.asarray(xs[np.argmin(abs(ts - within))])
     at = jnp.asarray(flight.stop, x.dtype)
-    there = Touch(x, at, at, at, *(jnp.asarray(v) for v in (flight.mode, j, side)))
+    there = Tangency(x, at, at, at, *(jnp.asarray(v) for v in (flight.mode, j, side)))
     found = conditions(orbit.system, at, x, there)
     return abs(float(found.rate)) / max(abs(float(found.bend)), 1e-300)
 
@@ -187,14 +187,16 @@ def _arrivals(
 _state_at = eqx.filter_jit(evaluate)
 
 
-def _touch(orbit: Orbit, dense: Dense, j: int, side: float, mode, left, middle, right) -> Touch:
+def _tangency(
+    orbit: Orbit, dense: Dense, j: int, side: float, mode, left, middle, right
+) -> Tangency:
     """The touch as arrays, its flight starting within the period that the orbit is known for."""
-    t0, period = float(orbit.plan.t0), float(orbit.period)
+    t0, period = float(orbit.options.t0), float(orbit.period)
     shift = period * np.floor((left - t0) / period)
     left, middle, right = (min(v - shift, t0 + 2 * period) for v in (left, middle, right))
     x = _state_at(dense, left)
     dtype = x.dtype
-    return Touch(
+    return Tangency(
         x=x,
         phase=jnp.asarray(middle / period, dtype),
         start=jnp.asarray(left / period, dtype),

@@ -22,12 +22,12 @@ from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from jaxfil.bifurcations.candidates import touches
+from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.tangency import (
     FAMILIES,
     Closing,
     Conditions,
-    Touch,
+    Tangency,
     close,
     conditions,
     defining,
@@ -35,21 +35,22 @@ from jaxfil.bifurcations.tangency import (
 )
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
+from jaxfil.model.deprecation import renamed_argument, renamed_attribute
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import cast, is_parameter, parameter, replace
+from jaxfil.model.parameter import cast, get_parameter, is_parameter, replace_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.newton import Evaluation, newton
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.orbits.shooting import Plan
+from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits
 
-KINDS = tuple(FAMILIES)
+BIFURCATION_KINDS = tuple(FAMILIES)
 
 
 class Bifurcation(eqx.Module):
     """A located bifurcation: at `value` of the parameter the orbit touches `surface` at time `t` in
     state `x`. `orbit` starts where the flight around the touch does. `code` is the number of its
-    kind in `KINDS`, −1 where the conditions are those of none."""
+    kind in `BIFURCATION_KINDS`, −1 where the conditions are those of none."""
 
     value: Float[Array, ""]
     orbit: Orbit
@@ -59,14 +60,16 @@ class Bifurcation(eqx.Module):
     conditions: Conditions
     residual: Float[Array, ""]
     result: RESULTS
-    touch: Touch
+    tangency: Tangency
     parameter: str = eqx.field(static=True)
     family: str = eqx.field(static=True)
+
+    touch = renamed_attribute("touch", "tangency")
 
     @property
     def kind(self) -> Any:
         """The name of the kind, decided by the conditions; an array of names for a batch."""
-        names = np.array([*KINDS, "undecided"])[np.asarray(self.code)]
+        names = np.array([*BIFURCATION_KINDS, "undecided"])[np.asarray(self.code)]
         return str(names) if names.ndim == 0 else names
 
     def __repr__(self) -> str:
@@ -86,16 +89,17 @@ class Bifurcation(eqx.Module):
         )
 
 
+@renamed_argument("name", "parameter")
 def find_bifurcation(
     system: System,
-    name: str,
+    parameter: str,
     orbit: Orbit,
     kind: str,
     *,
     newton_steps: int = 40,
     throw: bool = True,
 ) -> Bifurcation:
-    """The value of the parameter `name` at which an orbit near `orbit` has a bifurcation.
+    """The value of `parameter` at which an orbit near `orbit` has a bifurcation.
 
     Unknowns are a state on the orbit, the phase of the touch (or the period of an autonomous
     system) and the parameter; equations that the orbit closes, and two at the touch: H = Ḣ_s = 0,
@@ -110,7 +114,7 @@ def find_bifurcation(
     - `newton_steps`: evaluations at most.
     - `throw`: raise an error unless the outcome is successful; otherwise return it.
 
-    **Returns** a `Bifurcation`. Besides Newton's outcomes: `nothing_to_touch`, `orbit_lost`, and
+    **Returns** a `Bifurcation`. Besides Newton's outcomes: `no_tangency_found`, `orbit_lost`, and
     `other_kind` (the place is one, but of the kind that `.kind` names). The derivative of `.value`
     with respect to the other parameters is that of the implicit function, forward and reverse.
 
@@ -123,14 +127,16 @@ def find_bifurcation(
     grazing 0.866716581971
     """
     check.system("system", system)
-    parameter(system, name)
+    get_parameter(system, parameter)
     if kind not in FAMILIES:
         raise ValueError(f"`kind` must be one of {', '.join(FAMILIES)}; got {kind!r}.")
     if not isinstance(orbit, Orbit):
         raise ValueError(f"`orbit` must be an Orbit, got {type(orbit).__name__}.")
     system = cast(system, orbit.x0.dtype)
     newton_steps = check.count("newton_steps", newton_steps)
-    one = ft.partial(_find, system, name, FAMILIES[kind], KINDS.index(kind), newton_steps)
+    one = ft.partial(
+        _find, system, parameter, FAMILIES[kind], BIFURCATION_KINDS.index(kind), newton_steps
+    )
     if orbit.x0.ndim == 1:
         found = _first_real(one, orbit, [guesses(orbit, kind)])
     else:
@@ -141,13 +147,15 @@ def find_bifurcation(
     return found.result.error_if(found, found.result != RESULTS.successful)
 
 
-def guesses(orbit: Orbit, kind: str) -> list[tuple[Touch, Array]]:
+def guesses(orbit: Orbit, kind: str) -> list[tuple[Tangency, Array]]:
     """The nearest touches, and whether there is none."""
-    candidates = touches(orbit, kind) if bool(orbit.result == RESULTS.successful) else []
+    candidates = (
+        tangency_candidates(orbit, kind) if bool(orbit.result == RESULTS.successful) else []
+    )
     if candidates:
-        return [(touch, jnp.asarray(False)) for _, touch in candidates]
+        return [(tangency, jnp.asarray(False)) for _, tangency in candidates]
     nan = jnp.full_like(orbit.period, jnp.nan)
-    nowhere = Touch(
+    nowhere = Tangency(
         orbit.x0, nan, nan, nan, orbit.first_mode.astype(nan.dtype), jnp.zeros((), jnp.int32), nan
     )
     return [(nowhere, jnp.asarray(True))]
@@ -192,34 +200,34 @@ class Problem(eqx.Module):
     """The defining system of a touch. q is (phase of the touch, or period; parameters)."""
 
     system: System
-    touch: Touch
-    plan: Plan
+    tangency: Tangency
+    options: ShootingOptions
     family: str = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     periods: int | Array
 
-    def placed(self, z: Array) -> tuple[System, Array, Touch]:
+    def placed(self, z: Array) -> tuple[System, Array, Tangency]:
         """System, period and touch for unknowns (x, q)."""
-        n = self.touch.x.shape[0]
+        n = self.tangency.x.shape[0]
         system = self.system
         for name, value in zip(self.names, z[n + 1 :], strict=True):
-            system = replace(system, name, value)
+            system = replace_parameter(system, name, value)
         if system.period is None:
-            return system, z[n], dataclasses.replace(self.touch, x=z[:n])
+            return system, z[n], dataclasses.replace(self.tangency, x=z[:n])
         period = jnp.asarray(system.period) * self.periods
-        return system, period, dataclasses.replace(self.touch, x=z[:n], phase=z[n])
+        return system, period, dataclasses.replace(self.tangency, x=z[:n], phase=z[n])
 
     def residual(self, z: Array) -> tuple[Array, tuple]:
         """Closing and the two conditions, shape (n + 2,)."""
-        system, period, touch = self.placed(z)
-        closing = close(system, period, self.plan, self.family, touch)
-        pair = defining(system, self.family, closing.t, closing.x, touch)
+        system, period, tangency = self.placed(z)
+        closing = close(system, period, self.options, self.family, tangency)
+        pair = defining(system, self.family, closing.t, closing.x, tangency)
         value = jnp.append(closing.gap, pair)
         return value, (value, stop_gradient(closing))
 
     def scales(self, z: Array, closing: Closing) -> tuple[Array, Array]:
         """Of the equations and of the unknowns."""
-        n = self.touch.x.shape[0]
+        n = self.tangency.x.shape[0]
         system, period, _ = self.placed(z)
         size = jnp.where(closing.size == 0, 1, closing.size)
         normals = jax.jacfwd(system.switching, argnums=1)(closing.t, closing.x)
@@ -252,11 +260,11 @@ def _no_more(z: Array) -> Array:
 
 
 @eqx.filter_jit
-def _find(system, name, family, code, newton_steps, orbit, touch, missing) -> Bifurcation:
-    problem = defining_problem(system, orbit, touch, family, (name,))
-    value = jnp.asarray(parameter(orbit.system, name), touch.x.dtype)
-    phase = orbit.period if system.period is None else touch.phase
-    z = jnp.concatenate([touch.x, jnp.stack([phase, value])])
+def _find(system, parameter, family, code, newton_steps, orbit, tangency, missing) -> Bifurcation:
+    problem = defining_problem(system, orbit, tangency, family, (parameter,))
+    value = jnp.asarray(get_parameter(orbit.system, parameter), tangency.x.dtype)
+    phase = orbit.period if system.period is None else tangency.phase
+    z = jnp.concatenate([tangency.x, jnp.stack([phase, value])])
     theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
     rest = eqx.filter(system, is_parameter, inverse=True)
     problem = eqx.tree_at(lambda p: p.system, problem, rest, is_leaf=lambda v: v is None)
@@ -264,33 +272,33 @@ def _find(system, name, family, code, newton_steps, orbit, touch, missing) -> Bi
         theta, stop_gradient(z), problem=problem, unravel=unravel, newton_steps=newton_steps
     )
     problem = eqx.tree_at(lambda p: p.system, problem, eqx.combine(unravel(theta), rest))
-    system, period, touch = problem.placed(z)
+    system, period, tangency = problem.placed(z)
     closing = root.at.aux
-    found = conditions(system, closing.t, closing.x, touch)
+    found = conditions(system, closing.t, closing.x, tangency)
     eps = float(jnp.finfo(z.dtype).eps)
     flags = jnp.stack(kind_of(family, found, eps))
     located = jnp.where(jnp.any(flags), jnp.argmax(flags), -1)
     result = RESULTS.where(located == code, RESULTS.successful, RESULTS.other_kind)
     result = RESULTS.where(closing.holds, result, RESULTS.orbit_lost)
     result = RESULTS.where(root.result == RESULTS.successful, result, root.result)
-    result = RESULTS.where(missing, RESULTS.nothing_to_touch, result)
-    n = touch.x.shape[0]
+    result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
+    n = tangency.x.shape[0]
     nan = jnp.full_like(root.at.size, jnp.nan)
     return Bifurcation(
         value=jnp.where(missing, nan, z[-1]),
         orbit=Orbit(
-            x0=touch.x,
+            x0=tangency.x,
             period=period,
             monodromy=root.at.jacobian[:n, :n] + jnp.eye(n, dtype=z.dtype),
             residual=root.at.size,
             events=orbit.events,
             num_events=orbit.num_events,
-            first_mode=touch.mode.astype(jnp.int8),
+            first_mode=tangency.mode.astype(jnp.int8),
             result=root.result,
             system=system,
-            starts=touch.x[None],
+            starts=tangency.x[None],
             num_steps=root.num_steps,
-            plan=eqx.tree_at(lambda p: p.t0, problem.plan, touch.start * period),
+            options=eqx.tree_at(lambda p: p.t0, problem.options, tangency.start * period),
         ),
         t=closing.t,
         x=closing.x,
@@ -298,21 +306,21 @@ def _find(system, name, family, code, newton_steps, orbit, touch, missing) -> Bi
         conditions=found,
         residual=root.at.size,
         result=result,
-        touch=touch,
-        parameter=name,
+        tangency=tangency,
+        parameter=parameter,
         family=family,
     )
 
 
 def defining_problem(
-    system: System, orbit: Orbit, touch: Touch, family: str, names: tuple
+    system: System, orbit: Orbit, tangency: Tangency, family: str, names: tuple
 ) -> Problem:
     """The defining system of a touch on an orbit of a forced or an autonomous system."""
     periods = 1
     if system.period is not None:
         periods = jnp.round(stop_gradient(orbit.period / jnp.asarray(orbit.system.period)))
-    plan = dataclasses.replace(orbit.plan, arcs=1)
-    return Problem(system, stop_gradient(touch), plan, family, names, periods)
+    options = dataclasses.replace(orbit.options, arcs=1)
+    return Problem(system, stop_gradient(tangency), options, family, names, periods)
 
 
 @eqx.filter_custom_jvp

@@ -53,12 +53,12 @@ def grazing_margin(system: System, orbit: Orbit) -> Float[Array, ""]:
         raise ValueError("`orbit` must be known numbers, got a traced Orbit: find it outside.")
     # The orbit's numbers are looked at, also while the system is being traced.
     with jax.core.eval_context():
-        touch, missing = guesses(orbit, "grazing")[0]
+        tangency, missing = guesses(orbit, "grazing")[0]
     system = cast(system, orbit.x0.dtype)
     theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
-    problem = defining_problem(system, orbit, touch, "flight", ())
-    phase = orbit.period if system.period is None else touch.phase
-    z = jnp.append(touch.x, phase)
+    problem = defining_problem(system, orbit, tangency, "flight", ())
+    phase = orbit.period if system.period is None else tangency.phase
+    z = jnp.append(tangency.x, phase)
     rest = eqx.filter(system, is_parameter, inverse=True)
     problem = eqx.tree_at(lambda p: p.system, problem, rest, is_leaf=lambda v: v is None)
     margin = _margin(theta, problem=problem, unravel=unravel, z=stop_gradient(z))

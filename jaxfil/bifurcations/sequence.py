@@ -9,17 +9,18 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxfil.bifurcations.candidates import touches
-from jaxfil.bifurcations.locate import KINDS, Bifurcation, find_bifurcation
+from jaxfil.bifurcations.candidates import tangency_candidates
+from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation, find_bifurcation
 from jaxfil.model.card import precision
+from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import replace
+from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.branch import Branch, SpecialPoint, continue_orbit
 from jaxfil.orbits.orbit import Orbit
 
 
-class Route(eqx.Module):
+class BifurcationSequence(eqx.Module):
     """A branch of orbits and its bifurcations in the order in which they are met: a `Bifurcation`
     where the orbit touches a surface, a `SpecialPoint` for folds, period doublings and
     Neimark–Sacker points, and where the contacts change in a way that has no name."""
@@ -36,7 +37,9 @@ class Route(eqx.Module):
     def __repr__(self) -> str:
         name = self.branch.parameter
         system, told = self.branch.orbits.system, precision(self.branch.orbits.x0)
-        rows = [f"Route of {type(system).__name__} in {name}, {len(self)} found{told}"]
+        rows = [
+            f"BifurcationSequence of {type(system).__name__} in {name}, {len(self)} found{told}"
+        ]
         for b in self.bifurcations:
             t = f", t = {float(b.t):.6g}" if isinstance(b, Bifurcation) else ""
             state = b.x if isinstance(b, Bifurcation) else b.orbit.x0
@@ -45,15 +48,16 @@ class Route(eqx.Module):
         return "\n".join([*rows, f"  ends: {'; '.join(self.branch.ended)}"])
 
 
+@renamed_argument("name", "parameter")
 def find_bifurcations(
     system: System,
-    name: str,
+    parameter: str,
     orbit: Orbit,
     *,
     stop: float | tuple[float, float],
     **options: Any,
-) -> Route:
-    """What happens to `orbit` as the parameter `name` goes to `stop`.
+) -> BifurcationSequence:
+    """What happens to `orbit` as `parameter` goes to `stop`.
 
     The branch is followed by `continue_orbit` (which takes the `options`); each change of the
     contacts on it is then located again by `find_bifurcation` and named by its conditions.
@@ -66,20 +70,24 @@ def find_bifurcations(
     ...     print(b.kind, round(float(b.value), 9))
     grazing-sliding 10.904975822
     """
-    branch = continue_orbit(system, name, orbit, stop=stop, **options)
-    return Route(branch, [_named(system, name, point) for point in branch.points])
+    branch = continue_orbit(system, parameter, orbit, stop=stop, **options)
+    return BifurcationSequence(
+        branch, [_named(system, parameter, point) for point in branch.points]
+    )
 
 
-def _named(system: System, name: str, point: SpecialPoint) -> Bifurcation | SpecialPoint:
+def _named(system: System, parameter: str, point: SpecialPoint) -> Bifurcation | SpecialPoint:
     """The bifurcation at a change of the contacts; the point itself if it is of no known kind."""
     if point.kind != "contacts":
         return point
-    orbit = dataclasses.replace(point.orbit, system=replace(system, name, point.value))
+    orbit = dataclasses.replace(
+        point.orbit, system=replace_parameter(system, parameter, point.value)
+    )
     nearest = []
-    for kind in KINDS:
-        nearest += [(reach, kind) for reach, _ in touches(orbit, kind)[:1]]
+    for kind in BIFURCATION_KINDS:
+        nearest += [(reach, kind) for reach, _ in tangency_candidates(orbit, kind)[:1]]
     for _, kind in sorted(nearest):
-        found = find_bifurcation(system, name, orbit, kind, throw=False)
+        found = find_bifurcation(system, parameter, orbit, kind, throw=False)
         located = (found.result == RESULTS.successful) | (found.result == RESULTS.other_kind)
         close = abs(float(found.value) - point.value) <= 1e-6 * abs(point.value)
         if bool(located) and close and int(found.code) >= 0:

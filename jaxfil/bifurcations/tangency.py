@@ -25,13 +25,13 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil.integrate import components, filippov
-from jaxfil.integrate.components import Scene
+from jaxfil.integrate.components import ComponentSystem
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.state import Policy, Span
+from jaxfil.integrate.state import Recording, TimeGrid
 from jaxfil.integrate.stepper import tableau
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
-from jaxfil.orbits.shooting import Plan
+from jaxfil.orbits.shooting import ShootingOptions
 
 # Which family a kind belongs to, and the modes before, during and after the short piece of the
 # orbit that is born in it, as multiples of s.
@@ -49,7 +49,7 @@ _PIECES = 8
 _ROUNDING = 1e-7
 
 
-class Touch(eqx.Module):
+class Tangency(eqx.Module):
     """A touch of surface `surface`, on side `side` (±1), at `phase` (in periods since t = 0). The
     flight in `mode` around it is followed from `start`, in state `x`, to `stop`."""
 
@@ -78,18 +78,20 @@ class Conditions(eqx.Module):
 class _Rates:
     """H of the touched surface and its derivatives along the fields at the touch."""
 
-    def __init__(self, system: System, x: Float[Array, " n"], touch: Touch):
-        self.scene, self.touch = components.build(system, x), touch
-        self.number = jnp.arange(touch.mode.shape[0], dtype=jnp.int32)
+    def __init__(self, system: System, x: Float[Array, " n"], tangency: Tangency):
+        self.scene, self.tangency = components.build(system, x), tangency
+        self.number = jnp.arange(tangency.mode.shape[0], dtype=jnp.int32)
 
     def h(self, t: Array, x: Array) -> Array:
         """s H."""
         values = jnp.stack(self.scene.switching(t, components.unpack(x)))
-        return self.touch.side * jnp.sum(jnp.where(self.number == self.touch.surface, values, 0))
+        return self.tangency.side * jnp.sum(
+            jnp.where(self.number == self.tangency.surface, values, 0)
+        )
 
     def along(self, side: Any, function: Callable) -> Callable[[Array, Array], Array]:
         """The derivative of a function of (t, x) along the field with this side of the surface."""
-        mode = jnp.where(self.number == self.touch.surface, side, self.touch.mode)
+        mode = jnp.where(self.number == self.tangency.surface, side, self.tangency.mode)
 
         def derivative(t: Array, x: Array) -> Array:
             blocks = filippov.field(self.scene, t, components.unpack(x), components.unpack(mode))
@@ -101,23 +103,23 @@ class _Rates:
     @property
     def rate(self) -> Callable[[Array, Array], Array]:
         """s Ḣ_s."""
-        return self.along(self.touch.side, self.h)
+        return self.along(self.tangency.side, self.h)
 
 
 def defining(
-    system: System, family: str, t: Array, x: Float[Array, " n"], touch: Touch
+    system: System, family: str, t: Array, x: Float[Array, " n"], tangency: Tangency
 ) -> Float[Array, "2"]:
     """The two equations of a family at (t, x)."""
-    rates = _Rates(system, x, touch)
+    rates = _Rates(system, x, tangency)
     if family == "slide":
-        return jnp.stack([rates.rate(t, x), rates.along(0 * touch.side, rates.rate)(t, x)])
+        return jnp.stack([rates.rate(t, x), rates.along(0 * tangency.side, rates.rate)(t, x)])
     return jnp.stack([rates.h(t, x), rates.rate(t, x)])
 
 
 @eqx.filter_jit
-def conditions(system: System, t: Array, x: Float[Array, " n"], touch: Touch) -> Conditions:
+def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangency) -> Conditions:
     """All conditions at (t, x)."""
-    rates, s = _Rates(system, x, touch), touch.side
+    rates, s = _Rates(system, x, tangency), tangency.side
     rate = rates.rate
     slide_rate = slide_bend = jnp.zeros_like(t)
     if rates.scene.slides:
@@ -161,33 +163,37 @@ class Closing(eqx.Module):
     result: RESULTS
 
 
-def close(system: System, period: Array, plan: Plan, family: str, touch: Touch) -> Closing:
+def close(
+    system: System, period: Array, options: ShootingOptions, family: str, tangency: Tangency
+) -> Closing:
     """Once round the orbit from the start of the flight."""
-    scene_ = components.build(system, touch.x)
-    frozen = _frozen(scene_, touch.mode)
-    start, at = touch.start * period, touch.phase * period
-    stop = at if family == "arrival" else touch.stop * period
+    scene_ = components.build(system, tangency.x)
+    frozen = _frozen(scene_, tangency.mode)
+    start, at = tangency.start * period, tangency.phase * period
+    stop = at if family == "arrival" else tangency.stop * period
     # One program for all pieces of the flight, whose ends are looked at on the way.
     times = jnp.concatenate([_divided(start, at), _divided(at, stop)])
     lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
 
     def piece(x: Array, now: tuple[Array, Array]) -> tuple:
-        x, size, result = _flow(frozen, plan, now[0], now[1], period, x)
+        x, size, result = _flow(frozen, options, now[0], now[1], period, x)
         return x, (x, size, result)
 
-    _, (xs, sizes, results) = jax.lax.scan(piece, touch.x, (times, lengths))
+    _, (xs, sizes, results) = jax.lax.scan(piece, tangency.x, (times, lengths))
     # The full flow round the rest, or for an arrival, which it meets as it is, all of it.
-    full_from, x_from = (start, touch.x) if family == "arrival" else (stop, xs[-1])
-    end, size, result = _flow(scene_, plan, full_from, start + period - full_from, period, x_from)
+    full_from, x_from = (start, tangency.x) if family == "arrival" else (stop, xs[-1])
+    end, size, result = _flow(
+        scene_, options, full_from, start + period - full_from, period, x_from
+    )
     for i in reversed(range(2 * _PIECES)):
         one = jax.tree.map(lambda v, i=i: v[i], results)
         result = RESULTS.where(one == RESULTS.successful, result, one)
     return Closing(
-        gap=end - touch.x,
+        gap=end - tangency.x,
         t=at,
         x=xs[_PIECES - 1],
         size=jnp.maximum(size, jnp.max(sizes, axis=0)),
-        holds=_holds(scene_, touch.mode, *stop_gradient((times + lengths, xs))),
+        holds=_holds(scene_, tangency.mode, *stop_gradient((times + lengths, xs))),
         result=result,
     )
 
@@ -197,7 +203,7 @@ def _divided(start: Array, stop: Array) -> Array:
     return start + (stop - start) * jnp.arange(_PIECES).astype(start.dtype) / _PIECES
 
 
-def _holds(scene_: Scene, mode: Array, ts: Array, xs: Array) -> Array:
+def _holds(scene_: ComponentSystem, mode: Array, ts: Array, xs: Array) -> Array:
     """Whether all guards are positive but for rounding."""
     modes = components.unpack(mode)
     guards = lambda t, x: jnp.stack(filippov.guard(scene_, t, components.unpack(x), modes))  # noqa: E731
@@ -205,7 +211,7 @@ def _holds(scene_: Scene, mode: Array, ts: Array, xs: Array) -> Array:
     return jnp.all(values >= -_ROUNDING * jnp.max(abs(values), axis=0))
 
 
-def _frozen(scene_: Scene, mode: Array) -> Scene:
+def _frozen(scene_: ComponentSystem, mode: Array) -> ComponentSystem:
     """The scene of a single mode, without surfaces."""
     modes = components.unpack(mode)
     return dataclasses.replace(
@@ -220,15 +226,20 @@ def _frozen(scene_: Scene, mode: Array) -> Scene:
 
 
 def _flow(
-    scene_: Scene, plan: Plan, t0: Array, length: Array, period: Array, x: Array
+    scene_: ComponentSystem,
+    options: ShootingOptions,
+    t0: Array,
+    length: Array,
+    period: Array,
+    x: Array,
 ) -> tuple[Array, Array, RESULTS]:
     """End, sizes and outcome of one stretch of time."""
-    count = jnp.ceil(plan.steps * abs(stop_gradient(length / period)))
-    num = jnp.clip(jnp.nan_to_num(count), 1, 8 * plan.steps).astype(jnp.int32)
+    count = jnp.ceil(options.steps * abs(stop_gradient(length / period)))
+    num = jnp.clip(jnp.nan_to_num(count), 1, 8 * options.steps).astype(jnp.int32)
     dt = stop_gradient(length) / num.astype(x.dtype)
-    span = Span(t0, length, dt, num, 32 * num + 64 * plan.max_events + 1024)
+    span = TimeGrid(t0, length, dt, num, 32 * num + 64 * options.max_events + 1024)
     lane = integrate(
-        scene_, tableau(plan.stepper), span, Policy("none", None), components.unpack(x)
+        scene_, tableau(options.stepper), span, Recording("none", None), components.unpack(x)
     )
     size = jnp.maximum(components.pack(lane.size, x.dtype), abs(x))
     return components.pack(lane.x, x.dtype), stop_gradient(size), lane.result

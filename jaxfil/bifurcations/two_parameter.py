@@ -14,16 +14,23 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from jaxfil.bifurcations.locate import KINDS, Bifurcation, Problem, defining_problem, evaluation
+from jaxfil.bifurcations.locate import (
+    BIFURCATION_KINDS,
+    Bifurcation,
+    Problem,
+    defining_problem,
+    evaluation,
+)
 from jaxfil.bifurcations.tangency import conditions, kind_of
 from jaxfil.model import check
 from jaxfil.model.card import precision
+from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import cast, parameter
+from jaxfil.model.parameter import cast, get_parameter
 from jaxfil.model.system import System
-from jaxfil.orbits.corrector import Plane
+from jaxfil.orbits.corrector import ArclengthConstraint
 from jaxfil.orbits.newton import Root, newton
 
 _NEWTON_STEPS = 12
@@ -71,9 +78,10 @@ class BifurcationCurve(eqx.Module):
         return "\n".join(lines)
 
 
+@renamed_argument("names", "parameters")
 def continue_bifurcation(
     system: System,
-    names: tuple[str, str],
+    parameters: tuple[str, str],
     bifurcation: Bifurcation,
     *,
     stop: tuple[float, float],
@@ -84,7 +92,7 @@ def continue_bifurcation(
 
     **Arguments**
 
-    - `names`: two parameters; the bifurcation was found in either of them.
+    - `parameters`: two parameters; the bifurcation was found in either of them.
     - `stop`: the range (low, high) of the first one at which to stop.
     - `max_step`: largest step, relative to the size of the unknowns.
     - `max_points`: the most points in either direction.
@@ -102,42 +110,42 @@ def continue_bifurcation(
     True
     """
     check.system("system", system)
-    if len(names) != 2 or names[0] == names[1]:
-        raise ValueError(f"`names` must be two different parameters, got {names!r}.")
-    for name in names:
-        parameter(system, name)
+    if len(parameters) != 2 or parameters[0] == parameters[1]:
+        raise ValueError(f"`parameters` must be two different parameters, got {parameters!r}.")
+    for name in parameters:
+        get_parameter(system, name)
     if not isinstance(bifurcation, Bifurcation) or bifurcation.value.ndim:
         raise ValueError(f"`bifurcation` must be a single Bifurcation, got {bifurcation!r}.")
     system = cast(system, bifurcation.x.dtype)
     at = bifurcation.orbit
-    values = [float(parameter(at.system, name)) for name in names]
+    values = [float(get_parameter(at.system, name)) for name in parameters]
     low, high = (float(v) for v in stop)
     if not low <= values[0] <= high:
         raise ValueError(f"`stop` must be (low, high) around {values[0]}, got {stop!r}.")
     problem = defining_problem(
-        at.system, at, bifurcation.touch, bifurcation.family, (names[0], names[1])
+        at.system, at, bifurcation.tangency, bifurcation.family, (parameters[0], parameters[1])
     )
     # The flight is given in phases: t0 stays that of the orbit's own plan.
-    phase = at.period if system.period is None else bifurcation.touch.phase
-    u = np.concatenate([bifurcation.touch.x, [float(phase)], values])
+    phase = at.period if system.period is None else bifurcation.tangency.phase
+    u = np.concatenate([bifurcation.tangency.x, [float(phase)], values])
     walks = [_walk(problem, u, sign, low, high, max_step, max_points) for sign in (-1.0, 1.0)]
     (back, ended_back), (ahead, ended) = walks
     points = back[:0:-1] + ahead
     kinds = tuple(_KIND_NAMES[p.code] for p in points)
     changes = [_change(problem, a, b) for a, b in itertools.pairwise(points) if a.code != b.code]
     return BifurcationCurve(
-        parameters=(names[0], names[1]),
+        parameters=(parameters[0], parameters[1]),
         values=np.array([p.u[-2:] for p in points]),
         ts=np.array([p.t for p in points]),
         xs=np.array([p.x for p in points]),
         kinds=kinds,
         points=changes,
         ended=(ended_back, ended),
-        labels=labels_of(system, bifurcation.x.shape[-1]).of((names[0], names[1])),
+        labels=labels_of(system, bifurcation.x.shape[-1]).of((parameters[0], parameters[1])),
     )
 
 
-_KIND_NAMES = (*KINDS, "undecided")
+_KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,23 +161,25 @@ class _Point:
 
 
 @eqx.filter_jit
-def _correct(problem: Problem, u: Array, plane: Plane) -> tuple:
+def _correct(problem: Problem, u: Array, plane: ArclengthConstraint) -> tuple:
     """Newton's root in a plane, and what is known of the touch there."""
 
     def extra(u: Array) -> Array:
         return (plane.normal @ ((u - plane.base) / plane.scale) - plane.offset)[None]
 
     root: Root = newton(lambda u: evaluation(problem, extra, u), u, _NEWTON_STEPS)
-    system, _, touch = stop_gradient(problem.placed(root.z))
+    system, _, tangency = stop_gradient(problem.placed(root.z))
     closing = root.at.aux
-    found = conditions(system, closing.t, closing.x, touch)
+    found = conditions(system, closing.t, closing.x, tangency)
     flags = jnp.stack(kind_of(problem.family, found, float(jnp.finfo(u.dtype).eps)))
     code = jnp.where(jnp.any(flags), jnp.argmax(flags), -1)
     monitors = jnp.stack([found.bend, found.other_rate, found.slide_bend])
     return root, closing.t, closing.x, closing.size, code, closing.holds, monitors
 
 
-def _at(problem: Problem, guess: np.ndarray, plane: Plane, along: np.ndarray) -> _Point | None:
+def _at(
+    problem: Problem, guess: np.ndarray, plane: ArclengthConstraint, along: np.ndarray
+) -> _Point | None:
     root, t, x, size, code, real, monitors = _correct(problem, jnp.asarray(guess), plane)
     if not bool(root.result == RESULTS.successful):
         return None
@@ -182,8 +192,10 @@ def _at(problem: Problem, guess: np.ndarray, plane: Plane, along: np.ndarray) ->
     )
 
 
-def _plane(base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float) -> Plane:
-    return Plane(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
+def _plane(
+    base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float
+) -> ArclengthConstraint:
+    return ArclengthConstraint(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
 
 
 def _walk(

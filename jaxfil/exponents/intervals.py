@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.state import Span
+from jaxfil.integrate.state import TimeGrid
 from jaxfil.model import check
 from jaxfil.model.system import System
 
@@ -36,10 +36,10 @@ def interval_of(system: System, interval: Any, dtype: Any) -> Array:
     return jnp.asarray(system.period, dtype)
 
 
-def span_of(duration: Array, intervals: Array, steps: Array) -> Span:
+def span_of(duration: Array, intervals: Array, steps: Array) -> TimeGrid:
     """The grid of `intervals` intervals of that duration, `steps` steps each."""
     num_steps = intervals * steps
-    return Span(
+    return TimeGrid(
         t0=jnp.zeros_like(duration),
         length=intervals.astype(duration.dtype) * duration,
         dt=duration / steps.astype(duration.dtype),

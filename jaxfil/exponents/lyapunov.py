@@ -14,11 +14,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxfil.exponents.batch_means import BATCHES, average_card, averages, batch_ends
 from jaxfil.exponents.intervals import counts_of, interval_of, span_of
-from jaxfil.exponents.variational import travel, vary
+from jaxfil.exponents.variational import propagate, vary
 from jaxfil.integrate import components
-from jaxfil.integrate.initial_mode import begin
+from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance
-from jaxfil.integrate.state import Policy, running
+from jaxfil.integrate.state import Recording, is_running
 from jaxfil.integrate.stepper import checked, tableau
 from jaxfil.model import check
 from jaxfil.model.drawing import draw
@@ -117,7 +117,7 @@ def lyapunov_spectrum(
 def _spectrum(system, x0, duration, counts, stepper, batches):
     periods, transient, steps = counts
     scene_ = components.build(system, x0)
-    table, policy = tableau(stepper), Policy("none", None)
+    table, policy = tableau(stepper), Recording("none", None)
     span = span_of(duration, transient + periods, steps)
     alone = (transient - transient // 4) * steps
     ends = batch_ends(periods, batches)
@@ -125,13 +125,13 @@ def _spectrum(system, x0, duration, counts, stepper, batches):
 
     def run(x0):
         lane = jax.lax.while_loop(
-            lambda lane: running(span, lane, alone),
+            lambda lane: is_running(span, lane, alone),
             lambda lane: advance(scene_, table, span, policy, lane),
-            begin(scene_, span, policy, components.unpack(x0), 0),
+            initial_state(scene_, span, policy, components.unpack(x0), 0),
         )
 
         def batch(variation, stop):
-            after = travel(scene_, table, span, policy, steps, variation, stop)
+            after = propagate(scene_, table, span, policy, steps, variation, stop)
             return after, jnp.stack(after.growth)
 
         last, growth = jax.lax.scan(batch, vary(scene_, lane, steps), stops)

@@ -19,10 +19,10 @@ from jaxfil.exponents.batch_means import BATCHES, average_card, averages, batch_
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import counts_of, interval_of, span_of
 from jaxfil.integrate import components
-from jaxfil.integrate.components import Blocks
-from jaxfil.integrate.initial_mode import begin
-from jaxfil.integrate.loop import advance, integrate_whole
-from jaxfil.integrate.state import Policy, running
+from jaxfil.integrate.components import Components
+from jaxfil.integrate.initial_mode import initial_state
+from jaxfil.integrate.loop import advance, integrate_in_kernel
+from jaxfil.integrate.state import Recording, is_running
 from jaxfil.integrate.stepper import checked, tableau
 from jaxfil.model import check
 from jaxfil.model.card import precision
@@ -158,7 +158,7 @@ def synchronization_exponent(
     return _threshold(system, x, grid, within, duration, counts, stepper)
 
 
-def _distance(z: Blocks) -> Array:
+def _distance(z: Components) -> Array:
     n = len(z) // 2
     return jnp.sqrt(sum((a - b) ** 2 for a, b in zip(z[:n], z[n:], strict=True)))
 
@@ -166,9 +166,9 @@ def _distance(z: Blocks) -> Array:
 def _settle(system: System, x0: Array, duration, transient, steps, table):
     """The drive alone, after its transient."""
     scene_ = components.build(system, x0)
-    policy = Policy("none", None)
+    policy = Recording("none", None)
     span = span_of(duration, jnp.maximum(transient, 1), steps)
-    lane = integrate_whole(scene_, table, span, policy, components.unpack(x0))
+    lane = integrate_in_kernel(scene_, table, span, policy, components.unpack(x0))
     moved = transient > 0
     x = jnp.where(moved, components.pack(lane.x, x0.dtype), x0)
     return x, RESULTS.where(moved, lane.result, RESULTS.successful)
@@ -186,7 +186,7 @@ def _away(x: Array, part: float) -> tuple[Array, Array]:
 @eqx.filter_jit
 def _threshold(system, x0, couplings, tolerance, duration, counts, stepper):
     periods, transient, steps = counts
-    table, policy = tableau(stepper), Policy("none", None)
+    table, policy = tableau(stepper), Recording("none", None)
     x, settled = _settle(system, x0, duration, transient, steps, table)
     y, distance = _away(x, 0.01)
     z = jnp.concatenate([x, y])
@@ -198,7 +198,7 @@ def _threshold(system, x0, couplings, tolerance, duration, counts, stepper):
 
         def on(state):
             lane, nearest, _ = state
-            return running(span, lane) & (nearest > tolerance)
+            return is_running(span, lane) & (nearest > tolerance)
 
         def go(state):
             lane, nearest, left = state
@@ -208,7 +208,7 @@ def _threshold(system, x0, couplings, tolerance, duration, counts, stepper):
             nearest = jnp.where(due, jnp.minimum(nearest, _distance(after.x)), nearest)
             return after, nearest, jnp.where(due, steps, left)
 
-        begun = begin(scene_, span, policy, components.unpack(z), 0)
+        begun = initial_state(scene_, span, policy, components.unpack(z), 0)
         lane, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.x), steps))
         spent = (lane.index < span.num_steps) & (nearest > tolerance)
         spent = spent & (lane.result == RESULTS.successful)
@@ -267,7 +267,7 @@ def transverse_exponent(
 @eqx.filter_jit
 def _transverse(system, x0, coupling, duration, counts, stepper, batches):
     periods, transient, steps = counts
-    table, policy = tableau(stepper), Policy("none", None)
+    table, policy = tableau(stepper), Recording("none", None)
     x, settled = _settle(system, x0, duration, transient, steps, table)
     eps = float(jnp.finfo(x0.dtype).eps)
     y, separation = _away(x, eps**0.4)
@@ -279,7 +279,7 @@ def _transverse(system, x0, coupling, duration, counts, stepper, batches):
         start = (transient + k).astype(x0.dtype) * duration
         span = span_of(duration, jnp.ones_like(steps), steps)
         span = eqx.tree_at(lambda s: s.t0, span, start)
-        lane = integrate_whole(scene_, table, span, policy, components.unpack(z))
+        lane = integrate_in_kernel(scene_, table, span, policy, components.unpack(z))
         end = components.pack(lane.x, x0.dtype)
         distance = _distance(lane.x)
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))

@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import Blocks, Scene, any_of, axpy, where
+from jaxfil.integrate.components import Components, ComponentSystem, any_of, axpy, where
 from jaxfil.integrate.loop import advance
-from jaxfil.integrate.state import Lane, Policy, Span, epsilon, running
+from jaxfil.integrate.state import LoopState, Recording, TimeGrid, epsilon, is_running
 from jaxfil.integrate.stepper import Tableau
 
 # A direction to which those before it leave less than this many eps of its length is lost.
@@ -33,21 +33,21 @@ class Variation(eqx.Module):
     the steps to the next orthonormalisation, `dropped` whether a slide or a reset may have taken a
     direction away since the last one, `growth` Σ log R_ii."""
 
-    lane: Lane
-    frame: tuple[Blocks, ...]
-    delay: Blocks
+    lane: LoopState
+    frame: tuple[Components, ...]
+    delay: Components
     left: Array
     dropped: Array
-    growth: Blocks
+    growth: Components
 
 
-def generic_frame(scene: Scene) -> tuple[Blocks, ...]:
+def generic_frame(scene: ComponentSystem) -> tuple[Components, ...]:
     """n orthonormal vectors, none of which is likely to be special to the system."""
     q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(scene.n, scene.n)))
     return tuple(tuple(jnp.asarray(v, scene.dtype) for v in column) for column in q.T)
 
 
-def vary(scene: Scene, lane: Lane, every: Array) -> Variation:
+def vary(scene: ComponentSystem, lane: LoopState, every: Array) -> Variation:
     """A lane with a generic frame, to be orthonormalised every `every` steps."""
     zero = jnp.zeros((), scene.dtype)
     dropped = jnp.zeros((), bool)
@@ -55,11 +55,11 @@ def vary(scene: Scene, lane: Lane, every: Array) -> Variation:
     return Variation(lane, generic_frame(scene), zeros, every, dropped, zeros)
 
 
-def travel(
-    scene: Scene,
+def propagate(
+    scene: ComponentSystem,
     table: Tableau,
-    span: Span,
-    policy: Policy,
+    span: TimeGrid,
+    policy: Recording,
     every: Array,
     variation: Variation,
     stop: Array,
@@ -69,14 +69,14 @@ def travel(
         lambda v: v.growth, variation, tuple(jnp.zeros_like(g) for g in variation.growth)
     )
     return jax.lax.while_loop(
-        lambda v: running(span, v.lane, stop),
+        lambda v: is_running(span, v.lane, stop),
         lambda v: _orthonormalised(scene, every, v.lane, _push(scene, table, span, policy, v)),
         start,
     )
 
 
 def _push(
-    scene: Scene, table: Tableau, span: Span, policy: Policy, variation: Variation
+    scene: ComponentSystem, table: Tableau, span: TimeGrid, policy: Recording, variation: Variation
 ) -> Variation:
     """One iteration of the loop."""
     lane = variation.lane
@@ -93,7 +93,7 @@ def _push(
         pushed, late = derivative(v)
         if scene.m > 0:
             switched = lane.pending & ~after.pending
-            pushed = where(switched, _salted(scene, span, lane, after, v, dt), pushed)
+            pushed = where(switched, _apply_saltation(scene, span, lane, after, v, dt), pushed)
         frame.append(pushed)
         delay.append(late)
     moved = any_of(tuple(s == 0 for s in after.mode))
@@ -109,7 +109,14 @@ def _push(
     )
 
 
-def _salted(scene: Scene, span: Span, lane: Lane, after: Lane, v: Blocks, dt: Array) -> Blocks:
+def _apply_saltation(
+    scene: ComponentSystem,
+    span: TimeGrid,
+    lane: LoopState,
+    after: LoopState,
+    v: Components,
+    dt: Array,
+) -> Components:
     """A tangent after a switch. It was carried to the contact itself, whose time moves by dt: it
     holds f⁻ dt already, and gives up f⁺ dt to be at a fixed time again."""
     t = span.t0 + lane.tau
@@ -128,7 +135,9 @@ def _salted(scene: Scene, span: Span, lane: Lane, after: Lane, v: Blocks, dt: Ar
     return v
 
 
-def _orthonormalised(scene: Scene, every: Array, before: Lane, variation: Variation) -> Variation:
+def _orthonormalised(
+    scene: ComponentSystem, every: Array, before: LoopState, variation: Variation
+) -> Variation:
     """The same, with its frame orthonormalised where that is due."""
     due = (variation.left <= 0) & (variation.lane.index > before.index)
     # `once`: without it the first vector would be computed again for every number after it.
@@ -148,15 +157,15 @@ def _orthonormalised(scene: Scene, every: Array, before: Lane, variation: Variat
 
 
 def gram_schmidt(
-    scene: Scene, frame: tuple[Blocks, ...], dropped: Array
-) -> tuple[tuple[Blocks, ...], Blocks]:
+    scene: ComponentSystem, frame: tuple[Components, ...], dropped: Array
+) -> tuple[tuple[Components, ...], Components]:
     """An orthonormal frame, and log R_ii of each vector.
 
     A vector of which the ones before it leave nothing but rounding is replaced by one that is
     orthogonal to them. Its logarithm is −inf where a slide or a reset may have `dropped` it, which
     has then no length at all, and NaN elsewhere: it is too small to be told.
     """
-    done: list[Blocks] = []
+    done: list[Components] = []
     logs = []
     for v in frame:
         size = _norm(v)
@@ -174,17 +183,17 @@ def gram_schmidt(
     return tuple(done), tuple(logs)
 
 
-def _dot(a: Blocks, b: Blocks) -> Array:
+def _dot(a: Components, b: Components) -> Array:
     return jnp.asarray(sum(u * v for u, v in zip(a, b, strict=True)))
 
 
-def _norm(v: Blocks) -> Array:
+def _norm(v: Components) -> Array:
     square = _dot(v, v)
     zero = square == 0  # the square root has no derivative there
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 
-def _complement(scene: Scene, done: list[Blocks]) -> Blocks:
+def _complement(scene: ComponentSystem, done: list[Components]) -> Components:
     """A unit vector orthogonal to orthonormal ones: what they leave of the axis they leave most."""
     best = tuple(jnp.zeros((), scene.dtype) for _ in range(scene.n))
     most = jnp.zeros((), scene.dtype)

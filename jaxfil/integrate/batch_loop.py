@@ -14,14 +14,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Forcing, Scene, unpack, where
-from jaxfil.integrate.event_free import busy, coast, is_clear, is_sliding, look_ahead
-from jaxfil.integrate.initial_mode import begin
+from jaxfil.integrate.components import ComponentSystem, Forcing, unpack, where
+from jaxfil.integrate.event_free import (
+    accept_free_step,
+    is_event_free,
+    is_near_surface,
+    is_sliding,
+    try_free_step,
+)
+from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import Length, Trial, choose_length, finish, follow, integrate, judge
-from jaxfil.integrate.state import Ahead, Lane, Policy, Span, running
+from jaxfil.integrate.state import FreeStep, LoopState, Recording, TimeGrid, is_running
 from jaxfil.integrate.stepper import Tableau
 
-Problem = Callable[[Array, Array], tuple[Scene, Tableau, Span, Policy]]
+Problem = Callable[[Array, Array], tuple[ComponentSystem, Tableau, TimeGrid, Recording]]
 """A row of parameters and an initial state to what `integrate` is given; it keeps samples."""
 
 # Lanes coast until one in so many cannot, and are judged until one in so many is left that could
@@ -32,41 +38,43 @@ Problem = Callable[[Array, Array], tuple[Scene, Tableau, Span, Policy]]
 _CROSSING, _SLIDING = (8, 32), (16, 128)
 
 
-def integrate_block(problem: Problem, rows: Array, states: Array, num_saves: int) -> Lane:
-    """`integrate` for b lanes together: rows (b, k) and states (b, n) to a `Lane` of b."""
-    scene = problem(rows[0], states[0])[0]
+def integrate_batch(problem: Problem, rows: Array, states: Array, num_saves: int) -> LoopState:
+    """`integrate` for b lanes together: rows (b, k) and states (b, n) to a `LoopState` of b."""
+    system = problem(rows[0], states[0])[0]
 
-    def alone(row: Array, x0: Array) -> Lane:
+    def alone(row: Array, x0: Array) -> LoopState:
         return integrate(*problem(row, x0), unpack(x0), num_saves=num_saves)
 
-    if scene.m == 0:  # there is nothing to meet
+    if system.m == 0:  # there is nothing to meet
         return jax.vmap(alone)(rows, states)
     spans = jax.vmap(lambda row, x0: problem(row, x0)[2])(rows, states)
-    few_stopped, few_busy = _SLIDING if scene.slides else _CROSSING
+    few_stopped, few_busy = _SLIDING if system.slides else _CROSSING
 
-    def start(row: Array, x0: Array) -> Lane:
-        scene, _, span, policy = problem(row, x0)
-        return begin(scene, span, policy, unpack(x0), num_saves)
+    def start(row: Array, x0: Array) -> LoopState:
+        system, _, grid, recording = problem(row, x0)
+        return initial_state(system, grid, recording, unpack(x0), num_saves)
 
-    def on(lanes: Lane) -> Array:
-        return jax.vmap(running)(spans, lanes)
+    def on(lanes: LoopState) -> Array:
+        return jax.vmap(is_running)(spans, lanes)
 
-    def unstopped(state: tuple[Lane, Array]) -> Array:
+    def unstopped(state: tuple[LoopState, Array]) -> Array:
         lanes, stopped = state
         return few_stopped * jnp.sum(stopped & on(lanes)) < jnp.sum(on(lanes))
 
-    def coasted(state: tuple[Lane, Array]) -> tuple[Lane, Array]:
+    def coasted(state: tuple[LoopState, Array]) -> tuple[LoopState, Array]:
         return jax.vmap(ft.partial(_coast, problem))(rows, states, state[0])
 
-    def unsettled(state: tuple[Lane, Array]) -> Array:
+    def unsettled(state: tuple[LoopState, Array]) -> Array:
         lanes, first = state
-        return first | (few_busy * jnp.sum(jax.vmap(busy)(lanes) & on(lanes)) > jnp.sum(on(lanes)))
+        return first | (
+            few_busy * jnp.sum(jax.vmap(is_near_surface)(lanes) & on(lanes)) > jnp.sum(on(lanes))
+        )
 
-    def judged(state: tuple[Lane, Array]) -> tuple[Lane, Array]:
-        return _judge(problem, scene.slides, rows, states, state[0]), state[1] & False
+    def judged(state: tuple[LoopState, Array]) -> tuple[LoopState, Array]:
+        return _judge(problem, system.slides, rows, states, state[0]), state[1] & False
 
-    def turn(lanes: Lane) -> Lane:
-        lanes, _ = jax.lax.while_loop(unstopped, coasted, (lanes, jax.vmap(busy)(lanes)))
+    def turn(lanes: LoopState) -> LoopState:
+        lanes, _ = jax.lax.while_loop(unstopped, coasted, (lanes, jax.vmap(is_near_surface)(lanes)))
         lanes, _ = jax.lax.while_loop(unsettled, judged, (lanes, jnp.ones((), bool)))
         return lanes
 
@@ -75,37 +83,48 @@ def integrate_block(problem: Problem, rows: Array, states: Array, num_saves: int
     return jax.vmap(finish)(spans, lanes)
 
 
-def _try(problem: Problem, row: Array, x0: Array, lane: Lane) -> tuple[Length, Ahead]:
+def _try(problem: Problem, row: Array, x0: Array, state: LoopState) -> tuple[Length, FreeStep]:
     """A trial step of a lane on its own sides."""
-    scene, table, span, policy = problem(row, x0)
-    length = choose_length(scene, span, policy, lane)
-    return length, look_ahead(scene, table, span, lane, length.h, length.end)
+    system, table, grid, recording = problem(row, x0)
+    length = choose_length(system, grid, recording, state)
+    return length, try_free_step(system, table, grid, state, length.h, length.end)
 
 
-def _coast(problem: Problem, row: Array, x0: Array, lane: Lane) -> tuple[Lane, Array]:
+def _coast(problem: Problem, row: Array, x0: Array, state: LoopState) -> tuple[LoopState, Array]:
     """A lane at the end of its step if nothing is in the way, and whether it has stopped."""
-    scene, table, span, policy = problem(row, x0)
-    length, ahead = _try(problem, row, x0, lane)
-    clear = is_clear(scene, table, span, lane, length.h, length.end, ahead) & running(span, lane)
-    (clear,) = scene.hold(clear.astype(scene.dtype))
-    return coast(policy, lane, length.end, ahead, clear > 0), clear == 0
+    system, table, grid, recording = problem(row, x0)
+    length, ahead = _try(problem, row, x0, state)
+    clear = is_event_free(system, table, grid, state, length.h, length.end, ahead) & is_running(
+        grid, state
+    )
+    (clear,) = system.hold(clear.astype(system.dtype))
+    return accept_free_step(recording, state, length.end, ahead, clear > 0), clear == 0
 
 
-def _judge(problem: Problem, slides: bool, rows: Array, states: Array, lanes: Lane) -> Lane:
+def _judge(
+    problem: Problem, slides: bool, rows: Array, states: Array, lanes: LoopState
+) -> LoopState:
     """A full iteration of all lanes, in which the steps of those that do not slide are the ones
     that they might have coasted through, to the last bit."""
 
     def slid(
-        row: Array, x0: Array, lane: Lane, length: Length, trial: Trial, forcing: list[Forcing]
+        row: Array,
+        x0: Array,
+        state: LoopState,
+        length: Length,
+        trial: Trial,
+        forcing: list[Forcing],
     ) -> Trial:
-        scene, table, span, _ = problem(row, x0)
-        slide = follow(scene, table, span, lane, length, forcing)
-        x, error = (where(is_sliding(lane), a, b) for a, b in zip(slide, trial, strict=True))
+        system, table, grid, _ = problem(row, x0)
+        slide = follow(system, table, grid, state, length, forcing)
+        x, error = (where(is_sliding(state), a, b) for a, b in zip(slide, trial, strict=True))
         return x, error
 
-    def decided(row: Array, x0: Array, lane: Lane, length: Length, trial: Trial, ahead: Ahead):
-        scene, table, span, policy = problem(row, x0)
-        return judge(scene, table, span, policy, lane, length, trial, ahead.forcing, ahead)
+    def decided(
+        row: Array, x0: Array, state: LoopState, length: Length, trial: Trial, ahead: FreeStep
+    ):
+        system, table, grid, recording = problem(row, x0)
+        return judge(system, table, grid, recording, state, length, trial, ahead.forcing, ahead)
 
     lengths, aheads = jax.vmap(ft.partial(_try, problem))(rows, states, lanes)
     trials = (aheads.x, aheads.error)

@@ -1,6 +1,6 @@
 """What the loop sees of a system: its fields and surfaces on components.
 
-A `System` and an initial state enter; a `Scene` leaves, with static sizes (n states, m surfaces)
+A `System` and an initial state enter; a `ComponentSystem` leaves, with static sizes (n states, m surfaces)
 and functions on tuples of scalars. In a batch each scalar is one contiguous array of lanes, which
 XLA turns into vector instructions; an (n,) state in the loop would be strided.
 """
@@ -20,33 +20,33 @@ from jaxfil.model import check
 from jaxfil.model.system import System, has_resets
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 
-Blocks = tuple[Array, ...]
+Components = tuple[Array, ...]
 """The components of a vector: n (state) or m (surface) scalars."""
 Forcing = list[Array]
-"""What a field takes of time alone, at one time: see `Scene.forcing`."""
+"""What a field takes of time alone, at one time: see `ComponentSystem.forcing`."""
 
 
-def unpack(x: Array) -> Blocks:
+def unpack(x: Array) -> Components:
     """The components of an (n,) array."""
     return tuple(x[i] for i in range(x.shape[0]))
 
 
-def pack(blocks: Blocks, dtype: Any) -> Array:
+def pack(blocks: Components, dtype: Any) -> Array:
     """The (n,) array of components; of shape (0,) and the given dtype if there are none."""
     return jnp.stack(blocks) if blocks else jnp.zeros((0,), dtype)
 
 
-def axpy(x: Blocks, h: Array, f: Blocks) -> Blocks:
+def axpy(x: Components, h: Array, f: Components) -> Components:
     """x + h f."""
     return tuple(a + h * b for a, b in zip(x, f, strict=True))
 
 
-def where(condition: Array, a: Blocks, b: Blocks) -> Blocks:
+def where(condition: Array, a: Components, b: Components) -> Components:
     """Componentwise choice between two vectors."""
     return tuple(jnp.where(condition, u, v) for u, v in zip(a, b, strict=True))
 
 
-def any_of(flags: Blocks) -> Array:
+def any_of(flags: Components) -> Array:
     """Whether any of the flags is set; False if there are none."""
     total = jnp.zeros((), bool)
     for flag in flags:
@@ -54,7 +54,7 @@ def any_of(flags: Blocks) -> Array:
     return total
 
 
-def all_finite(*vectors: Blocks) -> Array:
+def all_finite(*vectors: Components) -> Array:
     """Whether all components of all vectors are finite."""
     total: Any = 0.0
     for block in itertools.chain(*vectors):
@@ -63,7 +63,7 @@ def all_finite(*vectors: Blocks) -> Array:
 
 
 @dataclasses.dataclass(frozen=True)
-class Scene:
+class ComponentSystem:
     """A system on components. `sides` are tuples of m scalars, each exactly ±1; `switched` lists
     for each component of the field the sides it depends on. `separate`: no component depends on
     more than one side, and no dH_j/dt on a side other than its own."""
@@ -76,10 +76,10 @@ class Scene:
     _one: Array | None
     switched: tuple[tuple[int, ...], ...]
     separate: bool
-    _field: Callable[..., Blocks]
+    _field: Callable[..., Components]
     _forcing: Callable[[Array], Forcing]
-    _switching: Callable[[Array, Blocks], Blocks]
-    _reset: Callable[[Array, Blocks, Array], Blocks]
+    _switching: Callable[[Array, Components], Components]
+    _reset: Callable[[Array, Components, Array], Components]
 
     def once(self, function: Callable, *args: Any) -> Any:
         """`function(*args)`, each argument and each result computed once.
@@ -104,7 +104,7 @@ class Scene:
             return function(*args)
         return jax.lax.cond(eqxi.unvmap_any(flag), function, otherwise, *args)
 
-    def hold(self, *values: Array) -> Blocks:
+    def hold(self, *values: Array) -> Components:
         """The same values, each computed once."""
         return self.once(lambda *held: held, *values)
 
@@ -120,29 +120,31 @@ class Scene:
     def field(
         self,
         t: Array,
-        x: Blocks,
-        sides: Blocks,
+        x: Components,
+        sides: Components,
         alone: bool = False,
         forcing: Forcing | None = None,
-    ) -> Blocks:
+    ) -> Components:
         """F(t, x, sides), with what `forcing` has found for t, if it is given. `alone`: all that is
         made of it is one vector, blended or not."""
         return self._field(t, x, sides, alone, forcing)
 
-    def switching(self, t: Array, x: Blocks) -> Blocks:
+    def switching(self, t: Array, x: Components) -> Components:
         """H(t, x)."""
         return self._switching(t, x)
 
-    def reset(self, t: Array, x: Blocks, surface: Array) -> Blocks:
+    def reset(self, t: Array, x: Components, surface: Array) -> Components:
         """The state after an impact on `surface`."""
         return self._reset(t, x, surface)
 
-    def rate(self, t: Array, x: Blocks, f: Blocks) -> Blocks:
+    def rate(self, t: Array, x: Components, f: Components) -> Components:
         """dH/dt along the direction (1, f)."""
         _, rate = jax.jvp(self.switching, (t, x), (jnp.ones_like(t), f))
         return rate
 
-    def gradients(self, t: Array, x: Blocks) -> tuple[Blocks, Blocks, tuple[Blocks, ...]]:
+    def gradients(
+        self, t: Array, x: Components
+    ) -> tuple[Components, Components, tuple[Components, ...]]:
         """H, ∂H/∂t and the m gradients ∂H_j/∂x."""
         h, pull = jax.vjp(self.switching, t, x)
         rows = []
@@ -151,7 +153,7 @@ class Scene:
             rows.append(pull(pick))
         return h, tuple(r[0] for r in rows), tuple(r[1] for r in rows)
 
-    def corner_sides(self) -> list[Blocks]:
+    def corner_sides(self) -> list[Components]:
         """All 2^m combinations of sides, the first surface varying slowest, + before −; of
         separate surfaces the first and the last, which hold the same numbers as all."""
         all_sides = [[1.0] * self.m, [-1.0] * self.m]
@@ -159,7 +161,7 @@ class Scene:
         return [tuple(jnp.asarray(s, self.dtype) for s in corner) for corner in corners]
 
 
-def build(system: System, x0: Array) -> Scene:
+def build(system: System, x0: Array) -> ComponentSystem:
     """The scene of a system whose float leaves have the dtype of `x0`, shape (n,)."""
     n, dtype = x0.shape[0], x0.dtype
     t0 = jnp.zeros((), dtype)
@@ -191,7 +193,7 @@ def build(system: System, x0: Array) -> Scene:
     seen = [traced_field.depends(*nothing, _only(j, m)) for j in range(m)]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     steers = [traced_switching.depends(*nothing[:2], _only(i, n)) for i in range(n)]
-    return Scene(
+    return ComponentSystem(
         n=n,
         m=m,
         slides=system.slides and m > 0,
@@ -226,7 +228,7 @@ def _separate(switched: Sequence[tuple[int, ...]], steers: Sequence[tuple[bool, 
 
 
 def _fences(dynamic: Any, x0: Array) -> tuple[Array, Callable]:
-    """A one that the compiler cannot see through, for `Scene.once`, and what holds a sine.
+    """A one that the compiler cannot see through, for `ComponentSystem.once`, and what holds a sine.
 
     A conditional round a single sine is dissolved by XLA, a division by a value of each lane is
     not: XLA holds a division to be expensive and computes it once.

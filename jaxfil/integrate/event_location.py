@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Blocks, Scene, any_of
-from jaxfil.integrate.state import Lane, Span, View, epsilon
+from jaxfil.integrate.components import Components, ComponentSystem, any_of
+from jaxfil.integrate.state import LoopState, StepEnd, TimeGrid, epsilon
 
 NEVER = 2.0
 """θ of a contact that does not happen in this step."""
@@ -145,38 +145,45 @@ class Search(eqx.Module):
     (`NEVER`: nothing), and the surfaces of that contact (none for a minimum)."""
 
     theta: Array
-    surfaces: Blocks
+    surfaces: Components
 
 
-def search(scene: Scene, span: Span, lane: Lane, view: View, h: Array, cutting: Array) -> Search:
+def search(
+    system: ComponentSystem,
+    grid: TimeGrid,
+    state: LoopState,
+    step_end: StepEnd,
+    h: Array,
+    cutting: Array,
+) -> Search:
     """The earliest contact of a trial step of signed length h, over all surfaces; θ is NaN where
     guards are too large for it to be found.
 
     A slide that repels at the end of the step is bisected to where it ceases to attract.
     """
     found = []
-    for j in range(scene.m):
-        fresh = jnp.maximum(view.noise[j], lane.noise[j])
-        noise = jnp.where(lane.armed[j], jnp.maximum(view.noise[j], view.touch[j]), fresh)
-        ends = lane.g[j], h * lane.rate[j], stop_gradient(view.g[j]), h * view.rate[j]
-        met = ~(lane.armed[j] & stays_off(*ends, noise))
-        found.append(scene.where_any(met, _found, _nothing, *ends, lane.armed[j], noise))
+    for j in range(system.m):
+        fresh = jnp.maximum(step_end.noise[j], state.noise[j])
+        noise = jnp.where(state.armed[j], jnp.maximum(step_end.noise[j], step_end.touch[j]), fresh)
+        ends = state.g[j], h * state.rate[j], stop_gradient(step_end.g[j]), h * step_end.rate[j]
+        met = ~(state.armed[j] & stays_off(*ends, noise))
+        found.append(system.where_any(met, _found, _nothing, *ends, state.armed[j], noise))
     contact = minimum = jnp.asarray(NEVER, h.dtype)
     thetas = []
-    for number in scene.hold(*found):
+    for number in system.hold(*found):
         thetas.append(jnp.minimum(number, NEVER))
         contact = jnp.minimum(contact, number)
         minimum = jnp.minimum(minimum, jnp.where(number < _LOOK, NEVER, number - _LOOK))
     # One look at a time: a step that was cut short is taken as it is.
     minimum = jnp.where(cutting, NEVER, minimum)
-    if scene.slides:
-        bisect = view.repels & (abs(h) > span.same_time(view.tau))
+    if system.slides:
+        bisect = step_end.repels & (abs(h) > grid.same_time(step_end.tau))
         minimum = jnp.where(bisect, jnp.minimum(minimum, 0.5), minimum)
     first = (contact < NEVER) & (contact <= minimum)
     surfaces = tuple(first & (theta <= contact * (1 + 1e-6)) for theta in thetas)
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, minimum)
-    stalled = (theta < NEVER) & (lane.tries >= _STALLED) & (lane.tries % 4 == 3)
+    stalled = (theta < NEVER) & (state.tries >= _STALLED) & (state.tries % 4 == 3)
     return Search(jnp.where(stalled, 0.5 * theta, theta), surfaces)
 
 
@@ -189,13 +196,19 @@ class Landing(eqx.Module):
     signed time δ from the end of the step to the contact."""
 
     landed: Array
-    surfaces: Blocks
+    surfaces: Components
     touched: Array
     delta: Array
 
 
 def land(
-    scene: Scene, span: Span, lane: Lane, view: View, h: Array, room: Array, cutting: Array
+    system: ComponentSystem,
+    grid: TimeGrid,
+    state: LoopState,
+    step_end: StepEnd,
+    h: Array,
+    room: Array,
+    cutting: Array,
 ) -> Landing:
     """Whether this step has ended on a contact.
 
@@ -203,40 +216,40 @@ def land(
     guard, its error is of order δ² g̈/ġ, and that of its derivative of order δ g̈/ġ, which is what
     is kept small here.
     """
-    direction = span.direction
-    same = span.same_time(view.tau)
-    small = epsilon(scene) ** (2 / 3)
-    straight = small * abs(span.dt)
+    direction = grid.direction
+    same = grid.same_time(step_end.tau)
+    small = epsilon(system) ** (2 / 3)
+    straight = small * abs(grid.dt)
     kinds, times = [], []
-    for j in range(scene.m):
-        rate, aimed = view.rate[j], cutting & lane.aim[j]
+    for j in range(system.m):
+        rate, aimed = step_end.rate[j], cutting & state.aim[j]
         falls = direction * rate < 0
-        missing = -view.g[j] / jnp.where(falls, rate, -direction)
+        missing = -step_end.g[j] / jnp.where(falls, rate, -direction)
         size = abs(stop_gradient(missing))
-        bend = direction * (rate - lane.rate[j])
+        bend = direction * (rate - state.rate[j])
         close = (size <= straight) & (size * abs(bend) <= small * abs(rate * h))
         inside = (room - stop_gradient(missing)) * direction >= 0
         # Rounding of t hides what is missing to the end of a slide, whose guard is made of fields.
         # A state knows its surface better: it is there when all that is left of g is rounding.
-        g = stop_gradient(view.g[j])
-        sliding = view.mode[j] == 0 if scene.slides else jnp.zeros((), bool)
-        zero = abs(g) <= view.noise[j]
+        g = stop_gradient(step_end.g[j])
+        sliding = step_end.mode[j] == 0 if system.slides else jnp.zeros((), bool)
+        zero = abs(g) <= step_end.noise[j]
         # So do several surfaces: those met within the rounding of times are met together.
-        loose = sliding | (scene.m > 1)
+        loose = sliding | (system.m > 1)
         reached = (size <= same) & (inside | zero | loose) | (cutting & close & inside)
         # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step
         # has gone past it by no more than the search takes for rounding.
-        past = (g < 0) & (-g <= view.touch[j])
+        past = (g < 0) & (-g <= step_end.touch[j])
         here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
-        hit = falls & (here | ((lane.armed[j] | aimed) & reached))
+        hit = falls & (here | ((state.armed[j] | aimed) & reached))
         # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
-        vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= view.touch[j] * bend)
-        touch = lane.armed[j] & (abs(g) <= view.touch[j]) & ~sliding & vertex
+        vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= step_end.touch[j] * bend)
+        touch = state.armed[j] & (abs(g) <= step_end.touch[j]) & ~sliding & vertex
         kind = jnp.where(hit, jnp.where(here, _HERE, _HIT), jnp.where(touch, _BRUSHED, _NOTHING))
         kinds.append(kind.astype(h.dtype))
         times.append(missing)
     # One number a surface, computed once: all that follows is made of it.
-    kinds = scene.hold(*kinds)
+    kinds = system.hold(*kinds)
     hits = tuple(kind >= _HIT for kind in kinds)
     landed = any_of(hits)
     touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
@@ -248,15 +261,15 @@ def land(
         delta = jnp.where(kind >= _HIT, missing, delta)
     # Rounding can put a contact just past the end of the span it belongs to.
     late = (stop_gradient(delta) - room) * direction > 0
-    (delta,) = scene.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))
+    (delta,) = system.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))
     return Landing(landed | touched, surfaces, touched, delta)
 
 
-def missing_time(span: Span, lane: Lane, view: View) -> Array:
+def missing_time(grid: TimeGrid, state: LoopState, step_end: StepEnd) -> Array:
     """The signed time from here to the contact aimed at, by Newton; 0 if it is not ahead."""
-    missing: Any = jnp.zeros_like(view.tau)
-    for aim, g, rate in zip(lane.aim, view.g, view.rate, strict=True):
-        falls = span.direction * rate < 0
-        ahead = -g / jnp.where(falls, rate, -span.direction)
+    missing: Any = jnp.zeros_like(step_end.tau)
+    for aim, g, rate in zip(state.aim, step_end.g, step_end.rate, strict=True):
+        falls = grid.direction * rate < 0
+        ahead = -g / jnp.where(falls, rate, -grid.direction)
         missing = jnp.where(aim & falls & (g > 0), stop_gradient(ahead), missing)
     return missing

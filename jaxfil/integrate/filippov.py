@@ -9,7 +9,7 @@ corner fields: with weights w in [−1, 1]^m, F(w) = Σ_s F_s Π_j (1 + s_j w_j)
 the surface and, for the surfaces slid on, w solves dH_j/dt(w) = 0. For one surface this is
 Filippov's convex combination with λ = (1 + w)/2.
 
-Where surfaces are separate (`Scene.separate`: each is switched by its own side alone, as those of
+Where surfaces are separate (`ComponentSystem.separate`: each is switched by its own side alone, as those of
 two oscillators that do not touch each other's switches), so are their weights and modes: each is
 that of one surface, and two corners, all sides + and all −, say everything.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Blocks, Forcing, Scene
+from jaxfil.integrate.components import Components, ComponentSystem, Forcing
 from jaxfil.xla.small_linear import solve_small
 
 # Newton iterations for the weights of an intersection at most. The system is multi-affine: affine
@@ -32,7 +32,7 @@ from jaxfil.xla.small_linear import solve_small
 _NEWTON = 20
 
 
-def _mix(s: Array, w: Array, above: Blocks, below: Blocks) -> Blocks:
+def _mix(s: Array, w: Array, above: Components, below: Components) -> Components:
     """The field on side s of one surface, or where s = 0 the blend of both with weight w. A side is
     taken as it is, untouched by a NaN of the other."""
     share = 0.5 * (1 + w)
@@ -42,29 +42,33 @@ def _mix(s: Array, w: Array, above: Blocks, below: Blocks) -> Blocks:
     )
 
 
-def blend(corners: Sequence[Blocks], mode: Blocks, weights: Blocks) -> Blocks:
-    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of `Scene.corner_sides`."""
+def blend(corners: Sequence[Components], mode: Components, weights: Components) -> Components:
+    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of `ComponentSystem.corner_sides`."""
     for s, w in zip(mode, weights, strict=True):
         half = len(corners) // 2
         corners = [_mix(s, w, corners[i], corners[half + i]) for i in range(half)]
     return corners[0]
 
 
-def blend_fields(scene: Scene, fields: Sequence[Blocks], mode: Blocks, weights: Blocks) -> Blocks:
+def blend_fields(
+    system: ComponentSystem, fields: Sequence[Components], mode: Components, weights: Components
+) -> Components:
     """`blend` of the corner fields; components that no side enters are taken as they are."""
-    if scene.separate:
+    if system.separate:
         above, below = fields
         return tuple(
             _mix(mode[seen[0]], weights[seen[0]], (a,), (b,))[0] if seen else a
-            for seen, a, b in zip(scene.switched, above, below, strict=True)
+            for seen, a, b in zip(system.switched, above, below, strict=True)
         )
-    switched = [i for i, seen in enumerate(scene.switched) if seen]
+    switched = [i for i, seen in enumerate(system.switched) if seen]
     parts = blend([tuple(f[i] for i in switched) for f in fields], mode, weights)
     mixed = dict(zip(switched, parts, strict=True))
     return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
 
 
-def _slope(corners: Sequence[Blocks], mode: Blocks, weights: Blocks, j: int) -> Blocks:
+def _slope(
+    corners: Sequence[Components], mode: Components, weights: Components, j: int
+) -> Components:
     """∂ blend/∂w_j."""
     for i, (s, w) in enumerate(zip(mode, weights, strict=True)):
         half = len(corners) // 2
@@ -82,7 +86,7 @@ def _safe_quotient(a: Array, b: Array) -> Array:
     return jnp.where(zero, 0, a / jnp.where(zero, 1, b))
 
 
-def weights(mode: Blocks, rates: Sequence[Blocks]) -> Blocks:
+def weights(mode: Components, rates: Sequence[Components]) -> Components:
     """The weights of a mode: ±1 off a surface, the solution of dH/dt(w) = 0 on it.
 
     `rates[s][j]` is dH_j/dt along the field of corner s. The solution may lie outside [−1, 1]:
@@ -115,7 +119,7 @@ def weights(mode: Blocks, rates: Sequence[Blocks]) -> Blocks:
     return _newton(mode, rates, w)
 
 
-def _newton(mode: Blocks, rates: Sequence[Blocks], w: Blocks) -> Blocks:
+def _newton(mode: Components, rates: Sequence[Components], w: Components) -> Components:
     """One Newton iteration for the weights of the surfaces slid on."""
     residual = blend(rates, mode, w)
     slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
@@ -129,38 +133,46 @@ def _newton(mode: Blocks, rates: Sequence[Blocks], w: Blocks) -> Blocks:
 
 
 def corners(
-    scene: Scene, t: Array, x: Blocks, alone: bool = False, forcing: Forcing | None = None
-) -> tuple[list[Blocks], list[Blocks]]:
-    """The field on the combinations of sides of `Scene.corner_sides`, and dH/dt along each; `alone`
-    and `forcing` as in `Scene.field`."""
-    fields = [scene.field(t, x, sides, alone, forcing) for sides in scene.corner_sides()]
-    return fields, [scene.rate(t, x, f) for f in fields]
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    alone: bool = False,
+    forcing: Forcing | None = None,
+) -> tuple[list[Components], list[Components]]:
+    """The field on the combinations of sides of `ComponentSystem.corner_sides`, and dH/dt along each; `alone`
+    and `forcing` as in `ComponentSystem.field`."""
+    fields = [system.field(t, x, sides, alone, forcing) for sides in system.corner_sides()]
+    return fields, [system.rate(t, x, f) for f in fields]
 
 
 def field(
-    scene: Scene, t: Array, x: Blocks, mode: Blocks, forcing: Forcing | None = None
-) -> Blocks:
-    """The field of a mode, blended while it slides; `forcing` as in `Scene.field`."""
-    if not scene.slides:
-        return scene.field(t, x, mode, True, forcing)
-    fields, rates = corners(scene, t, x, True, forcing)
-    return blend_fields(scene, fields, mode, weights(mode, rates))
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    mode: Components,
+    forcing: Forcing | None = None,
+) -> Components:
+    """The field of a mode, blended while it slides; `forcing` as in `ComponentSystem.field`."""
+    if not system.slides:
+        return system.field(t, x, mode, True, forcing)
+    fields, rates = corners(system, t, x, True, forcing)
+    return blend_fields(system, fields, mode, weights(mode, rates))
 
 
-def guard(scene: Scene, t: Array, x: Blocks, mode: Blocks) -> Blocks:
+def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:
     """What must stay positive in a mode: ±H_j on a side, 1 − w_j² while sliding."""
-    h = scene.switching(t, x)
+    h = system.switching(t, x)
     off = tuple(s * v for s, v in zip(mode, h, strict=True))
-    if not scene.slides:
+    if not system.slides:
         return off
-    _, rates = corners(scene, t, x)
+    _, rates = corners(system, t, x)
     w = weights(mode, rates)
     return tuple(
         jnp.where(s == 0, (1 - v) * (1 + v), g) for s, v, g in zip(mode, w, off, strict=True)
     )
 
 
-def attracting(mode: Blocks, rates: Sequence[Blocks], direction: Array) -> Array:
+def attracting(mode: Components, rates: Sequence[Components], direction: Array) -> Array:
     """Whether every surface slid on draws the state back: dH_j/dt falls with the weight w_j."""
     ok = jnp.ones((), bool)
     if len(rates) == 2:
@@ -174,7 +186,11 @@ def attracting(mode: Blocks, rates: Sequence[Blocks], direction: Array) -> Array
 
 
 def _admissible(
-    candidate: Blocks, rates: Sequence[Blocks], mode: Blocks, on: Blocks, direction: Array
+    candidate: Components,
+    rates: Sequence[Components],
+    mode: Components,
+    on: Components,
+    direction: Array,
 ) -> Array:
     """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
     surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
@@ -192,8 +208,8 @@ def _admissible(
 
 
 def choose(
-    m: int, rates: Sequence[Blocks], mode: Blocks, on: Blocks, direction: Array
-) -> tuple[Blocks, Array]:
+    m: int, rates: Sequence[Components], mode: Components, on: Components, direction: Array
+) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
 
     One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a

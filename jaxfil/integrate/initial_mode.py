@@ -1,6 +1,6 @@
 """The first moment: which mode a lane starts in.
 
-An initial state enters; a `Lane` ready for the loop leaves. Off the surfaces the mode is the side.
+An initial state enters; a `LoopState` ready for the loop leaves. Off the surfaces the mode is the side.
 On a surface it is what the fields there say, never the sign of a zero.
 """
 
@@ -14,30 +14,32 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import Blocks, Scene, all_finite
+from jaxfil.integrate.components import Components, ComponentSystem, all_finite
 from jaxfil.integrate.mode_switch import guards, surface_noise
 from jaxfil.integrate.recording import empty_saves, empty_table
-from jaxfil.integrate.state import Lane, Policy, Span, epsilon
+from jaxfil.integrate.state import LoopState, Recording, TimeGrid, epsilon
 from jaxfil.model.outcomes import RESULTS
 
 # Rounding of a rate at a tangency, in eps of the largest rate there.
 _RATE_NOISE = 64
 
 
-def _resolved_rates(scene: Scene, t: Array, x: Blocks, direction: Array) -> list[Blocks]:
+def _resolved_rates(
+    system: ComponentSystem, t: Array, x: Components, direction: Array
+) -> list[Components]:
     """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
     the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
     one = jnp.ones_like(t)
     fields, rates, seconds, thirds = [], [], [], []
-    for sides in scene.corner_sides():
+    for sides in system.corner_sides():
 
         def first(t, x, sides=sides):
-            return scene.rate(t, x, scene.field(t, x, sides))
+            return system.rate(t, x, system.field(t, x, sides))
 
         def second(t, x, sides=sides, first=first):
-            return jax.jvp(first, (t, x), (one, scene.field(t, x, sides)))[1]
+            return jax.jvp(first, (t, x), (one, system.field(t, x, sides)))[1]
 
-        f = scene.field(t, x, sides)
+        f = system.field(t, x, sides)
         fields.append(f)
         rates.append(first(t, x))
         seconds.append(second(t, x))
@@ -45,53 +47,55 @@ def _resolved_rates(scene: Scene, t: Array, x: Blocks, direction: Array) -> list
     resolved = []
     for rate, second_, third in zip(rates, seconds, thirds, strict=True):
         row = []
-        for j in range(scene.m):
+        for j in range(system.m):
             scale = sum(abs(r[j]) for r in rates)
-            tiny = jnp.where(scale > 0, epsilon(scene) * scale, 1.0)
+            tiny = jnp.where(scale > 0, epsilon(system) * scale, 1.0)
             sign = jnp.where(second_[j] != 0, direction * jnp.sign(second_[j]), jnp.sign(third[j]))
-            flat = abs(rate[j]) <= _RATE_NOISE * epsilon(scene) * scale
+            flat = abs(rate[j]) <= _RATE_NOISE * epsilon(system) * scale
             row.append(jnp.where(flat, tiny * sign, rate[j]))
         resolved.append(tuple(row))
     return resolved
 
 
 def _first_mode(
-    scene: Scene, span: Span, x: Blocks, h: Blocks, noise: Blocks
-) -> tuple[Blocks, Blocks, Array]:
+    system: ComponentSystem, grid: TimeGrid, x: Components, h: Components, noise: Components
+) -> tuple[Components, Components, Array]:
     """The mode at t0, the surfaces the state starts on, and the number of admissible modes."""
     sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
     on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
-    rates = _resolved_rates(scene, span.t0, x, span.direction)
+    rates = _resolved_rates(system, grid.t0, x, grid.direction)
     rates = jax.tree.map(stop_gradient, rates)
-    mode, count = filippov.choose(scene.m, rates, sides, on, span.direction)
+    mode, count = filippov.choose(system.m, rates, sides, on, grid.direction)
     return mode, on, count
 
 
-def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -> Lane:
+def initial_state(
+    system: ComponentSystem, grid: TimeGrid, recording: Recording, x: Components, num_saves: int
+) -> LoopState:
     """The lane at t0."""
-    dtype, t = scene.dtype, span.t0
+    dtype, t = system.dtype, grid.t0
     tau = jnp.zeros((), dtype)
     zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-    mode: Blocks = ()
+    mode: Components = ()
     g = rate = noise = armed = ()
     count: Array = jnp.ones((), jnp.int32)
-    if scene.m == 0:
-        f = scene.field(t, x, ())
+    if system.m == 0:
+        f = system.field(t, x, ())
     else:
-        h, h_t, normals = scene.gradients(t, x)
+        h, h_t, normals = system.gradients(t, x)
         size = tuple(stop_gradient(abs(v)) for v in x)
-        noise = surface_noise(scene, t, size, h_t, normals)
-        mode, on, count = _first_mode(scene, span, x, h, noise)
+        noise = surface_noise(system, t, size, h_t, normals)
+        mode, on, count = _first_mode(system, grid, x, h, noise)
         moving = tuple(jnp.where(s == 0, 1.0, s).astype(dtype) for s in mode)
-        f = filippov.field(scene, t, x, mode if scene.slides else moving)
-        g, rate, noise = guards(scene, t, x, f, mode, noise)
+        f = filippov.field(system, t, x, mode if system.slides else moving)
+        g, rate, noise = guards(system, t, x, f, mode, noise)
         armed = tuple((s == 0) | ~on_j for s, on_j in zip(mode, on, strict=True))
         g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
         rate = tuple(
-            jnp.where(a, r, span.direction * jnp.maximum(span.direction * r, 0.0))
+            jnp.where(a, r, grid.direction * jnp.maximum(grid.direction * r, 0.0))
             for a, r in zip(armed, rate, strict=True)
         )
-    lane = Lane(
+    state = LoopState(
         tau=tau,
         rest=tau,
         x=x,
@@ -104,9 +108,9 @@ def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -
         armed=armed,
         noise=noise,
         cut=tau,
-        aim=(false,) * scene.m,
+        aim=(false,) * system.m,
         pending=false,
-        hit=(false,) * scene.m,
+        hit=(false,) * system.m,
         graze=false,
         index=zero,
         tries=zero,
@@ -116,25 +120,25 @@ def begin(scene: Scene, span: Span, policy: Policy, x: Blocks, num_saves: int) -
         num_accepted=zero,
         num_events=zero,
         num_saved=zero,
-        result=_first_result(scene, span, x, f, mode, count),
-        table=empty_table(scene, policy.max_events),
-        saves=empty_saves(scene, policy.save, num_saves),
+        result=_first_result(system, grid, x, f, mode, count),
+        table=empty_table(system, recording.max_events),
+        saves=empty_saves(system, recording.save, num_saves),
     )
-    return lane if scene.m == 0 else _varied(lane)
+    return state if system.m == 0 else _varied(state)
 
 
-def _varied(lane: Lane) -> Lane:
+def _varied(state: LoopState) -> LoopState:
     """The same lane; what contacts give derivatives has them from the start, of value zero.
 
     JAX traces the derivatives of a loop anew until it knows which of its numbers have any: a tenth
     of the time to a first Jacobian.
     """
 
-    def kept(lane: Lane) -> list:
-        records = [record for record in (lane.table, lane.saves) if record is not None]
-        return [lane.tau, *lane.x, *(v for record in records for v in (record.ts, record.xs))]
+    def kept(state: LoopState) -> list:
+        records = [record for record in (state.table, state.saves) if record is not None]
+        return [state.tau, *state.x, *(v for record in records for v in (record.ts, record.xs))]
 
-    return eqx.tree_at(kept, lane, [_with_rate_of(lane.f[0], v) for v in kept(lane)])
+    return eqx.tree_at(kept, state, [_with_rate_of(state.f[0], v) for v in kept(state)])
 
 
 @jax.custom_jvp
@@ -153,14 +157,19 @@ def _with_rate_of_jvp(primals: tuple, tangents: tuple) -> tuple:
 
 
 def _first_result(
-    scene: Scene, span: Span, x: Blocks, f: Blocks, mode: Blocks, count: Array
+    system: ComponentSystem,
+    grid: TimeGrid,
+    x: Components,
+    f: Components,
+    mode: Components,
+    count: Array,
 ) -> RESULTS:
     """The outcome at t0: bad numbers, or a start that no single solution leaves."""
     result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)
     result = RESULTS.where(count < 1, RESULTS.mode_undecided, result)
-    if not scene.slides:
+    if not system.slides:
         for s in mode:
             slid = (s == 0) & (count == 1)
             result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
-    fine = all_finite(x, f, (span.t0, span.length, span.dt))
+    fine = all_finite(x, f, (grid.t0, grid.length, grid.dt))
     return RESULTS.where(fine, result, RESULTS.nonfinite)

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Blocks, Scene, pack
-from jaxfil.integrate.state import Lane, Policy, Saves, Span, Table, View
-from jaxfil.model.outcomes import KINDS
+from jaxfil.integrate.components import Components, ComponentSystem, pack
+from jaxfil.integrate.state import EventTable, LoopState, Recording, SavedStates, StepEnd, TimeGrid
+from jaxfil.model.outcomes import EventKind
 from jaxfil.xla.masked_write import write
 
 
@@ -28,47 +28,47 @@ def _entered(record: Any, i: Array, yes: Array, entry: Any) -> Any:
     return type(record)(**rows)
 
 
-def empty_table(scene: Scene, size: int | None) -> Table | None:
+def empty_table(system: ComponentSystem, size: int | None) -> EventTable | None:
     """An event table without events; None if none is to be kept."""
-    if size is None or scene.m == 0:
+    if size is None or system.m == 0:
         return None
-    return Table(
-        ts=jnp.full((size,), jnp.inf, scene.dtype),
-        xs=jnp.full((size, scene.n), jnp.inf, scene.dtype),
-        members=jnp.zeros((size, scene.m), bool),
+    return EventTable(
+        ts=jnp.full((size,), jnp.inf, system.dtype),
+        xs=jnp.full((size, system.n), jnp.inf, system.dtype),
+        members=jnp.zeros((size, system.m), bool),
         kinds=jnp.zeros((size,), jnp.int8),
-        modes=jnp.zeros((size, scene.m), jnp.int8),
+        modes=jnp.zeros((size, system.m), jnp.int8),
     )
 
 
-def empty_saves(scene: Scene, save: str, size: int) -> Saves | None:
+def empty_saves(system: ComponentSystem, save: str, size: int) -> SavedStates | None:
     """Space for what the policy `save` keeps, `size` times; times and states not reached stay inf,
     as in diffrax."""
     if save == "none":
         return None
     told = 0 if save == "samples" else size
-    return Saves(
-        ts=jnp.full((told,), jnp.inf, scene.dtype),
-        xs=jnp.full((size, scene.n), jnp.inf, scene.dtype),
-        modes=jnp.zeros((told, scene.m), jnp.int8),
+    return SavedStates(
+        ts=jnp.full((told,), jnp.inf, system.dtype),
+        xs=jnp.full((size, system.n), jnp.inf, system.dtype),
+        modes=jnp.zeros((told, system.m), jnp.int8),
     )
 
 
-def mode_codes(mode: Blocks) -> Array:
+def mode_codes(mode: Components) -> Array:
     """The modes as an (m,) array of small integers."""
     return jnp.stack(mode).astype(jnp.int8) if mode else jnp.zeros((0,), jnp.int8)
 
 
-def _kind(lane: Lane, view: View, resets: bool) -> Array:
+def _kind(state: LoopState, step_end: StepEnd, resets: bool) -> Array:
     """What the switch just made was, told from the modes of the surfaces hit."""
-    kind: Any = jnp.asarray(KINDS.graze.value, jnp.int8)
-    for hit, old, new in reversed(list(zip(lane.hit, lane.mode, view.mode, strict=True))):
-        slip = jnp.where(old == 0, KINDS.slip.value, KINDS.crossing.value)
-        change = jnp.where(new == 0, KINDS.stick.value, slip).astype(jnp.int8)
+    kind: Any = jnp.asarray(EventKind.graze.value, jnp.int8)
+    for hit, old, new in reversed(list(zip(state.hit, state.mode, step_end.mode, strict=True))):
+        slip = jnp.where(old == 0, EventKind.slip.value, EventKind.crossing.value)
+        change = jnp.where(new == 0, EventKind.stick.value, slip).astype(jnp.int8)
         kind = jnp.where(hit & (old != new), change, kind)
     if resets:
-        impact = jnp.asarray(KINDS.impact.value, jnp.int8)
-        kind = jnp.where(view.moved, impact, kind)
+        impact = jnp.asarray(EventKind.impact.value, jnp.int8)
+        kind = jnp.where(step_end.moved, impact, kind)
     return kind
 
 
@@ -89,50 +89,61 @@ def _infinite_rate_jvp(primals, tangents):
     return jnp.zeros_like(gap), grown * root
 
 
-def _event_time(span: Span, lane: Lane, view: View) -> Array:
-    t = span.t0 + lane.tau
-    for hit, g in zip(lane.hit, view.g, strict=True):
-        t = t + _infinite_rate(g, lane.graze & hit)
+def _event_time(grid: TimeGrid, state: LoopState, step_end: StepEnd) -> Array:
+    t = grid.t0 + state.tau
+    for hit, g in zip(state.hit, step_end.g, strict=True):
+        t = t + _infinite_rate(g, state.graze & hit)
     return t
 
 
-def record_event(scene: Scene, span: Span, lane: Lane, view: View, made: Array) -> Table | None:
-    """The event table of `lane` with the switch made in `view`, where one was made."""
-    table = lane.table
+def record_event(
+    system: ComponentSystem, grid: TimeGrid, state: LoopState, step_end: StepEnd, made: Array
+) -> EventTable | None:
+    """The event table of `lane` with the switch made in `step_end`, where one was made."""
+    table = state.table
     if table is None:
         return None
     size = table.ts.shape[0]
-    entry = Table(
-        ts=_event_time(span, lane, view),
-        xs=pack(lane.x, scene.dtype),
-        members=jnp.stack(lane.hit),
-        kinds=_kind(lane, view, scene.resets),
-        modes=mode_codes(view.mode),
+    entry = EventTable(
+        ts=_event_time(grid, state, step_end),
+        xs=pack(state.x, system.dtype),
+        members=jnp.stack(state.hit),
+        kinds=_kind(state, step_end, system.resets),
+        modes=mode_codes(step_end.mode),
     )
-    i = jnp.minimum(lane.num_events, size - 1)
-    return _entered(table, i, made & (lane.num_events < size), entry)
+    i = jnp.minimum(state.num_events, size - 1)
+    return _entered(table, i, made & (state.num_events < size), entry)
 
 
-def keep_sample(policy: Policy, lane: Lane, after: Lane, x: Blocks, gridded: Array) -> Lane:
+def keep_sample(
+    recording: Recording, state: LoopState, after: LoopState, x: Components, gridded: Array
+) -> LoopState:
     """`after`, to which `lane` has gone on, with its state x saved if it is `gridded`, at a grid
     point just reached, and that is a sample."""
-    assert lane.saves is not None and policy.first is not None and policy.every is not None
+    assert state.saves is not None and recording.first is not None and recording.every is not None
     # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
-    save = gridded & (after.index == policy.first + lane.num_saved * policy.every)
-    xs = write(lane.saves.xs, lane.num_saved, jnp.stack(x), save)
+    save = gridded & (after.index == recording.first + state.num_saved * recording.every)
+    xs = write(state.saves.xs, state.num_saved, jnp.stack(x), save)
     return eqx.tree_at(
-        lambda lane: (lane.saves, lane.num_saved),
+        lambda state: (state.saves, state.num_saved),
         after,
-        (Saves(lane.saves.ts, xs, lane.saves.modes), lane.num_saved + save.astype(jnp.int32)),
+        (
+            SavedStates(state.saves.ts, xs, state.saves.modes),
+            state.num_saved + save.astype(jnp.int32),
+        ),
     )
 
 
-def save_state(scene: Scene, span: Span, lane: Lane, view: View, save: Array) -> Saves | None:
-    """The saves of `lane` with the state of `view`, where `save` is set and space is left."""
-    saves = lane.saves
+def save_state(
+    system: ComponentSystem, grid: TimeGrid, state: LoopState, step_end: StepEnd, save: Array
+) -> SavedStates | None:
+    """The saves of `lane` with the state of `step_end`, where `save` is set and space is left."""
+    saves = state.saves
     if saves is None:
         return None
     size = saves.ts.shape[0]
-    entry = Saves(span.t0 + view.tau, pack(view.x, scene.dtype), mode_codes(view.mode))
-    i = jnp.minimum(lane.num_saved, size - 1)
-    return _entered(saves, i, save & (lane.num_saved < size), entry)
+    entry = SavedStates(
+        grid.t0 + step_end.tau, pack(step_end.x, system.dtype), mode_codes(step_end.mode)
+    )
+    i = jnp.minimum(state.num_saved, size - 1)
+    return _entered(saves, i, save & (state.num_saved < size), entry)

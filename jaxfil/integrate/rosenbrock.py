@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Blocks, axpy
+from jaxfil.integrate.components import Components, axpy
 from jaxfil.xla.small_linear import Factors, factored
 
 
@@ -129,16 +129,16 @@ RODAS5P = _table(
 
 def rosenbrock_step(
     table: RosenbrockTable,
-    field: Callable[..., Blocks],
+    field: Callable[..., Components],
     t: Array,
-    x: Blocks,
-    f: Blocks,
+    x: Components,
+    f: Components,
     h: Array,
     once: Callable[..., Any],
-) -> Blocks:
-    """The state at t + h; `f` is the field at (t, x), `once` is `Scene.once`."""
+) -> Components:
+    """The state at t + h; `f` is the field at (t, x), `once` is `ComponentSystem.once`."""
     factors, drift = once(ft.partial(_linearised, field, table.gamma), t, x, h)
-    slopes: list[Blocks] = []
+    slopes: list[Components] = []
     rows = zip(table.c, table.drift, table.alpha, table.coupling, strict=True)
     for coefficients in rows:
         stage = ft.partial(_stage, field, *coefficients)
@@ -147,8 +147,8 @@ def rosenbrock_step(
 
 
 def _linearised(
-    field: Callable, gamma: float, t: Array, x: Blocks, h: Array
-) -> tuple[Factors, Blocks]:
+    field: Callable, gamma: float, t: Array, x: Components, h: Array
+) -> tuple[Factors, Components]:
     """The factors of I − γhJ, and h ∂F/∂t."""
     _, push = jax.linearize(field, t, x)
     one, zero = jnp.ones_like(t), jnp.zeros_like(t)
@@ -162,7 +162,7 @@ def _linearised(
     return factored(matrix), tuple(h * v for v in drift)
 
 
-def _sum(coefficients: Sequence[float], slopes: Sequence[Blocks]) -> Blocks:
+def _sum(coefficients: Sequence[float], slopes: Sequence[Components]) -> Components:
     """Σ coefficients·slopes, of one slope at least."""
     out: list[Any] = []
     for component in zip(*slopes, strict=True):
@@ -170,12 +170,16 @@ def _sum(coefficients: Sequence[float], slopes: Sequence[Blocks]) -> Blocks:
     return tuple(out)
 
 
-def _advanced(coefficients: Sequence[float], x: Blocks, h: Array, slopes: list[Blocks]) -> Blocks:
+def _advanced(
+    coefficients: Sequence[float], x: Components, h: Array, slopes: list[Components]
+) -> Components:
     """x + h Σ coefficients·slopes."""
     return axpy(x, h, _sum(coefficients, slopes))
 
 
-def _stage(field, c, sum_, alpha, coupling, factors: Factors, drift, t, x, f, h, slopes) -> Blocks:
+def _stage(
+    field, c, sum_, alpha, coupling, factors: Factors, drift, t, x, f, h, slopes
+) -> Components:
     """The next k, from v = k + Σ coupling·slopes."""
     if not slopes:
         return tuple(factors.solve([k + sum_ * v for k, v in zip(f, drift, strict=True)]))

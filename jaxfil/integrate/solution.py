@@ -15,17 +15,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate import components
 from jaxfil.integrate.filippov import field
-from jaxfil.integrate.state import Table
+from jaxfil.integrate.state import EventTable
 from jaxfil.integrate.stepper import step, tableau
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
-from jaxfil.model.outcomes import KINDS, RESULTS
+from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
 
 
 class Events(eqx.Module):
-    """The contacts of a solution in order, padded with inf, −1, False and `KINDS.none`."""
+    """The contacts of a solution in order, padded with inf, −1, False and `EventKind.none`."""
 
     ts: Float[Array, " k"]
     """Times."""
@@ -36,7 +36,7 @@ class Events(eqx.Module):
     members: Bool[Array, "k m"]
     """All surfaces that are met at that time."""
     kinds: Int[Array, " k"]
-    """`KINDS`: crossing, stick, slip, impact or graze."""
+    """`EventKind`: crossing, stick, slip, impact or graze."""
     modes: Int[Array, "k m"]
     """Modes just after; 0 in the padding."""
 
@@ -44,7 +44,7 @@ class Events(eqx.Module):
         return event_rows(self)
 
 
-def events_of(table: Table | None) -> Events | None:
+def events_of(table: EventTable | None) -> Events | None:
     """The event table of a lane, as the user sees it."""
     if table is None:
         return None
@@ -58,7 +58,7 @@ def switches(events: Events | None) -> np.ndarray:
     if events is None:
         return np.zeros(0, int)
     kinds = np.asarray(events.kinds)
-    return np.flatnonzero((kinds != KINDS.none) & (kinds != KINDS.graze))
+    return np.flatnonzero((kinds != EventKind.none) & (kinds != EventKind.graze))
 
 
 class Solution(eqx.Module):
@@ -182,12 +182,12 @@ def event_rows(events: Events) -> str:
     if isinstance(events.ts, jax.core.Tracer) or events.ts.ndim > 1:
         return f"Events: tables of shape {events.ts.shape}"
     lines = [f"{'t':>18}  {'kind':<9}{'surface':<9}x just before"]
-    for i in np.flatnonzero(np.asarray(events.kinds) != KINDS.none):
+    for i in np.flatnonzero(np.asarray(events.kinds) != EventKind.none):
         met = ", ".join(map(str, np.flatnonzero(events.members[i])))
         x = np.array2string(
             np.asarray(events.xs[i]), precision=6, separator=", ", suppress_small=True
         )
-        kind = KINDS(int(events.kinds[i])).name
+        kind = EventKind(int(events.kinds[i])).name
         lines.append(f"{float(events.ts[i]):18.13f}  {kind:<9}{met:<9}{x}")
     return "\n".join(lines) if len(lines) > 1 else "Events: no contacts"
 
@@ -197,6 +197,6 @@ def _events_line(sol: Solution) -> str:
     if sol.events is None or total == 0:
         return f"{total} contacts"
     kinds = np.asarray(sol.events.kinds)
-    counts = [(k.name, int(np.sum(kinds == k))) for k in KINDS if k is not KINDS.none]
+    counts = [(k.name, int(np.sum(kinds == k))) for k in EventKind if k is not EventKind.none]
     parts = ", ".join(f"{number} {name}" for name, number in counts if number)
     return f"{total} contacts ({parts})"

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil.integrate import components
-from jaxfil.integrate.components import Blocks
+from jaxfil.integrate.components import Components
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.recording import mode_codes
 from jaxfil.integrate.solution import Dense, Solution, errors, events_of
-from jaxfil.integrate.state import SAME_TIME, Lane, Policy, Saves, Span
+from jaxfil.integrate.state import SAME_TIME, LoopState, Recording, SavedStates, TimeGrid
 from jaxfil.integrate.stepper import checked, tableau
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
@@ -234,7 +234,7 @@ def _default_budget(t0: Array, t1: Array, dt: Array, max_events: int | None) -> 
     return (math.ceil(steps) if np.isfinite(steps) else 1) + 6 * (max_events or 256) + 16
 
 
-def _span(t0: Array, t1: Array, dt: Array, ts: Array | None, budget: int | None) -> Span:
+def _span(t0: Array, t1: Array, dt: Array, ts: Array | None, budget: int | None) -> TimeGrid:
     """The grid of a solve. Bad values that were traced, and so not seen at the door, make it NaN,
     which is an outcome."""
     length = t1 - t0
@@ -246,7 +246,7 @@ def _span(t0: Array, t1: Array, dt: Array, ts: Array | None, budget: int | None)
     num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, 2**30).astype(jnp.int32)
     ample = 32 * jnp.minimum(num_steps, 2**25) + 100_000
     iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
-    return Span(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
+    return TimeGrid(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
 
 
 @eqx.filter_jit
@@ -255,13 +255,13 @@ def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
     span = _span(t0, t1, dt, ts, options.budget)
     kind = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
     num_saves = {"none": 0, "ts": 0 if ts is None else ts.shape[0], "steps": options.budget}[kind]
-    policy = Policy(kind, options.max_events, None if ts is None else ts - t0)
+    policy = Recording(kind, options.max_events, None if ts is None else ts - t0)
     adjoint: dict[str, Any] = {}
     if options.reverse:
         checkpoints, budget = options.checkpoints, options.budget
         adjoint = dict(kind="checkpointed", checkpoints=checkpoints, max_iterations=budget)
 
-    def run(x: Blocks) -> Lane:
+    def run(x: Components) -> LoopState:
         # With what the outcome makes of the end: its derivatives need no values from elsewhere.
         lane = integrate(
             scene_, tableau(stepper), span, policy, x, num_saves=num_saves or 0, **adjoint
@@ -273,14 +273,14 @@ def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
     return sol if options.reverse else eqxi.nondifferentiable_backward(sol, msg=_FORWARD_ONLY)
 
 
-def _ended(scene_, span: Span, lane: Lane) -> Lane:
+def _ended(scene_, span: TimeGrid, lane: LoopState) -> LoopState:
     """A finished lane; one that has kept nothing with its end, infinite unless it is the end asked
     for."""
     if lane.saves is not None:
         return lane
     done = lane.result == RESULTS.successful
     t, x = span.t0 + lane.tau, components.pack(lane.x, scene_.dtype)
-    end = Saves(
+    end = SavedStates(
         jnp.where(done, t, jnp.inf)[None],
         jnp.where(done, x, jnp.inf)[None],
         mode_codes(lane.mode)[None],
@@ -288,7 +288,9 @@ def _ended(scene_, span: Span, lane: Lane) -> Lane:
     return eqx.tree_at(lambda lane: lane.saves, lane, end, is_leaf=_is_none)
 
 
-def _solution(scene_, span: Span, lane: Lane, options: _Options, system, x0, stepper) -> Solution:
+def _solution(
+    scene_, span: TimeGrid, lane: LoopState, options: _Options, system, x0, stepper
+) -> Solution:
     """The result of a finished lane, as the user sees it."""
     t_final, x_final = span.t0 + lane.tau, components.pack(lane.x, scene_.dtype)
     assert lane.saves is not None

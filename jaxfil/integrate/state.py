@@ -1,7 +1,7 @@
 """The records of one lane of the loop.
 
-The grid of steps (`Span`), what is kept on the way (`Policy`), the state between two iterations
-(`Lane`) and what is known at the end of a trial step (`View`): immutable, and without a decision.
+The grid of steps (`TimeGrid`), what is kept on the way (`Recording`), the state between two iterations
+(`LoopState`) and what is known at the end of a trial step (`StepEnd`): immutable, and without a decision.
 """
 
 import equinox as eqx
@@ -9,14 +9,14 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Blocks, Forcing, Scene
+from jaxfil.integrate.components import Components, ComponentSystem, Forcing
 from jaxfil.model.outcomes import RESULTS
 
 # Times closer than this many eps of their size are one time.
 SAME_TIME = 8
 
 
-class Span(eqx.Module):
+class TimeGrid(eqx.Module):
     """The grid: `num_steps` steps of `dt` (signed) from `t0`, the last one ending at `length`.
 
     Times in the loop are elapsed times, so that a huge t0 costs the grid no accuracy.
@@ -44,7 +44,7 @@ class Span(eqx.Module):
         return jnp.where(last, self.length, index.astype(self.dt.dtype) * self.dt)
 
 
-class Policy(eqx.Module):
+class Recording(eqx.Module):
     """What is compiled and kept.
 
     `save` is "none", "ts" (the elapsed times `ts`, sorted along the direction of time), "steps"
@@ -59,7 +59,7 @@ class Policy(eqx.Module):
     every: Array | None = None
 
 
-class Table(eqx.Module):
+class EventTable(eqx.Module):
     """Events in order: times (k,), states just before (k, n), sets of surfaces (k, m), kinds, and
     modes just after (k, m)."""
 
@@ -70,7 +70,7 @@ class Table(eqx.Module):
     modes: Array
 
 
-class Saves(eqx.Module):
+class SavedStates(eqx.Module):
     """Saved times (k,), states (k, n) and modes (k, m); of samples the states alone."""
 
     ts: Array
@@ -78,24 +78,24 @@ class Saves(eqx.Module):
     modes: Array
 
 
-class Lane(eqx.Module):
+class LoopState(eqx.Module):
     """The state of one lane between two iterations. Blocks of m unless said otherwise."""
 
     tau: Array  # elapsed time
     rest: Array  # and what its rounding has left out
-    x: Blocks  # state, n components
-    f: Blocks  # field of the mode at (tau, x), n components
-    size: Blocks  # largest |x| so far, n components
-    mode: Blocks  # +1 or -1, 0 while sliding on the surface
-    first_mode: Blocks  # the mode at t0
-    g: Blocks  # guards: positive within the mode
-    rate: Blocks  # dg/dt along f
-    armed: Blocks  # whether the surface has been left since the last contact with it
-    noise: Blocks  # rounding of the guards, kept while not armed
+    x: Components  # state, n components
+    f: Components  # field of the mode at (tau, x), n components
+    size: Components  # largest |x| so far, n components
+    mode: Components  # +1 or -1, 0 while sliding on the surface
+    first_mode: Components  # the mode at t0
+    g: Components  # guards: positive within the mode
+    rate: Components  # dg/dt along f
+    armed: Components  # whether the surface has been left since the last contact with it
+    noise: Components  # rounding of the guards, kept while not armed
     cut: Array  # signed length to where a contact is expected; 0 if none is
-    aim: Blocks  # the surfaces of that contact
+    aim: Components  # the surfaces of that contact
     pending: Array  # whether a landing waits for its switch
-    hit: Blocks  # the surfaces of that landing
+    hit: Components  # the surfaces of that landing
     graze: Array  # whether that landing only touches
     index: Array  # grid steps completed
     tries: Array  # rejections in a row
@@ -106,47 +106,47 @@ class Lane(eqx.Module):
     num_events: Array
     num_saved: Array
     result: RESULTS
-    table: Table | None
-    saves: Saves | None
+    table: EventTable | None
+    saves: SavedStates | None
 
 
-class Ahead(eqx.Module):
+class FreeStep(eqx.Module):
     """State, what is known of its error, and field at the end of a trial step on the sides that a
     lane is on, the guards of these sides with their rates, and the forcing within the step."""
 
-    x: Blocks
-    error: Blocks
-    f: Blocks
-    g: Blocks
-    rate: Blocks
+    x: Components
+    error: Components
+    f: Components
+    g: Components
+    rate: Components
     forcing: list[Forcing]
 
 
-class View(eqx.Module):
+class StepEnd(eqx.Module):
     """What is known at the end of a trial step. `num_modes` is how many modes could go on from a
     switch made here (1: all is well); `repels` whether it slides where the surface repels; `moved`
     whether a reset has moved the state. `noise` is the rounding of the guards here, `touch` all
     that may have gathered in them since t0."""
 
     tau: Array
-    x: Blocks
-    f: Blocks
-    size: Blocks
-    mode: Blocks
-    g: Blocks
-    rate: Blocks
-    noise: Blocks
-    touch: Blocks
+    x: Components
+    f: Components
+    size: Components
+    mode: Components
+    g: Components
+    rate: Components
+    noise: Components
+    touch: Components
     num_modes: Array
     repels: Array
     moved: Array
 
 
-def running(span: Span, lane: Lane, stop: Array | None = None) -> Array:
+def is_running(grid: TimeGrid, state: LoopState, stop: Array | None = None) -> Array:
     """Whether a lane has something left to do before step number `stop`, by default the last."""
-    unfinished = lane.index < (span.num_steps if stop is None else stop)
-    affordable = lane.num_iterations < span.max_iterations
-    return unfinished & affordable & (lane.result == RESULTS.successful)
+    unfinished = state.index < (grid.num_steps if stop is None else stop)
+    affordable = state.num_iterations < grid.max_iterations
+    return unfinished & affordable & (state.result == RESULTS.successful)
 
 
 def later(tau: Array, rest: Array, h: Array) -> tuple[Array, Array]:
@@ -160,6 +160,6 @@ def later(tau: Array, rest: Array, h: Array) -> tuple[Array, Array]:
     return end, stop_gradient(h - (end - tau))
 
 
-def epsilon(scene: Scene) -> float:
+def epsilon(system: ComponentSystem) -> float:
     """Machine epsilon of the scene's precision."""
-    return float(jnp.finfo(scene.dtype).eps)
+    return float(jnp.finfo(system.dtype).eps)

@@ -15,7 +15,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Blocks, Forcing
+from jaxfil.integrate.components import Components, Forcing
 from jaxfil.integrate.rosenbrock import RODAS5P, Rodas5P, RosenbrockTable, rosenbrock_step
 
 
@@ -107,7 +107,7 @@ def tableau(stepper: Any) -> Tableau:
     return ExplicitTable(c, a, b, d, name)
 
 
-def _sum(coefficients: tuple[float, ...], slopes: list[Blocks], i: int) -> Any:
+def _sum(coefficients: tuple[float, ...], slopes: list[Components], i: int) -> Any:
     """Σ coefficients·slopes of component i, skipping the zeros of the tableau."""
     total: Any = 0.0
     for c, k in zip(coefficients, slopes, strict=True):
@@ -116,30 +116,37 @@ def _sum(coefficients: tuple[float, ...], slopes: list[Blocks], i: int) -> Any:
     return total
 
 
-def _combine(x: Blocks, h: Array, coefficients: tuple[float, ...], slopes: list[Blocks]) -> Blocks:
+def _combine(
+    x: Components, h: Array, coefficients: tuple[float, ...], slopes: list[Components]
+) -> Components:
     """x + h Σ coefficients·slopes."""
     return tuple(x_i + h * _sum(coefficients, slopes, i) for i, x_i in enumerate(x))
 
 
 def _stage(
-    field: Callable[..., Blocks], c: float, t: Array, h: Array, inner: Blocks, forcing: Forcing
-) -> Blocks:
+    field: Callable[..., Components],
+    c: float,
+    t: Array,
+    h: Array,
+    inner: Components,
+    forcing: Forcing,
+) -> Components:
     return field(t + c * h, inner, forcing)
 
 
 def step(
     table: Tableau,
-    field: Callable[..., Blocks],
+    field: Callable[..., Components],
     forcing: Sequence[Forcing],
     t: Array,
-    x: Blocks,
-    f: Blocks,
+    x: Components,
+    f: Components,
     h: Array,
-    once: Callable[..., Blocks],
-) -> tuple[Blocks, Blocks]:
+    once: Callable[..., Components],
+) -> tuple[Components, Components]:
     """The state at t + h, and what is known there of the step's error: all but the share of the
     field at its end; empty if nothing is. `f` is the field at (t, x), `forcing` what
-    `Scene.forcing` has found for `table.times`, `once` is `Scene.once`: without it each stage would
+    `ComponentSystem.forcing` has found for `table.times`, `once` is `ComponentSystem.once`: without it each stage would
     be computed again inside every later stage that uses it."""
     if isinstance(table, RosenbrockTable):
         return rosenbrock_step(table, field, t, x, f, h, once), ()
@@ -154,7 +161,9 @@ def step(
     return held[: len(x)], held[len(x) :]
 
 
-def is_too_long(table: Tableau, error: Blocks, f: Blocks, h: Array, size: Blocks) -> Array:
+def is_too_long(
+    table: Tableau, error: Components, f: Components, h: Array, size: Components
+) -> Array:
     """Whether a step of length h that ends with the field f cannot be trusted, given what `step`
     says of its error and the largest |x| so far, its end included."""
     gross = jnp.zeros((), bool)

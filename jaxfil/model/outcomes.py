@@ -1,7 +1,7 @@
 """Outcomes: how a lane ended, and what happened at a contact.
 
 Enters nothing; leaves `RESULTS`, the enumeration every verb answers with (each member carries the
-sentence the user sees), and `KINDS`, the codes of the event table.
+sentence the user sees), and `EventKind`, the codes of the event table.
 """
 
 import enum
@@ -11,8 +11,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxfil.model.deprecation import warn_renamed
 
-class RESULTS(eqx.Enumeration):
+
+class _Outcomes(type(eqx.Enumeration)):
+    """The enumeration's own kind, which also knows the old name of a member."""
+
+    def __getattr__(cls, item: str):
+        if item == "nothing_to_touch":
+            warn_renamed("RESULTS.nothing_to_touch", "RESULTS.no_tangency_found")
+            item = "no_tangency_found"
+        return super().__getattr__(item)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     """How an integration ended. `successful` is the only good one."""
 
     successful = ""
@@ -48,7 +60,7 @@ class RESULTS(eqx.Enumeration):
     newton_max_steps_reached = (
         "Newton's method has not converged in its number of steps. Try a larger `newton_steps`."
     )
-    nothing_to_touch = (
+    no_tangency_found = (
         "The orbit has no approach to a surface, or no contact with it, from which a bifurcation "
         "of the kind asked for could come."
     )
@@ -99,7 +111,7 @@ def outcomes(codes: np.ndarray) -> RESULTS:
     return jax.tree.map(lambda _: jnp.asarray(codes), RESULTS.successful)
 
 
-class KINDS(enum.IntEnum):
+class EventKind(enum.IntEnum):
     """What happened at a contact: the codes in `Solution.events.kinds`."""
 
     none = 0

@@ -26,22 +26,22 @@ def _name(path: Any) -> str:
     return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
-def parameter(system: Any, name: str) -> Any:
+def get_parameter(system: Any, name: str) -> Any:
     """The leaf called `name`."""
     known = parameters(system)
     if name not in known:
         fields = vars(system) if isinstance(name, str) else {}
         hint = f", which is {fields[name]!r} and no float" if name in fields else ""
         raise ValueError(
-            f"`name` must be a parameter of {type(system).__name__}, one of "
+            f"`parameter` must be a parameter of {type(system).__name__}, one of "
             f"{', '.join(known) or '(it has none)'}; got {name!r}{hint}."
         )
     return known[name]
 
 
-def replace(system: _Tree, name: str, value: Any) -> _Tree:
+def replace_parameter(system: _Tree, name: str, value: Any) -> _Tree:
     """`system` with the leaf called `name` replaced, shape and dtype kept."""
-    parameter(system, name)
+    get_parameter(system, name)
 
     def swap(path: Any, leaf: Any) -> Any:
         if _name(path) != name:

@@ -16,12 +16,20 @@ from jaxtyping import Float
 
 from jaxfil.model import check
 from jaxfil.model.card import precision
+from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
-from jaxfil.model.parameter import cast, parameter, replace
+from jaxfil.model.parameter import cast, get_parameter, replace_parameter
 from jaxfil.model.system import System
-from jaxfil.orbits.corrector import Family, Point, correct, metric, orbit_of, plane_across
+from jaxfil.orbits.corrector import (
+    OrbitProblem,
+    Point,
+    constraint_across,
+    correct,
+    metric,
+    orbit_of,
+)
 from jaxfil.orbits.orbit import Orbit, periodic_orbit
-from jaxfil.orbits.pseudo_arclength import walk
+from jaxfil.orbits.pseudo_arclength import follow
 
 
 class SpecialPoint(eqx.Module):
@@ -69,15 +77,15 @@ class Branch(eqx.Module):
             period = None if one.system.period is not None else one.period
             found.append(
                 periodic_orbit(
-                    replace(one.system, self.parameter, value),
+                    replace_parameter(one.system, self.parameter, value),
                     jnp.asarray(xs[i] + part * (xs[next_] - xs[i])),
                     periods=self.periods,
                     period=period,
-                    t0=one.plan.t0,
-                    steps=one.plan.steps // self.periods,
-                    stepper=one.plan.stepper,
-                    segments=one.plan.arcs,
-                    max_events=one.plan.max_events,
+                    t0=one.options.t0,
+                    steps=one.options.steps // self.periods,
+                    stepper=one.options.stepper,
+                    segments=one.options.arcs,
+                    max_events=one.options.max_events,
                 )
             )
         return found
@@ -103,16 +111,17 @@ class Branch(eqx.Module):
         return "\n".join(lines + [f"  {point}" for point in self.points])
 
 
+@renamed_argument("name", "parameter")
 def continue_orbit(
     system: System,
-    name: str,
+    parameter: str,
     orbit: Orbit | SpecialPoint,
     *,
     stop: float | tuple[float, float],
     max_step: float = 0.02,
     max_points: int = 2000,
 ) -> Branch:
-    """The branch of periodic orbits through `orbit` as the parameter `name` varies.
+    """The branch of periodic orbits through `orbit` as `parameter` varies.
 
     Pseudo-arclength: a step along the tangent, then Newton in the plane across it, so that folds
     are no obstacle. Steps adapt to the curve. Special points are located on the way to about 1e-10
@@ -138,15 +147,15 @@ def continue_orbit(
     contacts 10.904976
     """
     check.system("system", system)
-    if np.ndim(parameter(system, name)):
-        raise ValueError(f"`name` must be a scalar parameter, but {name!r} is an array.")
+    if np.ndim(get_parameter(system, parameter)):
+        raise ValueError(f"`parameter` must be a scalar parameter, but {parameter!r} is an array.")
     max_points = check.count("max_points", max_points)
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     along = None
     if isinstance(orbit, SpecialPoint):
-        family, start, along = _doubled(system, name, orbit)
+        family, start, along = _doubled(system, parameter, orbit)
     elif isinstance(orbit, Orbit) and orbit.x0.ndim == 1:
-        family = _family(system, name, orbit)
+        family = _family(system, parameter, orbit)
         start = _first(family, orbit)
     else:
         raise ValueError(f"`orbit` must be a single Orbit or a SpecialPoint, got {orbit!r}.")
@@ -158,8 +167,8 @@ def continue_orbit(
         tangent = start.tangent * np.sign(start.tangent[-1] or 1.0) * sign
         tangent = tangent if along is None else along * sign
         first = dataclasses.replace(start, tangent=tangent)
-        walks.append(walk(family, first, low, high, max_step, max_points))
-    return _assemble(family, name, walks)
+        walks.append(follow(family, first, low, high, max_step, max_points))
+    return _assemble(family, parameter, walks)
 
 
 @eqx.filter_jit
@@ -187,41 +196,45 @@ def _range(stop: Any, value: float) -> tuple[float, float, tuple[float, ...]]:
     return low, high, ways
 
 
-def _family(system: System, name: str, orbit: Orbit) -> Family:
+def _family(system: System, parameter: str, orbit: Orbit) -> OrbitProblem:
     system = cast(system, orbit.x0.dtype)
     periods = 1
     if system.period is not None:
         ratio = float(orbit.period) / float(orbit.system.period)  # pyright: ignore
         periods = round(ratio)
-    value = parameter(orbit.system, name)
-    return Family(replace(system, name, value), orbit.plan, name, periods)
+    value = get_parameter(orbit.system, parameter)
+    return OrbitProblem(
+        replace_parameter(system, parameter, value), orbit.options, parameter, periods
+    )
 
 
-def _first(family: Family, orbit: Orbit) -> Point | None:
-    value = float(parameter(orbit.system, family.name))
+def _first(family: OrbitProblem, orbit: Orbit) -> Point | None:
+    value = float(get_parameter(orbit.system, family.parameter))
     q = [float(orbit.period), value] if family.autonomous else [value]
     u = np.append(np.asarray(orbit.starts).ravel(), q)
     normal = np.zeros_like(u)
     normal[-1] = 1.0
     size = np.maximum(np.max(abs(np.asarray(orbit.starts)), axis=0), 1e-3)
-    scale = np.append(np.tile(size, family.plan.arcs), [abs(v) or 1.0 for v in q])
-    point = correct(family, u, plane_across(u, scale, normal, 0.0), normal)
+    scale = np.append(np.tile(size, family.options.arcs), [abs(v) or 1.0 for v in q])
+    point = correct(family, u, constraint_across(u, scale, normal, 0.0), normal)
     if point is None:
         return None
     return correct(
-        family, point.u, plane_across(point.u, metric(family, point), normal, 0.0), normal
+        family, point.u, constraint_across(point.u, metric(family, point), normal, 0.0), normal
     )
 
 
-def _doubled(system: System, name: str, point: SpecialPoint) -> tuple[Family, Point, np.ndarray]:
+def _doubled(
+    system: System, parameter: str, point: SpecialPoint
+) -> tuple[OrbitProblem, Point, np.ndarray]:
     """The branch of doubled period at a period doubling: its family, a point, its direction."""
     if point.kind != "period-doubling":
         raise ValueError(f"`orbit` must be a period doubling, got a {point.kind}.")
-    single = _family(system, name, point.orbit)
-    plan = dataclasses.replace(single.plan, steps=2 * single.plan.steps)
-    if plan.arcs > 1 or single.autonomous:
+    single = _family(system, parameter, point.orbit)
+    options = dataclasses.replace(single.options, steps=2 * single.options.steps)
+    if options.arcs > 1 or single.autonomous:
         raise ValueError("`orbit` must be of a forced system and shot in one segment.")
-    family = Family(single.system, plan, name, 2 * single.periods)
+    family = OrbitProblem(single.system, options, parameter, 2 * single.periods)
     values, vectors = np.linalg.eig(np.asarray(point.orbit.monodromy))
     vector = np.real(vectors[:, np.argmin(abs(values + 1))])
     first = _first(single, point.orbit)
@@ -230,14 +243,14 @@ def _doubled(system: System, name: str, point: SpecialPoint) -> tuple[Family, Po
     along = np.append(vector, 0.0) / scale
     along /= np.linalg.norm(along)
     for ds in (1e-2, 3e-3, 1e-3):
-        plane = plane_across(first.u, scale, along, ds)
+        plane = constraint_across(first.u, scale, along, ds)
         found = correct(family, first.u + ds * along * scale, plane, along)
         if found is not None:
             return family, found, found.tangent
     raise ValueError(f"`orbit`: no orbit of doubled period was found near {point.value}.")
 
 
-def _assemble(family: Family, name: str, walks: list[tuple]) -> Branch:
+def _assemble(family: OrbitProblem, parameter: str, walks: list[tuple]) -> Branch:
     """Both directions in one branch, in order."""
     points, special, ended = walks[-1][0], [], [f"start at {walks[-1][0][0].value:.10g}"]
     shift = 0
@@ -255,7 +268,7 @@ def _assemble(family: Family, name: str, walks: list[tuple]) -> Branch:
     dynamic = [eqx.filter(orbit, eqx.is_array) for orbit in orbits]
     stacked = jax.tree.map(lambda *v: jnp.stack(v), *dynamic)
     return Branch(
-        parameter=name,
+        parameter=parameter,
         values=np.array([point.value for point in points]),
         orbits=eqx.combine(stacked, eqx.filter(orbits[0], eqx.is_array, inverse=True)),
         points=[

@@ -17,18 +17,18 @@ from jaxtyping import Array, Float
 
 from jaxfil.integrate.solution import switches
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import replace
+from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.orbits.orbit import Orbit, closing, not_vanished
-from jaxfil.orbits.shooting import Plan, Shot, shoot, velocity
+from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
 
 # A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
 # root of the period map needs many, as it is halved again and again.
 _NEWTON_STEPS, _MANY_STEPS = 12, 40
 
 
-class Plane(eqx.Module):
+class ArclengthConstraint(eqx.Module):
     """normal · (u − base)/scale = offset."""
 
     base: Float[Array, " N"]
@@ -37,12 +37,12 @@ class Plane(eqx.Module):
     offset: Float[Array, ""]
 
 
-class Family(eqx.Module):
-    """The orbits of a system as its parameter `name` varies."""
+class OrbitProblem(eqx.Module):
+    """The orbits of a system as `parameter` varies."""
 
     system: System
-    plan: Plan
-    name: str = eqx.field(static=True)
+    options: ShootingOptions
+    parameter: str = eqx.field(static=True)
     periods: int = eqx.field(static=True)
 
     @property
@@ -52,7 +52,7 @@ class Family(eqx.Module):
 
     def setting(self, q: Array) -> tuple[System, Array]:
         """The system and the period for q = (period,) parameter."""
-        system = replace(self.system, self.name, q[-1])
+        system = replace_parameter(self.system, self.parameter, q[-1])
         if self.autonomous:
             return system, q[0]
         return system, jnp.asarray(system.period) * self.periods
@@ -60,7 +60,7 @@ class Family(eqx.Module):
     def split(self, u: Array) -> tuple[Array, Array]:
         """The starts of the arcs, shape (M, n), and q."""
         k = 1 + int(self.autonomous)
-        return u[:-k].reshape(self.plan.arcs, -1), u[-k:]
+        return u[:-k].reshape(self.options.arcs, -1), u[-k:]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,18 +95,22 @@ class Point:
 
 
 @eqx.filter_jit
-def _correct(family: Family, u: Array, plane: Plane, newton_steps: Array) -> Root:
+def _correct(
+    family: OrbitProblem, u: Array, plane: ArclengthConstraint, newton_steps: Array
+) -> Root:
     starts, q = family.split(plane.base)
-    normal = velocity(family.setting, family.plan, starts[0], q)
+    normal = velocity(family.setting, family.options, starts[0], q)
     normal = normal / jnp.sqrt(normal @ normal)
     evaluate = ft.partial(_evaluation, family, plane, starts[0], normal)
     return newton(evaluate, u, newton_steps)
 
 
-def _evaluation(family: Family, plane: Plane, anchor: Array, phase: Array, u: Array) -> Evaluation:
+def _evaluation(
+    family: OrbitProblem, plane: ArclengthConstraint, anchor: Array, phase: Array, u: Array
+) -> Evaluation:
     """The closing of all arcs, the phase of an autonomous orbit, and the plane."""
     starts, q = family.split(u)
-    shot = shoot(family.setting, family.plan, starts, q)
+    shot = shoot(family.setting, family.options, starts, q)
     residual, jacobian = closing(shot, starts)
     m, n = starts.shape
     equations, parameter_scale = jnp.tile(shot.size, m), plane.scale[-1:]
@@ -129,7 +133,9 @@ def _evaluation(family: Family, plane: Plane, anchor: Array, phase: Array, u: Ar
     )
 
 
-def correct(family: Family, guess: np.ndarray, plane: Plane, along: np.ndarray) -> Point | None:
+def correct(
+    family: OrbitProblem, guess: np.ndarray, plane: ArclengthConstraint, along: np.ndarray
+) -> Point | None:
     """The point of the branch in a plane, near a guess; None if there is none. Its tangent points
     to the side of `along`."""
     root = _correct(family, jnp.asarray(guess), plane, jnp.asarray(_NEWTON_STEPS, jnp.int32))
@@ -139,7 +145,7 @@ def correct(family: Family, guess: np.ndarray, plane: Plane, along: np.ndarray) 
 
 
 def correct_many(
-    family: Family, guesses: np.ndarray, planes: Plane, along: np.ndarray
+    family: OrbitProblem, guesses: np.ndarray, planes: ArclengthConstraint, along: np.ndarray
 ) -> list[Point]:
     """`correct` for many guesses and planes at once; those that converged."""
     steps = jnp.asarray(_MANY_STEPS, jnp.int32)
@@ -149,7 +155,7 @@ def correct_many(
     return [_point(pick(roots, i), pick(planes, i), along) for i in found]
 
 
-def _point(root: Root, plane: Plane, along: np.ndarray) -> Point:
+def _point(root: Root, plane: ArclengthConstraint, along: np.ndarray) -> Point:
     scale = np.asarray(plane.scale)
     # The branch runs along what the equations without the plane leave free.
     rows = np.asarray(root.at.jacobian)[:-1] * scale
@@ -160,20 +166,22 @@ def _point(root: Root, plane: Plane, along: np.ndarray) -> Point:
     )
 
 
-def metric(family: Family, point: Point) -> np.ndarray:
+def metric(family: OrbitProblem, point: Point) -> np.ndarray:
     """The metric at a point. All arcs together count as one state."""
-    m = family.plan.arcs
+    m = family.options.arcs
     size = np.tile(np.asarray(point.shot.size) * np.sqrt(m), m)
     q = point.u[size.shape[0] :]
     return np.append(size, np.where(q == 0, 1.0, abs(q)))
 
 
-def plane_across(base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float) -> Plane:
-    """A `Plane` of NumPy arrays, or many of them."""
-    return Plane(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
+def constraint_across(
+    base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float
+) -> ArclengthConstraint:
+    """A `ArclengthConstraint` of NumPy arrays, or many of them."""
+    return ArclengthConstraint(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
 
 
-def orbit_of(family: Family, point: Point) -> Orbit:
+def orbit_of(family: OrbitProblem, point: Point) -> Orbit:
     """A point as the `Orbit` it is."""
     starts, q = family.split(jnp.asarray(point.u))
     system, period = family.setting(q)
@@ -190,5 +198,5 @@ def orbit_of(family: Family, point: Point) -> Orbit:
         system=system,
         starts=starts,
         num_steps=jnp.asarray(point.num_steps),
-        plan=family.plan,
+        options=family.options,
     )

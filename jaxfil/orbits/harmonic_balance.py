@@ -140,8 +140,8 @@ def _first(system: System, guess: Any, harmonics: int, periods: int) -> Array:
         forcing = guess.period if guess.system.period is None else guess.system.period
         local = jnp.mod(elapsed * forcing, guess.period)
         order = jnp.argsort(local)
-        values = guess.states(guess.plan.t0 + local[order])[jnp.argsort(order)]
-        phases = (guess.plan.t0 / forcing + elapsed) / periods
+        values = guess.states(guess.options.t0 + local[order])[jnp.argsort(order)]
+        phases = (guess.options.t0 / forcing + elapsed) / periods
         return _project(phases.astype(values.dtype), values, harmonics)
     if callable(guess):
         phases = _phases(4 * size, jnp.result_type(float))

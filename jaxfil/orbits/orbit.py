@@ -23,12 +23,21 @@ from jaxfil.integrate.solve import solve
 from jaxfil.integrate.stepper import checked
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.outcomes import KINDS, RESULTS
+from jaxfil.model.deprecation import renamed_attribute
+from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.parameter import cast, is_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.extremum import largest
 from jaxfil.orbits.newton import Evaluation, Root, newton
-from jaxfil.orbits.shooting import Plan, Setting, Shot, shoot, starts_from, stretch, velocity
+from jaxfil.orbits.shooting import (
+    Setting,
+    ShootingOptions,
+    Shot,
+    flow_map,
+    shoot,
+    starts_from,
+    velocity,
+)
 
 # An autonomous period below this part of the guess is not looked for.
 _SHORTEST = 1 / 16
@@ -53,7 +62,9 @@ class Orbit(eqx.Module):
     system: System
     starts: Float[Array, "M n"]
     num_steps: Int[Array, ""]
-    plan: Plan
+    options: ShootingOptions
+
+    plan = renamed_attribute("plan", "options")
 
     @property
     def multipliers(self) -> Complex[Array, " n"]:
@@ -92,8 +103,8 @@ class Orbit(eqx.Module):
     def trajectory(self, periods: int = 1) -> Solution:
         """The orbit as a `Solution` that holds ten states for each step: a step of high order is
         too long for a straight line."""
-        end = self.plan.t0 + periods * self.period
-        ts = jnp.linspace(self.plan.t0, end, 10 * self.plan.steps * periods + 1)
+        end = self.options.t0 + periods * self.period
+        ts = jnp.linspace(self.options.t0, end, 10 * self.options.steps * periods + 1)
         return self._solved(periods, diffrax.SaveAt(ts=ts))
 
     def plot(self, ax: Any = None) -> Any:
@@ -102,16 +113,16 @@ class Orbit(eqx.Module):
 
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is kept where every step is.
-        budget = (self.plan.steps + 6 * self.plan.max_events) * periods
+        budget = (self.options.steps + 6 * self.options.max_events) * periods
         return solve(
             self.system,
             self.x0,
-            self.plan.t0,
-            self.plan.t0 + periods * self.period,
-            self.period / self.plan.steps,
-            stepper=self.plan.stepper,
+            self.options.t0,
+            self.options.t0 + periods * self.period,
+            self.period / self.options.steps,
+            stepper=self.options.stepper,
             saveat=saveat,
-            max_events=self.plan.max_events * periods,
+            max_events=self.options.max_events * periods,
             max_steps=budget if saveat.dense or saveat.subs.steps else None,
             throw=False,
         )
@@ -192,7 +203,7 @@ def periodic_orbit(
     if autonomous:
         guess = check.scalar("period", period, dtype, positive=True)
     stepper = checked(stepper)
-    plan = Plan(
+    options = ShootingOptions(
         t0=check.scalar("t0", t0, dtype),
         steps=check.count("steps", steps) * periods,
         arcs=check.count("segments", segments),
@@ -202,7 +213,7 @@ def periodic_orbit(
     # Traced: another number compiles nothing.
     budget = jnp.asarray(check.count("newton_steps", newton_steps), jnp.int32)
     settle = jnp.asarray(transient, jnp.int32) if transient else None
-    orbit = _find(system, x, guess, plan, periods, settle, budget)
+    orbit = _find(system, x, guess, options, periods, settle, budget)
     if not throw:
         return orbit
     return orbit.result.error_if(orbit, orbit.result != RESULTS.successful)
@@ -223,18 +234,24 @@ def _extremes(orbit: Orbit) -> tuple[Array, Array]:
 
 @eqx.filter_jit
 def _find(
-    system, x0, guess, plan: Plan, periods: int, transient: Array | None, newton_steps: Array
+    system,
+    x0,
+    guess,
+    options: ShootingOptions,
+    periods: int,
+    transient: Array | None,
+    newton_steps: Array,
 ) -> Orbit:
     autonomous = system.period is None
     setting = ft.partial(_setting, system, periods)
     q = guess[None] if autonomous else jnp.zeros((0,), x0.dtype)
     if transient is not None:
         # One forcing period after the other: the phase stays exact.
-        one = dataclasses.replace(plan, steps=plan.steps // periods, arcs=1)
-        forward = stretch(ft.partial(_setting, system, 1), one, q, 1.0)
+        one = dataclasses.replace(options, steps=options.steps // periods, arcs=1)
+        forward = flow_map(ft.partial(_setting, system, 1), one, q, 1.0)
         x0 = jax.lax.fori_loop(0, transient, lambda i, x: forward(x, i.astype(x.dtype)), x0)
-    starts = starts_from(setting, plan, x0, q)
-    z, root = converge(system, plan, periods, jnp.append(starts.ravel(), q), newton_steps)
+    starts = starts_from(setting, options, x0, q)
+    z, root = converge(system, options, periods, jnp.append(starts.ravel(), q), newton_steps)
     shot: Shot = root.at.aux
     starts = z[: starts.size].reshape(starts.shape)
     _, period = setting(z[starts.size :])
@@ -251,7 +268,7 @@ def _find(
         system=system,
         starts=starts,
         num_steps=root.num_steps,
-        plan=plan,
+        options=options,
     )
 
 
@@ -282,12 +299,12 @@ def not_vanished(shot: Shot, period: Array, guess: Array) -> RESULTS:
 
 
 def _evaluation(
-    setting: Setting, plan: Plan, anchor: Array, normal: Array, guess: Array, z: Array
+    setting: Setting, options: ShootingOptions, anchor: Array, normal: Array, guess: Array, z: Array
 ) -> Evaluation:
     """The closing of all arcs, and for an autonomous system the condition on the phase."""
-    m, n = plan.arcs, anchor.shape[0]
+    m, n = options.arcs, anchor.shape[0]
     starts, q = z[: m * n].reshape(m, n), z[m * n :]
-    shot = shoot(setting, plan, starts, q)
+    shot = shoot(setting, options, starts, q)
     residual, jacobian = closing(shot, starts)
     equations = unknowns = jnp.tile(shot.size, m)
     result = shot.result
@@ -301,7 +318,9 @@ def _evaluation(
     return Evaluation(residual, jacobian, equations, unknowns, result, shot)
 
 
-def converge(system, plan: Plan, periods: int, z: Array, newton_steps: Array) -> tuple[Array, Root]:
+def converge(
+    system, options: ShootingOptions, periods: int, z: Array, newton_steps: Array
+) -> tuple[Array, Root]:
     """Newton's iteration from z. Its end has the derivative of the implicit function; the rest of
     the `Root` has none."""
     theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
@@ -311,31 +330,37 @@ def converge(system, plan: Plan, periods: int, z: Array, newton_steps: Array) ->
         stop_gradient(z),
         unravel=unravel,
         rest=rest,
-        plan=plan,
+        options=options,
         periods=periods,
         newton_steps=newton_steps,
     )
 
 
 @eqx.filter_custom_jvp
-def _implicit(theta, z, *, unravel, rest, plan, periods, newton_steps):
+def _implicit(theta, z, *, unravel, rest, options, periods, newton_steps):
     system = eqx.combine(unravel(theta), rest)
     setting = ft.partial(_setting, system, periods)
     autonomous = system.period is None
-    n = (z.shape[0] - autonomous) // plan.arcs
-    normal = velocity(setting, plan, z[:n], z[n * plan.arcs :]) if autonomous else z[:n]
+    n = (z.shape[0] - autonomous) // options.arcs
+    normal = velocity(setting, options, z[:n], z[n * options.arcs :]) if autonomous else z[:n]
     size = jnp.sqrt(normal @ normal)
     normal = normal / jnp.where(size == 0, 1, size)
-    evaluate = ft.partial(_evaluation, setting, plan, z[:n], normal, z[n * plan.arcs :])
+    evaluate = ft.partial(_evaluation, setting, options, z[:n], normal, z[n * options.arcs :])
     root = newton(evaluate, z, newton_steps)
     return root.z, root
 
 
 @_implicit.def_jvp
-def _implicit_jvp(primals, tangents, *, unravel, rest, plan, periods, newton_steps):
+def _implicit_jvp(primals, tangents, *, unravel, rest, options, periods, newton_steps):
     theta, z0 = primals
     z, root = _implicit(
-        theta, z0, unravel=unravel, rest=rest, plan=plan, periods=periods, newton_steps=newton_steps
+        theta,
+        z0,
+        unravel=unravel,
+        rest=rest,
+        options=options,
+        periods=periods,
+        newton_steps=newton_steps,
     )
     nothing = jax.tree.map(
         lambda v: jnp.full_like(v, jnp.nan) if eqx.is_inexact_array(v) else None, root
@@ -343,14 +368,14 @@ def _implicit_jvp(primals, tangents, *, unravel, rest, plan, periods, newton_ste
     if tangents[0] is None:
         return (z, root), (jnp.zeros_like(z), nothing)
     k = int(eqx.combine(unravel(theta), rest).period is None)
-    n = (z.shape[0] - k) // plan.arcs
+    n = (z.shape[0] - k) // options.arcs
 
     def setting(q):
         return _setting(eqx.combine(unravel(q[k:]), rest), periods, q[:k])
 
-    starts = z[: n * plan.arcs].reshape(plan.arcs, n)
-    shot = shoot(setting, plan, starts, jnp.concatenate([z[n * plan.arcs :], theta]))
-    by_theta = shot.by_global[:, :, k:].reshape(n * plan.arcs, -1)
+    starts = z[: n * options.arcs].reshape(options.arcs, n)
+    shot = shoot(setting, options, starts, jnp.concatenate([z[n * options.arcs :], theta]))
+    by_theta = shot.by_global[:, :, k:].reshape(n * options.arcs, -1)
     by_theta = jnp.concatenate([by_theta, jnp.zeros((k, theta.shape[0]), theta.dtype)])
     # All leaves at once, so that the rule is a matrix product, which reverse mode can transpose.
     sensitivity = -jnp.linalg.solve(root.at.jacobian, by_theta)
@@ -379,4 +404,4 @@ def _sequence(orbit: Orbit) -> str:
     if orbit.events is None or int(orbit.num_events) == 0:
         return "no contacts"
     kinds = np.asarray(orbit.events.kinds)
-    return ", ".join(KINDS(k).name for k in kinds[kinds != KINDS.none])
+    return ", ".join(EventKind(k).name for k in kinds[kinds != EventKind.none])

@@ -1,6 +1,6 @@
 """Along a branch of orbits, step by step, from one point on.
 
-A point of a `Family` with the direction in which to go enters; the points ahead leave, with the
+A point of a `OrbitProblem` with the direction in which to go enters; the points ahead leave, with the
 special ones among them and why they end.
 
 Where the period map has a square root (an orbit that grazes a discontinuity) the branch has a
@@ -12,7 +12,14 @@ import dataclasses
 
 import numpy as np
 
-from jaxfil.orbits.corrector import Family, Point, correct, correct_many, metric, plane_across
+from jaxfil.orbits.corrector import (
+    OrbitProblem,
+    Point,
+    constraint_across,
+    correct,
+    correct_many,
+    metric,
+)
 from jaxfil.orbits.special_points import special_points
 
 # Steps, in scaled unknowns: a state by its largest value on the orbit, the parameter by its size.
@@ -26,8 +33,8 @@ _DIRECTIONS, _RADIUS = 48, 1e-3
 _REACH, _BACK = 20, -0.95
 
 
-def walk(
-    family: Family, start: Point, low: float, high: float, max_step: float, max_points: int
+def follow(
+    family: OrbitProblem, start: Point, low: float, high: float, max_step: float, max_points: int
 ) -> tuple[list[Point], list[tuple], str]:
     """Points from `start` on, the special ones among them, and why they end."""
     points, special, ds = [start], [], min(_FIRST, max_step)
@@ -51,7 +58,7 @@ def walk(
             special.extend((*found, len(points)) for found in special_points(family, here, ahead))
         points.append(ahead)
         if end is not None:
-            return points, special, f"{family.name} = {end:.10g} was reached"
+            return points, special, f"{family.parameter} = {end:.10g} was reached"
     return points, special, f"{max_points} points were made"
 
 
@@ -60,13 +67,15 @@ def _passes(here: Point, ahead: Point, edge: float) -> bool:
     return a != 0 and a * b <= 0
 
 
-def _advance(family: Family, here: Point, ds: float, max_step: float) -> tuple[Point | None, float]:
+def _advance(
+    family: OrbitProblem, here: Point, ds: float, max_step: float
+) -> tuple[Point | None, float]:
     """The next point, and the step to try after it."""
     scale = metric(family, here)
     tangent = here.tangent * here.scale / scale
     tangent = tangent / np.linalg.norm(tangent)
     while ds >= _LEAST:
-        plane = plane_across(here.u, scale, tangent, ds)
+        plane = constraint_across(here.u, scale, tangent, ds)
         ahead = correct(family, here.u + ds * tangent * scale, plane, tangent)
         if ahead is not None:
             cosine = float(ahead.tangent @ tangent)
@@ -79,7 +88,7 @@ def _advance(family: Family, here: Point, ds: float, max_step: float) -> tuple[P
     return None, ds
 
 
-def _round_corner(family: Family, here: Point) -> Point | None:
+def _round_corner(family: OrbitProblem, here: Point) -> Point | None:
     """The nearest way on from a point where the branch ahead ends: in planes close by, of random
     directions, the nearest point with other contacts that does not lie where the branch has come
     from."""
@@ -90,7 +99,7 @@ def _round_corner(family: Family, here: Point) -> Point | None:
     guesses = here.u + _RADIUS * normals * scale
     base = np.broadcast_to(here.u, guesses.shape)
     offsets = np.full(_DIRECTIONS, _RADIUS)
-    planes = plane_across(base, np.broadcast_to(scale, guesses.shape), normals, offsets)  # pyright: ignore
+    planes = constraint_across(base, np.broadcast_to(scale, guesses.shape), normals, offsets)  # pyright: ignore
     best, least = None, _REACH * _RADIUS
     for point in correct_many(family, guesses, planes, here.tangent):
         away = (point.u - here.u) / scale
@@ -102,11 +111,11 @@ def _round_corner(family: Family, here: Point) -> Point | None:
     return best
 
 
-def _at_value(family: Family, a: Point, b: Point, value: float) -> Point | None:
+def _at_value(family: OrbitProblem, a: Point, b: Point, value: float) -> Point | None:
     """The point between two where the parameter has a value."""
     normal = np.zeros_like(a.u)
     normal[-1] = 1.0
     part = (value - a.value) / (b.value - a.value)
     base = a.u + part * (b.u - a.u)
     base[-1] = value
-    return correct(family, base, plane_across(base, a.scale, normal, 0.0), b.tangent)
+    return correct(family, base, constraint_across(base, a.scale, normal, 0.0), b.tangent)

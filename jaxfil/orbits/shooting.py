@@ -15,17 +15,17 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil.integrate import components
-from jaxfil.integrate.initial_mode import begin
-from jaxfil.integrate.loop import integrate, integrate_whole
+from jaxfil.integrate.initial_mode import initial_state
+from jaxfil.integrate.loop import integrate, integrate_in_kernel
 from jaxfil.integrate.solution import Events, events_of
-from jaxfil.integrate.state import Policy, Span
+from jaxfil.integrate.state import Recording, TimeGrid
 from jaxfil.integrate.stepper import tableau
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.xla.kernel import kernel_if_it_fits
 
 
-class Plan(eqx.Module):
+class ShootingOptions(eqx.Module):
     """How orbits are shot: from `t0`, over `steps` steps in `arcs` arcs."""
 
     t0: Array
@@ -34,11 +34,11 @@ class Plan(eqx.Module):
     stepper: Any = eqx.field(static=True)
     max_events: int = eqx.field(static=True)
 
-    def span(self, t0: Array, length: Array, arcs: int) -> Span:
+    def span(self, t0: Array, length: Array, arcs: int) -> TimeGrid:
         """The grid of one of `arcs` arcs."""
         num = -(-self.steps // arcs)
         budget = 32 * num + 64 * self.max_events + 1024
-        return Span(
+        return TimeGrid(
             t0,
             length,
             stop_gradient(length) / num,
@@ -75,7 +75,9 @@ Setting = Callable[[Array], tuple[System, Array]]
 """Global unknowns (k,) to the system and the period."""
 
 
-def shoot(setting: Setting, plan: Plan, starts: Float[Array, "M n"], q: Float[Array, " k"]) -> Shot:
+def shoot(
+    setting: Setting, options: ShootingOptions, starts: Float[Array, "M n"], q: Float[Array, " k"]
+) -> Shot:
     """Integrate every arc from its start."""
     n = starts.shape[1]
 
@@ -83,10 +85,12 @@ def shoot(setting: Setting, plan: Plan, starts: Float[Array, "M n"], q: Float[Ar
         def end(z: Array):
             system, period = setting(z[n:])
             scene_ = components.build(system, z[:n])
-            length = period / plan.arcs
-            span = plan.span(plan.t0 + number * length, length, plan.arcs)
-            policy = Policy("none", plan.max_events)
-            lane = integrate(scene_, tableau(plan.stepper), span, policy, components.unpack(z[:n]))
+            length = period / options.arcs
+            span = options.span(options.t0 + number * length, length, options.arcs)
+            policy = Recording("none", options.max_events)
+            lane = integrate(
+                scene_, tableau(options.stepper), span, policy, components.unpack(z[:n])
+            )
             x = components.pack(lane.x, z.dtype)
             size = components.pack(lane.size, z.dtype)
             mode = components.pack(lane.first_mode, z.dtype).astype(jnp.int8)
@@ -96,14 +100,14 @@ def shoot(setting: Setting, plan: Plan, starts: Float[Array, "M n"], q: Float[Ar
         z = jnp.concatenate([start, q])
         return kernel_if_it_fits(jax.jacfwd(end, has_aux=True))(z)
 
-    numbers = jnp.arange(plan.arcs).astype(starts.dtype)
-    if plan.arcs == 1:  # a batch of one would take as long to trace as a batch
+    numbers = jnp.arange(options.arcs).astype(starts.dtype)
+    if options.arcs == 1:  # a batch of one would take as long to trace as a batch
         done = jax.tree.map(lambda v: v[None], arc(numbers[0], starts[0]))
     else:
         done = jax.vmap(arc)(numbers, starts)
     by, (ends, sizes, tables, counts, modes, results) = done
     result = RESULTS.successful
-    for i in reversed(range(plan.arcs)):
+    for i in reversed(range(options.arcs)):
         one = jax.tree.map(lambda v, i=i: v[i], results)
         result = RESULTS.where(one == RESULTS.successful, result, one)
     size = jnp.maximum(jnp.max(sizes, axis=0), jnp.max(abs(ends), axis=0))
@@ -112,7 +116,7 @@ def shoot(setting: Setting, plan: Plan, starts: Float[Array, "M n"], q: Float[Ar
         by_start=by[:, :, :n],
         by_global=by[:, :, n:],
         size=jnp.where(size == 0, 1, size),
-        events=_merged(events_of(tables), plan.max_events),
+        events=_merged(events_of(tables), options.max_events),
         num_events=jnp.sum(counts, dtype=jnp.int32),
         first_mode=modes[0],
         result=result,
@@ -128,22 +132,26 @@ def _merged(events: Events | None, size: int) -> Events | None:
     return jax.tree.map(lambda v: v[order], flat)
 
 
-def starts_from(setting: Setting, plan: Plan, x0: Float[Array, " n"], q: Array) -> Array:
+def starts_from(
+    setting: Setting, options: ShootingOptions, x0: Float[Array, " n"], q: Array
+) -> Array:
     """The starts of all arcs on the trajectory from x0, shape (M, n). An arc that cannot be
     integrated, and those after it, start where the last one did."""
-    if plan.arcs == 1:
+    if options.arcs == 1:
         return x0[None]
-    forward = stretch(setting, plan, q, 1 / plan.arcs)
+    forward = flow_map(setting, options, q, 1 / options.arcs)
 
     def next_start(x: Array, number: Array) -> tuple[Array, Array]:
         end = forward(x, number)
         return end, end
 
-    numbers = jnp.arange(plan.arcs - 1).astype(x0.dtype)
+    numbers = jnp.arange(options.arcs - 1).astype(x0.dtype)
     return jnp.concatenate([x0[None], jax.lax.scan(next_start, x0, numbers)[1]])
 
 
-def stretch(setting: Setting, plan: Plan, q: Array, part: float) -> Callable[[Array, Array], Array]:
+def flow_map(
+    setting: Setting, options: ShootingOptions, q: Array, part: float
+) -> Callable[[Array, Array], Array]:
     """A function from a state at the start of stretch number 0, 1, …, each this `part` of the
     period, to that at its end: the same state where it cannot be integrated."""
     system, period = setting(q)
@@ -151,19 +159,19 @@ def stretch(setting: Setting, plan: Plan, q: Array, part: float) -> Callable[[Ar
 
     def forward(x: Array, number: Array) -> Array:
         scene_ = components.build(system, x)
-        span = plan.span(plan.t0 + number * length, length, max(1, round(1 / part)))
-        lane = integrate_whole(
-            scene_, tableau(plan.stepper), span, Policy("none", None), components.unpack(x)
+        span = options.span(options.t0 + number * length, length, max(1, round(1 / part)))
+        lane = integrate_in_kernel(
+            scene_, tableau(options.stepper), span, Recording("none", None), components.unpack(x)
         )
         return jnp.where(lane.result == RESULTS.successful, components.pack(lane.x, x.dtype), x)
 
     return forward
 
 
-def velocity(setting: Setting, plan: Plan, x0: Float[Array, " n"], q: Array) -> Array:
+def velocity(setting: Setting, options: ShootingOptions, x0: Float[Array, " n"], q: Array) -> Array:
     """The field at (t0, x0) in the mode in which the solution starts, shape (n,)."""
     system, period = setting(q)
     scene_ = components.build(system, x0)
-    span = plan.span(plan.t0, period, plan.arcs)
-    lane = begin(scene_, span, Policy("none", None), components.unpack(x0), 0)
+    span = options.span(options.t0, period, options.arcs)
+    lane = initial_state(scene_, span, Recording("none", None), components.unpack(x0), 0)
     return components.pack(lane.f, x0.dtype)

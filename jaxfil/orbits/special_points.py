@@ -1,6 +1,6 @@
 """Special points between two neighbours on a branch of orbits.
 
-Two points of a `Family` enter; the points between them where a test function of the orbit is zero
+Two points of a `OrbitProblem` enter; the points between them where a test function of the orbit is zero
 (a fold, a period doubling, a Neimark–Sacker point) or its sequence of contacts changes leave.
 """
 
@@ -8,18 +8,18 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from jaxfil.orbits.corrector import Family, Point, correct, plane_across
+from jaxfil.orbits.corrector import OrbitProblem, Point, constraint_across, correct
 
 # A special point is located to this part of the parameter's size.
 _LOCATED = 1e-12
 
 
-def _at_part(family: Family, a: Point, b: Point, part: float) -> Point | None:
+def _at_part(family: OrbitProblem, a: Point, b: Point, part: float) -> Point | None:
     """The point that lies this part of the way between two."""
     normal = (b.u - a.u) / a.scale
     length = np.linalg.norm(normal)
     base = a.u + part * (b.u - a.u)
-    plane = plane_across(base, a.scale, normal / length, 0.0)
+    plane = constraint_across(base, a.scale, normal / length, 0.0)
     return correct(family, base, plane, a.tangent)
 
 
@@ -27,12 +27,12 @@ def _fold(point: Point) -> float:
     return float(point.tangent[-1])
 
 
-def _flip(point: Point) -> float:
+def _period_doubling(point: Point) -> float:
     monodromy = np.asarray(point.shot.monodromy)
     return float(np.linalg.det(monodromy + np.eye(len(monodromy))))
 
 
-def _spin(point: Point) -> float:
+def _neimark_sacker(point: Point) -> float:
     """The product of a complex pair of multipliers less one; NaN where there is no such pair."""
     values = np.linalg.eigvals(np.asarray(point.shot.monodromy))
     pair = values[values.imag > 0]
@@ -41,12 +41,12 @@ def _spin(point: Point) -> float:
 
 _TESTS: dict[str, Callable[[Point], float]] = {
     "fold": _fold,
-    "period-doubling": _flip,
-    "neimark-sacker": _spin,
+    "period-doubling": _period_doubling,
+    "neimark-sacker": _neimark_sacker,
 }
 
 
-def special_points(family: Family, a: Point, b: Point) -> Iterator[tuple]:
+def special_points(family: OrbitProblem, a: Point, b: Point) -> Iterator[tuple]:
     """Special points between two neighbours: kind, point, contacts before and after."""
     while a.sequence != b.sequence:
         before, after = _change(family, a, b)
@@ -58,7 +58,7 @@ def special_points(family: Family, a: Point, b: Point) -> Iterator[tuple]:
     yield from _smooth(family, a, b)
 
 
-def _change(family: Family, a: Point, b: Point) -> tuple[Point, Point]:
+def _change(family: OrbitProblem, a: Point, b: Point) -> tuple[Point, Point]:
     """Two points next to each other, the first with the contacts of a, the second with others."""
     low, high, before, after = 0.0, 1.0, a, b
     while (high - low) * abs(b.value - a.value) > _LOCATED * abs(b.value) and high - low > 1e-13:
@@ -71,7 +71,7 @@ def _change(family: Family, a: Point, b: Point) -> tuple[Point, Point]:
     return before, after
 
 
-def _smooth(family: Family, a: Point, b: Point) -> Iterator[tuple]:
+def _smooth(family: OrbitProblem, a: Point, b: Point) -> Iterator[tuple]:
     """Zeros of the test functions between two points with the same contacts."""
     for kind, test in _TESTS.items():
         if test(a) * test(b) < 0:
@@ -80,7 +80,7 @@ def _smooth(family: Family, a: Point, b: Point) -> Iterator[tuple]:
                 yield kind, point, point.sequence, point.sequence
 
 
-def _zero(family: Family, a: Point, b: Point, test: Callable[[Point], float]) -> Point | None:
+def _zero(family: OrbitProblem, a: Point, b: Point, test: Callable[[Point], float]) -> Point | None:
     """The zero of a test function by the Illinois variant of regula falsi."""
     low, high, at_low, at_high = 0.0, 1.0, test(a), test(b)
     best, last = None, 0

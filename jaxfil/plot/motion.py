@@ -7,18 +7,18 @@ from matplotlib.patches import Patch
 from jaxfil.integrate.solution import Solution
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.model.outcomes import KINDS
+from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLACK, check_component, own_axes
 from jaxfil.plot.surfaces import draw_surfaces
 
 BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
 MARKERS = {
-    KINDS.crossing: ("o", "#0072B2"),
-    KINDS.stick: ("s", "#D55E00"),
-    KINDS.slip: ("D", "#009E73"),
-    KINDS.impact: ("^", "#CC79A7"),
-    KINDS.graze: ("*", "#F0E442"),
+    EventKind.crossing: ("o", "#0072B2"),
+    EventKind.stick: ("s", "#D55E00"),
+    EventKind.slip: ("D", "#009E73"),
+    EventKind.impact: ("^", "#CC79A7"),
+    EventKind.graze: ("*", "#F0E442"),
 }
 
 
@@ -65,9 +65,9 @@ def phase_portrait(sol: Solution, ax: Axes | None = None, system: System | None 
     _draw_slides(ax, sol, ts, xs)
     _, contacts, kinds, _ = _contacts(sol)
     for kind in np.unique(kinds):
-        marker, color = MARKERS[KINDS(kind)]
+        marker, color = MARKERS[EventKind(kind)]
         x, y = contacts[kinds == kind, :2].T
-        ax.plot(x, y, marker, color=color, markeredgecolor=BLACK, label=KINDS(kind).name)
+        ax.plot(x, y, marker, color=color, markeredgecolor=BLACK, label=EventKind(kind).name)
     if system is not None:
         draw_surfaces(ax, system, sol)
     if ax.get_legend_handles_labels()[0]:
@@ -137,7 +137,7 @@ def _path(sol: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Times and states saved, with the contacts among them in order and a gap at each impact."""
     ts, xs, _ = _saved(sol)
     times, contacts, kinds, _ = _contacts(sol)
-    impacts = times[kinds == KINDS.impact]
+    impacts = times[kinds == EventKind.impact]
     gaps = np.full((impacts.size, xs.shape[1]), np.nan)
     every = np.concatenate([times, impacts, ts])  # so at one time: left limit, gap, right limit
     order = np.argsort(every if ts[0] <= ts[-1] else -every, kind="stable")
@@ -169,5 +169,5 @@ def _contacts(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
         n, m = np.size(sol.x_final), np.size(sol.mode_final)
         return np.zeros(0), np.zeros((0, n)), np.zeros(0, int), np.zeros((0, m), bool)
     ts, xs, kinds, members = map(np.asarray, (table.ts, table.xs, table.kinds, table.members))
-    real = kinds != KINDS.none
+    real = kinds != EventKind.none
     return ts[real], xs[real], kinds[real], members[real]

@@ -107,7 +107,7 @@ def record_of(
         "system": type(system).__name__,
         "equations": equations(system, np.zeros(given.x0.shape[-1:], given.x0.dtype)),
         **{f"system.{key}": value for key, value in given.parameters.items()},
-        "name": ", ".join(where.names),
+        "parameter": ", ".join(where.names),
         "points": str(where.shape),
         **{f"values of {key}": v for key, v in zip(where.names, columns, strict=True)},
         "x0": given.x0,

@@ -26,14 +26,16 @@ class Points:
     shape: tuple[int, ...]
 
 
-def points(name: str | Sequence[str], values: Any, dtype: Any) -> Points:
-    """The points that `name` and `values` ask for, in a float precision."""
-    if isinstance(name, str):
+def points(parameter: str | Sequence[str], values: Any, dtype: Any) -> Points:
+    """The points that `parameter` and `values` ask for, in a float precision."""
+    if isinstance(parameter, str):
         axis = _axis(values, dtype, "(p,) with p ≥ 1")
-        return Points((name,), axis, axis[:, None], axis.shape)
-    names = tuple(name) if np.ndim(name) == 1 else ()
+        return Points((parameter,), axis, axis[:, None], axis.shape)
+    names = tuple(parameter) if np.ndim(parameter) == 1 else ()
     if not all(isinstance(n, str) for n in names) or len({*names}) < max(2, len(names)):
-        raise ValueError(f"`name` must be a string, or two or more different ones, got {name!r}.")
+        raise ValueError(
+            f"`parameter` must be a string, or two or more different ones, got {parameter!r}."
+        )
     if hasattr(values, "ndim"):
         return _one_by_one(names, np.asarray(values), dtype)
     if not isinstance(values, Sequence) or len(values) != len(names):

@@ -19,14 +19,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil.integrate import components
-from jaxfil.integrate.batch_loop import integrate_block
+from jaxfil.integrate.batch_loop import integrate_batch
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.state import Policy, Span
+from jaxfil.integrate.state import Recording, TimeGrid
 from jaxfil.integrate.stepper import checked, tableau
 from jaxfil.model import check
+from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import RESULTS, code, outcomes
-from jaxfil.model.parameter import cast, parameter, parameters, replace
+from jaxfil.model.parameter import cast, get_parameter, parameters, replace_parameter
 from jaxfil.model.system import System
 from jaxfil.sweep import multiprocess, step_halving
 from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, record_of
@@ -37,9 +38,10 @@ from jaxfil.version import __version__
 from jaxfil.xla.kernel import in_blocks, one_kernel
 
 
+@renamed_argument("name", "parameter")
 def bifurcation_diagram(
     system: System,
-    name: str | Sequence[str],
+    parameter: str | Sequence[str],
     values: Float[Array | np.ndarray, " p"] | Float[Array | np.ndarray, "p k"] | Sequence[Any],
     x0: Float[Array, "*shape n"],
     *,
@@ -52,14 +54,14 @@ def bifurcation_diagram(
     progress: bool = True,
     estimate_error: bool = False,
 ) -> BifurcationDiagram:
-    """Sweep the parameter `name` of a forced system over `values`.
+    """Sweep `parameter` of a forced system over `values`.
 
     For each value the system runs `transient` forcing periods from t = 0 unseen, then `samples`
     periods, and its state is kept at the end of each: a stroboscopic Poincaré section.
 
     **Arguments**
 
-    - `name`: a float leaf of the system; a dotted path for nested modules. Or k such names.
+    - `parameter`: a float leaf of the system; a dotted path for nested modules. Or k such names.
     - `values`: shape (p,). New values never recompile. For k names, a tuple of k arrays, whose
       product grid is swept, or one array of shape (p, k), a point in parameter space a row.
     - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n); on a grid
@@ -108,9 +110,9 @@ def bifurcation_diagram(
     check.system("system", system)
     dtype = _state_type(x0)
     system = cast(system, dtype)
-    where = points(name, values, dtype)
+    where = points(parameter, values, dtype)
     for each in where.names:
-        parameter(system, each)
+        get_parameter(system, each)
     if system.period is None:
         raise ValueError(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
@@ -145,7 +147,7 @@ def bifurcation_diagram(
         values=where.values,
         xs=xs.reshape(*where.shape, *xs.shape[1:]),
         results=outcomes(codes.reshape(where.shape)),
-        parameter=name if isinstance(name, str) else where.names,
+        parameter=parameter if isinstance(parameter, str) else where.names,
         system=type(system).__name__,
         conditions=conditions,
         labels=labels,
@@ -241,17 +243,17 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: Any) -> b
 def _problem(system, names, transient, samples, steps, stepper, row, x0):
     """What `integrate` is given for one point in parameter space."""
     for i, name in enumerate(names):
-        system = replace(system, name, row[i])
+        system = replace_parameter(system, name, row[i])
     period = jnp.asarray(system.period, x0.dtype)
     num_steps = (transient + samples) * steps
-    span = Span(
+    span = TimeGrid(
         t0=jnp.zeros((), x0.dtype),
         length=(transient + samples).astype(x0.dtype) * period,
         dt=period / steps.astype(x0.dtype),
         num_steps=num_steps,
         max_iterations=32 * jnp.minimum(num_steps, 2**25) + 100_000,
     )
-    policy = Policy("samples", None, first=(transient + 1) * steps, every=steps)
+    policy = Recording("samples", None, first=(transient + 1) * steps, every=steps)
     return components.build(system, x0), tableau(stepper), span, policy
 
 
@@ -269,7 +271,7 @@ def _run(system, names, rows, states, *, transient, samples, steps, stepper, fol
         return _outcome(integrate(*problem(row, x0), components.unpack(x0), num_saves=samples))
 
     def block(rows, states):
-        return _outcome(integrate_block(problem, rows, states, samples))
+        return _outcome(integrate_batch(problem, rows, states, samples))
 
     if not followed:
         return (in_blocks(block, BLOCK) if whole else jax.vmap(lane))(rows, states)
