@@ -18,9 +18,10 @@ from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Complex, Float, Int
 
+from jaxfil.integrate.options import enough_iterations
 from jaxfil.integrate.solution import Dense, Events, Solution
 from jaxfil.integrate.solve import solve
-from jaxfil.integrate.stepper import checked
+from jaxfil.integrate.stepper import checked_stepper
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_attribute
@@ -113,7 +114,7 @@ class Orbit(eqx.Module):
 
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is kept where every step is.
-        budget = (self.options.steps + 6 * self.options.max_events) * periods
+        budget = enough_iterations(self.options.steps * periods, self.options.max_events * periods)
         return solve(
             self.system,
             self.x0,
@@ -202,7 +203,7 @@ def periodic_orbit(
     guess = jnp.ones((), dtype)
     if autonomous:
         guess = check.scalar("period", period, dtype, positive=True)
-    stepper = checked(stepper)
+    stepper = checked_stepper(stepper)
     options = ShootingOptions(
         t0=check.scalar("t0", t0, dtype),
         steps=check.count("steps", steps) * periods,

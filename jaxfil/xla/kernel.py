@@ -24,15 +24,18 @@ from jaxtyping import Array
 _WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
 
+class DoesNotFitError(Exception):
+    """A program holds an operation that a single kernel cannot hold."""
+
+
 def one_kernel(function: Callable) -> Callable:
-    """`function` of arrays as a single kernel.
+    """`function` of arrays as a single kernel; a `DoesNotFitError` where it does not fit into one:
+    see `kernel_if_it_fits`."""
 
-    It may hold arithmetic, control flow and slices; XLA refuses (`jax.errors.JaxRuntimeError`) to
-    compile a scatter, a sort or a library call there.
-    """
-
-    def call(*args):
+    def call(*args: Any) -> Any:
         program, values, tree = _opened(function, args)
+        if not _fits(program.jaxpr):
+            raise DoesNotFitError
         return jax.tree.unflatten(tree, _kernel_of(program)(*values))
 
     return call
