@@ -59,9 +59,10 @@ def across(peer, setting, lanes=16, periods=6):
 
 
 def main():
+    """Print the deviations of every integrator that is installed."""
     for name in peers.MODULES:
         peer, setting = peers.load(name), TIGHT[name]
-        if reason := peer.available():
+        if reason := peer.missing():
             print(f"{name}: skipped, {reason}")
             continue
         peer.prepare(1)

@@ -23,6 +23,7 @@ class Smooth(jf.System):
     place: jax.Array
 
     def drive(self, t, x):
+        """Force of the drive, the damper and the spring."""
         return jnp.cos(self.omega * t) - 0.1 * x[1] - x[0]
 
     def vector_field(self, t, x, side):

@@ -68,8 +68,8 @@ def rate_at(rows, error, cores):
     error above that of a method's cheapest setting the rate is that setting's.
     """
     best = None
-    for family in {r["family"] for r in rows}:
-        points = sorted(_points([r for r in rows if r["family"] == family], cores))
+    for method in {r["method"] for r in rows}:
+        points = sorted(_points([r for r in rows if r["method"] == method], cores))
         if not points or points[0][0] > error:
             continue
         errors, rates = np.log(np.array(points)).T
@@ -146,12 +146,12 @@ def picture(rows, path):
 
 def _curves(ax, rows, color):
     """An integrator's methods, a line and a marker each; the markers open for all cores."""
-    for family, marker in zip(dict.fromkeys(r["family"] for r in rows), "os^Dv", strict=False):
-        mine = [r for r in rows if r["family"] == family]
+    for method, marker in zip(dict.fromkeys(r["method"] for r in rows), "os^Dv", strict=False):
+        mine = [r for r in rows if r["method"] == method]
         for i, cores in enumerate(core_counts(rows)):
             style = dict(color=color, marker=marker, ms=5, lw=1.2 if i == 0 else 0.6)
             style |= dict(mfc=color if i == 0 else "none")
-            label = f"{rows[0]['who']}, {family}" if i == 0 else None
+            label = f"{rows[0]['who']}, {method}" if i == 0 else None
             ax.plot(*np.reshape(_points(mine, cores), (-1, 2)).T, label=label, **style)
 
 

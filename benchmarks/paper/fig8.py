@@ -40,6 +40,7 @@ MARKS = {
 
 
 def make():
+    """The figure and the rows of its table."""
     found = belt_sequence()
     branch = found.branch
     largest = branch.extremes()[1][:, 1]
@@ -64,6 +65,7 @@ def make():
 
 
 def curve(ax, values, largest, stable):
+    """The branch, dashed where its orbits are unstable."""
     ax.plot(values, np.where(stable, largest, np.nan), color=BLACK, lw=1.2)
     ax.plot(values, np.where(stable, np.nan, largest), color=BLACK, lw=1.2, ls="--")
 
@@ -81,6 +83,7 @@ def marks(ax, found, tops, places):
 
 
 def table(found):
+    """The rows of its table."""
     rows = []
     for letter, b in zip("abcdefghi", found, strict=True):
         value = float(b.value)

@@ -95,6 +95,7 @@ def _beside(ax, rows):
 
 
 def _handles(rows):
+    """The entries of the legend."""
     shown = {(r.program, r.method.split(",")[0]) for r in rows}
     for program, color in COLORS.items():
         for method, mark in MARKS.items():
