@@ -1,7 +1,7 @@
 """Memory: what a compiled program holds, and how that grows.
 
-Nothing is run: XLA says of each program how many bytes its temporaries and results take. The text
-of a table of straight lines leaves: bytes for each lane and for each step.
+Nothing enters, and nothing is run: XLA says of each program how many bytes its temporaries and
+results take. The text of a table of straight lines leaves: bytes for each lane and for each step.
 """
 
 import diffrax

@@ -1,8 +1,9 @@
 """`python -m benchmarks.extremes`: parameters, scales and spans far outside the usual.
 
-Writes `results/extremes.txt`, a line for each extreme: what was run, how it ended, the largest
-deviation from an answer in closed form, what is allowed, and a verdict. "right": successful, and
-within what is allowed. "told": an outcome other than successful. "WRONG": successful and outside.
+Nothing enters; `results/extremes.txt` leaves, a line for each extreme: what was run, how it ended,
+the largest deviation from an answer in closed form, what is allowed, and a verdict. "right":
+successful, and within what is allowed. "told": an outcome other than successful. "WRONG":
+successful and outside.
 """
 
 import dataclasses

@@ -1,8 +1,9 @@
 """`python -m benchmarks.stiff`: stiff sides, compliant walls, smoothed relays, and who solves them.
 
-Writes `results/stiff.txt`, five tables, and `results/stability.png`, the error of an explicit and a
-linearly implicit method over step and stiffness. Exact answers are sums of exponentials per piece
-in 40 digits. Run times are medians of repeated calls, compilation left out.
+Nothing enters. `results/stiff.txt` leaves, four tables and a sentence, and `results/stability.png`,
+the error of an explicit and a linearly implicit method over step and stiffness. Exact answers are
+sums of exponentials per piece in 40 digits. Run times are medians of repeated calls, compilation
+left out.
 """
 
 import functools as ft

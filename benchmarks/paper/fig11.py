@@ -2,7 +2,7 @@
 
 Exact exponents have λ2 = −∞ wherever the motion sticks. The paper smooths sgn by arctan; a layer
 displaces what it smooths, by its tail: arctan(w/width) damps far from the belt too. In the same
-batches run lanes at ω = 4.6 and 4.56, for sharp numbers.
+batches run lanes at ω = 4.6 and 4.56, for sharp numbers. Frequencies enter; spectra leave.
 """
 
 import diffrax

@@ -1,7 +1,8 @@
 """Fig. 5: Lyapunov exponents of the SD oscillator against frequency, exact and smoothed.
 
 The paper smooths sgn by arctan and follows Wolf's algorithm; the exact row has the saltation of
-every crossing. In the same batch run lanes at Ω = 0.87, for one sharp number.
+every crossing. In the same batch run lanes at Ω = 0.87, for one sharp number. Frequencies enter;
+spectra leave.
 """
 
 import jax
