@@ -89,7 +89,7 @@ def _all_used(values: Sequence[Array]) -> Array:
 # What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
 # add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
 # scatters, sorts, and calls of libraries, which a product of matrices may become. (A `psum` over the
-# axis of a batch has become a sum over an axis of an array by then.)
+# the axis of a batch has become a sum over an axis of an array by then.)
 _NAMES = """
 abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh bitcast_convert_type
 broadcast_in_dim cbrt ceil clamp concatenate cond convert_element_type copy copy_p cos cosh
