@@ -5,11 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxfil.analysis import batch_means
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS
+from jaxfil.exponents import batch_means
 from jaxfil.exponents.variational import generic_frame
 from jaxfil.integrate import components
 
@@ -227,7 +227,7 @@ def test_an_impact_on_a_moving_table():
 def test_sticking_to_a_moving_belt():
     system, x0 = jf.systems.MovingBelt(), jnp.array([3.0, 0.0])
     found = jf.lyapunov_spectrum(system, x0, **ONCE, interval=12.0)
-    # It sticks at 9.483, slips at 9.765 (test_problems.py), and has lost a direction by then.
+    # It sticks at 9.483, slips at 9.765 (tests/problems.py), and has lost a direction by then.
     assert found.exponents[1] == -np.inf
     assert_allclose(found.exponents[0], by_differences(system, x0, 12.0)[0], atol=1e-7)
 

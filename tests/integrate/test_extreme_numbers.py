@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxfil as jf
 from benchmarks.extreme_systems import Circle
 from jaxfil import RESULTS
-from tests.test_hard_numbers import Scaled
+from tests.integrate.test_solve import Scaled
 
 
 def test_grazing_within_1e_14():

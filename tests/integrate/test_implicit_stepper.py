@@ -9,10 +9,10 @@ import functools as ft
 import pytest
 
 import jaxfil as jf
-from tests import (
-    test_hard_cases as cases,
-    test_hard_outcomes as outcomes,
-    test_hard_slides as slides,
+from tests.integrate import (
+    test_event_location as cases,
+    test_outcomes as outcomes,
+    test_sliding as slides,
 )
 
 TESTS = [

@@ -89,19 +89,19 @@ def text(system, **options):
     "source, declared, other",
     [
         # The search for contacts, and what a contact leads to.
-        ("contact.search", "crossing", "smooth"),
-        ("contact.land", "crossing", "smooth"),
-        ("switch._switch", "crossing", "smooth"),
+        ("event_location.search", "crossing", "smooth"),
+        ("event_location.land", "crossing", "smooth"),
+        ("mode_switch._switch", "crossing", "smooth"),
         ("filippov._choose_on_one", "crossing", "smooth"),
         # Sliding: the blend's weights, the return to the surface, whether it draws the state back.
         ("filippov.weights", "sliding", "crossing"),
-        ("switch._project", "sliding", "crossing"),
+        ("mode_switch._project", "sliding", "crossing"),
         ("filippov.attracting", "sliding", "crossing"),
         # Impacts, events, and saved states.
         ("test_pay_for_use.Impact.reset", "impact", "crossing"),
-        ("record.record_event", "events", "crossing"),
-        ("record._kind", "events", "crossing"),
-        ("record.save_state", "ts", "crossing"),
+        ("recording.record_event", "events", "crossing"),
+        ("recording._kind", "events", "crossing"),
+        ("recording.save_state", "ts", "crossing"),
     ],
 )
 def test_what_is_not_declared_is_not_in_the_program(program, source, declared, other):

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import jaxfil as jf
 from jaxfil import EventKind
 from jaxfil.integrate.rosenbrock import RODAS5P
-from tests.test_order import PROBLEMS, fitted
+from tests.integrate.test_order import PROBLEMS, fitted
 
 
 @pytest.fixture(scope="module")

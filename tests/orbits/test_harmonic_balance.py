@@ -5,12 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxfil.analysis import harmonic
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS
 from jaxfil.model.outcomes import outcome_names
+from jaxfil.orbits import harmonic_balance as harmonic
 
 S = jf.systems
 OMEGA = 0.7

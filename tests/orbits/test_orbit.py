@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
 from jaxfil.model.outcomes import outcome_names
-from tests.test_cards import in_float32
+from tests.model.test_card import in_float32
 
 S = jf.systems
 CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip

@@ -6,13 +6,14 @@ they are given smaller values by a line after that assignment, and the cells run
 
 import os
 import re
-from pathlib import Path
 
 import nbclient
 import nbformat
 import pytest
 
-FOLDER = Path(__file__).parent.parent / "notebooks"
+from tests import ROOT
+
+FOLDER = ROOT / "notebooks"
 SMALL = {
     "01_first_system": {"POINTS": 5},
     "02_sd_oscillator": {"POINTS": 20, "SAMPLES": 5, "LANES": 32, "VALUES": 4, "PERIODS": 20},

@@ -16,9 +16,10 @@ import pytest
 import xarray
 
 import jaxfil as jf
-from jaxfil.model.outcomes import outcome_names
+from jaxfil.model.outcomes import outcome_codes, outcome_names
 from jaxfil.model.system import System
 from jaxfil.sweep import checkpoint, execution
+from tests import ROOT
 
 X0 = np.array([0.3, 0.1])
 
@@ -141,7 +142,7 @@ def test_bad_paths(tmp_path, monkeypatch):
 
 def test_an_outcome_of_another_version_is_named():
     with pytest.raises(ValueError, match=r"An outcome must be one of successful, .*got 'tired'"):
-        jf.results.outcome_codes(np.array(["successful", "tired"]))
+        outcome_codes(np.array(["successful", "tired"]))
 
 
 def interrupt_after(monkeypatch, pieces):
@@ -156,7 +157,7 @@ def interrupt_after(monkeypatch, pieces):
             signal.raise_signal(signal.SIGINT)
         return done
 
-    monkeypatch.setattr(chunk, "_cores", lambda: 1)
+    monkeypatch.setattr(execution, "_cores", lambda: 1)
     monkeypatch.setattr(execution._Lanes, "piece", piece)
 
 
@@ -220,7 +221,7 @@ KILLED = """
 import os, signal
 import jax, numpy
 jax.config.update("jax_enable_x64", True)
-from tests.test_keep import sweep
+from tests.sweep.test_checkpoint import sweep
 
 rename, pieces = os.rename, []
 def killing(source, target):
@@ -241,14 +242,14 @@ def test_a_killed_sweep_goes_on_where_it_was(monkeypatch, tmp_path, follow):
     arguments = f"numpy.linspace(0.6, 0.9, {len(values)}), follow={follow!r}"
     killed = subprocess.run(
         [sys.executable, "-c", KILLED.format(arguments=arguments, path=path)],
-        cwd=Path(__file__).parent.parent,
+        cwd=ROOT,
         check=False,
     )
     assert killed.returncode == -signal.SIGKILL
     (kept,) = Path(path).glob("lanes-*")
     partial = [name for name in os.listdir(path) if name.startswith(".")]
     assert partial, "the second piece was on its way"
-    monkeypatch.setattr(chunk, "_cores", lambda: 3)
+    monkeypatch.setattr(execution, "_cores", lambda: 3)
     ran = []
     before = checkpoint.Checkpoint.write
     monkeypatch.setattr(
@@ -336,7 +337,7 @@ def test_a_checkpoint_of_another_version_is_refused(begun, monkeypatch):
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path):
-    (tmp_path / "thesis.tex").tangency()
+    (tmp_path / "thesis.tex").touch()
     with pytest.raises(ValueError, match=r"must be a new folder.*holds thesis\.tex"):
         sweep([0.7], checkpoint=tmp_path)
 

@@ -3,7 +3,6 @@
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -11,13 +10,14 @@ from numpy.testing import assert_array_equal
 
 import jaxfil as jf
 from jaxfil.sweep import multiprocess
+from tests import ROOT
 
 X0 = np.array([0.3, 0.1])
 VALUES = np.linspace(0.6, 0.9, 300)  # five chunks: three for one process, two for the other
 SCRIPT = """
 import sys
 import jax
-from tests.test_processes import answers, sweep  # jaxfil, too, is imported before
+from tests.sweep.test_multiprocess import answers, sweep  # jaxfil, too, is imported before
 jax.config.update("jax_enable_x64", True)
 port, index, out = sys.argv[1:]
 jax.distributed.initialize(f"127.0.0.1:{port}", 2, int(index))
@@ -60,7 +60,7 @@ def test_two_processes_find_what_one_finds(tmp_path):
     both = [
         subprocess.Popen(
             [sys.executable, "-c", SCRIPT, port, str(index), str(tmp_path)],
-            cwd=Path(__file__).parent.parent,
+            cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
