@@ -16,9 +16,18 @@ from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS
 from jaxfil.model.outcomes import EventKind, outcome_names
 from jaxfil.model.parameter import replace_parameter
-from tests.model.test_card import in_float32
+from tests.problems import closed_forms
+from tests.problems.values import (
+    BELT_ADDS,
+    BELT_CHANGES,
+    BELT_GRAZES,
+    CUBIC_GRAZES,
+    SD_GRAZES,
+    WALL_GRAZES,
+)
+from tests.results import in_float32, lane
 
-SD_LOW, SD_HIGH = 0.866716581971234, 1.117142393133526
+SD_LOW, SD_HIGH = SD_GRAZES
 BELT = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0)
 
 
@@ -48,10 +57,6 @@ def belt_orbits(values):
     return eqx.filter_vmap(one)(jnp.asarray(values))
 
 
-def lane(tree, i):
-    return jax.tree.map(lambda v: v[i], tree)
-
-
 @pytest.fixture(scope="module")
 def sd():
     system, orbits = sd_orbits([0.97 * SD_LOW, 0.8, 1.03 * SD_HIGH])
@@ -77,10 +82,9 @@ def test_the_sd_oscillator_grazes_where_its_amplitude_is_one(sd):
 # Guesses 3 % off on either side: values from the branch of an independent code, or from closed
 # forms per piece (0.917, 1.549, 10.905).
 BELT_CASES = {
-    "grazing-sliding": [(0.917012578766336, 0.97), (0.917012578766336, 1.03),
-                        (10.904975822090772, 0.97), (10.904975822090772, 1.03)],
-    "adding-sliding": [(1.548910479930516, 0.97), (1.548910479930516, 1.03)],
-}  # fmt: skip
+    "grazing-sliding": [(value, off) for value in BELT_GRAZES for off in (0.97, 1.03)],
+    "adding-sliding": [(BELT_ADDS, 0.97), (BELT_ADDS, 1.03)],
+}
 
 
 @pytest.mark.parametrize("kind", BELT_CASES)
@@ -97,17 +101,10 @@ def test_a_cubic_spring_grazes_where_its_orbit_reaches_the_belt():
     system = jf.systems.BeltFriction(omega=4.52)
     orbit = jf.periodic_orbit(system, jnp.array([0.148, 0.358]), steps=160)
     found = jf.find_bifurcation(system, "omega", orbit, "grazing", throw=False)
-    assert abs(float(found.value) - 4.652570419201206) < 1e-10
+    assert abs(float(found.value) - CUBIC_GRAZES) < 1e-10
     # There is a sliding region where it touches: the name says so, whatever was asked for.
     assert found.kind == "grazing-sliding"
     assert outcome_names(found.result) == "other_kind"
-
-
-def den_hartog(omega):
-    """S* = Ω²|V|/√(1 + Ω⁴U²), V = 1/(1 − Ω²), U = tan(π/2Ω)/Ω: where Den Hartog's orbit begins to
-    stick."""
-    v, u = 1 / (1 - omega**2), np.tan(np.pi / (2 * omega)) / omega
-    return omega**2 * abs(v) / np.sqrt(1 + omega**4 * u**2)
 
 
 def test_sticking_begins_as_den_hartog_says_over_a_range_of_frequencies():
@@ -115,13 +112,13 @@ def test_sticking_begins_as_den_hartog_says_over_a_range_of_frequencies():
     orbit = jf.periodic_orbit(system, jnp.array([2.0, 0.3]), steps=80)
     begins = jf.find_bifurcation(system, "friction", orbit, "crossing-sliding")
     assert abs(float(begins.value) - 0.8174063857) < 1e-10
-    assert abs(float(begins.value) - den_hartog(0.8)) < 1e-11
+    assert abs(float(begins.value) - closed_forms.den_hartog_sticks(0.8)) < 1e-11
     names = ("omega", "friction")
     curve = jf.continue_bifurcation(system, names, begins, stop=(0.55, 0.95))
     omega, friction = curve.values.T
     assert omega.min() == pytest.approx(0.55, abs=1e-12)
     assert omega.max() == pytest.approx(0.95, abs=1e-12)
-    np.testing.assert_allclose(friction, den_hartog(omega), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(friction, closed_forms.den_hartog_sticks(omega), rtol=0, atol=1e-8)
     assert set(curve.kinds) == {"crossing-sliding"}
 
 
@@ -129,10 +126,10 @@ def test_a_wall_is_grazed_where_the_amplitude_reaches_it():
     system = jf.systems.ImpactOscillator(amplitude=0.43, omega=1.2)
     orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.5]), steps=60)
     graze = jf.find_bifurcation(system, "amplitude", orbit, "grazing")
-    assert abs(float(graze.value) - 0.4560701704) < 1e-9
+    assert abs(float(graze.value) - WALL_GRAZES) < 1e-9
     curve = jf.continue_bifurcation(system, ("omega", "amplitude"), graze, stop=(1.1, 1.3))
     omega, amplitude = curve.values.T
-    exact = np.sqrt((1 - omega**2) ** 2 + (0.1 * omega) ** 2)
+    exact = closed_forms.wall_amplitude(omega)
     np.testing.assert_allclose(amplitude, exact, rtol=0, atol=1e-9)
 
 
@@ -205,7 +202,7 @@ def test_everything_that_happens_to_an_orbit_in_one_call():
     orbit = jf.periodic_orbit(system, jnp.array([0.1, 0.0]), steps=60)
     route = jf.find_bifurcations(system, "omega", orbit, stop=3.9)
     assert [b.kind for b in route] == ["grazing-sliding", "switching-sliding", "crossing-sliding"]
-    expected = [10.904975822090772, 7.952394749883, 4.217222740070]
+    expected = [BELT_GRAZES[1], 7.952394749883, 4.217222740070]
     np.testing.assert_allclose([b.value for b in route], expected, rtol=0, atol=1e-8)
     assert "switching-sliding" in repr(route)
 
@@ -252,9 +249,8 @@ def test_all_nine_bifurcations_of_the_belt():
         "switching-sliding",
         "grazing-sliding",
     ]
-    known = {0: 0.917012578766336, 3: 1.548910479930516, 8: 10.904975822090772}
-    rounded = [0.917, 1.398, 1.403, 1.549, 1.914, 2.438, 4.217, 7.952, 10.905]
-    np.testing.assert_allclose([b.value for b in route], rounded, rtol=0, atol=6e-4)
+    known = {0: BELT_GRAZES[0], 3: BELT_ADDS, 8: BELT_GRAZES[1]}
+    np.testing.assert_allclose([b.value for b in route], BELT_CHANGES, rtol=0, atol=6e-4)
     for i, value in known.items():
         assert abs(float(route.bifurcations[i].value) - value) < 1e-9
 

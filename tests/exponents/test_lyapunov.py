@@ -12,6 +12,9 @@ from jaxfil import RESULTS
 from jaxfil.exponents import batch_means
 from jaxfil.exponents.variational import generic_frame
 from jaxfil.integrate import components
+from tests.problems import PROBLEMS
+from tests.problems.systems import cubic_belt
+from tests.problems.values import BELT_DAMPING, CUBIC_LYAPUNOV, SD_DAMPING
 
 
 class Linear(jf.System):
@@ -92,7 +95,7 @@ def sd_run(omega, x0, periods):
 
 
 def test_the_sd_oscillator():
-    # Divergence -2ζ = -0.0282 on both sides, and crossings keep the volume. At Ω = 0.7 the
+    # Divergence -2ζ on both sides, and crossings keep the volume. At Ω = 0.7 the
     # one-sided orbit has both exponents -ζ; at 0.87 chaos, 0.08889(4), from an independent code.
     one_sided = 1 + 0.25 / (1 - 0.7**2)
     omega = [0.7, 0.87, 0.87, 0.87, 0.95, 1.0, np.nan, 1.25]
@@ -101,8 +104,8 @@ def test_the_sd_oscillator():
     good = np.isfinite(omega)
     assert_array_equal(found.result == RESULTS.successful, good)
     assert np.all(np.isnan(found.exponents[~good])) and not np.any(found.settled[~good])
-    assert_allclose(found.exponents[good].sum(axis=1), -0.0282, atol=1e-8)
-    assert_allclose(found.exponents[0], -0.0141, atol=1e-4)
+    assert_allclose(found.exponents[good].sum(axis=1), SD_DAMPING, atol=1e-8)
+    assert_allclose(found.exponents[0], SD_DAMPING / 2, atol=1e-4)
     error = found.standard_error[1:4, 0]
     assert np.all(abs(found.exponents[1:4, 0] - 0.08889) < 3 * error)
     assert np.all((error > 5e-4) & (error < 5e-3))
@@ -110,48 +113,24 @@ def test_the_sd_oscillator():
     assert_array_equal(found.x0, x0)
 
 
-# Belt friction, from an independent code (Santhosh et al. 2016, corrected): γ1, γ2, ω, x(0), the
-# multipliers of the periodic orbit through it.
-ORBITS = {
-    "sticks": (10.0, 0.0, 1.3, (1.562680507274925516, 1.0), (-0.199459730884038, 0.0)),
-    "crosses": (
-        10.0,
-        0.0,
-        2.44,
-        (0.893154126723387260, 3.181072481841881173),
-        (0.0025495 + 0.0145254j, 0.0025495 - 0.0145254j),
-    ),
-    "sticks for a moment": (
-        10.0,
-        0.0,
-        9.1,
-        (0.431566227111474261, 0.285460370360303195),
-        (-0.161706955546901, 0.0),
-    ),
-    "free": (
-        0.0,
-        1e4,
-        4.56,
-        (0.1483395597000811859, 0.3581899498626866293),
-        (-0.31062397377592 + 0.64205422198867j, -0.31062397377592 - 0.64205422198867j),
-    ),
-}
+# Sticks, crosses, sticks for a moment, free.
+ORBITS = [PROBLEMS[name] for name in ("belt 1.3", "belt 2.44", "belt 9.1", "cubic belt 4.56")]
 
 
 def belts():
     """The orbits above, chaos at ω = 4.6 from rest, and a transient that ends."""
-    rows = [(*row[:3], *row[3]) for row in ORBITS.values()]
-    rows += [(0.0, 1e4, 4.6, 0.0, 0.0), (0.0, 1e4, 4.5635, 0.0, 0.0)]
-    g1, g2, omega, *x0 = np.array(rows).T
-    return stacked(jf.systems.BeltFriction, gamma1=g1, gamma2=g2, omega=omega), jnp.array(x0).T
+    systems = [*(p.system for p in ORBITS), cubic_belt(4.6), cubic_belt(4.5635)]
+    x0 = [*(p.x0 for p in ORBITS), (0.0, 0.0), (0.0, 0.0)]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *systems), jnp.asarray(x0)
 
 
 def test_the_belt():
     systems, x0 = belts()
     found = spectra(systems, x0, periods=1000, transient=40)
     assert np.all(found.result == RESULTS.successful)
-    for i, (_, _, omega, _, multipliers) in enumerate(ORBITS.values()):
-        rates = np.log(np.maximum(np.abs(multipliers), 1e-300)) * omega / (2 * np.pi)
+    for i, p in enumerate(ORBITS):
+        multipliers = np.sort(np.abs(p.multipliers))[::-1]
+        rates = np.log(np.maximum(multipliers, 1e-300)) / p.t1
         if multipliers[1] == 0:
             assert_allclose(found.exponents[i, 0], rates[0], rtol=1e-8)
             assert found.exponents[i, 1] == -np.inf and found.standard_error[i, 1] == 0
@@ -159,14 +138,14 @@ def test_the_belt():
             assert_allclose(found.exponents[i], rates, atol=2e-3)
             assert_allclose(found.exponents[i].sum(), rates.sum(), rtol=2e-6)
         assert found.settled[i]
-    # -0.24525 twice: half the divergence αg.
-    assert_allclose(found.exponents[3].sum(), -0.4905, rtol=2e-6)
-    # Sticking chaos, 0.3799(4) by an independent code.
-    assert abs(found.exponents[4, 0] - 0.3799) < 3 * found.standard_error[4, 0]
+    # Half the divergence αg twice.
+    assert_allclose(found.exponents[3].sum(), BELT_DAMPING, rtol=2e-6)
+    # Sticking chaos.
+    assert abs(found.exponents[4, 0] - CUBIC_LYAPUNOV) < 3 * found.standard_error[4, 0]
     assert found.exponents[4, 1] == -np.inf and found.settled[4]
     # From rest at 4.5635 the motion sticks at first and ends on the orbit that never does.
     assert found.settled[5]
-    assert_allclose(found.exponents[5], -0.24525, atol=5e-3)
+    assert_allclose(found.exponents[5], BELT_DAMPING / 2, atol=5e-3)
     early = spectra(systems, x0, periods=1000, transient=0)
     assert not early.settled[5] and early.exponents[5, 1] == -np.inf
 
@@ -227,7 +206,7 @@ def test_an_impact_on_a_moving_table():
 def test_sticking_to_a_moving_belt():
     system, x0 = jf.systems.MovingBelt(), jnp.array([3.0, 0.0])
     found = jf.lyapunov_spectrum(system, x0, **ONCE, interval=12.0)
-    # It sticks at 9.483, slips at 9.765 (tests/problems.py), and has lost a direction by then.
+    # It sticks at 9.483, slips at 9.765 (tests.problems), and has lost a direction by then.
     assert found.exponents[1] == -np.inf
     assert_allclose(found.exponents[0], by_differences(system, x0, 12.0)[0], atol=1e-7)
 

@@ -10,6 +10,7 @@ from hypothesis import example, given, settings, strategies as st
 import jaxfil as jf
 from jaxfil.integrate.event_location import NEVER, first_contact, stays_off
 from jaxfil.sweep import execution
+from tests.problems import closed_forms
 
 number = st.floats(-4, 4).map(lambda v: v**3)
 FEW = {"transient": 4, "samples": 6, "progress": False}
@@ -113,8 +114,7 @@ def test_a_lane_coasts_on_from_a_near_touch_without_losing_time():
     # x = 1 + Re a exp(iωt) comes within 2e-3 of the surface, which is looked at once a period, at a
     # time that float32 rounds by up to 6e-5; sampling times are rounded by as much.
     sd, omega = jf.systems.SDOscillator(), float(np.float32(0.86648))
-    a = 0.25 / (1 - omega**2 + 2j * 0.0141 * omega)
-    x0 = np.array([1 + a.real, -omega * a.imag])
+    a, x0 = closed_forms.response(omega), closed_forms.one_sided(omega)
     d = jf.bifurcation_diagram(
         sd, "omega", [omega], np.float32(x0), transient=200, samples=100, steps=16, progress=False
     )

@@ -13,35 +13,11 @@ from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
+from tests.problems import PROBLEMS, closed_forms, tagged
+from tests.problems.systems import Box
 
 FORWARD, REVERSE = diffrax.ForwardMode(), diffrax.RecursiveCheckpointAdjoint()
 S = jf.systems
-
-
-class Box(jf.System):
-    """Two surfaces, held one after the other; the product of both sides enters the third rate."""
-
-    p: jax.Array
-    q: jax.Array
-
-    def vector_field(self, t, x, side):
-        s1, s2 = side
-        return jnp.stack([self.p - 2 * s1, self.q * s1 - 2 * s2, s1 + 2 * s2 + s1 * s2])
-
-    def switching(self, t, x):
-        return x[:2]
-
-
-class Leave(jf.System):
-    """Held at y = 0 by a force that grows as t, until it exceeds the friction; x' = side."""
-
-    friction: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([side, t - self.friction * side])
-
-    def switching(self, t, x):
-        return x[1]
 
 
 def solve(system, x0, t0, t1, dt, adjoint=FORWARD, **kwargs):
@@ -54,68 +30,7 @@ def solve(system, x0, t0, t1, dt, adjoint=FORWARD, **kwargs):
     return jf.solve(system, x0, t0, t1, dt, adjoint=adjoint, max_steps=1024, **kwargs)
 
 
-def box(system, x0, t0, t1):
-    # Both sides positive, then x1 held (s1 = p/2), then x2 too (s2 = p q/4).
-    p, q = system.p, system.q
-    first = x0[0] / (2 - p)
-    x2 = x0[1] + (q - 2) * first
-    second = first + x2 / (2 - p * q / 2)
-    s1, s2 = p / 2, p * q / 4
-    end = x0[2] + 4 * first + (2 * s1 + 2) * (second - first)
-    end = end + (s1 + 2 * s2 + s1 * s2) * (t1 - t0 - second)
-    return jnp.stack([0 * t0, 0 * t0, end])
-
-
-def leave(system, x0, t0, t1):
-    # Meets y = 0 from above while t < friction; side = t/friction while held.
-    f = system.friction
-    meet = f - jnp.sqrt((f - t0) ** 2 - 2 * x0[1])
-    x = x0[0] + (meet - t0) + (f**2 - meet**2) / (2 * f) + (t1 - f)
-    return jnp.stack([x, (t1 - f) ** 2 / 2])
-
-
-def rotating(system, x0, t0, t1):
-    radius, angle = jnp.hypot(x0[0], x0[1]), jnp.arctan2(x0[1], x0[0])
-    angle = angle + system.omega * (t1 - t0 + 2 * jnp.log(radius))
-    return jnp.exp(t1 - t0) * radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
-
-
-def ball(system, x0, t0, t1):
-    # Two impacts.
-    g, e = system.g, system.restitution
-    speed = jnp.sqrt(x0[1] ** 2 + 2 * g * x0[0])
-    first = (x0[1] + speed) / g
-    rest = t1 - t0 - first - 2 * e * speed / g
-    speed = e**2 * speed
-    return jnp.stack([speed * rest - g * rest**2 / 2, speed - g * rest])
-
-
-def relays(system, x0, t0, t1):
-    # x = y is reached at the rate 3.5, and then followed at the speed -6/17.
-    meet = (x0[0] - x0[1]) / 3.5
-    end = x0[0] - 2 * meet - 6 / 17 * (t1 - t0 - meet)
-    return jnp.stack([end, end])
-
-
-def coulomb(system, x0, t0, t1):
-    # A quarter-turn or less about -F to the first maximum; each of the next four half-turns takes
-    # 2 F of the excursion, then it sticks.
-    amplitude = jnp.hypot(x0[0] + system.friction, x0[1])
-    return jnp.stack([amplitude - 9 * system.friction, 0 * t0])
-
-
-SPIN = S.RotatingOscillator(omega=-6.0)
 BALL = S.BouncingBall(g=9.8, restitution=0.8)
-BOX = Box(jnp.asarray(0.7), jnp.asarray(0.9))
-
-CLOSED = {
-    "rotating": (rotating, SPIN, (0.3, 0.2), 0.1, 2.2),
-    "ball": (ball, BALL, (10, 1.0), -0.3, 4.0),
-    "relays": (relays, S.TwoRelays(), (1.5, 1.0), 0.0, 1.0),
-    "box": (box, BOX, (1.0, 2.0, 0.5), 0.2, 4.1),
-    "leave": (leave, Leave(jnp.asarray(2.0)), (0.0, 0.4), 0.5, 3.3),
-    "coulomb": (coulomb, S.CoulombOscillator(friction=0.4), (2.8, 0.7), 0.3, 20.0),
-}
 
 
 def inputs(system, x0, t0, t1):
@@ -128,14 +43,19 @@ def flat(tree):
     return np.concatenate(leaves, axis=1)
 
 
-@pytest.mark.parametrize("name", list(CLOSED))
+def arguments(name):
+    """The system, start and times of a problem of the bank."""
+    p = PROBLEMS[name]
+    return inputs(p.system, p.x0, p.t0, p.t1)
+
+
+@pytest.mark.parametrize("name", tagged("flow"))
 def test_closed_forms(name):
-    exact, *args = CLOSED[name]
-    args = inputs(*args)
-    end = jax.jit(lambda *args: solve(*args, 0.03).xs[-1])
-    assert_allclose(end(*args), exact(*args), rtol=0, atol=1e-11)
+    p, args = PROBLEMS[name], arguments(name)
+    end = jax.jit(lambda *args: solve(*args, p.dt).xs[-1])
+    assert_allclose(end(*args), p.flow(*args), rtol=0, atol=p.atol)
     got = jax.jit(jax.jacfwd(end, (0, 1, 2, 3)))(*args)
-    want = jax.jacfwd(exact, (0, 1, 2, 3))(*args)
+    want = jax.jacfwd(p.flow, (0, 1, 2, 3))(*args)
     assert_allclose(flat(got), flat(want), rtol=0, atol=1e-9)
 
 
@@ -193,9 +113,9 @@ def test_reverse_is_forward(name):
 
 
 def test_reverse_on_an_intersection():
-    system, x0, t0, t1 = inputs(*CLOSED["box"][1:])
+    system, x0, t0, t1 = arguments("box by everything")
     got = jax.grad(lambda s, x: solve(s, x, t0, t1, 0.1, REVERSE).xs[-1, 2], (0, 1))(system, x0)
-    want = jax.grad(lambda s, x: box(s, x, t0, t1)[2], (0, 1))(system, x0)
+    want = jax.grad(lambda s, x: closed_forms.box(s, x, t0, t1)[2], (0, 1))(system, x0)
     for left, right in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
         assert_allclose(left, right, rtol=0, atol=1e-12)
 
@@ -231,7 +151,7 @@ def test_event_times_and_states():
         angle = jnp.arctan2(x0[1], x0[0]) - system.omega * wait
         return jnp.stack([jnp.cos(angle), jnp.sin(angle), t0 + wait + 0 * t1])
 
-    args = inputs(*CLOSED["rotating"][1:])
+    args = arguments("rotating by everything")
     assert_allclose(event(*args), exact(*args), rtol=0, atol=1e-11)
     got = jax.jacfwd(event, (0, 1, 2, 3))(*args)
     assert_allclose(flat(got), flat(jax.jacfwd(exact, (0, 1, 2, 3))(*args)), rtol=0, atol=1e-9)
@@ -247,7 +167,7 @@ def test_saved_states_between_contacts():
 
     system, x0 = BALL, jnp.asarray([10.0, 1.0])
     got = jax.jacfwd(saved, (0, 1))(system, x0)
-    last = jax.jacfwd(lambda s, x: ball(s, x, 0.0, 3.9), (0, 1))(system, x0)
+    last = jax.jacfwd(lambda s, x: closed_forms.ball(s, x, 0.0, 3.9), (0, 1))(system, x0)
     free = jax.jacfwd(
         lambda s, x: jnp.stack([x[0] + x[1] * 0.5 - s.g * 0.125, x[1] - s.g * 0.5]), (0, 1)
     )(system, x0)

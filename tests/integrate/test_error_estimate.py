@@ -13,6 +13,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
+from tests.problems import PROBLEMS
+from tests.problems.values import SD_AT_5
 
 DTS = np.asarray([0.4, 0.2, 0.1, 0.05, 0.025, 0.0125])
 # Below this the truth itself is in doubt: thousands of fine steps, and contacts, gather rounding.
@@ -83,18 +85,15 @@ def assert_honest_all(sol, truth):
 
 
 def test_honest_against_other_codes():
-    # 60-digit pieces with located crossings, and the closed form of a Coulomb oscillator.
-    sd = jf.systems.SDOscillator(omega=0.7)
-    truth = [
-        [0.15854311422638652, -0.93147098153906364],
-        [-3.61547391145097193, 0.61719527603447126],
-    ]
+    # Pieces with located crossings, and the closed form of a Coulomb oscillator.
+    p = PROBLEMS["sd"]
+    truth = [SD_AT_5, p.end]
     for dt in (0.4, 0.25):
         sol = jf.solve(
-            sd,
-            jnp.asarray([0.3, 0.1]),
+            p.system,
+            jnp.asarray(p.x0),
             0.0,
-            40.0,
+            p.t1,
             dt,
             saveat=diffrax.SaveAt(ts=jnp.asarray([5.0, 40.0])),
             estimate_error=True,

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
+from tests.problems import PROBLEMS, closed_forms
 
 STEPPERS = {
     "RK4": (jf.RK4(), 4),
@@ -19,16 +20,15 @@ STEPPERS = {
 }
 
 
+SPIN = PROBLEMS["rotating"].system
+
+
 def rotating_end(inputs, dt, stepper):
-    system = jf.systems.RotatingOscillator()
-    return jf.solve(system, inputs, 0.0, 2.3, dt, stepper=stepper).xs[-1]
+    return jf.solve(SPIN, inputs, 0.0, 2.3, dt, stepper=stepper).xs[-1]
 
 
 def rotating_exact(x0):
-    """r = r0 e^t, and the rotation turns round at t* = -ln r0: at T it has gone 2π (2 t* - T)."""
-    radius, angle = jnp.hypot(x0[0], x0[1]), jnp.arctan2(x0[1], x0[0])
-    angle = angle - 2 * np.pi * (2.3 + 2 * jnp.log(radius))
-    return jnp.exp(2.3) * radius * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    return closed_forms.rotating(SPIN, x0, 0.0, 2.3)
 
 
 def sticking_end(inputs, dt, stepper):
@@ -48,7 +48,7 @@ BELT_DERIVATIVE = np.asarray(
     ]
 )
 
-ROTATING = np.asarray([np.exp(-1), 0.0])
+ROTATING = np.asarray(PROBLEMS["rotating"].x0, float)
 PROBLEMS = {
     "rotating": (
         rotating_end,

@@ -10,39 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
-
-
-class Affine(jf.System):
-    """x' = a + B x with its own a and B on each side of y = 0."""
-
-    a: jax.Array
-    b: jax.Array
-
-    def vector_field(self, t, x, side):
-        fields = self.a + self.b @ x
-        return jnp.where(side > 0, fields[0], fields[1])
-
-    def switching(self, t, x):
-        return x[1]
-
-
-class Never(Affine):
-    """The same, declared never to slide."""
-
-    slides = False
-
-
-class Corner(jf.System):
-    """A constant field in each quadrant; the axes are the surfaces."""
-
-    table: jax.Array
-
-    def vector_field(self, t, x, side):
-        rows = jnp.where(side[0] > 0, self.table[0], self.table[1])
-        return jnp.where(side[1] > 0, rows[0], rows[1])
-
-    def switching(self, t, x):
-        return x
+from tests.problems import PROBLEMS, closed_forms, tagged
+from tests.problems.systems import affine
+from tests.results import assert_solves, run, solved
 
 
 class Wall(jf.System):
@@ -90,72 +60,68 @@ class Poison(jf.System):
         return self.after[None]
 
 
-ZEROS = np.zeros((2, 2, 2))
-
-
-def affine(plus, minus, b=ZEROS, kind=Affine):
-    return kind(jnp.asarray([plus, minus], float), jnp.asarray(b, float))
-
-
-def run(system, x0, t1, dt, t0=0.0):
-    return jf.solve(system, jnp.asarray(x0, float), t0, t1, dt, max_events=64, throw=False)
+@pytest.mark.parametrize("name", [k for k in tagged("hand") if PROBLEMS[k].outcome != "successful"])
+def test_a_problem_ends_as_it_must(name):
+    assert_solves(PROBLEMS[name], solved(PROBLEMS[name]))
 
 
 @pytest.mark.parametrize("dt", [0.1, 3.0])
 def test_repelling_slide(dt):
-    sol = run(affine((1, 1), (1, -1)), (2, 0), 1.0, dt)
+    p = PROBLEMS["repelling slide"]
+    sol = run(p.system, p.x0, p.t1, dt)
     assert sol.result == RESULTS.nonunique
-    assert_array_equal(sol.t_final, 0)
-    assert_array_equal(sol.x_final, [2, 0])
+    assert_array_equal(sol.t_final, p.ends_at)
+    assert_array_equal(sol.x_final, p.end)
 
 
 def test_repelling_slide_does_not_touch_its_neighbours():
     # A little off the surface the same scene is well posed.
-    sol = run(affine((1, 1), (1, -1)), (2, 1e-9), 1.0, 0.1)
+    sol = run(PROBLEMS["repelling slide"].system, (2, 1e-9), 1.0, 0.1)
     assert sol.result == RESULTS.successful
     assert_allclose(sol.x_final, [3, 1 + 1e-9], rtol=1e-14)
 
 
 @pytest.mark.parametrize("dt", [0.3, 0.5])
 def test_two_fold(dt):
-    # y' = x above and -x below: slides for x < 0, and at x = 0 both fields touch and part.
-    system = affine((1, 0), (1, 0), [[[0, 0], [1, 0]], [[0, 0], [-1, 0]]])
-    sol = run(system, (-1, 0), 2.0, dt)
+    p = PROBLEMS["two-fold"]
+    sol = run(p.system, p.x0, p.t1, dt)
     assert sol.result == RESULTS.nonunique
-    assert_allclose(sol.t_final, 1.0, rtol=1e-9)
-    assert_allclose(sol.x_final, [0, 0], atol=1e-9)
+    assert_allclose(sol.t_final, p.ends_at, rtol=1e-9)
+    assert_allclose(sol.x_final, p.end, atol=1e-9)
     with pytest.raises(RuntimeError, match="not unique"):
-        jf.solve(system, jnp.asarray([-1.0, 0.0]), 0.0, 2.0, dt)
+        jf.solve(p.system, jnp.asarray(p.x0, float), 0.0, p.t1, dt)
 
 
 def test_two_fold_of_the_sd_oscillator_at_the_origin():
-    sol = run(jf.systems.SDOscillator(omega=0.7), (0, 0), 1.0, 0.1)
+    p = PROBLEMS["sd from the origin"]
+    sol = run(p.system, p.x0, p.t1, p.dt)
     assert sol.result == RESULTS.nonunique
-    assert_array_equal(sol.t_final, 0)
-    assert_array_equal(sol.x_final, [0, 0])
+    assert_array_equal(sol.t_final, p.ends_at)
+    assert_array_equal(sol.x_final, p.end)
 
 
 @pytest.mark.parametrize("dt", [0.3, 0.5])
 def test_corner_exit(dt):
-    # The corner is reached at t = 1; the other three quadrants all lead away from it.
-    table = [[(1, 1), (1, -1)], [(-1, 1), (1, 1)]]
-    sol = run(Corner(jnp.asarray(table, float)), (-1, -1), 2.0, dt)
+    p = PROBLEMS["corner exit"]
+    sol = run(p.system, p.x0, p.t1, dt)
     assert sol.result == RESULTS.nonunique
-    assert_allclose(sol.t_final, 1.0, rtol=1e-13)
-    assert_allclose(sol.x_final, [0, 0], atol=1e-13)
+    assert_allclose(sol.t_final, p.ends_at, rtol=1e-13)
+    assert_allclose(sol.x_final, p.end, atol=1e-13)
 
 
 def test_undeclared_sliding():
-    sol = run(affine((1, -1), (1, 1), kind=Never), (0, 1), 2.0, 0.3)
+    p = PROBLEMS["undeclared slide"]
+    sol = run(p.system, p.x0, p.t1, p.dt)
     assert sol.result == RESULTS.undeclared_sliding
-    assert_allclose(sol.t_final, 1.0, rtol=1e-13)
-    assert_allclose(sol.x_final, [1, 0], atol=1e-13)
+    assert_allclose(sol.t_final, p.ends_at, rtol=1e-13)
+    assert_allclose(sol.x_final, p.end, atol=1e-13)
 
 
 def test_undeclared_sliding_is_no_matter_where_the_scene_only_crosses():
-    sol = run(affine((1, -1), (-1, -2), kind=Never), (0, 1), 2.0, 0.3)
+    p = PROBLEMS["crosses as declared"]
+    sol = run(p.system, p.x0, p.t1, p.dt)
     assert sol.result == RESULTS.successful
-    assert_allclose(sol.x_final, [0, -2], atol=1e-13)
+    assert_allclose(sol.x_final, p.end, atol=1e-13)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5])
@@ -196,13 +162,13 @@ def test_budget_of_steps():
 
 
 def test_budget_of_contacts():
-    ball = jf.systems.BouncingBall(g=9.8, restitution=0.9)
+    ball = PROBLEMS["bouncing ball"].system
     saveat = diffrax.SaveAt(ts=jnp.asarray([1.0, 6.0, 12.0]))
     x0 = jnp.asarray([10.0, 0.0])
     sol = jf.solve(ball, x0, 0.0, 12.0, 0.1, saveat=saveat, max_events=3, throw=False)
     assert sol.result == RESULTS.max_events_reached
     assert sol.num_events == 3
-    assert_allclose(sol.events.ts, [10 / 7, 4, 6.314285714285714], rtol=1e-12)
+    assert_allclose(sol.events.ts, closed_forms.bounces(0.9, 3), rtol=1e-12)
     assert 6.3142857 < sol.t_final < 10 / 7 * (1 + 2 * (0.9 + 0.81 + 0.729)) + 1e-9
     assert_allclose(sol.xs[0], [5.1, -9.8], rtol=1e-12)
     assert np.all(np.isfinite(sol.xs[:2]))
@@ -212,7 +178,7 @@ def test_budget_of_contacts():
 
 
 def test_budget_that_is_just_enough():
-    ball = jf.systems.BouncingBall(g=9.8, restitution=0.9)
+    ball = PROBLEMS["bouncing ball"].system
     x0 = jnp.asarray([10.0, 0.0])
     sol = jf.solve(ball, x0, 0.0, 7.0, 0.5, max_events=3, max_steps=100)
     assert sol.num_events == 3

@@ -1,6 +1,5 @@
 """Slides that have broken trusted codes: one test a case, against answers by hand."""
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,73 +8,26 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
+from tests.problems import PROBLEMS, tagged
+from tests.problems.systems import corner
+from tests.results import assert_solves, run, solved, table
 
 
-class Corner(jf.System):
-    """A constant field in each of the four quadrants of two lines."""
-
-    table: jax.Array
-    n: jax.Array
-    c: jax.Array
-
-    def vector_field(self, t, x, side):
-        rows = jnp.where(side[0] > 0, self.table[0], self.table[1])
-        return jnp.where(side[1] > 0, rows[0], rows[1])
-
-    def switching(self, t, x):
-        return self.n @ x - self.c
+@pytest.mark.parametrize("name", tagged("hand sliding"))
+def test_a_problem_has_its_known_motion(name):
+    assert_solves(PROBLEMS[name], solved(PROBLEMS[name]))
 
 
-def corner(field, n=((1, 0), (0, 1)), c=(0, 0)):
-    """A `Corner` scene from a function of the two sides, by default with the axes as surfaces."""
-    table = [[field(s1, s2) for s2 in (1, -1)] for s1 in (1, -1)]
-    return Corner(*(jnp.asarray(v, float) for v in (table, n, c)))
-
-
-def run(system, x0, t1, dt, ts=None):
-    """Three saved times and a table of events, so that all lanes share one compiled program."""
-    ts = jnp.linspace(0.0, t1, 3) if ts is None else jnp.asarray(ts, float)
-    x0 = jnp.asarray(x0, float)
-    saveat = diffrax.SaveAt(ts=ts)
-    return jf.solve(system, x0, 0.0, t1, dt, saveat=saveat, max_events=64, throw=False)
-
-
-def table(sol):
-    """Times and kinds of the events that happened."""
-    count = int(sol.num_events)
-    assert np.all(np.isinf(sol.events.ts[count:]))
-    assert np.all(sol.events.kinds[count:] == EventKind.none)
-    return np.asarray(sol.events.ts[:count]), sol.events.kinds[:count].tolist()
-
-
-# Belt friction case 1, exact per piece with 40-digit roots (mpmath): x(0) on the orbit, then the
-# modes and times of its switches in one period.
-SLIPS = {
-    1.4: (
-        1.5670473725058692029,
-        [0.021115703825789773, 2.61911511215335305, 2.74881294392022106, 2.9398327291587959],
-        [-1, 0, -1, 0],
-    ),
-    1.54892: (
-        0.62813535977215724309,
-        [0.581512870137695392, 2.26965284989511371, 3.5971186797855341, 3.61587613681139833],
-        [-1, 0, 1, 0],
-    ),
-}
-
-
-@pytest.mark.parametrize("omega", SLIPS)
+@pytest.mark.parametrize("name", ["belt 1.4", "belt 1.54892"])
 @pytest.mark.parametrize("steps", [25, 60])
-def test_slip_shorter_than_a_step_inside_a_stick(omega, steps):
+def test_slip_shorter_than_a_step_inside_a_stick(name, steps):
     # The second slip at omega = 1.54892 lasts 0.0188; a step is 0.16 or 0.068.
-    x1, times, modes = SLIPS[omega]
-    belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=omega)
-    period = 2 * np.pi / omega
-    sol = run(belt, (x1, 1), period, period / steps)
+    p = PROBLEMS[name]
+    sol = run(p.system, p.x0, p.t1, p.t1 / steps)
     ts, kinds = table(sol)
-    assert kinds == [EventKind.stick if m == 0 else EventKind.slip for m in modes]
-    assert_allclose(ts, times, atol=1e-10 if steps == 60 else 1e-5)
-    assert_allclose(sol.xs[-1], [x1, 1], atol=1e-10 if steps == 60 else 1e-5)
+    assert kinds == p.kinds == [EventKind.slip, EventKind.stick] * 2
+    assert_allclose(ts, p.ts, atol=1e-10 if steps == 60 else 1e-5)
+    assert_allclose(sol.xs[-1], p.end, atol=1e-10 if steps == 60 else 1e-5)
 
 
 def sticks_and_slips(belts, x0, periods, per_period):
@@ -114,12 +66,11 @@ def test_leaving_a_stick_in_the_cubic_case():
 
 @pytest.mark.parametrize("dt", [0.01, 0.3, 7.0])
 def test_held_surface(dt):
-    # Through y = 1/2 without a change of speed, then held at y = 1 for ever.
-    system = corner(lambda s1, s2: (s1, -s2), n=((0, 1), (0, 1)), c=(0.5, 1))
-    sol = run(system, (0, 0), 100.0, dt)
+    p = PROBLEMS["held surface"]
+    sol = run(p.system, p.x0, 100.0, dt)
     ts, kinds = table(sol)
-    assert_allclose(ts, [0.5, 1.0], rtol=1e-13)
-    assert kinds == [EventKind.crossing, EventKind.stick]
+    assert_allclose(ts, p.ts, rtol=1e-13)
+    assert kinds == p.kinds
     assert_allclose(sol.xs[-1], [99, 1], rtol=1e-13)
 
 
@@ -142,14 +93,15 @@ def test_chattering(dt, start):
 @pytest.mark.parametrize("dt", [0.01, 0.5, 10.0])
 def test_zeno(dt):
     # t1 = 10/7, t∞ = t1 (1 + e)/(1 - e) = 30/7.
-    ball = jf.systems.BouncingBall(g=9.8, restitution=0.5)
-    sol = run(ball, (10, 0), 20.0, dt)
+    p = PROBLEMS["ball that comes to rest"]
+    sol = run(p.system, p.x0, p.t1, dt)
     assert sol.result == RESULTS.zeno
-    assert_allclose(sol.t_final, 30 / 7, rtol=1e-10)
-    assert_allclose(sol.x_final, [0, 0], atol=1e-9)
+    assert_allclose(sol.t_final, p.ends_at, rtol=1e-10)
+    assert_allclose(sol.x_final, p.end, atol=1e-9)
     assert np.all(np.isinf(sol.xs[1:]))
     ts, kinds = table(sol)
-    assert_allclose(ts[:5], 10 / 7 * (3 - 2 * 0.5 ** np.arange(5)), rtol=1e-12)
+    assert_allclose(ts[:5], p.ts, rtol=1e-12)
+    assert_allclose(p.ts, 10 / 7 * (3 - 2 * 0.5 ** np.arange(5)), rtol=1e-14)
     assert set(kinds) == {EventKind.impact}
 
 
@@ -167,21 +119,18 @@ def test_zeno_ends_in_a_slide_on_both_surfaces(dt):
 
 
 def test_stick_slip_chains_of_the_coulomb_oscillator():
-    # Exact: turns at π, 2π, 3π, sticks at 4π with x = 3 - 8 F.
-    sol = run(jf.systems.CoulombOscillator(friction=0.4), (3, 0), 20.0, 0.05)
-    ts, kinds = table(sol)
-    assert kinds == [EventKind.crossing] * 3 + [EventKind.stick]
-    assert_allclose(ts, np.pi * np.arange(1, 5), rtol=1e-12)
-    assert_allclose(sol.xs[-1], [-0.2, 0], atol=1e-12)
+    p = PROBLEMS["coulomb"]
+    sol = run(p.system, p.x0, p.t1, p.dt / 2)
+    assert_solves(p, sol)
+    assert_allclose(sol.xs[-1], p.end, atol=1e-12)
 
 
 def test_stick_slip_chains_where_one_stick_releases_another():
-    # y1' = -s1, y2' = -s2 + 1.5 + s1: when y1 sticks (s1 = 0), y2 can no longer be held.
-    system = corner(lambda s1, s2: (-s1, -s2 + 1.5 + s1))
-    sol = run(system, (-1, 0), 2.0, 0.3, ts=[0.5, 1.0, 2.0])
+    p = PROBLEMS["one stick releases another"]
+    sol = run(p.system, p.x0, p.t1, p.dt, ts=[0.5, 1.0, 2.0])
     assert sol.result == RESULTS.successful
     assert_array_equal(sol.modes, [[-1, 0], [0, 1], [0, 1]])
-    assert_allclose(sol.xs[-1], [0, 0.5], atol=1e-14)
+    assert_allclose(sol.xs[-1], p.end, atol=1e-14)
 
 
 def test_leaving_a_slide_at_a_fold():
@@ -189,14 +138,15 @@ def test_leaving_a_slide_at_a_fold():
     # along it, until (-1, -1) where φ = 3π/2.
     meet = 0.5 * np.log(2 / 1.01)
     exit_ = meet - np.log(2) - 2 * np.log(-np.cos(5 * np.pi / 8 - np.arctan(0.1) / 2))
-    assert_allclose(exit_, 1.82862978083, rtol=1e-11)
+    p = PROBLEMS["visible fold"]
+    assert_allclose([meet, exit_], p.ts, rtol=1e-11)
 
     def error(steps):
-        fold = jf.systems.VisibleFold()
-        sol = jf.solve(fold, jnp.asarray([-1.0, 0.1]), 0.0, 3.0, 3.0 / steps, max_events=4)
+        x0 = jnp.asarray(p.x0)
+        sol = jf.solve(p.system, x0, 0.0, p.t1, p.t1 / steps, max_events=4)
         _, kinds = table(sol)
-        assert kinds == [EventKind.stick, EventKind.slip]
-        assert_allclose(sol.events.xs[1], [-1, -1], rtol=1e-12)
+        assert kinds == p.kinds
+        assert_allclose(sol.events.xs[1], p.before[1], rtol=1e-12)
         return abs(float(sol.events.ts[1]) - exit_)
 
     steps = np.array([10, 12, 15, 18, 20, 22, 25, 27])

@@ -1,7 +1,6 @@
-"""Problems of the event-driven and Filippov literature with known answers.
+"""Problems of the event-driven and Filippov literature with known answers (`tests.problems`).
 
-"Exact" is by hand; the other numbers come from an event-driven DOP853 at 1e-13 that shares nothing
-with this library, and are right to the digits given. The default stepper throughout.
+The default stepper throughout.
 """
 
 import diffrax
@@ -13,37 +12,32 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
+from tests.problems import PROBLEMS, closed_forms, tagged
+from tests.problems.values import SLIP_STICK_PERIOD, WALL_GRAZES
+from tests.results import assert_solves, by_imaginary_part, run, solved, table
 
-CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip
-
-
-def table(sol):
-    """Times and kinds of the events that happened."""
-    count = int(sol.num_events)
-    return np.asarray(sol.events.ts[:count]), sol.events.kinds[:count].tolist()
+CROSS, STICK = EventKind.crossing, EventKind.stick
 
 
-def test_coulomb_oscillator():
-    # x'' = -x - F sgn x' from (3, 0). Exact: turns at π, 2π, 3π, sticks at 4π at 3 - 8F.
-    ts = jnp.concatenate([np.pi * jnp.arange(1.0, 5.0) + 1e-3, jnp.asarray([20.0])])
-    sol = jf.solve(
-        jf.systems.CoulombOscillator(friction=0.4),
-        jnp.asarray([3.0, 0.0]),
-        0.0,
-        20.0,
-        0.1,
-        saveat=diffrax.SaveAt(ts=ts),
-    )
-    times, kinds = table(sol)
-    assert kinds == [CROSS, CROSS, CROSS, STICK]
-    assert_allclose(times, np.pi * np.arange(1, 5), rtol=1e-12)
-    assert_allclose(sol.events.xs[:4, 0], [-2.2, 1.4, -0.6, -0.2], atol=1e-12)
+@pytest.mark.parametrize("name", [*tagged("textbook", but="sd"), "den hartog"])
+def test_a_problem_has_its_known_motion(name):
+    assert_solves(PROBLEMS[name], solved(PROBLEMS[name]))
+
+
+def test_coulomb_oscillator_is_saved_and_printed():
+    p = PROBLEMS["coulomb"]
+    # A little after each turn, when it has stuck, and long after.
+    turns = np.pi * np.arange(1.0, 5.0) + 1e-3
+    sol = run(p.system, p.x0, p.t1, p.dt, ts=[*turns[:2], p.t1])
+    assert_solves(p, sol)
     rows = repr(sol.events).splitlines()
     assert rows[0].split() == ["t", "kind", "surface", "x", "just", "before"]
     assert rows[4].split()[:4] == ["12.5663706143592", "stick", "0", "[-0.2,"] and len(rows) == 5
-    assert "5 states saved (room for 5)" in repr(sol)
-    assert_allclose(sol.xs[-1], [-0.2, 0], atol=1e-12)
-    assert_array_equal(sol.modes[:, 0], [1, -1, 1, 0, 0])
+    assert "3 states saved (room for 3)" in repr(sol)
+    assert_allclose(sol.xs[-1], p.end, atol=1e-12)
+    assert_array_equal(sol.modes[:, 0], [1, -1, 0])
+    later = run(p.system, p.x0, p.t1, p.dt, ts=[*turns[2:], p.t1])
+    assert_array_equal(later.modes[:, 0], [1, 0, 0])
 
 
 def test_coulomb_oscillator_derivatives():
@@ -57,29 +51,11 @@ def test_coulomb_oscillator_derivatives():
     assert_allclose(d_friction, [-8, 0], atol=1e-12)
 
 
-def test_moving_belt():
-    # DISODE45 (Calvo, Montijano, Rández 2016): a surface that depends on time.
-    sol = jf.solve(
-        jf.systems.MovingBelt(friction=0.4), jnp.asarray([3.0, 0.0]), 0.0, 28.0, 0.05, max_events=9
-    )
-    times, kinds = table(sol)
-    want = [
-        7.60556996475,
-        9.48337857886,
-        9.76525875446,
-        14.80510568909,
-        17.45893964391,
-        26.13168182465,
-        27.29115689348,
-    ]
-    assert kinds == [CROSS, STICK, SLIP, CROSS, CROSS, STICK, SLIP]
-    assert_allclose(times, want, atol=1e-11)
-
-
 @pytest.mark.parametrize("end", [0.5, 1.7, 2.0])
 def test_rotating_oscillator(end):
-    # nosnoc (Nurkanović et al.). Exact: switches at t = 1, ends at e^(T-1) at angle -2π(T-1).
-    sol = jf.solve(jf.systems.RotatingOscillator(), jnp.asarray([np.exp(-1), 0.0]), 0.0, end, 0.02)
+    # Exact: switches at t = 1, ends at e^(T-1) at angle -2π(T-1).
+    p = PROBLEMS["rotating"]
+    sol = run(p.system, p.x0, end, p.dt)
     times, _ = table(sol)
     assert_allclose(times, [1.0] if end > 1 else [], rtol=1e-12)
     angle = 2 * np.pi * (end - 1) * (1 if end > 1 else -1)
@@ -114,85 +90,35 @@ def test_smoothed_coulomb_oscillator_comes_close():
     assert_allclose(sol.xs[-1], [-0.2, 1e-3], atol=1e-2)
 
 
-PERIOD = 9.230770458083
-
-
-def test_slip_stick():
-    # From the exit of the stick, exactly at (1, 0.2), once round.
-    sol = jf.solve(
-        jf.systems.SlipStick(), jnp.asarray([1.0, 0.2]), 0.0, PERIOD + 1.0, 0.02, max_events=4
-    )
-    times, kinds = table(sol)
-    assert kinds == [STICK, SLIP]
-    assert_allclose(sol.events.xs[:2, 0], [0.094518907972, 1.0], atol=1e-12)
-    assert_allclose(sol.events.xs[:2, 1], 0.2, rtol=1e-13)
-    assert_allclose(times[1], PERIOD, atol=1e-12)
-    assert_allclose(times[0], PERIOD - (1 - 0.094518907972) / 0.2, atol=5e-11)
-
-
 def test_slip_stick_multipliers():
     # Autonomous: 1 along the orbit; an orbit that sticks: 0 across it.
     def end(x0, t1):
         return jf.solve(jf.systems.SlipStick(), x0, 0.0, t1, 0.02).xs[-1]
 
     x0 = end(jnp.asarray([1.0, 0.2]), 2.0)
-    multipliers = np.linalg.eigvals(jax.jacfwd(end)(x0, PERIOD))
+    multipliers = np.linalg.eigvals(jax.jacfwd(end)(x0, SLIP_STICK_PERIOD))
     assert_allclose(sorted(abs(multipliers)), [0, 1], atol=1e-11)
-    assert abs(np.linalg.det(jax.jacfwd(end)(x0, PERIOD))) < 1e-12
-
-
-def den_hartog(t, omega=0.8, s=0.3):
-    """Time and state on the exact symmetric orbit, t after a maximum of x.
-
-    x = V cos(Ωt + φ) + S - S cos t - S tan(π/2Ω) sin t until the minimum.
-    """
-    v = 1 / (1 - omega**2)
-    u = np.tan(np.pi / 2 / omega) / omega
-    amplitude = np.sqrt(v**2 - s**2 * u**2)
-    phase = np.arctan2(-s * u / v, amplitude / v)
-    phi = omega * t + phase
-    b = -s * omega * u
-    x = v * np.cos(phi) + s - s * np.cos(t) + b * np.sin(t)
-    dx = -omega * v * np.sin(phi) + s * np.sin(t) + b * np.cos(t)
-    return amplitude, phi / omega, jnp.asarray([x, dx])
-
-
-def test_den_hartog():
-    # Exact amplitude √(V² - S²U²); started half-way down, so that no contact is at the start.
-    amplitude, t0, x0 = den_hartog(1.5)
-    assert_allclose(amplitude, 2.6261048757, atol=1e-10)
-    period = 2 * np.pi / 0.8
-    sol = jf.solve(
-        jf.systems.DenHartog(friction=0.3, omega=0.8), x0, t0, t0 + 2 * period, 0.05, max_events=9
-    )
-    times, kinds = table(sol)
-    assert kinds == [CROSS] * 4
-    assert_allclose(times - t0, period / 2 * np.arange(1, 5) - 1.5, rtol=1e-12)
-    assert_allclose(sol.events.xs[:4, 0], amplitude * np.asarray([-1, 1, -1, 1]), rtol=1e-12)
-    assert_allclose(sol.xs[-1], x0, atol=1e-12)
+    assert abs(np.linalg.det(jax.jacfwd(end)(x0, SLIP_STICK_PERIOD))) < 1e-12
 
 
 def test_den_hartog_multipliers():
-    def end(x0):
-        system = jf.systems.DenHartog(friction=0.3, omega=0.8)
-        return jf.solve(system, x0, t0, t0 + 2 * np.pi / 0.8, 0.05).xs[-1]
+    p = PROBLEMS["den hartog"]
 
-    amplitude, t0, x0 = den_hartog(1.5)
-    multipliers = np.linalg.eigvals(jax.jacfwd(end)(x0))
+    def end(x0):
+        return jf.solve(p.system, x0, p.t0, p.t0 + p.system.period, p.dt).xs[-1]
+
+    amplitude, _ = closed_forms.den_hartog()
+    assert_allclose(amplitude, 2.6261048757, atol=1e-10)
+    multipliers = by_imaginary_part(np.linalg.eigvals(jax.jacfwd(end)(jnp.asarray(p.x0))))
     want = 0.022940452694 + 0.696700298863j
-    assert_allclose(sorted(multipliers, key=np.imag), [want.conjugate(), want], atol=1e-11)
-    half = np.pi / 0.8
-    rho = (0.64 * amplitude - 0.3) / (0.64 * amplitude + 0.3)
-    rotation = np.asarray([[np.cos(half), np.sin(half)], [-np.sin(half), np.cos(half)]])
-    exact = np.linalg.eigvals(np.linalg.matrix_power(rotation @ np.diag([1, rho]), 2))
-    assert_allclose(sorted(multipliers, key=np.imag), sorted(exact, key=np.imag), atol=1e-12)
+    assert_allclose(multipliers, [want.conjugate(), want], atol=1e-11)
+    assert_allclose(multipliers, p.multipliers, atol=p.digits)
 
 
 def test_den_hartog_sticks_beyond_its_crossing_sliding():
-    # Exact S* = Ω²|V|/√(1 + Ω⁴U²) = 0.8174063857, where ρ = 0: transients die at once.
+    # Where ρ = 0: transients die at once.
     omega = 0.8
-    v, u = 1 / (1 - omega**2), np.tan(np.pi / 2 / omega) / omega
-    s_star = omega**2 * abs(v) / np.sqrt(1 + omega**4 * u**2)
+    s_star = closed_forms.den_hartog_sticks(omega)
     assert_allclose(s_star, 0.8174063857, atol=1e-10)
     period = 2 * np.pi / omega
 
@@ -208,11 +134,11 @@ def test_den_hartog_sticks_beyond_its_crossing_sliding():
     assert_array_equal(crossings, [8, 0])
 
 
-@pytest.mark.parametrize(("omega", "amplitude"), [(1.0, 0.1), (1.2, 0.4560701704)])
+@pytest.mark.parametrize(("omega", "amplitude"), [(1.0, 0.1), (1.2, WALL_GRAZES)])
 def test_impact_oscillator(omega, amplitude):
     # Exact grazing amplitude √((k - ω²)² + c²ω²) d. On the steady orbit just below it the wall is
     # not reached; just above it is, in the first period.
-    exact = np.sqrt((1 - omega**2) ** 2 + 0.01 * omega**2)
+    exact = closed_forms.wall_amplitude(omega)
     assert_allclose(exact, amplitude, atol=1e-10)
 
     # x = A cos(ωt - δ)/exact on the steady orbit.
@@ -232,60 +158,31 @@ def test_impact_oscillator(omega, amplitude):
     assert_allclose(gaps[:2], 0, atol=1e-11)
 
 
-def test_bouncing_ball():
+def test_bouncing_ball_for_ever():
     # Exact: 10/7, 4, 6.3142857..., accumulating at 190/7 = 27.142857...
-    ball = jf.systems.BouncingBall(g=9.8, restitution=0.9)
-    sol = jf.solve(ball, jnp.asarray([10.0, 0.0]), 0.0, 40.0, 0.25, throw=False)
+    p = PROBLEMS["bouncing ball"]
+    x0 = jnp.asarray(p.x0, float)
+    sol = jf.solve(p.system, x0, 0.0, 40.0, 0.25, throw=False)
     times, kinds = table(sol)
     assert sol.result == RESULTS.zeno
     assert set(kinds) == {EventKind.impact}
     assert_allclose(times[:3], [10 / 7, 4, 6.3142857142857143], rtol=1e-13)
-    assert_allclose(times[:100], 10 / 7 * (2 * np.cumsum(0.9 ** np.arange(100)) - 1), rtol=1e-11)
+    assert_allclose(times[:100], closed_forms.bounces(0.9, 100), rtol=1e-11)
     assert_allclose(sol.t_final, 190 / 7, rtol=1e-10)
     with pytest.raises(RuntimeError, match="Zeno"):
-        jf.solve(ball, jnp.asarray([10.0, 0.0]), 0.0, 40.0, 0.25)
+        jf.solve(p.system, x0, 0.0, 40.0, 0.25)
 
 
-def test_filippov_spiral():
-    # Exact: at the origin at t = 1/2 after infinitely many crossings, each leg a third of the
-    # last; rests there.
-    sol = jf.solve(
-        jf.systems.FilippovSpiral(),
-        jnp.asarray([0.0, 1.0]),
-        0.0,
-        2.0,
-        0.1,
-        saveat=diffrax.SaveAt(ts=jnp.asarray([1 / 6, 0.50001, 2.0])),
-    )
-    assert sol.result == RESULTS.successful
+def test_filippov_spiral_rests_at_the_origin():
+    p = PROBLEMS["filippov spiral"]
+    sol = run(p.system, p.x0, p.t1, p.dt, ts=[1 / 6, 0.50001, 2.0])
+    assert_solves(p, sol)
     times, kinds = table(sol)
-    assert_allclose(times[:8], 0.5 - 0.5 * 3.0 ** -np.arange(1, 9), rtol=1e-12)
+    assert_allclose(times[:8], p.ts, rtol=1e-12)
     assert_allclose(times[-1], 0.5, rtol=1e-12)
-    assert kinds[:8] == [CROSS] * 8
     assert kinds[-1] == STICK
     assert_allclose(sol.xs, [[1 / 6, 0.5], [0, 0], [0, 0]], atol=1e-13)
     assert_array_equal(sol.modes[1:], 0)
-
-
-def test_visible_fold():
-    # Slides on the circle |x|² = 2 and leaves it at the fold (-1, -1).
-    sol = jf.solve(jf.systems.VisibleFold(), jnp.asarray([-1.0, 0.1]), 0.0, 3.0, 0.02, max_events=4)
-    times, kinds = table(sol)
-    assert kinds == [STICK, SLIP]
-    assert_allclose(times, [0.34159842485, 1.82862978083], atol=1e-11)
-    assert_allclose(sol.events.xs[1], [-1, -1], atol=1e-11)
-    left = 3 - 1.82862978083
-    assert_allclose(sol.xs[-1], [-1 + left, -1 - left], atol=1e-11)
-
-
-def test_two_relays():
-    # Exact: on x = y from t = 1/7, at 15.5/17 at t = 1.
-    sol = jf.solve(jf.systems.TwoRelays(), jnp.asarray([1.5, 1.0]), 0.0, 1.0, 0.1)
-    times, kinds = table(sol)
-    assert kinds == [STICK]
-    assert_allclose(times, [1 / 7], rtol=1e-13)
-    assert_allclose(sol.xs[-1], [15.5 / 17, 15.5 / 17], rtol=1e-13)
-    assert_array_equal(sol.modes[-1], [0])
 
 
 def test_tables_without_contacts_and_of_many_lanes_are_printed_too():

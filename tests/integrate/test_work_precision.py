@@ -9,17 +9,18 @@ from numpy.testing import assert_allclose
 
 import jaxfil as jf
 from jaxfil.__main__ import main
+from tests.problems import PROBLEMS, closed_forms
 
 DTS = [0.1, 0.05, 0.025]
 
 
 @pytest.fixture(scope="module")
 def rotating():
-    """x(T) = e^{T-1}(cos 2π(T-1), -sin 2π(T-1)) exactly."""
-    system, x0 = jf.systems.RotatingOscillator(), jnp.asarray([np.exp(-1), 0.0])
+    p = PROBLEMS["rotating"]
+    x0 = jnp.asarray(p.x0)
     steppers = [jf.RK4(), diffrax.Dopri8()]
-    exact = np.exp(1.3) * np.asarray([np.cos(2.6 * np.pi), -np.sin(2.6 * np.pi)])
-    return jf.work_precision(system, x0, 2.3, steppers, DTS, lanes=3), exact
+    exact = np.asarray(closed_forms.rotating(p.system, x0, 0.0, 2.3))
+    return jf.work_precision(p.system, x0, 2.3, steppers, DTS, lanes=3), exact
 
 
 def test_errors_are_those_against_the_closed_form(rotating):
@@ -27,9 +28,9 @@ def test_errors_are_those_against_the_closed_form(rotating):
     assert table.steppers == ("RK4", "Dopri8")
     assert_allclose(table.reference, exact, rtol=0, atol=2e-13)
     for i, stepper in enumerate((jf.RK4(), diffrax.Dopri8())):
-        system, x0 = jf.systems.RotatingOscillator(), jnp.asarray([np.exp(-1), 0.0])
+        p = PROBLEMS["rotating"]
         for k, dt in enumerate(DTS):
-            end = jf.solve(system, x0, 0.0, 2.3, dt, stepper=stepper).xs[-1]
+            end = jf.solve(p.system, jnp.asarray(p.x0), 0.0, 2.3, dt, stepper=stepper).xs[-1]
             assert_allclose(table.errors[i, k], abs(end - exact).max(), rtol=0, atol=4e-13)
     assert np.all(table.num_events == 1) and table.reference_events == 1
 

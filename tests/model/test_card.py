@@ -11,15 +11,7 @@ import pytest
 import jaxfil as jf
 from tests import pictures
 from tests.pictures import made
-
-
-def in_float32(result):
-    """The same result in float32."""
-
-    def cast(leaf):
-        return jnp.asarray(leaf, jnp.float32) if np.asarray(leaf).dtype == np.float64 else leaf
-
-    return jax.tree.map(cast, result)
+from tests.results import in_float32
 
 
 def branch(orbits):

@@ -1,8 +1,4 @@
-"""Branches of orbits: folds, period doublings, changes of the contacts, where a branch ends.
-
-Belt friction and the SD oscillator are those of Santhosh, Narayanan and Padmanabhan, Procedia IUTAM
-19 (2016) 219-227, with numbers from a corrected reference: closed forms per piece, 60-digit Newton.
-"""
+"""Branches of orbits: folds, period doublings, changes of the contacts, where a branch ends."""
 
 import functools
 from types import SimpleNamespace
@@ -19,11 +15,14 @@ from scipy.optimize import brentq, fsolve
 
 import jaxfil as jf
 from tests.pictures import made
+from tests.problems import PROBLEMS, closed_forms
+from tests.problems.systems import belt, cubic_belt
+from tests.problems.values import BELT_ADDS, BELT_CHANGES, BELT_GRAZES, BELT_HIGHEST, SD_GRAZES
 
 matplotlib.use("Agg")
 
 S = jf.systems
-F0, ZETA = 0.25, 0.0141
+ZETA = closed_forms.ZETA
 
 
 def of_kind(branch, kind):
@@ -41,7 +40,7 @@ class Symmetric:
     def __init__(self, omega):
         self.omega = omega
         self.half = np.pi / omega
-        self.response = F0 / (1 - omega**2 + 2j * ZETA * omega)
+        self.response = closed_forms.response(omega)
         d = np.sqrt(1 - ZETA**2)
         c, s = np.cos(d * self.half), np.sin(d * self.half)
         # The free part and its rate, by its own start (p, q), after half a period.
@@ -89,12 +88,11 @@ def test_sd_oscillator_has_a_saddle_beyond_the_fold():
 
 def test_a_branch_that_ends_says_so():
     # The one-sided orbit: amplitude f0/√((1 - Ω²)² + (2ζΩ)²), grazes at amplitude 1 and is gone.
-    response = F0 / (1 - 0.85**2 + 2j * ZETA * 0.85)
-    x0 = jnp.asarray([1 + response.real, (1j * 0.85 * response).real])
+    x0 = jnp.asarray(closed_forms.one_sided(0.85))
     orbit = jf.periodic_orbit(S.SDOscillator(omega=0.85), x0)
     branch = jf.continue_orbit(S.SDOscillator(), "omega", orbit, stop=0.95)
     assert branch.ended[1].startswith("no orbit was found beyond 0.8667165")
-    assert_allclose(branch.values[-1], 0.866716581971234, rtol=0, atol=1e-8)
+    assert_allclose(branch.values[-1], SD_GRAZES[0], rtol=0, atol=1e-8)
     assert branch.ended[0] == "start at 0.85" and not branch.points
     assert branch.stable.all()
 
@@ -102,22 +100,17 @@ def test_a_branch_that_ends_says_so():
 STEPS = 100
 
 
-def belt(omega, gamma1=10.0, gamma2=0.0):
-    return S.BeltFriction(gamma1=gamma1, gamma2=gamma2, omega=omega)
-
-
 def test_belt_begins_to_stick_where_its_orbit_grazes():
-    # Grazing-sliding of the orbit that slips for ever, exactly at 10.904975822090772.
+    # Grazing-sliding of the orbit that slips for ever.
     orbit = jf.periodic_orbit(belt(12.0), jnp.asarray([0.55, 0.0]), steps=STEPS)
     branch = jf.continue_orbit(belt(12.0), "omega", orbit, stop=9.0)
     (point,) = branch.points
     assert point.kind == "contacts" and (len(point.before), len(point.after)) == (0, 2)
-    assert_allclose(point.value, 10.904975822090772, rtol=0, atol=1e-9)
+    assert_allclose(point.value, BELT_GRAZES[1], rtol=0, atol=1e-9)
     assert branch.ended == ("start at 12", "omega = 9 was reached")
     assert branch.stable.all() and branch.values[-1] == 9.0
-    # Corrected reference for 9.1.
     (orbit,) = branch.at(9.1)
-    assert_allclose(orbit.x0, [0.431566227111474261, 0.285460370360303195], rtol=0, atol=1e-10)
+    assert_allclose(orbit.x0, PROBLEMS["belt 9.1"].x0, rtol=0, atol=1e-10)
     assert "contacts at 10.9049758221: 0 to 2 contacts" in repr(branch)
 
 
@@ -125,9 +118,9 @@ def test_belt_adds_a_slide():
     orbit = jf.periodic_orbit(belt(1.5), jnp.asarray([1.6, 1.0]), steps=STEPS)
     branch = jf.continue_orbit(belt(1.5), "omega", orbit, stop=1.6)
     values = [p.value for p in of_kind(branch, "contacts")]
-    assert_allclose(values, [1.548910479930516], rtol=0, atol=1e-9)
+    assert_allclose(values, [BELT_ADDS], rtol=0, atol=1e-9)
     (orbit,) = branch.at(1.55)
-    assert_allclose(orbit.extremes()[1][1], 1.003236056352910, rtol=0, atol=1e-9)
+    assert_allclose(orbit.extremes()[1][1], BELT_HIGHEST[1.55], rtol=0, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -136,12 +129,10 @@ def test_belt_from_one_end_to_the_other():
     branch = jf.continue_orbit(belt(12.0), "omega", orbit, stop=(0.5, 20.0), max_step=0.05)
     assert (branch.values[0], branch.values[-1]) == (0.5, 20.0)
     values = [p.value for p in of_kind(branch, "contacts")]
-    known = [0.917, 1.398, 1.403, 1.549, 1.914, 2.438, 4.217, 7.952, 10.905]
-    assert_allclose(values, known, rtol=0, atol=6e-4)
-    exact = [0.917012578766336, 1.548910479930516, 10.904975822090772]
+    assert_allclose(values, BELT_CHANGES, rtol=0, atol=6e-4)
+    exact = [BELT_GRAZES[0], BELT_ADDS, BELT_GRAZES[1]]
     assert_allclose([values[0], values[3], values[8]], exact, rtol=0, atol=1e-9)
-    highest = {0.5: 0.512658354900661, 1.95: 2.410756102922876, 1.55: 1.003236056352910}
-    for omega, speed in highest.items():
+    for omega, speed in BELT_HIGHEST.items():
         (orbit,) = branch.at(omega)
         assert_allclose(orbit.extremes()[1][1], speed, rtol=0, atol=1e-9)
 
@@ -195,7 +186,7 @@ def stick_map(omega, t0, x1, rtol=1e-12):
 @functools.cache
 def cubic_branch():
     """The sticking orbits of the belt with a cubic spring, from 4.56 round their fold."""
-    system = belt(4.56, 0.0, STIFF)
+    system = cubic_belt(4.56)
     orbit = jf.periodic_orbit(system, jnp.asarray([0.08, 0.48]), steps=STEPS)
     return jf.continue_orbit(system, "omega", orbit, stop=(4.4, 4.56))
 
@@ -245,7 +236,7 @@ def test_both_sticking_orbits_are_unstable():
 
 def test_the_doubled_branch_leaves_from_the_period_doubling():
     (point,) = of_kind(cubic_branch(), "period-doubling")
-    system = belt(4.5, 0.0, STIFF)
+    system = cubic_belt(4.5)
     doubled = jf.continue_orbit(system, "omega", point, stop=4.51, max_points=12)
     assert doubled.periods == 2
     orbit = doubled.orbits
@@ -255,9 +246,7 @@ def test_the_doubled_branch_leaves_from_the_period_doubling():
     assert_allclose(doubled.values[0], point.value, rtol=0, atol=1e-2)
     assert abs(np.asarray(orbit.multipliers[0])).max() == pytest.approx(1, abs=0.2)
     t0, x1 = sticking_at(
-        jf.periodic_orbit(
-            belt(doubled.values[-1], 0.0, STIFF), orbit.x0[-1], periods=2, steps=STEPS
-        )
+        jf.periodic_orbit(cubic_belt(doubled.values[-1]), orbit.x0[-1], periods=2, steps=STEPS)
     )
     omega = doubled.values[-1]
     once = stick_map(omega, t0, x1)
@@ -266,8 +255,8 @@ def test_the_doubled_branch_leaves_from_the_period_doubling():
 
 
 def test_round_the_grazing_of_a_wall():
-    # Exactly at A = √((k - ω²)² + c²ω²) = 0.4560701704 the orbit touches the wall at x = 1.
-    grazing = np.hypot(1 - 1.2**2, 0.1 * 1.2)
+    # Where the orbit touches the wall at x = 1.
+    grazing = closed_forms.wall_amplitude(1.2)
     response = 0.45 / (1 - 1.2**2 + 0.12j)
     system = S.ImpactOscillator(omega=1.2, amplitude=0.45)
     x0 = jnp.asarray([response.real, (1.2j * response).real])

@@ -11,6 +11,7 @@ import jaxfil as jf
 from jaxfil import RESULTS
 from jaxfil.model.outcomes import outcome_names
 from jaxfil.orbits import harmonic_balance as harmonic
+from tests.problems import closed_forms
 
 S = jf.systems
 OMEGA = 0.7
@@ -66,17 +67,17 @@ def test_a_linear_system_is_solved_exactly():
 
 
 def test_friction_takes_from_the_amplitude_what_den_hartog_says():
-    # √(V² - S²U²) at the turns, V = 1/(1 - Ω²), U = tan(π/2Ω)/Ω. sgn x' switches where the series
+    # sgn x' switches where the series
     # of x' is zero: too early by its own missing harmonics, all in phase there. So the error falls
     # as Σ 1/k² over odd k > K, or 1/2K.
-    v, u = 1 / (1 - 0.8**2), np.tan(np.pi / 1.6) / 0.8
+    amplitude, _ = closed_forms.den_hartog()
     guess = lambda t: jnp.stack([2.7 * jnp.cos(0.8 * t), -2.2 * jnp.sin(0.8 * t)])  # noqa: E731
     ts = jnp.linspace(0.0, 2.5 * np.pi, 4001)
     errors = []
     for top in (20, 40):
         found = jf.harmonic_balance(S.DenHartog(), guess, top)
         highest = float(jax.vmap(found.evaluate)(ts)[:, 0].max())
-        errors.append(highest - np.sqrt(v**2 - (0.3 * u) ** 2))
+        errors.append(highest - amplitude)
     assert_allclose(errors[0] / errors[1], 2, rtol=0.01)
     assert abs(2 * errors[1] - errors[0]) < 5e-5
 

@@ -1,9 +1,4 @@
-"""Periodic orbits by shooting: known orbits from poor guesses, derivatives, outcomes.
-
-Belt friction and the SD oscillator are those of Santhosh, Narayanan and Padmanabhan, Procedia IUTAM
-19 (2016) 219-227; the numbers are a corrected reference: closed forms per piece with 60-digit
-Newton, Taylor series in mpmath for the cubic spring.
-"""
+"""Periodic orbits by shooting: known orbits from poor guesses, derivatives, outcomes."""
 
 import functools
 
@@ -17,7 +12,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
 from jaxfil.model.outcomes import outcome_names
-from tests.model.test_card import in_float32
+from tests.problems import PROBLEMS, closed_forms, tagged
+from tests.problems.systems import belt
+from tests.problems.values import BELT_DAMPING, SD_DAMPING, SLIP_STICK_PERIOD
+from tests.results import by_imaginary_part, in_float32, lane
 
 S = jf.systems
 CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip
@@ -25,42 +23,7 @@ CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip
 OFF = jnp.asarray([[1.2, 1.2], [1.2, 0.8], [0.8, 1.2], [0.8, 0.8]])
 
 
-def belt(omega, gamma1=10.0, gamma2=0.0):
-    return S.BeltFriction(gamma1=gamma1, gamma2=gamma2, omega=omega)
-
-
-def by_size(values):
-    """In order of the imaginary part, then of size."""
-    return np.asarray(sorted(values, key=lambda z: (round(z.imag, 6), abs(z))))
-
-
-# omega: x(0), contacts in a period as (time, kind), multipliers and their known digits.
-BELT = {
-    1.3: (
-        (1.562680507274925516, 1.0),
-        [(0.02537543579827, SLIP), (3.38825895300931, STICK)],
-        [0, -0.199459730884038],
-        1e-10,
-    ),
-    2.44: (
-        (0.893154126723387260, 3.181072481841881173),
-        [(0.24043386276687, CROSS), (1.73126530991045, CROSS)],
-        [0.0025495 - 0.0145254j, 0.0025495 + 0.0145254j],
-        1e-7,
-    ),
-    9.1: (
-        (0.431566227111474261, 0.285460370360303195),
-        [(0.06500878225883, STICK), (0.17328503134631, SLIP)],
-        [0, -0.161706955546901],
-        1e-10,
-    ),
-    17.0: (
-        (0.601839693239804056, 0.018194523762144070),
-        [],
-        [0.360329 - 0.839260j, 0.360329 + 0.839260j],
-        1e-6,
-    ),
-}
+BELT = tagged("orbit belt", but="twice")
 
 
 @functools.cache
@@ -70,43 +33,41 @@ def belts():
     def orbit(omega, x0):
         return jf.periodic_orbit(belt(omega), x0, steps=100, throw=False)
 
-    x0 = jnp.asarray([BELT[w][0] for w in BELT])
+    x0 = jnp.asarray([PROBLEMS[name].x0 for name in BELT])
+    omegas = jnp.stack([PROBLEMS[name].system.omega for name in BELT])
     over_guesses = eqx.filter_vmap(orbit, in_axes=(None, 0))
-    return eqx.filter_vmap(over_guesses)(jnp.asarray(list(BELT)), x0[:, None] * OFF)
+    return eqx.filter_vmap(over_guesses)(omegas, x0[:, None] * OFF)
 
 
-def one_belt(omega, guess=0):
-    return lane(belts(), (list(BELT).index(omega), guess))
+def one_belt(name, guess=0):
+    return lane(belts(), (BELT.index(name), guess))
 
 
-def lane(batch, i):
-    return jax.tree.map(lambda a: a[i] if eqx.is_array(a) else a, batch)
-
-
-@pytest.mark.parametrize("omega", BELT)
+@pytest.mark.parametrize("name", BELT)
 @pytest.mark.parametrize("guess", range(4))
-def test_belt_orbit_from_a_guess_off_by_a_fifth(omega, guess):
-    x0, contacts, multipliers, digits = BELT[omega]
-    orbit = one_belt(omega, guess)
+def test_belt_orbit_from_a_guess_off_by_a_fifth(name, guess):
+    p, orbit = PROBLEMS[name], one_belt(name, guess)
     assert bool(orbit.result == RESULTS.successful)
-    assert_allclose(orbit.x0, x0, rtol=0, atol=1e-10)
+    assert_allclose(orbit.x0, p.x0, rtol=0, atol=1e-10)
     assert orbit.residual < 1e-12
-    assert_array_equal(orbit.num_events, len(contacts))
-    assert_array_equal(orbit.events.kinds[: len(contacts)], [k for _, k in contacts])
-    assert_allclose(orbit.events.ts[: len(contacts)], [t for t, _ in contacts], rtol=0, atol=1e-10)
-    assert_allclose(by_size(orbit.multipliers), multipliers, rtol=0, atol=digits)
-    # The damping alone is the trace of the field, αg = -0.4905, where nothing sticks or crosses.
-    if omega == 17.0:
+    count = len(p.ts)
+    assert_array_equal(orbit.num_events, count)
+    assert_array_equal(orbit.events.kinds[:count], p.kinds)
+    assert_allclose(orbit.events.ts[:count], p.ts, rtol=0, atol=1e-10)
+    digits = max(p.digits, 1e-10)
+    assert_allclose(by_imaginary_part(orbit.multipliers), p.multipliers, rtol=0, atol=digits)
+    # The damping alone is the trace of the field where nothing sticks or crosses.
+    if not p.kinds:
         determinant = np.prod(orbit.multipliers)
-        assert_allclose(determinant, np.exp(-0.4905 * 2 * np.pi / omega), rtol=1e-8)
-    if STICK in [k for _, k in contacts]:
+        assert_allclose(determinant, np.exp(BELT_DAMPING * p.t1), rtol=1e-8)
+    if STICK in p.kinds:
         assert abs(orbit.multipliers).min() < 1e-12
 
 
 def test_belt_with_a_cubic_spring_after_a_transient():
-    # Non-sliding, at 4.56; both multipliers have the rate -0.24525, half the damping.
-    system = belt(4.56, 0.0, 10000.0)
-    x0 = jnp.asarray([0.1483395597000811859, 0.3581899498626866293])
+    # Non-sliding; both multipliers have the rate -0.24525, half the damping.
+    p = PROBLEMS["cubic belt 4.56"]
+    system, x0 = p.system, jnp.asarray(p.x0)
 
     def orbit(x0):
         return jf.periodic_orbit(system, x0, steps=100, transient=30, throw=False)
@@ -115,13 +76,12 @@ def test_belt_with_a_cubic_spring_after_a_transient():
     assert (found.result == RESULTS.successful).all()
     assert_allclose(found.x0, np.broadcast_to(x0, (4, 2)), rtol=0, atol=1e-10)
     assert_array_equal(found.num_events, 0)
-    want = [-0.31062397377592 - 0.64205422198867j, -0.31062397377592 + 0.64205422198867j]
     for multipliers in found.multipliers:
-        assert_allclose(by_size(multipliers), want, rtol=0, atol=1e-8)
+        assert_allclose(by_imaginary_part(multipliers), p.multipliers, rtol=0, atol=1e-8)
     assert found.stable.all()
 
 
-SD = jnp.asarray([2.972909733962379342, 0.618617859127108525])
+SD = jnp.asarray(PROBLEMS["symmetric sd"].x0)
 
 
 @functools.cache
@@ -147,10 +107,10 @@ def test_sd_oscillator_from_guesses_off_by_a_fifth():
     assert_allclose(found.x0[:4], np.broadcast_to(SD, (4, 2)), rtol=0, atol=1e-10)
     assert_array_equal(found.events.kinds[:, :3], [[CROSS, CROSS, EventKind.none]] * 5)
     # Known to five digits; their product exactly, as crossings keep areas.
+    p = PROBLEMS["symmetric sd"]
     for multipliers in found.multipliers:
-        want = [0.35398 - 0.80689j, 0.35398 + 0.80689j]
-        assert_allclose(by_size(multipliers), want, rtol=0, atol=5e-6)
-        assert_allclose(np.prod(multipliers), np.exp(-0.0282 * 2 * np.pi / 0.7), rtol=1e-8)
+        assert_allclose(by_imaginary_part(multipliers), p.multipliers, rtol=0, atol=p.digits)
+        assert_allclose(np.prod(multipliers), np.exp(SD_DAMPING * p.t1), rtol=1e-8)
 
 
 def test_an_orbit_seen_from_another_phase():
@@ -189,9 +149,10 @@ def test_extremes_lie_between_the_steps():
 
 
 def test_highest_speeds_of_the_belt():
-    # Corrected reference; at 1.3 and 9.1 the belt's own speed.
-    for omega, want in ((1.3, 1.0), (2.44, 3.781163696487915), (17.0, 0.609047044980828)):
-        assert_allclose(one_belt(omega).extremes()[1][1], want, rtol=0, atol=1e-9)
+    # At 1.3 and 9.1 the belt's own speed.
+    for name in BELT:
+        highest = one_belt(name).extremes()[1][1]
+        assert_allclose(highest, PROBLEMS[name].highest, rtol=0, atol=1e-9)
 
 
 def test_an_orbit_tells_what_it_is():
@@ -199,19 +160,8 @@ def test_an_orbit_tells_what_it_is():
     assert "Orbit of SDOscillator: successful" in card and "stable" in card
     assert "crossing, crossing" in card and "8.97597901026" in card
     assert "batch of shape (5,)" in repr(sd_orbits())
-    assert "no contacts" in repr(one_belt(17.0))
+    assert "no contacts" in repr(one_belt("belt 17"))
     assert "Orbit of SDOscillator in float32: successful" in repr(in_float32(sd_orbit()))
-
-
-# Den Hartog (1931), two stops a period: amplitude √(V² - S²U²), V = 1/(1 - Ω²), U = tan(π/2Ω)/Ω;
-# multipliers of [R(π/Ω) diag(1, ρ)]², ρ the ratio of the accelerations around a turn, R a rotation.
-def den_hartog(omega, friction):
-    v, u = 1 / (1 - omega**2), np.tan(np.pi / 2 / omega) / omega
-    amplitude = np.sqrt(v**2 - (friction * u) ** 2)
-    rho = (omega**2 * amplitude - friction) / (omega**2 * amplitude + friction)
-    c, s = np.cos(np.pi / omega), np.sin(np.pi / omega)
-    half = np.asarray([[c, s], [-s, c]]) @ np.diag([1, rho])
-    return amplitude, np.linalg.eigvals(half @ half)
 
 
 # Its start at t = 0: the solution is taken from where it turns, at the phase of the forcing there.
@@ -225,11 +175,13 @@ def turning(orbit):
 
 @pytest.mark.parametrize("segments", [1, 3])
 def test_den_hartog(segments):
-    amplitude, multipliers = den_hartog(0.8, 0.3)
+    amplitude, multipliers = closed_forms.den_hartog()
     assert_allclose(amplitude, 2.6261048757, rtol=1e-10)
     orbit = jf.periodic_orbit(S.DenHartog(), GUESS, segments=segments, steps=60)
     assert_allclose(np.sort(turning(orbit)[:, 0]), [-amplitude, amplitude], rtol=0, atol=1e-9)
-    assert_allclose(by_size(orbit.multipliers), by_size(multipliers), rtol=0, atol=1e-9)
+    assert_allclose(
+        by_imaginary_part(orbit.multipliers), by_imaginary_part(multipliers), rtol=0, atol=1e-9
+    )
     assert_allclose(orbit.monodromy, single().monodromy, rtol=0, atol=1e-9)
     assert_allclose(orbit.x0, single().x0, rtol=0, atol=1e-11)
     assert_allclose(orbit.events.ts[:2], single().events.ts[:2], rtol=0, atol=1e-11)
@@ -272,14 +224,15 @@ class Slipping(jf.System):
 
 def test_slip_stick():
     orbit = jf.periodic_orbit(S.SlipStick(), jnp.asarray([1.1, 0.3]), period=8.0)
-    assert_allclose(orbit.period, 9.230770458083, rtol=0, atol=1e-9)
+    assert_allclose(orbit.period, SLIP_STICK_PERIOD, rtol=0, atol=1e-9)
     first, second = sorted(abs(orbit.multipliers))
     assert first < 1e-12
     assert_allclose(second, 1, rtol=0, atol=1e-9)
     assert bool(orbit.stable)
     rows = {int(k): x for k, x in zip(orbit.events.kinds, orbit.events.xs, strict=True) if k}
-    assert_allclose(rows[STICK], [0.094518907972, 0.2], rtol=0, atol=1e-9)
-    assert_allclose(rows[SLIP], [1, 0.2], rtol=0, atol=1e-9)
+    before = PROBLEMS["slip-stick"].before
+    for kind, x in zip([STICK, SLIP], before, strict=True):
+        assert_allclose(rows[kind], x, rtol=0, atol=1e-9)
 
 
 def test_the_period_zero_is_no_answer():
@@ -317,7 +270,7 @@ def test_derivatives_of_an_autonomous_orbit():
         return jnp.append(orbit.x0, orbit.period)
 
     p = jnp.asarray([0.2, 1.0])
-    assert_allclose(found(p)[2], 9.230770458083, rtol=0, atol=1e-9)
+    assert_allclose(found(p)[2], SLIP_STICK_PERIOD, rtol=0, atol=1e-9)
     forward = jax.jacfwd(found)(p)
     for i in range(2):
         slope = central(lambda q, i=i: found(p.at[i].set(q)), p[i])

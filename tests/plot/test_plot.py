@@ -18,6 +18,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
 from tests.pictures import PICTURES, VALUES, made
+from tests.problems import PROBLEMS
 
 matplotlib.use("Agg")
 
@@ -30,7 +31,7 @@ def no_figure_stays_open():
 
 def solved(system, x0, t1, dt=0.05, t0=0.0):
     saveat = diffrax.SaveAt(t0=True, steps=True)
-    return jf.solve(system, jnp.array(x0), t0, t1, dt, stepper=jf.RK4(), saveat=saveat)
+    return jf.solve(system, jnp.array(x0, float), t0, t1, dt, stepper=jf.RK4(), saveat=saveat)
 
 
 def swept(points=5, samples=4, **kwargs):
@@ -49,8 +50,8 @@ def swept(points=5, samples=4, **kwargs):
 @functools.cache
 def sticking():
     """One orbit of the belt that sticks at 3.388..., and slips at 0.025..., once a period."""
-    belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=1.3)
-    return solved(belt, [1.562680507274925516, 1.0], 2 * np.pi / 1.3, 0.01)
+    p = PROBLEMS["belt 1.3"]
+    return solved(p.system, [*p.x0], p.t1, 0.01)
 
 
 def bands(ax, mode):
@@ -143,9 +144,9 @@ def test_a_million_samples_are_drawn_in_seconds(tmp_path):
 def test_bands_change_at_the_contacts():
     sol = sticking()
     ax = jf.plot.time_history(sol)
-    slip, stick = 0.02537543579827, 3.38825895300931
+    slip, stick = PROBLEMS["belt 1.3"].ts
     held = sorted(bands(ax, 0))
-    assert_allclose([b[:2] for b in held], [(0, slip), (stick, 2 * np.pi / 1.3)], atol=1e-7)
+    assert_allclose([b[:2] for b in held], [(0, slip), (stick, PROBLEMS["belt 1.3"].t1)], atol=1e-7)
     assert_allclose([b[:2] for b in bands(ax, -1)], [(slip, stick)], atol=1e-7)
     assert not list(bands(ax, 1))
     assert {t.get_text() for t in ax.get_legend().get_texts()} == {"sliding", "H < 0"}
@@ -203,8 +204,7 @@ def test_every_contact_is_marked_by_its_kind():
 
 def test_slides_are_thick_and_surfaces_dashed():
     sol = sticking()
-    belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=1.3)
-    ax = jf.plot.phase_portrait(sol, system=belt)
+    ax = jf.plot.phase_portrait(sol, system=PROBLEMS["belt 1.3"].system)
     slides = [line.get_data() for line in ax.lines if line.get_linewidth() == 4]
     # It starts on the belt, slips at 0.025, sticks at 3.388 and is carried to the period's end.
     assert len(slides) == 2

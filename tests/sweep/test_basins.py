@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
+from tests.problems import PROBLEMS, closed_forms
 
 matplotlib.use("Agg")
 SD = jf.systems.SDOscillator(omega=0.7)
@@ -20,15 +21,12 @@ def found():
 
 
 def test_three_motions_coexist(found):
-    # About −1, about +1 (amplitude f0/√((1−Ω²)² + (2ζΩ)²)), and the symmetric one of
-    # period 1 through x(0) = (2.972909733962379, 0.618617859127109).
+    # About −1, about +1, and the symmetric one of period 1.
     assert len(found.attractors) == 3 and found.labels.min() == 1
-    amplitude = 0.25 / np.hypot(1 - 0.49, 2 * 0.0141 * 0.7)
-    phase = np.arctan2(2 * 0.0141 * 0.7, 1 - 0.49)
-    right = [1 + amplitude * np.cos(phase), amplitude * 0.7 * np.sin(phase)]
+    right = closed_forms.one_sided(0.7)
     left = [right[0] - 2, right[1]]
     points = np.concatenate(found.attractors)
-    for expected in (left, right, [2.972909733962379, 0.618617859127109]):
+    for expected in (left, right, PROBLEMS["symmetric sd"].x0):
         assert np.min(np.max(abs(points - expected), axis=1)) < 1e-4
 
 

@@ -7,6 +7,7 @@ import pytest
 import jaxfil as jf
 from jaxfil.model.system import System
 from jaxfil.sweep import execution
+from tests.problems.values import CUBIC_JUMPS
 
 BELT = jf.systems.BeltFriction()
 
@@ -29,18 +30,19 @@ def test_a_lane_equals_its_single_run():
 
 
 def test_the_jump_from_rest_is_between_its_neighbours():
-    # 4.56382205: Santhosh et al. 2016, corrected reference; motion at rest leads to the sticking
-    # attractor above it (x < 0.1 at the section) and to the non-sticking orbit below.
+    # Motion at rest leads to the sticking attractor above the jump (x < 0.1 at the section) and to
+    # the non-sticking orbit below.
+    near = [CUBIC_JUMPS - 3e-4, CUBIC_JUMPS + 3e-4]
     d = jf.bifurcation_diagram(
-        BELT, "omega", [4.5635, 4.5641], jnp.zeros(2), transient=150, samples=10, progress=False
+        BELT, "omega", near, jnp.zeros(2), transient=150, samples=10, progress=False
     )
     assert np.all(d.xs[0, :, 0] > 0.14)
     assert np.all(d.xs[1, :, 0] < 0.1)
 
 
 def test_following_the_one_sided_orbit_up():
-    # One-sided about x = 1 with amplitude f0/(1 - Ω²) below its grazing at 0.866716581971234
-    # (exact); crossing both wells at 0.9.
+    # One-sided about x = 1 with amplitude f0/(1 - Ω²) below its grazing at 0.8667; crossing
+    # both wells at 0.9.
     d = jf.bifurcation_diagram(
         jf.systems.SDOscillator(),
         "omega",
