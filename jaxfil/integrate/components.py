@@ -7,7 +7,7 @@ lanes, which XLA turns into vector instructions; an (n,) state in the loop would
 
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -23,6 +23,15 @@ Components = tuple[Array, ...]
 """The components of a vector: n (state) or m (surface) scalars."""
 Forcing = list[Array]
 """What a field takes of time alone, at one time: see `ComponentSystem.forcing`."""
+
+
+class SmoothField(Protocol):
+    """A smooth vector field on components, x' = f(t, x): its value at a time, given what `forcing`
+    has found for that time, if anything, and `ComponentSystem.once`."""
+
+    def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components: ...
+
+    def once(self, function: Callable, *args: Any) -> Any: ...
 
 
 def unpack(x: Array) -> Components:

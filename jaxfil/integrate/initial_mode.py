@@ -30,21 +30,9 @@ def _resolved_rates(
 ) -> list[Components]:
     """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
     the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
-    one = jnp.ones_like(t)
-    fields, rates, seconds, thirds = [], [], [], []
-    for sides in system.corner_sides():
-
-        def first(t, x, sides=sides):
-            return system.rate(t, x, system.field(t, x, sides))
-
-        def second(t, x, sides=sides, first=first):
-            return jax.jvp(first, (t, x), (one, system.field(t, x, sides)))[1]
-
-        f = system.field(t, x, sides)
-        fields.append(f)
-        rates.append(first(t, x))
-        seconds.append(second(t, x))
-        thirds.append(jax.jvp(second, (t, x), (one, f))[1])
+    rates, seconds, thirds = zip(
+        *(_three_rates(system, t, x, sides) for sides in system.corner_sides()), strict=True
+    )
     resolved = []
     for rate, second_, third in zip(rates, seconds, thirds, strict=True):
         row = []
@@ -56,6 +44,21 @@ def _resolved_rates(
             row.append(jnp.where(flat, tiny * sign, rate[j]))
         resolved.append(tuple(row))
     return resolved
+
+
+def _three_rates(
+    system: ComponentSystem, t: Array, x: Components, sides: Components
+) -> tuple[Components, Components, Components]:
+    """The first three derivatives of H along the field of some sides."""
+    one, f = jnp.ones_like(t), system.field(t, x, sides)
+
+    def first(t: Array, x: Components) -> Components:
+        return system.rate(t, x, system.field(t, x, sides))
+
+    def second(t: Array, x: Components) -> Components:
+        return jax.jvp(first, (t, x), (one, system.field(t, x, sides)))[1]
+
+    return first(t, x), second(t, x), jax.jvp(second, (t, x), (one, f))[1]
 
 
 def _first_mode(

@@ -81,7 +81,7 @@ def _infinite_rate(gap: Array, touched: Array) -> Array:
 
 
 @_infinite_rate.defjvp
-def _infinite_rate_jvp(primals, tangents):
+def _infinite_rate_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     gap, touched = primals
     # Twice the square root of the largest number: no change stays no change, where a product with
     # infinity would be NaN. The barrier keeps the two from being multiplied into one infinity.

@@ -21,7 +21,7 @@ from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
-from jaxfil.model.types import Scalar
+from jaxfil.model.types import Axes, Scalar
 
 
 class Events(eqx.Module):
@@ -69,22 +69,33 @@ class Solution(eqx.Module):
     """
 
     ts: Float[Array, " k"] | None
+    """Saved times; None with `SaveAt(dense=True)`, as `xs` and `modes`."""
     xs: Float[Array, "k n"] | None
+    """Saved states."""
     modes: Int[Array, "k m"] | None
+    """Modes at the saved times."""
     events: Events | None
+    """The event table; None where none is kept, or there are no surfaces."""
     num_events: Int[Array, ""]
+    """How many contacts there were, in the table or not."""
     result: RESULTS
-    stats: dict[str, Any]
+    """How the run ended."""
+    stats: dict[str, Array]
+    """`num_steps` accepted, `num_iterations` of the loop, `num_saved` states."""
     t_final: Float[Array, ""]
+    """How far the run came: t1, or the time of what `result` tells."""
     x_final: Float[Array, " n"]
+    """The state there."""
     mode_final: Int[Array, " m"]
+    """The mode there."""
     errors: Float[Array, "k n"] | None = None
     """Estimated |xs − exact|, component by component, if asked for; inf where unknown."""
-    _dense: Any = None
+    _dense: "Dense | None" = None
+    """Every step's start, for `evaluate`."""
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call its quantities."""
 
-    def evaluate(self, t: Array | float) -> Float[Array, " n"]:
+    def evaluate(self, t: Scalar) -> Float[Array, " n"]:
         """The state at a time of the solved span, to the order of the stepper, shape (n,).
 
         Needs `saveat=diffrax.SaveAt(dense=True)`. The step that contains `t` is taken again, up to
@@ -94,7 +105,7 @@ class Solution(eqx.Module):
             raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
         return evaluate(self._dense, t)
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes = None) -> Axes:
         """Draw the phase portrait, or the history of a state of one component; returns the
         matplotlib axes. Needs saved times."""
         return draw(self, ax=ax)
@@ -103,22 +114,22 @@ class Solution(eqx.Module):
         return card(self)
 
 
-def errors(sol: Solution, companion: Solution) -> Float[Array, "k n"]:
-    """What is left between a solution and its companion at half the step, shape (k, n).
+def errors(sol: Solution, finer: Solution) -> Float[Array, "k n"]:
+    """What is left between a solution and the one at half the step, shape (k, n).
 
-    With a global error C·dtᵖ the distance is (1 − 2⁻ᵖ) of it. (A companion at twice the step costs
+    With a global error C·dtᵖ the distance is (1 − 2⁻ᵖ) of it. (A run at twice the step costs
     a sixth of this one, but where a step is not small against the motion between two contacts it
     was seen to report anything from a fifth to 500 times the error; this one keeps within a fifth
     of it.) Rounding, which two runs may share, is taken to be one unit a step at random. A
-    companion that fails or a state that was not reached leaves the error unknown, inf.
+    finer run that fails, or a state that was not reached, leaves the error unknown, inf.
     """
-    assert sol.xs is not None and companion.xs is not None
+    assert sol.xs is not None and finer.xs is not None
     xs = jax.lax.stop_gradient(sol.xs)
-    known = jnp.isfinite(xs) & jnp.isfinite(companion.xs)
+    known = jnp.isfinite(xs) & jnp.isfinite(finer.xs)
     size = jnp.max(jnp.where(known, abs(xs), 0.0), axis=-1, keepdims=True)
-    units = jnp.sqrt(companion.stats["num_steps"].astype(xs.dtype))
+    units = jnp.sqrt(finer.stats["num_steps"].astype(xs.dtype))
     rounding = jnp.finfo(xs.dtype).eps * size * units
-    distance = jnp.where(known, abs(xs - companion.xs), jnp.inf)
+    distance = jnp.where(known, abs(xs - finer.xs), jnp.inf)
     return jnp.maximum(distance, rounding)
 
 

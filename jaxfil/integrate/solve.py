@@ -63,6 +63,7 @@ def solve(
 
     **Arguments**
 
+    - `system`: a `System`; its float leaves are cast to the dtype of `x0`.
     - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
     - `t0`, `t1`: the span of time; backward if t1 < t0.
     - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|).
@@ -80,7 +81,16 @@ def solve(
       `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
       or `ts`.
 
-    **Returns** a `Solution`.
+    **Returns** a `Solution`, valid up to where it stopped.
+
+    **Outcomes**: `successful`; `max_steps_reached`, `max_events_reached`, `nonfinite` and
+    `step_too_long` for a run that cannot go on; `nonunique`, `mode_undecided`,
+    `undeclared_sliding` and `zeno` for a solution that does not.
+
+    **Source**: the switch model: Piiroinen and Kuznetsov, An event-driven method to simulate
+    Filippov systems with accurate computing of sliding motions, ACM Transactions on Mathematical
+    Software 34 (2008); the derivative through contacts: Leine and Nijmeijer, Dynamics and
+    Bifurcations of Non-Smooth Mechanical Systems, Springer 2004.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf

@@ -5,8 +5,7 @@ what the method says of its error. Nothing here knows of surfaces.
 """
 
 import functools as ft
-from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import diffrax
 import equinox as eqx
@@ -15,12 +14,27 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, Forcing
+from jaxfil.integrate.components import Components, Forcing, SmoothField
 from jaxfil.integrate.rosenbrock import RODAS5P, Rodas5P, RosenbrockTableau, rosenbrock_step
 
 
 class RK4(eqx.Module):
-    """The classical Runge–Kutta method of order four."""
+    """The classical Runge–Kutta method of order four, for wherever `stepper` is an argument.
+
+    k₁ = f(t, x), k₂ = f(t + h/2, x + h k₁/2), k₃ = f(t + h/2, x + h k₂/2), k₄ = f(t + h, x + h k₃);
+    x(t + h) = x + h (k₁ + 2k₂ + 2k₃ + k₄)/6. It estimates no error: a step far too long is not told
+    as `step_too_long`.
+
+    **Source**: Kutta, Beitrag zur näherungsweisen Integration totaler Differentialgleichungen,
+    Zeitschrift für Mathematik und Physik 46 (1901).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> belt = jf.systems.BeltFriction()
+    >>> sol = jf.solve(belt, jnp.zeros(2), 0.0, 1.0, 0.01, stepper=jf.RK4())
+    >>> int(sol.num_events)
+    2
+    """
 
     c = np.array([0.5, 0.5, 1.0])
     a = (np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0]))
@@ -53,15 +67,6 @@ Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau
 """What a step needs to know of a stepper."""
 Stepper: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P
 """What the user chooses: a one-step method."""
-
-
-class SmoothField(Protocol):
-    """A smooth vector field on components, x' = f(t, x): its value at a time, given what `forcing`
-    has found for that time, if anything, and `ComponentSystem.once`."""
-
-    def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components: ...
-
-    def once(self, function: Callable, *args: Any) -> Any: ...
 
 
 class Trial(eqx.Module):
