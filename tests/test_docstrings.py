@@ -74,7 +74,7 @@ def sections(text: str) -> dict[str, str]:
     """What stands under each bold heading; the examples under none."""
     text = text.partition(">>>")[0]
     starts = [*HEADING.finditer(text)]
-    ends = [m.start() for m in starts[1:]] + [len(text)]
+    ends = [*(m.start() for m in starts[1:]), len(text)][: len(starts)]
     return {m[1]: text[m.end() : end] for m, end in zip(starts, ends, strict=True)}
 
 
