@@ -3,8 +3,10 @@
 Nothing enters; what leaves are aliases, which say in one word what an argument may be.
 """
 
+import os
 from typing import Any, TypeAlias
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -14,6 +16,19 @@ Scalar: TypeAlias = Array | np.ndarray | np.generic | float | int
 State: TypeAlias = Float[Array, " n"] | Float[np.ndarray, " n"]
 """A state of n components, shape (n,)."""
 
+States: TypeAlias = Float[Array, "*shape n"] | Float[np.ndarray, "*shape n"]
+"""One state, shape (n,), or an array of them, such as one for each lane."""
+
+PathLike: TypeAlias = str | os.PathLike[str]
+"""Where a file or a folder is."""
+
+Stepper: TypeAlias = eqx.Module
+"""A method that takes one step: a solver of diffrax, `jaxfil.RK4()` or `jaxfil.Rodas5P()`."""
+
 Axes: TypeAlias = Any
 """`matplotlib.axes.Axes`. Only `jaxfil.plot` imports matplotlib, so that the name is all that the
 other rooms know of it."""
+
+Dataset: TypeAlias = Any
+"""`xarray.Dataset`. xarray is an optional package and imported with its first use, so that no
+signature can name it."""
