@@ -11,8 +11,8 @@ from jaxfil.model.outcomes import RESULTS, outcome_names
 
 def precision(numbers: Array | np.ndarray) -> str:
     """What a card says of the precision of numbers: nothing in float64."""
-    # JAX computes in float32 unless told otherwise, and digits beyond the seventh then mean nothing:
-    # a card that shows more of them has to say so.
+    # JAX computes in float32 unless told otherwise. Digits beyond the seventh then mean nothing,
+    # and a card that shows more of them has to say so.
     return "" if numbers.dtype == np.float64 else f" in {numbers.dtype}"
 
 
