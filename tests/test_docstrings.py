@@ -118,7 +118,7 @@ def missing_in_function(name: str, function: typing.Callable) -> list[str]:
     lacks += [f"the argument `{p}`" for p in sorted(parameters - named)]
     lacks += [f"no word of `{p}`, which is no argument" for p in sorted(named - parameters)]
     if "Outcomes" in wanted & {*told}:
-        outcomes = {*re.findall(r"`(\w+)`", told["Outcomes"])}
+        outcomes = {*re.findall(r"`(\w+)`", told["Outcomes"].partition(":")[2])}
         lacks += [f"no word of {o}, which is no outcome" for o in outcomes - {*members(jf.RESULTS)}]
         lacks += [] if outcomes else ["an outcome by its name"]
     return [f"{name} lacks {what}" for what in lacks]

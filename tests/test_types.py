@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parent.parent / "jaxfil"
+import jaxfil
+
+PACKAGE = Path(jaxfil.__file__).parent
 
 
 def untyped(tree):

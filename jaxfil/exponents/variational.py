@@ -29,20 +29,25 @@ _LOST = 1e4
 
 
 class Variation(eqx.Module):
-    """A lane with n tangent vectors. `delay` holds dt* of each while a switch is pending, `left`
-    the steps to the next orthonormalisation, `dropped` whether a slide or a reset may have taken a
-    direction away since the last one, `growth` Σ log R_ii."""
+    """A lane with n tangent vectors."""
 
     lane: LoopState
+    """The lane."""
     frame: tuple[Components, ...]
+    """The tangent vectors."""
     delay: Components
+    """dt* of each vector, while a switch is pending."""
     left: Array
+    """Steps to the next orthonormalisation."""
     dropped: Array
+    """Whether a slide or a reset may have taken a direction away since the last one."""
     growth: Components
+    """Σ log R_ii of each vector."""
 
 
 def generic_frame(scene: ComponentSystem) -> tuple[Components, ...]:
     """n orthonormal vectors, none of which is likely to be special to the system."""
+    # The axes would be special: where a slide loses x', the axis of x' is lost at once.
     q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(scene.n, scene.n)))
     return tuple(tuple(jnp.asarray(v, scene.dtype) for v in column) for column in q.T)
 
@@ -96,6 +101,7 @@ def _push(
             pushed = where(switched, _apply_saltation(scene, span, lane, after, v, dt), pushed)
         frame.append(pushed)
         delay.append(late)
+    # A slide takes directions away, and so may a reset: only then is a lost one of length zero.
     moved = any_of(tuple(s == 0 for s in after.mode))
     if scene.resets:
         moved = moved | after.pending
@@ -130,6 +136,8 @@ def _apply_saltation(
         for normal, s in zip(normals, after.mode, strict=True):
             size = sum(a * a for a in normal)
             out = sum(a * b for a, b in zip(v, normal, strict=True))
+            # On a surface a tangent has no component across it: two motions that slide there
+            # differ along it alone. What is removed is the direction that sticking takes away.
             share = jnp.where(s == 0, out / jnp.where(size == 0, 1, size), 0.0)
             v = axpy(v, -share, normal)
     return v
@@ -165,6 +173,8 @@ def gram_schmidt(
     orthogonal to them. Its logarithm is −inf where a slide or a reset may have `dropped` it, which
     has then no length at all, and NaN elsewhere: it is too small to be told.
     """
+    # Modified Gram–Schmidt, every vector a tuple of scalars: a QR factorisation of LAPACK would end
+    # the kernel, and n is small.
     done: list[Components] = []
     logs = []
     for v in frame:

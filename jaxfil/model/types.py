@@ -4,9 +4,9 @@ Nothing enters; what leaves are aliases, which say in one word what an argument 
 """
 
 import os
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -19,11 +19,21 @@ State: TypeAlias = Float[Array, " n"] | Float[np.ndarray, " n"]
 States: TypeAlias = Float[Array, "*shape n"] | Float[np.ndarray, "*shape n"]
 """One state, shape (n,), or an array of them, such as one for each lane."""
 
+SweptValues: TypeAlias = (
+    Float[Array, " p"]
+    | Float[np.ndarray, " p"]
+    | Float[Array, "p k"]
+    | Float[np.ndarray, "p k"]
+    | Sequence[Any]
+)
+"""What parameters are swept over: values of one, points of k, or an array for each of k."""
+
 PathLike: TypeAlias = str | os.PathLike[str]
 """Where a file or a folder is."""
 
-Stepper: TypeAlias = eqx.Module
-"""A method that takes one step: a solver of diffrax, `jaxfil.RK4()` or `jaxfil.Rodas5P()`."""
+Stepper: TypeAlias = Any
+"""A method that takes one step: an explicit Runge–Kutta solver of diffrax, `jaxfil.RK4()` or
+`jaxfil.Rodas5P()`. They have no class in common, and `integrate` says which it takes."""
 
 Axes: TypeAlias = Any
 """`matplotlib.axes.Axes`. Only `jaxfil.plot` imports matplotlib, so that the name is all that the
