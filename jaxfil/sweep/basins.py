@@ -34,8 +34,8 @@ class Basins(eqx.Module):
 
     >>> import jaxfil as jf
     >>> found = jf.basins_of_attraction(
-    ...     jf.systems.SDOscillator(omega=0.6), ([-1.0, 1.0], [0.1]), transient=900, steps=20,
-    ...     tolerance=1e-3, stepper=jf.RK4(), progress=False)
+    ...     jf.systems.SDOscillator(omega=0.6, zeta=0.1), ([-1.0, 1.0], [0.1]), transient=20,
+    ...     samples=8, steps=20, stepper=jf.RK4(), progress=False)
     >>> [len(section) for section in found.attractors]  # two of period one
     [1, 1]
     """
@@ -121,8 +121,8 @@ def basins_of_attraction(
 
     >>> import jaxfil as jf
     >>> found = jf.basins_of_attraction(
-    ...     jf.systems.SDOscillator(omega=0.6), ([-1.0, 1.0], [0.1]), transient=900, steps=20,
-    ...     tolerance=1e-3, stepper=jf.RK4(), progress=False)
+    ...     jf.systems.SDOscillator(omega=0.6, zeta=0.1), ([-1.0, 1.0], [0.1]), transient=20,
+    ...     samples=8, steps=20, stepper=jf.RK4(), progress=False)
     >>> found.labels.ravel().tolist()  # one about −1, one about +1
     [1, 2]
     """
