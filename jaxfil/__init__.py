@@ -51,7 +51,8 @@ from jaxfil.orbits.harmonic_balance import (
 )
 from jaxfil.orbits.orbit import Orbit as Orbit, periodic_orbit as periodic_orbit
 from jaxfil.sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
-from jaxfil.sweep.diagram import BifurcationDiagram as BifurcationDiagram, load as load
+from jaxfil.sweep.diagram import BifurcationDiagram as BifurcationDiagram
+from jaxfil.sweep.load import load as load
 from jaxfil.sweep.sweep import bifurcation_diagram as bifurcation_diagram
 from jaxfil.version import __version__ as __version__
 

@@ -16,7 +16,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -28,8 +28,10 @@ import numpy as np
 from jaxfil.integrate.rosenbrock import Rodas5P
 from jaxfil.integrate.stepper import RK4
 from jaxfil.integrate.work_precision import work_precision
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
+from jaxfil.sweep import dataset_io
+from jaxfil.sweep.diagram import BifurcationDiagram
 from jaxfil.sweep.sweep import bifurcation_diagram
 from jaxfil.systems import TEXTBOOK
 
@@ -44,7 +46,7 @@ STEPPERS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Do what `argv` (or the command line) asks; the exit code leaves."""
-    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_x64", True)  # nobody asks for a picture in float32
     try:
         args = _parser().parse_args(_join_negatives(sys.argv[1:] if argv is None else argv))
         if args.list:
@@ -64,6 +66,7 @@ class _Misuse(Exception):
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
+        # argparse would print its usage, which is longer than a line, and end the process.
         raise _Misuse(message)
 
 
@@ -93,7 +96,7 @@ def _parser() -> _Parser:
     return top
 
 
-def _work_precision_parser(commands: Any) -> None:
+def _work_precision_parser(commands: "argparse._SubParsersAction[_Parser]") -> None:
     help_ = "error against run time over steppers and steps"
     add: Callable[..., Any] = commands.add_parser(
         "work-precision", help=help_, allow_abbrev=False
@@ -165,9 +168,9 @@ def _diagram(args: argparse.Namespace) -> int:
         progress=not args.quiet,
     )
     seconds = time.perf_counter() - start
-    outcomes = _outcomes(diagram.results)
+    outcomes = outcome_names(diagram.results)
     _draw(diagram, args, _conditions(args, settings, x0))
-    _save(diagram, args, settings, x0, outcomes)
+    _save(diagram, args, settings)
     if not args.quiet:
         print(_summary(args, outcomes, seconds))
     return 0 if (outcomes == "successful").any() else 1
@@ -189,7 +192,7 @@ def _check(args: argparse.Namespace, settings: dict[str, float]) -> tuple[float,
     return x0
 
 
-def _one_of(what: str, name: str, allowed) -> None:
+def _one_of(what: str, name: str, allowed: Iterable[str]) -> None:
     if name not in allowed:
         raise _Misuse(f"{what} must be one of {', '.join(allowed)}; it was {name!r}")
 
@@ -208,7 +211,7 @@ def _listing() -> str:
     return "\n".join(lines)
 
 
-def _conditions(args: argparse.Namespace, settings: dict[str, float], x0) -> str:
+def _conditions(args: argparse.Namespace, settings: dict[str, float], x0: tuple[float, ...]) -> str:
     """What the picture cannot show and a reader needs to make it again."""
     given = "".join(f", {name} = {value:.10g}" for name, value in settings.items())
     follow = f" and on {args.follow}" if args.follow else ""
@@ -225,7 +228,7 @@ def _summary(args: argparse.Namespace, outcomes: np.ndarray, seconds: float) -> 
     )
 
 
-def _draw(diagram, args: argparse.Namespace, title: str) -> None:
+def _draw(diagram: BifurcationDiagram, args: argparse.Namespace, title: str) -> None:
     from jaxfil import plot  # here, so that mistakes are answered without loading matplotlib
 
     page = plot.page()
@@ -234,31 +237,23 @@ def _draw(diagram, args: argparse.Namespace, title: str) -> None:
     page.savefig(args.out)
 
 
-def _save(diagram, args: argparse.Namespace, settings, x0, outcomes: np.ndarray) -> None:
+def _save(
+    diagram: BifurcationDiagram, args: argparse.Namespace, settings: dict[str, float]
+) -> None:
     """Everything in the picture, and what it takes to make it again, beside it as .npz."""
+    # From the defaults and not from the diagram: a parameter may be None, as alpha = 0 is.
     parameters = _defaults(TEXTBOOK[args.system][0]) | settings
     del parameters[args.parameter]
-    np.savez_compressed(
-        args.out.with_suffix(".npz"),
-        system=args.system,
-        parameter=args.parameter,
-        values=np.asarray(diagram.values),
-        xs=np.asarray(diagram.xs),
-        results=outcomes,
-        fixed_names=np.array(list(parameters)),
-        fixed_values=np.array(list(parameters.values())),
-        x0=np.array(x0),
-        transient=args.transient,
-        samples=args.samples,
-        steps=args.steps,
-        follow=args.follow or "",
-    )
-
-
-def _outcomes(results) -> np.ndarray:
-    """The name of every lane's outcome."""
-    names = RESULTS._name_to_item
-    return np.select([np.asarray(results == item) for item in names.values()], list(names), "")
+    asked = {
+        "system": args.system,
+        "samples": args.samples,
+        "follow": args.follow or "",
+        "fixed_names": np.array(list(parameters)),
+        "fixed_values": np.array(list(parameters.values())),
+    }
+    data = diagram.named_arrays()
+    data = dataclasses.replace(data, attributes={**data.attributes, **asked})
+    dataset_io.save(data, args.out.with_suffix(".npz"))
 
 
 def _join_negatives(argv: list[str]) -> list[str]:

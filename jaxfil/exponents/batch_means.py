@@ -4,17 +4,12 @@ How much a logarithm has grown in each batch enters; the mean rate, its running 
 standard error, and whether it was the rate of one motion throughout, leave.
 """
 
-from typing import Any
-
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.model.card import outcome, precision
-
-# An average is taken in this many batches, between which the lanes of a computation wait.
+# An average is taken in this many batches, between which the lanes of a computation wait. Few of
+# them are long, and long ones are independent of each other, which the standard error needs.
 BATCHES = 32
 # A change of the mean by this many standard errors is a change of the motion: with 32 batches and
 # Gaussian noise one exponent in some thousands has such a change by chance.
@@ -23,6 +18,7 @@ _CHANGE = 5.0
 
 def batch_ends(periods: Array, batches: int) -> Array:
     """Periods done at the end of each batch, as equal as whole numbers can be."""
+    # k·periods // batches would overflow in 32 bits: quotient and remainder apart do not.
     k = jnp.arange(1, batches + 1, dtype=periods.dtype)
     whole, rest = periods // batches, periods % batches
     return k * whole + k * rest // batches
@@ -39,6 +35,8 @@ def _standard_error(growth: Array, times: Array) -> Array:
     batches = growth.shape[0]
     if batches == 1:
         return jnp.full_like(growth[0], jnp.nan)
+    # Batches may differ by a period in length: each is compared with what the mean rate would have
+    # grown in its own time.
     lasting = jnp.diff(times, prepend=0.0)
     finite = jnp.where(growth == -jnp.inf, 0.0, growth)
     mean = jnp.sum(finite, axis=0) / times[-1]
@@ -58,10 +56,12 @@ def _settled(growth: Array, times: Array) -> Array:
     known = ~jnp.any(jnp.isnan(growth))
     if growth.shape[0] < 3:
         return known
+    # A growth of −inf has no mean: how often it happens is compared instead of how much.
     lost = growth == -jnp.inf
     lasting = jnp.diff(times, prepend=0.0)[:, None]
     rates = jnp.where(lost, 0.0, growth) / lasting
     changes = _changes(rates, 1 / jnp.mean(lasting)) | _changes(lost.astype(growth.dtype), 0.5)
+    # NaN in one batch is a lane that failed: nothing is known of its motion.
     return known & ~jnp.any(changes)
 
 
@@ -77,26 +77,8 @@ def _changes(values: Array, least: Array | float) -> Array:
     variance = jnp.sum((values - mean) ** 2, axis=1) / (batches - 2)
     weight = jnp.asarray(1 / k + 1 / (batches - k), values.dtype)[:, None]
     shorter = jnp.asarray(np.minimum(k, batches - k)[:, None], values.dtype)
+    # Of all splits the largest t is taken, which is larger by chance than that of one: `_CHANGE`
+    # allows for it.
     difference = abs(early_mean - late_mean)
     beyond_chance = difference > _CHANGE * jnp.sqrt(variance * weight)
     return jnp.any(beyond_chance & (difference * shorter > least), axis=0)
-
-
-def average_card(name: str, found: Any, exponents: Any, errors: Any) -> str:
-    """What was averaged, over how long, and whether it is to be trusted, in a few lines."""
-    name += precision(found.x0)
-    if isinstance(found.result._value, jax.core.Tracer) or found.times.ndim > 1:
-        return f"{name}: a batch of shape {found.times.shape[:-1]}"
-    numbers, spreads = np.atleast_1d(exponents), np.atleast_1d(errors)
-    pairs = zip(numbers, spreads, strict=True)
-    told = ", ".join(f"{a:.5g} ± {b:.1g}" if np.isfinite(a) else f"{a}" for a, b in pairs)
-    state = np.array2string(np.asarray(found.x0), precision=6, separator=", ")
-    lines = [
-        f"{name}: {outcome(found.result)}",
-        f"  {told} per unit time, over a time of {float(found.times[-1]):.6g} from x0 = {state}",
-    ]
-    if not found.settled:
-        lines.append(
-            "  not settled: the growth changed for good on the way; take a longer transient"
-        )
-    return "\n".join(lines)

@@ -8,6 +8,7 @@ from jaxtyping import Array
 
 from jaxfil.model import check
 from jaxfil.model.system import System, has_resets
+from jaxfil.model.types import Scalar
 
 
 def _halves(x: Array) -> tuple[Array, Array]:
@@ -20,29 +21,34 @@ class _DriveResponse(System):
     coupling: Array
 
     @property
-    def slides(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+    def slides(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.system.slides
 
-    def vector_field(self, t, x, side):
+    def vector_field(self, t: Array, x: Array, side: Array) -> Array:
         drive, response = _halves(x)
         scalar = jnp.ndim(self.system.switching(t, drive)) == 0
         sides = (side[0], side[1]) if scalar else _halves(side)
+        # The response sees its own state and side everywhere: with the drive's in one term it would
+        # synchronise at every coupling.
         pull = self.coupling * (drive - response)
         first = self.system.vector_field(t, drive, sides[0])
         return jnp.concatenate([first, self.system.vector_field(t, response, sides[1]) + pull])
 
-    def switching(self, t, x):
+    def switching(self, t: Array, x: Array) -> Array:
         return jnp.concatenate(
             [jnp.atleast_1d(self.system.switching(t, half)) for half in _halves(x)]
         )
 
     @property
-    def period(self):
+    def period(self) -> Array | float | None:
         return self.system.period
 
 
+# A class of its own: that a class defines `reset` is what has the code for impacts compiled.
 class _ImpactingDriveResponse(_DriveResponse):
-    def reset(self, t, x, surface):
+    def reset(self, t: Array, x: Array, surface: Array) -> Array:
+        # Surfaces 0 … m − 1 are the drive's, m … 2m − 1 the response's; an impact of one leaves the
+        # other where it is.
         drive, response = _halves(x)
         m = jnp.size(self.system.switching(t, drive))
         own = surface % m
@@ -53,11 +59,24 @@ class _ImpactingDriveResponse(_DriveResponse):
         )
 
 
-def drive_response(system: System, coupling: Array | float) -> System:
-    """The system z = (x, y) of 2n states: ẋ = F(t, x), ẏ = F(t, y) + coupling·(x − y).
+def drive_response(system: System, coupling: Scalar) -> System:
+    """A system of 2n states z = (x, y), a drive and a response that is pulled towards it.
+
+        ẋ = F(t, x),    ẏ = F(t, y) + coupling · (x − y)
 
     Each half has the m surfaces of `system`, the drive's first, and slides on one or both; each has
     its impacts. A synchronised state x = y stays so exactly.
+
+    **Arguments**
+
+    - `system`: any `System`; its parameters are called `system.name` in the new one.
+    - `coupling`: the rate of the pull, per unit of time; a parameter of the new system.
+
+    **Returns** a `System` with the period of `system`.
+
+    **Source**: A. Stefański and T. Kapitaniak, Using chaos synchronization to estimate the largest
+    Lyapunov exponent of nonsmooth systems, Discrete Dynamics in Nature and Society 4 (2000)
+    207–215.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf

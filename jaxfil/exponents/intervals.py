@@ -1,12 +1,16 @@
-"""."""
+"""The intervals of time that exponents are taken over.
 
-from typing import Any
+Counts and the length of an interval, as a user gives them, enter; traced numbers and the grid of
+steps over some of the intervals leave.
+"""
 
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array
 
 from jaxfil.model import check
 from jaxfil.model.system import System
+from jaxfil.model.types import Scalar
 
 Counts = tuple[Array, Array, Array]
 """Periods averaged over, periods before, and steps of a period."""
@@ -17,6 +21,7 @@ def counts_of(periods: int, transient: int, steps: int) -> Counts:
     periods = check.count("periods", periods)
     transient = check.count("transient", transient, least=0)
     steps = check.count("steps", steps)
+    # Steps are counted in 32 bits, on every device and in every precision.
     if (periods + transient) * steps >= 2**31:
         raise ValueError(
             "`periods`, `transient` and `steps` must make fewer than 2³¹ steps, got "
@@ -26,7 +31,7 @@ def counts_of(periods: int, transient: int, steps: int) -> Counts:
     return jnp.asarray(periods, whole), jnp.asarray(transient, whole), jnp.asarray(steps, whole)
 
 
-def interval_of(system: System, interval: Any, dtype: Any) -> Array:
+def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> Array:
     """The time between two orthonormalisations."""
     if interval is not None:
         return check.scalar("interval", interval, dtype, positive=True)

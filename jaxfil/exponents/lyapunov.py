@@ -4,15 +4,14 @@ A system and an initial state enter; all n exponents of the orbit they lead to l
 standard error, a running estimate, and whether the orbit was the same kind of motion throughout.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxfil.exponents.batch_means import BATCHES, average_card, averages, batch_ends
+from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
+from jaxfil.exponents.card import average_card
 from jaxfil.exponents.intervals import Counts, counts_of, interval_of
 from jaxfil.exponents.variational import Variation, propagate, vary
 from jaxfil.integrate.components import build, pack, unpack
@@ -26,35 +25,43 @@ from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes, Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 
 
 class LyapunovSpectrum(eqx.Module):
     """All exponents of one orbit, largest first, per unit time.
 
-    - `exponents`: shape (n,). −inf for a direction that sticking takes away altogether. NaN for one
-      that contracts against another by more than rounding resolves within one interval (take a
-      shorter `interval`), and for a lane that failed.
-    - `standard_error`: shape (n,), by batch means; 0 for −inf.
-    - `running`: the estimates at `times`, shape (batches, n), for a picture of the convergence.
-    - `times`: the time averaged over so far, shape (batches,).
-    - `x0`, `x_final`: the state before the transient, which decides between coexisting attractors,
-      and at the end, shape (n,).
-    - `settled`: False if the growth changed for good somewhere within the average, as it does where
-      a transient ends. The exponents are then those of no motion: take a longer transient.
-    - `result`: the lane's outcome.
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> wall = jf.systems.ImpactOscillator(damping=1.0)  # too weakly forced to reach it
+    >>> found = jf.lyapunov_spectrum(
+    ...     wall, jnp.array([0.1, 0.0]), periods=20, transient=0, steps=20, stepper=jf.RK4())
+    >>> found.running.shape, bool(found.settled)
+    ((20, 2), True)
     """
 
     exponents: Float[Array, " n"]
+    """−inf for a direction that sticking takes away altogether. NaN for one that contracts against
+    another by more than rounding resolves within one interval (take a shorter `interval`), and for
+    a lane that failed."""
     standard_error: Float[Array, " n"]
+    """Of each exponent, by batch means; 0 for −inf."""
     running: Float[Array, "batches n"]
+    """The estimates at `times`, for a picture of the convergence."""
     times: Float[Array, " batches"]
+    """The time averaged over so far."""
     x0: Float[Array, " n"]
+    """The state before the transient, which decides between coexisting attractors."""
     x_final: Float[Array, " n"]
+    """The state at the end."""
     settled: Bool[Array, ""]
+    """False if the growth changed for good somewhere within the average, as it does where a
+    transient ends. The exponents are then those of no motion: take a longer transient."""
     result: RESULTS
+    """The lane's outcome."""
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the running estimates of one orbit's exponents; returns the matplotlib axes."""
         return draw(self, ax=ax)
 
@@ -65,24 +72,30 @@ class LyapunovSpectrum(eqx.Module):
 
 def lyapunov_spectrum(
     system: System,
-    x0: Float[Array, " n"],
+    x0: State,
     *,
     periods: int = 1000,
     transient: int = 200,
     steps: int = 40,
-    interval: Array | float | None = None,
-    stepper: Any = None,
+    interval: Scalar | None = None,
+    stepper: Stepper | None = None,
 ) -> LyapunovSpectrum:
-    r"""The Lyapunov exponents λ_i = lim (1/T) Σ_k log R_ii(k) of the orbit from `x0` at t = 0.
+    """All n Lyapunov exponents of the orbit from `x0` at t = 0.
 
-    n tangent vectors are carried along the orbit, exactly through crossings, slides and resets, and
-    orthonormalised once a forcing period: M_k Q_{k−1} = Q_k R(k) with M_k the derivative of the
-    flow over period k. The orbit runs `transient` periods first, the last quarter of them with the
+        λ_i = lim (1/t) Σ_k log R_ii(k),    M_k Q_{k−1} = Q_k R(k)
+
+    with M_k the derivative of the flow over period k: n tangent vectors are carried along the
+    orbit, exactly through crossings, slides and resets, and orthonormalised once a forcing period.
+    The orbit runs `transient` periods first, the last quarter of them with the
     tangent vectors, which lets them turn to where they belong; then `periods` more are averaged
     over.
 
+    Runs under `jax.jit` and `equinox.filter_vmap` (over a system with batched leaves, or over x0),
+    each lane with its own outcome, and has forward-mode derivatives.
+
     **Arguments**
 
+    - `system`: any `System`.
     - `x0`: initial state, shape (n,).
     - `periods`, `transient`: forcing periods averaged over, and run before.
     - `steps`: steps per forcing period.
@@ -90,19 +103,22 @@ def lyapunov_spectrum(
       one. Within an interval the ratio of two directions' growths must stay far from 1/eps.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
 
-    Runs under `jax.jit` and `equinox.filter_vmap` (over a system with batched leaves, or over x0),
-    each lane with its own outcome, and has forward-mode derivatives.
-
     **Returns** a `LyapunovSpectrum`.
 
-    Benettin, Galgani, Giorgilli and Strelcyn, Meccanica 15 (1980) 9–30; Müller, Chaos, Solitons and
-    Fractals 5 (1995) 1671–1681 for discontinuous systems.
+    **Outcomes**: `successful`, `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`,
+    `undeclared_sliding`, `nonfinite`, `step_too_long`.
+
+    **Source**: G. Benettin, L. Galgani, A. Giorgilli and J.-M. Strelcyn, Lyapunov characteristic
+    exponents for smooth dynamical systems, Meccanica 15 (1980) 9–30; P. C. Müller, Calculation of
+    Lyapunov exponents for dynamic systems with discontinuities, Chaos, Solitons and Fractals 5
+    (1995) 1671–1681.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
-    >>> decay = jf.piecewise(lambda t, x: -x, lambda t, x: -x, lambda t, x: x[0])
-    >>> found = jf.lyapunov_spectrum(decay, jnp.ones(1), periods=10, transient=0, interval=0.5)
-    >>> print(round(float(found.exponents[0]), 5))
+    >>> wall = jf.systems.ImpactOscillator(damping=1.0)  # too weakly forced to reach it
+    >>> found = jf.lyapunov_spectrum(
+    ...     wall, jnp.array([0.1, 0.0]), periods=20, transient=0, steps=20, stepper=jf.RK4())
+    >>> print(round(float(found.exponents.sum()), 2))  # minus the damping
     -1.0
     """
     x = check.state("x0", x0)

@@ -6,8 +6,6 @@ A system enters twice: as a drive and as a response that is pulled towards it,
 itself. Stefański and Kapitaniak, Discrete Dynamics in Nature and Society 4 (2000) 207–215.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.core
@@ -15,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxfil.exponents.batch_means import BATCHES, average_card, averages, batch_ends
+from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
+from jaxfil.exponents.card import average_card
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Counts, counts_of, interval_of
 from jaxfil.integrate.components import Components, build, pack, unpack
@@ -30,35 +29,48 @@ from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes, Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 
-# A distance of fewer eps of the size of the state is rounding.
+# A distance of fewer eps of the size of the state is rounding: a few bits of it are right.
 _RESOLVED = 64
 
 
 class Synchronization(eqx.Module):
     """Which couplings synchronise drive and response.
 
-    - `exponent`: the smallest of `couplings` that does, an estimate of λ1; NaN if none does.
-    - `couplings`: shape (c,), as given; `distances`: shape (c,), the smallest distance |x − y|
-      seen, at the ends of periods, until it fell to `tolerance`; `synchronized`: shape (c,).
-    - `tolerance`: the distance that counts as synchronised; `time`: how long they were given.
-    - `bias`: by how much the estimate is expected to lie above λ1: half a step of the grid, and
-      log(d0/tolerance)/time, since the distance must fall from its initial d0 within that time.
-    - `results`: an outcome for each coupling, shape (c,).
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> wall = jf.systems.ImpactOscillator(damping=1.0)  # λ1 = λ2 = −1/2 away from it
+    >>> found = jf.synchronization_exponent(
+    ...     wall, jnp.array([0.1, 0.0]), jnp.array([-0.55, -0.3]), periods=20, transient=0,
+    ...     steps=20, stepper=jf.RK4())
+    >>> found.synchronized.tolist()
+    [False, True]
     """
 
     exponent: Float[Array, ""]
+    """The smallest of `couplings` that synchronises, an estimate of λ1; NaN if none does."""
     couplings: Float[Array, " c"]
+    """As they were given."""
     distances: Float[Array, " c"]
+    """The smallest distance |x − y| seen at the ends of periods, until it fell to `tolerance`; NaN
+    where the lane failed."""
     synchronized: Bool[Array, " c"]
+    """Whether that distance fell to `tolerance`."""
     tolerance: Float[Array, ""]
+    """The distance that counts as synchronised."""
     time: Float[Array, ""]
+    """How long drive and response were given."""
     bias: Float[Array, ""]
+    """By how much the estimate is expected to lie above λ1: half a step of the grid, and
+    log(d0/tolerance)/time, since the distance must fall from its initial d0 within that time."""
     x0: Float[Array, " n"]
+    """The drive's state before the transient."""
     results: RESULTS
+    """An outcome for each coupling, shape (c,)."""
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the distances against the couplings; returns the matplotlib axes."""
         return draw(self, ax=ax)
 
@@ -82,30 +94,41 @@ class Synchronization(eqx.Module):
 class TransverseExponent(eqx.Module):
     """λ1 from the rate at which a small distance between drive and response grows.
 
-    - `exponent`: that rate plus the coupling, per unit time, and its `standard_error` by batch
-      means. NaN where the distance fell below what rounding resolves within one interval.
-    - `running`: the estimates at `times`, shape (batches,).
-    - `separation`: the distance to which it was set back after every interval.
-    - `settled`: as in `LyapunovSpectrum`; `x0`, `x_final`: the drive's first and last state.
-    - `result`: the lane's outcome.
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> wall = jf.systems.ImpactOscillator(damping=1.0)  # λ1 = λ2 = −1/2 away from it
+    >>> found = jf.transverse_exponent(
+    ...     wall, jnp.array([0.1, 0.0]), periods=20, transient=0, steps=20, stepper=jf.RK4())
+    >>> found.times.shape, bool(found.settled)
+    ((20,), True)
     """
 
     exponent: Float[Array, ""]
+    """That rate plus the coupling, per unit time. NaN where the distance fell below what rounding
+    resolves within one interval."""
     standard_error: Float[Array, ""]
+    """Of the exponent, by batch means."""
     running: Float[Array, " batches"]
+    """The estimates at `times`."""
     times: Float[Array, " batches"]
+    """The time averaged over so far."""
     separation: Float[Array, ""]
+    """The distance to which the response was set back after every interval."""
     x0: Float[Array, " n"]
+    """The drive's state before the transient."""
     x_final: Float[Array, " n"]
+    """The drive's state at the end."""
     settled: Bool[Array, ""]
+    """False if the growth changed for good on the way: take a longer transient."""
     result: RESULTS
+    """The lane's outcome."""
 
     @property
     def exponents(self) -> Float[Array, " 1"]:
         """The one that is known, as `LyapunovSpectrum.exponents`."""
         return self.exponent[..., None]
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the running estimate; returns the matplotlib axes."""
         return draw(self, ax=ax)
 
@@ -115,32 +138,60 @@ class TransverseExponent(eqx.Module):
 
 def synchronization_exponent(
     system: System,
-    x0: Float[Array, " n"],
-    couplings: Float[Array, " c"],
+    x0: State,
+    couplings: Float[Array, " c"] | Float[np.ndarray, " c"],
     *,
     periods: int = 1500,
     transient: int = 200,
     steps: int = 40,
-    tolerance: Array | float = 1e-10,
-    interval: Array | float | None = None,
-    stepper: Any = None,
+    tolerance: Scalar = 1e-10,
+    interval: Scalar | None = None,
+    stepper: Stepper | None = None,
 ) -> Synchronization:
     """The largest Lyapunov exponent as the smallest coupling that synchronises two copies.
 
-    The drive runs `transient` periods from `x0` at t = 0. The response starts 1 % away from it, and
-    both run until |x − y| ≤ `tolerance`, for `periods` periods at most.
+        ẋ = F(t, x),    ẏ = F(t, y) + ε(x − y):    λ1 ≈ min {ε : |x − y| → 0}
 
-    **Arguments**
-
-    - `couplings`: shape (c,), ascending. Their spacing is the resolution of the answer.
-    - `tolerance`: too large a one is met by chance in the middle of chaos: 1e-3 finds almost any
-      coupling to synchronise.
-    - `periods`: short runs find too large an exponent, as `Synchronization.bias` tells.
-    - the others: as in `lyapunov_spectrum`.
+    The drive x runs `transient` periods from `x0` at t = 0. The response y starts 1 % away from it,
+    and both run until |x − y| ≤ `tolerance`, for `periods` periods at most.
 
     Runs under `jax.jit` and `equinox.filter_vmap`: over parameters here, over couplings inside.
 
+    **Arguments**
+
+    - `system`: any `System`.
+    - `x0`: initial state of the drive, shape (n,).
+    - `couplings`: values of ε, per unit of time, shape (c,), ascending. Their spacing is the
+      resolution of the answer.
+    - `periods`: forcing periods that drive and response are given; short runs find too large an
+      exponent, as `Synchronization.bias` tells.
+    - `transient`: forcing periods that the drive runs before.
+    - `steps`: steps per forcing period.
+    - `tolerance`: the distance that counts as synchronised, positive, in units of the state. Too
+      large a one is met by chance in the middle of chaos: 1e-3 finds almost any coupling to
+      synchronise.
+    - `interval`: the time that takes the place of the forcing period; an autonomous system needs
+      one.
+    - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
+
     **Returns** a `Synchronization`. `transverse_exponent` is sharper by an order of magnitude.
+
+    **Outcomes**, one for each coupling in `results`: `successful`, whether it synchronises or not,
+    `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`,
+    `step_too_long`.
+
+    **Source**: A. Stefański and T. Kapitaniak, Using chaos synchronization to estimate the largest
+    Lyapunov exponent of nonsmooth systems, Discrete Dynamics in Nature and Society 4 (2000)
+    207–215.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> wall = jf.systems.ImpactOscillator(damping=1.0)  # λ1 = λ2 = −1/2 away from it
+    >>> found = jf.synchronization_exponent(
+    ...     wall, jnp.array([0.1, 0.0]), jnp.array([-0.55, -0.3]), periods=20, transient=0,
+    ...     steps=20, stepper=jf.RK4())
+    >>> print(round(float(found.exponent), 3))  # the first above λ1
+    -0.3
     """
     x = check.state("x0", x0)
     check.system("system", system)
@@ -178,6 +229,7 @@ def _settle(
 
 def _away(x: Array, part: float) -> tuple[Array, Array]:
     """A state at a distance of `part` of the size of x, in no special direction; the distance."""
+    # A direction along an axis may be special to the system, such as the flow's own.
     direction = np.random.default_rng(0).normal(size=x.shape[0])
     unit = jnp.asarray(direction / np.linalg.norm(direction), x.dtype)
     norm = jnp.sqrt(jnp.sum(x * x))
@@ -243,24 +295,50 @@ def _threshold(
 
 def transverse_exponent(
     system: System,
-    x0: Float[Array, " n"],
+    x0: State,
     *,
-    coupling: Array | float = 0.0,
+    coupling: Scalar = 0.0,
     periods: int = 2000,
     transient: int = 200,
     steps: int = 40,
-    interval: Array | float | None = None,
-    stepper: Any = None,
+    interval: Scalar | None = None,
+    stepper: Stepper | None = None,
 ) -> TransverseExponent:
-    """The largest Lyapunov exponent from the rate of log|x − y| at small distance, plus ε.
+    """The largest Lyapunov exponent from the rate at which drive and response part.
 
-    Drive and response start eps^0.4·|x| apart after the drive's `transient` periods from `x0` at
-    t = 0, and the response is set back to that distance once a period. The rate is λ1 − ε; λ1 is
-    the coupling at which it is zero, whichever coupling it was measured at.
+        λ1 = ε + lim (1/t) log (|x − y|(t) / |x − y|(0))    at small distance
 
-    **Arguments**: as in `lyapunov_spectrum`; `coupling` is ε.
+    Drive x and response y, as in `drive_response`, start eps^0.4·|x| apart after the drive's
+    `transient` periods from `x0` at t = 0, and the response is set back to that distance once a
+    period. λ1 is the coupling at which the rate is zero, whichever coupling it was measured at.
+
+    **Arguments**
+
+    - `system`: any `System`.
+    - `x0`: initial state of the drive, shape (n,).
+    - `coupling`: ε, per unit of time.
+    - `periods`, `transient`: forcing periods averaged over, and run before by the drive alone.
+    - `steps`: steps per forcing period.
+    - `interval`: the time that takes the place of the forcing period; an autonomous system needs
+      one.
+    - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
 
     **Returns** a `TransverseExponent`.
+
+    **Outcomes**: `successful`, `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`,
+    `undeclared_sliding`, `nonfinite`, `step_too_long`.
+
+    **Source**: A. Stefański and T. Kapitaniak, Discrete Dynamics in Nature and Society 4 (2000)
+    207–215, for the coupling; G. Benettin, L. Galgani and J.-M. Strelcyn, Kolmogorov entropy and
+    numerical experiments, Physical Review A 14 (1976) 2338–2345, for setting the distance back.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> wall = jf.systems.ImpactOscillator(damping=1.0)  # λ1 = λ2 = −1/2 away from it
+    >>> found = jf.transverse_exponent(
+    ...     wall, jnp.array([0.1, 0.0]), periods=20, transient=0, steps=20, stepper=jf.RK4())
+    >>> print(round(float(found.exponent), 2))
+    -0.5
     """
     x = check.state("x0", x0)
     check.system("system", system)

@@ -47,6 +47,7 @@ class Variation(eqx.Module):
 
 def generic_frame(system: ComponentSystem) -> tuple[Components, ...]:
     """n orthonormal vectors, none of which is likely to be special to the system."""
+    # The axes would be special: where a slide loses x', the axis of x' is lost at once.
     q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(system.n, system.n)))
     return tuple(tuple(jnp.asarray(v, system.dtype) for v in column) for column in q.T)
 
@@ -91,6 +92,7 @@ def _push(problem: Problem, variation: Variation) -> Variation:
             pushed = where(switched, _apply_saltation(problem, state, after, v, dt), pushed)
         frame.append(pushed)
         delay.append(late)
+    # A slide takes directions away, and so may a reset: only then is a lost one of length zero.
     moved = after.sliding
     if system.resets:
         moved = moved | after.pending
@@ -120,6 +122,8 @@ def _apply_saltation(
         for normal, s in zip(normals, after.mode, strict=True):
             size = sum(a * a for a in normal)
             out = sum(a * b for a, b in zip(v, normal, strict=True))
+            # On a surface a tangent has no component across it: two motions that slide there
+            # differ along it alone. What is removed is the direction that sticking takes away.
             share = jnp.where(s == 0, out / jnp.where(size == 0, 1, size), 0.0)
             v = axpy(v, -share, normal)
     return v
@@ -154,6 +158,8 @@ def gram_schmidt(
     orthogonal to them. Its logarithm is −inf where a slide or a reset may have `dropped` it, which
     has then no length at all, and NaN elsewhere: it is too small to be told.
     """
+    # Modified Gram–Schmidt, every vector a tuple of scalars: a QR factorisation of LAPACK would end
+    # the kernel, and n is small.
     done: list[Components] = []
     logs = []
     for v in frame:

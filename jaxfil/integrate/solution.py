@@ -3,8 +3,6 @@
 Nothing is computed here but on request: a card of a few lines, and the state between saved times.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.core

@@ -12,6 +12,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array
 
 from jaxfil.model.system import System, has_resets
@@ -42,9 +43,10 @@ def state(name: str, x: Any) -> Array:
     return array
 
 
-def scalar(name: str, value: Any, dtype: Any, *, positive: bool = False) -> Array:
+def scalar(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -> Array:
     """A real number, traced or not."""
     must = "a positive number" if positive else "a number"
+    # A string would become an array of characters, and True the number one.
     if isinstance(value, (str, bytes, bool)) or value is None:
         raise ValueError(f"`{name}` must be {must}, got {value!r}.")
     try:
@@ -55,6 +57,7 @@ def scalar(name: str, value: Any, dtype: Any, *, positive: bool = False) -> Arra
         raise ValueError(f"`{name}` must be {must}, got an array of shape {array.shape}.")
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ValueError(f"`{name}` must be {must}, got dtype {array.dtype}.")
+    # Under `jit` the value is not known yet: its sign is then the caller's affair.
     known = concrete(value)
     if positive and known is not None and not known > 0:
         raise ValueError(f"`{name}` must be {must}, got {known}.")
@@ -63,6 +66,7 @@ def scalar(name: str, value: Any, dtype: Any, *, positive: bool = False) -> Arra
 
 def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> Any:
     """A Python integer of at least `least`, or None where that is allowed."""
+    # 40.0 is refused: counts are shapes and lengths of loops, and 40.5 would have to be as well.
     if value is None and optional:
         return None
     whole = isinstance(value, (int, np.integer))
@@ -78,7 +82,7 @@ def system(name: str, value: Any) -> None:
         what = value.__name__ if isinstance(value, type) else type(value).__name__
         hint = "; create an instance of it" if isinstance(value, type) else ""
         raise ValueError(f"`{name}` must be an instance of jaxfil.System, got {what}{hint}.")
-    if callable(value.period):
+    if callable(value.period):  # its bound method is no number, and no None either
         raise ValueError(
             f"`period` of {type(value).__name__} must be a number, a property or None, got a "
             "method: write @property above it."
@@ -94,6 +98,7 @@ def instance(name: str, value: Any, *kinds: type) -> None:
 
 def shapes(value: System, x: Array) -> tuple[int, ...]:
     """The shape of H, after a look at what all functions of a system return for a state like x."""
+    # Evaluated on shapes alone, which costs no compilation and no arithmetic.
     t = jnp.zeros((), x.dtype)
     h = _shape(value, "switching", "a scalar or an array of shape (m,)", t=t, x=x)
     if len(h) > 1:

@@ -15,6 +15,7 @@ _Out = TypeVar("_Out")
 
 def warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
     """The warning that `old` is now called `new`."""
+    # Level 3 is the line that uses the old name: 1 is this one, 2 whoever found the old name.
     warnings.warn(f"`{old}` is now called `{new}`.", DeprecationWarning, stacklevel=stacklevel)
 
 
@@ -36,10 +37,10 @@ def renamed_argument(
     return decorate
 
 
-def renamed_attribute(old: str, new: str) -> Any:
+def renamed_attribute(old: str, new: str) -> property:
     """A property that reads the attribute `new` under its old name."""
 
-    def read(self: Any) -> Any:
+    def read(self: object) -> Any:
         warn_renamed(old, new)
         return getattr(self, new)
 

@@ -8,6 +8,8 @@ has drawn on. Results are made in rooms that `jaxfil.plot` imports, so they cann
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from jaxfil.model.types import Axes
+
 _Drawer = TypeVar("_Drawer", bound=Callable[..., Any])
 _DRAWERS: dict[type, Callable[..., Any]] = {}
 _IMPORTERS: list[Callable[[], object]] = []
@@ -28,8 +30,10 @@ def draws(*kinds: type) -> Callable[[_Drawer], _Drawer]:
     return register
 
 
-def draw(result: Any, **options: Any) -> Any:
+def draw(result: object, **options: Any) -> Axes:
     """Draw a result; returns the matplotlib axes."""
+    # An importer runs before every picture and not once: it is cheap (a module that is imported
+    # comes from `sys.modules`), and a second one may have been added since.
     for importer in _IMPORTERS:
         importer()
     drawer = next(_DRAWERS[kind] for kind in type(result).__mro__ if kind in _DRAWERS)

@@ -15,17 +15,27 @@ from jaxfil.model import check
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
 
+# Pairs and not a dictionary: labels are static fields of results, and static fields are hashed.
 Pairs = tuple[tuple[str, str], ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class Labels:
-    """Names of the components of a state, symbols of parameters, and units by name; what is not
-    there is called as in the code and has no unit."""
+    """What the quantities of a system are called; what is not there is called as in the code and
+    has no unit.
+
+    >>> from jaxfil.model.labels import Labels
+    >>> labels = Labels(state=("x", "x'"), symbols=(("omega", "Ω"),), units=(("x", "m"),))
+    >>> labels.component(0), labels.parameter("omega"), labels.parameter("zeta")
+    ('x, m', 'Ω', 'zeta')
+    """
 
     state: tuple[str, ...] = ()
+    """Names of the components of the state, in order; empty if they have none."""
     symbols: Pairs = ()
+    """Pairs of a parameter's name and its symbol, sorted."""
     units: Pairs = ()
+    """Pairs of the name of a component, of a parameter or of the time `t`, and its unit, sorted."""
 
     def component(self, i: int, wording: str = "{}") -> str:
         """Of the component i, `wording` around its name: "x once a period, m"."""
@@ -73,6 +83,7 @@ def labels_of(system: System, n: int) -> Labels:
             f"`state_names` of {type(system).__name__} must be a tuple of different strings, one "
             f"for each of the {n} components of the state, got {names!r}."
         )
+    # Fields as well as leaves: a field that is None here may be a parameter in another instance.
     fields = {*parameters(system), *_fields(system)}
     return Labels(
         tuple(names),
@@ -81,7 +92,7 @@ def labels_of(system: System, n: int) -> Labels:
     )
 
 
-def _fields(module: Any, path: str = "") -> Iterator[str]:
+def _fields(module: eqx.Module, path: str = "") -> Iterator[str]:
     """The names of all fields, those of modules within with their paths."""
     for field in dataclasses.fields(module):
         yield path + field.name

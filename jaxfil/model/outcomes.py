@@ -25,7 +25,18 @@ class _Outcomes(type(eqx.Enumeration)):
 
 
 class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
-    """How an integration ended. `successful` is the only good one."""
+    """How a lane ended. `successful` is the only good outcome.
+
+    A result has its outcome in `result`, one for each lane in `results`. The value of a member is
+    the sentence that the user reads: `jf.RESULTS[sol.result]`.
+
+    - Of every integration: `successful`, `max_steps_reached`, `max_events_reached`, `zeno`,
+      `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`.
+    - Of Newton's method, in orbits, branches and bifurcations: `newton_stalled`,
+      `newton_singular`, `newton_max_steps_reached`.
+    - Of the search for a bifurcation: `no_tangency_found`, `other_kind`, `orbit_lost`.
+    - Of a sweep that Ctrl-C ended: `interrupted`.
+    """
 
     successful = ""
     max_steps_reached = (
@@ -82,6 +93,7 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
 
 def outcome_names(results: RESULTS) -> np.ndarray:
     """The names of outcomes, an array of strings in their shape."""
+    # Files and tables hold names: the integers are a matter of the order of the members above.
     names = np.empty(np.shape(results == RESULTS.successful), dtype="<U32")
     for name in RESULTS._name_to_item:
         names[np.asarray(results == getattr(RESULTS, name))] = name
@@ -112,7 +124,12 @@ def outcomes(codes: np.ndarray) -> RESULTS:
 
 
 class EventKind(enum.IntEnum):
-    """What happened at a contact: the codes in `Solution.events.kinds`."""
+    """What happened at a contact: the codes in `Solution.events.kinds`.
+
+    >>> import jaxfil as jf
+    >>> jf.EventKind(2).name
+    'stick'
+    """
 
     none = 0
     """Padding of the event table."""

@@ -26,37 +26,45 @@ class System(eqx.Module):
     Write a subclass with `vector_field`, and `switching` unless the system is smooth. Every float
     leaf is a parameter: it may be swept, differentiated, batched, and new values never recompile.
 
-    - `slides`: set it to `False` in a system that only ever crosses its surfaces; the code for
-      sliding is then not compiled, and meeting a sliding region is an outcome of its own.
-    - `reset`: define it for impacts; without it none are compiled.
-    - `period`: the period of the forcing, or `None` for an autonomous system.
-    - `state_names`, `symbols`, `units`: what pictures and named arrays call the components of the
-      state and the parameters, and in which units; by default x[0], the name in the code, none.
+    `reset` is there for impacts: without it none are compiled. `period` is that of the forcing.
 
-    ```python
-    class Relay(jf.System):
-        omega: Array
+    **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer
+    (1988), for what a solution is on a surface.
 
-        state_names = "x", "x'"
-        symbols = {"omega": "Ω"}
-        units = {"x": "m", "x'": "m/s", "omega": "rad/s", "t": "s"}
-
-        def vector_field(self, t, x, side):
-            return jnp.stack([x[1], -x[0] - side + jnp.cos(self.omega * t)])
-
-        def switching(self, t, x):
-            return x[1]
-
-        @property
-        def period(self):
-            return 2 * jnp.pi / self.omega
-    ```
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> class Relay(jf.System):
+    ...     omega: jax.Array
+    ...
+    ...     state_names = "x", "x'"
+    ...     symbols = {"omega": "Ω"}
+    ...     units = {"x": "m", "x'": "m/s", "omega": "rad/s", "t": "s"}
+    ...
+    ...     def vector_field(self, t, x, side):
+    ...         return jnp.stack([x[1], -x[0] - side + jnp.cos(self.omega * t)])
+    ...
+    ...     def switching(self, t, x):
+    ...         return x[1]
+    ...
+    ...     @property
+    ...     def period(self):
+    ...         return 2 * jnp.pi / self.omega
+    >>> relay = Relay(jnp.array(1.3))
+    >>> sol = jf.solve(relay, jnp.array([3.0, 0.0]), 0.0, 2.0, 0.1, stepper=jf.RK4())
+    >>> print(int(sol.mode_final[0]))  # it moves to the left, where x' < 0
+    -1
     """
 
     slides: ClassVar[bool] = True
+    """False in a system that only ever crosses its surfaces: the code for sliding is then not
+    compiled, and meeting a sliding region is the outcome `undeclared_sliding`."""
     state_names: ClassVar[Sequence[str]] = ()
+    """What pictures and named arrays call the components of the state; by default x[0], x[1], …"""
     symbols: ClassVar[Mapping[str, str]] = {}
+    """What they call parameters, by their names in the code; by default these names."""
     units: ClassVar[Mapping[str, str]] = {}
+    """Units of components, parameters and the time `t`, by name; by default none."""
 
     @abc.abstractmethod
     def vector_field(self, t: Float[Array, ""], x: Float[Array, " n"], side: Array) -> Array:
@@ -85,33 +93,34 @@ def has_resets(system: System) -> bool:
 
 
 class _Piecewise(System):
-    f_plus: Callable
-    f_minus: Callable
-    surface: Callable
+    f_plus: Callable[[Array, Array], Array]
+    f_minus: Callable[[Array, Array], Array]
+    surface: Callable[[Array, Array], Array]
     _period: Array | float | None
 
-    def vector_field(self, t, x, side):
+    def vector_field(self, t: Array, x: Array, side: Array) -> Array:
         if jnp.size(side) != 1:
             raise ValueError(
                 "`switching` must return a scalar, for two fields meet at one surface, got shape "
                 f"{jnp.shape(side)}. More surfaces, or none: write a jaxfil.System."
             )
+        # Both fields are evaluated and one is chosen: lanes of a batch are on different sides.
         return jnp.where(
             jnp.reshape(side, ()) > 0, self._part("f_plus", t, x), self._part("f_minus", t, x)
         )
 
-    def _part(self, name, t, x):
+    def _part(self, name: str, t: Array, x: Array) -> Array:
         out = getattr(self, name)(t, x)
         if not eqx.is_array(out) or out.shape != x.shape:
             was = getattr(out, "shape", type(out).__name__)
             raise ValueError(f"`{name}` must return a jax array of shape {x.shape}, got {was}.")
         return out
 
-    def switching(self, t, x):
+    def switching(self, t: Array, x: Array) -> Array:
         return self.surface(t, x)
 
     @property
-    def period(self):
+    def period(self) -> Array | float | None:
         return self._period
 
 
@@ -121,9 +130,27 @@ def piecewise(
     switching: Callable[[Array, Array], Array],
     period: Array | float | None = None,
 ) -> System:
-    """The system with field `f_plus(t, x)` where `switching(t, x)` > 0 and `f_minus` where < 0.
+    """The system of two smooth fields that meet at one surface.
 
-    All three may be equinox modules; their float leaves are then parameters of the system.
+        ẋ = f_plus(t, x)  where H(t, x) > 0,    ẋ = f_minus(t, x)  where H(t, x) < 0
+
+    For what needs no class: more surfaces, none, impacts or labels are written as a `System`.
+
+    **Arguments**
+
+    - `f_plus`, `f_minus`: functions of the time, shape (), and the state, shape (n,), that return
+      an array of the state's shape. All functions here may be equinox modules: their float leaves
+      are then parameters of the system, called `f_plus.name` and so on.
+    - `switching`: H, a function of the same that returns a scalar.
+    - `period`: the period of the forcing in units of t; None if the system is autonomous.
+
+    **Returns** a `System`.
+
+    **Raises** `ValueError` if one of the functions is none; what they return is checked with the
+    first use.
+
+    **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer
+    (1988), § 4.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -143,11 +170,12 @@ class _Smoothed(System):
     system: System
     width: Array
 
-    def vector_field(self, t, x, side):
+    def vector_field(self, t: Array, x: Array, side: Array) -> Array:
         h = jnp.atleast_1d(self.system.switching(t, x))
         scalar = jnp.ndim(self.system.switching(t, x)) == 0
         blend = 2 / np.pi * fast_trig.arctan(h / self.width)
         total = jnp.zeros_like(x)
+        # 2^m fields, one for each choice of sides, their weights products that sum to one.
         for corner in np.ndindex(*(2,) * h.shape[0]):
             sides = 1.0 - 2.0 * jnp.asarray(corner, x.dtype)
             weight = jnp.prod(0.5 * (1 + sides * blend))
@@ -156,9 +184,10 @@ class _Smoothed(System):
         return total
 
     @property
-    def period(self):
+    def period(self) -> Array | float | None:
         return self.system.period
 
+    # Properties in place of the class variables: what things are called is the system's affair.
     @property
     def state_names(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.system.state_names
@@ -175,10 +204,33 @@ class _Smoothed(System):
 
 
 def smoothed(system: System, width: Array | float) -> System:
-    r"""`system` with sgn H replaced by (2/π) arctan(H/width): a smooth system.
+    """The smooth system in which sgn H of `system` is replaced by (2/π) arctan(H/width).
 
-    Each surface's two fields are blended with weights (1 ± (2/π) arctan(H_j/width))/2, product
-    weights where there are several surfaces. What the event-driven answer is compared with.
+        ẋ = Σ_s Π_j (1 + s_j (2/π) arctan(H_j/width))/2 · F(t, x, s),    s ∈ {−1, +1}^m
+
+    The two fields of each surface are blended, with product weights where there are several
+    surfaces. What the event-driven answer is compared with: the error is of the order of `width`,
+    and the smooth field is stiff, with rates of the order of 1/width.
+
+    **Arguments**
+
+    - `system`: a `System` without `reset`. Its parameters are called `system.name` in the new one.
+    - `width`: the scale of H over which the fields are blended, positive, in units of H; a
+      parameter of the new system.
+
+    **Returns** a `System` without surfaces.
+
+    **Raises** `ValueError` if the system has impacts, which no blend of fields replaces.
+
+    **Source**: J. Sotomayor and M. A. Teixeira, Regularization of discontinuous vector fields,
+    International Conference on Differential Equations, Lisboa (1996) 207–223.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> smooth = jf.smoothed(jf.systems.CoulombOscillator(), 1e-2)
+    >>> force = smooth.vector_field(jnp.array(0.0), jnp.array([0.0, 1.0]), jnp.zeros(0))[1]
+    >>> print(round(float(force), 4))  # −F (2/π) arctan(1/width), F = 0.4
+    -0.3975
     """
     if not isinstance(system, System):
         raise ValueError(f"`system` must be a jaxfil.System, got {type(system).__name__}.")

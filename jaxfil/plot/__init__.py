@@ -1,8 +1,19 @@
 """Pictures: a diagram, a motion or an orbit enters, the matplotlib axes it was drawn on leave.
 
 The only folder that knows matplotlib, which is why importing jaxfil does not import this one. Every
-picture takes the axes to draw on, or makes its own, and gives them back. The colours are those of
-Okabe and Ito, which colour-blind readers tell apart.
+picture takes the axes to draw on, or makes its own, and gives them back.
+
+The words of this room:
+
+- page: a figure that no window shows, for a picture that goes to a file.
+- canvas: what pictures are drawn on and with: pages, axes, and the colours of Okabe and Ito, which
+  colour-blind readers tell apart.
+- history: one component against time, over bands that show the mode.
+- portrait: one component against another, with the contacts marked.
+- section: the states at which a motion meets a Poincaré section.
+- band: a strip of the axes in the colour of a mode, one for each surface.
+- map: a colour for each point of a plane, of two parameters or of two components.
+- hook: each picture of a result registers itself (`draws`), and the result's `plot()` finds it.
 """
 
 from jaxfil.plot.basins import basins as basins

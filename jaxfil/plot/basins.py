@@ -1,4 +1,7 @@
-"""Basins of attraction over a grid of initial states."""
+"""Basins of attraction over a grid of initial states.
+
+Basins enter; the axes they were drawn on leave.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,8 +15,25 @@ from jaxfil.sweep.basins import Basins
 
 @draws(Basins)
 def basins(found: Basins, ax: Axes | None = None) -> Axes:
-    """Draw each initial state in the colour of the attractor that it leads to, and the section
-    points of the attractors. Black found no period, white failed."""
+    """Draw each initial state in the colour of the attractor that it leads to.
+
+    The section points of the attractors are drawn on top. Black found no period, white failed.
+
+    **Arguments**
+
+    - `found`: `Basins` over two values or more of each component.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jaxfil as jf
+    >>> found = jf.basins_of_attraction(
+    ...     jf.systems.SDOscillator(omega=0.6, zeta=0.1), ([-1.0, 1.0], [0.0, 0.1]), transient=20,
+    ...     samples=8, steps=20, stepper=jf.RK4(), progress=False)
+    >>> ax = jf.plot.basins(found, jf.plot.page().add_subplot())
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('x at t = 0', "x' at t = 0")
+    """
     check.instance("found", found, Basins)
     if min(found.labels.shape) < 2:
         raise ValueError(
@@ -21,6 +41,7 @@ def basins(found: Basins, ax: Axes | None = None) -> Axes:
             f"{found.labels.shape}."
         )
     ax = own_axes(ax)
+    # A mesh needs ascending axes, and draws rows upwards: hence the order and the transpose.
     order = [np.argsort(axis) for axis in found.axes]
     labels = found.labels[np.ix_(*order)].T
     seen = np.unique(labels)
@@ -40,7 +61,7 @@ def basins(found: Basins, ax: Axes | None = None) -> Axes:
     told |= {k: f"{k}: period {len(points)}" for k, points in enumerate(found.attractors, start=1)}
     bar.ax.set_yticklabels([told[int(k)] for k in seen])
     bar.ax.tick_params(length=0)
-    limits = ax.get_xlim(), ax.get_ylim()
+    limits = ax.get_xlim(), ax.get_ylim()  # attractors may lie outside the grid
     for points in found.attractors:
         x, y = (points[:, c] for c in found.components)
         ax.plot(x, y, "o", color=WHITE, markeredgecolor=BLACK, markersize=5)

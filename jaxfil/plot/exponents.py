@@ -1,6 +1,10 @@
-"""Lyapunov exponents: against a parameter, and as they converge."""
+"""Lyapunov exponents: against a parameter, and as they converge.
+
+Spectra, a transverse exponent or a synchronisation enter; the axes they were drawn on leave.
+"""
 
 import numpy as np
+from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 
 from jaxfil.exponents.lyapunov import LyapunovSpectrum
@@ -11,12 +15,37 @@ from jaxfil.plot.canvas import BLACK, COLORS, marker_size, own_axes
 
 
 def lyapunov_exponents(
-    values: np.ndarray, spectrum: LyapunovSpectrum, ax: Axes | None = None, parameter: str = ""
+    values: Float[Array, " p"] | Float[np.ndarray, " p"],
+    spectrum: LyapunovSpectrum,
+    ax: Axes | None = None,
+    parameter: str = "",
 ) -> Axes:
     """Draw all exponents of a batch of spectra, one for each value, against the parameter.
 
     Exponents of −inf are ticked along the lower edge. Values whose average is no steady motion
     (`settled` False) are drawn hollow, and left out altogether where the lane failed.
+
+    **Arguments**
+
+    - `values`: of the parameter, shape (p,).
+    - `spectrum`: a `LyapunovSpectrum` of p lanes, as from `equinox.filter_vmap`.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `parameter`: what to write below the axis.
+
+    **Returns** the matplotlib axes.
+
+    >>> import equinox as eqx
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> def spectrum(damping):
+    ...     wall = jf.systems.ImpactOscillator(damping=damping)
+    ...     return jf.lyapunov_spectrum(
+    ...         wall, jnp.array([0.1, 0.0]), periods=20, transient=0, steps=20, stepper=jf.RK4())
+    >>> values = jnp.array([0.8, 1.0, 1.2])
+    >>> ax = jf.plot.lyapunov_exponents(
+    ...     values, eqx.filter_vmap(spectrum)(values), jf.plot.page().add_subplot(), "c")
+    >>> ax.get_xlabel(), [text.get_text() for text in ax.get_legend().get_texts()]
+    ('c', ['λ1', 'λ2'])
     """
     check.instance("spectrum", spectrum, LyapunovSpectrum)
     values, exponents = np.asarray(values), np.asarray(spectrum.exponents)
@@ -32,7 +61,7 @@ def lyapunov_exponents(
     for i, column in enumerate(exponents.T):
         color = COLORS[i % len(COLORS)]
         style = {"linestyle": "none", "marker": "o", "markersize": size, "color": color}
-        lost = np.isneginf(column)
+        lost = np.isneginf(column)  # at no height of the axes
         ax.plot(values[settled & ~lost], column[settled & ~lost], label=f"λ{i + 1}", **style)
         passing = np.isfinite(column) & ~settled
         ax.plot(values[passing], column[passing], fillstyle="none", markeredgewidth=0.5, **style)
@@ -51,9 +80,27 @@ def lyapunov_exponents(
 def lyapunov_convergence(
     spectrum: LyapunovSpectrum | TransverseExponent, ax: Axes | None = None
 ) -> Axes:
-    """Draw the running estimates of one spectrum, or of one transverse exponent, against the time
-    averaged over, with the band of one standard error that the last of them has, shrinking as
-    1/√t."""
+    """Draw the running estimates of one spectrum, or of one transverse exponent, against time.
+
+    The time is that averaged over. The band is one standard error of the last estimate wide, and
+    shrinks as 1/√t, as the error of a mean does.
+
+    **Arguments**
+
+    - `spectrum`: a `LyapunovSpectrum` or a `TransverseExponent` of one lane.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> wall = jf.systems.ImpactOscillator(damping=1.0)
+    >>> found = jf.lyapunov_spectrum(
+    ...     wall, jnp.array([0.1, 0.0]), periods=20, transient=0, steps=20, stepper=jf.RK4())
+    >>> ax = jf.plot.lyapunov_convergence(found, jf.plot.page().add_subplot())
+    >>> ax.get_xlabel(), len(ax.lines)
+    ('time averaged over', 2)
+    """
     check.instance("spectrum", spectrum, LyapunovSpectrum, TransverseExponent)
     times = np.asarray(spectrum.times)
     if times.ndim != 1:
@@ -81,8 +128,27 @@ def lyapunov_convergence(
 
 @draws(Synchronization)
 def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
-    """Draw the smallest distance of drive and response seen at each coupling, filled where they
-    synchronised, and the exponent that follows."""
+    """Draw the smallest distance of drive and response seen at each coupling.
+
+    Couplings that synchronised are filled, and a line stands at the exponent that follows.
+
+    **Arguments**
+
+    - `found`: a `Synchronization` of one lane.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> wall = jf.systems.ImpactOscillator(damping=1.0)
+    >>> found = jf.synchronization_exponent(
+    ...     wall, jnp.array([0.1, 0.0]), jnp.array([-0.55, -0.3]), periods=20, transient=0,
+    ...     steps=20, stepper=jf.RK4())
+    >>> ax = jf.plot.synchronization(found, jf.plot.page().add_subplot())
+    >>> ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
+    ('smallest distance', ['synchronised', 'λ1 = -0.3'])
+    """
     check.instance("found", found, Synchronization)
     couplings, distances = np.asarray(found.couplings), np.asarray(found.distances)
     if couplings.ndim != 1:

@@ -1,4 +1,7 @@
-"""One motion: its components against time, and against each other."""
+"""One motion: its components against time, and against each other.
+
+A solution enters; the axes it was drawn on leave.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +15,9 @@ from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLACK, check_component, own_axes
 from jaxfil.plot.surfaces import draw_surfaces
 
+# The colour of each mode, and what the legend calls it.
 BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
+# The marker of each kind of contact.
 MARKERS = {
     EventKind.crossing: ("o", "#0072B2"),
     EventKind.stick: ("s", "#D55E00"),
@@ -34,6 +39,24 @@ def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> A
 
     A band changes at the contact between two saved times, and once at most: save often, as
     `diffrax.SaveAt(t0=True, steps=True)` does.
+
+    **Arguments**
+
+    - `sol`: a `Solution` of one lane with two saved times or more.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `component`: which one of the state, from 0.
+
+    **Returns** the matplotlib axes.
+
+    >>> import diffrax
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> system, x0 = jf.systems.CoulombOscillator(), jnp.array([3.0, 0.0])
+    >>> saveat = diffrax.SaveAt(t0=True, steps=True)
+    >>> sol = jf.solve(system, x0, 0.0, 14.0, 0.1, stepper=jf.RK4(), saveat=saveat)
+    >>> ax = jf.plot.time_history(sol, jf.plot.page().add_subplot(), component=1)
+    >>> ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
+    ("x'", ['H > 0', 'sliding', 'H < 0'])
     """
     check.instance("sol", sol, Solution)
     ts, xs = _path(sol)
@@ -48,11 +71,29 @@ def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> A
 
 
 def phase_portrait(sol: Solution, ax: Axes | None = None, system: System | None = None) -> Axes:
-    """Draw the second component against the first: sliding segments thick, every contact marked by
-    its kind, and the surfaces of `system`, if it is given, dashed.
+    """Draw the second component against the first, with slides and contacts.
 
-    Surfaces are drawn where they cut the plane of the two components, at the last time and with the
-    other components as they are then.
+    Sliding segments are thick and every contact is marked by its kind. Surfaces are dashed, where
+    they cut the plane of the two components, at the last time and with the other components as they
+    are then.
+
+    **Arguments**
+
+    - `sol`: a `Solution` of one lane with two saved times or more.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `system`: the `System` whose surfaces are drawn; by default none are.
+
+    **Returns** the matplotlib axes.
+
+    >>> import diffrax
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> system, x0 = jf.systems.CoulombOscillator(), jnp.array([3.0, 0.0])
+    >>> saveat = diffrax.SaveAt(t0=True, steps=True)
+    >>> sol = jf.solve(system, x0, 0.0, 14.0, 0.1, stepper=jf.RK4(), saveat=saveat)
+    >>> ax = jf.plot.phase_portrait(sol, jf.plot.page().add_subplot(), system=system)
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['sliding', 'crossing', 'stick', 'H = 0']
     """
     check.instance("sol", sol, Solution)
     if system is not None:
@@ -123,6 +164,8 @@ def _spans(
     ts: np.ndarray, modes: np.ndarray, contacts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Start, width and mode of each span of time over which the mode stays the same."""
+    # The mode is known at saved times, the time of its change from the contact between two of them:
+    # the last one, if there are several, for it is after that one that the new mode holds.
     changes = np.flatnonzero(np.diff(modes))
     edges = [ts[0]]
     for before, after in zip(ts[changes], ts[changes + 1], strict=True):

@@ -1,4 +1,7 @@
-"""Floquet multipliers in the complex plane."""
+"""Floquet multipliers in the complex plane.
+
+An orbit enters; the axes its multipliers were drawn on leave.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +15,20 @@ def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
     """Draw the Floquet multipliers of an orbit, or of a batch of them, and the unit circle.
 
     Those outside it are drawn as crosses: the orbit is unstable.
+
+    **Arguments**
+
+    - `orbit`: an `Orbit`, of one lane or of many.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> orbit = jf.periodic_orbit(jf.systems.SDOscillator(omega=0.7), jnp.array([3.0, 0.6]))
+    >>> ax = jf.plot.multipliers(orbit, jf.plot.page().add_subplot())
+    >>> ax.get_xlabel(), [text.get_text() for text in ax.get_legend().get_texts()]
+    ('Re μ', ['inside'])
     """
     check.instance("orbit", orbit, Orbit)
     values = np.ravel(np.asarray(orbit.multipliers, complex))

@@ -1,4 +1,7 @@
-"""Branches of periodic orbits with their special points, and curves of bifurcations."""
+"""Branches of periodic orbits with their special points, and curves of bifurcations.
+
+A branch or a curve enters; the axes it was drawn on leave.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +13,7 @@ from jaxfil.model.labels import labels_of
 from jaxfil.orbits.branch import Branch, SpecialPoint
 from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, own_axes
 
+# The colour of each kind of bifurcation.
 CURVES = {
     "grazing": "#0072B2",
     "grazing-sliding": "#D55E00",
@@ -17,6 +21,7 @@ CURVES = {
     "crossing-sliding": "#CC79A7",
     "switching-sliding": "#E69F00",
 }
+# Marker and colour of each kind of special point.
 POINTS = {
     "fold": ("s", "#0072B2"),
     "period-doubling": ("D", "#009E73"),
@@ -31,7 +36,23 @@ def branch(
 ) -> Axes:
     """Draw a branch of orbits against its parameter, unstable parts dashed, special points marked.
 
-    Shown is one component of x0, or with `extremes` its smallest and largest value on the orbit.
+    **Arguments**
+
+    - `branch`: a `Branch`.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `component`: which one of the state is drawn, from 0.
+    - `extremes`: draw its smallest and largest value on the orbit in place of that at t0.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=12.0)
+    >>> orbit = jf.periodic_orbit(belt, jnp.array([0.1, 0.0]))
+    >>> branch = jf.continue_orbit(belt, "omega", orbit, stop=10.0)
+    >>> ax = jf.plot.branch(branch, jf.plot.page().add_subplot())
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['stable', 'contacts']
     """
     check.instance("branch", branch, Branch)
     check_component(component, branch.orbits.x0.shape[-1])
@@ -42,6 +63,7 @@ def branch(
     else:
         curves, wording = [np.asarray(branch.orbits.x0)[:, component]], "{} at t0"
     stable = branch.stable
+    # A line for each style, NaN where the other one is drawn: matplotlib breaks lines there.
     for curve in curves:
         for solid, style in ((True, "-"), (False, "--")):
             keep = stable == solid
@@ -77,8 +99,27 @@ def branch(
 
 @draws(BifurcationCurve)
 def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
-    """Draw a bifurcation in the plane of two parameters, each kind in its colour, points of
-    codimension two marked."""
+    """Draw a curve of bifurcations in the plane of two parameters, each kind in its colour.
+
+    Points of codimension two, where the kind changes, are marked.
+
+    **Arguments**
+
+    - `curve`: a `BifurcationCurve`.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> system = jf.systems.SDOscillator(omega=0.84)
+    >>> orbit = jf.periodic_orbit(system, jnp.array([1.9, 0.0]))
+    >>> graze = jf.find_bifurcation(system, "omega", orbit, "grazing")
+    >>> curve = jf.continue_bifurcation(system, ("omega", "f0"), graze, stop=(0.84, 0.9))
+    >>> ax = jf.plot.bifurcation_curve(curve, jf.plot.page().add_subplot())
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('Ω', 'f0')
+    """
     check.instance("curve", curve, BifurcationCurve)
     ax = own_axes(ax)
     kinds = np.array(curve.kinds)
@@ -98,5 +139,6 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
 def _height(values: np.ndarray, curve: np.ndarray, point: SpecialPoint) -> float:
     """Of a curve at a special point, which lies between the orbits index − 1 and index."""
     pair = slice(max(point.index - 1, 0), point.index + 1)
+    # `interp` needs ascending values, and a branch may go either way.
     order = np.argsort(values[pair])
     return float(np.interp(point.value, values[pair][order], curve[pair][order]))

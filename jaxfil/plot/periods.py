@@ -1,4 +1,7 @@
-"""A map of the plane of two parameters: the period of the motion at each of its points."""
+"""A map of the plane of two parameters: the period of the motion at each of its points.
+
+A diagram over a grid enters; the axes it was drawn on leave.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +22,23 @@ def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
 
     Periods are those of `BifurcationDiagram.periods`, in forcing periods. Black is longer than half
     the samples can show: chaos, a torus, or a transient that is not over; white is a failed lane.
+
+    **Arguments**
+
+    - `diagram`: a `BifurcationDiagram` over a grid of two parameters, two values or more of each.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> diagram = jf.bifurcation_diagram(
+    ...     jf.systems.SDOscillator(zeta=0.1), ("omega", "f0"),
+    ...     (jnp.array([0.5, 0.6]), jnp.array([0.2, 0.25])), jnp.array([1.0, 0.0]),
+    ...     transient=20, samples=8, steps=20, stepper=jf.RK4(), progress=False)
+    >>> ax = jf.plot.parameter_map(diagram, jf.plot.page().add_subplot())
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('Ω', 'f0')
     """
     check.instance("diagram", diagram, BifurcationDiagram)
     values = diagram.values

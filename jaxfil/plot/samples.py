@@ -1,4 +1,7 @@
-"""A bifurcation diagram: every sample over its value."""
+"""A bifurcation diagram: every sample over its value.
+
+A diagram enters; the axes it was drawn on leave.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,6 +28,24 @@ def bifurcation_diagram(
 
     A million samples take about a second, and a vector file holds them as an image. Values whose
     lane ended early are ticked along the lower edge.
+
+    **Arguments**
+
+    - `diagram`: a `BifurcationDiagram` of one parameter.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `component`: which one of the state, from 0.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> diagram = jf.bifurcation_diagram(
+    ...     jf.systems.SDOscillator(zeta=0.1), "omega", jnp.array([0.5, 0.6]),
+    ...     jnp.array([1.0, 0.0]), transient=20, samples=8, steps=20, stepper=jf.RK4(),
+    ...     progress=False)
+    >>> ax = jf.plot.bifurcation_diagram(diagram, jf.plot.page().add_subplot())
+    >>> ax.get_xlabel(), ax.get_ylabel(), len(ax.lines[0].get_xdata())
+    ('Ω', 'x once a period', 16)
     """
     check.instance("diagram", diagram, BifurcationDiagram)
     if not isinstance(diagram.parameter, str):
@@ -36,6 +57,7 @@ def bifurcation_diagram(
     ax = own_axes(ax)
     column = xs[..., component]
     seen = np.isfinite(column)
+    # One line of markers and no scatter plot, which draws each of a million by itself.
     ax.plot(
         np.broadcast_to(values[:, None], column.shape)[seen],
         column[seen],

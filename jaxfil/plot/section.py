@@ -1,6 +1,7 @@
-"""A Poincaré section: the states at which a motion meets it."""
+"""A Poincaré section: the states at which a motion meets it.
 
-from typing import Any
+States enter; the axes they were drawn on leave.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,20 +9,39 @@ from matplotlib.axes import Axes
 from jaxfil.model import check
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.system import System
+from jaxfil.model.types import States
 from jaxfil.plot.canvas import BLACK, own_axes
 
 
 def poincare_section(
-    xs: Any,
+    xs: States,
     ax: Axes | None = None,
     components: tuple[int, int] = (0, 1),
     system: System | None = None,
 ) -> Axes:
-    """Draw one component against another at every state of a section, shape (k, n) or (…, k, n).
+    """Draw one component against another at every state of a section.
 
     A stroboscopic section is what `jaxfil.bifurcation_diagram` samples: `diagram.xs[i]` for one
-    value. That of another kind is `jaxfil.Solution.events.xs`, the states at contacts.
-    The axes have the names that `system` gives the components, if it is given.
+    value. One of another kind is `jaxfil.Solution.events.xs`, the states at contacts.
+
+    **Arguments**
+
+    - `xs`: states, shape (k, n) or (…, k, n); those that are not finite are left out.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `components`: the numbers of the two components, that to the right first.
+    - `system`: the `System` whose names the axes have; by default x[0], x[1], ….
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> sd = jf.systems.SDOscillator(zeta=0.1)
+    >>> diagram = jf.bifurcation_diagram(
+    ...     sd, "omega", jnp.array([0.5, 0.6]), jnp.array([1.0, 0.0]), transient=20, samples=8,
+    ...     steps=20, stepper=jf.RK4(), progress=False)
+    >>> ax = jf.plot.poincare_section(diagram.xs[0], jf.plot.page().add_subplot(), system=sd)
+    >>> ax.get_xlabel(), ax.get_ylabel(), len(ax.lines[0].get_xdata())
+    ('x', "x'", 8)
     """
     if system is not None:
         check.system("system", system)

@@ -1,4 +1,8 @@
-"""The surfaces of a system in a plane of two components of its state."""
+"""The surfaces of a system in a plane of two components of its state.
+
+Axes with a motion on them enter, with the system and the solution; the same axes leave, with the
+zeros of the switching functions drawn.
+"""
 
 import jax
 import jax.numpy as jnp

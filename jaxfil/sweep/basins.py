@@ -4,13 +4,15 @@ A forced system and a grid of initial states enter; the attractors found and the
 that each state leads to leave.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jax.typing import ArrayLike
+from jaxtyping import Float, Int
 
 from jaxfil.model import check
 from jaxfil.model.card import precision
@@ -19,6 +21,7 @@ from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes, State
 from jaxfil.sweep.diagram import BifurcationDiagram
 from jaxfil.sweep.sweep import bifurcation_diagram
 
@@ -29,25 +32,33 @@ APERIODIC, FAILED = 0, -1
 class Basins(eqx.Module):
     """Which attractor each initial state of a grid leads to.
 
-    - `axes`: the grid's values of the two `components`, shapes (a,) and (b,).
-    - `labels`: shape (a, b). `labels[i, j]` belongs to `axes[0][i]` and `axes[1][j]`: k ≥ 1 for
-      `attractors[k - 1]`; 0 where no period was found (chaos, a torus, a period longer than half
-      the samples, or a transient that is not over); −1 where the lane failed.
-    - `attractors`: the section points of each periodic motion found, shape (its period, n), those
-      of short periods first. Chaotic motions share the label 0 and have no entry.
-    - `results`: the outcome of each lane, shape (a, b).
+    >>> import jaxfil as jf
+    >>> found = jf.basins_of_attraction(
+    ...     jf.systems.SDOscillator(omega=0.6, zeta=0.1), ([-1.0, 1.0], [0.1]), transient=20,
+    ...     samples=8, steps=20, stepper=jf.RK4(), progress=False)
+    >>> [len(section) for section in found.attractors]  # two of period one
+    [1, 1]
     """
 
     axes: tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"]]
+    """The grid's values of the two `components`, shapes (a,) and (b,)."""
     labels: Int[np.ndarray, "a b"]
+    """`labels[i, j]` belongs to `axes[0][i]` and `axes[1][j]`: k ≥ 1 for `attractors[k - 1]`; 0
+    where no period was found (chaos, a torus, a period longer than half the samples, or a transient
+    that is not over); −1 where the lane failed."""
     attractors: tuple[Float[np.ndarray, "period n"], ...]
+    """The section points of each periodic motion found, shape (its period, n), those of short
+    periods first. Chaotic motions share the label 0 and have no entry."""
     results: RESULTS
+    """The outcome of each lane, shape (a, b)."""
     components: tuple[int, int] = eqx.field(static=True)
+    """The numbers of the two components of the state."""
     system: str = eqx.field(static=True)
+    """The name of the system's class."""
     names: Labels = eqx.field(static=True, default=Labels())
     """What pictures call the components."""
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the basins and the section points of their attractors; returns the axes."""
         return draw(self, ax=ax)
 
@@ -69,9 +80,9 @@ class Basins(eqx.Module):
 
 def basins_of_attraction(
     system: System,
-    axes: tuple[Any, Any],
+    axes: tuple[ArrayLike | Sequence[float], ArrayLike | Sequence[float]],
     *,
-    x0: Float[Array, " n"] | None = None,
+    x0: State | None = None,
     components: tuple[int, int] = (0, 1),
     transient: int = 500,
     samples: int = 32,
@@ -80,22 +91,38 @@ def basins_of_attraction(
 ) -> Basins:
     """The long-term motion of a forced system from every initial state of a grid.
 
-    Each state runs `transient` forcing periods from t = 0, then `samples` more. Motions of one
-    period m, |x(t + mT) − x(t)| ≤ `tolerance` · max |x|, are one attractor if one passes, at the
-    phase of the section, as near to a point of the other.
+    Each state runs `transient` forcing periods T from t = 0, then `samples` more. A motion has the
+    period m if
+
+        |x(t + mT) − x(t)| ≤ tolerance · max |x|
+
+    in every component, and motions of one period are one attractor if one passes, at the phase of
+    the section, near a point of the other.
 
     **Arguments**
 
+    - `system`: a `System` with a `period`.
     - `axes`: the values of the two components in the grid, shapes (a,) and (b,).
-    - `components`: which two; the others start from `x0`, shape (n,), by default zeros (2,).
+    - `x0`: the other components of every initial state, shape (n,); by default zeros (2,).
+    - `components`: which two of the state the grid is of.
+    - `transient`: forcing periods before the first sample. Near a bifurcation transients are long.
     - `samples`: forcing periods looked at; periods of up to half their number are found.
+    - `tolerance`: how near a motion must come to where it was, relative to its size.
     - `options`: `steps`, `stepper`, `progress` and `checkpoint` of `bifurcation_diagram`.
 
     **Returns** `Basins`.
 
+    **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
+    `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`, and after
+    Ctrl-C `interrupted`. A lane that did not succeed has the label −1.
+
+    **Source**: textbook; H. E. Nusse and J. A. Yorke, Dynamics: Numerical Explorations, Springer
+    (1998), chapter 7.
+
     >>> import jaxfil as jf
     >>> found = jf.basins_of_attraction(
-    ...     jf.systems.SDOscillator(omega=0.6), ([-1.0, 1.0], [0.1]), transient=900, progress=False)
+    ...     jf.systems.SDOscillator(omega=0.6, zeta=0.1), ([-1.0, 1.0], [0.1]), transient=20,
+    ...     samples=8, steps=20, stepper=jf.RK4(), progress=False)
     >>> found.labels.ravel().tolist()  # one about −1, one about +1
     [1, 2]
     """
@@ -115,7 +142,8 @@ def basins_of_attraction(
     names = [name for name, leaf in parameters(system).items() if np.ndim(leaf) == 0]
     if not names:
         raise ValueError(f"`system` must have a float field, got {type(system).__name__}.")
-    # One lane for each state: a sweep over a parameter that stays what it is.
+    # One lane for each state: a sweep over a parameter that stays what it is has the program, the
+    # chunks and the checkpoints of any other.
     leaf = np.full(states[..., 0].size, parameters(system)[names[0]])
     diagram = bifurcation_diagram(
         system,
@@ -139,14 +167,14 @@ def basins_of_attraction(
     )
 
 
-def _axis(i: int, axis: Any) -> np.ndarray:
+def _axis(i: int, axis: ArrayLike | Sequence[float]) -> np.ndarray:
     values = np.asarray(axis, float)
     if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
         raise ValueError(f"`axes[{i}]` must be numbers of shape (k,), got shape {values.shape}.")
     return values
 
 
-def _components(components: Any, n: int) -> tuple[int, int]:
+def _components(components: Sequence[int], n: int) -> tuple[int, int]:
     pair = tuple(components)
     if len(pair) != 2 or len(set(pair)) != 2 or not all(0 <= c < n for c in pair):
         raise ValueError(

@@ -1,7 +1,7 @@
-"""Checkpoints: finished pieces of a sweep on disk, and what the sweep was asked for.
+"""Checkpoints: finished chunks of a sweep on disk, and what the sweep was asked for.
 
-A folder and a record of every argument enter; pieces of finished lanes leave and come back. The
-folder holds Zarr groups that xarray opens: `sweep.zarr`, the record, and one for each piece. A
+A folder and a record of every argument enter; chunks of finished lanes leave and come back. The
+folder holds Zarr groups that xarray opens: `sweep.zarr`, the record, and one for each chunk. A
 group is written under a name of its own and then renamed, which the file system does whole or not
 at all: what bears its name is complete, whenever a process was killed, and two at the same work
 harm nothing.
@@ -20,34 +20,40 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from jaxfil.integrate.stepper import tableau_of
+from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System, has_resets
+from jaxfil.model.types import Dataset, PathLike
 from jaxfil.sweep import dataset_io
+from jaxfil.sweep.dataset_io import NamedArrays, Variable
 from jaxfil.sweep.diagram import Conditions
-from jaxfil.sweep.parameter_grid import Points
+from jaxfil.sweep.parameter_grid import ParameterGrid
 
 Record = Mapping[str, str | int | np.ndarray]
 """What a sweep was asked for: every argument by name."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Piece:
-    """Finished lanes: samples (lanes, samples, n), codes of outcomes (lanes,), last states, or the
-    last state of all where each lane starts from the last one's end."""
+class FinishedChunk:
+    """Lanes of a chunk that have run to their end."""
 
     xs: np.ndarray
+    """Samples, shape (lanes, samples, n)."""
     codes: np.ndarray
+    """Codes of their outcomes, shape (lanes,)."""
     end: np.ndarray
+    """Last states, shape (lanes, n), or the last state of all, shape (n,), where each lane starts
+    from the last one's end."""
 
 
 class Checkpoint:
     """The folder of one sweep, made if it is not there, refused if it holds another one."""
 
-    def __init__(self, path: str | os.PathLike, record: Record):
+    def __init__(self, path: PathLike, record: Record):
         self._path = Path(path)
         self._path.mkdir(parents=True, exist_ok=True)
         if not (self._path / "sweep.zarr").exists():
@@ -65,26 +71,29 @@ class Checkpoint:
                 f"{path}: {'; '.join(changes)}."
             )
 
-    def read(self, start: int, stop: int) -> Piece | None:
+    def read(self, start: int, stop: int) -> FinishedChunk | None:
         """The lanes from number `start` to `stop`, or None if they are not finished."""
         path = self._path / _name(start, stop)
         if not path.exists():
             return None
         data = dataset_io.read_zarr(path)
-        return Piece(data["x"].values, outcome_codes(data["outcome"].values), data["end"].values)
+        codes = outcome_codes(data["outcome"].values)
+        return FinishedChunk(data["x"].values, codes, data["end"].values)
 
-    def write(self, start: int, stop: int, piece: Piece) -> None:
+    def write(self, start: int, stop: int, chunk: FinishedChunk) -> None:
         """Keep finished lanes."""
-        names = outcome_names(outcomes(piece.codes)).astype(object)
-        end = ("end_lane", "component")[-piece.end.ndim :]
-        variables = {
-            "x": (("lane", "sample", "component"), piece.xs),
+        # Names and not codes: a later version may number its outcomes in another order.
+        names = outcome_names(outcomes(chunk.codes))
+        # A dimension of its own: a chunk that is filled up has more last states than lanes.
+        end = ("end_lane", "component")[-chunk.end.ndim :]
+        variables: dict[str, Variable] = {
+            "x": (("lane", "sample", "component"), chunk.xs),
             "outcome": (("lane",), names),
-            "end": (end, piece.end),
+            "end": (end, chunk.end),
         }
-        self._put(_name(start, stop), dataset_io.dataset(variables, {}, {}))
+        self._put(_name(start, stop), NamedArrays(variables))
 
-    def _put(self, name: str, data: Any) -> None:
+    def _put(self, name: str, data: NamedArrays) -> None:
         partial = self._path / f".{uuid.uuid4().hex}-{name}"
         try:
             dataset_io.write_zarr(data, partial)
@@ -98,18 +107,19 @@ class Checkpoint:
 
 
 def record_of(
-    system: System, where: Points, given: Conditions, *, samples: int, stepper: Any
+    system: System, grid: ParameterGrid, given: Conditions, *, samples: int, stepper: Stepper
 ) -> Record:
     """All that the numbers of a sweep depend on, by the names that a user knows."""
+    # The coefficients as well as the name: another version of diffrax may have other digits.
     table = repr(tableau_of(stepper)).encode()
-    columns = where.values if isinstance(where.values, tuple) else where.rows.T
+    columns = grid.values if isinstance(grid.values, tuple) else grid.rows.T
     return {
         "system": type(system).__name__,
         "equations": equations(system, np.zeros(given.x0.shape[-1:], given.x0.dtype)),
         **{f"system.{key}": value for key, value in given.parameters.items()},
-        "parameter": ", ".join(where.names),
-        "points": str(where.shape),
-        **{f"values of {key}": v for key, v in zip(where.names, columns, strict=True)},
+        "parameter": ", ".join(grid.names),
+        "points": str(grid.shape),
+        **{f"values of {key}": v for key, v in zip(grid.names, columns, strict=True)},
         "x0": given.x0,
         "transient": given.transient,
         "samples": samples,
@@ -118,6 +128,8 @@ def record_of(
         "coefficients": hashlib.sha256(table).hexdigest()[:16],
         "follow": str(given.follow),
         "jaxfil": given.version,
+        # Other versions and other machines give other last bits, and a diagram of two halves that
+        # differ in them is equal to neither.
         "jax": jax.__version__,
         "backend": jax.default_backend(),
     }
@@ -142,7 +154,7 @@ def equations(system: System, x: np.ndarray) -> str:
     state = jnp.asarray(x)
     h = check.shapes(system, state)
 
-    def everything(leaves, t, x):
+    def everything(leaves: System, t: Array, x: Array) -> tuple[Any, ...]:
         s = eqx.combine(leaves, static)
         field = s.vector_field(t, x, jnp.ones(h, x.dtype))
         after = s.reset(t, x, jnp.zeros((), jnp.int32)) if has_resets(s) else None
@@ -156,13 +168,14 @@ def _name(start: int, stop: int) -> str:
     return f"lanes-{start}-{stop}.zarr"
 
 
-def _pack(record: Record) -> Any:
+def _pack(record: Record) -> NamedArrays:
     arrays = {name: v for name, v in record.items() if isinstance(v, np.ndarray)}
     variables = {name: ([f"{name}_{i}" for i in range(v.ndim)], v) for name, v in arrays.items()}
-    return dataset_io.dataset(variables, {}, {k: v for k, v in record.items() if k not in arrays})
+    attributes = {name: v for name, v in record.items() if name not in arrays}
+    return NamedArrays(variables, attributes=attributes)
 
 
-def _unpack(data: Any) -> Record:
+def _unpack(data: Dataset) -> Record:
     return data.attrs | {name: data[name].values for name in data}
 
 
@@ -183,6 +196,7 @@ def _changes(before: Record, now: Record) -> list[str]:
 
 
 def _bits(array: np.ndarray) -> np.ndarray:
+    # Compared as integers: NaN is equal to itself, and 0.0 is not -0.0.
     return array.view(f"u{array.dtype.itemsize}")
 
 

@@ -1,12 +1,10 @@
 """A bifurcation diagram: motions settled on, against one parameter or several.
 
 Samples and outcomes of all lanes and the conditions they ran under enter; pictures, named arrays
-and files leave, and what `save` wrote comes back.
+and files leave.
 """
 
 import math
-import os
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -15,12 +13,14 @@ from jaxtyping import Float
 from jaxfil.model.card import precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
-from jaxfil.model.outcomes import RESULTS, outcome_codes, outcome_names, outcomes
+from jaxfil.model.outcomes import RESULTS, outcome_names
+from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.sweep import dataset_io
+from jaxfil.sweep.dataset_io import Attribute, NamedArrays, Variable
 
-# Names of a data set that are no parameter's.
-_VARIABLES = {"x", "outcome", "error", "sample", "component", "point", "unit"}
-_ATTRIBUTES = {
+# Names of a data set that are no parameter's: one that is called so gets an underscore.
+VARIABLES = {"x", "outcome", "error", "sample", "component", "point", "unit"}
+ATTRIBUTES = {
     "system",
     "swept",
     "x0",
@@ -33,55 +33,67 @@ _ATTRIBUTES = {
 
 
 class Conditions(eqx.Module):
-    """What a sweep ran with besides the values swept.
-
-    `parameters` holds the system's other float leaves by name; `x0` is the initial state, shape
-    (n,), or one for each lane; `version` is jaxfil's.
-    """
+    """What a sweep ran with besides the values swept: all it takes to make it again."""
 
     parameters: dict[str, np.ndarray]
-    x0: np.ndarray
+    """The system's other parameters, by name."""
+    x0: Float[np.ndarray, "*lanes n"]
+    """The initial state, shape (n,), or one for each lane."""
     transient: int = eqx.field(static=True)
+    """Forcing periods before the first sample."""
     steps: int = eqx.field(static=True)
+    """Steps per forcing period."""
     stepper: str = eqx.field(static=True)
+    """The stepper's name."""
     follow: str | None = eqx.field(static=True)
+    """"up" or "down" if each value began where the last one ended; None if all began at `x0`."""
     version: str = eqx.field(static=True)
+    """The version of jaxfil that computed it."""
 
 
 class BifurcationDiagram(eqx.Module):
     """The motion settled on against a parameter, or several.
 
-    `xs[i, k]` is the state at the k-th sampled forcing period (t a multiple of the period) for
-    `values[i]`; NaN from where a lane failed. `results[i]` is the lane's outcome.
+    Lanes are along the first dimension of its arrays, shape (p,), or along one for each parameter
+    of a grid, shape (p1, p2, …). It prints, draws and saves itself.
 
-    In a grid of parameters, `parameter` is a tuple of names and `values` one of arrays, and
-    `xs[i, j, k]` belongs to `values[0][i]` and `values[1][j]`; of points in parameter space,
-    `values` has shape (p, number of names).
-
-    `errors[i]` estimates how far the samples of a lane are from the exact ones of that initial
-    state: the largest distance in each component from a run at half the step. It is of the size of
-    the attractor where a lane is chaotic, whose samples are on the attractor but no longer those of
-    the initial state.
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> jf.bifurcation_diagram(
+    ...     jf.systems.SDOscillator(), "omega", jnp.array([0.6, 1.2]), jnp.array([0.3, 0.1]),
+    ...     transient=20, samples=5, steps=20, stepper=jf.RK4(), progress=False
+    ... ).successful.tolist()
+    [True, True]
     """
 
     values: Float[np.ndarray, " p"] | Float[np.ndarray, "p k"] | tuple[np.ndarray, ...]
+    """The values swept, shape (p,); for a grid one array for each of its parameters, `xs[i, j]`
+    belonging to `values[0][i]` and `values[1][j]`; for points one by one shape (p, k)."""
     xs: Float[np.ndarray, "*shape samples n"]
+    """`xs[i, k]` is the state of lane i at its k-th sampled time, a multiple of the forcing period;
+    NaN from where the lane failed."""
     results: RESULTS
+    """The outcome of each lane."""
     parameter: str | tuple[str, ...] = eqx.field(static=True)
+    """The name of the parameter that was swept, or a tuple of names."""
     system: str = eqx.field(static=True)
+    """The name of the system's class."""
     conditions: Conditions
+    """What the sweep ran with besides."""
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures and named arrays call its quantities."""
     errors: Float[np.ndarray, "*shape n"] | None = None
-    """Estimated largest |xs − exact| of each lane, component by component, if asked for; NaN where
-    the lane or the run at half the step failed."""
+    """Estimated largest |xs − exact| of each lane, component by component, if asked for: its
+    largest distance from a run at half the step. NaN where one of the two failed. It is of the size
+    of the attractor where a lane is chaotic, whose samples are on the attractor but no longer those
+    of the initial state."""
 
     @property
     def successful(self) -> np.ndarray:
         """Which lanes reached their end, shape (p,), or that of the grid."""
         return np.asarray(self.results == RESULTS.successful)
 
-    def plot(self, ax: Any = None, component: int = 0) -> Any:
+    def plot(self, ax: Axes | None = None, component: int = 0) -> Axes:
         """Draw one component of the samples against the parameter, or, on a grid of two, the map of
         periods (`jaxfil.plot.parameter_map`); returns the matplotlib axes."""
         return draw(self, ax=ax, component=component)
@@ -94,6 +106,8 @@ class BifurcationDiagram(eqx.Module):
         component, over all samples and for m up to half their number; 0 where there is none
         (chaos, a torus, a longer period or a transient not yet over), −1 where the lane failed.
         """
+        # Relative to the largest |x| of the lane and not to its spread, which is zero for a motion
+        # of period one. The shortest period that fits is the answer, since its multiples fit too.
         xs = self.xs
         bound = tolerance * np.max(np.abs(xs), axis=-2)
         found = np.where(self.successful, 0, -1)
@@ -102,7 +116,7 @@ class BifurcationDiagram(eqx.Module):
             found[(found == 0) & np.all(apart <= bound, axis=-1)] = m
         return found
 
-    def to_xarray(self) -> Any:
+    def to_xarray(self) -> Dataset:
         """An `xarray.Dataset` of `x` (parameters, sample, component) and `outcome` (parameters),
         and of `error` (parameters, component) if errors were estimated.
 
@@ -112,11 +126,15 @@ class BifurcationDiagram(eqx.Module):
         initial state, steps and stepper. Points in parameter space have the dimension `point` and
         a coordinate for each parameter. Needs the package xarray.
         """
+        return dataset_io.to_xarray(self.named_arrays())
+
+    def named_arrays(self) -> NamedArrays:
+        """What `save` writes, whatever the file: arrays with their dimensions, and attributes."""
         dims, coordinates = self._coordinates()
         samples, n = self.xs.shape[-2:]
-        variables: dict[str, Any] = {
+        variables: dict[str, Variable] = {
             "x": ((*dims, "sample", "component"), self.xs),
-            "outcome": (dims, outcome_names(self.results).astype(object)),
+            "outcome": (dims, outcome_names(self.results)),
         }
         if self.errors is not None:
             variables["error"] = (*dims, "component"), self.errors
@@ -124,32 +142,39 @@ class BifurcationDiagram(eqx.Module):
             variables["x0"] = (*dims, "component"), self.conditions.x0
         for name, value in self.conditions.parameters.items():
             if value.ndim:  # a file's attributes are numbers, or rows of them
-                variables[_key(name)] = [f"{_key(name)}_{i}" for i in range(value.ndim)], value
-        counts = {
-            "sample": ("sample", np.arange(samples)),
-            "component": ("component", self._components(n)),
-        }
+                key = key_of(name)
+                variables[key] = [f"{key}_{i}" for i in range(value.ndim)], value
+        coordinates["sample"] = "sample", np.arange(samples)
+        coordinates["component"] = "component", self._components(n)
         units = [self.labels.unit(name) for name in self.labels.state]
         if any(units):
-            counts["unit"] = "component", np.array(units, object)
-        return dataset_io.dataset(variables, coordinates | counts, self._attributes())
+            coordinates["unit"] = "component", np.array(units)
+        return NamedArrays(variables, coordinates, self._attributes(), self._npz_names())
+
+    def _npz_names(self) -> dict[str, str]:
+        """In an .npz things have the names of the fields here."""
+        names = {"x": "xs", "outcome": "results", "error": "errors", "swept": "parameter"}
+        if isinstance(self.parameter, str):
+            names[key_of(self.parameter)] = "values"
+        return names
 
     def _components(self, n: int) -> np.ndarray:
         names = self.labels.state
-        return np.array(names, object) if names else np.arange(n)
+        return np.array(names) if names else np.arange(n)
 
-    def _axis(self, name: str, dimension: str, values: Any) -> tuple[str, Any, dict]:
+    def _axis(self, name: str, dimension: str, values: np.ndarray) -> Variable:
         """A parameter's values along a dimension, with its symbol and unit as xarray shows them."""
         told = {"long_name": self.labels.symbol(name), "units": self.labels.unit(name)}
+        # What says no more than the name is left out: xarray shows the name by itself.
         attributes = {key: word for key, word in told.items() if word not in ("", name)}
         return dimension, values, attributes
 
-    def _coordinates(self) -> tuple[tuple[str, ...], dict[str, Any]]:
+    def _coordinates(self) -> tuple[tuple[str, ...], dict[str, Variable]]:
         """The dimensions of a lane, and the values of the parameters along them."""
         if isinstance(self.parameter, str):
-            key = _key(self.parameter)
-            return (key,), {key: self._axis(self.parameter, key, self.values)}
-        keys = tuple(map(_key, self.parameter))
+            key = key_of(self.parameter)
+            return (key,), {key: self._axis(self.parameter, key, np.asarray(self.values))}
+        keys = tuple(map(key_of, self.parameter))
         if isinstance(self.values, tuple):
             along, columns = keys, self.values
         else:
@@ -157,12 +182,13 @@ class BifurcationDiagram(eqx.Module):
         axes = map(self._axis, self.parameter, along, columns)
         return tuple(dict.fromkeys(along)), dict(zip(keys, axes, strict=True))
 
-    def _attributes(self) -> dict[str, Any]:
+    def _attributes(self) -> dict[str, Attribute]:
         given = self.conditions
-        several = not isinstance(self.parameter, str)
-        attributes = {
+        attributes: dict[str, Attribute] = {
             "system": self.system,
-            "swept": ", ".join(self.parameter) if several else self.parameter,
+            "swept": (
+                self.parameter if isinstance(self.parameter, str) else ", ".join(self.parameter)
+            ),
             "transient": given.transient,
             "steps": given.steps,
             "stepper": given.stepper,
@@ -173,15 +199,16 @@ class BifurcationDiagram(eqx.Module):
         if given.x0.ndim == 1:
             attributes["x0"] = given.x0
         scalars = {name: v for name, v in given.parameters.items() if v.ndim == 0}
-        return attributes | {_key(name): float(value) for name, value in scalars.items()}
+        return attributes | {key_of(name): float(value) for name, value in scalars.items()}
 
-    def save(self, path: str | os.PathLike) -> None:
-        """Write `to_xarray()` to a netCDF file (`path` ends in .nc) or a Zarr store (.zarr).
+    def save(self, path: PathLike) -> None:
+        """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
 
-        `jaxfil.load(path)` gives the same diagram back, bit for bit; `xarray.open_dataset` opens
-        it too. What was at `path` is replaced. Needs `pip install 'jaxfil[xarray]'`.
+        `jaxfil.load(path)` gives the same diagram back from the first two, bit for bit, and
+        `xarray.open_dataset` opens them; both need `pip install 'jaxfil[xarray]'`. An .npz holds
+        the numbers for `numpy.load`, by the names of the fields here. What was there is replaced.
         """
-        dataset_io.save(self.to_xarray(), path)
+        dataset_io.save(self.named_arrays(), path)
 
     def __repr__(self) -> str:
         *shape, samples, n = self.xs.shape
@@ -202,67 +229,9 @@ class BifurcationDiagram(eqx.Module):
         return "\n".join(lines)
 
 
-def load(path: str | os.PathLike) -> BifurcationDiagram:
-    """The bifurcation diagram that `BifurcationDiagram.save` wrote to `path`, bit for bit."""
-    data = dataset_io.load(path)
-    missing = (_ATTRIBUTES - {"follow", "x0"}) - {*data.attrs} | {"x", "outcome"} - {*data}
-    if missing:
-        raise ValueError(
-            f"`path` must be a diagram that `save` has written; {os.fspath(path)!r} has no "
-            f"{', '.join(sorted(missing))}."
-        )
-    dtype, swept = data["x"].dtype, tuple(data.attrs["swept"].split(", "))
-    axes = [data[_key(name)].values for name in swept]
-    if "point" in data["x"].dims:
-        values = np.stack(axes, axis=1)
-    else:
-        values = axes[0] if len(swept) == 1 else tuple(axes)
-    x0 = data["x0"].values if "x0" in data else np.reshape(data.attrs["x0"], (-1,)).astype(dtype)
-    return BifurcationDiagram(
-        values=values,
-        xs=data["x"].values,
-        results=outcomes(outcome_codes(data["outcome"].values)),
-        parameter=swept[0] if len(swept) == 1 else swept,
-        system=data.attrs["system"],
-        conditions=Conditions(
-            parameters=_parameters(data, dtype),
-            x0=x0,
-            transient=int(data.attrs["transient"]),
-            steps=int(data.attrs["steps"]),
-            stepper=data.attrs["stepper"],
-            follow=data.attrs.get("follow"),
-            version=data.attrs["jaxfil_version"],
-        ),
-        labels=_labels(data, swept),
-        errors=data["error"].values if "error" in data else None,
-    )
-
-
-def _labels(data: Any, swept: tuple[str, ...]) -> Labels:
-    """What was called how, from the names of components and the attributes of parameters."""
-    components = data["component"].values
-    names = () if components.dtype.kind == "i" else tuple(map(str, components))
-    units = dict(zip(names, map(str, data["unit"].values), strict=True)) if "unit" in data else {}
-    told = {name: data[_key(name)].attrs for name in swept}
-    units |= {name: attrs["units"] for name, attrs in told.items() if "units" in attrs}
-    symbols = {n: attrs["long_name"] for n, attrs in told.items() if "long_name" in attrs}
-    known = {name: unit for name, unit in units.items() if unit}
-    return Labels(names, tuple(sorted(symbols.items())), tuple(sorted(known.items())))
-
-
-def _parameters(data: Any, dtype: Any) -> dict[str, np.ndarray]:
-    """The parameters that were not swept, by name."""
-    scalars = {key: np.asarray(v, dtype) for key, v in data.attrs.items() if key not in _ATTRIBUTES}
-    arrays = {key: data[key].values for key in data if key not in {*_VARIABLES, "x0"}}
-    return {
-        key[:-1] if key[:-1] in _VARIABLES | _ATTRIBUTES else key: value
-        for key, value in sorted((scalars | arrays).items())
-    }
-
-
-def _key(name: str) -> str:
+def key_of(name: str) -> str:
     """The name of a parameter in a data set."""
-    return f"{name}_" if name in _VARIABLES | _ATTRIBUTES else name
+    return f"{name}_" if name in VARIABLES | ATTRIBUTES else name
 
 
 def _range(name: str, axis: np.ndarray) -> str:
@@ -272,7 +241,7 @@ def _range(name: str, axis: np.ndarray) -> str:
 def _errors_line(errors: np.ndarray) -> str:
     """The errors of lanes, each the largest of its components."""
     lanes = np.max(errors, axis=-1)
-    lanes = lanes[np.isfinite(lanes)]
+    lanes = lanes[np.isfinite(lanes)]  # not `nanmax`: it warns where nothing is known
     if not lanes.size:
         return "  error unknown: no lane has ended, or none at half the step"
     return (

@@ -1,7 +1,7 @@
-"""Chunks of lanes: compiled once, run on every core, each kept as soon as it is finished.
+"""Execution: chunks of lanes, compiled once, run on every core, kept as soon as they are finished.
 
-A job, the points in parameter space of its lanes and their initial states enter; samples and
-outcomes of all lanes leave. A job is called as `job(rows, states, followed=..., whole=...)`: with
+A job, the rows of parameters of its lanes and their initial states enter; samples and outcomes of
+all lanes leave. A job is called as `job(rows, states, followed=..., whole=...)`: with
 lanes side by side, or, `followed`, one after the other each from the last one's end; compiled into
 one kernel if `whole`. It answers with samples, outcomes and last states.
 """
@@ -20,16 +20,17 @@ import numpy as np
 
 from jaxfil.model.outcomes import RESULTS, code
 from jaxfil.sweep import multiprocess
-from jaxfil.sweep.checkpoint import Checkpoint, Piece
+from jaxfil.sweep.checkpoint import Checkpoint, FinishedChunk
 from jaxfil.xla.kernel import DoesNotFitError
 
-# Lanes that share a loop, on CPU: few enough for all of their numbers to stay in the first-level
+# Lanes that share a loop, on a CPU: few enough for all of their numbers to stay in the first-level
 # cache, and to wait for few others.
 BLOCK = 64
 # Chunks that a sweep is cut into at least, if it has the blocks, so that many cores get some each;
 # and blocks of a chunk at most, to be a stroke of the progress bar.
 _CHUNKS, _BLOCKS = 64, 16
-# Values of one call when each starts from the last one's end.
+# Lanes of a chunk when each starts from the last one's end: one after the other, they gain nothing
+# from being many, and are kept and counted as often as chunks are.
 _FOLLOW = 16
 # Vectors as wide as the machine has them. (XLA's fast math would be a fifth faster still, but NaN
 # goes unnoticed under it, whatever its options promise.)
@@ -39,6 +40,7 @@ _CPU_OPTIONS = {"xla_cpu_prefer_vector_width": "512"}
 @ft.cache
 def compiled(run: Callable) -> Callable:
     """`run`, compiled for this machine."""
+    # Cached by function: a jitted function of its own for each sweep would compile each time.
     options = _CPU_OPTIONS if jax.default_backend() == "cpu" else None
     # Equinox's overloads leave out the keywords that it hands on to `jax.jit`.
     return eqx.filter_jit(run, compiler_options=options)  # pyright: ignore[reportCallIssue]
@@ -75,8 +77,10 @@ def _lanes(p: int, whole: bool) -> int:
 
 
 def _cores() -> int:
+    """How many chunks run at a time."""
     if jax.default_backend() != "cpu":
-        return 1
+        return 1  # an accelerator runs one program after the other
+    # What a scheduler or `taskset` grants, which `os.cpu_count` does not know.
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
@@ -87,28 +91,32 @@ _UNFINISHED = code(RESULTS.interrupted)
 class _Lanes:
     """All lanes of a sweep, unfinished at first, and the progress bar that counts them."""
 
-    def __init__(self, p: int, samples: int, n: int, dtype: Any, checkpoint: Checkpoint | None):
+    def __init__(
+        self, p: int, samples: int, n: int, dtype: np.dtype, checkpoint: Checkpoint | None
+    ):
         self.xs = np.full((p, samples, n), np.nan, dtype)
         self.codes = np.full((p,), _UNFINISHED, np.int32)
         self.checkpoint = checkpoint
 
-    def piece(self, start: int, lanes: int, run: Callable[[], tuple]) -> tuple[Piece, bool]:
-        """Lanes from number `start` on as `run` gives them, or as the checkpoint holds them; and
-        whether it held them."""
+    def finish(
+        self, start: int, lanes: int, run: Callable[[], tuple[Any, ...]]
+    ) -> tuple[FinishedChunk, bool]:
+        """The chunk from lane number `start` on as `run` gives it, or as the checkpoint holds it;
+        and whether that held it."""
         stop = min(start + lanes, len(self.codes))
         kept = self.checkpoint.read(start, stop) if self.checkpoint else None
         if kept is None:
             xs, results, end = run()
             (codes,) = jax.tree.leaves(results)
-            here = slice(stop - start)
-            piece = Piece(np.asarray(xs)[here], np.asarray(codes)[here], np.asarray(end))
+            here = slice(stop - start)  # without the lanes that fill the last chunk up
+            chunk = FinishedChunk(np.asarray(xs)[here], np.asarray(codes)[here], np.asarray(end))
             if self.checkpoint:
-                self.checkpoint.write(start, stop, piece)
+                self.checkpoint.write(start, stop, chunk)
         else:
-            piece = kept
-        self.xs[start:stop] = piece.xs
-        self.codes[start:stop] = piece.codes  # last: these say that the lanes are finished
-        return piece, kept is not None
+            chunk = kept
+        self.xs[start:stop] = chunk.xs
+        self.codes[start:stop] = chunk.codes  # last: these say that the lanes are finished
+        return chunk, kept is not None
 
     def finished(self) -> tuple[np.ndarray, np.ndarray]:
         """Samples and codes of outcomes as they are now; NaN where a lane is not finished."""
@@ -129,10 +137,10 @@ class _Bar:
         shown = progress and jax.process_index() == 0
         self._bar = tqdm(desc="compiling", total=total, unit="lane", disable=not shown)
 
-    def __enter__(self):
+    def __enter__(self) -> "_Bar":
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *exception: object) -> None:
         self._bar.close()
 
     def start(self, total: int) -> None:
@@ -141,6 +149,8 @@ class _Bar:
         self._bar.reset(total)
 
     def count(self, lanes: int, kept: bool) -> None:
+        """So many more are finished."""
+        # tqdm takes the rate from what is beyond `initial`.
         if kept and not self._bar.disable:
             self._bar.initial += lanes
         self._bar.update(lanes)
@@ -167,11 +177,13 @@ def side_by_side(
             if stop.is_set():
                 return 0, False
             here = slice(start, start + size)
-            piece, kept = lanes.piece(start, size, lambda: job(rows[here], states[here]))
-            return len(piece.codes), kept
+            done, kept = lanes.finish(start, size, lambda: job(rows[here], states[here]))
+            return len(done.codes), kept
 
         starts = multiprocess.share(range(0, p, size))
         bar.start(sum(min(size, p - s) for s in starts))
+        # Threads and not devices: XLA releases Python's lock while it computes, and a core that has
+        # finished a chunk takes the next one without waiting for the others.
         pool = ThreadPoolExecutor(_cores())
         chunks = [pool.submit(chunk, start) for start in starts]
         try:
@@ -207,9 +219,9 @@ def one_after_another(
         with suppress(KeyboardInterrupt):
             for start in range(0, p, size):
                 here = rows[start : start + size]
-                piece, kept = lanes.piece(start, size, ft.partial(job, here, state))
-                state = piece.end
-                bar.count(len(piece.codes), kept)
+                done, kept = lanes.finish(start, size, ft.partial(job, here, state))
+                state = done.end
+                bar.count(len(done.codes), kept)
     xs, codes = lanes.finished()
     return multiprocess.from_first(xs), multiprocess.from_first(codes)
 

@@ -11,7 +11,10 @@ import numpy as np
 
 
 def share(chunks: Sequence[int]) -> Sequence[int]:
-    """The chunks of this process: one in so many, in turn, for neighbours cost alike."""
+    """The chunks of this process: one in so many, in turn, for neighbours cost alike.
+
+    A chunk is given by the number of its first lane.
+    """
     return chunks[jax.process_index() :: jax.process_count()]
 
 
@@ -21,6 +24,8 @@ def gather(rows: np.ndarray, size: int) -> np.ndarray:
         return rows
     from jax.experimental import multihost_utils
 
+    # As many rows in each process, for a gathering is of equal shapes: (round, process, row in the
+    # chunk) is the order of `share`, so that transposing puts every row where it belongs.
     count, p = jax.process_count(), len(rows)
     rounds = -(-p // (size * count))
     every = np.zeros((rounds * count * size, *rows.shape[1:]), rows.dtype)

@@ -1,7 +1,7 @@
-"""Points in parameter space: what a sweep goes over.
+"""The parameter grid: what a sweep goes over.
 
-Names of parameters and their values, as a user gives them, enter; points in order, and the shape
-of the result that they make, leave.
+Names of parameters and their values, as a user gives them, enter; the points in parameter space in
+order, and the shape of the result that they make, leave.
 """
 
 import dataclasses
@@ -9,33 +9,40 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jax.typing import DTypeLike
+
+from jaxfil.model.types import SweptValues
 
 
 @dataclasses.dataclass(frozen=True)
-class Points:
-    """p points in the space of k parameters.
-
-    `values` is kept as it was given: shape (p,) for one name, k arrays for a grid, shape (p, k) for
-    points one by one. `rows`, shape (p, k), holds a point a row, the last parameter of a grid
-    varying fastest; `shape` is that of the result, a dimension for each parameter of a grid.
-    """
+class ParameterGrid:
+    """p points in the space of k parameters: on a line, on a product grid, or one by one."""
 
     names: tuple[str, ...]
+    """The k parameters."""
     values: np.ndarray | tuple[np.ndarray, ...]
+    """As they were given: shape (p,) for one name, k arrays for a product grid, shape (p, k) for
+    points one by one."""
     rows: np.ndarray
+    """A point a row, shape (p, k); the last parameter of a product grid varies fastest."""
     shape: tuple[int, ...]
+    """That of the result: (p,), or a dimension for each parameter of a product grid."""
 
 
-def points(parameter: str | Sequence[str], values: Any, dtype: Any) -> Points:
-    """The points that `parameter` and `values` ask for, in a float precision."""
+def parameter_grid(
+    parameter: str | Sequence[str], values: SweptValues, dtype: DTypeLike
+) -> ParameterGrid:
+    """The grid that `parameter` and `values` ask for, in a float precision."""
     if isinstance(parameter, str):
         axis = _axis(values, dtype, "(p,) with p ≥ 1")
-        return Points((parameter,), axis, axis[:, None], axis.shape)
+        return ParameterGrid((parameter,), axis, axis[:, None], axis.shape)
     names = tuple(parameter) if np.ndim(parameter) == 1 else ()
     if not all(isinstance(n, str) for n in names) or len({*names}) < max(2, len(names)):
         raise ValueError(
             f"`parameter` must be a string, or two or more different ones, got {parameter!r}."
         )
+    # An array is points one by one, anything else a product grid: k arrays of one length could be
+    # either.
     if hasattr(values, "ndim"):
         return _one_by_one(names, np.asarray(values), dtype)
     if not isinstance(values, Sequence) or len(values) != len(names):
@@ -46,10 +53,10 @@ def points(parameter: str | Sequence[str], values: Any, dtype: Any) -> Points:
     axes = tuple(_axis(v, dtype, "(p,) with p ≥ 1 for each name") for v in values)
     mesh = np.meshgrid(*axes, indexing="ij")
     rows = np.stack([m.ravel() for m in mesh], axis=1)
-    return Points(names, axes, rows, mesh[0].shape)
+    return ParameterGrid(names, axes, rows, mesh[0].shape)
 
 
-def _one_by_one(names: tuple[str, ...], rows: np.ndarray, dtype: Any) -> Points:
+def _one_by_one(names: tuple[str, ...], rows: np.ndarray, dtype: DTypeLike) -> ParameterGrid:
     if rows.ndim != 2 or rows.shape[1] != len(names):
         raise ValueError(
             f"`values` must be of shape (p, {len(names)}), a column for each name, or a tuple of "
@@ -57,11 +64,12 @@ def _one_by_one(names: tuple[str, ...], rows: np.ndarray, dtype: Any) -> Points:
         )
     _axis(rows[:, 0], dtype, f"(p, {len(names)}) with p ≥ 1")
     rows = rows.astype(dtype)
-    return Points(names, rows, rows, rows.shape[:1])
+    return ParameterGrid(names, rows, rows, rows.shape[:1])
 
 
-def _axis(values: Any, dtype: Any, shape: str) -> np.ndarray:
+def _axis(values: Any, dtype: DTypeLike, shape: str) -> np.ndarray:
     array = np.asarray(values)
+    # Not finite is allowed: such a lane fails by itself and harms no other.
     if array.ndim != 1 or array.shape[0] == 0 or array.dtype.kind not in "fiu":
         raise ValueError(
             f"`values` must be real numbers of shape {shape}, got shape {array.shape} of dtype "

@@ -7,7 +7,6 @@ each has its own outcome.
 
 import dataclasses
 import functools as ft
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxfil.integrate.batch_loop import integrate_batch
 from jaxfil.integrate.components import build, unpack
@@ -31,11 +30,12 @@ from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import RESULTS, code, outcomes
 from jaxfil.model.parameter import cast, get_parameter, parameters, replace_parameter
 from jaxfil.model.system import System
+from jaxfil.model.types import PathLike, States, SweptValues
 from jaxfil.sweep import multiprocess, step_halving
 from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, record_of
 from jaxfil.sweep.diagram import BifurcationDiagram, Conditions
 from jaxfil.sweep.execution import BLOCK, compiled, one_after_another, side_by_side
-from jaxfil.sweep.parameter_grid import Points, points
+from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
 from jaxfil.version import __version__
 from jaxfil.xla.kernel import in_blocks, one_kernel
 
@@ -44,34 +44,49 @@ from jaxfil.xla.kernel import in_blocks, one_kernel
 def bifurcation_diagram(
     system: System,
     parameter: str | Sequence[str],
-    values: Float[Array | np.ndarray, " p"] | Float[Array | np.ndarray, "p k"] | Sequence[Any],
-    x0: Float[Array, "*shape n"],
+    values: SweptValues,
+    x0: States,
     *,
     transient: int = 200,
     samples: int = 100,
     steps: int = 40,
-    stepper: Any = None,
+    stepper: Stepper | None = None,
     follow: Literal["up", "down"] | None = None,
-    checkpoint: str | os.PathLike | None = None,
+    checkpoint: PathLike | None = None,
     progress: bool = True,
     estimate_error: bool = False,
 ) -> BifurcationDiagram:
-    """Sweep `parameter` of a forced system over `values`.
+    """Sweep a parameter of a forced system, or several, and sample the motion at each value.
 
-    For each value the system runs `transient` forcing periods from t = 0 unseen, then `samples`
-    periods, and its state is kept at the end of each: a stroboscopic Poincaré section.
+    For each value the system runs `transient` forcing periods T from t = 0 unseen, then `samples`
+    periods, and its state is kept at the end of each: a stroboscopic Poincaré section,
+
+        xs[i, k] = x((transient + k + 1) T; values[i])
+
+    Ctrl-C ends the sweep after the chunks under way, with a warning, and returns what is done. The
+    numbers do not depend on how many cores the machine has.
+
+    **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
+    `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
+    cores or its one accelerator, and returns the whole diagram, equal to that of one process on the
+    same hardware. A checkpoint may be on a file system that they share. With `follow` each computes
+    the whole. On a CPU XLA lets a process wait half an hour for the slowest one, or as long as
+    `XLA_FLAGS=--xla_cpu_collective_timeout_seconds=…` says.
 
     **Arguments**
 
+    - `system`: a `System` with a `period`.
     - `parameter`: a float leaf of the system; a dotted path for nested modules. Or k such names.
     - `values`: shape (p,). New values never recompile. For k names, a tuple of k arrays, whose
       product grid is swept, or one array of shape (p, k), a point in parameter space a row.
     - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n); on a grid
       (p1, p2, …, n).
+    - `transient`: forcing periods before the first sample, 0 or more.
+    - `samples`: forcing periods sampled, 1 or more.
     - `steps`: steps per forcing period.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `follow`: `"up"` or `"down"` starts each value, in ascending or descending order, from the
-      last one's end, which follows an attractor; by default each starts from `x0`.
+    - `follow`: "up" or "down" starts each value, in ascending or descending order, from the last
+      one's end, which follows an attractor; by default each starts from `x0`.
     - `checkpoint`: a folder that keeps every chunk of lanes as soon as it is finished. The same
       call goes on from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
       numbers bit for bit. A call with other arguments is refused. Needs xarray and zarr.
@@ -80,17 +95,14 @@ def bifurcation_diagram(
       the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
 
     **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
-    n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for. A lane that fails says why in
-    `results` and harms no other. Ctrl-C ends the sweep after the chunks under way, with a warning,
-    and returns what is done; the outcome of the other lanes is `interrupted`. The numbers do not
-    depend on how many cores the machine has.
+    n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for.
 
-    **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
-    `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
-    cores or its one accelerator, and returns the whole diagram, equal to that of one process on the
-    same hardware. A checkpoint may be on a file system that they share. With `follow` each computes
-    the whole. On CPU XLA lets a process wait half an hour for the slowest one, or as long as
-    `XLA_FLAGS=--xla_cpu_collective_timeout_seconds=…` says.
+    **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
+    `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`, and after
+    Ctrl-C `interrupted`. A lane that fails harms no other.
+
+    **Source**: textbook; S. H. Strogatz, Nonlinear Dynamics and Chaos, Perseus (1994), section 10.2
+    for diagrams and 12.5 for stroboscopic sections.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -112,20 +124,20 @@ def bifurcation_diagram(
     check.system("system", system)
     dtype = _state_type(x0)
     system = cast(system, dtype)
-    where = points(parameter, values, dtype)
-    for each in where.names:
+    grid = parameter_grid(parameter, values, dtype)
+    for each in grid.names:
         get_parameter(system, each)
     if system.period is None:
         raise ValueError(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
             f"{type(system).__name__} is None."
         )
-    labels = labels_of(system, np.shape(x0)[-1]).of(where.names)
-    _check_follow(follow, where)
+    labels = labels_of(system, np.shape(x0)[-1]).of(grid.names)
+    _check_follow(follow, grid)
     stepper = checked_stepper(stepper)
     conditions = Conditions(
-        parameters=_others(system, where.names),
-        x0=_initial_states(x0, where.shape, follow is not None).astype(dtype),
+        parameters=_others(system, grid.names),
+        x0=_initial_states(x0, grid.shape, follow is not None).astype(dtype),
         transient=check.count("transient", transient, least=0),
         steps=check.count("steps", steps),
         stepper=tableau_of(stepper).name,
@@ -133,62 +145,66 @@ def bifurcation_diagram(
         version=__version__,
     )
     samples = check.count("samples", samples)
-    record = ft.partial(record_of, system, where, samples=samples, stepper=stepper)
-    run = ft.partial(_swept, system, where, samples=samples, stepper=stepper, progress=progress)
+    record = ft.partial(record_of, system, grid, samples=samples, stepper=stepper)
+    run = ft.partial(_swept, system, grid, samples=samples, stepper=stepper, progress=progress)
     kept = _begun(checkpoint, ft.partial(record, conditions), estimate_error)
     xs, codes = run(conditions, kept)
     finished = _all_finished("sweep", "samples", codes, checkpoint)
     errors = np.full_like(xs[:, 0], np.nan) if estimate_error else None
     if estimate_error and finished:
+        # The same lanes at half the step and not at twice: where a step is long against the motion
+        # between two contacts, the error at twice the step says little of the error at one.
         half = dataclasses.replace(conditions, steps=2 * conditions.steps)
         folder = None if checkpoint is None else Path(checkpoint) / step_halving.FOLDER
         other_xs, other_codes = run(half, folder and Checkpoint(folder, record(half)))
         errors = step_halving.errors(xs, codes, other_xs, other_codes, half)
         _all_finished("run at half the step", "errors", other_codes, checkpoint)
     return BifurcationDiagram(
-        values=where.values,
-        xs=xs.reshape(*where.shape, *xs.shape[1:]),
-        results=outcomes(codes.reshape(where.shape)),
-        parameter=parameter if isinstance(parameter, str) else where.names,
+        values=grid.values,
+        xs=xs.reshape(*grid.shape, *xs.shape[1:]),
+        results=outcomes(codes.reshape(grid.shape)),
+        parameter=parameter if isinstance(parameter, str) else grid.names,
         system=type(system).__name__,
         conditions=conditions,
         labels=labels,
-        errors=None if errors is None else errors.reshape(*where.shape, -1),
+        errors=None if errors is None else errors.reshape(*grid.shape, -1),
     )
 
 
 def _swept(
     system: System,
-    where: Points,
+    grid: ParameterGrid,
     given: Conditions,
     kept: Checkpoint | None,
     *,
     samples: int,
-    stepper: Any,
+    stepper: Stepper,
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
+    # Counts are traced, so that new ones compile nothing; `samples` is the shape of the result.
     sampling = _Sampling(
         transient=jnp.asarray(given.transient, jnp.int32),
         samples=samples,
         steps=jnp.asarray(given.steps, jnp.int32),
         stepper=stepper,
     )
-    job = ft.partial(compiled(_run), system, where.names, sampling)
+    job = ft.partial(compiled(_run), system, grid.names, sampling)
     if given.follow is None:
         states = given.x0.reshape(-1, given.x0.shape[-1])
-        return side_by_side(job, where.rows, states, samples, kept, progress)
-    order = np.argsort(where.rows[:, 0], kind="stable")
+        return side_by_side(job, grid.rows, states, samples, kept, progress)
+    # Stable, so that equal values keep their order and a repeated call gives the same diagram.
+    order = np.argsort(grid.rows[:, 0], kind="stable")
     order = order if given.follow == "up" else order[::-1]
-    xs, codes = one_after_another(job, where.rows[order], given.x0, samples, kept, progress)
+    xs, codes = one_after_another(job, grid.rows[order], given.x0, samples, kept, progress)
     back = np.argsort(order, kind="stable")
     return xs[back], codes[back]
 
 
-def _check_follow(follow: Any, where: Points) -> None:
+def _check_follow(follow: object, grid: ParameterGrid) -> None:
     if follow not in (None, "up", "down"):
         raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
-    if follow is not None and len(where.names) > 1:
+    if follow is not None and len(grid.names) > 1:
         raise ValueError(f"`follow` must be None with several parameters, got {follow!r}.")
 
 
@@ -197,7 +213,7 @@ def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     return {key: np.asarray(v) for key, v in parameters(system).items() if key not in names}
 
 
-def _state_type(x0: Any) -> Any:
+def _state_type(x0: Any) -> np.dtype:
     """The float precision of initial states."""
     several = np.ndim(x0) > 1 and np.size(x0) > 0
     return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
@@ -218,7 +234,7 @@ def _initial_states(x0: Any, shape: tuple[int, ...], follow: bool) -> np.ndarray
 
 
 def _begun(
-    checkpoint: str | os.PathLike | None, record: Callable[[], Record], estimate_error: bool
+    checkpoint: PathLike | None, record: Callable[[], Record], estimate_error: bool
 ) -> Checkpoint | None:
     """The checkpoint, if one is asked for, after a look whether all processes ask for the same."""
     if jax.process_count() > 1:
@@ -226,7 +242,7 @@ def _begun(
     return None if checkpoint is None else Checkpoint(checkpoint, record())
 
 
-def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: Any) -> bool:
+def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike | None) -> bool:
     """Whether Ctrl-C left no lane unfinished; a warning where it did."""
     missing = codes == code(RESULTS.interrupted)
     if missing.any():
@@ -235,7 +251,7 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: Any) -> b
             f"The {what} was interrupted: {int((~missing).sum())} of {missing.size} lanes are "
             f"finished, the {lost} of the others are NaN{rest}.",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=4,  # of the line that called the decorated `bifurcation_diagram`
         )
     return not missing.any()
 
@@ -282,7 +298,7 @@ def _run(
     followed: bool,
     whole: bool,
 ) -> tuple[Array, RESULTS, Array]:
-    """A chunk of points side by side, or one after the other each from the last one's end."""
+    """A chunk of lanes side by side, or one after the other each from the last one's end."""
     problem = ft.partial(sampling.problem, system, names)
 
     def lane(row: Array, x0: Array) -> tuple[Array, RESULTS, Array]:

@@ -1,0 +1,59 @@
+"""The card of an averaged exponent.
+
+A result with its exponents and their standard errors enters; the lines that it prints leave.
+"""
+
+from typing import Protocol
+
+import jax
+import jax.core
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.outcomes import RESULTS
+
+
+class Average(Protocol):
+    """A result that was averaged over time."""
+
+    @property
+    def x0(self) -> Array:
+        """The state before the transient."""
+        ...
+
+    @property
+    def times(self) -> Array:
+        """The time averaged over so far."""
+        ...
+
+    @property
+    def settled(self) -> Array:
+        """Whether the motion was the same throughout."""
+        ...
+
+    @property
+    def result(self) -> RESULTS:
+        """The outcome."""
+        ...
+
+
+def average_card(name: str, found: Average, exponents: Array, errors: Array) -> str:
+    """What was averaged, over how long, and whether it is to be trusted, in a few lines."""
+    name += precision(found.x0)
+    if isinstance(found.result._value, jax.core.Tracer) or found.times.ndim > 1:
+        return f"{name}: a batch of shape {found.times.shape[:-1]}"
+    numbers, spreads = np.atleast_1d(exponents), np.atleast_1d(errors)
+    pairs = zip(numbers, spreads, strict=True)
+    # −inf and NaN have no error to speak of: the first is exact, of the second nothing is known.
+    told = ", ".join(f"{a:.5g} ± {b:.1g}" if np.isfinite(a) else f"{a}" for a, b in pairs)
+    state = np.array2string(np.asarray(found.x0), precision=6, separator=", ")
+    lines = [
+        f"{name}: {outcome(found.result)}",
+        f"  {told} per unit time, over a time of {float(found.times[-1]):.6g} from x0 = {state}",
+    ]
+    if not found.settled:
+        lines.append(
+            "  not settled: the growth changed for good on the way; take a longer transient"
+        )
+    return "\n".join(lines)
