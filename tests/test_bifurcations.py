@@ -37,7 +37,11 @@ def sd_orbits(values):
 def belt_orbits(values):
     def one(w):
         orbit = jf.periodic_orbit(
-            replace(BELT, "omega", w), jnp.array([1.0, 0.5]), transient=20, steps=60, throw=False
+            replace_parameter(BELT, "omega", w),
+            jnp.array([1.0, 0.5]),
+            transient=20,
+            steps=60,
+            throw=False,
         )
         return orbit
 
@@ -197,7 +201,7 @@ def test_the_nearest_grazing_set_is_found_by_gradient(sd):
 
 def test_everything_that_happens_to_an_orbit_in_one_call():
     """Belt case 1 from 12 down to 3.9: three of the nine on [0.5, 20]."""
-    system = replace(BELT, "omega", 12.0)
+    system = replace_parameter(BELT, "omega", 12.0)
     orbit = jf.periodic_orbit(system, jnp.array([0.1, 0.0]), steps=60)
     route = jf.find_bifurcations(system, "omega", orbit, stop=3.9)
     assert [b.kind for b in route] == ["grazing-sliding", "switching-sliding", "crossing-sliding"]
@@ -222,7 +226,7 @@ def with_a_graze(orbit, k):
 def test_a_touch_within_a_flight_hides_nothing():
     """The slip that is born in the adding-sliding bifurcation rises so little at first that its
     vertex is told as a touch."""
-    system = replace(BELT, "omega", 1.402)
+    system = replace_parameter(BELT, "omega", 1.402)
     orbit = jf.periodic_orbit(system, jnp.array([1.56, 1.0]), steps=60)
     slip = float(orbit.events.ts[3] - orbit.events.ts[2])
     for seen in (orbit, with_a_graze(orbit, 3)):
@@ -234,7 +238,7 @@ def test_a_touch_within_a_flight_hides_nothing():
 @pytest.mark.slow
 def test_all_nine_bifurcations_of_the_belt():
     """Santhosh et al. name six of them; two lie 0.005 apart."""
-    system = replace(BELT, "omega", 17.0)
+    system = replace_parameter(BELT, "omega", 17.0)
     orbit = jf.periodic_orbit(system, jnp.array([0.6, 0.02]), steps=60)
     route = jf.find_bifurcations(system, "omega", orbit, stop=(0.5, 20.0))
     assert [b.kind for b in route] == [
@@ -258,7 +262,7 @@ def test_all_nine_bifurcations_of_the_belt():
 @pytest.mark.slow
 def test_a_kind_changes_where_the_acceleration_at_the_touch_vanishes():
     """On Σ the belt's d²H/dt² is −f0 ω sin ωt − γ1 v: at the point of codimension two it is 0."""
-    system = replace(BELT, "omega", 7.8)
+    system = replace_parameter(BELT, "omega", 7.8)
     orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.3]), steps=60)
     found = jf.find_bifurcation(system, "omega", orbit, "switching-sliding")
     curve = jf.continue_bifurcation(system, ("omega", "f0"), found, stop=(4.5, 8.5))
@@ -276,7 +280,7 @@ def test_an_orbit_without_such_a_touch_says_so(sd):
     _, orbits = sd
     system = jf.systems.SDOscillator()
     found = jf.find_bifurcation(system, "omega", lane(orbits, 0), "adding-sliding", throw=False)
-    assert outcome_names(found.result) == "nothing_to_touch"
+    assert outcome_names(found.result) == "no_tangency_found"
     assert np.isnan(float(found.value))
     assert found.kind == "undecided"
 
@@ -299,7 +303,7 @@ def test_a_failed_orbit_in_a_batch_harms_no_other(sd):
     states = jnp.array([[1.5, 0.0], [jnp.nan, 0.0], [1.5, 0.0]])
     broken = eqx.filter_vmap(one)(jnp.array([0.97 * SD_LOW, 0.8, 1.03 * SD_HIGH]), states)
     found = jf.find_bifurcation(system, "omega", broken, "grazing", throw=False)
-    assert outcome_names(found.result).tolist() == ["successful", "nothing_to_touch", "successful"]
+    assert outcome_names(found.result).tolist() == ["successful", "no_tangency_found", "successful"]
     np.testing.assert_allclose(found.value, [SD_LOW, np.nan, SD_HIGH], atol=1e-11)
 
 

@@ -5,12 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxfil.analysis import harmonic
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS
 from jaxfil.model.outcomes import outcome_names
+from jaxfil.orbits import harmonic_balance
 
 S = jf.systems
 OMEGA = 0.7
@@ -133,12 +133,12 @@ def test_a_smoothed_belt_that_sticks():
 def test_the_jacobian_is_the_derivative_of_the_residual(omega):
     # Through zeros of H that move with the coefficients.
     system = S.BeltFriction(gamma1=10.0, gamma2=0.0, omega=omega)
-    balance = harmonic._Balance(system, jnp.asarray(2 * jnp.pi / omega), 9, 2)
+    balance = harmonic_balance._Balance(system, jnp.asarray(2 * jnp.pi / omega), 9, 2)
     c = np.zeros((9, 2))
     c[1:7] = np.asarray([[0.8, 1.5], [0.3, 2.0], [0.1, 0.2], [-0.1, 0.3], [0.05, 0.1], [0.0, -0.2]])
-    equations = jax.jit(harmonic._equations)
+    equations = jax.jit(harmonic_balance._equations)
     jacobian = equations(balance, jnp.asarray(c))[1]
-    assert jnp.sum(harmonic._quadrature(balance, jnp.asarray(c))[3][1] != 0) >= 2
+    assert jnp.sum(harmonic_balance._quadrature(balance, jnp.asarray(c))[3][1] != 0) >= 2
     for i in range(c.size):
         step = np.zeros(c.size)
         step[i] = 1e-4

@@ -80,7 +80,7 @@ class Bifurcation(eqx.Module):
         return (
             f"Bifurcation{told}: {self.kind} at {self.parameter} = {float(self.value):.15g}, "
             f"{outcome(self.result)}\n"
-            f"  touches surface {int(self.touch.surface)} from side {int(self.touch.side):+d} at "
+            f"  touches surface {int(self.tangency.surface)} from side {int(self.tangency.side):+d} at "
             f"t = {float(self.t):.10g}, x = {show(np.asarray(self.x))}\n"
             f"  H {float(c.h):.1e}, dH/dt {float(c.rate):.1e}, d²H/dt² {float(c.bend):.6g}; dH/dt "
             f"of the other side {float(c.other_rate):.6g}; along the slide "

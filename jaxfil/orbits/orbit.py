@@ -391,7 +391,7 @@ def _card(orbit: Orbit) -> str:
     lines = [
         f"Orbit of {type(orbit.system).__name__}{told}: {outcome(orbit.result)}",
         f"  period {float(orbit.period):.12g}, x0 = {show(np.asarray(orbit.x0))} at t = "
-        f"{float(orbit.plan.t0):g}",
+        f"{float(orbit.options.t0):g}",
         f"  multipliers {show(np.asarray(orbit.multipliers))}: "
         + ("stable" if bool(orbit.stable) else "unstable"),
         f"  {_sequence(orbit)}, residual {float(orbit.residual):.1e} "
