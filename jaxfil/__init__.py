@@ -49,7 +49,8 @@ from jaxfil.orbits.harmonic_balance import (
     FourierOrbit as FourierOrbit,
     harmonic_balance as harmonic_balance,
 )
-from jaxfil.orbits.orbit import Orbit as Orbit, periodic_orbit as periodic_orbit
+from jaxfil.orbits.orbit import Orbit as Orbit
+from jaxfil.orbits.periodic_orbit import periodic_orbit as periodic_orbit
 from jaxfil.sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
 from jaxfil.sweep.diagram import BifurcationDiagram as BifurcationDiagram, load as load
 from jaxfil.sweep.sweep import bifurcation_diagram as bifurcation_diagram

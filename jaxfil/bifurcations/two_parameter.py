@@ -11,16 +11,10 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from jaxfil.bifurcations.locate import (
-    BIFURCATION_KINDS,
-    Bifurcation,
-    Problem,
-    defining_problem,
-    evaluation,
-)
+from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
+from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation
 from jaxfil.bifurcations.tangency import conditions, kind_of
 from jaxfil.model import check
 from jaxfil.model.card import precision
@@ -31,7 +25,7 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast, get_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.corrector import ArclengthConstraint
-from jaxfil.orbits.newton import Root, newton
+from jaxfil.orbits.newton import Evaluation, Root, newton
 
 _NEWTON_STEPS = 12
 _FIRST, _LEAST = 0.01, 1e-6
@@ -122,9 +116,11 @@ def continue_bifurcation(
     low, high = (float(v) for v in stop)
     if not low <= values[0] <= high:
         raise ValueError(f"`stop` must be (low, high) around {values[0]}, got {stop!r}.")
-    problem = defining_problem(
-        at.system, at, bifurcation.tangency, bifurcation.family, (parameters[0], parameters[1])
+    free = parameters[0], parameters[1]
+    equations = defining_system(
+        at.system, at, bifurcation.tangency, bifurcation.family, free, _NEWTON_STEPS
     )
+    problem = _Problem(at.system, equations)
     # The flight is given in phases: t0 stays that of the orbit's own plan.
     phase = at.period if system.period is None else bifurcation.tangency.phase
     u = np.concatenate([bifurcation.tangency.x, [float(phase)], values])
@@ -160,25 +156,39 @@ class _Point:
     monitors: np.ndarray
 
 
+class _Problem(eqx.Module):
+    system: System
+    equations: DefiningSystem
+
+
 @eqx.filter_jit
-def _correct(problem: Problem, u: Array, plane: ArclengthConstraint) -> tuple:
+def _correct(problem: _Problem, u: Array, plane: ArclengthConstraint) -> tuple:
     """Newton's root in a plane, and what is known of the touch there."""
 
-    def extra(u: Array) -> Array:
-        return (plane.normal @ ((u - plane.base) / plane.scale) - plane.offset)[None]
+    def evaluate(u: Array) -> Evaluation:
+        at = problem.equations.evaluate(problem.system, u)
+        gap = plane.normal @ ((u - plane.base) / plane.scale) - plane.offset
+        return Evaluation(
+            jnp.append(at.residual, gap),
+            jnp.concatenate([at.jacobian, (plane.normal / plane.scale)[None]]),
+            jnp.append(at.equation_scale, 1.0),
+            at.unknown_scale,
+            at.result,
+            at.aux,
+        )
 
-    root: Root = newton(lambda u: evaluation(problem, extra, u), u, _NEWTON_STEPS)
-    system, _, tangency = stop_gradient(problem.placed(root.z))
+    root: Root = newton(evaluate, u, _NEWTON_STEPS)
+    system, _, tangency = problem.equations.placed(problem.system, root.z)
     closing = root.at.aux
     found = conditions(system, closing.t, closing.x, tangency)
-    flags = jnp.stack(kind_of(problem.family, found, float(jnp.finfo(u.dtype).eps)))
+    flags = jnp.stack(kind_of(problem.equations.family, found, float(jnp.finfo(u.dtype).eps)))
     code = jnp.where(jnp.any(flags), jnp.argmax(flags), -1)
     monitors = jnp.stack([found.bend, found.other_rate, found.slide_bend])
     return root, closing.t, closing.x, closing.size, code, closing.holds, monitors
 
 
 def _at(
-    problem: Problem, guess: np.ndarray, plane: ArclengthConstraint, along: np.ndarray
+    problem: _Problem, guess: np.ndarray, plane: ArclengthConstraint, along: np.ndarray
 ) -> _Point | None:
     root, t, x, size, code, real, monitors = _correct(problem, jnp.asarray(guess), plane)
     if not bool(root.result == RESULTS.successful):
@@ -199,7 +209,7 @@ def _plane(
 
 
 def _walk(
-    problem: Problem,
+    problem: _Problem,
     u: np.ndarray,
     sign: float,
     low: float,
@@ -240,7 +250,7 @@ def _walk(
             base = here.u + part * (ahead.u - here.u)
             base[-2] = end
             last = _at(problem, base, _plane(base, here.scale, first_parameter, 0.0), here.tangent)
-            return [*points, last or ahead], f"{problem.names[0]} = {end:.10g} was reached"
+            return [*points, last or ahead], f"{problem.equations.free[0]} = {end:.10g} was reached"
         points.append(ahead)
         ds = min(max_step, 1.5 * ds) if cosine > 0.99 else ds
     return points, f"{max_points} points were made"
@@ -255,7 +265,7 @@ def _cosine(a: _Point, b: _Point) -> float:
     return float(a.tangent @ tangent / np.linalg.norm(tangent))
 
 
-def _change(problem: Problem, a: _Point, b: _Point) -> CodimensionTwo:
+def _change(problem: _Problem, a: _Point, b: _Point) -> CodimensionTwo:
     """Where the kind changes between two neighbours, by bisection."""
     before, after = a, b
     for _ in range(45):

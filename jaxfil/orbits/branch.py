@@ -28,7 +28,8 @@ from jaxfil.orbits.corrector import (
     metric,
     orbit_of,
 )
-from jaxfil.orbits.orbit import Orbit, periodic_orbit
+from jaxfil.orbits.orbit import Orbit
+from jaxfil.orbits.periodic_orbit import periodic_orbit
 from jaxfil.orbits.pseudo_arclength import follow
 
 

@@ -19,9 +19,10 @@ from jaxfil.integrate.solution import switches
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
+from jaxfil.orbits.closing import PhaseCondition, evaluate_closing, phase_condition
 from jaxfil.orbits.newton import Evaluation, Root, newton
-from jaxfil.orbits.orbit import Orbit, closing, not_vanished
-from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
+from jaxfil.orbits.orbit import Orbit
+from jaxfil.orbits.shooting import ShootingOptions, Shot
 
 # A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
 # root of the period map needs many, as it is halved again and again.
@@ -98,38 +99,26 @@ class Point:
 def _correct(
     family: OrbitProblem, u: Array, plane: ArclengthConstraint, newton_steps: Array
 ) -> Root:
-    starts, q = family.split(plane.base)
-    normal = velocity(family.setting, family.options, starts[0], q)
-    normal = normal / jnp.sqrt(normal @ normal)
-    evaluate = ft.partial(_evaluation, family, plane, starts[0], normal)
-    return newton(evaluate, u, newton_steps)
+    phase = None
+    if family.autonomous:
+        starts, q = family.split(plane.base)
+        phase = phase_condition(family.setting, family.options, starts[0], q)
+    return newton(ft.partial(_evaluation, family, plane, phase), u, newton_steps)
 
 
 def _evaluation(
-    family: OrbitProblem, plane: ArclengthConstraint, anchor: Array, phase: Array, u: Array
+    family: OrbitProblem, plane: ArclengthConstraint, phase: PhaseCondition | None, u: Array
 ) -> Evaluation:
     """The closing of all arcs, the phase of an autonomous orbit, and the plane."""
-    starts, q = family.split(u)
-    shot = shoot(family.setting, family.options, starts, q)
-    residual, jacobian = closing(shot, starts)
-    m, n = starts.shape
-    equations, parameter_scale = jnp.tile(shot.size, m), plane.scale[-1:]
-    unknowns, result = equations, shot.result
-    if family.autonomous:
-        result = not_vanished(shot, q[0], family.split(plane.base)[1][0])
-        row = jnp.zeros_like(u).at[:n].set(phase)
-        residual = jnp.append(residual, phase @ (starts[0] - anchor))
-        jacobian = jnp.concatenate([jacobian, row[None]])
-        equations = jnp.append(equations, abs(phase) @ shot.size)
-        unknowns = jnp.append(unknowns, abs(q[0]))
+    orbit = evaluate_closing(family.setting, family.options, phase, *family.split(u))
     gap = plane.normal @ ((u - plane.base) / plane.scale) - plane.offset
     return Evaluation(
-        jnp.append(residual, gap),
-        jnp.concatenate([jacobian, (plane.normal / plane.scale)[None]]),
-        jnp.append(equations, 1.0),
-        jnp.concatenate([unknowns, parameter_scale]),
-        result,
-        shot,
+        jnp.append(orbit.residual, gap),
+        jnp.concatenate([orbit.jacobian, (plane.normal / plane.scale)[None]]),
+        jnp.append(orbit.equation_scale, 1.0),
+        jnp.append(orbit.unknown_scale, plane.scale[-1]),
+        orbit.result,
+        orbit.aux,
     )
 
 
