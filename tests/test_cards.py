@@ -23,8 +23,8 @@ def in_float32(result):
 
 
 def branch(orbits):
-    ends = {"points": [], "ended": ("start", "end"), "parameter": "omega"}
-    return made(jf.Branch, orbits=orbits, values=np.arange(2.0), **ends)
+    ends = {"points": [], "ended": ("start", "end"), "result": jf.RESULTS.successful}
+    return made(jf.Branch, parameter="omega", orbits=orbits, values=np.arange(2.0), **ends)
 
 
 SD = jf.systems.SDOscillator()
