@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxfil.bifurcations.candidates import tangency_candidates
+from jaxfil.bifurcations.candidates import guesses
 from jaxfil.bifurcations.defining_system import defining_system
 from jaxfil.bifurcations.tangency import (
     FAMILIES,
@@ -131,28 +131,11 @@ def find_bifurcation(
     one = ft.partial(
         _find, system, parameter, FAMILIES[kind], BIFURCATION_KINDS.index(kind), newton_steps
     )
-    if orbit.x0.ndim == 1:
-        found = _first_real(one, orbit, [guesses(orbit, kind)])
-    else:
-        lanes = [jax.tree.map(lambda v, i=i: v[i], orbit) for i in range(orbit.x0.shape[0])]
-        found = _first_real(eqx.filter_vmap(one), orbit, [guesses(lane, kind) for lane in lanes])
+    search = one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
+    found = _first_real(search, orbit, guesses(orbit, kind))
     if not throw:
         return found
     return found.result.error_if(found, found.result != RESULTS.successful)
-
-
-def guesses(orbit: Orbit, kind: str) -> list[tuple[Tangency, Array]]:
-    """The nearest touches, and whether there is none."""
-    candidates = (
-        tangency_candidates(orbit, kind) if bool(orbit.result == RESULTS.successful) else []
-    )
-    if candidates:
-        return [(tangency, jnp.asarray(False)) for _, tangency in candidates]
-    nan = jnp.full_like(orbit.period, jnp.nan)
-    nowhere = Tangency(
-        orbit.x0, nan, nan, nan, orbit.first_mode.astype(nan.dtype), jnp.zeros((), jnp.int32), nan
-    )
-    return [(nowhere, jnp.asarray(True))]
 
 
 def _first_real(search: Any, orbit: Orbit, lanes: list[list]) -> Bifurcation:
@@ -209,9 +192,7 @@ def _find(
     system, period, tangency = equations.placed(system, z)
     closing = root.at.aux
     found = conditions(system, closing.t, closing.x, tangency)
-    eps = float(jnp.finfo(z.dtype).eps)
-    flags = jnp.stack(kind_of(family, found, eps))
-    located = jnp.where(jnp.any(flags), jnp.argmax(flags), -1)
+    located = kind_of(family, found)
     result = RESULTS.where(located == code, RESULTS.successful, RESULTS.other_kind)
     result = RESULTS.where(closing.holds, result, RESULTS.orbit_lost)
     result = RESULTS.where(root.result == RESULTS.successful, result, root.result)

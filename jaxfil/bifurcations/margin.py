@@ -4,13 +4,17 @@ A system and an orbit close to its own enter; a number leaves, positive while th
 of the surface and zero where it grazes, with derivatives with respect to every parameter.
 """
 
+from typing import Literal, overload
+
+import equinox as eqx
 import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxfil.bifurcations.candidates import guesses
 from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
-from jaxfil.bifurcations.locate import guesses
 from jaxfil.model import check
+from jaxfil.model.card import outcome, precision
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
@@ -21,7 +25,32 @@ from jaxfil.orbits.orbit import Orbit
 _NEWTON_STEPS = 40
 
 
-def grazing_margin(system: System, orbit: Orbit) -> Float[Array, ""]:
+class GrazingMargin(eqx.Module):
+    """How far an orbit stays from grazing, and whether that was found."""
+
+    value: Float[Array, ""]
+    result: RESULTS
+
+    def __repr__(self) -> str:
+        told = precision(self.value)
+        if isinstance(self.value, jax.core.Tracer) or self.value.ndim:
+            return f"GrazingMargin{told}: a batch of shape {self.value.shape}"
+        return f"GrazingMargin{told}: {outcome(self.result)}\n  margin {float(self.value):.12g}"
+
+
+@overload
+def grazing_margin(
+    system: System, orbit: Orbit, *, throw: Literal[True] = True
+) -> Float[Array, ""]: ...
+
+
+@overload
+def grazing_margin(system: System, orbit: Orbit, *, throw: Literal[False]) -> GrazingMargin: ...
+
+
+def grazing_margin(
+    system: System, orbit: Orbit, *, throw: bool = True
+) -> Float[Array, ""] | GrazingMargin:
     """The smallest |H| of the flight on which `orbit` comes closest to grazing, signed.
 
     The flight is followed as if the surface were not there, so that the margin goes on smoothly
@@ -43,16 +72,15 @@ def grazing_margin(system: System, orbit: Orbit) -> Float[Array, ""]:
     check.system("system", system)
     if not isinstance(orbit, Orbit) or orbit.x0.ndim != 1:
         raise ValueError(f"`orbit` must be a single Orbit, got {orbit!r}.")
-    if isinstance(orbit.x0, jax.core.Tracer):
-        raise ValueError("`orbit` must be known numbers, got a traced Orbit: find it outside.")
-    # The orbit's numbers are looked at, also while the system is being traced.
-    with jax.core.eval_context():
-        tangency, missing = guesses(orbit, "grazing")[0]
+    tangency, missing = guesses(orbit, "grazing")[0][0]
     system = cast(system, orbit.x0.dtype)
     equations = _Margin(defining_system(system, orbit, tangency, "flight", (), _NEWTON_STEPS))
     phase = orbit.period if system.period is None else tangency.phase
-    z, _ = solve_implicit(equations, system, jnp.append(tangency.x, phase))
-    return jnp.where(missing, jnp.nan, z[-1])
+    z, root = solve_implicit(equations, system, jnp.append(tangency.x, phase))
+    result = RESULTS.where(missing, RESULTS.no_tangency_found, root.result)
+    if not throw:
+        return GrazingMargin(z[-1], result)
+    return result.error_if(z[-1], result != RESULTS.successful)
 
 
 class _Margin(Equations):
