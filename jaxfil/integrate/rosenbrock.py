@@ -46,7 +46,7 @@ class Rodas5P(eqx.Module):
     """
 
 
-class RosenbrockTable(eqx.Module):
+class RosenbrockTableau(eqx.Module):
     """The coefficients in the module's formulas: γ, c (s,), γ_i (s,), b (s,), and as s rows α and
     γ_ij/γ."""
 
@@ -69,7 +69,7 @@ class RosenbrockTable(eqx.Module):
         return [1.0]
 
 
-def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> RosenbrockTable:
+def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> RosenbrockTableau:
     """The table of a method published for the variables u, where x(t + h) = x + Σ m_i u_i,
     α = aΓ and Γ⁻¹ = 1/γ − C."""
     s = len(m)
@@ -81,7 +81,7 @@ def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> Rosenbr
     alpha, b = square(a) @ full, np.asarray(m) @ full
     # Sixteen published digits leave 1e-14: a constant field must not be left with it.
     b[-2] += 1 - b.sum()
-    return RosenbrockTable(
+    return RosenbrockTableau(
         gamma=gamma,
         c=tuple(map(float, alpha.sum(axis=1))),
         drift=tuple(map(float, full.sum(axis=1))),
@@ -128,22 +128,17 @@ RODAS5P = _table(
 
 
 def rosenbrock_step(
-    table: RosenbrockTable,
-    field: Callable[..., Components],
-    t: Array,
-    x: Components,
-    f: Components,
-    h: Array,
-    once: Callable[..., Any],
+    tableau: RosenbrockTableau, field: Any, t: Array, x: Components, f: Components, h: Array
 ) -> Components:
-    """The state at t + h; `f` is the field at (t, x), `once` is `ComponentSystem.once`."""
-    factors, drift = once(ft.partial(_linearised, field, table.gamma), t, x, h)
+    """The state at t + h; `field` is a `SmoothField`, `f` its value at (t, x)."""
+    once = field.once
+    factors, drift = once(ft.partial(_linearised, field, tableau.gamma), t, x, h)
     slopes: list[Components] = []
-    rows = zip(table.c, table.drift, table.alpha, table.coupling, strict=True)
+    rows = zip(tableau.c, tableau.drift, tableau.alpha, tableau.coupling, strict=True)
     for coefficients in rows:
         stage = ft.partial(_stage, field, *coefficients)
         slopes.append(once(stage, factors, drift, t, x, f, h, slopes))
-    return once(ft.partial(_advanced, table.b), x, h, slopes)
+    return once(ft.partial(_advanced, tableau.b), x, h, slopes)
 
 
 def _linearised(

@@ -3,7 +3,6 @@
 Nothing is computed here but on request: a card of a few lines, and the state between saved times.
 """
 
-import functools as ft
 from typing import Any
 
 import equinox as eqx
@@ -13,15 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxfil.integrate import components
-from jaxfil.integrate.filippov import field
+from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.state import EventTable
-from jaxfil.integrate.stepper import step, tableau
+from jaxfil.integrate.stepper import Stepper, step, tableau_of
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
+from jaxfil.model.types import Scalar
 
 
 class Events(eqx.Module):
@@ -131,10 +131,10 @@ class Dense(eqx.Module):
     ts: Array
     xs: Array
     modes: Array
-    stepper: Any
+    stepper: Stepper
 
 
-def evaluate(dense: Dense, t: Any) -> Array:
+def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     """The state at a time, shape (n,); NaN outside the span."""
     dtype = dense.xs.dtype
     t = jnp.asarray(t, dtype)
@@ -142,20 +142,14 @@ def evaluate(dense: Dense, t: Any) -> Array:
     sign = jnp.where(forward, 1.0, -1.0).astype(dtype)
     keys = jnp.where(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
     i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
-    scene_ = components.build(dense.system, dense.xs[i])
-    x, mode = components.unpack(dense.xs[i]), components.unpack(dense.modes[i].astype(dtype))
-    ts = dense.ts[i]
-    f = field(scene_, ts, x, mode)
-    smooth = ft.partial(_field_of_mode, scene_, mode)
-    table, h = tableau(dense.stepper), t - ts
-    forcing = scene_.forcing(ts, h, table.times)
-    out, _ = step(table, smooth, forcing, ts, x, f, h, scene_.once)
+    system, tableau = build(dense.system, dense.xs[i]), tableau_of(dense.stepper)
+    field = ModeField(system, unpack(dense.modes[i].astype(dtype)))
+    start, x = dense.ts[i], unpack(dense.xs[i])
+    h = t - start
+    forcing = system.forcing(start, h, tableau.times)
+    end = step(tableau, field, start, x, field(start, x), h, forcing)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
-    return jnp.where(reached, components.pack(out, dtype), jnp.nan)
-
-
-def _field_of_mode(scene_: Any, mode: Any, t: Array, x: Any, forcing: Any = None) -> Any:
-    return field(scene_, t, x, mode, forcing)
+    return jnp.where(reached, pack(end.x, dtype), jnp.nan)
 
 
 def card(sol: Solution) -> str:

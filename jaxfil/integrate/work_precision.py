@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.solve import solve
-from jaxfil.integrate.stepper import tableau
+from jaxfil.integrate.stepper import tableau_of
 from jaxfil.model import check
 from jaxfil.model.card import precision
 from jaxfil.model.drawing import draw
@@ -176,7 +176,7 @@ def _step_lengths(dts: Any) -> np.ndarray:
 def _names(steppers: Any) -> tuple[str, ...]:
     if not isinstance(steppers, (list, tuple)) or not steppers:
         raise ValueError(f"`steppers` must be a list of steppers, at least one, got {steppers!r}.")
-    return tuple(tableau(stepper).name for stepper in steppers)
+    return tuple(tableau_of(stepper).name for stepper in steppers)
 
 
 def _compiled(system, x0, t0, t1, stepper, lanes: int) -> Callable[[Any], Any]:

@@ -32,4 +32,5 @@ def draw(result: Any, **options: Any) -> Any:
     """Draw a result; returns the matplotlib axes."""
     for importer in _IMPORTERS:
         importer()
-    return _DRAWERS[type(result)](result, **options)
+    drawer = next(_DRAWERS[kind] for kind in type(result).__mro__ if kind in _DRAWERS)
+    return drawer(result, **options)

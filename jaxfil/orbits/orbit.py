@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
+from jaxfil.integrate.options import enough_iterations
 from jaxfil.integrate.solution import Dense, Events, Solution
 from jaxfil.integrate.solve import solve
 from jaxfil.model.card import outcome, precision
@@ -100,7 +101,7 @@ class Orbit(eqx.Module):
 
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is kept where every step is.
-        budget = (self.options.steps + 6 * self.options.max_events) * periods
+        budget = enough_iterations(self.options.steps * periods, self.options.max_events * periods)
         return solve(
             self.system,
             self.x0,

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate.stepper import checked
+from jaxfil.integrate.stepper import checked_stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
@@ -95,7 +95,7 @@ def periodic_orbit(
     guess = jnp.ones((), dtype)
     if autonomous:
         guess = check.scalar("period", period, dtype, positive=True)
-    stepper = checked(stepper)
+    stepper = checked_stepper(stepper)
     options = ShootingOptions(
         t0=check.scalar("t0", t0, dtype),
         steps=check.count("steps", steps) * periods,

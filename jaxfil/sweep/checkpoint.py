@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxfil.integrate.stepper import tableau
+from jaxfil.integrate.stepper import tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
 from jaxfil.model.parameter import is_parameter
@@ -101,7 +101,7 @@ def record_of(
     system: System, where: Points, given: Conditions, *, samples: int, stepper: Any
 ) -> Record:
     """All that the numbers of a sweep depend on, by the names that a user knows."""
-    table = repr(tableau(stepper)).encode()
+    table = repr(tableau_of(stepper)).encode()
     columns = where.values if isinstance(where.values, tuple) else where.rows.T
     return {
         "system": type(system).__name__,

@@ -21,6 +21,7 @@ import numpy as np
 from jaxfil.model.outcomes import RESULTS, code
 from jaxfil.sweep import multiprocess
 from jaxfil.sweep.checkpoint import Checkpoint, Piece
+from jaxfil.xla.kernel import DoesNotFitError
 
 # Lanes that share a loop, on CPU: few enough for all of their numbers to stay in the first-level
 # cache, and to wait for few others.
@@ -43,8 +44,8 @@ def compiled(run: Callable) -> Callable:
     return eqx.filter_jit(run, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
-# Jobs that XLA has refused to compile into one kernel: see `one_kernel`.
-_REFUSED: set[Any] = set()
+# Jobs that are known not to fit into one kernel: see `one_kernel`.
+_IN_PARTS: set[Any] = set()
 
 
 def _compiled_job(job: Callable, rows: np.ndarray, n: int, followed: bool) -> tuple[Callable, int]:
@@ -54,16 +55,14 @@ def _compiled_job(job: Callable, rows: np.ndarray, n: int, followed: bool) -> tu
     lanes that fail at once: a lane's last bits may depend on the shape that it was compiled in.
     """
     what = jax.tree.structure((job.args, job.keywords))
-    whole = jax.default_backend() == "cpu" and what not in _REFUSED
+    whole = jax.default_backend() == "cpu" and what not in _IN_PARTS
     lanes = _FOLLOW if followed else _lanes(len(rows), whole)
     call = ft.partial(job, followed=followed, whole=whole)
     nowhere = np.full((lanes, rows.shape[1]), np.nan, rows.dtype)
     try:
         call(nowhere, np.full((n,) if followed else (lanes, n), np.nan, rows.dtype))
-    except jax.errors.JaxRuntimeError:
-        if not whole:
-            raise
-        _REFUSED.add(what)
+    except DoesNotFitError:
+        _IN_PARTS.add(what)
         return _compiled_job(job, rows, n, followed)
     return call, lanes
 

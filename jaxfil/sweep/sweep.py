@@ -13,16 +13,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxfil.integrate import components
 from jaxfil.integrate.batch_loop import integrate_batch
+from jaxfil.integrate.components import build, unpack
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.state import Recording, TimeGrid
-from jaxfil.integrate.stepper import checked, tableau
+from jaxfil.integrate.problem import Problem, Recording, grid_of_periods
+from jaxfil.integrate.state import LoopState
+from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.labels import labels_of
@@ -120,13 +122,13 @@ def bifurcation_diagram(
         )
     labels = labels_of(system, np.shape(x0)[-1]).of(where.names)
     _check_follow(follow, where)
-    stepper = checked(stepper)
+    stepper = checked_stepper(stepper)
     conditions = Conditions(
         parameters=_others(system, where.names),
         x0=_initial_states(x0, where.shape, follow is not None).astype(dtype),
         transient=check.count("transient", transient, least=0),
         steps=check.count("steps", steps),
-        stepper=tableau(stepper).name,
+        stepper=tableau_of(stepper).name,
         follow=follow,
         version=__version__,
     )
@@ -166,15 +168,13 @@ def _swept(
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
-    job = ft.partial(
-        compiled(_run),
-        system,
-        where.names,
+    sampling = _Sampling(
         transient=jnp.asarray(given.transient, jnp.int32),
         samples=samples,
         steps=jnp.asarray(given.steps, jnp.int32),
         stepper=stepper,
     )
+    job = ft.partial(compiled(_run), system, where.names, sampling)
     if given.follow is None:
         states = given.x0.reshape(-1, given.x0.shape[-1])
         return side_by_side(job, where.rows, states, samples, kept, progress)
@@ -240,45 +240,63 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: Any) -> b
     return not missing.any()
 
 
-def _problem(system, names, transient, samples, steps, stepper, row, x0):
-    """What `integrate` is given for one point in parameter space."""
-    for i, name in enumerate(names):
-        system = replace_parameter(system, name, row[i])
-    period = jnp.asarray(system.period, x0.dtype)
-    num_steps = (transient + samples) * steps
-    span = TimeGrid(
-        t0=jnp.zeros((), x0.dtype),
-        length=(transient + samples).astype(x0.dtype) * period,
-        dt=period / steps.astype(x0.dtype),
-        num_steps=num_steps,
-        max_iterations=32 * jnp.minimum(num_steps, 2**25) + 100_000,
-    )
-    policy = Recording("samples", None, first=(transient + 1) * steps, every=steps)
-    return components.build(system, x0), tableau(stepper), span, policy
+class _Sampling(eqx.Module):
+    """What every lane of a sweep does: `transient` periods unseen, then `samples` periods whose
+    ends are kept, `steps` steps each."""
+
+    transient: Array
+    samples: int = eqx.field(static=True)
+    steps: Array
+    stepper: Stepper
+
+    def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
+        """That of one point in parameter space."""
+        for i, name in enumerate(names):
+            system = replace_parameter(system, name, row[i])
+        period = jnp.asarray(system.period, x0.dtype)
+        grid = grid_of_periods(period, self.transient + self.samples, self.steps)
+        recording = Recording(
+            save="samples",
+            max_events=None,
+            num_saves=self.samples,
+            first=(self.transient + 1) * self.steps,
+            every=self.steps,
+        )
+        return Problem(build(system, x0), tableau_of(self.stepper), grid, recording)
 
 
-def _outcome(lane):
+def _outcome(state: LoopState) -> tuple[Array, RESULTS, Array]:
     """Samples (samples, n), outcome, and the last state (n,) of a lane, or of many."""
-    xs = jnp.where(jnp.isfinite(lane.saves.xs), lane.saves.xs, jnp.nan)
-    return xs, lane.result, jnp.stack(lane.x, axis=-1)
+    assert state.saves is not None
+    xs = jnp.where(jnp.isfinite(state.saves.xs), state.saves.xs, jnp.nan)
+    return xs, state.result, jnp.stack(state.x, axis=-1)
 
 
-def _run(system, names, rows, states, *, transient, samples, steps, stepper, followed, whole):
+def _run(
+    system: System,
+    names: tuple[str, ...],
+    sampling: _Sampling,
+    rows: Array,
+    states: Array,
+    *,
+    followed: bool,
+    whole: bool,
+) -> tuple[Array, RESULTS, Array]:
     """A chunk of points side by side, or one after the other each from the last one's end."""
-    problem = ft.partial(_problem, system, names, transient, samples, steps, stepper)
+    problem = ft.partial(sampling.problem, system, names)
 
-    def lane(row, x0):
-        return _outcome(integrate(*problem(row, x0), components.unpack(x0), num_saves=samples))
+    def lane(row: Array, x0: Array) -> tuple[Array, RESULTS, Array]:
+        return _outcome(integrate(problem(row, x0), unpack(x0)))
 
-    def block(rows, states):
-        return _outcome(integrate_batch(problem, rows, states, samples))
+    def block(rows: Array, states: Array) -> tuple[Array, RESULTS, Array]:
+        return _outcome(integrate_batch(problem, rows, states))
 
     if not followed:
         return (in_blocks(block, BLOCK) if whole else jax.vmap(lane))(rows, states)
 
     single = one_kernel(lane) if whole else lane
 
-    def next_point(x, row):
+    def next_point(x: Array, row: Array) -> tuple[Array, tuple[Array, RESULTS]]:
         xs, result, end = single(row, x)
         return jnp.where(result == RESULTS.successful, end, x), (xs, result)
 

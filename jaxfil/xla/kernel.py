@@ -24,15 +24,18 @@ from jaxtyping import Array
 _WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
 
+class DoesNotFitError(Exception):
+    """A program holds an operation that a single kernel cannot hold."""
+
+
 def one_kernel(function: Callable) -> Callable:
-    """`function` of arrays as a single kernel.
+    """`function` of arrays as a single kernel; a `DoesNotFitError` where it does not fit into one:
+    see `kernel_if_it_fits`."""
 
-    It may hold arithmetic, control flow and slices; XLA refuses (`jax.errors.JaxRuntimeError`) to
-    compile a scatter, a sort or a library call there.
-    """
-
-    def call(*args):
+    def call(*args: Any) -> Any:
         program, values, tree = _opened(function, args)
+        if not _fits(program.jaxpr):
+            raise DoesNotFitError
         return jax.tree.unflatten(tree, _kernel_of(program)(*values))
 
     return call
@@ -85,14 +88,15 @@ def _all_used(values: Sequence[Array]) -> Array:
 
 # What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
 # add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
-# scatters, sorts, and calls of libraries, which a product of matrices may become.
+# scatters, sorts, and calls of libraries, which a product of matrices may become. (A `psum` over
+# the axis of a batch has become a sum over an axis of an array by then.)
 _NAMES = """
 abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh bitcast_convert_type
 broadcast_in_dim cbrt ceil clamp concatenate cond convert_element_type copy copy_p cos cosh
 custom_jvp_call div dynamic_slice empty2 eq erf erf_inv erfc exp exp2 expm1 floor gather ge gt
 integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg nextafter not
-optimization_barrier or pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_precision
-reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign sin sinh slice
+optimization_barrier or pad pjit pow psum reduce_and reduce_max reduce_min reduce_or
+reduce_precision reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign sin sinh slice
 split sqrt square squeeze stack stop_gradient sub tan tanh transpose unstack unvmap_any while xor
 """
 _FITTING = frozenset(_NAMES.split())
