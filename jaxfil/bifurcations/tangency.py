@@ -32,8 +32,7 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.shooting import ShootingOptions
 
-# Which family a kind belongs to, and the modes before, during and after the short piece of the
-# orbit that is born in it, as multiples of s.
+# Which family a kind belongs to.
 FAMILIES = {
     "grazing": "flight",
     "grazing-sliding": "flight",
@@ -134,19 +133,21 @@ def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangen
     )
 
 
-def kind_of(family: str, found: Conditions, eps: float) -> tuple[Array, ...]:
-    """Whether the conditions are those of each kind, in the order of `FAMILIES`."""
+def kind_of(family: str, found: Conditions) -> Int[Array, ""]:
+    """The number in `FAMILIES` of the kind whose conditions these are; −1 for none."""
     # Where both rates vanish together there is no sliding region.
-    scale = abs(found.other_rate) + abs(found.rate)
+    scale, eps = abs(found.other_rate) + abs(found.rate), float(jnp.finfo(found.h.dtype).eps)
     slides = (found.other_rate > 0) & (scale > jnp.sqrt(eps) * abs(found.bend))
     visible, no = found.bend > 0, jnp.zeros((), bool)
-    if family == "flight":
-        return visible & ~slides, visible & slides, no, no, no
-    if family == "slide":
-        # On a slide Ḣ_s is negative within the sliding region: it reaches zero from below.
-        return no, no, (found.slide_bend < 0) & (found.other_rate > 0), no, no
     arrives = found.other_rate > 0
-    return no, no, no, arrives & visible, arrives & (found.bend < 0)
+    flags = {
+        "flight": (visible & ~slides, visible & slides, no, no, no),
+        # On a slide Ḣ_s is negative within the sliding region: it reaches zero from below.
+        "slide": (no, no, (found.slide_bend < 0) & arrives, no, no),
+        "arrival": (no, no, no, arrives & visible, arrives & (found.bend < 0)),
+    }
+    kinds = jnp.stack(flags[family])
+    return jnp.where(jnp.any(kinds), jnp.argmax(kinds), -1)
 
 
 class Closing(eqx.Module):

@@ -142,6 +142,7 @@ def test_the_curve_of_grazing_is_where_the_amplitude_is_one(sd_grazing):
     exact = np.sqrt((1 - omega**2) ** 2 + (2 * 0.0141 * omega) ** 2)
     np.testing.assert_allclose(f0, exact, rtol=0, atol=1e-9)
     assert "omega from 0.75 to 0.95" in repr(curve)
+    assert outcome_names(curve.result) == "successful" and "  successful\n" in repr(curve)
 
 
 def test_the_value_has_the_derivative_of_the_closed_form(sd):
@@ -176,6 +177,60 @@ def test_the_margin_and_its_gradient_on_both_sides_of_grazing(sd):
         assert abs(float(value - exact)) < 1e-11
         np.testing.assert_allclose([slope.f0, slope.zeta, slope.omega], by, rtol=1e-8)
     assert float(value) < 0
+
+
+def margins(system, orbit, omegas):
+    """Margins for many values of ω, each with its outcome."""
+
+    def one(omega):
+        moved = replace_parameter(system, "omega", omega)
+        return jf.grazing_margin(moved, orbit, throw=False)
+
+    return eqx.filter_vmap(one)(jnp.asarray(omegas))
+
+
+def test_every_lane_of_a_margin_has_its_own_outcome(sd):
+    system, orbits = sd
+    found = margins(system, lane(orbits, 1), [0.8, np.nan, 0.855])
+    assert outcome_names(found.result).tolist() == ["successful", "nonfinite", "successful"]
+    exact = [margin_exact(0.25, 0.0141, omega) for omega in (0.8, np.nan, 0.855)]
+    np.testing.assert_allclose(found.value, exact, rtol=0, atol=1e-11)
+    assert repr(found) == "GrazingMargin: a batch of shape (3,)"
+    single = lane(found, 0)
+    assert repr(single) == f"GrazingMargin: successful\n  margin {float(single.value):.12g}"
+    assert "GrazingMargin: nonfinite: The state" in repr(lane(found, 1))
+    assert "GrazingMargin in float32: successful" in repr(in_float32(single))
+
+
+def test_a_margin_that_is_not_found_is_an_error(sd):
+    system, orbits = sd
+    broken = replace_parameter(system, "omega", np.nan)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="is not finite"):
+        jf.grazing_margin(broken, lane(orbits, 1))
+    lost = jf.periodic_orbit(broken, jnp.array([1.5, 0.0]), throw=False)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="no approach to a surface"):
+        jf.grazing_margin(system, lost)
+    found = jf.grazing_margin(system, lost, throw=False)
+    assert outcome_names(found.result) == "no_tangency_found" and np.isnan(float(found.value))
+
+
+@pytest.mark.parametrize("throw", [True, False])
+def test_a_margin_has_its_derivatives_with_and_without_an_error(sd, throw):
+    _, orbits = sd
+    orbit = lane(orbits, 1)
+
+    def margin(f0, zeta, omega):
+        found = jf.grazing_margin(
+            jf.systems.SDOscillator(omega=omega, f0=f0, zeta=zeta), orbit, throw=throw
+        )
+        return found if throw else found.value
+
+    f0, zeta = jnp.float64(0.25), jnp.float64(0.0141)
+    args, which = (f0, zeta, jnp.array([0.8, 0.855])), (0, 1, 2)
+    exact = jax.vmap(jax.grad(margin_exact, which), (None, None, 0))(*args)
+    for derivative in (jax.grad, jax.jacfwd):
+        got = jax.jit(jax.vmap(derivative(margin, which), (None, None, 0)))(*args)
+        np.testing.assert_allclose(got, exact, rtol=1e-8)
 
 
 def test_the_nearest_grazing_set_is_found_by_gradient(sd):
@@ -301,6 +356,35 @@ def test_a_failed_orbit_in_a_batch_harms_no_other(sd):
     found = jf.find_bifurcation(system, "omega", broken, "grazing", throw=False)
     assert outcome_names(found.result).tolist() == ["successful", "no_tangency_found", "successful"]
     np.testing.assert_allclose(found.value, [SD_LOW, np.nan, SD_HIGH], atol=1e-11)
+
+
+def test_a_bifurcation_is_found_under_jit(sd, sd_grazing):
+    system, orbits = sd
+    orbit = lane(orbits, 0)
+    value = jax.jit(lambda s: jf.find_bifurcation(s, "omega", orbit, "grazing").value)
+    np.testing.assert_allclose(value(system), sd_grazing.value, rtol=1e-14)
+    with pytest.raises(ValueError, match="`orbit` must be known numbers, got a traced Orbit"):
+        eqx.filter_jit(jf.find_bifurcation)(system, "omega", orbit, "grazing")
+
+
+def test_a_curve_that_does_not_begin_is_an_outcome(sd, sd_grazing):
+    system, orbits = sd
+    call = ("omega", "f0"), {"stop": (0.8, 0.9)}
+    # The state is that of another orbit, which does not close.
+    far = eqx.tree_at(lambda b: b.orbit.system.f0, sd_grazing, jnp.float64(40.0))
+    curve = jf.continue_bifurcation(system, call[0], far, **call[1], throw=False)
+    assert outcome_names(curve.result) == "newton_stalled"
+    np.testing.assert_allclose(curve.values, [[SD_LOW, 40.0]], rtol=1e-11)
+    np.testing.assert_array_equal(curve.xs, far.x[None])
+    assert curve.points == [] and curve.kinds == ("grazing",)
+    assert curve.ended == ("no curve was found at (0.86671658, 40)",) * 2
+    assert "newton_stalled: Newton's method cannot" in repr(curve)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="cannot reduce the residual"):
+        jf.continue_bifurcation(system, call[0], far, **call[1])
+    # One that was not found in the first place keeps its own outcome.
+    none = jf.find_bifurcation(system, "omega", lane(orbits, 0), "adding-sliding", throw=False)
+    curve = jf.continue_bifurcation(system, call[0], none, **call[1], throw=False)
+    assert outcome_names(curve.result) == "no_tangency_found"
 
 
 def test_bad_arguments_are_named(sd, sd_grazing):

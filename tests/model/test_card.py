@@ -15,8 +15,8 @@ from tests.results import in_float32
 
 
 def branch(orbits):
-    ends = {"points": [], "ended": ("start", "end"), "parameter": "omega"}
-    return made(jf.Branch, orbits=orbits, values=np.arange(2.0), **ends)
+    ends = {"points": [], "ended": ("start", "end"), "result": jf.RESULTS.successful}
+    return made(jf.Branch, parameter="omega", orbits=orbits, values=np.arange(2.0), **ends)
 
 
 SD = jf.systems.SDOscillator()

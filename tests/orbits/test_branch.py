@@ -3,17 +3,19 @@
 import functools
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax.numpy as jnp
 import matplotlib
 import matplotlib.figure
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
 
 import jaxfil as jf
+from jaxfil.model.outcomes import outcome_names
 from tests.pictures import made
 from tests.problems import PROBLEMS, closed_forms
 from tests.problems.systems import belt, cubic_belt
@@ -94,6 +96,7 @@ def test_a_branch_that_ends_says_so():
     assert branch.ended[1].startswith("no orbit was found beyond 0.8667165")
     assert_allclose(branch.values[-1], SD_GRAZES[0], rtol=0, atol=1e-8)
     assert branch.ended[0] == "start at 0.85" and not branch.points
+    assert outcome_names(branch.result) == "successful"
     assert branch.stable.all()
 
 
@@ -331,7 +334,31 @@ def test_bad_calls(change, message):
         jf.continue_orbit(call.pop("system"), call.pop("parameter"), call.pop("orbit"), **call)
 
 
-def test_an_orbit_of_another_system_is_refused():
+# The orbits of the SD oscillator are none of this one's.
+OTHER = S.SDOscillator(f0=40.0, zeta=-1.0)
+
+
+@pytest.mark.parametrize("start", ["orbit", "period doubling"])
+def test_an_orbit_of_another_system_is_an_outcome(start):
     first = sd_branch().at(0.7)[0]
-    with pytest.raises(ValueError, match="`orbit` must be a periodic orbit of `system`"):
-        jf.continue_orbit(S.SDOscillator(f0=40.0, zeta=-1.0), "omega", first, stop=0.8)
+    doubling = jf.SpecialPoint("period-doubling", 0.7, first, 0, (), ())
+    given = {"orbit": first, "period doubling": doubling}[start]
+    branch = jf.continue_orbit(OTHER, "omega", given, stop=0.8, throw=False)
+    assert outcome_names(branch.result) == "newton_stalled"
+    assert_allclose(branch.values, [0.7], rtol=1e-15)
+    assert_array_equal(branch.orbits.x0, first.x0[None])
+    assert branch.points == [] and branch.ended == ("no branch was found at 0.7",) * 2
+    assert "newton_stalled: Newton's method cannot" in repr(branch)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="cannot reduce the residual"):
+        jf.continue_orbit(OTHER, "omega", given, stop=0.8)
+    with pytest.raises(ValueError, match="`stop` must be a number or a pair"):
+        jf.continue_orbit(OTHER, "omega", given, stop="there", throw=False)
+
+
+def test_an_orbit_that_was_not_found_keeps_its_outcome():
+    lost = jf.periodic_orbit(S.SDOscillator(omega=0.7), jnp.asarray([np.nan, 0.0]), throw=False)
+    found = jf.find_bifurcations(S.SDOscillator(), "omega", lost, stop=0.8, throw=False)
+    assert outcome_names(found.result) == outcome_names(found.branch.result) == "nonfinite"
+    assert len(found) == 0 and "nonfinite: The state" in repr(found)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="is not finite"):
+        jf.find_bifurcations(S.SDOscillator(), "omega", lost, stop=0.8)
