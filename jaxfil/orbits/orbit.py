@@ -86,7 +86,9 @@ class Orbit(eqx.Module):
 
     def dense(self) -> Dense:
         """Every step of the first period."""
-        return self._solved(1, diffrax.SaveAt(dense=True))._dense
+        dense = self._solved(1, diffrax.SaveAt(dense=True))._dense
+        assert dense is not None
+        return dense
 
     def trajectory(self, periods: int = 1) -> Solution:
         """The orbit as a `Solution` that holds ten states for each step: a step of high order is

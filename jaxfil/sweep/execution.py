@@ -50,7 +50,9 @@ def compiled(run: Callable) -> Callable:
 _IN_PARTS: set[Any] = set()
 
 
-def _compiled_job(job: Callable, rows: np.ndarray, n: int, followed: bool) -> tuple[Callable, int]:
+def _compiled_job(
+    job: ft.partial, rows: np.ndarray, n: int, followed: bool
+) -> tuple[Callable, int]:
     """`job` compiled, as one kernel where that can be, and the lanes of its calls.
 
     Their number depends on the sweep and not on the machine's cores, and a call is filled up with
@@ -157,7 +159,7 @@ class _Bar:
 
 
 def side_by_side(
-    job: Callable,
+    job: ft.partial,
     rows: np.ndarray,
     states: np.ndarray,
     samples: int,
@@ -167,7 +169,7 @@ def side_by_side(
     """Samples and outcomes of all lanes, a chunk at a time on each core of each process."""
     (p, _), n = rows.shape, states.shape[1]
     with _Bar(p, progress) as bar:
-        job, size = _compiled_job(job, rows, n, False)
+        call, size = _compiled_job(job, rows, n, False)
         rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
         lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
 
@@ -177,7 +179,7 @@ def side_by_side(
             if stop.is_set():
                 return 0, False
             here = slice(start, start + size)
-            done, kept = lanes.finish(start, size, lambda: job(rows[here], states[here]))
+            done, kept = lanes.finish(start, size, lambda: call(rows[here], states[here]))
             return len(done.codes), kept
 
         starts = multiprocess.share(range(0, p, size))
@@ -199,7 +201,7 @@ def side_by_side(
 
 
 def one_after_another(
-    job: Callable,
+    job: ft.partial,
     rows: np.ndarray,
     state: np.ndarray,
     samples: int,
@@ -213,13 +215,13 @@ def one_after_another(
     p, n = len(rows), len(state)
     lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
     with _Bar(p, progress) as bar:
-        job, size = _compiled_job(job, rows, n, True)
+        call, size = _compiled_job(job, rows, n, True)
         rows = _filled_up(rows, size)
         bar.start(p)
         with suppress(KeyboardInterrupt):
             for start in range(0, p, size):
                 here = rows[start : start + size]
-                done, kept = lanes.finish(start, size, ft.partial(job, here, state))
+                done, kept = lanes.finish(start, size, ft.partial(call, here, state))
                 state = done.end
                 bar.count(len(done.codes), kept)
     xs, codes = lanes.finished()
