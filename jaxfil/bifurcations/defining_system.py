@@ -46,7 +46,7 @@ class DefiningSystem(Equations):
         period = jnp.asarray(system.period) * self.periods
         return system, period, dataclasses.replace(self.tangency, x=z[:n], phase=z[n])
 
-    def residual(self, system: System, z: Array) -> tuple[Float[Array, " n+2"], Closing]:
+    def residual(self, system: System, z: Array) -> tuple[Float[Array, " M"], Closing]:
         """Closing and the two conditions."""
         system, period, tangency = self.placed(system, z)
         closing = close(system, period, self.options, self.family, tangency)

@@ -3,7 +3,7 @@
 A result with its exponents and their standard errors enters; the lines that it prints leave.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.core
@@ -14,6 +14,7 @@ from jaxfil.model.card import outcome, precision
 from jaxfil.model.outcomes import RESULTS
 
 
+@runtime_checkable
 class Average(Protocol):
     """A result that was averaged over time."""
 

@@ -5,9 +5,10 @@ surfaces) and functions on tuples of scalars. In a batch each scalar is one cont
 lanes, which XLA turns into vector instructions; an (n,) state in the loop would be strided.
 """
 
+import abc
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -25,13 +26,16 @@ Forcing = list[Array]
 """What a field takes of time alone, at one time: see `ComponentSystem.forcing`."""
 
 
-class SmoothField(Protocol):
-    """A smooth vector field on components, x' = f(t, x): its value at a time, given what `forcing`
-    has found for that time, if anything, and `ComponentSystem.once`."""
+class SmoothField(eqx.Module):
+    """A smooth vector field on components, x' = f(t, x)."""
 
-    def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components: ...
+    @abc.abstractmethod
+    def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components:
+        """Its value, given what `ComponentSystem.forcing` has found for that time, if anything."""
 
-    def once(self, function: Callable, *args: Any) -> Any: ...
+    @abc.abstractmethod
+    def once(self, function: Callable, *args: Any) -> Any:
+        """As `ComponentSystem.once`."""
 
 
 def unpack(x: Array) -> Components:

@@ -26,7 +26,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, Forcing
+from jaxfil.integrate.components import Components, ComponentSystem, Forcing, SmoothField
 from jaxfil.xla.small_linear import solve_small
 
 # Newton iterations for the weights of an intersection at most. The system is multi-affine: affine
@@ -162,7 +162,7 @@ def field(
     return blend_fields(system, fields, mode, weights(mode, rates))
 
 
-class ModeField(eqx.Module):
+class ModeField(SmoothField):
     """The field of a mode as a smooth vector field of time and state; `blended`: the mode may
     slide. Where it is known not to, the fields of the other sides are not computed."""
 

@@ -5,6 +5,8 @@ The state of one lane between two iterations (`LoopState`), what a trial step fi
 without a decision.
 """
 
+from typing import Any, TypeAlias
+
 import equinox as eqx
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -14,24 +16,31 @@ from jaxfil.integrate.problem import TimeGrid
 from jaxfil.integrate.stepper import Trial
 from jaxfil.model.outcomes import RESULTS
 
+Rows: TypeAlias = Any
+"""An array with an entry a row, or what stands for it in a loop that keeps checkpoints."""
+
 
 class EventTable(eqx.Module):
-    """Events in order: times (k,), states just before (k, n), sets of surfaces (k, m), kinds, and
-    modes just after (k, m)."""
+    """Events in order."""
 
-    ts: Array
-    xs: Array
-    members: Array
-    kinds: Array
-    modes: Array
+    ts: Rows
+    """Times (k,)."""
+    xs: Rows
+    """States just before, (k, n)."""
+    members: Rows
+    """Sets of surfaces, (k, m)."""
+    kinds: Rows
+    """Codes of `EventKind`, (k,)."""
+    modes: Rows
+    """Modes just after, (k, m)."""
 
 
 class SavedStates(eqx.Module):
     """Saved times (k,), states (k, n) and modes (k, m); of samples the states alone."""
 
-    ts: Array
-    xs: Array
-    modes: Array
+    ts: Rows
+    xs: Rows
+    modes: Rows
 
 
 class LoopState(eqx.Module):

@@ -52,11 +52,12 @@ def evaluate_closing(
     starts: Float[Array, "M n"],
     q: Float[Array, " k"],
 ) -> Evaluation:
-    """The closing of all arcs and, of an autonomous orbit, its phase: by all starts and all of q.
-    Scales are those of the starts and the period; what else is known is the `Shot`."""
+    """The closing of all arcs and, of an autonomous orbit, its phase: by all starts and all of q,
+    whose scales are their sizes. What else is known is the `Shot`."""
     shot = shoot(setting, options, starts, q)
     residual, jacobian = _closing(shot, starts)
-    equations = unknowns = jnp.tile(shot.size, options.arcs)
+    equations = jnp.tile(shot.size, options.arcs)
+    unknowns = jnp.append(equations, abs(q))
     result = shot.result
     if phase is not None:
         # Every state closes after no time at all: a period far below the guess is no answer, and a
@@ -67,7 +68,6 @@ def evaluate_closing(
         residual = jnp.append(residual, phase.normal @ (starts[0] - phase.anchor))
         jacobian = jnp.concatenate([jacobian, row[None]])
         equations = jnp.append(equations, abs(phase.normal) @ shot.size)
-        unknowns = jnp.append(unknowns, abs(q[0]))
     return Evaluation(residual, jacobian, equations, unknowns, result, shot)
 
 

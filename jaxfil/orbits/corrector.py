@@ -86,7 +86,7 @@ def solve_across(
 
     def evaluate(u: Array) -> Evaluation:
         orbit = evaluate_closing(problem.setting, problem.options, phase, *problem.split(u))
-        unknowns = jnp.append(orbit.unknown_scale, constraint.scale[-1])
+        unknowns = orbit.unknown_scale.at[-1].set(constraint.scale[-1])  # not 0 where it is zero
         return constraint.appended(dataclasses.replace(orbit, unknown_scale=unknowns), u)
 
     return newton(evaluate, u, newton_steps)

@@ -32,12 +32,13 @@ _ENDLESS = -0.75
 
 
 class Evaluation(eqx.Module):
-    """Residual and Jacobian at a point of N unknowns, the scales of the equations and of the
-    unknowns, the outcome of the evaluation itself, and what else is known there."""
+    """M equations for N unknowns at a point: as many, or one fewer before the last one, a
+    constraint, is appended. Residual and Jacobian, the scales of the equations and of the unknowns,
+    the outcome of the evaluation itself, and what else is known there."""
 
-    residual: Float[Array, " N"]
-    jacobian: Float[Array, "N N"]
-    equation_scale: Float[Array, " N"]
+    residual: Float[Array, " M"]
+    jacobian: Float[Array, "M N"]
+    equation_scale: Float[Array, " M"]
     unknown_scale: Float[Array, " N"]
     result: RESULTS
     aux: Any

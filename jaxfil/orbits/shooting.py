@@ -11,6 +11,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
@@ -19,6 +20,7 @@ from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import integrate, integrate_in_kernel
 from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid
 from jaxfil.integrate.solution import Events, events_of
+from jaxfil.integrate.state import EventTable
 from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
@@ -58,7 +60,7 @@ class Shot(eqx.Module):
     result: RESULTS
 
     @property
-    def monodromy(self) -> Float[Array, "n n"]:
+    def monodromy(self) -> Float[Array, "n n"] | Float[np.ndarray, "n n"]:
         """∂x(t0 + T)/∂x(t0), the product of the arcs' derivatives."""
         total = self.by_start[0]
         for matrix in self.by_start[1:]:
@@ -107,18 +109,18 @@ def shoot(
         by_start=by[:, :, :n],
         by_global=by[:, :, n:],
         size=jnp.where(size == 0, 1, size),
-        events=_merged(events_of(tables), options.max_events),
+        events=events_of(_merged(tables, options.max_events)),
         num_events=jnp.sum(counts, dtype=jnp.int32),
         first_mode=modes[0],
         result=result,
     )
 
 
-def _merged(events: Events | None, size: int) -> Events | None:
+def _merged(tables: EventTable | None, size: int) -> EventTable | None:
     """The tables of all arcs in one, in order of time, its first `size` rows."""
-    if events is None:
+    if tables is None:
         return None
-    flat = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), events)
+    flat = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), tables)
     order = jnp.argsort(flat.ts, stable=True)[:size]
     return jax.tree.map(lambda v: v[order], flat)
 

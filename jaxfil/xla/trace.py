@@ -52,6 +52,10 @@ _MOVES = (
 FIRST, EARLY, LATE = range(3)
 
 
+_Flags = np.ndarray | np.bool_
+"""Of each element of an array, whether something is so."""
+
+
 class Traced:
     """`function` for arguments shaped like `example`.
 
@@ -211,13 +215,13 @@ def _evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
 
 def _dependencies(
     jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], sources: Collection[str] = ()
-) -> list[np.ndarray]:
+) -> list[_Flags]:
     """Element-wise dependency flags through a jaxpr; what the primitives `sources` give is
     flagged."""
     values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
     values.update(zip(jaxpr.invars, args, strict=True))
 
-    def read(atom: Any) -> np.ndarray:
+    def read(atom: Any) -> _Flags:
         shape = atom.aval.shape
         return np.zeros(shape, bool) if isinstance(atom, jexc.Literal) else values[atom]
 
