@@ -50,7 +50,7 @@ class _SystemOf(eqx.Module):
 
 def solve_implicit(
     equations: Equations, system: System, guess: Float[Array, " N"]
-) -> tuple[Float[Array, " N"], Any]:
+) -> tuple[Float[Array, " M"], Any]:
     """The solution near a guess and what else is known there. The solution has derivatives with
     respect to the float leaves of the system; those of all else are NaN."""
     theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
