@@ -238,7 +238,7 @@ def test_slip_stick():
 def test_the_period_zero_is_no_answer():
     # Every state closes after no time at all.
     orbit = jf.periodic_orbit(S.SlipStick(), jnp.asarray([1.1, 0.3]), period=0.2, throw=False)
-    assert bool(orbit.result != RESULTS.successful) or orbit.period > 9
+    assert bool(orbit.result == RESULTS.newton_stalled)
 
 
 def central(f, at, h=1e-4):

@@ -179,7 +179,7 @@ def test_what_is_done_comes_back_after_ctrl_c(monkeypatch, tmp_path, follow):
         with pytest.warns(RuntimeWarning, match="of [24]0+ lanes are finished.*goes on from") as w:
             part = sweep(values, follow=follow, checkpoint=tmp_path)
     assert w[0].filename == __file__
-    done = outcome_names(part.results) != "interrupted"
+    done = ~(outcome_names(part.results) == "interrupted")
     assert 0 < done.sum() < len(values) and part.successful.sum() == done.sum()
     assert np.all(np.isnan(part.xs[~done]))
     np.testing.assert_array_equal(part.xs[done], whole.xs[done])
