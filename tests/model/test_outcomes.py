@@ -11,14 +11,14 @@ from tests.problems import PROBLEMS
 OUTCOMES = list(RESULTS._name_to_item)
 # Those that no test meets, and why.
 UNREACHED = {
-    "orbit_lost": "It needs a flight that touches the surface and passes through it elsewhere. Of a "
-    "flight with two dips, the search from the one that falls more slowly ends on another orbit.",
+    "orbit_lost": "It needs a flight that touches the surface and passes through it elsewhere. On "
+    "a flight with two dips, the search from the slower one ends on another orbit.",
 }
 
 
 def asserted():
-    """Names of outcomes in the assertions of tests: `RESULTS.name`, or the name in quotes in a list
-    or a comparison. Unequal to an outcome is not met."""
+    """Names of outcomes that tests compare with or list: `RESULTS.name`, or the name in quotes. To
+    be unequal to an outcome is not to meet it."""
     trees = {f: ast.parse(f.read_text()) for f in (ROOT / "tests").rglob("test_*.py")}
     for file, tree in trees.items():
         if file.name == "test_outcomes.py" and file.parent.name == "model":
@@ -27,13 +27,14 @@ def asserted():
             if isinstance(node, ast.Compare) and any(isinstance(op, ast.NotEq) for op in node.ops):
                 continue
             if isinstance(node, ast.Compare | ast.List | ast.Tuple | ast.Call | ast.Assign):
-                for part in ast.iter_child_nodes(node):
-                    if isinstance(part, ast.Attribute) and ast.unparse(part.value).endswith(
-                        "RESULTS"
-                    ):
-                        yield part.attr
-                    elif isinstance(part, ast.Constant):
-                        yield part.value
+                yield from map(named, ast.iter_child_nodes(node))
+
+
+def named(node):
+    """The outcome that an expression names, perhaps."""
+    if isinstance(node, ast.Attribute) and ast.unparse(node.value).endswith("RESULTS"):
+        return node.attr
+    return node.value if isinstance(node, ast.Constant) else None
 
 
 def test_every_outcome_is_met_or_listed():
