@@ -22,6 +22,7 @@ from tests.problems.values import (
     BELT_CHANGES,
     BELT_GRAZES,
     CUBIC_GRAZES,
+    DEN_HARTOG_STICKS,
     SD_GRAZES,
     WALL_GRAZES,
 )
@@ -111,7 +112,7 @@ def test_sticking_begins_as_den_hartog_says_over_a_range_of_frequencies():
     system = jf.systems.DenHartog(friction=0.78, omega=0.8)
     orbit = jf.periodic_orbit(system, jnp.array([2.0, 0.3]), steps=80)
     begins = jf.find_bifurcation(system, "friction", orbit, "crossing-sliding")
-    assert abs(float(begins.value) - 0.8174063857) < 1e-10
+    assert abs(float(begins.value) - DEN_HARTOG_STICKS) < 1e-10
     assert abs(float(begins.value) - closed_forms.den_hartog_sticks(0.8)) < 1e-11
     names = ("omega", "friction")
     curve = jf.continue_bifurcation(system, names, begins, stop=(0.55, 0.95))

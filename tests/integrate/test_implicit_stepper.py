@@ -4,8 +4,6 @@ The tests are those of the explicit one, run with another default. Left out are 
 the default stepper integrates to more digits in the steps it is given there.
 """
 
-import functools as ft
-
 import pytest
 
 import jaxfil as jf
@@ -33,7 +31,16 @@ TESTS = [
 
 @pytest.fixture(autouse=True)
 def implicit(monkeypatch):
-    monkeypatch.setattr(jf, "solve", ft.partial(jf.solve, stepper=jf.Rodas5P()))
+    """What a test solves it solves with the other stepper, and it solves something."""
+    solve, steppers = jf.solve, []
+
+    def with_rodas5p(*args, stepper=None, **kwargs):
+        steppers.append(stepper)
+        return solve(*args, stepper=jf.Rodas5P(), **kwargs)
+
+    monkeypatch.setattr(jf, "solve", with_rodas5p)
+    yield
+    assert steppers and set(steppers) == {None}
 
 
 @pytest.mark.parametrize(("test", "arguments"), TESTS, ids=lambda v: getattr(v, "__name__", ""))

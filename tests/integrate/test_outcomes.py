@@ -128,7 +128,7 @@ def test_undeclared_sliding_is_no_matter_where_the_scene_only_crosses():
 def test_impact_that_does_not_turn_the_motion_back(factor):
     # Falls from 1/2, at the floor at t = 1: no motion leads on from there.
     sol = run(Wall(jnp.asarray(factor)), (0.5, 0), 3.0, 0.3)
-    assert sol.result in (RESULTS.mode_undecided, RESULTS.zeno)
+    assert sol.result == RESULTS.mode_undecided
     assert_allclose(sol.t_final, 1.0, rtol=1e-12)
     assert_allclose(sol.x_final[0], 0, atol=1e-12)
 
@@ -231,5 +231,5 @@ def test_nan_or_inf(poisoned, name):
 def test_nan_or_inf_is_raised(name):
     (x0, t0, t1, *numbers), _ = INJECTIONS[name]
     system = Poison(*(jnp.asarray(float(v)) for v in numbers))
-    with pytest.raises((ValueError, RuntimeError), match="finite"):
+    with pytest.raises(RuntimeError, match="a reset is not finite"):
         jf.solve(system, jnp.asarray([float(x0)]), t0, t1, 0.15, max_events=8)

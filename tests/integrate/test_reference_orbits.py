@@ -87,7 +87,7 @@ def test_sd_oscillator_one_sided_multipliers():
     assert_allclose(np.log(abs(multipliers)) / period, SD_DAMPING / 2, rtol=1e-10)
 
 
-@pytest.mark.parametrize(("omega", "inside"), zip(SD_GRAZES, (1, -1), strict=True))
+@pytest.mark.parametrize(("omega", "inside"), [*zip(SD_GRAZES, (1, -1), strict=True)])
 def test_sd_oscillator_one_sided_orbit_grazes(omega, inside):
     # Exact: f0 = √((1 - Ω²)² + (2ζΩ)²). The amplitude is above 1 between the two values.
     for side, met in ((-inside, False), (inside, True)):
@@ -154,7 +154,7 @@ def linear_orbit(omega):
     return jnp.asarray([shift + response.real, (1j * omega * response).real])
 
 
-@pytest.mark.parametrize(("omega", "inside"), zip(BELT_GRAZES, (1, -1), strict=True))
+@pytest.mark.parametrize(("omega", "inside"), [*zip(BELT_GRAZES, (1, -1), strict=True)])
 def test_belt_non_sliding_orbit_grazes(omega, inside):
     for side, met in ((-inside, False), (inside, True)):
         near = omega + 1e-8 * side

@@ -224,8 +224,9 @@ def test_batches():
     heights = jnp.asarray([10.0, 10.0, jnp.nan, 0.005, 7.0])
     batch = eqx.filter_jit(jax.vmap(lane))(es, heights)
     alone = [eqx.filter_jit(lane)(e, h) for e, h in zip(es, heights, strict=True)]
-    want = [RESULTS.successful, RESULTS.zeno, RESULTS.nonfinite]
-    assert all(sol.result == result for sol, result in zip(alone, want, strict=False))
+    full = RESULTS.max_events_reached
+    want = [RESULTS.successful, RESULTS.zeno, RESULTS.nonfinite, full, full]
+    assert all(sol.result == result for sol, result in zip(alone, want, strict=True))
     for k, sol in enumerate(alone):
         mine = jax.tree.map(lambda leaf, k=k: leaf[k], batch)
         assert mine.result == sol.result

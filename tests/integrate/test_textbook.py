@@ -13,7 +13,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
 from tests.problems import PROBLEMS, closed_forms, tagged
-from tests.problems.values import SLIP_STICK_PERIOD, WALL_GRAZES
+from tests.problems.values import (
+    DEN_HARTOG_AMPLITUDE,
+    DEN_HARTOG_STICKS,
+    SLIP_STICK_PERIOD,
+    WALL_GRAZES,
+)
 from tests.results import assert_solves, by_imaginary_part, run, solved, table
 
 CROSS, STICK = EventKind.crossing, EventKind.stick
@@ -108,7 +113,7 @@ def test_den_hartog_multipliers():
         return jf.solve(p.system, x0, p.t0, p.t0 + p.system.period, p.dt).xs[-1]
 
     amplitude, _ = closed_forms.den_hartog()
-    assert_allclose(amplitude, 2.6261048757, atol=1e-10)
+    assert_allclose(amplitude, DEN_HARTOG_AMPLITUDE, atol=1e-10)
     multipliers = by_imaginary_part(np.linalg.eigvals(jax.jacfwd(end)(jnp.asarray(p.x0))))
     want = 0.022940452694 + 0.696700298863j
     assert_allclose(multipliers, [want.conjugate(), want], atol=1e-11)
@@ -119,7 +124,7 @@ def test_den_hartog_sticks_beyond_its_crossing_sliding():
     # Where ρ = 0: transients die at once.
     omega = 0.8
     s_star = closed_forms.den_hartog_sticks(omega)
-    assert_allclose(s_star, 0.8174063857, atol=1e-10)
+    assert_allclose(s_star, DEN_HARTOG_STICKS, atol=1e-10)
     period = 2 * np.pi / omega
 
     def slides(s):

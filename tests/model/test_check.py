@@ -1,7 +1,6 @@
 """Bad calls: a ValueError that names the argument, what it must be and what it was."""
 
 import math
-import re
 
 import diffrax
 import jax
@@ -64,142 +63,298 @@ def saving(ts):
     return diffrax.SaveAt(ts=jnp.asarray(ts))
 
 
-# The call, the argument it must name and what it must say the argument was.
+STATE = "`x0` must be of shape (n,) with n ≥ 1"
+STEPPER = (
+    "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit diffrax "
+    "Runge–Kutta solver such as diffrax.Dopri8()"
+)
+SAVES = (
+    "`saveat` must ask for exactly one of t1=True, ts=…, steps=True, dense=True (and t0=True only "
+    "with steps=True)"
+)
+TIMES = "`saveat.ts` must be times in order within the span from t0 = 0.0 to t1 = 1.0"
+SHAPE = "`vector_field` of Custom must return an array of the shape of the state, (2,)"
+COMPILED = (
+    "`vector_field` of Custom must be made of jnp functions, for it is compiled, and t, x, side "
+    "have no values until it runs: jnp.where(side > 0, a, b) instead of `if`, jnp.sin instead of "
+    "math.sin or np.sin, jnp.stack instead of np.array"
+)
+LEAVES = (
+    "`parameter` must be a parameter of _DriveResponse, one of system.f0, system.zeta, system.omega"
+)
+
+# The call, how its message begins and what it must say after that the argument was.
 CALLS = {
-    "system is a function": (lambda: solve(lambda t, x: x), "system", "function"),
-    "system is a class": (lambda: solve(jf.systems.SDOscillator), "system", "SDOscillator"),
-    "x0 is a number": (lambda: solve(x0=jnp.asarray(1.0)), "x0", "()"),
-    "x0 is a batch": (lambda: solve(x0=jnp.zeros((3, 2))), "x0", "(3, 2)"),
-    "x0 is empty": (lambda: solve(x0=jnp.zeros(0)), "x0", "(0,)"),
-    "x0 is complex": (lambda: solve(x0=jnp.asarray([1j, 0])), "x0", "complex128"),
-    "x0 is a word": (lambda: solve(x0="here"), "x0", "here"),
-    "x0 is too long": (lambda: solve(x0=jnp.zeros(3)), "vector_field", "(2,)"),
-    "t0 is an array": (lambda: solve(t0=jnp.zeros(2)), "t0", "(2,)"),
-    "t0 is None": (lambda: solve(t0=None), "t0", "None"),
-    "t1 is a word": (lambda: solve(t1="later"), "t1", "later"),
-    "t1 is complex": (lambda: solve(t1=1j), "t1", "complex128"),
-    "dt is zero": (lambda: solve(dt=0.0), "dt", "0.0"),
-    "dt is negative": (lambda: solve(t1=-1.0, dt=-0.25), "dt", "-0.25"),
-    "dt is not a number": (lambda: solve(dt=float("nan")), "dt", "nan"),
-    "dt is an array": (lambda: solve(dt=jnp.full(4, 0.1)), "dt", "(4,)"),
-    "stepper is a name": (lambda: solve(stepper="rk4"), "stepper", "rk4"),
-    "stepper is a class": (lambda: solve(stepper=diffrax.Tsit5), "stepper", "Tsit5"),
-    "stepper is implicit": (lambda: solve(stepper=diffrax.Kvaerno5()), "stepper", "Kvaerno5"),
-    "saveat is a list": (lambda: solve(saveat=[0.5]), "saveat", "list"),
-    "saveat is empty": (lambda: solve(saveat=diffrax.SaveAt()), "saveat", "[]"),
-    "saved after the end": (lambda: solve(saveat=saving([0.5, 1.5])), "ts", "1.5"),
-    "saved before the start": (lambda: solve(saveat=saving([-0.5, 0.5])), "ts", "-0.5"),
-    "saved out of order": (lambda: solve(saveat=saving([0.75, 0.25])), "ts", "0.25"),
-    "max_events is zero": (lambda: solve(max_events=0), "max_events", "0"),
-    "max_events is a fraction": (lambda: solve(max_events=2.5), "max_events", "2.5"),
-    "max_steps is negative": (lambda: solve(max_steps=-3), "max_steps", "-3"),
-    "adjoint is a word": (lambda: solve(adjoint="reverse"), "adjoint", "reverse"),
+    "system is a function": (
+        lambda: solve(lambda t, x: x),
+        "`system` must be an instance of jaxfil.System",
+        "function",
+    ),
+    "system is a class": (
+        lambda: solve(jf.systems.SDOscillator),
+        "`system` must be an instance of jaxfil.System",
+        "SDOscillator",
+    ),
+    "x0 is a number": (
+        lambda: solve(x0=jnp.asarray(1.0)),
+        STATE,
+        "()",
+    ),
+    "x0 is a batch": (
+        lambda: solve(x0=jnp.zeros((3, 2))),
+        STATE,
+        "(3, 2)",
+    ),
+    "x0 is empty": (
+        lambda: solve(x0=jnp.zeros(0)),
+        STATE,
+        "(0,)",
+    ),
+    "x0 is complex": (
+        lambda: solve(x0=jnp.asarray([1j, 0])),
+        "`x0` must be of a real dtype",
+        "complex128",
+    ),
+    "x0 is a word": (lambda: solve(x0="here"), "`x0` must be an array of shape (n,)", "here"),
+    "x0 is too long": (
+        lambda: solve(x0=jnp.zeros(3)),
+        "`vector_field` of CoulombOscillator must return an array of the shape of the state, (3,)",
+        "(2,)",
+    ),
+    "t0 is an array": (lambda: solve(t0=jnp.zeros(2)), "`t0` must be a number", "(2,)"),
+    "t0 is None": (lambda: solve(t0=None), "`t0` must be a number", "None"),
+    "t1 is a word": (lambda: solve(t1="later"), "`t1` must be a number", "later"),
+    "t1 is complex": (lambda: solve(t1=1j), "`t1` must be a number", "complex128"),
+    "dt is zero": (lambda: solve(dt=0.0), "`dt` must be a positive number", "0.0"),
+    "dt is negative": (lambda: solve(t1=-1.0, dt=-0.25), "`dt` must be a positive number", "-0.25"),
+    "dt is not a number": (lambda: solve(dt=float("nan")), "`dt` must be a positive number", "nan"),
+    "dt is an array": (
+        lambda: solve(dt=jnp.full(4, 0.1)),
+        "`dt` must be a positive number",
+        "(4,)",
+    ),
+    "stepper is a name": (
+        lambda: solve(stepper="rk4"),
+        STEPPER,
+        "rk4",
+    ),
+    "stepper is a class": (
+        lambda: solve(stepper=diffrax.Tsit5),
+        "`stepper` must be an instance",
+        "Tsit5",
+    ),
+    "stepper is implicit": (
+        lambda: solve(stepper=diffrax.Kvaerno5()),
+        STEPPER,
+        "Kvaerno5",
+    ),
+    "saveat is a list": (lambda: solve(saveat=[0.5]), "`saveat` must be a diffrax.SaveAt", "list"),
+    "saveat is empty": (
+        lambda: solve(saveat=diffrax.SaveAt()),
+        SAVES,
+        "[]",
+    ),
+    "saved after the end": (
+        lambda: solve(saveat=saving([0.5, 1.5])),
+        TIMES,
+        "1.5",
+    ),
+    "saved before the start": (
+        lambda: solve(saveat=saving([-0.5, 0.5])),
+        TIMES,
+        "-0.5",
+    ),
+    "saved out of order": (
+        lambda: solve(saveat=saving([0.75, 0.25])),
+        TIMES,
+        "0.25",
+    ),
+    "max_events is zero": (
+        lambda: solve(max_events=0),
+        "`max_events` must be an integer of at least 1 or None",
+        "0",
+    ),
+    "max_events is a fraction": (
+        lambda: solve(max_events=2.5),
+        "`max_events` must be an integer of at least 1 or None",
+        "2.5",
+    ),
+    "max_steps is negative": (
+        lambda: solve(max_steps=-3),
+        "`max_steps` must be an integer of at least 1 or None",
+        "-3",
+    ),
+    "adjoint is a word": (
+        lambda: solve(adjoint="reverse"),
+        "`adjoint` must be diffrax.ForwardMode() or diffrax.RecursiveCheckpointAdjoint()",
+        "reverse",
+    ),
     "field of another shape": (
         lambda: solve(custom(field=lambda x: jnp.zeros(3))),
-        "vector_field",
+        SHAPE,
         "(3,)",
     ),
-    "field is None": (lambda: solve(custom(field=lambda x: None)), "vector_field", "no array"),
+    "field is None": (
+        lambda: solve(custom(field=lambda x: None)),
+        SHAPE,
+        "no array",
+    ),
     "field is complex": (
         lambda: solve(custom(field=lambda x: jax.lax.complex(x, x))),
-        "vector_field",
+        "`vector_field` of Custom must return real numbers",
         "complex",
     ),
     "H is a matrix": (
         lambda: solve(custom(surface=lambda x: x[:, None] * x)),
-        "switching",
+        "`switching` of Custom must return a scalar or an array of shape (m,)",
         "(2, 2)",
     ),
     "field branches": (
         lambda: solve(custom(field=lambda x: x if x[0] > 0 else -x)),
-        "vector_field",
+        COMPILED,
         "TracerBoolConversionError",
     ),
     "field calls math": (
         lambda: solve(custom(field=lambda x: x * math.sin(x[0]))),
-        "jnp.sin",
+        COMPILED,
         "ConcretizationTypeError",
     ),
     "field is of NumPy": (
         lambda: solve(custom(field=lambda x: np.array([x[1], x[0]]))),
-        "jnp.stack",
+        COMPILED,
         "TracerArrayConversionError",
     ),
-    "field is a list": (lambda: solve(custom(field=list)), "jnp.stack", "type list"),
-    "field without side": (lambda: solve(Short()), "(self, t, x, side)", "(t, x)"),
-    "H is a condition": (lambda: solve(custom(surface=lambda x: x[0] > 0)), "switching", "bool"),
-    "period is a method": (lambda: solve(Short(period=lambda: 1.0)), "period", "method"),
+    "field is a list": (
+        lambda: solve(custom(field=list)),
+        SHAPE,
+        "type list: write jnp.stack",
+    ),
+    "field without side": (
+        lambda: solve(Short()),
+        "`vector_field` of Short must take (self, t, x, side)",
+        "(t, x)",
+    ),
+    "H is a condition": (
+        lambda: solve(custom(surface=lambda x: x[0] > 0)),
+        "`switching` of Custom must return real numbers",
+        "bool",
+    ),
+    "period is a method": (
+        lambda: solve(Short(period=lambda: 1.0)),
+        "`period` of Short must be a number, a property or None",
+        "method",
+    ),
     "piecewise by two surfaces": (
         lambda: solve(jf.piecewise(same, same, lambda t, x: x)),
-        "switching",
+        "`switching` must return a scalar, for two fields meet at one surface",
         "(2,)",
     ),
     "piecewise by no surface": (
         lambda: solve(jf.piecewise(same, same, lambda t, x: x[:0])),
-        "switching",
+        "`switching` must return a scalar, for two fields meet at one surface",
         "(0,)",
     ),
     "piecewise of a list": (
         lambda: solve(jf.piecewise(same, lambda t, x: [x[1], x[0]], lambda t, x: x[0])),
-        "f_minus",
+        "`f_minus` must return a jax array of shape (2,)",
         "list",
     ),
     "reset of another shape": (
         lambda: solve(custom(after=lambda x: x[:1])),
-        "reset",
+        "`reset` of Custom must return an array of the shape of the state, (2,)",
         "(1,)",
     ),
-    "f_plus is a number": (lambda: jf.piecewise(1.0, lambda t, x: x, len), "f_plus", "1.0"),
+    "f_plus is a number": (
+        lambda: jf.piecewise(1.0, lambda t, x: x, len),
+        "`f_plus` must be a callable of (t, x)",
+        "1.0",
+    ),
     "switching is None": (
         lambda: jf.piecewise(lambda t, x: x, lambda t, x: -x, None),
-        "switching",
+        "`switching` must be a callable of (t, x)",
         "None",
     ),
-    "smoothed width is negative": (lambda: jf.smoothed(GOOD, -0.5), "width", "-0.5"),
-    "smoothed system is None": (lambda: jf.smoothed(None, 0.1), "system", "NoneType"),
-    "diagram of no such leaf": (lambda: diagram(parameter="omgea"), "omgea", "omega"),
+    "smoothed width is negative": (
+        lambda: jf.smoothed(GOOD, -0.5),
+        "`width` must be positive",
+        "-0.5",
+    ),
+    "smoothed system is None": (
+        lambda: jf.smoothed(None, 0.1),
+        "`system` must be a jaxfil.System",
+        "NoneType",
+    ),
+    "diagram of no such leaf": (
+        lambda: diagram(parameter="omgea"),
+        "`parameter` must be a parameter of SDOscillator, one of f0, zeta, omega",
+        "omgea",
+    ),
     "diagram without a period": (
         lambda: diagram(GOOD, "friction"),
-        "period",
+        "`system` must be forced: a diagram samples once a forcing period",
         "CoulombOscillator",
     ),
     "diagram of an integer": (
         lambda: diagram(jf.drive_response(FORCED, 1), "coupling"),
-        "coupling",
+        LEAVES,
         "no float",
     ),
     "diagram with name and values exchanged": (
         lambda: diagram(parameter=jnp.ones(2), values="omega"),
-        "parameter",
+        "`parameter` must be a string, or two or more different ones",
         "[1., 1.]",
     ),
     "basins without a period": (
         lambda: jf.basins_of_attraction(GOOD, ([0.0], [0.0])),
-        "system",
+        "`system` must be forced: motions are looked at once a forcing period",
         "CoulombOscillator",
     ),
     "basins over three axes": (
         lambda: jf.basins_of_attraction(FORCED, ([0.0], [0.0], [1.0])),
-        "axes",
+        "`axes` must be a pair, the values of two components",
         "[1.0]",
     ),
-    "diagram of a matrix": (lambda: diagram(values=np.ones((2, 3))), "values", "(2, 3)"),
-    "diagram of nothing": (lambda: diagram(values=np.ones(0)), "values", "(0,)"),
-    "diagram follows sideways": (lambda: diagram(follow="left"), "follow", "left"),
-    "diagram without steps": (lambda: diagram(steps=0), "steps", "0"),
-    "diagram without samples": (lambda: diagram(samples=-1), "samples", "-1"),
-    "diagram of negative transient": (lambda: diagram(transient=-5), "transient", "-5"),
+    "diagram of a matrix": (
+        lambda: diagram(values=np.ones((2, 3))),
+        "`values` must be real numbers of shape (p,) with p ≥ 1",
+        "(2, 3)",
+    ),
+    "diagram of nothing": (
+        lambda: diagram(values=np.ones(0)),
+        "`values` must be real numbers of shape (p,) with p ≥ 1",
+        "(0,)",
+    ),
+    "diagram follows sideways": (
+        lambda: diagram(follow="left"),
+        '`follow` must be "up", "down" or None',
+        "left",
+    ),
+    "diagram without steps": (
+        lambda: diagram(steps=0),
+        "`steps` must be an integer of at least 1",
+        "0",
+    ),
+    "diagram without samples": (
+        lambda: diagram(samples=-1),
+        "`samples` must be an integer of at least 1",
+        "-1",
+    ),
+    "diagram of negative transient": (
+        lambda: diagram(transient=-5),
+        "`transient` must be an integer of at least 0",
+        "-5",
+    ),
 }
 
 
 @pytest.mark.parametrize("name", list(CALLS))
 def test_bad_call(name):
-    call, argument, was = CALLS[name]
-    with pytest.raises(ValueError, match=re.escape(argument)) as caught:
+    call, sentence, was = CALLS[name]
+    with pytest.raises(ValueError) as caught:
         call()
     message = str(caught.value)
-    assert "must" in message or "needs" in message
-    assert was in message
+    assert message.startswith(sentence)
+    assert was in message.removeprefix(sentence)
 
 
 def test_reverse_mode_with_a_traced_step_asks_for_max_steps():
@@ -218,4 +373,4 @@ def test_evaluate_asks_for_a_dense_solution():
 def test_traced_bad_step_is_an_outcome():
     # No ValueError is possible under jit: still no hang, and no silent success.
     sol = jax.jit(lambda dt: solve(dt=dt, throw=False))(jnp.asarray(-0.1))
-    assert sol.result != jf.RESULTS.successful
+    assert sol.result == jf.RESULTS.nonfinite

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import re
-import time
 
 import diffrax
 import jax
@@ -126,18 +125,21 @@ def test_a_diagram_of_one_value_can_be_seen():
     assert ax.lines[0].get_markersize() == 2
 
 
-def test_a_million_samples_are_drawn_in_seconds(tmp_path):
+def test_a_million_samples_are_one_image(tmp_path):
+    # One line of markers, kept as pixels: a stroke for each would be minutes and 60 MB.
     diagram = swept()
     shape = (10_000, 100, 2)
     values = jnp.linspace(0.0, 1.0, shape[0])
     xs = jnp.sin(jnp.arange(np.prod(shape), dtype=float)).reshape(shape)
     results = jax.tree.map(lambda code: jnp.full(shape[0], code[0]), diagram.results)
     many = dataclasses.replace(diagram, values=values, xs=xs, results=results)
-    start = time.perf_counter()
     page = jf.plot.page()
-    jf.plot.bifurcation_diagram(many, page.add_subplot())
+    ax = jf.plot.bifurcation_diagram(many, page.add_subplot())
+    (dots,) = ax.lines
+    assert dots.get_rasterized() and len(dots.get_xdata()) == 1_000_000
+    assert dots.get_linestyle() == "None" and dots.get_markeredgewidth() == 0
+    assert not [*ax.collections, *ax.patches, *ax.images]
     page.savefig(tmp_path / "million.pdf")
-    assert time.perf_counter() - start < 10
     assert (tmp_path / "million.pdf").stat().st_size < 3e6
 
 
@@ -384,11 +386,14 @@ def test_another_result_is_refused_by_its_name(name):
     draw = getattr(jf.plot, name)
     before = {"values": VALUES} if name == "lyapunov_exponents" else {}
     for wrong in (None, np.zeros(3), jf.systems.SDOscillator(), jf.Bifurcation):
-        with pytest.raises(
-            ValueError, match=re.escape(f"`{argument}` must be {must}, got")
-        ) as told:
+        with pytest.raises(ValueError) as told:
             draw(**before, **{argument: wrong})
-        assert any(word in str(told.value) for word in (type(wrong).__name__, "None", "(3,)"))
+        sentence, was = f"`{argument}` must be {must}, got ", type(wrong).__name__
+        if name == "poincare_section" and was == "ndarray":
+            was = "shape (3,)"
+        elif name != "poincare_section":
+            was = "None" if wrong is None else f"an object of type {was}"
+        assert str(told.value) == f"{sentence}{was}."
     for public in re.findall(r"jaxfil\.(\w+)", must):
         assert hasattr(jf, public)
     with pytest.raises(ValueError, match="`ax` must be matplotlib axes or None, got SDOscillator"):

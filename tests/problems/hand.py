@@ -27,7 +27,7 @@ HAND = {
         kinds=[CROSS],
     ),
     "crosses as declared": Problem(
-        affine((1, -1), (-1, -2), kind=NeverSliding), (0, 1), 2, 0.3, "crossing", end=(0, -2)
+        affine((1, -1), (-1, -2), kind=NeverSliding), (0, 1), 2, 0.3, "declared", end=(0, -2)
     ),
     "two roots in a step": Problem(
         roots((0.3, 0.6)),

@@ -14,3 +14,5 @@ WALL_GRAZES = 0.4560701704  # amplitude of the impact oscillator's force at 1.2
 BELT_DAMPING, SD_DAMPING = -0.4905, -0.0282
 SD_AT_5 = 0.15854311422638651592, -0.93147098153906364592  # of the problem "sd"
 SLIP_STICK_PERIOD = 9.230770458083
+DEN_HARTOG_AMPLITUDE = 2.6261048757  # at 0.8 with a friction of 0.3
+DEN_HARTOG_STICKS = 0.8174063857  # the friction at 0.8 beyond which the orbit sticks

@@ -1,4 +1,4 @@
-"""The house is in order: what imports what, how long files are, and what the papers promise."""
+"""The house is in order: what imports what, how long files are, what is declared."""
 
 import ast
 import re
@@ -10,6 +10,7 @@ import pytest
 
 import jaxfil as jf
 from tests import ROOT
+from tests.project.readme import blocks
 
 PACKAGE = ROOT / "jaxfil"
 
@@ -96,10 +97,6 @@ def third_party(tree):
             yield top
 
 
-def readme_blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", (ROOT / "README.md").read_text(), re.M | re.S)
-
-
 def project():
     return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
@@ -157,7 +154,7 @@ def test_importing_jaxfil_never_imports_matplotlib():
 
 
 def test_declared_dependencies_are_those_imported_by_the_package_and_the_scripts_in_readme():
-    sources = [f.read_text() for f in PACKAGE.rglob("*.py")] + readme_blocks("python")
+    sources = [f.read_text() for f in PACKAGE.rglob("*.py")] + blocks("python")
     used = {name for source in sources for name in third_party(ast.parse(source))}
     optional = declared(project()["optional-dependencies"]["xarray"])
     assert declared(project()["dependencies"]) == used - optional
@@ -172,25 +169,3 @@ def test_an_extra_declares_what_its_folder_imports(extra, folder):
 
 def test_the_package_knows_its_version():
     assert jf.__version__ == project()["version"]
-
-
-def test_ci_runs_the_test_command_in_readme():
-    (command,) = [c for c in readme_blocks("bash") if "pytest" in c]
-    pattern = re.search(r"grep -m 1 '(.*)' README.md", (ROOT / ".ci/run").read_text()).group(1)
-    found = [
-        line for line in (ROOT / "README.md").read_text().splitlines() if re.search(pattern, line)
-    ]
-    assert found[0] == command.strip()
-
-
-@pytest.mark.parametrize("script", readme_blocks("python"), ids=lambda s: s.splitlines()[0])
-def test_a_script_in_readme_runs(script, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", script], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize("link", re.findall(r"\]\(([^)#]+)\)", (ROOT / "README.md").read_text()))
-def test_a_link_in_readme_leads_somewhere(link):
-    assert link.startswith("https://") or (ROOT / link).exists()

@@ -1,0 +1,129 @@
+"""Diagrams as named arrays and as files: every bit comes back."""
+
+import dataclasses
+import sys
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray
+
+import jaxfil as jf
+from jaxfil.model.outcomes import outcome_codes
+from jaxfil.model.system import System
+from tests.sweep.runs import ESTIMATED, X0, sweep
+
+
+class Named(System):
+    """Parameters with the names of other things, and of every shape."""
+
+    x: jnp.ndarray
+    steps: jnp.ndarray
+    matrix: jnp.ndarray
+
+    def vector_field(self, t, x, side):
+        return -self.matrix @ x + self.x * jnp.cos(self.steps * t)
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.steps
+
+
+def named():
+    return Named(jnp.asarray(0.1), jnp.asarray(2.0), jnp.asarray([[1.0, 0.5], [-0.0, 1.5]]))
+
+
+def test_the_dataset_says_what_it_is():
+    data = sweep([0.7, np.nan], follow="up").to_xarray()
+    assert data["x"].dims == ("omega", "sample", "component")
+    assert data["outcome"].values.tolist() == ["successful", "nonfinite"]
+    np.testing.assert_array_equal(data["omega"], [0.7, np.nan])
+    np.testing.assert_array_equal(data.attrs.pop("x0"), X0)
+    assert data.attrs == {
+        "system": "SDOscillator",
+        "swept": "omega",
+        "f0": 0.25,
+        "zeta": 0.0141,
+        "transient": 2,
+        "steps": 20,
+        "stepper": "RK4",
+        "follow": "up",
+        "jaxfil_version": jf.__version__,
+    }
+
+
+DIAGRAMS = {
+    "a line": lambda: sweep([0.7, np.nan, 0.8]),
+    "a line in float32": lambda: sweep([0.7, 0.8], x0=X0.astype(np.float32)),
+    "following": lambda: sweep([0.7, 0.8], follow="down"),
+    "a state for each lane": lambda: sweep([0.7, 0.8], x0=np.stack([X0, -X0])),
+    "names of other things": lambda: sweep([0.1, 0.0], "x", system=named()),
+    "a grid": lambda: sweep(([0.7, 0.8, 0.9], [0.2, 0.25]), ("omega", "f0")),
+    "errors of a line": lambda: sweep([0.7, np.nan, 0.8], **ESTIMATED),
+    "errors of a grid": lambda: sweep(([0.7, 0.8, 0.9], [0.2]), ("omega", "f0"), **ESTIMATED),
+    "points": lambda: sweep(np.array([[0.7, 0.2], [0.8, 0.3]]), ("omega", "f0")),
+}
+
+
+@pytest.mark.parametrize("make", DIAGRAMS.values(), ids=DIAGRAMS)
+def test_what_is_saved_comes_back(make, tmp_path):
+    diagram = make()
+    for path in (tmp_path / "sweep.nc", str(tmp_path / "sweep.zarr")):
+        diagram.save(path)
+        back = jf.load(path)
+        assert eqx.tree_equal(
+            *(dataclasses.replace(d, values=0, xs=0, errors=0) for d in (diagram, back))
+        )
+        for a, b in zip(arrays(diagram), arrays(back), strict=True):
+            assert a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+        back.save(path)
+
+
+def arrays(diagram):
+    values = diagram.values if isinstance(diagram.values, tuple) else (diagram.values,)
+    return *values, diagram.xs, np.zeros(0) if diagram.errors is None else diagram.errors
+
+
+def test_the_dataset_has_the_errors_of_each_lane():
+    d = sweep([0.7, 0.8], **ESTIMATED)
+    data = d.to_xarray()
+    assert data["error"].dims == ("omega", "component")
+    np.testing.assert_array_equal(data["error"].sel(omega=0.8), d.errors[1])
+    assert "error" not in sweep([0.7]).to_xarray()
+
+
+def test_every_bit_is_kept(tmp_path):
+    strange = np.array([-0.0, np.inf, -np.inf, np.nan, 5e-324, 0.1]).reshape(1, 3, 2)
+    diagram = dataclasses.replace(sweep([0.7]), xs=strange)
+    zeros = dataclasses.replace(diagram, xs=np.full((1, 3, 2), -0.0))
+    for suffix in (".nc", ".zarr"):
+        for d in (diagram, zeros):
+            d.save(tmp_path / f"a{suffix}")
+            assert jf.load(tmp_path / f"a{suffix}").xs.tobytes() == d.xs.tobytes()
+
+
+def test_files_are_xarrays_own(tmp_path):
+    d = sweep([0.7, 0.8])
+    d.save(tmp_path / "a.nc")
+    with xarray.open_dataset(tmp_path / "a.nc") as data:
+        np.testing.assert_array_equal(data["x"].sel(omega=0.8, component="x'"), d.xs[1, :, 1])
+
+
+def test_bad_paths(tmp_path, monkeypatch):
+    d = sweep([0.7, 0.8])
+    with pytest.raises(ValueError, match=r"`path` must end in \.nc or \.zarr, got .*a\.h5'"):
+        d.save(tmp_path / "a.h5")
+    with pytest.raises(FileNotFoundError, match=r"a file that `save` has written, got .*nowhere"):
+        jf.load(tmp_path / "nowhere.nc")
+    xarray.Dataset({"x": ("omega", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+    with pytest.raises(ValueError, match=r"other\.nc' has no jaxfil_version, outcome, stepper"):
+        jf.load(tmp_path / "other.nc")
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    with pytest.raises(ImportError, match=r"need the package zarr: pip install 'jaxfil\[xarray\]'"):
+        d.save(tmp_path / "a.zarr")
+
+
+def test_an_outcome_of_another_version_is_named():
+    with pytest.raises(ValueError, match=r"An outcome must be one of successful, .*got 'tired'"):
+        outcome_codes(np.array(["successful", "tired"]))
