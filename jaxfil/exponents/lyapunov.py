@@ -13,11 +13,11 @@ from jaxtyping import Array, Bool, Float
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.card import average_card
 from jaxfil.exponents.intervals import counts_of, interval_of, span_of
-from jaxfil.exponents.variational import propagate, vary
+from jaxfil.exponents.variational import Variation, propagate, vary
 from jaxfil.integrate import components
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance
-from jaxfil.integrate.state import Recording, is_running
+from jaxfil.integrate.state import LoopState, Recording, is_running
 from jaxfil.integrate.stepper import checked, tableau
 from jaxfil.model import check
 from jaxfil.model.drawing import draw
@@ -146,14 +146,14 @@ def _spectrum(
     ends = batch_ends(periods, batches)
     stops = (transient + jnp.append(0, ends)) * steps
 
-    def run(x0):
+    def run(x0: Array) -> tuple[LoopState, Array]:
         lane = jax.lax.while_loop(
             lambda lane: is_running(span, lane, alone),
             lambda lane: advance(scene_, table, span, policy, lane),
             initial_state(scene_, span, policy, components.unpack(x0), 0),
         )
 
-        def batch(variation, stop):
+        def batch(variation: Variation, stop: Array) -> tuple[Variation, Array]:
             after = propagate(scene_, table, span, policy, steps, variation, stop)
             return after, jnp.stack(after.growth)
 

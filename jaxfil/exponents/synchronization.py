@@ -20,7 +20,7 @@ from jaxfil.integrate import components
 from jaxfil.integrate.components import Components
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, integrate_in_kernel
-from jaxfil.integrate.state import Recording, is_running
+from jaxfil.integrate.state import LoopState, Recording, is_running
 from jaxfil.integrate.stepper import Tableau, checked, tableau
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
@@ -150,16 +150,16 @@ def _threshold(
     y, distance = _away(x, 0.01)
     z = jnp.concatenate([x, y])
 
-    def lane(coupling):
+    def lane(coupling: Array) -> tuple[Array, RESULTS]:
         scene_ = components.build(drive_response(system, coupling), z)
         span = span_of(duration, periods, steps)
         span = eqx.tree_at(lambda s: s.t0, span, transient.astype(x0.dtype) * duration)
 
-        def on(state):
+        def on(state: tuple[LoopState, Array, Array]) -> Array:
             lane, nearest, _ = state
             return is_running(span, lane) & (nearest > tolerance)
 
-        def go(state):
+        def go(state: tuple[LoopState, Array, Array]) -> tuple[LoopState, Array, Array]:
             lane, nearest, left = state
             after = advance(scene_, table, span, policy, lane)
             left = left - (after.index - lane.index)
@@ -267,7 +267,9 @@ def _transverse(
     n, z = x.shape[0], jnp.concatenate([x, y])
     scene_ = components.build(drive_response(system, coupling), z)
 
-    def period(state):
+    def period(
+        state: tuple[Array, Array, Array, RESULTS],
+    ) -> tuple[Array, Array, Array, RESULTS]:
         k, z, growth, _ = state
         start = (transient + k).astype(x0.dtype) * duration
         span = span_of(duration, jnp.ones_like(steps), steps)
@@ -280,7 +282,9 @@ def _transverse(
         apart = (end[n:] - end[:n]) * (separation / jnp.where(resolved, distance, 1.0))
         return k + 1, jnp.concatenate([end[:n], end[:n] + apart]), growth, lane.result
 
-    def batch(state, stop):
+    def batch(
+        state: tuple[Array, Array, RESULTS], stop: Array
+    ) -> tuple[tuple[Array, Array, RESULTS], Array]:
         k, z, result = state
         k, z, growth, result = jax.lax.while_loop(
             lambda s: (s[0] < stop) & (s[3] == RESULTS.successful),

@@ -86,7 +86,7 @@ def _push(
     """One iteration of the loop."""
     lane = variation.lane
 
-    def through(x):
+    def through(x: Components) -> tuple[tuple[Components, Array], LoopState]:
         f = filippov.field(scene, span.t0 + lane.tau, x, lane.mode)
         start = eqx.tree_at(lambda lane: (lane.x, lane.f), lane, (x, f))
         after = advance(scene, table, span, policy, start)

@@ -15,11 +15,12 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from jaxfil.integrate import components
 from jaxfil.integrate.batch_loop import integrate_batch
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.state import Recording, TimeGrid
+from jaxfil.integrate.state import LoopState, Recording, TimeGrid
 from jaxfil.integrate.stepper import checked, tableau
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
@@ -255,7 +256,16 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike 
     return not missing.any()
 
 
-def _problem(system, names, transient, samples, steps, stepper, row, x0):
+def _problem(
+    system: System,
+    names: tuple[str, ...],
+    transient: Array,
+    samples: int,
+    steps: Array,
+    stepper: Stepper,
+    row: Array,
+    x0: Array,
+):
     """What `integrate` is given for one point in parameter space."""
     for i, name in enumerate(names):
         system = replace_parameter(system, name, row[i])
@@ -272,20 +282,33 @@ def _problem(system, names, transient, samples, steps, stepper, row, x0):
     return components.build(system, x0), tableau(stepper), span, policy
 
 
-def _outcome(lane):
+def _outcome(lane: LoopState) -> tuple[Array, RESULTS, Array]:
     """Samples (samples, n), outcome, and the last state (n,) of a lane, or of many."""
+    assert lane.saves is not None
     xs = jnp.where(jnp.isfinite(lane.saves.xs), lane.saves.xs, jnp.nan)
     return xs, lane.result, jnp.stack(lane.x, axis=-1)
 
 
-def _run(system, names, rows, states, *, transient, samples, steps, stepper, followed, whole):
+def _run(
+    system: System,
+    names: tuple[str, ...],
+    rows: Array,
+    states: Array,
+    *,
+    transient: Array,
+    samples: int,
+    steps: Array,
+    stepper: Stepper,
+    followed: bool,
+    whole: bool,
+) -> tuple[Array, RESULTS, Array]:
     """A chunk of lanes side by side, or one after the other each from the last one's end."""
     problem = ft.partial(_problem, system, names, transient, samples, steps, stepper)
 
-    def lane(row, x0):
+    def lane(row: Array, x0: Array) -> tuple[Array, RESULTS, Array]:
         return _outcome(integrate(*problem(row, x0), components.unpack(x0), num_saves=samples))
 
-    def block(rows, states):
+    def block(rows: Array, states: Array) -> tuple[Array, RESULTS, Array]:
         return _outcome(integrate_batch(problem, rows, states, samples))
 
     if not followed:
@@ -293,7 +316,8 @@ def _run(system, names, rows, states, *, transient, samples, steps, stepper, fol
 
     single = one_kernel(lane) if whole else lane
 
-    def next_point(x, row):
+    def next_point(x: Array, row: Array) -> tuple[Array, tuple[Array, RESULTS]]:
+        # A value whose lane failed leaves the next one the last good state to start from.
         xs, result, end = single(row, x)
         return jnp.where(result == RESULTS.successful, end, x), (xs, result)
 
