@@ -127,7 +127,7 @@ def test_files_are_xarrays_own(tmp_path):
 
 def test_bad_paths(tmp_path, monkeypatch):
     d = sweep([0.7, 0.8])
-    with pytest.raises(ValueError, match=r"`path` must end in \.nc or \.zarr, got .*a\.h5'"):
+    with pytest.raises(ValueError, match=r"`path` must end in \.nc, \.zarr or \.npz, got .*a\.h5'"):
         d.save(tmp_path / "a.h5")
     with pytest.raises(FileNotFoundError, match=r"a file that `save` has written, got .*nowhere"):
         jf.load(tmp_path / "nowhere.nc")
@@ -147,7 +147,7 @@ def test_an_outcome_of_another_version_is_named():
 def interrupt_after(monkeypatch, pieces):
     """Press Ctrl-C when so many pieces are finished, and again after the next."""
     finished = []
-    before = execution._Lanes.piece
+    before = execution._Lanes.finish
 
     def piece(*args):
         done = before(*args)
@@ -157,7 +157,7 @@ def interrupt_after(monkeypatch, pieces):
         return done
 
     monkeypatch.setattr(chunk, "_cores", lambda: 1)
-    monkeypatch.setattr(execution._Lanes, "piece", piece)
+    monkeypatch.setattr(execution._Lanes, "finish", piece)
 
 
 @pytest.fixture

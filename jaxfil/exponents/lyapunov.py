@@ -142,6 +142,7 @@ def _spectrum(
     scene_ = components.build(system, x0)
     table, policy = tableau(stepper), Recording("none", None)
     span = span_of(duration, transient + periods, steps)
+    # The frame costs n times the orbit: it joins when most of the transient is over.
     alone = (transient - transient // 4) * steps
     ends = batch_ends(periods, batches)
     stops = (transient + jnp.append(0, ends)) * steps
@@ -162,6 +163,7 @@ def _spectrum(
 
     lane, growth = kernel_if_it_fits(run)(x0)
     done = lane.index >= span.num_steps
+    # A lane that has used up its iterations stops without an outcome of its own.
     spent = ~done & (lane.result == RESULTS.successful)
     result = RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)
     times = ends.astype(x0.dtype) * duration

@@ -93,7 +93,7 @@ def synchronization_exponent(
     x = check.state("x0", x0)
     check.system("system", system)
     system = cast(system, x.dtype)
-    grid = jnp.asarray(couplings, x.dtype)
+    grid = jnp.asarray(couplings, x.dtype)  # ascending: the first that synchronises is the answer
     if grid.ndim != 1 or grid.shape[0] == 0:
         raise ValueError(f"`couplings` must be of shape (c,) with c ≥ 1, got shape {grid.shape}.")
     values = check.concrete(grid)
@@ -119,6 +119,7 @@ def _settle(
     policy = Recording("none", None)
     span = span_of(duration, jnp.maximum(transient, 1), steps)
     lane = integrate_in_kernel(scene_, table, span, policy, components.unpack(x0))
+    # A grid needs a step: without a transient one period is run, and forgotten.
     moved = transient > 0
     x = jnp.where(moved, components.pack(lane.x, x0.dtype), x0)
     return x, RESULTS.where(moved, lane.result, RESULTS.successful)
@@ -178,6 +179,7 @@ def _threshold(
     nearest = jnp.where(results == RESULTS.successful, nearest, jnp.nan)
     met = nearest <= tolerance
     time = periods.astype(x0.dtype) * duration
+    # Somewhere in the last step of the grid: its middle is half a step below its end.
     spacing = jnp.diff(couplings)[jnp.argmax(met) - 1] if couplings.shape[0] > 1 else 0.0
     return Synchronization(
         exponent=jnp.where(jnp.any(met), couplings[jnp.argmax(met)], jnp.nan),
@@ -263,6 +265,8 @@ def _transverse(
     table, policy = tableau(stepper), Recording("none", None)
     x, settled = _settle(system, x0, duration, transient, steps, table)
     eps = float(jnp.finfo(x0.dtype).eps)
+    # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
+    # √eps, and a little more leaves room to shrink within an interval.
     y, separation = _away(x, eps**0.4)
     n, z = x.shape[0], jnp.concatenate([x, y])
     scene_ = components.build(drive_response(system, coupling), z)
@@ -277,6 +281,7 @@ def _transverse(
         lane = integrate_in_kernel(scene_, table, span, policy, components.unpack(z))
         end = components.pack(lane.x, x0.dtype)
         distance = _distance(lane.x)
+        # Below this nothing of the distance is known, and a wrong rate would look like any other.
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
         growth = growth + jnp.where(resolved, jnp.log(distance / separation), jnp.nan)
         apart = (end[n:] - end[:n]) * (separation / jnp.where(resolved, distance, 1.0))
@@ -297,6 +302,7 @@ def _transverse(
     (_, z, result), growth = jax.lax.scan(batch, (jnp.zeros_like(periods), z, settled), ends)
     times = ends.astype(x0.dtype) * duration
     growth = jnp.where(result == RESULTS.successful, growth, jnp.nan)
+    # The pull shrinks every distance at the rate of the coupling, which is added back.
     growth = growth + coupling * jnp.diff(times, prepend=0.0)
     exponent, running_, error, steady = averages(growth[:, None], times)
     return TransverseExponent(

@@ -51,6 +51,7 @@ def parameter_grid(
             f"one array of shape (p, {len(names)}) for single points, got {_told(values)}."
         )
     axes = tuple(_axis(v, dtype, "(p,) with p ≥ 1 for each name") for v in values)
+    # "ij": the first parameter is the first dimension of the result.
     mesh = np.meshgrid(*axes, indexing="ij")
     rows = np.stack([m.ravel() for m in mesh], axis=1)
     return ParameterGrid(names, axes, rows, mesh[0].shape)

@@ -215,6 +215,7 @@ def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 def _state_type(x0: Any) -> np.dtype:
     """The float precision of initial states."""
+    # One of them is checked for all: an array has one shape and one dtype.
     several = np.ndim(x0) > 1 and np.size(x0) > 0
     return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
 
@@ -237,6 +238,7 @@ def _begun(
     checkpoint: PathLike | None, record: Callable[[], Record], estimate_error: bool
 ) -> Checkpoint | None:
     """The checkpoint, if one is asked for, after a look whether all processes ask for the same."""
+    # Processes with other arguments would wait for each other's chunks for ever.
     if jax.process_count() > 1:
         multiprocess.same(digest({**record(), "estimate_error": str(estimate_error)}))
     return None if checkpoint is None else Checkpoint(checkpoint, record())

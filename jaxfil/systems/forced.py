@@ -54,6 +54,7 @@ class SDOscillator(System):
         return jnp.stack([x[1], force - 2 * self.zeta * x[1] - x[0] + snap])
 
     def switching(self, t: Array, x: Array) -> Array:
+        # Smooth for α > 0: no surface at all, and no code for one is compiled.
         return x[0] if self.alpha is None else jnp.zeros((0,), x.dtype)
 
     @property
