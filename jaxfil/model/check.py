@@ -18,7 +18,7 @@ from jaxtyping import Array
 from jaxfil.model.system import System, has_resets
 
 
-def concrete(value: Any) -> np.ndarray | None:
+def concrete(value: object) -> np.ndarray | None:
     """The value as NumPy numbers, or None while it is being traced."""
     if isinstance(value, jax.core.Tracer):
         return None
@@ -76,7 +76,7 @@ def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> A
     return int(value)
 
 
-def system(name: str, value: Any) -> None:
+def system(name: str, value: object) -> None:
     """A `System`."""
     if not isinstance(value, System):
         what = value.__name__ if isinstance(value, type) else type(value).__name__
@@ -89,7 +89,7 @@ def system(name: str, value: Any) -> None:
         )
 
 
-def instance(name: str, value: Any, *kinds: type) -> None:
+def instance(name: str, value: object, *kinds: type) -> None:
     """A result of one of these public kinds."""
     if not isinstance(value, kinds):
         must = " or ".join(f"a jaxfil.{kind.__name__}" for kind in kinds)
@@ -146,5 +146,5 @@ def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...
     return out.shape
 
 
-def _kind(value: Any) -> str:
+def _kind(value: object) -> str:
     return "None" if value is None else f"an object of type {type(value).__name__}"

@@ -10,7 +10,7 @@ import functools as ft
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -213,14 +213,14 @@ def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     return {key: np.asarray(v) for key, v in parameters(system).items() if key not in names}
 
 
-def _state_type(x0: Any) -> np.dtype:
+def _state_type(x0: States) -> np.dtype:
     """The float precision of initial states."""
     # One of them is checked for all: an array has one shape and one dtype.
     several = np.ndim(x0) > 1 and np.size(x0) > 0
     return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
 
 
-def _initial_states(x0: Any, shape: tuple[int, ...], follow: bool) -> np.ndarray:
+def _initial_states(x0: States, shape: tuple[int, ...], follow: bool) -> np.ndarray:
     """One initial state, shape (n,), or one for each lane."""
     states = np.asarray(x0)
     if follow and states.ndim != 1:
