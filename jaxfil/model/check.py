@@ -39,7 +39,7 @@ def state(name: str, x: Any) -> Array:
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ValueError(f"`{name}` must be of a real dtype, got {array.dtype}.")
     if not jnp.issubdtype(array.dtype, jnp.floating):
-        array = array.astype(jnp.result_type(float))
+        array = array.astype(jnp.result_type(float))  # float32 or float64, as JAX is set
     return array
 
 
@@ -69,7 +69,7 @@ def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> A
     # 40.0 is refused: counts are shapes and lengths of loops, and 40.5 would have to be as well.
     if value is None and optional:
         return None
-    whole = isinstance(value, (int, np.integer))
+    whole = isinstance(value, (int, np.integer))  # as True is, to Python
     if not whole or isinstance(value, bool) or value < least:
         must = f"an integer of at least {least}" + (" or None" if optional else "")
         raise ValueError(f"`{name}` must be {must}, got {value!r}.")
@@ -124,6 +124,7 @@ def _same_as_state(value: System, name: str, **args: Array) -> None:
 def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...]:
     """The shape of the real numbers that one of the user's functions returns."""
     function, told = getattr(value, name), f"`{name}` of {type(value).__name__}"
+    # Bound before it is called: a TypeError from inside of the function is another mistake.
     try:
         inspect.signature(function).bind(*args.values())
     except TypeError as error:
