@@ -110,7 +110,7 @@ class BifurcationDiagram(eqx.Module):
         # of period one. The shortest period that fits is the answer, since its multiples fit too.
         xs = self.xs
         bound = tolerance * np.max(np.abs(xs), axis=-2)
-        found = np.where(self.successful, 0, -1)  # a failed lane has NaN, which fits no period
+        found = np.where(self.successful, 0, -1)
         for m in range(1, xs.shape[-2] // 2 + 1):
             apart = np.max(np.abs(xs[..., m:, :] - xs[..., :-m, :]), axis=-2)
             found[(found == 0) & np.all(apart <= bound, axis=-1)] = m
