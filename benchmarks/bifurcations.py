@@ -8,7 +8,6 @@ from ten random starts by optax, with its gradient steps and time. Writes
 
 import sys
 import time
-from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -17,8 +16,8 @@ import numpy as np
 import optax
 
 import jaxfil as jf
-
-RESULTS = Path(__file__).parent / "results"
+from benchmarks import RESULTS
+from benchmarks.table import Column, table
 
 # What the paper prints (Procedia IUTAM 19, 219–227) where it differs, by the value near it.
 PRINTED = {
@@ -44,20 +43,36 @@ REFERENCE = {
     10.905: 10.904975822090772,
     4.6526: 4.652570419201206,
 }
+LOCATED = (
+    Column("system"),
+    Column("kind"),
+    Column("jaxfil", "<.14g"),
+    Column("− exact", "<+.1e"),
+    Column("paper"),
+    Column("why they differ"),
+)
+SEARCHED = (
+    Column("start Ω, f0, ζ"),
+    Column("end"),
+    Column("steps", ">"),
+    Column("amplitude − 1", ">.1e"),
+    Column("seconds", ">.1f"),
+)
+# The search is for Ω, f0 and ζ between these.
+LOW, HIGH = np.array([0.6, 0.15, 0.005]), np.array([0.85, 0.3, 0.1])
 
 
-def near(table, value):
-    """The entry of a table whose key is this value."""
-    return next((v for key, v in table.items() if abs(key - value) < 1e-3), None)
+def near(entries, value):
+    """The entry whose key is this value."""
+    return next((v for key, v in entries.items() if abs(key - value) < 1e-3), None)
 
 
 def row(system, b):
-    """A line of the table."""
+    """A line of the first table, in the order of `LOCATED`."""
     value = float(b.value)
     printed, why = near(PRINTED, value) or ("", "")
     exact = near(REFERENCE, value)
-    off = "" if exact is None else f"{value - exact:+.1e}"
-    return f"{system:<12} {b.kind:<18} {value:<18.14g} {off:<9} {printed:<22} {why}"
+    return [system, b.kind, value, None if exact is None else value - exact, printed, why]
 
 
 def sd(omega, guess=(1.5, 0.0)):
@@ -67,7 +82,7 @@ def sd(omega, guess=(1.5, 0.0)):
     return jf.find_bifurcation(system, "omega", orbit, "grazing")
 
 
-def belt_route():
+def belt_sequence():
     """The branch of belt case 1 and its bifurcations in ascending order."""
     belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=17.0)
     orbit = jf.periodic_orbit(belt, jnp.array([0.6, 0.02]), steps=60)
@@ -81,30 +96,27 @@ def cubic_grazing():
     return jf.find_bifurcation(cubic, "omega", orbit, "grazing-sliding")
 
 
-def table():
-    """All lines of the table."""
-    yield f"{'system':<12} {'kind':<18} {'jaxfil':<18} {'− exact':<9} {'paper':<22}"
-    for omega in (0.84, 1.15):
-        yield row("SD", sd(omega))
-    for b in belt_route():
-        yield row("belt case 1", b)
-    yield row("belt case 2", cubic_grazing())
+def located():
+    """The table of all bifurcations."""
+    rows = [row("SD", sd(omega)) for omega in (0.84, 1.15)]
+    rows += [row("belt case 1", b) for b in belt_sequence()]
+    return table(LOCATED, [*rows, row("belt case 2", cubic_grazing())])
 
 
-def search(starts=10, steps=2000):
-    """Lines on the search in (Ω, f0, ζ): optax's Adam on half the squared margin, in bounds."""
-    rng = np.random.default_rng(0)
-    low, high = np.array([0.6, 0.15, 0.005]), np.array([0.85, 0.3, 0.1])
+def unscaled(u):
+    """Ω, f0 and ζ of a point of the unit cube."""
+    return LOW + (HIGH - LOW) * u
+
+
+def descent(solver):
+    """A step of the search: optax's solver on half the squared margin, in bounds."""
     system = jf.systems.SDOscillator(omega=0.75, f0=0.2, zeta=0.02)
     orbit = jf.periodic_orbit(system, jnp.array([1.4, 0.0]), steps=60)
-    scale = jnp.asarray(high - low)
 
     def loss(u):
-        omega, f0, zeta = jnp.asarray(low) + scale * u
+        omega, f0, zeta = unscaled(u)
         margin = jf.grazing_margin(jf.systems.SDOscillator(omega=omega, f0=f0, zeta=zeta), orbit)
         return 0.5 * margin**2
-
-    solver = optax.adam(0.02)
 
     @eqx.filter_jit
     def step(u, state):
@@ -113,32 +125,37 @@ def search(starts=10, steps=2000):
         bounded = optax.projections.projection_box(optax.apply_updates(u, change), 0.0, 1.0)
         return bounded, state, value
 
-    yield ""
-    yield f"{'start Ω, f0, ζ':<28} {'end':<34} {'steps':<6} {'amplitude − 1':<14} seconds"
+    return step
+
+
+def search(starts=10, steps=2000):
+    """The table of searches in (Ω, f0, ζ) by optax's Adam, each from a random start."""
+    rng, solver, rows = np.random.default_rng(0), optax.adam(0.02), []
+    step = descent(solver)
     for _ in range(starts):
         u = jnp.asarray(rng.uniform(size=3))
-        begin, state, count = low + np.asarray(scale) * np.asarray(u), solver.init(u), 0
+        begin, state, count = unscaled(np.asarray(u)), solver.init(u), 0
         begun = time.perf_counter()
         value = jnp.inf
         while value > 1e-18 and count < steps:
             u, state, value = step(u, state)
             count += 1
-        omega, f0, zeta = low + np.asarray(scale) * np.asarray(u)
+        spent = time.perf_counter() - begun
+        omega, f0, zeta = unscaled(np.asarray(u))
         end = f"[{omega:.6f} {f0:.6f} {zeta:.6f}]"
         amplitude = f0 / np.hypot(1 - omega**2, 2 * zeta * omega)
-        yield (
-            f"{np.array2string(begin, precision=4):<28} {end:<34} "
-            f"{count:<6} {amplitude - 1:<14.1e} {time.perf_counter() - begun:.1f}"
-        )
+        rows.append([np.array2string(begin, precision=4), end, count, amplitude - 1, spent])
+    return table(SEARCHED, rows)
 
 
 def main():
+    """Print and write both tables."""
     jax.config.update("jax_enable_x64", True)
-    lines = []
-    for line in (*table(), *search()):
-        print(line, flush=True)
-        lines.append(line)
-    (RESULTS / "bifurcations.txt").write_text("\n".join(lines) + "\n")
+    texts = []
+    for make in (located, search):
+        texts.append(make())
+        print(texts[-1], end="\n\n", flush=True)
+    (RESULTS / "bifurcations.txt").write_text("\n\n".join(texts) + "\n")
     print(f"written to {RESULTS}", file=sys.stderr)
 
 

@@ -9,8 +9,7 @@ import time
 
 import jax
 
-from benchmarks import cost_calls, cost_ladder, cost_memory, cost_single
-from benchmarks.report import RESULTS
+from benchmarks import RESULTS, cost_calls, cost_ladder, cost_memory, cost_single
 
 SECTIONS = {
     "ladder": cost_ladder,
@@ -21,6 +20,7 @@ SECTIONS = {
 
 
 def main():
+    """Print the sections asked for; write them all unless it is a quick run."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.cost", description=__doc__)
     parser.add_argument("--only", choices=SECTIONS, help="one section")
     parser.add_argument("--quick", action="store_true", help="fewer repeats")
@@ -34,7 +34,7 @@ def main():
         texts.append(SECTIONS[name].report(args.quick))
         print(texts[-1], f"[{time.perf_counter() - started:.0f} s]\n", sep="\n", flush=True)
     if not args.quick and not args.only:
-        about = "Measured on a CPU, and not on a GPU: none was at hand."
+        about = "Measured on a CPU; no GPU was available."
         (RESULTS / "cost.txt").write_text("\n\n\n".join([about, *texts]) + "\n")
     print(f"{time.perf_counter() - begun:.0f} s")
 

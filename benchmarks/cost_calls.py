@@ -18,7 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxfil as jf
-from benchmarks.texts import table
+from benchmarks.table import Column, table
+from benchmarks.timing import timed
 from benchmarks.worker import Counter
 
 # RK4, with fewer stages, compiles faster than both.
@@ -30,6 +31,7 @@ PERIODS, STEPS = 10, 40
 
 
 def _end(x0, system, stepper):
+    """The state that a short run ends in."""
     return jf.solve(system, x0, 0.0, 1.0, 0.1, stepper=stepper, throw=False).xs[-1]
 
 
@@ -62,34 +64,33 @@ def compilation(quick):
     with tempfile.TemporaryDirectory() as folder:
         cold = in_a_process(folder, scenes, steppers)
         cached = in_a_process(folder, scenes, steppers[:1])
-    body = []
-    for name in scenes:
-        seconds = [s for found in (*cold[name].values(), *cached[name].values()) for s in found]
-        body.append([name, *(f"{s:.1f}" for s in seconds)])
-    head = ["first call, s"] + [f"{s}{d}" for s in steppers for d in ("", ", Jacobian")]
-    head += [f"{steppers[0]}, cached", "Jacobian, cached"]
-    lines = [table(head, body, range(1, len(head))), ""]
+    heads = [f"{s}{d}" for s in steppers for d in ("", ", Jacobian")]
+    heads += [f"{steppers[0]}, cached", "Jacobian, cached"]
+    columns = [Column("first call, s"), *(Column(head, ">.1f") for head in heads)]
+    body = [
+        [name, *(s for found in (*cold[name].values(), *cached[name].values()) for s in found)]
+        for name in scenes
+    ]
+    slow = "\n".join(_slow(cold, scenes, steppers))
+    return table(columns, body, note=f"{slow}\n\n{COMPILED}")
+
+
+def _slow(cold, scenes, steppers):
+    """Lines that name the scenes whose first calls took longer than allowed."""
     for i, what in enumerate(("jf.solve", "its Jacobian")):
         for stepper in steppers:
             slow = [n for n in scenes if cold[n][stepper][i] > LIMIT]
             told = f"{len(slow)} of {len(scenes)} scenes" + (f": {', '.join(slow)}" if slow else "")
-            lines.append(f"{what}, {stepper}, above {LIMIT:.0f} s: {told}")
-    return "\n".join(lines)
+            yield f"{what}, {stepper}, above {LIMIT:.0f} s: {told}"
 
 
-def _median(function, *args, repeats=20):
-    """Seconds of a call, the median, after one that compiles."""
-    jax.block_until_ready(function(*args))
-    found = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(function(*args))
-        found.append(time.perf_counter() - start)
-    return float(np.median(found))
+def _seconds(function, *args, repeats=20):
+    """The median run time of a compiled function."""
+    return timed(functools.partial(function, *args), repeats)[1]
 
 
 def calls(kind, x0):
-    """Cells of one scene: a call of one step, as written and under jit; then of ten periods."""
+    """Seconds of one scene: a call of one step, as written and under jit; then of ten periods."""
 
     def run(omega, x0, periods, dt):
         system = kind(omega=omega)
@@ -100,12 +101,12 @@ def calls(kind, x0):
     dt = 2 * np.pi / float(omega) / STEPS
     short = 1 / STEPS
     whole = jax.jit(run)
-    cells = [_median(run, omega, x0, short, dt), _median(whole, omega, x0, short, dt)]
+    seconds = [_seconds(run, omega, x0, short, dt), _seconds(whole, omega, x0, short, dt)]
     for lanes in SIZES:
         many = jax.jit(jax.vmap(run, in_axes=(0, None, None, None)))
         omegas = omega * jnp.linspace(0.99, 1.01, lanes)
-        cells.append(_median(many, omegas, x0, float(PERIODS), dt, repeats=5))
-    return cells, _new_programs(kind, whole)
+        seconds.append(_seconds(many, omegas, x0, float(PERIODS), dt, repeats=5))
+    return seconds, _new_programs(kind, whole)
 
 
 def _new_programs(kind, whole):
@@ -128,29 +129,33 @@ def report(quick):
     scenes = dict(sd=jf.systems.SDOscillator, belt=jf.systems.BeltFriction)
     for name, kind in list(scenes.items())[: 1 if quick else None]:
         (plain, jitted, *sizes), new = calls(kind, (0.3, 0.1))
-        line = [name, f"{plain * 1e6:,.0f}", f"{jitted * 1e6:,.0f}"]
-        line += [f"{seconds * 1e3:,.2f}" for seconds in sizes]
-        body.append([*line, f"{sizes[-1] / SIZES[-1] / PERIODS / STEPS * 1e9:,.0f}", str(new)])
-    head = ["a call", "jf.solve, one step, µs", "in jax.jit, one step, µs"]
-    head += [f"{size:,} lane{'s' * (size > 1)}, ms" for size in SIZES]
-    head += ["ns a lane and step", "traced or compiled for new numbers"]
-    numbers = table(head, body, range(1, len(head)))
-    return f"{TITLE}\n\n{numbers}\n{CALLS}\n{compilation(quick)}\n{COMPILED}"
+        each = sizes[-1] / SIZES[-1] / PERIODS / STEPS
+        milliseconds = [seconds * 1e3 for seconds in sizes]
+        body.append([name, plain * 1e6, jitted * 1e6, *milliseconds, each * 1e9, new])
+    columns = [
+        Column("a call"),
+        Column("jf.solve, one step, µs", ">,.0f"),
+        Column("in jax.jit, one step, µs", ">,.0f"),
+        *(Column(f"{size:,} lane{'s' * (size > 1)}, ms", ">,.2f") for size in SIZES),
+        Column("ns a lane and step", ">,.0f"),
+        Column("traced or compiled for new numbers", ">"),
+    ]
+    return table(columns, body, TITLE, f"{CALLS}\n\n{compilation(quick)}")
 
 
 TITLE = "Single runs, small batches and compilation"
-CALLS = f"""
+CALLS = f"""\
 A call of one step is what a call costs beside the integration; the others run {PERIODS} periods of
 {STEPS} steps of Dopri8 under jax.jit(jax.vmap(jf.solve)). New numbers are new parameters, initial
-states, times and steps.
-"""
-COMPILED = """
+states, times and steps."""
+COMPILED = """\
 First calls of jf.solve under jax.jit: tracing, compilation and the run, the scenes one after the
 other in one process. Cached: in a new process, with the first one's programs in JAX's cache on disk
 (jax_compilation_cache_dir)."""
 
 
 def main():
+    """Time the first calls that the command line asks for, and print them as JSON."""
     folder, scenes, steppers = sys.argv[1], *map(json.loads, sys.argv[2:])
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", folder)

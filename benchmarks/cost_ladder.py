@@ -16,7 +16,7 @@ import numpy as np
 
 import jaxfil as jf
 from benchmarks import cost_scenes, hlo
-from benchmarks.texts import table
+from benchmarks.table import Column, table
 from jaxfil.sweep.execution import BLOCK, compiled
 from jaxfil.xla.kernel import one_kernel
 
@@ -111,18 +111,29 @@ def measure(kind, derivative, options, periods, repeats):
 
 
 def cells(name, row, general):
-    """One line of the table."""
+    """One line of the table, in the order of `COLUMNS`."""
     parts = [row[key] / general[key] for key in ("operations", "idle")]
-    line = [name, f"{row['operations']:,.0f}", f"{parts[0]:.3f}", f"{row['divisions']:.0f}"]
-    line += [f"{row['idle']:,.0f}", f"{parts[1]:.3f}"]
-    if row["busy contacts"]:
-        line += [f"{row['busy']:,.0f}", f"{row['busy turns']:.2f}", f"{row['busy contacts']:.1f}"]
-    else:
-        line += [""] * 3
-    return [*line, "one" if row["whole"] else "many", f"{row['compile_seconds']:.1f}"]
+    busy = [row[key] if row["busy contacts"] else None for key in BUSY]
+    kernels = "one" if row["whole"] else "many"
+    line = [name, row["operations"], parts[0], row["divisions"], row["idle"], parts[1]]
+    return [*line, *busy, kernels, row["compile_seconds"]]
 
 
-ABOUT = """
+BUSY = ("busy", "busy turns", "busy contacts")
+COLUMNS = (
+    Column("scene"),
+    Column("operations", ">,.0f"),
+    Column("of general", ">.3f"),
+    Column("÷ √", ">.0f"),
+    Column("ns", ">,.0f"),
+    Column("of general", ">.3f"),
+    Column("ns, contacts", ">,.0f"),
+    Column("turns", ">.2f"),
+    Column("contacts", ">.1f"),
+    Column("kernels"),
+    Column("compile s", ">.1f"),
+)
+ABOUT = """\
 operations: additions, multiplications, divisions, comparisons, selections and logic for each
 lane in one turn of the compiled loop, repeats in fusions included (of conditionals the dearest
 branch; reverse: both loops; a loop inside a loop turning once). ÷ √: those of them that are
@@ -141,8 +152,6 @@ def report(quick):
         print(f"ladder: {name}, {rungs[name]['idle']:.0f} ns", file=sys.stderr, flush=True)
     general = next(row for name, row in rungs.items() if name.startswith("general"))
     body = [cells(name, row, general) for name, row in rungs.items()]
-    head = ["scene", "operations", "of general", "÷ √", "ns", "of general"]
-    head += ["ns, contacts", "turns", "contacts", "kernels", "compile s"]
     failed = sum(row["idle failed"] + row["busy failed"] for row in rungs.values())
     title = f"Pay for what you use: {LANES:,} lanes, Dopri8, {STEPS} steps a period, float64"
-    return f"{title}\n\n{table(head, body, (*range(1, 9), 10))}\n{ABOUT}{failed}."
+    return table(COLUMNS, body, title, f"{ABOUT}{failed}.")

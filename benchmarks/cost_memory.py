@@ -1,7 +1,7 @@
 """Memory: what a compiled program holds, and how that grows.
 
-Nothing is run: XLA says of each program how many bytes its temporaries and results take. The text
-of a table of straight lines leaves: bytes for each lane and for each step.
+Nothing enters, and nothing is run: XLA says of each program how many bytes its temporaries and
+results take. The text of a table of straight lines leaves: bytes for each lane and for each step.
 """
 
 import diffrax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxfil as jf
-from benchmarks.texts import table
+from benchmarks.table import Column, table
 
 # Lanes and steps of the programs: each line varies one of them at the other's first, middle value.
 LANES, STEPS = (64, 128, 512), (100, 400, 1600)
@@ -94,18 +94,22 @@ def report(quick):
         by_lanes = [by_steps[1], *(measure(lanes, STEPS[1]) for lanes in LANES[1:])]
         each, bend = line(LANES, by_lanes)
         step, bow = line(STEPS, by_steps)
-        body.append([name, f"{each:,.0f}", f"{bend:.1%}", f"{step / LANES[0]:,.1f}", f"{bow:.1%}"])
-    head = ["Coulomb oscillator, float64, midpoint", "bytes a lane", "off the line"]
-    head += ["bytes a lane and step", "off the line"]
-    return f"{TITLE}\n\n{table(head, body, range(1, len(head)))}\n{ABOUT.rstrip()}"
+        body.append([name, each, bend, step / LANES[0], bow])
+    return table(COLUMNS, body, TITLE, ABOUT)
 
 
+COLUMNS = (
+    Column("Coulomb oscillator, float64, midpoint"),
+    Column("bytes a lane", ">,.0f"),
+    Column("off the line", ">.1%"),
+    Column("bytes a lane and step", ">,.1f"),
+    Column("off the line", ">.1%"),
+)
 TITLE = "Memory: temporaries and results of the compiled program"
-ABOUT = f"""
+ABOUT = f"""\
 Bytes a lane: the slope from {LANES[0]} to {LANES[-1]} lanes at {STEPS[1]} steps. Bytes a lane and
 step: the slope from {STEPS[0]} to {STEPS[-1]:,} steps at {LANES[0]} lanes. Off the line: the
 largest deviation from it, in parts of the largest number. Reverse mode keeps checkpoints, and
 grows with the root of the steps: that is no straight line. A diagram keeps n numbers for each lane
 and sample; its periods and steps are traced values, which its program, and so its memory, does not
-depend on.
-"""
+depend on."""

@@ -1,5 +1,7 @@
 """One oscillator with more and more declared: the rungs of the ladder of costs.
 
+A frequency and a place enter; systems leave.
+
 x'' = cos ωt − 0.1x' − x; a belt of speed g that rubs on the mass; a place, x = ±g, where the force
 changes or where a wall is. With g = `FAR` all of them are out of reach, and what a scene takes is
 what declaring them costs.
@@ -23,6 +25,7 @@ class Smooth(jf.System):
     place: jax.Array
 
     def drive(self, t, x):
+        """Force of the drive, the damper and the spring."""
         return jnp.cos(self.omega * t) - 0.1 * x[1] - x[0]
 
     def vector_field(self, t, x, side):

@@ -13,7 +13,7 @@ import jaxfil as jf
 from benchmarks import reference
 from benchmarks.peers import jaxfil_sweep
 from benchmarks.scenes import SCENES
-from benchmarks.texts import table
+from benchmarks.table import Column, table
 from jaxfil.model.outcomes import outcome_names
 
 SETTINGS = [dict(stepper="Dopri8", steps=n) for n in (16, 25, 40, 64)]
@@ -61,19 +61,28 @@ def report(quick):
                 rate, error, outcomes = measure(scene, setting, dtype, lanes)
                 failed[dtype] += outcomes
                 rates.append(rate)
-                line += [f"{rate:,.0f}", f"{error:.1e}", str(outcomes.total())]
-            body.append([*line, f"{rates[1] / rates[0]:.2f}"])
-    head = ["scene", "stepper, steps", "float64", "error", "failed"]
-    head += ["float32", "error", "failed", "float32 / float64"]
+                line += [rate, error, outcomes.total()]
+            body.append([*line, rates[1] / rates[0]])
     title = f"float32: lane-periods per second of one core, {lanes:,} lanes"
     told = [
         f"{dtype.__name__}: " + (", ".join(f"{n} {name}" for name, n in found.items()) or "none")
         for dtype, found in failed.items()
     ]
-    return f"{title}\n\n{table(head, body, range(2, len(head)))}\n{ABOUT}{'; '.join(told)}."
+    return table(COLUMNS, body, title, f"{ABOUT}{'; '.join(told)}.")
 
 
-ABOUT = """
+COLUMNS = (
+    Column("scene"),
+    Column("stepper, steps"),
+    Column("float64", ">,.0f"),
+    Column("error", ">.1e"),
+    Column("failed", ">"),
+    Column("float32", ">,.0f"),
+    Column("error", ">.1e"),
+    Column("failed", ">"),
+    Column("float32 / float64", ">.2f"),
+)
+ABOUT = """\
 float32's times are 3e-5 apart after 300 periods of the belt and up to 2.4e-4 after those of the SD
 oscillator, and so is the phase of the forcing. Outcomes of the lanes that failed, all rows of each
 precision together: """

@@ -1,12 +1,12 @@
 """`python -m benchmarks.extremes`: parameters, scales and spans far outside the usual.
 
-Writes `results/extremes.txt`, a line for each extreme: what was run, how it ended, the largest
-deviation from an answer in closed form, what is allowed, and a verdict. "right": successful, and
-within what is allowed. "told": an outcome other than successful. "WRONG": successful and outside.
+Nothing enters; `results/extremes.txt` leaves, a line for each extreme: what was run, how it ended,
+the largest deviation from an answer in closed form, what is allowed, and a verdict. "right":
+successful, and within what is allowed. "told": an outcome other than successful. "WRONG":
+successful and outside.
 """
 
 import dataclasses
-import pathlib
 import time
 
 import equinox as eqx
@@ -15,12 +15,20 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxfil as jf
+from benchmarks import RESULTS
 from benchmarks.extreme_systems import Circle, Comb, Parabolas, Ring, Scaled, Spring, Turn
 from benchmarks.pieces import motion
-from benchmarks.texts import table
+from benchmarks.table import Column, table
 from jaxfil.model.outcomes import outcome_names
 
-OUT = pathlib.Path(__file__).parent / "results" / "extremes.txt"
+COLUMNS = (
+    Column("scene"),
+    Column("extreme"),
+    Column("outcome"),
+    Column("error", "<.1e"),
+    Column("allowed", "<.0e"),
+    Column("verdict"),
+)
 EPS = np.finfo(float).eps
 PI = np.pi
 
@@ -38,14 +46,16 @@ class Row:
 
     @property
     def verdict(self):
+        """Right, told, or wrong."""
         if self.outcome != "successful":
             return "told"
         return "right" if self.error <= self.allowed else "WRONG"
 
     def cells(self):
-        error = "" if self.outcome != "successful" else f"{self.error:.1e}"
+        """The line's cells, in the order of `COLUMNS`."""
+        error = self.error if self.outcome == "successful" else None
         verdict = f"{self.verdict}: {self.note}" if self.note else self.verdict
-        return [self.scene, self.setting, self.outcome, error, f"{self.allowed:.0e}", verdict]
+        return [self.scene, self.setting, str(self.outcome), error, self.allowed, verdict]
 
 
 def run(make, x0, t0, t1, dt, dtype=np.float64, **options):
@@ -69,6 +79,7 @@ def apart(xs, exact):
 
 
 def rows_of(scene, settings, names, errors, allowed, notes=None):
+    """The lines of one scene, a lane each; `allowed` may be one number for all."""
     notes = notes if notes is not None else [""] * len(settings)
     allowed = np.broadcast_to(allowed, (len(settings),))
     return [Row(scene, *row) for row in zip(settings, names, errors, allowed, notes, strict=True)]
@@ -328,17 +339,17 @@ PARTS = (
 
 
 def main():
+    """Run all parts; print and write the table."""
     jax.config.update("jax_enable_x64", True)
     begun, rows = time.perf_counter(), []
     for part in PARTS:
         started = time.perf_counter()
         rows += part()
         print(f"{part.__name__}: {time.perf_counter() - started:.1f} s", flush=True)
-    head = ["scene", "extreme", "outcome", "error", "allowed", "verdict"]
     verdicts = [row.verdict for row in rows]
     tally = ", ".join(f"{verdicts.count(v)} {v}" for v in ("right", "told", "WRONG"))
-    text = table(head, [row.cells() for row in rows]) + f"\n\n{len(rows)} rows: {tally}.\n"
-    OUT.write_text(text)
+    text = table(COLUMNS, map(Row.cells, rows), note=f"{len(rows)} rows: {tally}.") + "\n"
+    (RESULTS / "extremes.txt").write_text(text)
     print(text, f"{time.perf_counter() - begun:.0f} s", sep="\n")
 
 

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxfil as jf
+from benchmarks import RESULTS
 
-PATH = Path(__file__).parent / "results" / "gallery.png"
+PATH = RESULTS / "gallery.png"
 EVERY_STEP = diffrax.SaveAt(t0=True, steps=True)
 S = jf.systems
 jax.config.update("jax_enable_x64", True)

@@ -1,7 +1,8 @@
 """Exact motions whose every mode is linear, however stiff: sums of exponentials in many digits.
 
-A `Mode` is z' = A z + b + Re(c e^{iωt}), with a guard that is positive while it lasts; `follow`
-takes a state through modes to a time. Nothing of the library is used.
+Numbers and modes enter; the state at the end and the times of the contacts leave. A `Mode` is z' =
+A z + b + Re(c e^{iωt}), with a guard that is positive while it lasts; `follow` takes a state
+through modes to a time. Nothing of the library is used.
 """
 
 from collections.abc import Callable

@@ -14,9 +14,16 @@ import numpy as np
 
 from benchmarks.peers import scipy_events
 from benchmarks.scenes import SCENES
+from benchmarks.table import Column, table
 
 SCENE = SCENES["sd"]
 LOW, HIGH = 0.6, 0.9
+COLUMNS = (
+    Column("who"),
+    Column("orbits", ">"),
+    Column("ms per orbit", ">.3f"),
+    Column("worst error", ">.1e"),
+)
 
 
 def exact(omega):
@@ -82,13 +89,13 @@ def scipy_orbit(omega, guess, rtol):
     return fsolve(gap, guess, xtol=1e-11)
 
 
-def line(who, seconds, count, errors):
-    """One row of the table."""
-    worst = f"{np.max(errors):.1e}" if len(errors) else "-"
-    print(f"{who:34s} {count:6d} {1e3 * seconds / count:12.3f} {worst:>12s}")
+def cells(who, seconds, count, errors):
+    """One line of the table, in the order of `COLUMNS`."""
+    return [who, count, 1e3 * seconds / count, np.max(errors) if len(errors) else "-"]
 
 
 def main():
+    """Find the orbits both ways; print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.orbits", description=__doc__)
     parser.add_argument("--orbits", type=int, default=1000, help="in one call (default 1000)")
     parser.add_argument("--sample", type=int, default=10, help="for SciPy (default 10)")
@@ -99,17 +106,16 @@ def main():
     wanted = np.stack([exact(w) for w in omegas])
     guesses = 1.2 * wanted
     x0, (first, later), good = jaxfil_orbits(omegas, guesses, args.steps)
-    print(f"{'':34s} {'orbits':>6s} {'ms per orbit':>12s} {'worst error':>12s}")
     errors = np.abs(x0 - wanted).max(axis=1)
-    line(f"jaxfil, {args.steps} steps", later, args.orbits, errors[good])
+    rows = [cells(f"jaxfil, {args.steps} steps", later, args.orbits, errors[good])]
     some = np.linspace(0, args.orbits - 1, args.sample).astype(int)
     start = time.perf_counter()
     found = np.stack([scipy_orbit(omegas[i], guesses[i], args.rtol) for i in some])
     took = time.perf_counter() - start
-    line(
-        f"SciPy fsolve, rtol {args.rtol:.0e}", took, len(some), np.abs(found - wanted[some]).max(1)
-    )
-    print(f"jaxfil found {good.sum()} of {args.orbits}; its first call took {first:.1f} s.")
+    apart = np.abs(found - wanted[some]).max(axis=1)
+    rows.append(cells(f"SciPy fsolve, rtol {args.rtol:.0e}", took, len(some), apart))
+    note = f"jaxfil found {good.sum()} of {args.orbits}; its first call took {first:.1f} s."
+    print(table(COLUMNS, rows, note=note))
 
 
 if __name__ == "__main__":

@@ -4,11 +4,9 @@ The tables and pictures that the other commands left in `benchmarks/results` ent
 shows them all, each under the command that makes it, leaves.
 """
 
-from pathlib import Path
-
+from benchmarks import RESULTS
 from benchmarks.work_precision.problems import PROBLEMS
 
-RESULTS = Path(__file__).parent / "results"
 PAGE = RESULTS / "README.md"
 # Title, command, and the names of its results: NAME.txt is shown as it is, NAME.png as a picture.
 SECTIONS = (

@@ -72,6 +72,7 @@ def motion(law, pull, omega, x0, t1, t0=0.0, force=1.0):
 
 
 def _flow(x, v, phi, omega, gain, centre):
+    """The motion from (x, v) at phase phi: a function of the time since."""
     a = x - centre - gain * np.cos(phi)
     b = v + gain * omega * np.sin(phi)
 
@@ -89,6 +90,7 @@ def _hold(x, phi, omega, force, pull):
 
 
 def _height(flow, side, component):
+    """A function of the time since: positive while the side lasts."""
     return lambda tau: side * flow(tau)[component]
 
 

@@ -4,17 +4,18 @@ In: rows as `throughput.row` makes them. Out: text on standard output, and two f
 """
 
 import json
-import pathlib
 import platform
 
 import numpy as np
 
-RESULTS = pathlib.Path(__file__).parent / "results"
+from benchmarks import RESULTS
+from benchmarks.table import Column, table
+
 LEVELS = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 OURS = "jaxfil"
 
 
-def columns(rows):
+def core_counts(rows):
     """The numbers of cores that were measured."""
     return sorted({int(c) for r in rows for c in r["rates"]})
 
@@ -28,26 +29,30 @@ def _calls(row):
     return f"{first['traces']}, {first['compilations']} / {later[0]}, {later[1]}"
 
 
-def table(rows):
+def _error(row):
+    """The error as text, and the lanes that failed."""
+    error = "failed" if row["error"] is None else f"{row['error']:.1e}"
+    return error + (f" ({row['failed']} lanes failed)" if row["failed"] else "")
+
+
+def _cores(count):
+    """One core, several cores."""
+    return f"{count} core{'s' * (count > 1)}"
+
+
+def measured(rows):
     """The table as text, a scene and an integrator after the other."""
-    cores = columns(rows)
-    head = ["scene", "who", "setting", "lanes", "error"]
-    head += [f"{c} core{'s' * (c > 1)}" for c in cores]
-    head += ["compile s", "traced, compiled: first / later call"]
+    cores = core_counts(rows)
+    columns = [Column("scene"), Column("who"), Column("setting")]
+    columns += [Column("lanes", ">"), Column("error", ">")]
+    columns += [Column(_cores(c), ">,.0f") for c in cores]
+    columns += [Column("compile s", ">.1f"), Column("traced, compiled: first / later call")]
     body = []
     for r in sorted(rows, key=lambda r: (r["scene"], r["who"] != OURS, r["who"])):
-        error = "failed" if r["error"] is None else f"{r['error']:.1e}"
-        error += f" ({r['failed']} lanes failed)" if r["failed"] else ""
-        rates = [f"{r['rates'][str(c)]:,.0f}" if str(c) in r["rates"] else "" for c in cores]
-        cells = [r["scene"], r["who"], r["setting"], str(r["lanes"]), error, *rates]
-        body.append([*cells, f"{r['compile_seconds']:.1f}", _calls(r)])
-    widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
-    left = (0, 1, 2, len(head) - 1)
-    lines = []
-    for cells in [head, ["-" * w for w in widths], *body]:
-        pairs = enumerate(zip(cells, widths, strict=True))
-        lines.append("  ".join(c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in pairs))
-    return "\n".join(lines)
+        rates = [r["rates"].get(str(c)) for c in cores]
+        cells = [r["scene"], r["who"], r["setting"], r["lanes"], _error(r), *rates]
+        body.append([*cells, r["compile_seconds"], _calls(r)])
+    return table(columns, body)
 
 
 def _points(rows, cores):
@@ -63,8 +68,8 @@ def rate_at(rows, error, cores):
     error above that of a method's cheapest setting the rate is that setting's.
     """
     best = None
-    for family in {r["family"] for r in rows}:
-        points = sorted(_points([r for r in rows if r["family"] == family], cores))
+    for method in {r["method"] for r in rows}:
+        points = sorted(_points([r for r in rows if r["method"] == method], cores))
         if not points or points[0][0] > error:
             continue
         errors, rates = np.log(np.array(points)).T
@@ -80,7 +85,7 @@ def ratios(rows):
     for scene in dict.fromkeys(r["scene"] for r in rows):
         here = [r for r in rows if r["scene"] == scene]
         for who in sorted({r["who"] for r in here} - {OURS}):
-            for cores in columns(here):
+            for cores in core_counts(here):
                 pair = [
                     [rate_at([r for r in here if r["who"] == w], e, cores) for e in LEVELS]
                     for w in (OURS, who)
@@ -90,18 +95,23 @@ def ratios(rows):
 
 
 def _ratio(ours, theirs):
+    """A cell of the table of ratios."""
     if ours is None:
         return "-"
     return "alone" if theirs is None else f"{ours / theirs:.3g}"
 
 
-def ratio_lines(rows):
-    """The same as text."""
-    lines = ["jaxfil's rate relative to each peer's, at equal error:"]
-    for (scene, who, cores), levels in ratios(rows).items():
-        cells = [f"{_ratio(*pair)} at {level:.0e}" for level, pair in levels.items()]
-        lines.append(f"  {scene}, {who}, {cores} core{'s' * (cores > 1)}: {', '.join(cells)}")
-    return "\n".join([*lines, '  ("alone": the peer does not get there; "-": jaxfil does not)'])
+def relative(rows):
+    """The same as a table."""
+    columns = [Column("scene"), Column("who"), Column("measured on")]
+    columns += [Column(f"at {level:.0e}", ">") for level in LEVELS]
+    body = [
+        [scene, who, _cores(cores), *(_ratio(*pair) for pair in levels.values())]
+        for (scene, who, cores), levels in ratios(rows).items()
+    ]
+    title = "jaxfil's rate relative to each peer's, at equal error"
+    note = '"alone": the peer does not get there; "-": jaxfil does not.'
+    return table(columns, body, title, note)
 
 
 def picture(rows, path):
@@ -136,12 +146,12 @@ def picture(rows, path):
 
 def _curves(ax, rows, color):
     """An integrator's methods, a line and a marker each; the markers open for all cores."""
-    for family, marker in zip(dict.fromkeys(r["family"] for r in rows), "os^Dv", strict=False):
-        mine = [r for r in rows if r["family"] == family]
-        for i, cores in enumerate(columns(rows)):
+    for method, marker in zip(dict.fromkeys(r["method"] for r in rows), "os^Dv", strict=False):
+        mine = [r for r in rows if r["method"] == method]
+        for i, cores in enumerate(core_counts(rows)):
             style = dict(color=color, marker=marker, ms=5, lw=1.2 if i == 0 else 0.6)
             style |= dict(mfc=color if i == 0 else "none")
-            label = f"{rows[0]['who']}, {family}" if i == 0 else None
+            label = f"{rows[0]['who']}, {method}" if i == 0 else None
             ax.plot(*np.reshape(_points(mine, cores), (-1, 2)).T, label=label, **style)
 
 
@@ -152,7 +162,7 @@ def write(rows, skipped, about):
     kept["skipped"] = skipped
     (RESULTS / "throughput.json").write_text(json.dumps(kept, indent=1))
     picture(rows, RESULTS / "throughput.png")
-    print(table(rows), *skipped, sep="\n")
+    print(measured(rows), *skipped, sep="\n")
     print(
         "\nRates are lane-periods per second, medians, compilation left out"
         + (", one core by processor time" if about["processor_time"] else "")
@@ -160,4 +170,4 @@ def write(rows, skipped, about):
         "counts the lanes it had.\n"
     )
     if any(r["who"] == OURS for r in rows):
-        print(ratio_lines(rows))
+        print(relative(rows))

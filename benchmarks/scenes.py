@@ -1,5 +1,7 @@
 """The two workloads: what every integrator here is given, and nothing about how it is solved.
 
+Nothing enters; a `Scene` for each leaves.
+
 A `Scene` holds equations by name with their numbers, the range of the swept frequency, the initial
 state, and the frequencies at which a periodic lane is compared with a converged run.
 """

@@ -36,55 +36,48 @@ def picture(found, path):
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
-    from matplotlib.colors import LogNorm
     from matplotlib.patches import Patch
     from matplotlib.patheffects import Normal, Stroke
 
     figure, axes = plt.subplots(1, len(found), figsize=(11, 5.2), sharey=True, layout="constrained")
-    drawn = None
-    for ax, (name, (dts, dampings, errors, told)) in zip(axes, found.items(), strict=True):
-        shown = np.ma.masked_where(told | ~(errors < 1), errors)
-        drawn = ax.pcolormesh(
-            dts,
-            dampings,
-            np.maximum(shown, 1e-14),
-            norm=LogNorm(1e-14, 1),
-            cmap="viridis",
-            shading="nearest",
-        )
-        for where, hatch in ((told, "xx"), (~told & ~(errors < 1), "..")):
-            marked = np.ma.masked_where(~where, np.ones_like(errors))
-            ax.pcolor(
-                dts,
-                dampings,
-                marked,
-                cmap="Greys",
-                vmin=0,
-                vmax=4,
-                hatch=hatch,
-                edgecolor="0.3",
-                linewidth=0,
-                shading="nearest",
-            )
-        ax.set(xscale="log", yscale="log", title=name, xlabel="step dt")
+    drawn = [_panel(ax, name, *grid) for ax, (name, grid) in zip(axes, found.items(), strict=True)]
+    dts, dampings, *_ = next(iter(found.values()))
     (limit,) = axes[0].plot(
         dts, STABLE / dts, color="white", lw=2, ls="--", label=f"stability limit d·dt = {STABLE}"
     )
     limit.set_path_effects([Stroke(linewidth=3.5, foreground="black"), Normal()])
     axes[0].set_ylim(dampings[0] / 1.8, dampings[-1] * 1.8)
     axes[0].set_ylabel("damping d of one side")
-    figure.colorbar(drawn, ax=axes, label="error of the state at t = 12")
-    marks = [Patch(facecolor="0.85", edgecolor="0.3", hatch="xx", label="told: not successful")]
-    marks.append(
-        Patch(facecolor="0.85", edgecolor="0.3", hatch="..", label="unstable: error above 1")
-    )
+    figure.colorbar(drawn[-1], ax=axes, label="error of the state at t = 12")
+    marks = [
+        Patch(facecolor="0.85", edgecolor="0.3", hatch=hatch, label=label)
+        for hatch, label in (("xx", "told: not successful"), ("..", "unstable: error above 1"))
+    ]
     figure.legend(handles=[limit, *marks], loc="outside lower center", ncols=3, fontsize=9)
     figure.suptitle("A relay with one damped side: error over step and stiffness")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
+def _panel(ax, name, dts, dampings, errors, told):
+    """The errors of one method; what was told or unstable is hatched."""
+    from matplotlib.colors import LogNorm
+
+    unstable = ~told & ~(errors < 1)
+    shown = np.maximum(np.ma.masked_where(told | unstable, errors), 1e-14)
+    drawn = ax.pcolormesh(
+        dts, dampings, shown, norm=LogNorm(1e-14, 1), cmap="viridis", shading="nearest"
+    )
+    grey = dict(cmap="Greys", vmin=0, vmax=4, edgecolor="0.3", linewidth=0, shading="nearest")
+    for where, hatch in ((told, "xx"), (unstable, "..")):
+        marked = np.ma.masked_where(~where, np.ones_like(errors))
+        ax.pcolor(dts, dampings, marked, hatch=hatch, **grey)
+    ax.set(xscale="log", yscale="log", title=name, xlabel="step dt")
+    return drawn
+
+
 def summary(found):
+    """A sentence that counts, for each method, what was right, wrong and told."""
     parts = []
     for name, (_, _, errors, told) in found.items():
         wrong = int((~told & ~(errors < 1)).sum())

@@ -16,16 +16,19 @@ SMALL = 1e-6
 
 
 def _push(t, x, xp):
+    """The force that friction has to hold."""
     return 2 * xp.cos(OMEGA * t) - x[0]
 
 
 def _next_side(t, x, side, friction, xp):
+    """The mode after a contact."""
     force = float(_push(t, x, xp))
     return 0.0 if side != 0 and abs(force) < friction else float(np.sign(force))
 
 
 @ft.cache
 def _segment(rtol):
+    """diffrax's Kvaerno5 to the end of one mode, compiled for a tolerance."""
     import diffrax as dfx
     import optimistix as optx
 
@@ -77,6 +80,7 @@ def kvaerno_events(damping, friction, x0, t1, rtol):
 
 @ft.cache
 def _smooth(rtol):
+    """diffrax's Kvaerno5 on a smoothed system, compiled for a tolerance."""
     import diffrax as dfx
 
     @jax.jit

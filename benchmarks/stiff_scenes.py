@@ -91,6 +91,7 @@ def rates_exact(k):
 
 @ft.cache
 def floor_exact(k, c, t1):
+    """(y, y') at t1 from (1, 0)."""
     modes = {
         1: Mode([[0, 1], [0, 0]], [0, -1], [0, 0], lambda t, z: z[0]),
         -1: Mode([[0, 1], [-k, -c]], [0, -1], [0, 0], lambda t, z: -z[0]),
@@ -101,6 +102,7 @@ def floor_exact(k, c, t1):
 @eqx.filter_jit
 @eqx.filter_vmap(in_axes=(eqx.if_array(0), None, 0, None, 0, None))
 def lanes(system, x0, t1, stepper, dt, max_events):
+    """Solutions of all lanes, side by side."""
     return jf.solve(system, x0, 0.0, t1, dt, stepper=stepper, max_events=max_events, throw=False)
 
 
@@ -108,10 +110,10 @@ def solve(systems, x0, t1, dt, stepper, max_events=None):
     """Lanes of `systems`: outcomes, states at the end, contacts."""
     dt = jnp.asarray(dt, float)
     t1 = jnp.broadcast_to(jnp.asarray(t1, float), dt.shape)
-    sol = lanes(systems, jnp.asarray(x0, float), t1, stepper, dt, max_events)
-    return sol
+    return lanes(systems, jnp.asarray(x0, float), t1, stepper, dt, max_events)
 
 
 def relays(dampings, v):
+    """A lane of `DampedRelay` for each damping."""
     dampings = jnp.asarray(dampings, float)
     return DampedRelay(dampings, jnp.broadcast_to(jnp.asarray(v, float), dampings.shape))

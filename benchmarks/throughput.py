@@ -23,6 +23,7 @@ LONG = 5.0
 
 
 def arguments():
+    """What the command line asks for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.throughput", description=__doc__)
     parser.add_argument("--lanes", type=int, default=1000, help="values of omega (default 1000)")
     parser.add_argument("--scene", choices=list(SCENES), help="one scene only")
@@ -49,7 +50,7 @@ def core_sets(limit):
 
 
 def requests(scene, peer, args):
-    """What one integrator is asked on one scene, cheap to dear within a family."""
+    """What one integrator is asked on one scene, cheap to dear within a method."""
     most = peer.effort(args.quick)
     lanes = args.lanes if most is None else min(most, args.lanes)
     common = dict(
@@ -103,7 +104,7 @@ def row(module, request, runs, clock):
     return dict(
         scene=scene.name,
         who=peer.NAME,
-        family=peer.family(setting),
+        method=peer.method(setting),
         setting=peer.label(setting),
         lanes=first["lanes"],
         failed=first["failed"],
@@ -122,11 +123,12 @@ def row(module, request, runs, clock):
 
 
 def main():
+    """Measure the integrators asked for, in turn; print and write what was found."""
     args = arguments()
     modules, skipped = [], []
     for module in args.peer or peers.MODULES:
         peer = peers.load(module)
-        reason = peer.available()
+        reason = peer.missing()
         skipped.append(f"{peer.NAME}: skipped, {reason}") if reason else modules.append(module)
     workers = {(m, len(c)): Worker(m, c) for m in modules for c in core_sets(args.cores)}
     clock = "busy" if args.processor_time else "seconds"

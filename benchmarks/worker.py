@@ -40,6 +40,7 @@ class Worker:
         return json.loads(line)
 
     def close(self):
+        """End the process."""
         self.process.stdin.close()
         self.process.wait()
 
@@ -51,16 +52,19 @@ class Counter:
         self.counts = dict.fromkeys((*EVENTS.values(), "seconds"), 0)
 
     def watch(self):
+        """Begin to count."""
         import jax
 
         jax.monitoring.register_event_duration_secs_listener(self._heard)
 
     def _heard(self, event, duration, **_):
+        """Count one event of JAX."""
         if event in EVENTS:
             self.counts[EVENTS[event]] += 1
             self.counts["seconds"] += duration
 
     def since(self, before):
+        """What has been counted since a copy of `counts`."""
         return {name: count - before[name] for name, count in self.counts.items()}
 
 
@@ -106,6 +110,7 @@ def _answer(peer, request, cores, counter, known):
 
 
 def main():
+    """Answer requests until the standard input ends."""
     module, affinity = sys.argv[1], json.loads(sys.argv[2])
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, affinity)

@@ -9,7 +9,10 @@ from jaxfil.bifurcations.locate import (
     Bifurcation as Bifurcation,
     find_bifurcation as find_bifurcation,
 )
-from jaxfil.bifurcations.margin import grazing_margin as grazing_margin
+from jaxfil.bifurcations.margin import (
+    GrazingMargin as GrazingMargin,
+    grazing_margin as grazing_margin,
+)
 from jaxfil.bifurcations.sequence import (
     BifurcationSequence as BifurcationSequence,
     find_bifurcations as find_bifurcations,
@@ -42,16 +45,14 @@ from jaxfil.integrate.work_precision import (
 from jaxfil.model import deprecation, drawing
 from jaxfil.model.outcomes import RESULTS as RESULTS, EventKind as EventKind
 from jaxfil.model.system import System as System, piecewise as piecewise, smoothed as smoothed
-from jaxfil.orbits.branch import (
-    Branch as Branch,
-    SpecialPoint as SpecialPoint,
-    continue_orbit as continue_orbit,
-)
+from jaxfil.orbits.branch import Branch as Branch, SpecialPoint as SpecialPoint
+from jaxfil.orbits.continue_orbit import continue_orbit as continue_orbit
 from jaxfil.orbits.harmonic_balance import (
     FourierOrbit as FourierOrbit,
     harmonic_balance as harmonic_balance,
 )
-from jaxfil.orbits.orbit import Orbit as Orbit, periodic_orbit as periodic_orbit
+from jaxfil.orbits.orbit import Orbit as Orbit
+from jaxfil.orbits.periodic_orbit import periodic_orbit as periodic_orbit
 from jaxfil.sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
 from jaxfil.sweep.diagram import BifurcationDiagram as BifurcationDiagram
 from jaxfil.sweep.load import load as load

@@ -1,4 +1,14 @@
-"""Every test runs in float64, with strict type promotion."""
+"""Every test runs in float64, with strict type promotion.
+
+The folders mirror those of the package: `tests/orbits` tests `jaxfil/orbits`, and a file is called
+after the file or the noun that it tests. `tests/project` holds what is about the project as a whole
+(layout, README, notebooks, gallery, paper, programs of the benchmarks). One room is run by its
+folder, `python -m pytest tests/orbits`, the quick tests of it by `-m "not slow"` besides.
+
+What several rooms use is here: `problems`, a bank of problems with known answers, by name and by
+tag; `results`, what is done with a solution; `exact`, relay systems in extended precision;
+`pictures`, a picture of each kind, and their references.
+"""
 
 import equinox as eqx
 import jax
@@ -6,6 +16,7 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+pytest.register_assert_rewrite("tests.results")
 
 
 @pytest.fixture(autouse=True, scope="module")

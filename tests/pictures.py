@@ -178,6 +178,7 @@ def curve():
         kinds=kinds,
         points=[change],
         ended=("", ""),
+        result=jf.RESULTS.successful,
         labels=NAMES,
     )
 

@@ -4,7 +4,6 @@ import re
 import shlex
 import subprocess
 import sys
-from pathlib import Path
 
 import jax.numpy as jnp
 import matplotlib.image
@@ -14,8 +13,9 @@ from numpy.testing import assert_array_equal
 
 import jaxfil as jf
 from jaxfil.__main__ import main
+from tests import ROOT
 
-README = Path(__file__).parent.parent / "README.md"
+README = ROOT / "README.md"
 SMALL = ["--from", "0.6", "--to", "0.7", "--points", "3", "--transient", "2", "--samples", "4"]
 
 

@@ -15,14 +15,15 @@ import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
+from benchmarks import RESULTS
 from benchmarks.paper.figure import FIGURES, make
 
-RESULTS = Path(__file__).parent.parent / "results"
 # The longest ones first, so that no core is left with one of them at the end.
 SLOWEST = ("fig8", "fig11", "fig5", "section5", "fig10", "fig6", "fig9", "fig4")
 
 
 def main():
+    """Make the figures asked for, side by side."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.paper", description=__doc__)
     parser.add_argument("figures", nargs="*", metavar="FIGURE", help=", ".join(FIGURES))
     parser.add_argument("--out", type=Path, default=RESULTS, help="default: benchmarks/results")

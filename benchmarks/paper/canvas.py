@@ -1,4 +1,7 @@
-"""The paper on which the figures are drawn: sizes, colours and marks that all of them share."""
+"""The paper on which the figures are drawn: sizes, colours and marks that all of them share.
+
+Inches, axes and samples enter; an empty figure, and axes drawn on, leave.
+"""
 
 from matplotlib.figure import Figure
 

@@ -60,6 +60,7 @@ def basin(omega, side, transient):
 
 
 def make(points=600, close=250, side=90, lanes=64, held=400, settle=1500):
+    """The figure and the rows of its table."""
     values, near = np.linspace(*ENDS, points), np.linspace(*CLOSE, close)
     rest = sweep(values, REST, held, 60)
     first = sweep(near[:1], ON_ORBIT, 200, 1)[0, -1]
@@ -80,6 +81,7 @@ def make(points=600, close=250, side=90, lanes=64, held=400, settle=1500):
 
 
 def diagrams(axes, values, rest, near, up, down):
+    """The diagram from rest, and beside it each attractor followed."""
     ax, zoom = axes
     dots(ax, values, rest[..., 0])
     entitle(ax, "every ω from (0, 0)")
@@ -95,6 +97,7 @@ def diagrams(axes, values, rest, near, up, down):
 
 
 def draw_basin(ax, omega, inside):
+    """Which initial states lead to which attractor, at one frequency."""
     ax.imshow(
         inside,
         origin="lower",
@@ -115,6 +118,7 @@ def draw_basin(ax, omega, inside):
 
 
 def table(near, rest, values, up, down, found):
+    """The rows of its table."""
     grazing = float(cubic_grazing().value)
     leaves = near[~on_orbit(up)].min()
     ends = near[chaotic(down)].min()

@@ -2,7 +2,7 @@
 
 Exact exponents have λ2 = −∞ wherever the motion sticks. The paper smooths sgn by arctan; a layer
 displaces what it smooths, by its tail: arctan(w/width) damps far from the belt too. In the same
-batches run lanes at ω = 4.6 and 4.56, for sharp numbers.
+batches run lanes at ω = 4.6 and 4.56, for sharp numbers. Frequencies enter; spectra leave.
 """
 
 import diffrax
@@ -26,10 +26,12 @@ SHORT = {"periods": 100, "transient": 100, "steps": 800, "parts": 32}
 
 
 def exact(omega):
+    """The belt of case 2."""
     return jf.systems.BeltFriction(omega=omega)
 
 
 def smooth(omega):
+    """The same, smoothed."""
     return jf.smoothed(exact(omega), WIDTH)
 
 
@@ -46,6 +48,7 @@ def batch(system, values, chaotic, counts):
 
 
 def make(points=500, blurred_points=119, chaotic=75, long=LONG, short=SHORT):
+    """The figure and the rows of its table."""
     values, coarse = np.linspace(4.2, 4.7, points), np.linspace(4.2, 4.7, blurred_points)
     sharp = batch(exact, values, chaotic, long)
     blurred = batch(smooth, coarse, chaotic // 9, short)
@@ -116,6 +119,7 @@ def with_error(spectrum, i):
 
 
 def table(values, sharp, coarse, blurred, change, steps):
+    """The rows of its table."""
     (found, chaos, quiet), (blurred_found, blurred_chaos, blurred_quiet) = sharp, blurred
     mean, error = mean_of(chaos)
     sticking = found.exponents[found.exponents[:, 0] > 0.02, 1]

@@ -58,6 +58,7 @@ def orbits(omega, amplitude):
 
 
 def make():
+    """The figure and the rows of its table."""
     values = np.array(LOWER + UPPER)
     size = response(values).real  # in phase below resonance, against it above
     circles, lines, distance, amplitude, result = orbits(jnp.asarray(values), jnp.asarray(size))
@@ -79,6 +80,7 @@ def make():
 
 
 def table(values, amplitude, distance):
+    """The rows of its table."""
     rows = []
     for near, (paper, exact) in GRAZING.items():
         why = "the paper also prints 0.8667 and 0.86667; the last is a misprint" * (near < 1)

@@ -1,7 +1,8 @@
 """Fig. 5: Lyapunov exponents of the SD oscillator against frequency, exact and smoothed.
 
 The paper smooths sgn by arctan and follows Wolf's algorithm; the exact row has the saltation of
-every crossing. In the same batch run lanes at Ω = 0.87, for one sharp number.
+every crossing. In the same batch run lanes at Ω = 0.87, for one sharp number. Frequencies enter;
+spectra leave.
 """
 
 import jax
@@ -25,10 +26,12 @@ SHORT = {"periods": 200, "transient": 150, "steps": 300}
 
 
 def exact(omega):
+    """The SD oscillator."""
     return jf.systems.SDOscillator(omega=omega)
 
 
 def smooth(omega):
+    """The same, smoothed."""
     return jf.smoothed(exact(omega), WIDTH)
 
 
@@ -49,6 +52,7 @@ def edges(values, found):
 
 
 def make(points=500, chaotic=76, long=LONG, short=SHORT):
+    """The figure and the rows of its table."""
     values = np.linspace(0.6, 1.3, points)
     sharp = batch(exact, values, chaotic, long)
     blurred = batch(smooth, values, chaotic // 6, short)
@@ -72,6 +76,7 @@ def make(points=500, chaotic=76, long=LONG, short=SHORT):
 
 
 def table(values, sharp, blurred, change, steps):
+    """The rows of its table."""
     (found, chaos), (smoothed_found, smoothed_chaos) = sharp, blurred
     mean, error = mean_of(chaos)
     blurred_mean, blurred_error = mean_of(smoothed_chaos)

@@ -59,6 +59,7 @@ def mean_life(lanes, rng, early=100, late=400):
 
 
 def make(points=1000, around=36, lanes=48, holds=HOLDS, many=2048):
+    """The figure and the rows of its table."""
     rng = np.random.default_rng(0)
     values = np.linspace(0.6, 1.3, points)
     settled = sweep(values, X0, 300, 60)
@@ -92,6 +93,7 @@ def make(points=1000, around=36, lanes=48, holds=HOLDS, many=2048):
 
 
 def diagram(ax, values, followed, settled):
+    """The diagram from one state, and that of the one-sided orbit followed up."""
     before = values < GRAZING
     dots(ax, values[before], settled[before], color=ORANGE, label="from (0.3, 0.1)")
     dots(ax, values, followed, alpha=0.7, label="followed up from the one-sided orbit")
@@ -102,6 +104,7 @@ def diagram(ax, values, followed, settled):
 
 
 def table(values, parts, holds, life, onset):
+    """The rows of its table."""
     low, high = values < 1, values > 1
     why = "a step of the grid, which jolts the orbit, is 0.0007"
     rows = [Row("chaos begins, followed from the orbit", "0.8667", onset, GRAZING, why, 5)]

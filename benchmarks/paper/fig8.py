@@ -5,7 +5,7 @@ One call of `find_bifurcations` enters, that of `benchmarks.bifurcations`; the b
 
 import numpy as np
 
-from benchmarks.bifurcations import PRINTED, REFERENCE, belt_route, near
+from benchmarks.bifurcations import PRINTED, REFERENCE, belt_sequence, near
 from benchmarks.paper.canvas import (
     BLACK,
     BLUE,
@@ -40,17 +40,18 @@ MARKS = {
 
 
 def make():
-    route = belt_route()
-    branch = route.branch
+    """The figure and the rows of its table."""
+    found = belt_sequence()
+    branch = found.branch
     largest = branch.extremes()[1][:, 1]
     order = np.argsort(branch.values)
-    tops = np.interp([float(b.value) for b in route], branch.values[order], largest[order])
+    tops = np.interp([float(b.value) for b in found], branch.values[order], largest[order])
     figure = canvas(9, 5.2)
     ax = figure.subplots()
     inset = ax.inset_axes((0.54, 0.45, 0.43, 0.49))
     for axes, places in ((ax, PLACES), (inset, CLOSE_PLACES)):
         curve(axes, branch.values[order], largest[order], np.asarray(branch.stable)[order])
-        marks(axes, route, tops, places)
+        marks(axes, found, tops, places)
     ax.axhline(1, color=BLACK, lw=0.6, ls=":")
     ax.text(19.9, 1.03, "belt, v = 1", ha="right", va="bottom", fontsize="small")
     ax.set(xlabel="forcing frequency ω", ylabel="largest velocity max ẋ", xlim=(0.5, 20))
@@ -60,18 +61,19 @@ def make():
     ax.axvline(7.85, color=VERMILLION, lw=0.8, ls="--", label="the paper's 7.85")
     ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(0.19, 0.98))
     entitle(ax, "Belt friction, case 1: the period-1 branch and its sliding bifurcations a to i")
-    return figure, table(route)
+    return figure, table(found)
 
 
 def curve(ax, values, largest, stable):
+    """The branch, dashed where its orbits are unstable."""
     ax.plot(values, np.where(stable, largest, np.nan), color=BLACK, lw=1.2)
     ax.plot(values, np.where(stable, np.nan, largest), color=BLACK, lw=1.2, ls="--")
 
 
-def marks(ax, route, tops, places):
+def marks(ax, found, tops, places):
     """Every bifurcation by its kind, with a letter in ascending order."""
     named = set()
-    for letter, b, top in zip("abcdefghi", route, tops, strict=True):
+    for letter, b, top in zip("abcdefghi", found, tops, strict=True):
         marker, color = MARKS[b.kind]
         label = b.kind if b.kind not in named else None
         named.add(b.kind)
@@ -80,9 +82,10 @@ def marks(ax, route, tops, places):
             ax.annotate(letter, (b.value, top), places[letter], textcoords="offset points")
 
 
-def table(route):
+def table(found):
+    """The rows of its table."""
     rows = []
-    for letter, b in zip("abcdefghi", route, strict=True):
+    for letter, b in zip("abcdefghi", found, strict=True):
         value = float(b.value)
         printed, why = near(PRINTED, value) or ("", "")
         exact = near(REFERENCE, value) or LOCATED.get(letter, "")

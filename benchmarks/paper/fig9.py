@@ -49,6 +49,7 @@ def orbits(omega):
 
 
 def make():
+    """The figure and the rows of its table."""
     values = np.array(VALUES)
     orbit, tops, multipliers, sol = orbits(jnp.asarray(values))
     assert np.all(orbit.result == jf.RESULTS.successful)
@@ -69,6 +70,7 @@ def make():
 
 
 def portrait(ax, xs, modes):
+    """One orbit, coloured by its modes."""
     ax.axhline(1, color=BLACK, lw=0.7, ls=":", label="belt, ẋ = v")
     for mode, color, width, label in (
         (-1, BLUE, 1.2, "slips, ẋ < v"),
@@ -103,6 +105,7 @@ def sequence(orbit, i):
 
 
 def table(values, orbit, tops, multipliers):
+    """The rows of its table."""
     rows = []
     for i, omega in enumerate(values):
         known = REFERENCE.get(float(omega))

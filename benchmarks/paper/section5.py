@@ -45,6 +45,7 @@ def rates(couplings, lanes, periods):
 
 
 def make(couplings=None, periods=1500, lanes=16, rate_periods=1000):
+    """The figure and the rows of its table."""
     couplings = np.round(np.arange(0.30, 0.505, 0.01), 2) if couplings is None else couplings
     by_threshold = threshold(couplings, periods)
     by_rate = [mean_of(row) for row in rates(list(RATES), lanes, rate_periods)]
@@ -74,6 +75,7 @@ def make(couplings=None, periods=1500, lanes=16, rate_periods=1000):
 
 
 def table(by_threshold, by_rate, couplings):
+    """The rows of its table."""
     step = float(couplings[1] - couplings[0])
     bias = (
         f"a grid of {step:.2g} and a finite time: about ±0.02, and {float(by_threshold.bias):.3f} "

@@ -1,12 +1,13 @@
-"""The table beside a figure: rows enter, lines of text leave."""
+"""The table beside a figure: what was found enters as rows, a text leaves."""
 
-import textwrap
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.table import Column, table
+
 WIDTHS = {"what": 44, "paper": 18, "jaxfil": 22, "reference": 20, "why": 48}
-HEADS = ("quantity", "paper prints", "jaxfil finds", "reference", "why they differ")
+HEADINGS = ("quantity", "paper prints", "jaxfil finds", "reference", "why they differ")
 
 
 class Row(NamedTuple):
@@ -32,16 +33,8 @@ def told(value, digits):
 
 def layout(title, rows):
     """A title and rows as a table of text whose cells wrap."""
-    lines = [title, ""]
-    for row in (HEADS, *map(cells, rows)):
-        columns = [textwrap.wrap(c, w) or [""] for c, w in zip(row, WIDTHS.values(), strict=True)]
-        for i in range(max(map(len, columns))):
-            parts = [c[i] if i < len(c) else "" for c in columns]
-            padded = [f"{p:<{w}}" for p, w in zip(parts, WIDTHS.values(), strict=True)]
-            lines.append("  ".join(padded).rstrip())
-        if row is HEADS:
-            lines.append("  ".join("-" * w for w in WIDTHS.values()))
-    return "\n".join(lines) + "\n"
+    columns = [Column(h, width=w) for h, w in zip(HEADINGS, WIDTHS.values(), strict=True)]
+    return table(columns, map(cells, rows), title) + "\n"
 
 
 def cells(row):

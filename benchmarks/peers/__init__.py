@@ -3,11 +3,11 @@
 Each module offers
 
 - `NAME`: how the tables call it;
-- `SETTINGS`: accuracy settings, cheap to dear within a family, each a dict that JSON can hold;
+- `SETTINGS`: accuracy settings, cheap to dear within a method, each a dict that JSON can hold;
 - `SHAPED`: whether another number of lanes compiles anew;
-- `available()`: "" where it can run, else the reason why not, in words;
+- `missing()`: why it cannot run, in words; empty where it can;
 - `prepare(cores)`: called once in a process, before anything else;
-- `label(setting)` and `family(setting)`: the setting in a few letters, and its method;
+- `label(setting)` and `method(setting)`: the setting in a few letters, and its method;
 - `effort(quick)`: the most lanes it is asked for at a time (None: as many as you like);
 - `sample(scene, omegas, transient, samples, setting, cores=1) -> xs (lanes, samples, 2)`:
   the states at the end of each of the last `samples` periods, every lane started from `scene.x0`

@@ -14,10 +14,10 @@ import tempfile
 
 import numpy as np
 
-from .numba_scalar import SHAPED, effort, family, label
+from .numba_scalar import SHAPED, effort, label, method
 from .tableaus import TABLEAUS, written_out
 
-__all__ = ["SHAPED", "available", "effort", "family", "label", "prepare", "sample"]
+__all__ = ["SHAPED", "effort", "label", "method", "missing", "prepare", "sample"]
 
 NAME = "C++ vector"
 SOURCE = pathlib.Path(__file__).with_suffix(".cpp")
@@ -35,7 +35,7 @@ def _compiler():
     return shutil.which("g++")
 
 
-def available():
+def missing():
     """Why it cannot run; empty where there is a compiler."""
     return "" if _compiler() else "no g++ is installed"
 
@@ -80,6 +80,7 @@ def kernel(kind, method):
 
 
 def _numbers(array):
+    """The array as C takes it."""
     return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
 

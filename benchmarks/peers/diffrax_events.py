@@ -7,26 +7,29 @@ no longer. On several cores the lanes are dealt out to as many devices.
 """
 
 import functools
-import importlib.util
 import math
 
 import numpy as np
+
+from benchmarks import installed
 
 NAME = "diffrax events"
 SETTINGS = [dict(solver="Tsit5", rtol=r) for r in (1e-4, 1e-6, 1e-8, 1e-10)]
 SHAPED = True
 
 
-def available():
-    """Why it cannot run; empty where diffrax is installed."""
-    return "" if importlib.util.find_spec("diffrax") else "diffrax is not installed"
+def missing():
+    """Why it cannot run; empty where it can."""
+    return installed.missing("diffrax")
 
 
 def label(setting):
+    """The setting in a few letters."""
     return f"{setting['solver']} {setting['rtol']:.0e}"
 
 
-def family(setting):
+def method(setting):
+    """Its method."""
     return setting["solver"]
 
 
@@ -40,6 +43,7 @@ def prepare(cores):
 
 
 def effort(quick):
+    """The most lanes at a time; None: as many as asked for."""
     # From 64 lanes to 1,000 its rate grows by a fifth.
     return 32 if quick else 128
 

@@ -7,12 +7,14 @@ the mode and lets the integration go on, so that the lanes of a vector never wai
 and samples are read from the steps' polynomials.
 """
 
-import concurrent.futures
 import functools
-import importlib.util
 import math
 
 import numpy as np
+
+from benchmarks import installed
+
+from .processes import prepare as prepare, run
 
 NAME = "heyoka"
 SETTINGS = [dict(tol=t) for t in (1e-6, 1e-8, 1e-10, 1e-12, 1e-14)]
@@ -26,26 +28,23 @@ PART = 1 / 16
 ASIDE = 4e-15
 
 
-def available():
-    """Why it cannot run; empty where heyoka is installed."""
-    return "" if importlib.util.find_spec("heyoka") else "heyoka is not installed"
+def missing():
+    """Why it cannot run; empty where it can."""
+    return installed.missing("heyoka")
 
 
 def label(setting):
+    """The setting in a few letters."""
     return f"Taylor {setting['tol']:.0e}"
 
 
-def family(setting):
+def method(setting):
+    """Its method."""
     return "Taylor"
 
 
-def prepare(cores):
-    """A process a core, started before any clock runs."""
-    if cores > 1:
-        list(_pool(cores).map(abs, range(4 * cores)))
-
-
 def effort(quick):
+    """The most lanes at a time; None: as many as asked for."""
     return 128 if quick else None
 
 
@@ -135,16 +134,10 @@ def _lanes(scene, omegas, transient, samples, tol):
     return np.where(np.reshape(good, (-1, 1, 1)), xs, np.nan)
 
 
-@functools.cache
-def _pool(cores):
-    return concurrent.futures.ProcessPoolExecutor(cores)
-
-
 def sample(scene, omegas, transient, samples, setting, cores=1):
     """States at the end of the last `samples` periods, (lanes, samples, 2)."""
     asked = len(omegas)
     filled = -(-asked // BATCH) * BATCH
     omegas = np.asarray(omegas, dtype=float)[np.minimum(np.arange(filled), asked - 1)]
     jobs = [(scene, some, transient, samples, setting["tol"]) for some in omegas.reshape(-1, BATCH)]
-    run = map if cores == 1 else _pool(cores).map
-    return np.concatenate(list(run(_lanes, *zip(*jobs, strict=True))))[:asked]
+    return np.concatenate(run(_lanes, jobs, cores))[:asked]

@@ -4,9 +4,10 @@ In: a scene, frequencies, a stepper and its steps per period. Out: sampled state
 """
 
 import functools
-import importlib.util
 
 import numpy as np
+
+from benchmarks import installed
 
 NAME = "jaxfil"
 SETTINGS = [dict(stepper="Dopri8", steps=n) for n in (16, 20, 25, 32, 40, 64, 100)]
@@ -15,9 +16,9 @@ SETTINGS += [dict(stepper="RK4", steps=n) for n in (100, 200)]
 SHAPED = True
 
 
-def available():
-    """Why it cannot run; empty where the package can be found."""
-    return "" if importlib.util.find_spec("jaxfil") else "jaxfil is not installed"
+def missing():
+    """Why it cannot run; empty where it can."""
+    return installed.missing("jaxfil")
 
 
 def prepare(cores):
@@ -28,19 +29,23 @@ def prepare(cores):
 
 
 def label(setting):
+    """The setting in a few letters."""
     return f"{setting['stepper']} {setting['steps']}"
 
 
-def family(setting):
+def method(setting):
+    """Its method."""
     return setting["stepper"]
 
 
 def effort(quick):
+    """The most lanes at a time; None: as many as asked for."""
     return None
 
 
 @functools.cache
 def stepper(name):
+    """The stepper of that name."""
     import diffrax
 
     import jaxfil as jf

@@ -79,11 +79,13 @@ def sd_field(force, x1, x2, s, p):
 
 @njit
 def sd_height(x1, x2, d1, d2, p):
+    """H and dH/dt from a state and its slope."""
     return x1, x2
 
 
 @njit
 def sd_place(x1, x2, p):
+    """The state moved onto the surface."""
     return 0.0, x2
 
 
@@ -95,6 +97,7 @@ def sd_hold(omega, t, x1, x2, p):
 
 @njit
 def sd_slide(x1, h, p):
+    """Never asked: nothing sticks."""
     return x1
 
 

@@ -7,9 +7,10 @@ done again up to the root, which keeps the method's order, and the mode is chose
 """
 
 import functools
-import importlib.util
 
 import numpy as np
+
+from benchmarks import installed
 
 NAME = "numba scalar"
 SETTINGS = [dict(method="rk4", steps=n) for n in (100, 200, 400, 800)]
@@ -18,16 +19,18 @@ SETTINGS += [dict(method="dop853", steps=n) for n in (20, 30, 40, 64, 100)]
 SHAPED = False
 
 
-def available():
-    """Why it cannot run; empty where numba is installed."""
-    return "" if importlib.util.find_spec("numba") else "numba is not installed"
+def missing():
+    """Why it cannot run; empty where it can."""
+    return installed.missing("numba")
 
 
 def label(setting):
+    """The setting in a few letters."""
     return f"{setting['method']} {setting['steps']}"
 
 
-def family(setting):
+def method(setting):
+    """Its method."""
     return setting["method"]
 
 
@@ -39,6 +42,7 @@ def prepare(cores):
 
 
 def effort(quick):
+    """The most lanes at a time; None: as many as asked for."""
     return None
 
 

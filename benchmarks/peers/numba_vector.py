@@ -10,9 +10,9 @@ import functools
 import numpy as np
 
 from . import numba_fields, numba_scalar
-from .numba_scalar import SETTINGS, SHAPED, available, effort, family, label, prepare
+from .numba_scalar import SETTINGS, SHAPED, effort, label, method, missing, prepare
 
-__all__ = ["SETTINGS", "SHAPED", "available", "effort", "family", "label", "prepare", "sample"]
+__all__ = ["SETTINGS", "SHAPED", "effort", "label", "method", "missing", "prepare", "sample"]
 
 NAME = "numba vector"
 # Lanes of a block at most: twice as many as its numbers have room for in a first-level cache of

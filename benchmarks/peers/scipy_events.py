@@ -5,12 +5,13 @@ is scanned for and refined by Brent's method, and no integrator is asked. Pure P
 the benchmark gives it few lanes.
 """
 
-import concurrent.futures
-import functools
-import importlib.util
 import math
 
 import numpy as np
+
+from benchmarks import installed
+
+from .processes import prepare as prepare, run
 
 NAME = "SciPy events"
 SETTINGS = [dict(rtol=r) for r in (1e-6, 1e-8, 1e-10, 1e-12)]
@@ -20,26 +21,23 @@ SHAPED = False
 SCAN = 400
 
 
-def available():
-    """Why it cannot run; empty where SciPy is installed."""
-    return "" if importlib.util.find_spec("scipy") else "SciPy is not installed"
+def missing():
+    """Why it cannot run; empty where it can."""
+    return installed.missing("scipy", "SciPy")
 
 
 def label(setting):
+    """The setting in a few letters."""
     return f"DOP853 {setting['rtol']:.0e}"
 
 
-def family(setting):
+def method(setting):
+    """Its method."""
     return "DOP853"
 
 
-def prepare(cores):
-    """A process a core, started before any clock runs."""
-    if cores > 1:
-        list(_pool(cores).map(abs, range(4 * cores)))
-
-
 def effort(quick):
+    """The most lanes at a time; None: as many as asked for."""
     return 2 if quick else 4
 
 
@@ -134,13 +132,7 @@ def _lane(scene, omega, transient, samples, rtol):
     return np.array(found)
 
 
-@functools.cache
-def _pool(cores):
-    return concurrent.futures.ProcessPoolExecutor(cores)
-
-
 def sample(scene, omegas, transient, samples, setting, cores=1):
     """States at the end of the last `samples` periods, (lanes, samples, 2)."""
     jobs = [(scene, float(w), transient, samples, setting["rtol"]) for w in omegas]
-    run = map if cores == 1 else _pool(cores).map
-    return np.stack(list(run(_lane, *zip(*jobs, strict=True))))
+    return np.stack(run(_lane, jobs, cores))

@@ -9,7 +9,8 @@ import argparse
 import os
 import time
 
-from benchmarks.texts import table
+from benchmarks import RESULTS
+from benchmarks.table import Column, table
 from benchmarks.work_precision import (
     diffrax_events,
     front,
@@ -24,9 +25,17 @@ from benchmarks.work_precision import (
 from benchmarks.work_precision.problems import PROBLEMS
 from benchmarks.work_precision.program import LANES
 
-RESULTS = picture.RESULTS
 PROGRAMS = (ours, diffrax_events, heyoka_events, scipy_events, smoothed)
-HEAD = ["program", "method", "setting", "error", "ms", "contacts", "steps", "compile s"]
+COLUMNS = (
+    Column("program"),
+    Column("method"),
+    Column("setting"),
+    Column("error", ">.1e"),
+    Column("ms", ">.3g"),
+    Column("contacts", ">"),
+    Column("steps", ">,"),
+    Column("compile s", ">.1f"),
+)
 ABOUT = f"""\
 Error: max |x(t1) − reference| of one trajectory. ms: median run time on one core, compilation left
 out; with "/ {LANES}" a lane's share in a batch of {LANES} lanes whose initial states differ by a
@@ -58,44 +67,47 @@ def measured(name, more, quick):
     return found, skipped
 
 
+def cells(problem, row):
+    """One line of the table of a problem, in the order of `COLUMNS`."""
+    mark = "!" if row.contacts != problem.contacts else ""
+    return [
+        row.program,
+        row.method + (f" / {row.lanes}" if row.lanes > 1 else ""),
+        f"{row.unit} {row.setting:.2g}",
+        row.error,
+        1e3 * row.seconds,
+        None if row.program == smoothed.NAME else f"{mark}{row.contacts}",
+        row.steps,
+        row.compiling if row.compiling >= 0.05 else None,
+    ]
+
+
 def text(name, rows, skipped):
     """The table of a problem and who is in front."""
-    problem, body = PROBLEMS[name], []
-    for r in rows:
-        event = r.program != smoothed.NAME
-        mark = "!" if event and r.contacts != problem.contacts else ""
-        share = f" / {r.lanes}" if r.lanes > 1 else ""
-        body.append(
-            [
-                r.program,
-                r.method + share,
-                f"{r.unit} {r.setting:.2g}",
-                f"{r.error:.1e}",
-                f"{1e3 * r.seconds:.3g}",
-                f"{mark}{r.contacts}" if event else "",
-                f"{r.steps:,}",
-                f"{r.compiling:.1f}" if r.compiling >= 0.05 else "",
-            ]
-        )
+    problem = PROBLEMS[name]
     head = f"{problem.title}: t1 = {problem.t1:.6g}, {problem.contacts} contacts"
-    lines = [head, f"Reference: {problem.source}.", "", table(HEAD, body, right=(3, 4, 5, 6, 7))]
-    return "\n".join([*lines, *skipped, "", *front.lines(rows), *front.plateaus(rows), ""])
+    title = f"{head}\nReference: {problem.source}."
+    note = "\n".join([*skipped, *front.lines(rows), *front.plateaus(rows)])
+    return table(COLUMNS, [cells(problem, row) for row in rows], title, note) + "\n"
 
 
 def overview(measured):
     """How many times as long as jaxfil the fastest other program takes, at equal error."""
-    head, body = ["problem", "", *(f"at {level:.0e}" for level in front.LEVELS)], []
-    for name, rows in measured.items():
-        for title, some in front.contests(rows).items():
-            ratios = [front.ratio(some, level) for level in front.LEVELS]
-            body.append([name, title, *(f"{r:.2g}" for r in ratios)])
+    columns = [Column("problem"), Column("")]
+    columns += [Column(f"at {level:.0e}", ">.2g") for level in front.LEVELS]
+    body = [
+        [name, contest, *(front.ratio(some, level) for level in front.LEVELS)]
+        for name, rows in measured.items()
+        for contest, some in front.contests(rows).items()
+    ]
     title = (
         "Run time of the fastest other program over jaxfil's, at equal error (above 1: in front)"
     )
-    return "\n".join([title, "", table(head, body, right=range(2, len(head))), ""])
+    return table(columns, body, title) + "\n"
 
 
 def main():
+    """Measure the problems asked for; print their tables, and write them unless it is quick."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=PROBLEMS, help="one problem")
     parser.add_argument("--quick", action="store_true", help="fewer settings, no files")

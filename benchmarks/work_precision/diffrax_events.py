@@ -5,8 +5,8 @@ first of a batch whose initial states differ a little.
 """
 
 import functools as ft
-import importlib.util
 
+from benchmarks import installed
 from benchmarks.work_precision.program import LANES, MOST_CONTACTS, Curve, Run, spread
 
 NAME = "diffrax"
@@ -15,16 +15,18 @@ SETTINGS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 def missing():
     """Why it cannot run; empty where it can."""
-    return "" if importlib.util.find_spec("diffrax") else "diffrax is not installed"
+    return installed.missing("diffrax")
 
 
 def curves(problem):
+    """The curves that are measured on a problem."""
     for solver, lanes in (("Tsit5", 1), ("Dopri8", 1), ("Tsit5", LANES)):
         run = _compiled(problem, solver, lanes)
         yield Curve(NAME, solver, SETTINGS, ft.partial(_build, run), lanes)
 
 
 def _build(run, rtol):
+    """A function of no arguments for one setting."""
     import jax.numpy as jnp
 
     return ft.partial(run, jnp.asarray(rtol))

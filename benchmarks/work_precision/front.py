@@ -42,7 +42,7 @@ def seconds_at(rows, error):
     """The run time of one curve at this error or a smaller one, interpolated; inf where it does
     not get there."""
     points = [
-        {"family": "", "error": r.error, "rates": {"1": 1 / r.seconds}}
+        {"method": "", "error": r.error, "rates": {"1": 1 / r.seconds}}
         for r in rows
         if math.isfinite(r.error) and r.error > 0
     ]
@@ -75,6 +75,7 @@ def ratio(rows, level):
 
 
 def _level(rows, level):
+    """Who is the fastest at one error, and who comes next."""
     ranked = ranking(rows, level)
     if not ranked:
         return "nobody gets there"
@@ -87,6 +88,7 @@ def _level(rows, level):
 
 
 def _name(entry):
+    """One of the ranking, with its run time."""
     seconds, program, method = entry
     return f"{program} {method}".replace(NOTE, "") + f" ({1e3 * seconds:.2g} ms)"
 

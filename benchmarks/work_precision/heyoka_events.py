@@ -5,10 +5,10 @@ own expressions and compiled by it; the loop from contact to contact is Python's
 """
 
 import functools as ft
-import importlib.util
 
 import numpy as np
 
+from benchmarks import installed
 from benchmarks.work_precision.program import MOST_CONTACTS, Curve, Run
 
 NAME = "heyoka"
@@ -19,16 +19,18 @@ COOLDOWN = 1e-6
 
 def missing():
     """Why it cannot run; empty where it can."""
-    return "" if importlib.util.find_spec("heyoka") else "heyoka is not installed"
+    return installed.missing("heyoka")
 
 
 def curves(problem):
+    """The curves that are measured on a problem."""
     yield Curve(
         NAME, "Taylor", (1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-15), ft.partial(_build, problem)
     )
 
 
 def _build(problem, tolerance):
+    """A function of no arguments for one setting."""
     return ft.partial(follow, problem, integrators(problem, tolerance))
 
 

@@ -43,6 +43,7 @@ def rows(problem, curve, quick=False):
 
 
 def _row(problem, curve, setting, quick):
+    """One setting: its first run, and repeated ones."""
     begun = time.perf_counter()
     call = curve.build(setting)
     run = jax.block_until_ready(call())

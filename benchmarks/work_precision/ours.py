@@ -18,6 +18,7 @@ HALVINGS = {
 
 
 def missing():
+    """Nothing: what is measured is here."""
     return ""
 
 
@@ -40,6 +41,7 @@ def scenes():
 
 
 def curves(problem):
+    """The curves that are measured on a problem."""
     import diffrax
 
     import jaxfil as jf
@@ -53,6 +55,7 @@ def curves(problem):
 
 
 def _build(run, dt):
+    """A function of no arguments for one setting."""
     import jax.numpy as jnp
 
     return ft.partial(run, jnp.asarray(dt))

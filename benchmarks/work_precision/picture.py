@@ -5,7 +5,6 @@ lanes ran.
 """
 
 import math
-import pathlib
 
 from matplotlib.lines import Line2D
 
@@ -14,7 +13,6 @@ from benchmarks.work_precision.front import curves
 from benchmarks.work_precision.program import LANES
 from benchmarks.work_precision.whole_loop import NOTE
 
-RESULTS = pathlib.Path(__file__).parents[1] / "results"
 COLORS = {"jaxfil": BLUE, "diffrax": ORANGE, "heyoka": BLACK, "SciPy": GREEN, "smoothed": PURPLE}
 MARKS = {
     "Dopri8": "o",
@@ -97,6 +95,7 @@ def _beside(ax, rows):
 
 
 def _handles(rows):
+    """The entries of the legend."""
     shown = {(r.program, r.method.split(",")[0]) for r in rows}
     for program, color in COLORS.items():
         for method, mark in MARKS.items():

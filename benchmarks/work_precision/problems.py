@@ -63,6 +63,8 @@ class Problem(NamedTuple):
 
 
 def sd_oscillator(omega=0.7, f0=0.25, zeta=0.0141):
+    """The discontinuous SD oscillator, which crosses and never slides."""
+
     def field(t, x, side, xp):
         return x[1], f0 * xp.cos(omega * t) - 2 * zeta * x[1] - x[0] + side
 
@@ -111,6 +113,8 @@ def belt(name, title, omega, gamma1, gamma2, x0, periods, contacts, reference, s
 
 
 def rotating_oscillator(omega=-2 * math.pi):
+    """A spiral that turns the other way outside of the unit circle."""
+
     def field(t, x, side, xp):
         spin = -side * omega
         return x[0] + spin * x[1], x[1] - spin * x[0]
@@ -136,6 +140,8 @@ def rotating_oscillator(omega=-2 * math.pi):
 
 
 def moving_belt(friction=0.4):
+    """A mass on a belt of speed cos t + 0.7."""
+
     def force(t, x, xp):
         return xp.cos(0.7 * t) - x[0] - 0.4 * x[1]
 
@@ -157,6 +163,8 @@ def moving_belt(friction=0.4):
 
 
 def slip_stick():
+    """A mass on a steady belt with friction that falls with speed."""
+
     def field(t, x, side, xp):
         below, above = (1 - side) / 2, (1 + side) / 2
         return x[1], below / (1.2 - x[1]) - above / (0.8 + x[1]) - x[0]
@@ -179,6 +187,8 @@ def slip_stick():
 
 
 def impact_oscillator(amplitude=0.5, omega=1.2, damping=0.1, wall=1.0, restitution=0.8):
+    """A forced mass beside a wall."""
+
     def field(t, x, side, xp):
         return x[1], amplitude * xp.cos(omega * t) - damping * x[1] - x[0]
 

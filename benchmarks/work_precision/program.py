@@ -1,4 +1,7 @@
-"""What the programs have in common: what a run gives, and a curve of runs."""
+"""What the programs have in common: what a run gives, and a curve of runs.
+
+An initial state and a number of lanes enter; their initial states leave.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

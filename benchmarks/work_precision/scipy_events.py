@@ -4,11 +4,11 @@ A problem, a method and a tolerance enter; the state at the end leaves.
 """
 
 import functools as ft
-import importlib.util
 import math
 
 import numpy as np
 
+from benchmarks import installed
 from benchmarks.work_precision.program import MOST_CONTACTS, Curve, Run
 
 NAME = "SciPy"
@@ -22,15 +22,17 @@ METHODS = {
 
 def missing():
     """Why it cannot run; empty where it can."""
-    return "" if importlib.util.find_spec("scipy") else "SciPy is not installed"
+    return installed.missing("scipy", "SciPy")
 
 
 def curves(problem):
+    """The curves that are measured on a problem."""
     for method, settings in METHODS.items():
         yield Curve(NAME, method, settings, ft.partial(_build, problem, method))
 
 
 def _build(problem, method, rtol):
+    """A function of no arguments for one setting."""
     return ft.partial(follow, problem, method, rtol)
 
 

@@ -5,8 +5,8 @@ tolerance, the error stops at that of the width.
 """
 
 import functools as ft
-import importlib.util
 
+from benchmarks import installed
 from benchmarks.work_precision.program import Curve, Run
 
 NAME = "smoothed"
@@ -17,10 +17,11 @@ TOLERANCES = {"Tsit5": (1e-4, 1e-6, 1e-8, 1e-10), "Kvaerno5": (1e-4, 1e-6, 1e-8)
 
 def missing():
     """Why it cannot run; empty where it can."""
-    return "" if importlib.util.find_spec("diffrax") else "diffrax is not installed"
+    return installed.missing("diffrax")
 
 
 def curves(problem):
+    """The curves that are measured on a problem."""
     if problem.impacts:
         return
     for solver, widths in WIDTHS.items():
@@ -31,6 +32,7 @@ def curves(problem):
 
 
 def _build(run, width, rtol):
+    """A function of no arguments for one setting."""
     import jax.numpy as jnp
 
     return ft.partial(run, jnp.asarray(width), jnp.asarray(rtol))

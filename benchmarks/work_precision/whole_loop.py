@@ -34,6 +34,7 @@ def rows(names, core, quick=False):
 
 
 def main():
+    """Print the rows of the problems named, as JSON."""
     parser = argparse.ArgumentParser()
     parser.add_argument("names", nargs="+")
     parser.add_argument("--core", type=int)

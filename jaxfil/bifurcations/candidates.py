@@ -9,6 +9,7 @@ import dataclasses
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -16,6 +17,7 @@ from jaxtyping import Array
 from jaxfil.bifurcations.tangency import FAMILIES, Tangency, conditions
 from jaxfil.integrate import components, filippov
 from jaxfil.integrate.solution import Dense, evaluate, switches
+from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
 
@@ -48,6 +50,28 @@ def _flights(orbit: Orbit) -> list[_Flight]:
     stops = np.append(ts[1:], ts[0] + period)
     assert np.all(ts >= t0)
     return [_Flight(ts[i], stops[i], modes[i], members[(i + 1) % count]) for i in range(count)]
+
+
+def guesses(orbit: Orbit, kind: str) -> list[list[tuple[Tangency, Array]]]:
+    """For every lane the nearest tangencies, each with whether it is none: a lane that has none, or
+    whose orbit was not found, gets one that is NaN."""
+    if isinstance(orbit.x0, jax.core.Tracer):
+        raise ValueError("`orbit` must be known numbers, got a traced Orbit: find it outside.")
+    # They are looked at, also while the system is being traced.
+    with jax.core.eval_context():
+        if orbit.x0.ndim == 1:
+            return [_guesses(orbit, kind)]
+        lanes = [jax.tree.map(lambda v, i=i: v[i], orbit) for i in range(orbit.x0.shape[0])]
+        return [_guesses(lane, kind) for lane in lanes]
+
+
+def _guesses(orbit: Orbit, kind: str) -> list[tuple[Tangency, Array]]:
+    found = tangency_candidates(orbit, kind) if orbit.result == RESULTS.successful else []
+    if found:
+        return [(tangency, jnp.asarray(False)) for _, tangency in found]
+    nan, mode = jnp.full_like(orbit.period, jnp.nan), orbit.first_mode.astype(orbit.period.dtype)
+    nowhere = Tangency(orbit.x0, nan, nan, nan, mode, jnp.zeros((), jnp.int32), nan)
+    return [(nowhere, jnp.asarray(True))]
 
 
 def tangency_candidates(orbit: Orbit, kind: str) -> list[tuple[float, Tangency]]:

@@ -4,30 +4,53 @@ A system and an orbit close to its own enter; a number leaves, positive while th
 of the surface and zero where it grazes, with derivatives with respect to every parameter.
 """
 
-import functools as ft
-from typing import Any
+from typing import Literal, overload
 
 import equinox as eqx
-import jax
 import jax.core
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
-from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from jaxfil.bifurcations.locate import Problem, defining_problem, guesses
+from jaxfil.bifurcations.candidates import guesses
+from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
 from jaxfil.model import check
+from jaxfil.model.card import outcome, precision
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import cast, is_parameter
+from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
-from jaxfil.orbits.newton import Evaluation, newton
+from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
+from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.xla.kernel import kernel_if_it_fits
 
 _NEWTON_STEPS = 40
 
 
-def grazing_margin(system: System, orbit: Orbit) -> Float[Array, ""]:
+class GrazingMargin(eqx.Module):
+    """How far an orbit stays from grazing, and whether that was found."""
+
+    value: Float[Array, ""]
+    result: RESULTS
+
+    def __repr__(self) -> str:
+        told = precision(self.value)
+        if isinstance(self.value, jax.core.Tracer) or self.value.ndim:
+            return f"GrazingMargin{told}: a batch of shape {self.value.shape}"
+        return f"GrazingMargin{told}: {outcome(self.result)}\n  margin {float(self.value):.12g}"
+
+
+@overload
+def grazing_margin(
+    system: System, orbit: Orbit, *, throw: Literal[True] = True
+) -> Float[Array, ""]: ...
+
+
+@overload
+def grazing_margin(system: System, orbit: Orbit, *, throw: Literal[False]) -> GrazingMargin: ...
+
+
+def grazing_margin(
+    system: System, orbit: Orbit, *, throw: bool = True
+) -> Float[Array, ""] | GrazingMargin:
     """The smallest |H| of the flight on which `orbit` comes closest to grazing, signed.
 
     The flight is followed as if the surface were not there, so that the margin goes on smoothly
@@ -49,69 +72,45 @@ def grazing_margin(system: System, orbit: Orbit) -> Float[Array, ""]:
     check.system("system", system)
     if not isinstance(orbit, Orbit) or orbit.x0.ndim != 1:
         raise ValueError(f"`orbit` must be a single Orbit, got {orbit!r}.")
-    if isinstance(orbit.x0, jax.core.Tracer):
-        raise ValueError("`orbit` must be known numbers, got a traced Orbit: find it outside.")
-    # The orbit's numbers are looked at, also while the system is being traced.
-    with jax.core.eval_context():
-        tangency, missing = guesses(orbit, "grazing")[0]
+    tangency, missing = guesses(orbit, "grazing")[0][0]
     system = cast(system, orbit.x0.dtype)
-    theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
-    problem = defining_problem(system, orbit, tangency, "flight", ())
+    equations = _Margin(defining_system(system, orbit, tangency, "flight", (), _NEWTON_STEPS))
     phase = orbit.period if system.period is None else tangency.phase
-    z = jnp.append(tangency.x, phase)
-    rest = eqx.filter(system, is_parameter, inverse=True)
-    problem = eqx.tree_at(lambda p: p.system, problem, rest, is_leaf=lambda v: v is None)
-    margin = _margin(theta, problem=problem, unravel=unravel, z=stop_gradient(z))
-    return jnp.where(missing, jnp.nan, margin)
+    z, root = solve_implicit(equations, system, jnp.append(tangency.x, phase))
+    result = RESULTS.where(missing, RESULTS.no_tangency_found, root.result)
+    if not throw:
+        return GrazingMargin(z[-1], result)
+    return result.error_if(z[-1], result != RESULTS.successful)
 
 
-def _evaluation(problem: Problem, z: Array) -> Evaluation:
-    """Closing and Ḣ = 0: where the guard is smallest, whatever its value there."""
-    jacobian, (value, closing) = kernel_if_it_fits(jax.jacfwd(problem.residual, has_aux=True))(z)
-    equations, unknowns = problem.scales(z, closing)
-    n = z.shape[0] - 1
-    keep = jnp.array([*range(n), n + 1])
-    return Evaluation(
-        value[keep], jacobian[keep], equations[keep], unknowns, closing.result, value[n]
-    )
+class _Margin(Equations):
+    """The orbit closes and Ḣ = 0: where the guard is smallest. What it is there, the margin, is one
+    unknown more, with the equation H − margin = 0."""
 
+    tangency: DefiningSystem
 
-@eqx.filter_custom_jvp
-def _margin(theta, *, problem, unravel, z):
-    return _solved(theta, problem, unravel, z)[0]
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
+        """Newton's iteration on the orbit alone; the margin then is known."""
+        n = guess.shape[0] - 1
+        keep = jnp.array([*range(n), n + 1])
 
+        def evaluate(z: Array) -> Evaluation:
+            at = self.tangency.evaluate(system, z)
+            return Evaluation(
+                at.residual[keep],
+                at.jacobian[keep],
+                at.equation_scale[keep],
+                at.unknown_scale,
+                at.result,
+                (at.residual[n], at.jacobian),
+            )
 
-@eqx.filter_jit
-def _solved(theta, problem, unravel, z) -> tuple[Array, Array]:
-    problem = _with(problem, unravel, theta)
-    root = newton(ft.partial(_evaluation, problem), z, _NEWTON_STEPS)
-    margin = jnp.where(root.result == RESULTS.successful, root.at.aux, jnp.nan)
-    return margin, root.z
+        root = newton(evaluate, guess, _NEWTON_STEPS)
+        margin, jacobian = root.at.aux
+        margin = jnp.where(root.result == RESULTS.successful, margin, jnp.nan)
+        by_margin = jnp.zeros((n + 2, 1), guess.dtype).at[n].set(-1)
+        return jnp.append(root.z, margin), jnp.concatenate([jacobian, by_margin], axis=1), root
 
-
-def _with(problem: Problem, unravel: Any, theta: Array) -> Problem:
-    return eqx.tree_at(lambda p: p.system, problem, eqx.combine(unravel(theta), problem.system))
-
-
-@_margin.def_jvp
-def _margin_jvp(primals, tangents, *, problem, unravel, z):
-    (theta,) = primals
-    margin, z = _solved(theta, problem, unravel, z)
-    if tangents[0] is None:
-        return margin, jnp.zeros_like(margin)
-    return margin, _slope(theta, problem, unravel, z) @ tangents[0]
-
-
-# Compiled: a search by gradient that is not, calls it again and again.
-@eqx.filter_jit
-def _slope(theta: Array, problem: Problem, unravel: Any, z: Array) -> Array:
-    """The derivative of the margin by all parameters, that of the implicit function."""
-    n = z.shape[0] - 1
-
-    def both(v: Array) -> Array:
-        return _with(problem, unravel, v[n + 1 :]).residual(v[: n + 1])[0]
-
-    matrix = kernel_if_it_fits(jax.jacfwd(both))(jnp.concatenate([z, theta]))
-    keep = jnp.array([*range(n), n + 1])
-    moved = -jnp.linalg.solve(matrix[keep, : n + 1], matrix[keep, n + 1 :])
-    return matrix[n, n + 1 :] + matrix[n, : n + 1] @ moved
+    def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """The rows of closing, H and Ḣ."""
+        return self.tangency.by_parameters(system_of, theta, z[:-1])

@@ -5,18 +5,19 @@ of its bifurcations leave, each located and named.
 """
 
 import dataclasses
-from typing import Any
+from collections.abc import Iterator
 
 import equinox as eqx
 
 from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation, find_bifurcation
-from jaxfil.model.card import precision
+from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
-from jaxfil.orbits.branch import Branch, SpecialPoint, continue_orbit
+from jaxfil.orbits.branch import Branch, SpecialPoint
+from jaxfil.orbits.continue_orbit import continue_orbit
 from jaxfil.orbits.orbit import Orbit
 
 
@@ -26,9 +27,14 @@ class BifurcationSequence(eqx.Module):
     Neimark–Sacker points, and where the contacts change in a way that has no name."""
 
     branch: Branch
-    bifurcations: list[Any]
+    bifurcations: list[Bifurcation | SpecialPoint]
 
-    def __iter__(self) -> Any:
+    @property
+    def result(self) -> RESULTS:
+        """The outcome of the branch."""
+        return self.branch.result
+
+    def __iter__(self) -> Iterator[Bifurcation | SpecialPoint]:
         return iter(self.bifurcations)
 
     def __len__(self) -> int:
@@ -45,6 +51,7 @@ class BifurcationSequence(eqx.Module):
             state = b.x if isinstance(b, Bifurcation) else b.orbit.x0
             x = ", ".join(f"{float(v):.6g}" for v in state)
             rows.append(f"  {b.kind:<18} {name} = {float(b.value):<18.13g} x = ({x}){t}")
+        rows.append(f"  {outcome(self.result)}")
         return "\n".join([*rows, f"  ends: {'; '.join(self.branch.ended)}"])
 
 
@@ -55,7 +62,9 @@ def find_bifurcations(
     orbit: Orbit,
     *,
     stop: float | tuple[float, float],
-    **options: Any,
+    max_step: float = 0.02,
+    max_points: int = 2000,
+    throw: bool = True,
 ) -> BifurcationSequence:
     """What happens to `orbit` as `parameter` goes to `stop`.
 
@@ -70,7 +79,15 @@ def find_bifurcations(
     ...     print(b.kind, round(float(b.value), 9))
     grazing-sliding 10.904975822
     """
-    branch = continue_orbit(system, parameter, orbit, stop=stop, **options)
+    branch = continue_orbit(
+        system,
+        parameter,
+        orbit,
+        stop=stop,
+        max_step=max_step,
+        max_points=max_points,
+        throw=throw,
+    )
     return BifurcationSequence(
         branch, [_named(system, parameter, point) for point in branch.points]
     )

@@ -14,7 +14,6 @@ as if Σ were not there, from phase `start` to phase `stop`, and by the full flo
 bifurcation, on either side of it, everything is then smooth.
 """
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -24,17 +23,16 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxfil.integrate import components, filippov
-from jaxfil.integrate.components import ComponentSystem
+from jaxfil.integrate import filippov
+from jaxfil.integrate.components import ComponentSystem, build, pack, unpack
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.state import Recording, TimeGrid
-from jaxfil.integrate.stepper import tableau
+from jaxfil.integrate.problem import NOTHING, Problem, even_grid
+from jaxfil.integrate.stepper import tableau_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.shooting import ShootingOptions
 
-# Which family a kind belongs to, and the modes before, during and after the short piece of the
-# orbit that is born in it, as multiples of s.
+# Which family a kind belongs to.
 FAMILIES = {
     "grazing": "flight",
     "grazing-sliding": "flight",
@@ -79,12 +77,12 @@ class _Rates:
     """H of the touched surface and its derivatives along the fields at the touch."""
 
     def __init__(self, system: System, x: Float[Array, " n"], tangency: Tangency):
-        self.scene, self.tangency = components.build(system, x), tangency
+        self.system, self.tangency = build(system, x), tangency
         self.number = jnp.arange(tangency.mode.shape[0], dtype=jnp.int32)
 
     def h(self, t: Array, x: Array) -> Array:
         """s H."""
-        values = jnp.stack(self.scene.switching(t, components.unpack(x)))
+        values = jnp.stack(self.system.switching(t, unpack(x)))
         return self.tangency.side * jnp.sum(
             jnp.where(self.number == self.tangency.surface, values, 0)
         )
@@ -94,8 +92,8 @@ class _Rates:
         mode = jnp.where(self.number == self.tangency.surface, side, self.tangency.mode)
 
         def derivative(t: Array, x: Array) -> Array:
-            blocks = filippov.field(self.scene, t, components.unpack(x), components.unpack(mode))
-            field = components.pack(blocks, x.dtype)
+            blocks = filippov.field(self.system, t, unpack(x), unpack(mode))
+            field = pack(blocks, x.dtype)
             return jax.jvp(function, (t, x), (jnp.ones_like(t), field))[1]
 
         return derivative
@@ -122,7 +120,7 @@ def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangen
     rates, s = _Rates(system, x, tangency), tangency.side
     rate = rates.rate
     slide_rate = slide_bend = jnp.zeros_like(t)
-    if rates.scene.slides:
+    if rates.system.slides:
         on_slide = rates.along(0 * s, rate)
         slide_rate, slide_bend = on_slide(t, x), rates.along(0 * s, on_slide)(t, x)
     return Conditions(
@@ -135,19 +133,21 @@ def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangen
     )
 
 
-def kind_of(family: str, found: Conditions, eps: float) -> tuple[Array, ...]:
-    """Whether the conditions are those of each kind, in the order of `FAMILIES`."""
+def kind_of(family: str, found: Conditions) -> Int[Array, ""]:
+    """The number in `FAMILIES` of the kind whose conditions these are; −1 for none."""
     # Where both rates vanish together there is no sliding region.
-    scale = abs(found.other_rate) + abs(found.rate)
+    scale, eps = abs(found.other_rate) + abs(found.rate), float(jnp.finfo(found.h.dtype).eps)
     slides = (found.other_rate > 0) & (scale > jnp.sqrt(eps) * abs(found.bend))
     visible, no = found.bend > 0, jnp.zeros((), bool)
-    if family == "flight":
-        return visible & ~slides, visible & slides, no, no, no
-    if family == "slide":
-        # On a slide Ḣ_s is negative within the sliding region: it reaches zero from below.
-        return no, no, (found.slide_bend < 0) & (found.other_rate > 0), no, no
     arrives = found.other_rate > 0
-    return no, no, no, arrives & visible, arrives & (found.bend < 0)
+    flags = {
+        "flight": (visible & ~slides, visible & slides, no, no, no),
+        # On a slide Ḣ_s is negative within the sliding region: it reaches zero from below.
+        "slide": (no, no, (found.slide_bend < 0) & arrives, no, no),
+        "arrival": (no, no, no, arrives & visible, arrives & (found.bend < 0)),
+    }
+    kinds = jnp.stack(flags[family])
+    return jnp.where(jnp.any(kinds), jnp.argmax(kinds), -1)
 
 
 class Closing(eqx.Module):
@@ -167,8 +167,8 @@ def close(
     system: System, period: Array, options: ShootingOptions, family: str, tangency: Tangency
 ) -> Closing:
     """Once round the orbit from the start of the flight."""
-    scene_ = components.build(system, tangency.x)
-    frozen = _frozen(scene_, tangency.mode)
+    on_components = build(system, tangency.x)
+    frozen = filippov.without_surfaces(on_components, unpack(tangency.mode))
     start, at = tangency.start * period, tangency.phase * period
     stop = at if family == "arrival" else tangency.stop * period
     # One program for all pieces of the flight, whose ends are looked at on the way.
@@ -183,7 +183,7 @@ def close(
     # The full flow round the rest, or for an arrival, which it meets as it is, all of it.
     full_from, x_from = (start, tangency.x) if family == "arrival" else (stop, xs[-1])
     end, size, result = _flow(
-        scene_, options, full_from, start + period - full_from, period, x_from
+        on_components, options, full_from, start + period - full_from, period, x_from
     )
     for i in reversed(range(2 * _PIECES)):
         one = jax.tree.map(lambda v, i=i: v[i], results)
@@ -193,7 +193,7 @@ def close(
         t=at,
         x=xs[_PIECES - 1],
         size=jnp.maximum(size, jnp.max(sizes, axis=0)),
-        holds=_holds(scene_, tangency.mode, *stop_gradient((times + lengths, xs))),
+        holds=_holds(on_components, tangency.mode, *stop_gradient((times + lengths, xs))),
         result=result,
     )
 
@@ -203,30 +203,16 @@ def _divided(start: Array, stop: Array) -> Array:
     return start + (stop - start) * jnp.arange(_PIECES).astype(start.dtype) / _PIECES
 
 
-def _holds(scene_: ComponentSystem, mode: Array, ts: Array, xs: Array) -> Array:
+def _holds(on_components: ComponentSystem, mode: Array, ts: Array, xs: Array) -> Array:
     """Whether all guards are positive but for rounding."""
-    modes = components.unpack(mode)
-    guards = lambda t, x: jnp.stack(filippov.guard(scene_, t, components.unpack(x), modes))  # noqa: E731
+    modes = unpack(mode)
+    guards = lambda t, x: jnp.stack(filippov.guard(on_components, t, unpack(x), modes))  # noqa: E731
     values = jax.vmap(guards)(ts, xs)
     return jnp.all(values >= -_ROUNDING * jnp.max(abs(values), axis=0))
 
 
-def _frozen(scene_: ComponentSystem, mode: Array) -> ComponentSystem:
-    """The scene of a single mode, without surfaces."""
-    modes = components.unpack(mode)
-    return dataclasses.replace(
-        scene_,
-        m=0,
-        slides=False,
-        resets=False,
-        switched=((),) * scene_.n,
-        separate=False,
-        _field=lambda t, x, sides, alone, forcing: filippov.field(scene_, t, x, modes, forcing),
-    )
-
-
 def _flow(
-    scene_: ComponentSystem,
+    system: ComponentSystem,
     options: ShootingOptions,
     t0: Array,
     length: Array,
@@ -235,11 +221,13 @@ def _flow(
 ) -> tuple[Array, Array, RESULTS]:
     """End, sizes and outcome of one stretch of time."""
     count = jnp.ceil(options.steps * abs(stop_gradient(length / period)))
-    num = jnp.clip(jnp.nan_to_num(count), 1, 8 * options.steps).astype(jnp.int32)
-    dt = stop_gradient(length) / num.astype(x.dtype)
-    span = TimeGrid(t0, length, dt, num, 32 * num + 64 * options.max_events + 1024)
-    lane = integrate(
-        scene_, tableau(options.stepper), span, Recording("none", None), components.unpack(x)
+    num_steps = jnp.clip(jnp.nan_to_num(count), 1, 8 * options.steps).astype(jnp.int32)
+    problem = Problem(
+        system,
+        tableau_of(options.stepper),
+        even_grid(t0, length, num_steps, options.max_events),
+        NOTHING,
     )
-    size = jnp.maximum(components.pack(lane.size, x.dtype), abs(x))
-    return components.pack(lane.x, x.dtype), stop_gradient(size), lane.result
+    state = integrate(problem, unpack(x))
+    size = jnp.maximum(pack(state.size, x.dtype), abs(x))
+    return pack(state.x, x.dtype), stop_gradient(size), state.result

@@ -4,37 +4,30 @@ A located bifurcation and the names of two parameters enter; the curve on which 
 with the points of codimension two at which its kind changes.
 """
 
-import dataclasses
-import itertools
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jax.lax import stop_gradient
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from jaxfil.bifurcations.locate import (
-    BIFURCATION_KINDS,
-    Bifurcation,
-    Problem,
-    defining_problem,
-    evaluation,
-)
-from jaxfil.bifurcations.tangency import conditions, kind_of
+from jaxfil.bifurcations.defining_system import defining_system
+from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation
+from jaxfil.bifurcations.tangency_curve import TangencyCurve, TangencyPoint
 from jaxfil.model import check
-from jaxfil.model.card import precision
+from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import cast, get_parameter
+from jaxfil.model.parameter import get_parameter
 from jaxfil.model.system import System
-from jaxfil.orbits.corrector import ArclengthConstraint
-from jaxfil.orbits.newton import Root, newton
+from jaxfil.orbits.curve import constraint_across
+from jaxfil.orbits.pseudo_arclength import Path, Range, ends_of, follow, range_around
 
+# A guess taken from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
-_FIRST, _LEAST = 0.01, 1e-6
+# By their code, of which −1 is that of none.
+_KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
 
 
 class CodimensionTwo(eqx.Module):
@@ -56,6 +49,7 @@ class BifurcationCurve(eqx.Module):
     kinds: tuple[str, ...] = eqx.field(static=True)
     points: list[CodimensionTwo]
     ended: tuple[str, str] = eqx.field(static=True)
+    result: RESULTS
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call the parameters."""
 
@@ -70,6 +64,7 @@ class BifurcationCurve(eqx.Module):
             f"BifurcationCurve{precision(self.xs)}, {len(self.values)} points: "
             f"{', '.join(dict.fromkeys(self.kinds))}",
             f"  {a} from {low[0]:.6g} to {high[0]:.6g}, {b} from {low[1]:.6g} to {high[1]:.6g}",
+            f"  {outcome(self.result)}",
             f"  ends: {self.ended[0]}; {self.ended[1]}",
         ]
         for point in self.points:
@@ -87,6 +82,7 @@ def continue_bifurcation(
     stop: tuple[float, float],
     max_step: float = 0.03,
     max_points: int = 1000,
+    throw: bool = True,
 ) -> BifurcationCurve:
     """The curve of a bifurcation in two parameters, by pseudo-arclength, in both directions.
 
@@ -116,157 +112,78 @@ def continue_bifurcation(
         get_parameter(system, name)
     if not isinstance(bifurcation, Bifurcation) or bifurcation.value.ndim:
         raise ValueError(f"`bifurcation` must be a single Bifurcation, got {bifurcation!r}.")
-    system = cast(system, bifurcation.x.dtype)
-    at = bifurcation.orbit
-    values = [float(get_parameter(at.system, name)) for name in parameters]
-    low, high = (float(v) for v in stop)
-    if not low <= values[0] <= high:
-        raise ValueError(f"`stop` must be (low, high) around {values[0]}, got {stop!r}.")
-    problem = defining_problem(
-        at.system, at, bifurcation.tangency, bifurcation.family, (parameters[0], parameters[1])
-    )
-    # The flight is given in phases: t0 stays that of the orbit's own plan.
-    phase = at.period if system.period is None else bifurcation.tangency.phase
-    u = np.concatenate([bifurcation.tangency.x, [float(phase)], values])
-    walks = [_walk(problem, u, sign, low, high, max_step, max_points) for sign in (-1.0, 1.0)]
-    (back, ended_back), (ahead, ended) = walks
-    points = back[:0:-1] + ahead
-    kinds = tuple(_KIND_NAMES[p.code] for p in points)
-    changes = [_change(problem, a, b) for a, b in itertools.pairwise(points) if a.code != b.code]
-    return BifurcationCurve(
-        parameters=(parameters[0], parameters[1]),
-        values=np.array([p.u[-2:] for p in points]),
-        ts=np.array([p.t for p in points]),
-        xs=np.array([p.x for p in points]),
-        kinds=kinds,
-        points=changes,
-        ended=(ended_back, ended),
-        labels=labels_of(system, bifurcation.x.shape[-1]).of((parameters[0], parameters[1])),
-    )
+    max_points = check.count("max_points", max_points)
+    max_step = float(check.scalar("max_step", max_step, float, positive=True))
+    ends = ends_of(stop)
+    free = parameters[0], parameters[1]
+    curve, starts, result = _starts(bifurcation, free, ends)
+    names = labels_of(bifurcation.orbit.system, bifurcation.x.shape[-1]).of(free)
+    if starts:
+        found = _curve(curve, follow(curve, *starts, max_step, max_points), names)
+    else:
+        found = _not_begun(bifurcation, free, result, names)
+    if not throw:
+        return found
+    return found.result.error_if(found, found.result != RESULTS.successful)
 
 
-_KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
-
-
-@dataclasses.dataclass(frozen=True)
-class _Point:
-    u: np.ndarray
-    scale: np.ndarray
-    tangent: np.ndarray
-    t: float
-    x: np.ndarray
-    code: int
-    holds: bool
-    monitors: np.ndarray
-
-
-@eqx.filter_jit
-def _correct(problem: Problem, u: Array, plane: ArclengthConstraint) -> tuple:
-    """Newton's root in a plane, and what is known of the touch there."""
-
-    def extra(u: Array) -> Array:
-        return (plane.normal @ ((u - plane.base) / plane.scale) - plane.offset)[None]
-
-    root: Root = newton(lambda u: evaluation(problem, extra, u), u, _NEWTON_STEPS)
-    system, _, tangency = stop_gradient(problem.placed(root.z))
-    closing = root.at.aux
-    found = conditions(system, closing.t, closing.x, tangency)
-    flags = jnp.stack(kind_of(problem.family, found, float(jnp.finfo(u.dtype).eps)))
-    code = jnp.where(jnp.any(flags), jnp.argmax(flags), -1)
-    monitors = jnp.stack([found.bend, found.other_rate, found.slide_bend])
-    return root, closing.t, closing.x, closing.size, code, closing.holds, monitors
-
-
-def _at(
-    problem: Problem, guess: np.ndarray, plane: ArclengthConstraint, along: np.ndarray
-) -> _Point | None:
-    root, t, x, size, code, real, monitors = _correct(problem, jnp.asarray(guess), plane)
+def _starts(
+    bifurcation: Bifurcation, free: tuple[str, str], ends: list[float]
+) -> tuple[TangencyCurve, tuple[list[TangencyPoint], Range] | None, RESULTS]:
+    """The curve; the bifurcation as a point of it, once for each direction, and the range, if
+    Newton's method stays; its outcome."""
+    at, tangency = bifurcation.orbit, bifurcation.tangency
+    equations = defining_system(at.system, at, tangency, bifurcation.family, free, _NEWTON_STEPS)
+    curve = TangencyCurve(at.system, equations)
+    # The flight is given in phases: t0 stays that of the orbit's own options.
+    phase = at.period if at.system.period is None else tangency.phase
+    values = [float(get_parameter(at.system, name)) for name in free]
+    u = np.concatenate([tangency.x, [float(phase)], values])
+    axis = curve.axis(u)
+    constraint = constraint_across(u, np.where(u == 0, 1.0, abs(u)), axis, 0.0)
+    root = curve.solve(u, constraint)
     if not bool(root.result == RESULTS.successful):
-        return None
-    u, q = np.asarray(root.z), abs(np.asarray(root.z)[x.shape[0] :])
-    scale = np.append(np.where(size == 0, 1, size), np.where(q == 0, 1, q))
-    tangent = np.linalg.svd(np.asarray(root.at.jacobian)[:-1] * scale)[2][-1]
-    tangent = tangent if tangent @ along >= 0 else -tangent
-    return _Point(
-        u, scale, tangent, float(t), np.asarray(x), int(code), bool(real), np.asarray(monitors)
+        return curve, None, root.result
+    within = range_around(ends, values[0])
+    starts = [curve.point(root, constraint, way * axis) for way in within.ways]
+    return curve, (starts, within), root.result
+
+
+def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> BifurcationCurve:
+    """A path as the `BifurcationCurve` it is."""
+    first, second = curve.equations.free
+    return BifurcationCurve(
+        parameters=(first, second),
+        values=np.array([p.u[-2:] for p in path.points]),
+        ts=np.array([p.known.t for p in path.points]),
+        xs=np.array([p.known.x for p in path.points]),
+        kinds=tuple(_KIND_NAMES[p.code] for p in path.points),
+        points=[
+            CodimensionTwo(s.point.u[-2:], _KIND_NAMES[s.before], _KIND_NAMES[s.after])
+            for s in path.special
+        ],
+        ended=path.ended,
+        result=RESULTS.successful,
+        labels=labels,
     )
 
 
-def _plane(
-    base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float
-) -> ArclengthConstraint:
-    return ArclengthConstraint(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
-
-
-def _walk(
-    problem: Problem,
-    u: np.ndarray,
-    sign: float,
-    low: float,
-    high: float,
-    max_step: float,
-    max_points: int,
-) -> tuple[list[_Point], str]:
-    """Points in one direction, and why they end."""
-    first_parameter = np.zeros_like(u)
-    first_parameter[-2] = 1.0
-    scale = np.where(u == 0, 1.0, abs(u))
-    here = _at(problem, u, _plane(u, scale, first_parameter, 0.0), sign * first_parameter)
-    if here is None:
-        raise ValueError("`bifurcation` must be one of `system`: Newton's method left it.")
-    points, ds = [here], min(_FIRST, max_step)
-    while len(points) < max_points:
-        here = points[-1]
-        plane = _plane(here.u, here.scale, here.tangent, ds)
-        ahead = _at(problem, here.u + ds * here.tangent * here.scale, plane, here.tangent)
-        cosine = 0.0 if ahead is None else _cosine(here, ahead)
-        if ahead is None or cosine < 0.9:
-            ds *= 0.5
-            if ds < _LEAST:
-                return points, f"no touch was found beyond {_told(here)}"
-            continue
-        if not ahead.holds:
-            return points, f"the orbit meets the surface elsewhere beyond {_told(here)}"
-        end = next(
-            (
-                v
-                for v in (low, high)
-                if (here.u[-2] - v) * (ahead.u[-2] - v) <= 0 and here.u[-2] != v
-            ),
-            None,
-        )
-        if end is not None:
-            part = (end - here.u[-2]) / (ahead.u[-2] - here.u[-2])
-            base = here.u + part * (ahead.u - here.u)
-            base[-2] = end
-            last = _at(problem, base, _plane(base, here.scale, first_parameter, 0.0), here.tangent)
-            return [*points, last or ahead], f"{problem.names[0]} = {end:.10g} was reached"
-        points.append(ahead)
-        ds = min(max_step, 1.5 * ds) if cosine > 0.99 else ds
-    return points, f"{max_points} points were made"
-
-
-def _told(point: _Point) -> str:
-    return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
-
-
-def _cosine(a: _Point, b: _Point) -> float:
-    tangent = b.tangent * b.scale / a.scale
-    return float(a.tangent @ tangent / np.linalg.norm(tangent))
-
-
-def _change(problem: Problem, a: _Point, b: _Point) -> CodimensionTwo:
-    """Where the kind changes between two neighbours, by bisection."""
-    before, after = a, b
-    for _ in range(45):
-        base = 0.5 * (before.u + after.u)
-        normal = (after.u - before.u) / before.scale
-        length = np.linalg.norm(normal)
-        if length < 1e-12:
-            break
-        middle = _at(problem, base, _plane(base, before.scale, normal / length, 0.0), a.tangent)
-        if middle is None:
-            break
-        before, after = (middle, after) if middle.code == a.code else (before, middle)
-    names = _KIND_NAMES[a.code], _KIND_NAMES[b.code]
-    return CodimensionTwo(0.5 * (before.u[-2:] + after.u[-2:]), *names)
+def _not_begun(
+    bifurcation: Bifurcation, free: tuple[str, str], result: RESULTS, labels: Labels
+) -> BifurcationCurve:
+    """Nothing but the bifurcation that was given. What it failed by itself comes first."""
+    own = bifurcation.result
+    located = (own == RESULTS.successful) | (own == RESULTS.other_kind)
+    values = np.array([float(get_parameter(bifurcation.orbit.system, name)) for name in free])
+    why = f"no curve was found at ({values[0]:.8g}, {values[1]:.8g})"
+    return BifurcationCurve(
+        parameters=free,
+        values=values[None],
+        ts=np.asarray(bifurcation.t)[None],
+        xs=np.asarray(bifurcation.x)[None],
+        kinds=(bifurcation.kind,),
+        points=[],
+        ended=(why, why),
+        result=RESULTS.where(located, result, own),
+        labels=labels,
+    )

@@ -8,13 +8,15 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
-from jaxfil.integrate.state import TimeGrid
 from jaxfil.model import check
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar
 
+Counts = tuple[Array, Array, Array]
+"""Periods averaged over, periods before, and steps of a period."""
 
-def counts_of(periods: int, transient: int, steps: int) -> tuple[Array, Array, Array]:
+
+def counts_of(periods: int, transient: int, steps: int) -> Counts:
     """Whole numbers as traced values, so that new ones compile nothing."""
     periods = check.count("periods", periods)
     transient = check.count("transient", transient, least=0)
@@ -39,15 +41,3 @@ def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> Ar
             "to take its place; got None."
         )
     return jnp.asarray(system.period, dtype)
-
-
-def span_of(duration: Array, intervals: Array, steps: Array) -> TimeGrid:
-    """The grid of `intervals` intervals of that duration, `steps` steps each."""
-    num_steps = intervals * steps
-    return TimeGrid(
-        t0=jnp.zeros_like(duration),
-        length=intervals.astype(duration.dtype) * duration,
-        dt=duration / steps.astype(duration.dtype),
-        num_steps=num_steps,
-        max_iterations=32 * jnp.minimum(num_steps, 2**25) + 100_000,
-    )

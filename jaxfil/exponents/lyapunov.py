@@ -12,19 +12,20 @@ from jaxtyping import Array, Bool, Float
 
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.card import average_card
-from jaxfil.exponents.intervals import counts_of, interval_of, span_of
+from jaxfil.exponents.intervals import Counts, counts_of, interval_of
 from jaxfil.exponents.variational import Variation, propagate, vary
-from jaxfil.integrate import components
+from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
-from jaxfil.integrate.loop import advance
-from jaxfil.integrate.state import LoopState, Recording, is_running
-from jaxfil.integrate.stepper import checked, tableau
+from jaxfil.integrate.loop import advance, finish
+from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods
+from jaxfil.integrate.state import LoopState, is_running
+from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes, Scalar, State, Stepper
+from jaxfil.model.types import Axes, Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 
 
@@ -125,57 +126,48 @@ def lyapunov_spectrum(
     system = cast(system, x.dtype)
     duration = interval_of(system, interval, x.dtype)
     counts = counts_of(periods, transient, steps)
-    stepper = checked(stepper)
+    stepper = checked_stepper(stepper)
     return _spectrum(system, x, duration, counts, stepper, min(BATCHES, periods))
 
 
 @eqx.filter_jit
 def _spectrum(
-    system: System,
-    x0: Array,
-    duration: Array,
-    counts: tuple[Array, Array, Array],
-    stepper: Stepper,
-    batches: int,
+    system: System, x0: Array, duration: Array, counts: Counts, stepper: Stepper, batches: int
 ) -> LyapunovSpectrum:
     periods, transient, steps = counts
-    scene_ = components.build(system, x0)
-    table, policy = tableau(stepper), Recording("none", None)
-    span = span_of(duration, transient + periods, steps)
+    grid = grid_of_periods(duration, transient + periods, steps)
+    problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING)
     # The frame costs n times the orbit: it joins when most of the transient is over.
     alone = (transient - transient // 4) * steps
     ends = batch_ends(periods, batches)
     stops = (transient + jnp.append(0, ends)) * steps
 
     def run(x0: Array) -> tuple[LoopState, Array]:
-        lane = jax.lax.while_loop(
-            lambda lane: is_running(span, lane, alone),
-            lambda lane: advance(scene_, table, span, policy, lane),
-            initial_state(scene_, span, policy, components.unpack(x0), 0),
+        state = jax.lax.while_loop(
+            lambda state: is_running(grid, state, alone),
+            lambda state: advance(problem, state),
+            initial_state(problem, unpack(x0)),
         )
 
         def batch(variation: Variation, stop: Array) -> tuple[Variation, Array]:
-            after = propagate(scene_, table, span, policy, steps, variation, stop)
+            after = propagate(problem, steps, variation, stop)
             return after, jnp.stack(after.growth)
 
-        last, growth = jax.lax.scan(batch, vary(scene_, lane, steps), stops)
-        return last.lane, growth
+        last, growth = jax.lax.scan(batch, vary(problem.system, state, steps), stops)
+        return finish(grid, last.state), growth
 
-    lane, growth = kernel_if_it_fits(run)(x0)
-    done = lane.index >= span.num_steps
-    # A lane that has used up its iterations stops without an outcome of its own.
-    spent = ~done & (lane.result == RESULTS.successful)
-    result = RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)
+    state, growth = kernel_if_it_fits(run)(x0)
     times = ends.astype(x0.dtype) * duration
+    done = state.index >= grid.num_steps
     growth = jnp.where(done, growth[1:], jnp.nan)  # the first only turned the frame
-    exponents, running_, error, settled = averages(growth, times)
+    exponents, running, error, settled = averages(growth, times)
     return LyapunovSpectrum(
         exponents=exponents,
         standard_error=error,
-        running=running_,
+        running=running,
         times=times,
         x0=x0,
-        x_final=components.pack(lane.x, x0.dtype),
+        x_final=pack(state.x, x0.dtype),
         settled=settled,
-        result=result,
+        result=state.result,
     )

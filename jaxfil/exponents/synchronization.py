@@ -15,18 +15,18 @@ from jaxtyping import Array, Float
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.drive_response import drive_response
-from jaxfil.exponents.intervals import counts_of, interval_of, span_of
-from jaxfil.integrate import components
-from jaxfil.integrate.components import Components
+from jaxfil.exponents.intervals import Counts, counts_of, interval_of
+from jaxfil.integrate.components import Components, build, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
-from jaxfil.integrate.loop import advance, integrate_in_kernel
-from jaxfil.integrate.state import LoopState, Recording, is_running
-from jaxfil.integrate.stepper import Tableau, checked, tableau
+from jaxfil.integrate.loop import advance, finish, integrate_in_kernel
+from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods
+from jaxfil.integrate.state import is_running
+from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
-from jaxfil.model.types import Scalar, State, Stepper
+from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 
 # A distance of fewer eps of the size of the state is rounding: a few bits of it are right.
@@ -102,7 +102,7 @@ def synchronization_exponent(
     duration = interval_of(system, interval, x.dtype)
     within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
     counts = counts_of(periods, transient, steps)
-    stepper = checked(stepper)
+    stepper = checked_stepper(stepper)
     return _threshold(system, x, grid, within, duration, counts, stepper)
 
 
@@ -112,17 +112,17 @@ def _distance(z: Components) -> Array:
 
 
 def _settle(
-    system: System, x0: Array, duration: Array, transient: Array, steps: Array, table: Tableau
+    system: System, x0: Array, duration: Array, counts: Counts, stepper: Stepper
 ) -> tuple[Array, RESULTS]:
     """The drive alone, after its transient."""
-    scene_ = components.build(system, x0)
-    policy = Recording("none", None)
-    span = span_of(duration, jnp.maximum(transient, 1), steps)
-    lane = integrate_in_kernel(scene_, table, span, policy, components.unpack(x0))
+    _, transient, steps = counts
+    grid = grid_of_periods(duration, jnp.maximum(transient, 1), steps)
+    problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING)
+    state = integrate_in_kernel(problem, unpack(x0))
     # A grid needs a step: without a transient one period is run, and forgotten.
     moved = transient > 0
-    x = jnp.where(moved, components.pack(lane.x, x0.dtype), x0)
-    return x, RESULTS.where(moved, lane.result, RESULTS.successful)
+    x = jnp.where(moved, pack(state.x, x0.dtype), x0)
+    return x, RESULTS.where(moved, state.result, RESULTS.successful)
 
 
 def _away(x: Array, part: float) -> tuple[Array, Array]:
@@ -142,37 +142,35 @@ def _threshold(
     couplings: Array,
     tolerance: Array,
     duration: Array,
-    counts: tuple[Array, Array, Array],
+    counts: Counts,
     stepper: Stepper,
 ) -> Synchronization:
     periods, transient, steps = counts
-    table, policy = tableau(stepper), Recording("none", None)
-    x, settled = _settle(system, x0, duration, transient, steps, table)
+    x, settled = _settle(system, x0, duration, counts, stepper)
     y, distance = _away(x, 0.01)
     z = jnp.concatenate([x, y])
+    grid = grid_of_periods(duration, periods, steps, transient)
 
     def lane(coupling: Array) -> tuple[Array, RESULTS]:
-        scene_ = components.build(drive_response(system, coupling), z)
-        span = span_of(duration, periods, steps)
-        span = eqx.tree_at(lambda s: s.t0, span, transient.astype(x0.dtype) * duration)
+        pair = build(drive_response(system, coupling), z)
+        problem = Problem(pair, tableau_of(stepper), grid, NOTHING)
 
-        def on(state: tuple[LoopState, Array, Array]) -> Array:
-            lane, nearest, _ = state
-            return is_running(span, lane) & (nearest > tolerance)
+        def on(carry: tuple) -> Array:
+            state, nearest, _ = carry
+            return is_running(grid, state) & (nearest > tolerance)
 
-        def go(state: tuple[LoopState, Array, Array]) -> tuple[LoopState, Array, Array]:
-            lane, nearest, left = state
-            after = advance(scene_, table, span, policy, lane)
-            left = left - (after.index - lane.index)
-            due = (left <= 0) & (after.index > lane.index)
+        def go(carry: tuple) -> tuple:
+            state, nearest, left = carry
+            after = advance(problem, state)
+            left = left - (after.index - state.index)
+            due = (left <= 0) & (after.index > state.index)
             nearest = jnp.where(due, jnp.minimum(nearest, _distance(after.x)), nearest)
             return after, nearest, jnp.where(due, steps, left)
 
-        begun = initial_state(scene_, span, policy, components.unpack(z), 0)
-        lane, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.x), steps))
-        spent = (lane.index < span.num_steps) & (nearest > tolerance)
-        spent = spent & (lane.result == RESULTS.successful)
-        return nearest, RESULTS.where(spent, RESULTS.max_steps_reached, lane.result)
+        begun = initial_state(problem, unpack(z))
+        state, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.x), steps))
+        met = (nearest <= tolerance) & (state.result == RESULTS.successful)
+        return nearest, RESULTS.where(met, state.result, finish(grid, state).result)
 
     nearest, results = jax.vmap(kernel_if_it_fits(lane))(couplings)
     results = RESULTS.where(settled == RESULTS.successful, results, settled)
@@ -247,7 +245,7 @@ def transverse_exponent(
     strength = check.scalar("coupling", coupling, x.dtype)
     duration = interval_of(system, interval, x.dtype)
     counts = counts_of(periods, transient, steps)
-    stepper = checked(stepper)
+    stepper = checked_stepper(stepper)
     return _transverse(system, x, strength, duration, counts, stepper, min(BATCHES, periods))
 
 
@@ -257,40 +255,33 @@ def _transverse(
     x0: Array,
     coupling: Array,
     duration: Array,
-    counts: tuple[Array, Array, Array],
+    counts: Counts,
     stepper: Stepper,
     batches: int,
 ) -> TransverseExponent:
     periods, transient, steps = counts
-    table, policy = tableau(stepper), Recording("none", None)
-    x, settled = _settle(system, x0, duration, transient, steps, table)
+    x, settled = _settle(system, x0, duration, counts, stepper)
     eps = float(jnp.finfo(x0.dtype).eps)
     # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
     # √eps, and a little more leaves room to shrink within an interval.
     y, separation = _away(x, eps**0.4)
     n, z = x.shape[0], jnp.concatenate([x, y])
-    scene_ = components.build(drive_response(system, coupling), z)
+    pair = build(drive_response(system, coupling), z)
 
-    def period(
-        state: tuple[Array, Array, Array, RESULTS],
-    ) -> tuple[Array, Array, Array, RESULTS]:
-        k, z, growth, _ = state
-        start = (transient + k).astype(x0.dtype) * duration
-        span = span_of(duration, jnp.ones_like(steps), steps)
-        span = eqx.tree_at(lambda s: s.t0, span, start)
-        lane = integrate_in_kernel(scene_, table, span, policy, components.unpack(z))
-        end = components.pack(lane.x, x0.dtype)
-        distance = _distance(lane.x)
+    def period(carry: tuple) -> tuple:
+        k, z, growth, _ = carry
+        grid = grid_of_periods(duration, jnp.ones_like(steps), steps, transient + k)
+        state = integrate_in_kernel(Problem(pair, tableau_of(stepper), grid, NOTHING), unpack(z))
+        end = pack(state.x, x0.dtype)
+        distance = _distance(state.x)
         # Below this nothing of the distance is known, and a wrong rate would look like any other.
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
         growth = growth + jnp.where(resolved, jnp.log(distance / separation), jnp.nan)
         apart = (end[n:] - end[:n]) * (separation / jnp.where(resolved, distance, 1.0))
-        return k + 1, jnp.concatenate([end[:n], end[:n] + apart]), growth, lane.result
+        return k + 1, jnp.concatenate([end[:n], end[:n] + apart]), growth, state.result
 
-    def batch(
-        state: tuple[Array, Array, RESULTS], stop: Array
-    ) -> tuple[tuple[Array, Array, RESULTS], Array]:
-        k, z, result = state
+    def batch(carry: tuple, stop: Array) -> tuple:
+        k, z, result = carry
         k, z, growth, result = jax.lax.while_loop(
             lambda s: (s[0] < stop) & (s[3] == RESULTS.successful),
             period,
@@ -304,11 +295,11 @@ def _transverse(
     growth = jnp.where(result == RESULTS.successful, growth, jnp.nan)
     # The pull shrinks every distance at the rate of the coupling, which is added back.
     growth = growth + coupling * jnp.diff(times, prepend=0.0)
-    exponent, running_, error, steady = averages(growth[:, None], times)
+    exponent, running, error, steady = averages(growth[:, None], times)
     return TransverseExponent(
         exponent=exponent[0],
         standard_error=error[0],
-        running=running_[:, 0],
+        running=running[:, 0],
         times=times,
         separation=separation,
         x0=x0,

@@ -10,6 +10,7 @@ there is none) and f∓ the fields before and after. Leine and Nijmeijer, Dynami
 Non-Smooth Mechanical Systems (2004).
 """
 
+import dataclasses
 import functools as ft
 
 import equinox as eqx
@@ -19,10 +20,10 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import Components, ComponentSystem, any_of, axpy, where
+from jaxfil.integrate.components import Components, ComponentSystem, axpy, where
 from jaxfil.integrate.loop import advance
-from jaxfil.integrate.state import LoopState, Recording, TimeGrid, epsilon, is_running
-from jaxfil.integrate.stepper import Tableau
+from jaxfil.integrate.problem import Problem
+from jaxfil.integrate.state import LoopState, is_running
 
 # A direction to which those before it leave less than this many eps of its length is lost.
 _LOST = 1e4
@@ -31,108 +32,93 @@ _LOST = 1e4
 class Variation(eqx.Module):
     """A lane with n tangent vectors."""
 
-    lane: LoopState
-    """The lane."""
+    state: LoopState
     frame: tuple[Components, ...]
     """The tangent vectors."""
     delay: Components
-    """dt* of each vector, while a switch is pending."""
+    """dt* of each while a switch is pending."""
     left: Array
     """Steps to the next orthonormalisation."""
     dropped: Array
     """Whether a slide or a reset may have taken a direction away since the last one."""
     growth: Components
-    """Σ log R_ii of each vector."""
+    """Σ log R_ii."""
 
 
-def generic_frame(scene: ComponentSystem) -> tuple[Components, ...]:
+def generic_frame(system: ComponentSystem) -> tuple[Components, ...]:
     """n orthonormal vectors, none of which is likely to be special to the system."""
     # The axes would be special: where a slide loses x', the axis of x' is lost at once.
-    q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(scene.n, scene.n)))
-    return tuple(tuple(jnp.asarray(v, scene.dtype) for v in column) for column in q.T)
+    q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(system.n, system.n)))
+    return tuple(tuple(jnp.asarray(v, system.dtype) for v in column) for column in q.T)
 
 
-def vary(scene: ComponentSystem, lane: LoopState, every: Array) -> Variation:
+def vary(system: ComponentSystem, state: LoopState, every: Array) -> Variation:
     """A lane with a generic frame, to be orthonormalised every `every` steps."""
-    zero = jnp.zeros((), scene.dtype)
+    zero = jnp.zeros((), system.dtype)
     dropped = jnp.zeros((), bool)
-    zeros = (zero,) * scene.n
-    return Variation(lane, generic_frame(scene), zeros, every, dropped, zeros)
+    zeros = (zero,) * system.n
+    return Variation(state, generic_frame(system), zeros, every, dropped, zeros)
 
 
-def propagate(
-    scene: ComponentSystem,
-    table: Tableau,
-    span: TimeGrid,
-    policy: Recording,
-    every: Array,
-    variation: Variation,
-    stop: Array,
-) -> Variation:
+def propagate(problem: Problem, every: Array, variation: Variation, stop: Array) -> Variation:
     """Carry an orbit and its frame to step number `stop`; `growth` starts at zero."""
-    start = eqx.tree_at(
-        lambda v: v.growth, variation, tuple(jnp.zeros_like(g) for g in variation.growth)
-    )
+    still = tuple(jnp.zeros_like(g) for g in variation.growth)
+
+    def step(v: Variation) -> Variation:
+        return _orthonormalised(problem.system, every, v.state, _push(problem, v))
+
     return jax.lax.while_loop(
-        lambda v: is_running(span, v.lane, stop),
-        lambda v: _orthonormalised(scene, every, v.lane, _push(scene, table, span, policy, v)),
-        start,
+        lambda v: is_running(problem.grid, v.state, stop),
+        step,
+        dataclasses.replace(variation, growth=still),
     )
 
 
-def _push(
-    scene: ComponentSystem, table: Tableau, span: TimeGrid, policy: Recording, variation: Variation
-) -> Variation:
+def _push(problem: Problem, variation: Variation) -> Variation:
     """One iteration of the loop."""
-    lane = variation.lane
+    system, state = problem.system, variation.state
 
-    def through(x: Components) -> tuple[tuple[Components, Array], LoopState]:
-        f = filippov.field(scene, span.t0 + lane.tau, x, lane.mode)
-        start = eqx.tree_at(lambda lane: (lane.x, lane.f), lane, (x, f))
-        after = advance(scene, table, span, policy, start)
+    def through(x: Components) -> tuple:
+        f = filippov.field(system, problem.grid.t0 + state.tau, x, state.mode)
+        after = advance(problem, dataclasses.replace(state, x=x, f=f))
         return (after.x, after.tau), after
 
-    _, derivative, after = jax.linearize(through, lane.x, has_aux=True)
+    _, derivative, after = jax.linearize(through, state.x, has_aux=True)
     frame, delay = [], []
     for v, dt in zip(variation.frame, variation.delay, strict=True):
         pushed, late = derivative(v)
-        if scene.m > 0:
-            switched = lane.pending & ~after.pending
-            pushed = where(switched, _apply_saltation(scene, span, lane, after, v, dt), pushed)
+        if system.m > 0:
+            switched = state.pending & ~after.pending
+            pushed = where(switched, _apply_saltation(problem, state, after, v, dt), pushed)
         frame.append(pushed)
         delay.append(late)
     # A slide takes directions away, and so may a reset: only then is a lost one of length zero.
-    moved = any_of(tuple(s == 0 for s in after.mode))
-    if scene.resets:
+    moved = after.sliding
+    if system.resets:
         moved = moved | after.pending
     return Variation(
         after,
         tuple(frame),
         tuple(delay),
-        variation.left - (after.index - lane.index),
+        variation.left - (after.index - state.index),
         variation.dropped | moved,
         variation.growth,
     )
 
 
 def _apply_saltation(
-    scene: ComponentSystem,
-    span: TimeGrid,
-    lane: LoopState,
-    after: LoopState,
-    v: Components,
-    dt: Array,
+    problem: Problem, state: LoopState, after: LoopState, v: Components, dt: Array
 ) -> Components:
     """A tangent after a switch. It was carried to the contact itself, whose time moves by dt: it
     holds f⁻ dt already, and gives up f⁺ dt to be at a fixed time again."""
-    t = span.t0 + lane.tau
-    if scene.resets:
-        hit = jnp.argmax(jnp.stack(lane.hit))
-        _, kicked = jax.jvp(lambda t, x: scene.reset(t, x, hit), (t, lane.x), (dt, v))
-        v = where(lane.graze, v, kicked)
+    system, t = problem.system, problem.grid.t0 + state.tau
+    if system.resets:
+        hit = jnp.argmax(jnp.stack(state.hit))
+        _, kicked = jax.jvp(lambda t, x: system.reset(t, x, hit), (t, state.x), (dt, v))
+        v = where(state.graze, v, kicked)
     v = axpy(v, -dt, after.f)
-    if scene.slides:
-        _, _, normals = scene.gradients(t, after.x)
+    if system.slides:
+        _, _, normals = system.gradients(t, after.x)
         for normal, s in zip(normals, after.mode, strict=True):
             size = sum(a * a for a in normal)
             out = sum(a * b for a, b in zip(v, normal, strict=True))
@@ -144,28 +130,27 @@ def _apply_saltation(
 
 
 def _orthonormalised(
-    scene: ComponentSystem, every: Array, before: LoopState, variation: Variation
+    system: ComponentSystem, every: Array, before: LoopState, variation: Variation
 ) -> Variation:
     """The same, with its frame orthonormalised where that is due."""
-    due = (variation.left <= 0) & (variation.lane.index > before.index)
+    due = (variation.left <= 0) & (variation.state.index > before.index)
     # `once`: without it the first vector would be computed again for every number after it.
-    orthonormal = ft.partial(gram_schmidt, scene)
-    frame, lengths = scene.once(orthonormal, variation.frame, variation.dropped)
+    orthonormal = ft.partial(gram_schmidt, system)
+    frame, lengths = system.once(orthonormal, variation.frame, variation.dropped)
     growth = tuple(
         g + jnp.where(due, log, 0.0) for g, log in zip(variation.growth, lengths, strict=True)
     )
-    return Variation(
-        variation.lane,
-        tuple(where(due, q, v) for q, v in zip(frame, variation.frame, strict=True)),
-        variation.delay,
-        jnp.where(due, every, variation.left),
-        variation.dropped & ~due,
-        growth,
+    return dataclasses.replace(
+        variation,
+        frame=tuple(where(due, q, v) for q, v in zip(frame, variation.frame, strict=True)),
+        left=jnp.where(due, every, variation.left),
+        dropped=variation.dropped & ~due,
+        growth=growth,
     )
 
 
 def gram_schmidt(
-    scene: ComponentSystem, frame: tuple[Components, ...], dropped: Array
+    system: ComponentSystem, frame: tuple[Components, ...], dropped: Array
 ) -> tuple[tuple[Components, ...], Components]:
     """An orthonormal frame, and log R_ii of each vector.
 
@@ -184,10 +169,10 @@ def gram_schmidt(
             for q in done:
                 rest = axpy(rest, -_dot(q, rest), q)
         length = _norm(rest)
-        lost = length <= _LOST * epsilon(scene) * size
+        lost = length <= _LOST * system.eps * size
         length = jnp.where(lost, 1.0, length)
         unit = tuple(a / length for a in rest)
-        done.append(where(lost, _complement(scene, done), unit))
+        done.append(where(lost, _complement(system, done), unit))
         nothing = jnp.where(dropped, -jnp.inf, jnp.nan)
         logs.append(jnp.where(lost, nothing, jnp.log(length)))
     return tuple(done), tuple(logs)
@@ -203,12 +188,12 @@ def _norm(v: Components) -> Array:
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 
-def _complement(scene: ComponentSystem, done: list[Components]) -> Components:
+def _complement(system: ComponentSystem, done: list[Components]) -> Components:
     """A unit vector orthogonal to orthonormal ones: what they leave of the axis they leave most."""
-    best = tuple(jnp.zeros((), scene.dtype) for _ in range(scene.n))
-    most = jnp.zeros((), scene.dtype)
-    for j in range(scene.n):
-        axis = tuple(jnp.asarray(float(i == j), scene.dtype) for i in range(scene.n))
+    best = tuple(jnp.zeros((), system.dtype) for _ in range(system.n))
+    most = jnp.zeros((), system.dtype)
+    for j in range(system.n):
+        axis = tuple(jnp.asarray(float(i == j), system.dtype) for i in range(system.n))
         for q in done:
             axis = axpy(axis, -q[j], q)
         square = axis[j]  # a projection's diagonal is the square of its column

@@ -1,14 +1,13 @@
 """What the loop sees of a system: its fields and surfaces on components.
 
-A `System` and an initial state enter; a `ComponentSystem` leaves, with static sizes (n states, m surfaces)
-and functions on tuples of scalars. In a batch each scalar is one contiguous array of lanes, which
-XLA turns into vector instructions; an (n,) state in the loop would be strided.
+A `System` and an initial state enter; a `ComponentSystem` leaves, with static sizes (n states, m
+surfaces) and functions on tuples of scalars. In a batch each scalar is one contiguous array of
+lanes, which XLA turns into vector instructions; an (n,) state in the loop would be strided.
 """
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -26,14 +25,23 @@ Forcing = list[Array]
 """What a field takes of time alone, at one time: see `ComponentSystem.forcing`."""
 
 
+class SmoothField(Protocol):
+    """A smooth vector field on components, x' = f(t, x): its value at a time, given what `forcing`
+    has found for that time, if anything, and `ComponentSystem.once`."""
+
+    def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components: ...
+
+    def once(self, function: Callable, *args: Any) -> Any: ...
+
+
 def unpack(x: Array) -> Components:
     """The components of an (n,) array."""
     return tuple(x[i] for i in range(x.shape[0]))
 
 
-def pack(blocks: Components, dtype: Any) -> Array:
+def pack(components: Components, dtype: Any) -> Array:
     """The (n,) array of components; of shape (0,) and the given dtype if there are none."""
-    return jnp.stack(blocks) if blocks else jnp.zeros((0,), dtype)
+    return jnp.stack(components) if components else jnp.zeros((0,), dtype)
 
 
 def axpy(x: Components, h: Array, f: Components) -> Components:
@@ -57,50 +65,78 @@ def any_of(flags: Components) -> Array:
 def all_finite(*vectors: Components) -> Array:
     """Whether all components of all vectors are finite."""
     total: Any = 0.0
-    for block in itertools.chain(*vectors):
-        total = total + block * 0  # NaN and inf both give NaN: one test for all
+    for component in itertools.chain(*vectors):
+        total = total + component * 0  # NaN and inf both give NaN: one test for all
     return jnp.asarray(total == 0)
 
 
-@dataclasses.dataclass(frozen=True)
-class ComponentSystem:
-    """A system on components. `sides` are tuples of m scalars, each exactly ±1; `switched` lists
-    for each component of the field the sides it depends on. `separate`: no component depends on
-    more than one side, and no dH_j/dt on a side other than its own."""
+class ParametrizedFunction(eqx.Module):
+    """One of the user's functions, on components, with the parameters that it takes."""
 
-    n: int
-    m: int
-    slides: bool
-    resets: bool
-    dtype: Any
-    _one: Array | None
-    switched: tuple[tuple[int, ...], ...]
-    separate: bool
-    _field: Callable[..., Components]
-    _forcing: Callable[[Array], Forcing]
-    _switching: Callable[[Array, Components], Components]
-    _reset: Callable[[Array, Components, Array], Components]
+    traced: Traced = eqx.field(static=True)
+    parameters: Any
+    fence: Array | None
+
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        return self.traced(self.parameters, *args, fence=self.fence, **options)
+
+    def ahead(self, t: Array) -> Forcing:
+        """What is dear in it and takes time alone."""
+        return self.traced.ahead(self.parameters, t)
+
+
+class ComponentSystem(eqx.Module):
+    """A system on components: n states, m surfaces.
+
+    XLA's CPU backend fuses operations into loops, and computes a value with several users again in
+    each user's loop: without a fence a cosine that two stages share would be computed twice, and a
+    stage once for each stage after it. It sees through `optimization_barrier`, but not through a
+    conditional whose condition it does not know (`once`), nor past a division by a value of each
+    lane, which it holds to be expensive (`Traced`). On other backends there is no fence.
+    """
+
+    n: int = eqx.field(static=True)
+    m: int = eqx.field(static=True)
+    slides: bool = eqx.field(static=True)
+    """Whether sliding is compiled."""
+    resets: bool = eqx.field(static=True)
+    """Whether resets are compiled."""
+    dtype: Any = eqx.field(static=True)
+    switched: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    """For each component of the field, the sides that it depends on."""
+    separate: bool = eqx.field(static=True)
+    """Whether no component depends on more than one side, and no dH_j/dt on a side other than its
+    own: the surfaces then switch independently of each other."""
+    _field: Any
+    _switching: Any
+    _reset: Any
+    _opaque_one: Array | None
+    """1, as a number that the compiler does not know."""
+
+    @property
+    def eps(self) -> float:
+        """Machine epsilon of the precision."""
+        return float(jnp.finfo(self.dtype).eps)
 
     def once(self, function: Callable, *args: Any) -> Any:
         """`function(*args)`, each argument and each result computed once.
 
-        XLA's CPU backend computes a value with several users again inside each user's fusion. It
-        does not look through a conditional: this one always takes its first branch, on a condition
-        that the compiler cannot see through.
+        A conditional that always takes its first branch, on a condition that the compiler cannot
+        see through.
         """
-        if self._one is None:
+        if self._opaque_one is None:
             return function(*args)
 
-        def never(*args):
+        def never(*args: Any) -> Any:
             shapes = jax.eval_shape(function, *args)
             return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
-        return jax.lax.cond(self._one > 0, function, never, *args)
+        return jax.lax.cond(self._opaque_one > 0, function, never, *args)
 
     def where_any(self, flag: Array, function: Callable, otherwise: Callable, *args: Any) -> Any:
         """`function(*args)` if the flag of any lane is set, else `otherwise(*args)`, which must be
-        the same where it is not set. On a processor the other one is not computed."""
-        if self._one is None:
+        the same where it is not set. On a CPU the other one is not computed."""
+        if self._opaque_one is None:
             return function(*args)
         return jax.lax.cond(eqxi.unvmap_any(flag), function, otherwise, *args)
 
@@ -113,9 +149,14 @@ class ComponentSystem:
         sides of a surface and all stages at one time share it."""
 
         def at(t: Array, h: Array) -> list[Forcing]:
-            return [self._forcing(t + c * h) for c in times]
+            return [self.forcing_at(t + c * h) for c in times]
 
-        return self.once(at, t, h) if jax.eval_shape(self._forcing, t) else [[] for _ in times]
+        forced = jax.eval_shape(self.forcing_at, t)
+        return self.once(at, t, h) if forced else [[] for _ in times]
+
+    def forcing_at(self, t: Array) -> Forcing:
+        """What the field takes of time alone and is dear, at one time."""
+        return self._field.ahead(t)
 
     def field(
         self,
@@ -125,9 +166,9 @@ class ComponentSystem:
         alone: bool = False,
         forcing: Forcing | None = None,
     ) -> Components:
-        """F(t, x, sides), with what `forcing` has found for t, if it is given. `alone`: all that is
-        made of it is one vector, blended or not."""
-        return self._field(t, x, sides, alone, forcing)
+        """F(t, x, sides), sides exactly ±1, with what `forcing` has found for t, if it is given.
+        `alone`: all that is made of it is one vector, blended or not."""
+        return self._field(t, x, sides, alone=alone, known=forcing)
 
     def switching(self, t: Array, x: Components) -> Components:
         """H(t, x)."""
@@ -135,7 +176,7 @@ class ComponentSystem:
 
     def reset(self, t: Array, x: Components, surface: Array) -> Components:
         """The state after an impact on `surface`."""
-        return self._reset(t, x, surface)
+        return self._reset(t, x, jnp.asarray(surface, jnp.int32))
 
     def rate(self, t: Array, x: Components, f: Components) -> Components:
         """dH/dt along the direction (1, f)."""
@@ -162,53 +203,57 @@ class ComponentSystem:
 
 
 def build(system: System, x0: Array) -> ComponentSystem:
-    """The scene of a system whose float leaves have the dtype of `x0`, shape (n,)."""
+    """The components of a system whose float leaves have the dtype of `x0`, shape (n,)."""
     n, dtype = x0.shape[0], x0.dtype
-    t0 = jnp.zeros((), dtype)
+    t0, x = jnp.zeros((), dtype), unpack(x0)
     h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
-    dynamic, static = eqx.partition(system, eqx.is_array)
-
-    def module(leaves):
-        return eqx.combine(leaves, static)
-
-    def field(leaves, t, x, sides):
-        side = sides[0] if h_shape == () else pack(sides, dtype)
-        return unpack(module(leaves).vector_field(t, pack(x, dtype), side))
-
-    def switching(leaves, t, x):
-        return unpack(jnp.reshape(module(leaves).switching(t, pack(x, dtype)), (m,)))
-
-    def reset(leaves, t, x, surface):
-        return unpack(module(leaves).reset(t, pack(x, dtype), surface))
-
-    x, sides = unpack(x0), (jnp.ones((), dtype),) * m
-    one, hold = _fences(dynamic, x0) if jax.default_backend() == "cpu" else (None, lambda v: v)
-    when = (FIRST, EARLY, LATE, LATE)
-    traced_field = Traced(field, dynamic, t0, x, sides, hold=hold, when=when)
-    traced_switching = Traced(switching, dynamic, t0, x, hold=hold)
     resets = has_resets(system) and m > 0
-    traced_reset = Traced(reset, dynamic, t0, x, jnp.int32(0), hold=hold) if resets else reset
-    nothing = jax.tree.map(lambda _: False, (dynamic, t0, x))
+    leaves, static = eqx.partition(system, eqx.is_array)
+    field, switching, reset = _on_components(static, h_shape, dtype)
+    sides = (jnp.ones((), dtype),) * m
+    traced_field = Traced(field, leaves, t0, x, sides, when=(FIRST, EARLY, LATE, LATE))
+    traced_switching = Traced(switching, leaves, t0, x)
+    nothing = jax.tree.map(lambda _: False, (leaves, t0, x))
     seen = [traced_field.depends(*nothing, _only(j, m)) for j in range(m)]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     steers = [traced_switching.depends(*nothing[:2], _only(i, n)) for i in range(n)]
+    opaque_one, fence = _fences(leaves, x0)
+    traced_reset = Traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
     return ComponentSystem(
         n=n,
         m=m,
         slides=system.slides and m > 0,
         resets=resets,
         dtype=dtype,
-        _one=one,
         switched=switched,
         separate=m > 0 and _separate(switched, steers),
-        _field=lambda t, x, sides, alone, known: traced_field(
-            dynamic, t, x, sides, alone=alone, known=known
-        ),
-        _forcing=lambda t: traced_field.ahead(dynamic, t),
-        _switching=lambda t, x: traced_switching(dynamic, t, x),
-        _reset=lambda t, x, surface: traced_reset(dynamic, t, x, jnp.asarray(surface, jnp.int32)),
+        _field=ParametrizedFunction(traced_field, leaves, fence),
+        _switching=ParametrizedFunction(traced_switching, leaves, fence),
+        _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
+        _opaque_one=opaque_one,
     )
+
+
+def _on_components(
+    static: System, h_shape: tuple[int, ...], dtype: Any
+) -> tuple[Callable, Callable, Callable]:
+    """The field, the switching function and the reset of a system as functions of its array leaves
+    and of components."""
+    m = 1 if h_shape == () else h_shape[0]
+
+    def field(leaves: System, t: Array, x: Components, sides: Components) -> Components:
+        side = sides[0] if h_shape == () else pack(sides, dtype)
+        return unpack(eqx.combine(leaves, static).vector_field(t, pack(x, dtype), side))
+
+    def switching(leaves: System, t: Array, x: Components) -> Components:
+        h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
+        return unpack(jnp.reshape(h, (m,)))
+
+    def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
+        return unpack(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface))
+
+    return field, switching, reset
 
 
 def _only(i: int, size: int) -> tuple[bool, ...]:
@@ -227,13 +272,12 @@ def _separate(switched: Sequence[tuple[int, ...]], steers: Sequence[tuple[bool, 
     return single and not foreign
 
 
-def _fences(dynamic: Any, x0: Array) -> tuple[Array, Callable]:
-    """A one that the compiler cannot see through, for `ComponentSystem.once`, and what holds a sine.
-
-    A conditional round a single sine is dissolved by XLA, a division by a value of each lane is
-    not: XLA holds a division to be expensive and computes it once.
-    """
-    leaves = [jnp.ravel(v)[0] for v in jax.tree.leaves((dynamic, x0)) if v.dtype == x0.dtype]
-    never = sum(leaves) == jnp.finfo(x0.dtype).max
+def _fences(leaves: Any, x0: Array) -> tuple[Array | None, Array | None]:
+    """A one that the compiler cannot see through, for `ComponentSystem.once`, and one of each lane,
+    for its sines: a conditional round a single sine is dissolved by XLA, a division is not."""
+    if jax.default_backend() != "cpu":
+        return None, None
+    firsts = [jnp.ravel(v)[0] for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype]
+    never = sum(firsts) == jnp.finfo(x0.dtype).max
     lane_one = jax.lax.stop_gradient(jnp.where(never, 2.0, 1.0).astype(x0.dtype))
-    return jax.lax.optimization_barrier(jnp.ones((), x0.dtype)), lambda v: v / lane_one
+    return jax.lax.optimization_barrier(jnp.ones((), x0.dtype)), lane_one

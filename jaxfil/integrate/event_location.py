@@ -1,13 +1,27 @@
-"""First contact inside a step.
+"""Event location: the first contact inside a step.
 
 The guards' values and rates at both ends of a trial step enter; where in the step one of them first
 becomes negative leaves, as a fraction θ of the step, and, when a step has ended on a contact, the
 time δ that is missing.
 
-The guard is positive in the current mode. Between the ends it is taken as the cubic through values
-and rates; its minimum is searched, so that a dip below zero and back inside one step is found. A
-surface that the lane has just left starts at exactly zero with a rate that is zero or positive:
-its contact is a root after the cubic's maximum, never the one at the start.
+A guard is positive in the current mode. Between the ends of a step it is taken as the cubic through
+its values and rates there (Hermite's): the values are those of the trial itself, so that this needs
+no dense output of the stepper, and a step that is cut where the cubic has its root is taken again,
+so that the cubic's error of order four costs iterations and not accuracy:
+
+    g0 ╲                                 the trial step, H at both ends: g < 0 at its end
+        ╲___     θ h          h          1. reject, cut at the cubic's first root θ
+    ────────╲────┼────────────┼─── 0     2. step again to θ h: close enough for Newton
+             ╲___╱ dip         ╲         3. land: t += δ, x += δ f, δ = −g/ġ
+
+The cubic's minimum is looked at too, so that a dip below zero and back inside one step is found. A
+surface that the lane has just left starts at exactly zero with a rate that is zero or positive: its
+contact is a root after the cubic's maximum, never the one at the start.
+
+Three tolerances tell a contact from rounding, none of them a bare number: the noise of a guard, a
+multiple of eps and of the size of its terms (`mode_switch.surface_noise`); the rounding of times
+(`TimeGrid.same_time`); and eps^(2/3), up to which one Newton correction in time is exact to
+rounding in the state and in its derivative.
 """
 
 from typing import Any
@@ -17,8 +31,10 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, any_of
-from jaxfil.integrate.state import LoopState, StepEnd, TimeGrid, epsilon
+from jaxfil.integrate.components import Components, any_of
+from jaxfil.integrate.length import Length
+from jaxfil.integrate.problem import Problem, TimeGrid
+from jaxfil.integrate.state import LoopState, StepEnd
 
 NEVER = 2.0
 """θ of a contact that does not happen in this step."""
@@ -33,6 +49,8 @@ _SUSPICIOUS = 1 / 64
 _STALLED = 12
 # A step is cut at such a minimum only well inside it: at its ends the cubic is exact.
 _MARGIN = 0.02
+# Contacts closer than this part of the time to the first are one event.
+_TOGETHER = 1e-6
 
 
 class Cubic(eqx.Module):
@@ -140,32 +158,31 @@ def _nothing(g0: Array, *_: Array) -> Array:
     return jnp.full_like(g0, NEVER + _LOOK)
 
 
-class Search(eqx.Module):
+class Contact(eqx.Module):
     """What a trial step has run over: θ of the earliest contact or minimum to be looked at
     (`NEVER`: nothing), and the surfaces of that contact (none for a minimum)."""
 
     theta: Array
     surfaces: Components
 
+    @property
+    def found(self) -> Array:
+        """Whether there is something."""
+        return self.theta < NEVER
 
-def search(
-    system: ComponentSystem,
-    grid: TimeGrid,
-    state: LoopState,
-    step_end: StepEnd,
-    h: Array,
-    cutting: Array,
-) -> Search:
-    """The earliest contact of a trial step of signed length h, over all surfaces; θ is NaN where
-    guards are too large for it to be found.
+
+def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> Contact:
+    """The earliest contact of a trial step, over all surfaces; θ is NaN where guards are too large
+    for it to be found.
 
     A slide that repels at the end of the step is bisected to where it ceases to attract.
     """
+    system, h = problem.system, length.h
     found = []
     for j in range(system.m):
-        fresh = jnp.maximum(step_end.noise[j], state.noise[j])
-        noise = jnp.where(state.armed[j], jnp.maximum(step_end.noise[j], step_end.touch[j]), fresh)
-        ends = state.g[j], h * state.rate[j], stop_gradient(step_end.g[j]), h * step_end.rate[j]
+        fresh = jnp.maximum(end.noise[j], state.noise[j])
+        noise = jnp.where(state.armed[j], jnp.maximum(end.noise[j], end.touch[j]), fresh)
+        ends = state.g[j], h * state.rate[j], stop_gradient(end.g[j]), h * end.rate[j]
         met = ~(state.armed[j] & stays_off(*ends, noise))
         found.append(system.where_any(met, _found, _nothing, *ends, state.armed[j], noise))
     contact = minimum = jnp.asarray(NEVER, h.dtype)
@@ -175,16 +192,16 @@ def search(
         contact = jnp.minimum(contact, number)
         minimum = jnp.minimum(minimum, jnp.where(number < _LOOK, NEVER, number - _LOOK))
     # One look at a time: a step that was cut short is taken as it is.
-    minimum = jnp.where(cutting, NEVER, minimum)
+    minimum = jnp.where(length.cutting, NEVER, minimum)
     if system.slides:
-        bisect = step_end.repels & (abs(h) > grid.same_time(step_end.tau))
+        bisect = end.repels & (abs(h) > problem.grid.same_time(end.tau))
         minimum = jnp.where(bisect, jnp.minimum(minimum, 0.5), minimum)
     first = (contact < NEVER) & (contact <= minimum)
-    surfaces = tuple(first & (theta <= contact * (1 + 1e-6)) for theta in thetas)
+    surfaces = tuple(first & (theta <= contact * (1 + _TOGETHER)) for theta in thetas)
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, minimum)
     stalled = (theta < NEVER) & (state.tries >= _STALLED) & (state.tries % 4 == 3)
-    return Search(jnp.where(stalled, 0.5 * theta, theta), surfaces)
+    return Contact(jnp.where(stalled, 0.5 * theta, theta), surfaces)
 
 
 # What the end of a step is to a surface.
@@ -201,74 +218,70 @@ class Landing(eqx.Module):
     delta: Array
 
 
-def land(
-    system: ComponentSystem,
-    grid: TimeGrid,
-    state: LoopState,
-    step_end: StepEnd,
-    h: Array,
-    room: Array,
-    cutting: Array,
-) -> Landing:
+def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> Landing:
     """Whether this step has ended on a contact.
 
-    `room` is the signed time from its end to the next grid point. δ is one Newton step: with g the
-    guard, its error is of order δ² g̈/ġ, and that of its derivative of order δ g̈/ġ, which is what
-    is kept small here.
+    δ is one Newton step: with g the guard, its error is of order δ² g̈/ġ, and that of its derivative
+    of order δ g̈/ġ, which is what is kept small here.
     """
-    direction = grid.direction
-    same = grid.same_time(step_end.tau)
-    small = epsilon(system) ** (2 / 3)
-    straight = small * abs(grid.dt)
-    kinds, times = [], []
-    for j in range(system.m):
-        rate, aimed = step_end.rate[j], cutting & state.aim[j]
-        falls = direction * rate < 0
-        missing = -step_end.g[j] / jnp.where(falls, rate, -direction)
-        size = abs(stop_gradient(missing))
-        bend = direction * (rate - state.rate[j])
-        close = (size <= straight) & (size * abs(bend) <= small * abs(rate * h))
-        inside = (room - stop_gradient(missing)) * direction >= 0
-        # Rounding of t hides what is missing to the end of a slide, whose guard is made of fields.
-        # A state knows its surface better: it is there when all that is left of g is rounding.
-        g = stop_gradient(step_end.g[j])
-        sliding = step_end.mode[j] == 0 if system.slides else jnp.zeros((), bool)
-        zero = abs(g) <= step_end.noise[j]
-        # So do several surfaces: those met within the rounding of times are met together.
-        loose = sliding | (system.m > 1)
-        reached = (size <= same) & (inside | zero | loose) | (cutting & close & inside)
-        # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step
-        # has gone past it by no more than the search takes for rounding.
-        past = (g < 0) & (-g <= step_end.touch[j])
-        here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
-        hit = falls & (here | ((state.armed[j] | aimed) & reached))
-        # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
-        vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= step_end.touch[j] * bend)
-        touch = state.armed[j] & (abs(g) <= step_end.touch[j]) & ~sliding & vertex
-        kind = jnp.where(hit, jnp.where(here, _HERE, _HIT), jnp.where(touch, _BRUSHED, _NOTHING))
-        kinds.append(kind.astype(h.dtype))
-        times.append(missing)
+    system, direction = problem.system, problem.grid.direction
+    told = [_kind_of_end(problem, state, end, length, j) for j in range(system.m)]
     # One number a surface, computed once: all that follows is made of it.
-    kinds = system.hold(*kinds)
+    kinds, times = system.hold(*(kind for kind, _ in told)), [missing for _, missing in told]
     hits = tuple(kind >= _HIT for kind in kinds)
     landed = any_of(hits)
     touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
     pairs = zip(hits, kinds, strict=True)
     surfaces = tuple(hit | (touched & (kind == _BRUSHED)) for hit, kind in pairs)
-    delta: Any = jnp.zeros_like(h)
+    delta: Any = jnp.zeros_like(length.h)
     for kind, missing in reversed(list(zip(kinds, times, strict=True))):
         missing = jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
         delta = jnp.where(kind >= _HIT, missing, delta)
     # Rounding can put a contact just past the end of the span it belongs to.
+    room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
     (delta,) = system.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))
     return Landing(landed | touched, surfaces, touched, delta)
 
 
-def missing_time(grid: TimeGrid, state: LoopState, step_end: StepEnd) -> Array:
+def _kind_of_end(
+    problem: Problem, state: LoopState, end: StepEnd, length: Length, j: int
+) -> tuple[Array, Array]:
+    """What the end of a step is to surface j, as a float, and the time missing to the contact."""
+    system, grid, h = problem.system, problem.grid, length.h
+    direction, same = grid.direction, grid.same_time(end.tau)
+    small = system.eps ** (2 / 3)
+    rate, aimed = end.rate[j], length.cutting & state.aim[j]
+    falls = direction * rate < 0
+    missing = -end.g[j] / jnp.where(falls, rate, -direction)
+    size = abs(stop_gradient(missing))
+    bend = direction * (rate - state.rate[j])
+    close = (size <= small * abs(grid.dt)) & (size * abs(bend) <= small * abs(rate * h))
+    inside = (length.room - stop_gradient(missing)) * direction >= 0
+    # Rounding of t hides what is missing to the end of a slide, whose guard is made of fields. A
+    # state knows its surface better: it is there when all that is left of g is rounding.
+    g = stop_gradient(end.g[j])
+    sliding = end.mode[j] == 0 if system.slides else jnp.zeros((), bool)
+    zero = abs(g) <= end.noise[j]
+    # So do several surfaces: those met within the rounding of times are met together.
+    loose = sliding | (system.m > 1)
+    reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)
+    # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step has
+    # gone past it by no more than the search takes for rounding.
+    past = (g < 0) & (-g <= end.touch[j])
+    here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
+    hit = falls & (here | ((state.armed[j] | aimed) & reached))
+    # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
+    vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.touch[j] * bend)
+    touch = state.armed[j] & (abs(g) <= end.touch[j]) & ~sliding & vertex
+    kind = jnp.where(hit, jnp.where(here, _HERE, _HIT), jnp.where(touch, _BRUSHED, _NOTHING))
+    return kind.astype(h.dtype), missing
+
+
+def missing_time(grid: TimeGrid, state: LoopState, end: StepEnd) -> Array:
     """The signed time from here to the contact aimed at, by Newton; 0 if it is not ahead."""
-    missing: Any = jnp.zeros_like(step_end.tau)
-    for aim, g, rate in zip(state.aim, step_end.g, step_end.rate, strict=True):
+    missing: Any = jnp.zeros_like(end.tau)
+    for aim, g, rate in zip(state.aim, end.g, end.rate, strict=True):
         falls = grid.direction * rate < 0
         ahead = -g / jnp.where(falls, rate, -grid.direction)
         missing = jnp.where(aim & falls & (g > 0), stop_gradient(ahead), missing)

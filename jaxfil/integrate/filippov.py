@@ -9,15 +9,17 @@ corner fields: with weights w in [−1, 1]^m, F(w) = Σ_s F_s Π_j (1 + s_j w_j)
 the surface and, for the surfaces slid on, w solves dH_j/dt(w) = 0. For one surface this is
 Filippov's convex combination with λ = (1 + w)/2.
 
-Where surfaces are separate (`ComponentSystem.separate`: each is switched by its own side alone, as those of
-two oscillators that do not touch each other's switches), so are their weights and modes: each is
-that of one surface, and two corners, all sides + and all −, say everything.
+Where surfaces are separate (`ComponentSystem.separate`: each is switched by its own side alone, as
+those of two oscillators that do not touch each other's switches), so are their weights and modes:
+each is that of one surface, and two corners, all sides + and all −, say everything.
 """
 
+import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,7 +45,8 @@ def _mix(s: Array, w: Array, above: Components, below: Components) -> Components
 
 
 def blend(corners: Sequence[Components], mode: Components, weights: Components) -> Components:
-    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of `ComponentSystem.corner_sides`."""
+    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of
+    `ComponentSystem.corner_sides`."""
     for s, w in zip(mode, weights, strict=True):
         half = len(corners) // 2
         corners = [_mix(s, w, corners[i], corners[half + i]) for i in range(half)]
@@ -139,8 +142,8 @@ def corners(
     alone: bool = False,
     forcing: Forcing | None = None,
 ) -> tuple[list[Components], list[Components]]:
-    """The field on the combinations of sides of `ComponentSystem.corner_sides`, and dH/dt along each; `alone`
-    and `forcing` as in `ComponentSystem.field`."""
+    """The field on the combinations of sides of `ComponentSystem.corner_sides`, and dH/dt along
+    each; `alone` and `forcing` as in `ComponentSystem.field`."""
     fields = [system.field(t, x, sides, alone, forcing) for sides in system.corner_sides()]
     return fields, [system.rate(t, x, f) for f in fields]
 
@@ -157,6 +160,52 @@ def field(
         return system.field(t, x, mode, True, forcing)
     fields, rates = corners(system, t, x, True, forcing)
     return blend_fields(system, fields, mode, weights(mode, rates))
+
+
+class ModeField(eqx.Module):
+    """The field of a mode as a smooth vector field of time and state; `blended`: the mode may
+    slide. Where it is known not to, the fields of the other sides are not computed."""
+
+    system: ComponentSystem
+    mode: Components
+    blended: bool = eqx.field(static=True, default=True)
+
+    def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components:
+        if self.blended:
+            return field(self.system, t, x, self.mode, forcing)
+        return self.system.field(t, x, self.mode, True, forcing)
+
+    def once(self, function: Callable, *args: Any) -> Any:
+        """`ComponentSystem.once`."""
+        return self.system.once(function, *args)
+
+
+class _SingleField(eqx.Module):
+    """The field of a mode, in the place of a system's field, which takes sides."""
+
+    system: ComponentSystem
+    mode: Components
+
+    def __call__(
+        self, t: Array, x: Components, sides: Components, alone: bool, known: Forcing | None
+    ) -> Components:
+        return field(self.system, t, x, self.mode, known)
+
+    def ahead(self, t: Array) -> Forcing:
+        return self.system.forcing_at(t)
+
+
+def without_surfaces(system: ComponentSystem, mode: Components) -> ComponentSystem:
+    """The smooth system whose field is that of one mode everywhere."""
+    return dataclasses.replace(
+        system,
+        m=0,
+        slides=False,
+        resets=False,
+        switched=((),) * system.n,
+        separate=False,
+        _field=_SingleField(system, mode),
+    )
 
 
 def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:

@@ -1,7 +1,7 @@
 """The first moment: which mode a lane starts in.
 
-An initial state enters; a `LoopState` ready for the loop leaves. Off the surfaces the mode is the side.
-On a surface it is what the fields there say, never the sign of a zero.
+A problem and an initial state enter; a `LoopState` ready for the loop leaves. Off the surfaces the
+mode is the side. On a surface it is what the fields there say, never the sign of a zero.
 """
 
 import functools as ft
@@ -16,8 +16,9 @@ from jaxtyping import Array
 from jaxfil.integrate import filippov
 from jaxfil.integrate.components import Components, ComponentSystem, all_finite
 from jaxfil.integrate.mode_switch import guards, surface_noise
+from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.recording import empty_saves, empty_table
-from jaxfil.integrate.state import LoopState, Recording, TimeGrid, epsilon
+from jaxfil.integrate.state import LoopState
 from jaxfil.model.outcomes import RESULTS
 
 # Rounding of a rate at a tangency, in eps of the largest rate there.
@@ -29,38 +30,42 @@ def _resolved_rates(
 ) -> list[Components]:
     """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
     the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
-    one = jnp.ones_like(t)
-    fields, rates, seconds, thirds = [], [], [], []
-    for sides in system.corner_sides():
-
-        def first(t, x, sides=sides):
-            return system.rate(t, x, system.field(t, x, sides))
-
-        def second(t, x, sides=sides, first=first):
-            return jax.jvp(first, (t, x), (one, system.field(t, x, sides)))[1]
-
-        f = system.field(t, x, sides)
-        fields.append(f)
-        rates.append(first(t, x))
-        seconds.append(second(t, x))
-        thirds.append(jax.jvp(second, (t, x), (one, f))[1])
+    rates, seconds, thirds = zip(
+        *(_three_rates(system, t, x, sides) for sides in system.corner_sides()), strict=True
+    )
     resolved = []
     for rate, second_, third in zip(rates, seconds, thirds, strict=True):
         row = []
         for j in range(system.m):
             scale = sum(abs(r[j]) for r in rates)
-            tiny = jnp.where(scale > 0, epsilon(system) * scale, 1.0)
+            tiny = jnp.where(scale > 0, system.eps * scale, 1.0)
             sign = jnp.where(second_[j] != 0, direction * jnp.sign(second_[j]), jnp.sign(third[j]))
-            flat = abs(rate[j]) <= _RATE_NOISE * epsilon(system) * scale
+            flat = abs(rate[j]) <= _RATE_NOISE * system.eps * scale
             row.append(jnp.where(flat, tiny * sign, rate[j]))
         resolved.append(tuple(row))
     return resolved
 
 
+def _three_rates(
+    system: ComponentSystem, t: Array, x: Components, sides: Components
+) -> tuple[Components, Components, Components]:
+    """The first three derivatives of H along the field of some sides."""
+    one, f = jnp.ones_like(t), system.field(t, x, sides)
+
+    def first(t: Array, x: Components) -> Components:
+        return system.rate(t, x, system.field(t, x, sides))
+
+    def second(t: Array, x: Components) -> Components:
+        return jax.jvp(first, (t, x), (one, system.field(t, x, sides)))[1]
+
+    return first(t, x), second(t, x), jax.jvp(second, (t, x), (one, f))[1]
+
+
 def _first_mode(
-    system: ComponentSystem, grid: TimeGrid, x: Components, h: Components, noise: Components
+    problem: Problem, x: Components, h: Components, noise: Components
 ) -> tuple[Components, Components, Array]:
     """The mode at t0, the surfaces the state starts on, and the number of admissible modes."""
+    system, grid = problem.system, problem.grid
     sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
     on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
     rates = _resolved_rates(system, grid.t0, x, grid.direction)
@@ -69,44 +74,56 @@ def _first_mode(
     return mode, on, count
 
 
-def initial_state(
-    system: ComponentSystem, grid: TimeGrid, recording: Recording, x: Components, num_saves: int
-) -> LoopState:
-    """The lane at t0."""
-    dtype, t = system.dtype, grid.t0
-    tau = jnp.zeros((), dtype)
-    zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-    mode: Components = ()
-    g = rate = noise = armed = ()
-    count: Array = jnp.ones((), jnp.int32)
+class _Start(eqx.Module):
+    """Field, mode and guards at t0, and the number of modes that could go on from there."""
+
+    f: Components
+    mode: Components
+    g: Components
+    rate: Components
+    armed: Components
+    noise: Components
+    num_modes: Array
+
+
+def _start(problem: Problem, x: Components) -> _Start:
+    system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     if system.m == 0:
-        f = system.field(t, x, ())
-    else:
-        h, h_t, normals = system.gradients(t, x)
-        size = tuple(stop_gradient(abs(v)) for v in x)
-        noise = surface_noise(system, t, size, h_t, normals)
-        mode, on, count = _first_mode(system, grid, x, h, noise)
-        moving = tuple(jnp.where(s == 0, 1.0, s).astype(dtype) for s in mode)
-        f = filippov.field(system, t, x, mode if system.slides else moving)
-        g, rate, noise = guards(system, t, x, f, mode, noise)
-        armed = tuple((s == 0) | ~on_j for s, on_j in zip(mode, on, strict=True))
-        g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
-        rate = tuple(
-            jnp.where(a, r, grid.direction * jnp.maximum(grid.direction * r, 0.0))
-            for a, r in zip(armed, rate, strict=True)
-        )
+        return _Start(system.field(t, x, ()), (), (), (), (), (), jnp.ones((), jnp.int32))
+    h, h_t, normals = system.gradients(t, x)
+    size = tuple(stop_gradient(abs(v)) for v in x)
+    noise = surface_noise(system, t, size, h_t, normals)
+    mode, on, count = _first_mode(problem, x, h, noise)
+    moving = tuple(jnp.where(s == 0, 1.0, s).astype(system.dtype) for s in mode)
+    f = filippov.field(system, t, x, mode if system.slides else moving)
+    g, rate, noise = guards(system, t, x, f, mode, noise)
+    armed = tuple((s == 0) | ~on_j for s, on_j in zip(mode, on, strict=True))
+    g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
+    rate = tuple(
+        jnp.where(a, r, direction * jnp.maximum(direction * r, 0.0))
+        for a, r in zip(armed, rate, strict=True)
+    )
+    return _Start(f, mode, tuple(stop_gradient(v) for v in g), rate, armed, noise, count)
+
+
+def initial_state(problem: Problem, x: Components) -> LoopState:
+    """The lane at t0."""
+    system, recording = problem.system, problem.recording
+    start = _start(problem, x)
+    tau = jnp.zeros((), system.dtype)
+    zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
     state = LoopState(
         tau=tau,
         rest=tau,
         x=x,
-        f=f,
+        f=start.f,
         size=tuple(stop_gradient(abs(v)) for v in x),
-        mode=mode,
-        first_mode=mode,
-        g=tuple(stop_gradient(v) for v in g),
-        rate=rate,
-        armed=armed,
-        noise=noise,
+        mode=start.mode,
+        first_mode=start.mode,
+        g=start.g,
+        rate=start.rate,
+        armed=start.armed,
+        noise=start.noise,
         cut=tau,
         aim=(false,) * system.m,
         pending=false,
@@ -120,9 +137,9 @@ def initial_state(
         num_accepted=zero,
         num_events=zero,
         num_saved=zero,
-        result=_first_result(system, grid, x, f, mode, count),
+        result=_first_result(problem, x, start),
         table=empty_table(system, recording.max_events),
-        saves=empty_saves(system, recording.save, num_saves),
+        saves=empty_saves(system, recording),
     )
     return state if system.m == 0 else _varied(state)
 
@@ -156,20 +173,14 @@ def _with_rate_of_jvp(primals: tuple, tangents: tuple) -> tuple:
     return v, rate
 
 
-def _first_result(
-    system: ComponentSystem,
-    grid: TimeGrid,
-    x: Components,
-    f: Components,
-    mode: Components,
-    count: Array,
-) -> RESULTS:
+def _first_result(problem: Problem, x: Components, start: _Start) -> RESULTS:
     """The outcome at t0: bad numbers, or a start that no single solution leaves."""
+    grid, count = problem.grid, start.num_modes
     result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)
     result = RESULTS.where(count < 1, RESULTS.mode_undecided, result)
-    if not system.slides:
-        for s in mode:
+    if not problem.system.slides:
+        for s in start.mode:
             slid = (s == 0) & (count == 1)
             result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
-    fine = all_finite(x, f, (grid.t0, grid.length, grid.dt))
+    fine = all_finite(x, start.f, (grid.t0, grid.length, grid.dt))
     return RESULTS.where(fine, result, RESULTS.nonfinite)

@@ -1,8 +1,9 @@
 """The switch: what is known at the end of a step, and the mode that goes on after a contact.
 
-A trial step's end enters; a `StepEnd` of it leaves: the state (reset, and held on the surfaces it
-slides on), the mode, its field, the guards and their rates. Only a lane whose last iteration landed
-on a contact changes its mode, here, where all fields are taken at the corrected state.
+A trial step's end enters; a `StepEnd` leaves: the state (reset, and held on the surfaces it slides
+on), the mode, its field, the guards and their rates. Only a lane whose last iteration landed on a
+contact changes its mode, here, where all fields are taken at the corrected state: taken before the
+correction, they left the state right and its derivative wrong in the fourth digit.
 """
 
 import jax
@@ -20,7 +21,8 @@ from jaxfil.integrate.components import (
     axpy,
     where,
 )
-from jaxfil.integrate.state import FreeStep, LoopState, StepEnd, TimeGrid, epsilon
+from jaxfil.integrate.problem import Problem
+from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
 
 # A guard is zero to rounding below this many eps times the size of its terms.
 _NOISE = 32
@@ -34,7 +36,7 @@ def surface_noise(
     out = []
     for j in range(system.m):
         terms = sum(abs(v) * s for v, s in zip(normals[j], size, strict=True))
-        out.append(stop_gradient(_NOISE * epsilon(system) * (terms + abs(h_t[j] * t))))
+        out.append(stop_gradient(_NOISE * system.eps * (terms + abs(h_t[j] * t))))
     return tuple(out)
 
 
@@ -52,77 +54,83 @@ def larger(size: Components, x: Components) -> Components:
     return tuple(jnp.maximum(s, stop_gradient(abs(v))) for s, v in zip(size, x, strict=True))
 
 
-def look(
-    system: ComponentSystem,
-    grid: TimeGrid,
+def evaluate_step_end(
+    problem: Problem,
     state: LoopState,
     tau: Array,
     x: Components,
     forcing: Forcing,
-    ahead: FreeStep | None = None,
+    free: FreeStep | None = None,
 ) -> StepEnd:
     """The state, mode, field, guards and rates at the end of a step; a pending switch is made.
 
-    `forcing` is that of the end: see `ComponentSystem.forcing`. What is known `ahead` is taken for a lane
-    that stays on its sides, to the last bit.
+    `forcing` is that of the end: see `ComponentSystem.forcing`. What a `free` step has found is
+    taken for a lane that stays on its sides, to the last bit.
     """
-    t = grid.t0 + tau
-    one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
+    system, t = problem.system, problem.grid.t0 + tau
     if system.m == 0:
-        size = larger(state.size, x)
-        f = system.field(t, x, (), forcing=forcing)
-        return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, false)
-    moved: Array = false
-    if system.resets:
-        surface = jnp.argmax(jnp.stack(state.hit))
-        after = where(state.pending & ~state.graze, system.reset(t, x, surface), x)
-        moved = any_of(tuple(a != b for a, b in zip(after, x, strict=True)))
-        x = after
+        return _smooth_end(system, state, tau, x, system.field(t, x, (), forcing=forcing))
+    x, moved = _reset(system, state, t, x)
     h, h_t, normals = system.gradients(t, x)
     size = larger(state.size, x)
     here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(state.x, x, strict=True))
     noise = surface_noise(system, t, here, h_t, normals)
     touch = surface_noise(system, t, size, h_t, normals)
-    if system.slides:
-        landed = state.pending & ~state.graze & ~moved
-        held = zip(state.mode, state.hit, strict=True)
-        on = tuple(((s == 0) & ~moved) | (landed & hit) for s, hit in held)
-        x = _project(x, h, normals, on)
-        x = system.hold(*x)
+    x = _held(system, state, x, h, normals, moved)
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
-    mode, num_modes = _switch(system, grid, state, rates, h, touch, moved)
-    if system.resets:
-        # A wall has one side: an impact that does not turn the motion back leads nowhere.
-        sides = zip(state.hit, mode, state.mode, strict=True)
-        through = any_of(tuple(hit & (a != b) for hit, a, b in sides))
-        num_modes = jnp.where(moved & through, 0, num_modes)
-    mode, num_modes = _once(system, mode, num_modes)
+    mode, num_modes = _switch(problem, state, rates, h, touch, moved)
     shares = filippov.weights(mode, rates) if system.slides else mode
     f = filippov.blend_fields(system, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (num_modes == 0) & ~all_finite(*rates)
     f = system.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
-    repels = ~filippov.attracting(mode, rates, grid.direction) if system.slides else false
+    repels = jnp.zeros((), bool)
+    if system.slides:
+        repels = ~filippov.attracting(mode, rates, problem.grid.direction)
     g, rate, noise = guards(system, t, x, f, mode, noise)
-    if ahead is not None:
-        stays = ~state.pending
-        for s in state.mode:
-            stays = stays & (s != 0)
-        f, g, rate = (
-            where(stays, known, new)
-            for known, new in ((ahead.f, f), (ahead.g, g), (ahead.rate, rate))
-        )
+    if free is not None:
+        stays = ~state.pending & ~state.sliding
+        f, g, rate = where(stays, free.f, f), where(stays, free.g, g), where(stays, free.rate, rate)
     touch = tuple(jnp.where(s == 0, v, w) for s, v, w in zip(mode, noise, touch, strict=True))
     return StepEnd(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels, moved)
 
 
-def _once(system: ComponentSystem, mode: Components, count: Array) -> tuple[Components, Array]:
-    """A mode and the number of admissible ones, computed once: as one number, where there is one
-    surface."""
-    number = mode[0] + 4 * count.astype(system.dtype)
-    number, *others = system.hold(number, *mode[1:])
-    count = jnp.floor(0.25 * number + 0.5)
-    return (number - 4 * count, *others), count.astype(jnp.int32)
+def _smooth_end(
+    system: ComponentSystem, state: LoopState, tau: Array, x: Components, f: Components
+) -> StepEnd:
+    """The end of a step where there are no surfaces."""
+    one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
+    size = larger(state.size, x)
+    return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, false)
+
+
+def _reset(
+    system: ComponentSystem, state: LoopState, t: Array, x: Components
+) -> tuple[Components, Array]:
+    """The state after the reset of a pending switch, and whether that has moved it."""
+    if not system.resets:
+        return x, jnp.zeros((), bool)
+    surface = jnp.argmax(jnp.stack(state.hit))
+    after = where(state.pending & ~state.graze, system.reset(t, x, surface), x)
+    return after, any_of(tuple(a != b for a, b in zip(after, x, strict=True)))
+
+
+def _held(
+    system: ComponentSystem,
+    state: LoopState,
+    x: Components,
+    h: Components,
+    normals: tuple,
+    moved: Array,
+) -> Components:
+    """The state on the surfaces that it slides on or has just met: a slide is exact in its surface,
+    however long it lasts."""
+    if not system.slides:
+        return x
+    landed = state.pending & ~state.graze & ~moved
+    each = zip(state.mode, state.hit, strict=True)
+    on = tuple(((s == 0) & ~moved) | (landed & hit) for s, hit in each)
+    return system.hold(*_project(x, h, normals, on))
 
 
 def guards(
@@ -138,14 +146,37 @@ def guards(
         lambda t, x: filippov.guard(system, t, x, mode), (t, x), (jnp.ones_like(t), f)
     )
     # The guard of a slide, 1 - w², is of order one.
-    slide = _NOISE * epsilon(system)
+    slide = _NOISE * system.eps
     noise = tuple(jnp.where(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
     return system.hold(*g), stop_gradient(system.hold(*rate)), noise
 
 
 def _switch(
-    system: ComponentSystem,
-    grid: TimeGrid,
+    problem: Problem,
+    state: LoopState,
+    rates: list[Components],
+    h: Components,
+    touch: Components,
+    moved: Array,
+) -> tuple[Components, Array]:
+    """The mode after a landing and the number of admissible ones, computed once; elsewhere the old
+    mode and 1."""
+    system = problem.system
+    mode, count = _chosen(problem, state, rates, h, touch, moved)
+    if system.resets:
+        # A wall has one side: an impact that does not turn the motion back leads nowhere.
+        sides = zip(state.hit, mode, state.mode, strict=True)
+        through = any_of(tuple(hit & (a != b) for hit, a, b in sides))
+        count = jnp.where(moved & through, 0, count)
+    # Where there is one surface, both are one number: mode + 4 count, and the mode is at most 1.
+    number = mode[0] + 4 * count.astype(system.dtype)
+    number, *others = system.hold(number, *mode[1:])
+    count = jnp.floor(0.25 * number + 0.5)
+    return (number - 4 * count, *others), count.astype(jnp.int32)
+
+
+def _chosen(
+    problem: Problem,
     state: LoopState,
     rates: list[Components],
     h: Components,
@@ -159,6 +190,7 @@ def _switch(
     all modes on the surfaces the state is on: those hit, those slid on, and those met or left at
     the same time.
     """
+    system, grid = problem.system, problem.grid
     rates = jax.tree.map(stop_gradient, rates)
     switching = state.pending & ~state.graze
     current = filippov.weights(state.mode, rates) if system.slides else state.mode
@@ -186,28 +218,27 @@ def _switch(
     return where(decide, chosen, left), jnp.where(decide, count, 1)
 
 
-def rearm_guards(
-    system: ComponentSystem, grid: TimeGrid, state: LoopState, step_end: StepEnd
-) -> tuple[Components, ...]:
+def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Components, ...]:
     """Guards, rates, arming and noise at the start of the next step.
 
     A surface just met counts as left only when its guard has risen above rounding. Until then the
     guard starts at exactly zero, and its rate at zero or above.
     """
+    direction = problem.grid.direction
     gs, rates, armed, noises = [], [], [], []
-    for j in range(system.m):
+    for j in range(problem.system.m):
         hit = state.pending & state.hit[j]
         old_slide = state.mode[j] == 0
         kept = (hit | ~state.armed[j]) & ~old_slide
-        noise = jnp.maximum(step_end.noise[j], jnp.where(kept, state.noise[j], 0.0))
-        sliding = step_end.mode[j] == 0
-        away = sliding | (~hit & state.armed[j]) | (step_end.g[j] > noise)
+        noise = jnp.maximum(end.noise[j], jnp.where(kept, state.noise[j], 0.0))
+        sliding = end.mode[j] == 0
+        away = sliding | (~hit & state.armed[j]) | (end.g[j] > noise)
         # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
-        # rounding says.
+        # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
         double = hit & (old_slide | state.graze)
-        rising = grid.direction * jnp.maximum(grid.direction * step_end.rate[j], 0.0)
-        gs.append(jnp.where(away, jnp.maximum(step_end.g[j], 0.0), 0.0))
-        rates.append(jnp.where(away, step_end.rate[j], jnp.where(double, 0.0, rising)))
+        rising = direction * jnp.maximum(direction * end.rate[j], 0.0)
+        gs.append(jnp.where(away, jnp.maximum(end.g[j], 0.0), 0.0))
+        rates.append(jnp.where(away, end.rate[j], jnp.where(double, 0.0, rising)))
         armed.append(away)
         noises.append(noise)
     return tuple(stop_gradient(g) for g in gs), tuple(rates), tuple(armed), tuple(noises)

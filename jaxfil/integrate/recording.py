@@ -3,24 +3,25 @@
 A lane before and after an iteration enters; its buffers with one more entry leave.
 """
 
+import dataclasses
 from typing import Any
 
-import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.components import Components, ComponentSystem, pack
-from jaxfil.integrate.state import EventTable, LoopState, Recording, SavedStates, StepEnd, TimeGrid
+from jaxfil.integrate.problem import Problem, Recording
+from jaxfil.integrate.state import EventTable, LoopState, SavedStates, StepEnd
 from jaxfil.model.outcomes import EventKind
-from jaxfil.xla.masked_write import write
+from jaxfil.xla.masked_write import masked_write
 
 
 def _entered(record: Any, i: Array, yes: Array, entry: Any) -> Any:
     """`record`, of arrays of k entries, with `entry`, of one each, as number i where `yes`."""
     if all(isinstance(v, jax.Array) for v in vars(record).values()):
-        return write(record, i, entry, yes)
+        return masked_write(record, i, entry, yes)
     # The buffers of a loop that keeps checkpoints.
     # Equinox types it for Python's booleans; it takes arrays.
     put: Any = eqxi.buffer_at_set
@@ -41,12 +42,12 @@ def empty_table(system: ComponentSystem, size: int | None) -> EventTable | None:
     )
 
 
-def empty_saves(system: ComponentSystem, save: str, size: int) -> SavedStates | None:
-    """Space for what the policy `save` keeps, `size` times; times and states not reached stay inf,
-    as in diffrax."""
-    if save == "none":
+def empty_saves(system: ComponentSystem, recording: Recording) -> SavedStates | None:
+    """Space for what is to be saved; times and states not reached stay inf, as in diffrax."""
+    if recording.save == "none":
         return None
-    told = 0 if save == "samples" else size
+    size = recording.num_saves
+    told = 0 if recording.save == "samples" else size
     return SavedStates(
         ts=jnp.full((told,), jnp.inf, system.dtype),
         xs=jnp.full((size, system.n), jnp.inf, system.dtype),
@@ -59,16 +60,16 @@ def mode_codes(mode: Components) -> Array:
     return jnp.stack(mode).astype(jnp.int8) if mode else jnp.zeros((0,), jnp.int8)
 
 
-def _kind(state: LoopState, step_end: StepEnd, resets: bool) -> Array:
+def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
     """What the switch just made was, told from the modes of the surfaces hit."""
     kind: Any = jnp.asarray(EventKind.graze.value, jnp.int8)
-    for hit, old, new in reversed(list(zip(state.hit, state.mode, step_end.mode, strict=True))):
+    for hit, old, new in reversed(list(zip(state.hit, state.mode, end.mode, strict=True))):
         slip = jnp.where(old == 0, EventKind.slip.value, EventKind.crossing.value)
         change = jnp.where(new == 0, EventKind.stick.value, slip).astype(jnp.int8)
         kind = jnp.where(hit & (old != new), change, kind)
-    if resets:
+    if problem.system.resets:
         impact = jnp.asarray(EventKind.impact.value, jnp.int8)
-        kind = jnp.where(step_end.moved, impact, kind)
+        kind = jnp.where(end.moved, impact, kind)
     return kind
 
 
@@ -80,7 +81,7 @@ def _infinite_rate(gap: Array, touched: Array) -> Array:
 
 
 @_infinite_rate.defjvp
-def _infinite_rate_jvp(primals, tangents):
+def _infinite_rate_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     gap, touched = primals
     # Twice the square root of the largest number: no change stays no change, where a product with
     # infinity would be NaN. The barrier keeps the two from being multiplied into one infinity.
@@ -89,61 +90,62 @@ def _infinite_rate_jvp(primals, tangents):
     return jnp.zeros_like(gap), grown * root
 
 
-def _event_time(grid: TimeGrid, state: LoopState, step_end: StepEnd) -> Array:
-    t = grid.t0 + state.tau
-    for hit, g in zip(state.hit, step_end.g, strict=True):
+def _event_time(problem: Problem, state: LoopState, end: StepEnd) -> Array:
+    t = problem.grid.t0 + state.tau
+    for hit, g in zip(state.hit, end.g, strict=True):
         t = t + _infinite_rate(g, state.graze & hit)
     return t
 
 
 def record_event(
-    system: ComponentSystem, grid: TimeGrid, state: LoopState, step_end: StepEnd, made: Array
+    problem: Problem, state: LoopState, end: StepEnd, made: Array
 ) -> EventTable | None:
-    """The event table of `lane` with the switch made in `step_end`, where one was made."""
+    """The event table of a lane with the switch made at the end of a step, where one was made."""
     table = state.table
     if table is None:
         return None
     size = table.ts.shape[0]
     entry = EventTable(
-        ts=_event_time(grid, state, step_end),
-        xs=pack(state.x, system.dtype),
+        ts=_event_time(problem, state, end),
+        xs=pack(state.x, problem.system.dtype),
         members=jnp.stack(state.hit),
-        kinds=_kind(state, step_end, system.resets),
-        modes=mode_codes(step_end.mode),
+        kinds=_kind(problem, state, end),
+        modes=mode_codes(end.mode),
     )
     i = jnp.minimum(state.num_events, size - 1)
     return _entered(table, i, made & (state.num_events < size), entry)
 
 
 def keep_sample(
-    recording: Recording, state: LoopState, after: LoopState, x: Components, gridded: Array
+    problem: Problem, state: LoopState, after: LoopState, x: Components, gridded: Array
 ) -> LoopState:
-    """`after`, to which `lane` has gone on, with its state x saved if it is `gridded`, at a grid
+    """`after`, to which `state` has gone on, with its state x saved if it is `gridded`, at a grid
     point just reached, and that is a sample."""
+    recording = problem.recording
     assert state.saves is not None and recording.first is not None and recording.every is not None
     # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
     save = gridded & (after.index == recording.first + state.num_saved * recording.every)
-    xs = write(state.saves.xs, state.num_saved, jnp.stack(x), save)
-    return eqx.tree_at(
-        lambda state: (state.saves, state.num_saved),
+    xs = masked_write(state.saves.xs, state.num_saved, jnp.stack(x), save)
+    return dataclasses.replace(
         after,
-        (
-            SavedStates(state.saves.ts, xs, state.saves.modes),
-            state.num_saved + save.astype(jnp.int32),
-        ),
+        saves=dataclasses.replace(state.saves, xs=xs),
+        num_saved=state.num_saved + save.astype(jnp.int32),
     )
 
 
 def save_state(
-    system: ComponentSystem, grid: TimeGrid, state: LoopState, step_end: StepEnd, save: Array
-) -> SavedStates | None:
-    """The saves of `lane` with the state of `step_end`, where `save` is set and space is left."""
+    problem: Problem, state: LoopState, after: LoopState, end: StepEnd, save: Array
+) -> LoopState:
+    """`after`, to which `state` has gone on, with what is known at the end of the step saved where
+    `save` is set and space is left."""
     saves = state.saves
-    if saves is None:
-        return None
+    assert saves is not None
     size = saves.ts.shape[0]
-    entry = SavedStates(
-        grid.t0 + step_end.tau, pack(step_end.x, system.dtype), mode_codes(step_end.mode)
-    )
+    x = pack(end.x, problem.system.dtype)
+    entry = SavedStates(problem.grid.t0 + end.tau, x, mode_codes(end.mode))
     i = jnp.minimum(state.num_saved, size - 1)
-    return _entered(saves, i, save & (state.num_saved < size), entry)
+    return dataclasses.replace(
+        after,
+        saves=_entered(saves, i, save & (state.num_saved < size), entry),
+        num_saved=state.num_saved + save.astype(jnp.int32),
+    )

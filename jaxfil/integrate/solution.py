@@ -3,9 +3,6 @@
 Nothing is computed here but on request: a card of a few lines, and the state between saved times.
 """
 
-import functools as ft
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.core
@@ -13,15 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxfil.integrate import components
-from jaxfil.integrate.filippov import field
+from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.state import EventTable
-from jaxfil.integrate.stepper import step, tableau
+from jaxfil.integrate.stepper import Stepper, step, tableau_of
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes, Scalar
 
 
 class Events(eqx.Module):
@@ -69,22 +67,33 @@ class Solution(eqx.Module):
     """
 
     ts: Float[Array, " k"] | None
+    """Saved times; None with `SaveAt(dense=True)`, as `xs` and `modes`."""
     xs: Float[Array, "k n"] | None
+    """Saved states."""
     modes: Int[Array, "k m"] | None
+    """Modes at the saved times."""
     events: Events | None
+    """The event table; None where none is kept, or there are no surfaces."""
     num_events: Int[Array, ""]
+    """How many contacts there were, in the table or not."""
     result: RESULTS
-    stats: dict[str, Any]
+    """How the run ended."""
+    stats: dict[str, Array]
+    """`num_steps` accepted, `num_iterations` of the loop, `num_saved` states."""
     t_final: Float[Array, ""]
+    """How far the run came: t1, or the time of what `result` tells."""
     x_final: Float[Array, " n"]
+    """The state there."""
     mode_final: Int[Array, " m"]
+    """The mode there."""
     errors: Float[Array, "k n"] | None = None
     """Estimated |xs − exact|, component by component, if asked for; inf where unknown."""
-    _dense: Any = None
+    _dense: "Dense | None" = None
+    """Every step's start, for `evaluate`."""
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call its quantities."""
 
-    def evaluate(self, t: Array | float) -> Float[Array, " n"]:
+    def evaluate(self, t: Scalar) -> Float[Array, " n"]:
         """The state at a time of the solved span, to the order of the stepper, shape (n,).
 
         Needs `saveat=diffrax.SaveAt(dense=True)`. The step that contains `t` is taken again, up to
@@ -94,7 +103,7 @@ class Solution(eqx.Module):
             raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
         return evaluate(self._dense, t)
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes = None) -> Axes:
         """Draw the phase portrait, or the history of a state of one component; returns the
         matplotlib axes. Needs saved times."""
         return draw(self, ax=ax)
@@ -103,22 +112,22 @@ class Solution(eqx.Module):
         return card(self)
 
 
-def errors(sol: Solution, companion: Solution) -> Float[Array, "k n"]:
-    """What is left between a solution and its companion at half the step, shape (k, n).
+def errors(sol: Solution, finer: Solution) -> Float[Array, "k n"]:
+    """What is left between a solution and the one at half the step, shape (k, n).
 
-    With a global error C·dtᵖ the distance is (1 − 2⁻ᵖ) of it. (A companion at twice the step costs
+    With a global error C·dtᵖ the distance is (1 − 2⁻ᵖ) of it. (A run at twice the step costs
     a sixth of this one, but where a step is not small against the motion between two contacts it
     was seen to report anything from a fifth to 500 times the error; this one keeps within a fifth
     of it.) Rounding, which two runs may share, is taken to be one unit a step at random. A
-    companion that fails or a state that was not reached leaves the error unknown, inf.
+    finer run that fails, or a state that was not reached, leaves the error unknown, inf.
     """
-    assert sol.xs is not None and companion.xs is not None
+    assert sol.xs is not None and finer.xs is not None
     xs = jax.lax.stop_gradient(sol.xs)
-    known = jnp.isfinite(xs) & jnp.isfinite(companion.xs)
+    known = jnp.isfinite(xs) & jnp.isfinite(finer.xs)
     size = jnp.max(jnp.where(known, abs(xs), 0.0), axis=-1, keepdims=True)
-    units = jnp.sqrt(companion.stats["num_steps"].astype(xs.dtype))
+    units = jnp.sqrt(finer.stats["num_steps"].astype(xs.dtype))
     rounding = jnp.finfo(xs.dtype).eps * size * units
-    distance = jnp.where(known, abs(xs - companion.xs), jnp.inf)
+    distance = jnp.where(known, abs(xs - finer.xs), jnp.inf)
     return jnp.maximum(distance, rounding)
 
 
@@ -131,10 +140,10 @@ class Dense(eqx.Module):
     ts: Array
     xs: Array
     modes: Array
-    stepper: Any
+    stepper: Stepper
 
 
-def evaluate(dense: Dense, t: Any) -> Array:
+def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     """The state at a time, shape (n,); NaN outside the span."""
     dtype = dense.xs.dtype
     t = jnp.asarray(t, dtype)
@@ -142,20 +151,14 @@ def evaluate(dense: Dense, t: Any) -> Array:
     sign = jnp.where(forward, 1.0, -1.0).astype(dtype)
     keys = jnp.where(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
     i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
-    scene_ = components.build(dense.system, dense.xs[i])
-    x, mode = components.unpack(dense.xs[i]), components.unpack(dense.modes[i].astype(dtype))
-    ts = dense.ts[i]
-    f = field(scene_, ts, x, mode)
-    smooth = ft.partial(_field_of_mode, scene_, mode)
-    table, h = tableau(dense.stepper), t - ts
-    forcing = scene_.forcing(ts, h, table.times)
-    out, _ = step(table, smooth, forcing, ts, x, f, h, scene_.once)
+    system, tableau = build(dense.system, dense.xs[i]), tableau_of(dense.stepper)
+    field = ModeField(system, unpack(dense.modes[i].astype(dtype)))
+    start, x = dense.ts[i], unpack(dense.xs[i])
+    h = t - start
+    forcing = system.forcing(start, h, tableau.times)
+    end = step(tableau, field, start, x, field(start, x), h, forcing)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
-    return jnp.where(reached, components.pack(out, dtype), jnp.nan)
-
-
-def _field_of_mode(scene_: Any, mode: Any, t: Array, x: Any, forcing: Any = None) -> Any:
-    return field(scene_, t, x, mode, forcing)
+    return jnp.where(reached, pack(end.x, dtype), jnp.nan)
 
 
 def card(sol: Solution) -> str:

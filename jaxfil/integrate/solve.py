@@ -4,7 +4,6 @@ A system, an initial state, a time span and a step enter; a `Solution` leaves.
 """
 
 import dataclasses
-import math
 from typing import Any
 
 import diffrax
@@ -12,43 +11,47 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from jaxfil.integrate import components
-from jaxfil.integrate.components import Components
-from jaxfil.integrate.loop import integrate
+from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.loop import integrate, integrate_with_checkpoints
+from jaxfil.integrate.options import (
+    FORWARD_ONLY,
+    Adjoint,
+    Options,
+    options_of,
+    resolution,
+    valid_ts,
+)
+from jaxfil.integrate.problem import Problem, Recording, TimeGrid, iteration_budget
 from jaxfil.integrate.recording import mode_codes
 from jaxfil.integrate.solution import Dense, Solution, errors, events_of
-from jaxfil.integrate.state import SAME_TIME, LoopState, Recording, SavedStates, TimeGrid
-from jaxfil.integrate.stepper import checked, tableau
+from jaxfil.integrate.state import LoopState, SavedStates
+from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
+from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 
-_FORWARD_ONLY = (
-    "`adjoint` must be diffrax.RecursiveCheckpointAdjoint() for derivatives in reverse "
-    "mode (jax.grad, jax.vjp), got diffrax.ForwardMode(), for those in forward mode (jax.jacfwd)."
-)
 # Steps that end this close to the end of the span (in steps) are its last.
 _WHOLE = 1e-6
 
 
 def solve(
     system: System,
-    x0: Float[Array, " n"],
-    t0: Array | float,
-    t1: Array | float,
-    dt: Array | float,
+    x0: State,
+    t0: Scalar,
+    t1: Scalar,
+    dt: Scalar,
     *,
-    stepper: Any = None,
+    stepper: Stepper | None = None,
     saveat: diffrax.SaveAt = diffrax.SaveAt(t1=True),  # noqa: B008
     max_events: int | None = 1024,
     max_steps: int | None = None,
-    adjoint: Any = diffrax.ForwardMode(),  # noqa: B008
+    adjoint: Adjoint = diffrax.ForwardMode(),  # noqa: B008
     throw: bool = True,
     estimate_error: bool = False,
 ) -> Solution:
@@ -60,6 +63,7 @@ def solve(
 
     **Arguments**
 
+    - `system`: a `System`; its float leaves are cast to the dtype of `x0`.
     - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
     - `t0`, `t1`: the span of time; backward if t1 < t0.
     - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|).
@@ -77,7 +81,16 @@ def solve(
       `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
       or `ts`.
 
-    **Returns** a `Solution`.
+    **Returns** a `Solution`, valid up to where it stopped.
+
+    **Outcomes**: `successful`; `max_steps_reached`, `max_events_reached`, `nonfinite` and
+    `step_too_long` for a run that cannot go on; `nonunique`, `mode_undecided`,
+    `undeclared_sliding` and `zeno` for a solution that does not.
+
+    **Source**: the switch model: Piiroinen and Kuznetsov, An event-driven method to simulate
+    Filippov systems with accurate computing of sliding motions, ACM Transactions on Mathematical
+    Software 34 (2008); the derivative through contacts: Leine and Nijmeijer, Dynamics and
+    Bifurcations of Non-Smooth Mechanical Systems, Springer 2004.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -92,34 +105,19 @@ def solve(
     labels = labels_of(system, x.shape[0])
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
     length = check.scalar("dt", dt, dtype, positive=True)
-    stepper = checked(stepper)
-    save, ts = _save_kind(saveat, dtype)
-    _check_ts(ts, start, stop)
-    _check_pace(start, stop, length)
-    max_events = check.count("max_events", max_events, optional=True)
-    budget = check.count("max_steps", max_steps, optional=True)
-    reverse = _is_reverse(adjoint)
-    if budget is None and (save in ("steps", "dense") or reverse):
-        budget = _default_budget(start, stop, length, max_events)
-    if estimate_error and save not in ("t1", "ts"):
+    stepper = checked_stepper(stepper)
+    options = options_of(saveat, max_events, max_steps, adjoint, (start, stop, length))
+    if estimate_error and options.save not in ("t1", "ts"):
         raise ValueError(
-            f"`estimate_error` must be False with a `saveat` of {save}: errors are estimated at "
-            "times that do not depend on the step, t1 or ts; got True."
+            f"`estimate_error` must be False with a `saveat` of {options.save}: errors are "
+            "estimated at times that do not depend on the step, t1 or ts; got True."
         )
-    options = _Options(
-        save=save,
-        with_t0=saveat.subs is not None and bool(saveat.subs.t0),
-        max_events=max_events,
-        budget=budget,
-        reverse=reverse,
-        checkpoints=getattr(adjoint, "checkpoints", None),
-    )
-    sol = _solve(system, x, start, stop, length, ts, stepper, options)
+    sol = _solve(system, x, start, stop, length, stepper, options)
     if estimate_error:
-        system, x, start, stop, ts = _constant((system, x, start, stop, ts))
-        half, options = length / 2, options.of_companion()
-        companion = _solve(system, x, start, stop, half, ts, stepper, options)
-        sol = eqx.tree_at(lambda s: s.errors, sol, errors(sol, companion), is_leaf=_is_none)
+        half = options.at_half_the_step()
+        system, x, start, stop, half = _constant((system, x, start, stop, half))
+        finer = _solve(system, x, start, stop, length / 2, stepper, half)
+        sol = dataclasses.replace(sol, errors=errors(sol, finer))
     sol = dataclasses.replace(sol, labels=labels)
     return _raise_unless_successful(sol) if throw else sol
 
@@ -130,193 +128,101 @@ def _constant(tree: Any) -> Any:
     return eqx.combine(jax.lax.stop_gradient(arrays), rest)
 
 
-def _is_none(leaf: Any) -> bool:
-    return leaf is None
-
-
-class _Options(eqx.Module):
-    save: str = eqx.field(static=True)
-    with_t0: bool = eqx.field(static=True)
-    max_events: int | None = eqx.field(static=True)
-    budget: int | None = eqx.field(static=True)
-    reverse: bool = eqx.field(static=True)
-    checkpoints: int | None = eqx.field(static=True)
-
-    def of_companion(self) -> "_Options":
-        """Those of the run at half the step, which nothing differentiates."""
-        budget = None if self.budget is None else 2 * self.budget
-        return dataclasses.replace(self, budget=budget, reverse=False)
-
-
-def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
-    """Which of t1, ts, steps and dense a `diffrax.SaveAt` asks for."""
-    if not isinstance(saveat, diffrax.SaveAt):
-        raise ValueError(f"`saveat` must be a diffrax.SaveAt, got {type(saveat).__name__}.")
-    sub = saveat.subs
-    if not isinstance(sub, diffrax.SubSaveAt | None):
-        raise ValueError(f"`saveat` must have a single SubSaveAt, got {sub!r}.")
-    asked = {"dense": bool(saveat.dense)}
-    if sub is not None:  # diffrax leaves it out where only `dense` is asked for
-        asked |= {"t1": bool(sub.t1), "ts": sub.ts is not None, "steps": bool(sub.steps)}
-    kinds = [name for name, wanted in asked.items() if wanted]
-    with_t0 = sub is not None and bool(sub.t0)
-    if len(kinds) != 1 or (with_t0 and kinds != ["steps"]):
-        raise ValueError(
-            "`saveat` must ask for exactly one of t1=True, ts=…, steps=True, dense=True (and "
-            f"t0=True only with steps=True), got {kinds + ['t0'] * with_t0}."
-        )
-    if kinds[0] != "ts":
-        return kinds[0], None
-    assert sub is not None
-    ts = jnp.asarray(sub.ts, dtype)
-    if ts.ndim != 1 or ts.shape[0] == 0:
-        raise ValueError(f"`saveat.ts` must be of shape (k,) with k ≥ 1, got shape {ts.shape}.")
-    return "ts", ts
-
-
-def _check_ts(ts: Array | None, t0: Array, t1: Array) -> None:
-    """Saving times lie in the span, in its direction; unknown while traced."""
-    saved, start, stop = (check.concrete(v) for v in (ts, t0, t1))
-    if ts is None or saved is None or start is None or stop is None:
-        return
-    if not bool(_valid_ts(ts, t0, t1)) and np.isfinite(start) and np.isfinite(stop):
-        raise ValueError(
-            f"`saveat.ts` must be times in order within the span from t0 = {start} to t1 = "
-            f"{stop}, got {saved}."
-        )
-
-
-def _resolution(t0: Any, t1: Any, maximum: Any = jnp.maximum) -> Any:
-    """Times of the span that are no further apart than this are one time."""
-    return SAME_TIME * np.finfo(t0.dtype).eps * maximum(abs(t0), abs(t1))
-
-
-def _check_pace(t0: Array, t1: Array, dt: Array) -> None:
-    """A step is longer than what times of the span can tell apart; unknown while traced."""
-    start, stop, pace = (check.concrete(v) for v in (t0, t1, dt))
-    if start is None or stop is None or pace is None:
-        return
-    if not np.isfinite(start) or not np.isfinite(stop):
-        return
-    if pace <= (least := float(_resolution(start, stop, np.maximum))):
-        raise ValueError(
-            f"`dt` must be greater than {least:.2g}, the rounding of times from t0 = {start} to "
-            f"t1 = {stop} in {t0.dtype}, got {pace}. Start at a t0 nearer to 0, or use float64."
-        )
-
-
-def _valid_ts(ts: Array, t0: Array, t1: Array) -> Array:
-    sign = jnp.where(t1 < t0, -1.0, 1.0).astype(ts.dtype)
-    inside = (sign * ts >= sign * t0) & (sign * ts <= sign * t1)
-    return jnp.all(inside) & jnp.all(sign * jnp.diff(ts) >= 0)
-
-
-def _is_reverse(adjoint: Any) -> bool:
-    if isinstance(adjoint, diffrax.ForwardMode):
-        return False
-    if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint):
-        return True
-    raise ValueError(
-        "`adjoint` must be diffrax.ForwardMode() or diffrax.RecursiveCheckpointAdjoint(), got "
-        f"{adjoint!r}."
+@eqx.filter_jit
+def _solve(
+    system: System,
+    x0: Array,
+    t0: Array,
+    t1: Array,
+    dt: Array,
+    stepper: Stepper,
+    options: Options,
+) -> Solution:
+    grid = _time_grid(t0, t1, dt, options)
+    saved = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
+    recording = Recording(
+        save=saved,
+        max_events=options.max_events,
+        num_saves=options.num_saves,
+        ts=None if options.ts is None else options.ts - t0,
     )
+    problem = Problem(build(system, x0), tableau_of(stepper), grid, recording)
+    if options.reverse:
+        assert options.budget is not None
+        state = integrate_with_checkpoints(problem, unpack(x0), options.budget, options.checkpoints)
+        return _solution(problem, _ended(problem, state), options, system, x0, stepper)
+    # In the kernel with what the outcome makes of the end: its derivatives then need no values from
+    # elsewhere, and a Jacobian compiles and runs one kernel, not two.
+    run = kernel_if_it_fits(lambda x: _ended(problem, integrate(problem, x)))
+    sol = _solution(problem, run(unpack(x0)), options, system, x0, stepper)
+    return eqxi.nondifferentiable_backward(sol, msg=FORWARD_ONLY)
 
 
-def _default_budget(t0: Array, t1: Array, dt: Array, max_events: int | None) -> int:
-    """Iterations enough for the span: each step, and six for each contact."""
-    start, stop, pace = (check.concrete(v) for v in (t0, t1, dt))
-    if start is None or stop is None or pace is None:
-        raise ValueError(
-            "`max_steps` must be an integer here: an array of that length is kept, and `t0`, `t1` "
-            "or `dt` is traced, so that the number of steps is not known; got None."
-        )
-    steps = abs(stop - start) / pace
-    return (math.ceil(steps) if np.isfinite(steps) else 1) + 6 * (max_events or 256) + 16
-
-
-def _span(t0: Array, t1: Array, dt: Array, ts: Array | None, budget: int | None) -> TimeGrid:
+def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     """The grid of a solve. Bad values that were traced, and so not seen at the door, make it NaN,
     which is an outcome."""
     length = t1 - t0
-    valid = dt > _resolution(t0, t1)
-    valid = valid if ts is None else valid & _valid_ts(ts, t0, t1)
+    valid = dt > resolution(t0, t1)
+    valid = valid if options.ts is None else valid & valid_ts(options.ts, t0, t1)
     dt = jnp.where(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
     # A span of more steps than an int32 holds ends as a budget used up, never as a wrapped number.
     num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, 2**30).astype(jnp.int32)
-    ample = 32 * jnp.minimum(num_steps, 2**25) + 100_000
+    ample, budget = iteration_budget(num_steps), options.budget
     iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
     return TimeGrid(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
 
 
-@eqx.filter_jit
-def _solve(system, x0, t0, t1, dt, ts, stepper, options: _Options) -> Solution:
-    scene_ = components.build(system, x0)
-    span = _span(t0, t1, dt, ts, options.budget)
-    kind = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
-    num_saves = {"none": 0, "ts": 0 if ts is None else ts.shape[0], "steps": options.budget}[kind]
-    policy = Recording(kind, options.max_events, None if ts is None else ts - t0)
-    adjoint: dict[str, Any] = {}
-    if options.reverse:
-        checkpoints, budget = options.checkpoints, options.budget
-        adjoint = dict(kind="checkpointed", checkpoints=checkpoints, max_iterations=budget)
-
-    def run(x: Components) -> LoopState:
-        # With what the outcome makes of the end: its derivatives need no values from elsewhere.
-        lane = integrate(
-            scene_, tableau(stepper), span, policy, x, num_saves=num_saves or 0, **adjoint
-        )
-        return _ended(scene_, span, lane)
-
-    lane = (run if options.reverse else kernel_if_it_fits(run))(components.unpack(x0))
-    sol = _solution(scene_, span, lane, options, system, x0, stepper)
-    return sol if options.reverse else eqxi.nondifferentiable_backward(sol, msg=_FORWARD_ONLY)
-
-
-def _ended(scene_, span: TimeGrid, lane: LoopState) -> LoopState:
+def _ended(problem: Problem, state: LoopState) -> LoopState:
     """A finished lane; one that has kept nothing with its end, infinite unless it is the end asked
     for."""
-    if lane.saves is not None:
-        return lane
-    done = lane.result == RESULTS.successful
-    t, x = span.t0 + lane.tau, components.pack(lane.x, scene_.dtype)
+    if state.saves is not None:
+        return state
+    done = state.result == RESULTS.successful
+    t, x = problem.grid.t0 + state.tau, pack(state.x, problem.system.dtype)
     end = SavedStates(
         jnp.where(done, t, jnp.inf)[None],
         jnp.where(done, x, jnp.inf)[None],
-        mode_codes(lane.mode)[None],
+        mode_codes(state.mode)[None],
     )
-    return eqx.tree_at(lambda lane: lane.saves, lane, end, is_leaf=_is_none)
+    return dataclasses.replace(state, saves=end)
 
 
 def _solution(
-    scene_, span: TimeGrid, lane: LoopState, options: _Options, system, x0, stepper
+    problem: Problem,
+    state: LoopState,
+    options: Options,
+    system: System,
+    x0: Array,
+    stepper: Stepper,
 ) -> Solution:
     """The result of a finished lane, as the user sees it."""
-    t_final, x_final = span.t0 + lane.tau, components.pack(lane.x, scene_.dtype)
-    assert lane.saves is not None
+    t0 = problem.grid.t0
+    t_final, x_final = t0 + state.tau, pack(state.x, problem.system.dtype)
+    assert state.saves is not None
     dense = None
-    ts, xs, modes = lane.saves.ts, lane.saves.xs, lane.saves.modes
+    ts, xs, modes = state.saves.ts, state.saves.xs, state.saves.modes
     if options.with_t0 or options.save == "dense":
-        ts, xs = jnp.append(span.t0[None], ts), jnp.append(x0[None], xs, axis=0)
-        modes = jnp.append(mode_codes(lane.first_mode)[None], modes, axis=0)
+        ts, xs = jnp.append(t0[None], ts), jnp.append(x0[None], xs, axis=0)
+        modes = jnp.append(mode_codes(state.first_mode)[None], modes, axis=0)
     if options.save == "dense":
-        dense = Dense(system, span.t0, t_final, ts, xs, modes, stepper)
+        dense = Dense(system, t0, t_final, ts, xs, modes, stepper)
         ts = xs = modes = None
     return Solution(
         ts=ts,
         xs=xs,
         modes=modes,
-        events=events_of(lane.table),
-        num_events=lane.num_events,
-        result=lane.result,
+        events=events_of(state.table),
+        num_events=state.num_events,
+        result=state.result,
         stats={
-            "num_steps": lane.num_accepted,
-            "num_iterations": lane.num_iterations,
-            "num_saved": lane.num_saved,
+            "num_steps": state.num_accepted,
+            "num_iterations": state.num_iterations,
+            "num_saved": state.num_saved,
         },
         t_final=t_final,
         x_final=x_final,
-        mode_final=mode_codes(lane.mode),
+        mode_final=mode_codes(state.mode),
         _dense=dense,
     )
 

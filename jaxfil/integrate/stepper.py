@@ -5,8 +5,7 @@ what the method says of its error. Nothing here knows of surfaces.
 """
 
 import functools as ft
-from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import diffrax
 import equinox as eqx
@@ -15,19 +14,34 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, Forcing
-from jaxfil.integrate.rosenbrock import RODAS5P, Rodas5P, RosenbrockTable, rosenbrock_step
+from jaxfil.integrate.components import Components, Forcing, SmoothField
+from jaxfil.integrate.rosenbrock import RODAS5P, Rodas5P, RosenbrockTableau, rosenbrock_step
 
 
 class RK4(eqx.Module):
-    """The classical Runge–Kutta method of order four."""
+    """The classical Runge–Kutta method of order four, for wherever `stepper` is an argument.
+
+    k₁ = f(t, x), k₂ = f(t + h/2, x + h k₁/2), k₃ = f(t + h/2, x + h k₂/2), k₄ = f(t + h, x + h k₃);
+    x(t + h) = x + h (k₁ + 2k₂ + 2k₃ + k₄)/6. It estimates no error: a step far too long is not told
+    as `step_too_long`.
+
+    **Source**: Kutta, Beitrag zur näherungsweisen Integration totaler Differentialgleichungen,
+    Zeitschrift für Mathematik und Physik 46 (1901).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> belt = jf.systems.BeltFriction()
+    >>> sol = jf.solve(belt, jnp.zeros(2), 0.0, 1.0, 0.01, stepper=jf.RK4())
+    >>> int(sol.num_events)
+    2
+    """
 
     c = np.array([0.5, 0.5, 1.0])
     a = (np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0]))
     b = np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6])
 
 
-class ExplicitTable(eqx.Module):
+class ExplicitTableau(eqx.Module):
     """c (s−1,), a as s−1 rows, b (s,): the explicit method without its first, trivial row. And d,
     (s + 1,), of which h Σ d·slopes, that at the end of the step included, estimates the error of a
     step; empty without an estimate of order four or more."""
@@ -49,8 +63,21 @@ class ExplicitTable(eqx.Module):
         return [*sorted({*self.c} - {1.0}), 1.0]
 
 
-Tableau = ExplicitTable | RosenbrockTable
+Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau
 """What a step needs to know of a stepper."""
+Stepper: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P
+"""What the user chooses: a one-step method."""
+
+
+class Trial(eqx.Module):
+    """The end of a trial step."""
+
+    x: Components
+    """The state."""
+    error: Components
+    """What is known of its error: all but the share of the field at the end; empty: nothing."""
+    forcing: list[Forcing]
+    """The forcing at the times within the step, its end last."""
 
 
 # Order of a method from which on its estimate of an error says something of a single step: one of
@@ -67,19 +94,19 @@ def _floats(row: np.ndarray) -> tuple[float, ...]:
 _DEFAULT = diffrax.Dopri8()
 
 
-def checked(stepper: Any) -> Any:
-    """The stepper asked for, `diffrax.Dopri8()` by None, if it is one that `tableau` reads."""
+def checked_stepper(stepper: Stepper | None) -> Stepper:
+    """The stepper asked for, `diffrax.Dopri8()` by None, if it is one that `tableau_of` reads."""
     stepper = _DEFAULT if stepper is None else stepper
     _refuse_others(stepper)
     return stepper
 
 
 def _refuse_others(stepper: Any) -> None:
-    """An error for what is no stepper, or of no kind that `tableau` reads."""
+    """An error for what is no stepper, or of no kind that `tableau_of` reads."""
     if isinstance(stepper, type):
         raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
-    table = getattr(stepper, "tableau", None)
-    explicit = isinstance(table, diffrax.ButcherTableau) and not table.implicit
+    tableau = getattr(stepper, "tableau", None)
+    explicit = isinstance(tableau, diffrax.ButcherTableau) and not tableau.implicit
     if not explicit and not isinstance(stepper, RK4 | Rodas5P | diffrax.Euler):
         raise ValueError(
             "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
@@ -87,24 +114,25 @@ def _refuse_others(stepper: Any) -> None:
         )
 
 
-def tableau(stepper: Any) -> Tableau:
+def tableau_of(stepper: Stepper) -> Tableau:
     """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
     _refuse_others(stepper)
     name = type(stepper).__name__
     if isinstance(stepper, RK4):
-        return ExplicitTable(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), (), name)
+        return ExplicitTableau(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), (), name)
     if isinstance(stepper, Rodas5P):
         return RODAS5P
     if isinstance(stepper, diffrax.Euler):
-        return ExplicitTable((), (), (1.0,), (), name)
-    table = stepper.tableau
-    c, a, b = _floats(table.c), tuple(map(_floats, table.a_lower)), _floats(table.b_sol)
-    d = _floats(table.b_error) if stepper.order(None) >= _TRUSTED else ()
-    if table.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
+        return ExplicitTableau((), (), (1.0,), (), name)
+    given, order = stepper.tableau, stepper.order(None)  # pyright: ignore[reportArgumentType]
+    assert isinstance(given, diffrax.ButcherTableau) and order is not None
+    c, a, b = _floats(given.c), tuple(map(_floats, given.a_lower)), _floats(given.b_sol)
+    d = _floats(given.b_error) if order >= _TRUSTED else ()
+    if given.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
         c, a, b = c[:-1], a[:-1], b[:-1]
     elif d:
         d = (*d, 0.0)
-    return ExplicitTable(c, a, b, d, name)
+    return ExplicitTableau(c, a, b, d, name)
 
 
 def _sum(coefficients: tuple[float, ...], slopes: list[Components], i: int) -> Any:
@@ -124,54 +152,48 @@ def _combine(
 
 
 def _stage(
-    field: Callable[..., Components],
-    c: float,
-    t: Array,
-    h: Array,
-    inner: Components,
-    forcing: Forcing,
+    field: SmoothField, c: float, t: Array, h: Array, inner: Components, forcing: Forcing
 ) -> Components:
     return field(t + c * h, inner, forcing)
 
 
 def step(
-    table: Tableau,
-    field: Callable[..., Components],
-    forcing: Sequence[Forcing],
+    tableau: Tableau,
+    field: SmoothField,
     t: Array,
     x: Components,
     f: Components,
     h: Array,
-    once: Callable[..., Components],
-) -> tuple[Components, Components]:
-    """The state at t + h, and what is known there of the step's error: all but the share of the
-    field at its end; empty if nothing is. `f` is the field at (t, x), `forcing` what
-    `ComponentSystem.forcing` has found for `table.times`, `once` is `ComponentSystem.once`: without it each stage would
-    be computed again inside every later stage that uses it."""
-    if isinstance(table, RosenbrockTable):
-        return rosenbrock_step(table, field, t, x, f, h, once), ()
+    forcing: list[Forcing],
+) -> Trial:
+    """A step of length h from (t, x), where the field is `f`; `forcing` is what
+    `ComponentSystem.forcing` has found for `tableau.times`."""
+    if isinstance(tableau, RosenbrockTableau):
+        return Trial(rosenbrock_step(tableau, field, t, x, f, h), (), forcing)
     slopes = [f]
-    known = dict(zip(table.times, forcing, strict=True))
-    for c, row in zip(table.c, table.a, strict=True):
+    known = dict(zip(tableau.times, forcing, strict=True))
+    for c, row in zip(tableau.c, tableau.a, strict=True):
         inner = _combine(x, h, row, slopes)
-        slopes.append(once(ft.partial(_stage, field, c), t, h, inner, known[c]))
-    end = _combine(x, h, table.b, slopes)
-    error = [stop_gradient(_sum(table.d[:-1], slopes, i)) for i in range(len(x) if table.d else 0)]
-    held = once(lambda *held: held, *end, *error)
-    return held[: len(x)], held[len(x) :]
+        # `once`: else each stage would be computed again inside every later one that uses it.
+        slopes.append(field.once(ft.partial(_stage, field, c), t, h, inner, known[c]))
+    end = _combine(x, h, tableau.b, slopes)
+    n, d = len(x), tableau.d
+    error = [stop_gradient(_sum(d[:-1], slopes, i)) for i in range(n if d else 0)]
+    held = field.once(lambda *held: held, *end, *error)
+    return Trial(held[:n], held[n:], forcing)
 
 
 def is_too_long(
-    table: Tableau, error: Components, f: Components, h: Array, size: Components
+    tableau: Tableau, error: Components, f: Components, h: Array, size: Components
 ) -> Array:
     """Whether a step of length h that ends with the field f cannot be trusted, given what `step`
     says of its error and the largest |x| so far, its end included."""
     gross = jnp.zeros((), bool)
-    if isinstance(table, RosenbrockTable) or not error:
+    if isinstance(tableau, RosenbrockTableau) or not error:
         return gross
     # What is smaller than this is rounding of the other components.
     least = np.sqrt(np.finfo(h.dtype).eps) * ft.reduce(jnp.maximum, size)
     for e, f_i, s in zip(error, f, size, strict=True):
-        missed = abs(h * (e + table.d[-1] * stop_gradient(f_i)))
+        missed = abs(h * (e + tableau.d[-1] * stop_gradient(f_i)))
         gross = gross | (missed > _GROSS * jnp.maximum(s, least))
     return gross

@@ -16,13 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxfil.integrate.solution import Solution
 from jaxfil.integrate.solve import solve
-from jaxfil.integrate.stepper import tableau
+from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.card import precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes, Scalar, State
 
 # The reference's steps, in the smallest step asked for, and the coarser ones that judge it.
 _FINE, _JUDGING = 1 / 4, 1 / 2
@@ -31,29 +33,35 @@ _FINE, _JUDGING = 1 / 4, 1 / 2
 class WorkPrecision(eqx.Module):
     """Errors and run times of s steppers at d step lengths.
 
-    `errors[i, k]` is max |x(t1) − reference| of stepper i at step `dts[k]`, NaN where it did not
-    reach t1; `seconds[i, k]` the median run time of one lane, compiling left out; `num_events` its
-    contacts; `outcomes` how it ended.
-
-    `reference` is x(t1) of the stepper `reference_stepper` at a quarter of the smallest step.
-    Halving its step before that changed it by `reference_error`, and the best of the other steppers
-    at that step is `reference_check` away (NaN if there is none). An error that is not well above
-    `reference_error` says no more than that it is small.
+    An error that is not well above `reference_error` says no more than that it is small.
     """
 
     steppers: tuple[str, ...] = eqx.field(static=True)
+    """Names of the steppers."""
     dts: Float[np.ndarray, " d"]
+    """Step lengths."""
     errors: Float[np.ndarray, "s d"]
+    """max |x(t1) − reference| of a stepper at a step; NaN where it did not reach t1."""
     seconds: Float[np.ndarray, "s d"]
+    """Median run time of one lane, compiling left out."""
     num_events: Int[np.ndarray, "s d"]
+    """Contacts on the way."""
     outcomes: np.ndarray
+    """Names of `RESULTS`, shape (s, d)."""
     reached: Bool[np.ndarray, "s d"]
+    """Whether a run reached t1."""
     reference: Float[np.ndarray, " n"]
+    """x(t1) of `reference_stepper` at a quarter of the smallest step."""
     reference_stepper: str = eqx.field(static=True)
+    """The stepper that changes least when its step is halved."""
     reference_events: int = eqx.field(static=True)
+    """Contacts of the reference."""
     reference_error: float = eqx.field(static=True)
+    """By how much halving its step before that changed the reference; inf: there is none."""
     reference_check: float = eqx.field(static=True)
+    """How far the best of the other steppers is from it at that step; NaN if there is none."""
     period: float | None = eqx.field(static=True)
+    """The system's forcing period, by which the card counts steps."""
 
     def recommendation(self, tolerance: float = 1e-8) -> str:
         """In one line: the fastest run with an error below `tolerance` times max |x(t1)|, or the
@@ -69,7 +77,7 @@ class WorkPrecision(eqx.Module):
         told = f"{self.steppers[i]}, {self._step(self.dts[k])}: {self.errors[i, k]:.1e} at "
         return told + f"{_duration(self.seconds[i, k])}{'' if good.any() else ' (the best here)'}"
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes = None) -> Axes:
         """Draw the errors against the run times; returns the matplotlib axes."""
         return draw(self, ax=ax)
 
@@ -105,24 +113,38 @@ class WorkPrecision(eqx.Module):
 
 def work_precision(
     system: System,
-    x0: Float[Array, " n"],
-    t1: Array | float,
-    steppers: Sequence[Any],
-    dts: Sequence[float] | Array,
+    x0: State,
+    t1: Scalar,
+    steppers: Sequence[Stepper],
+    dts: Sequence[float] | Array | np.ndarray,
     *,
-    t0: Array | float = 0.0,
+    t0: Scalar = 0.0,
     lanes: int = 1,
     repeats: int = 5,
 ) -> WorkPrecision:
-    """Error and run time of every stepper at every step length on one scene.
+    """Measure the error and the run time of every stepper at every step length on one problem.
 
-    Errors are taken from the state at `t1`, against the best of the steppers at a quarter of the
-    smallest step. Run times are medians of `repeats` calls of a compiled program that solves
-    `lanes` copies of the problem at once, divided by `lanes`. A motion that is sensitive to small
-    changes by 1e10 within the span has no reference, and a large `reference_error` says so.
+    Errors are max_i |x_i(t1) − reference_i|, against the best of the steppers at a quarter of the
+    smallest step. A motion that is sensitive to small changes by 1e10 within the span has no
+    reference, and a large `reference_error` says so.
 
-    - `steppers`: anything `solve` takes, at least one.
-    - `dts`: step lengths, positive, at least one.
+    **Arguments**
+
+    - `system`: a `System`, forced or not.
+    - `x0`: the initial state, shape (n,), at `t0`.
+    - `t1`: the time at which errors are taken, in the system's unit of time.
+    - `steppers`: a list of what `solve` takes as `stepper`, at least one.
+    - `dts`: step lengths, positive, at least one, in the unit of time.
+    - `t0`: the time at which the runs start.
+    - `lanes`: how many copies of the problem a timed call solves at once; times are of one.
+    - `repeats`: run times are medians of so many calls of a compiled program.
+
+    **Returns** a `WorkPrecision`, a table with a picture.
+
+    **Outcomes**: those of `solve`, run by run, in `WorkPrecision.outcomes`; nothing is raised.
+
+    **Source**: work–precision diagrams: Hairer, Nørsett and Wanner, Solving Ordinary Differential
+    Equations I, Springer 1993, section II.10.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -141,7 +163,7 @@ def work_precision(
     fine = steps.min() * np.asarray([_FINE, _JUDGING])
     rows, fines = [], []
     for stepper in steppers:
-        run = _compiled(system, x, start, stop, stepper, lanes)
+        run = _compiled(system, x, (start, stop), stepper, lanes)
         fines.append([_Run(run, dt, x.dtype, lanes, 0) for dt in fine])
         rows.append([_Run(run, dt, x.dtype, lanes, repeats) for dt in steps])
     best, error, other = _reference(fines)
@@ -176,13 +198,16 @@ def _step_lengths(dts: Any) -> np.ndarray:
 def _names(steppers: Any) -> tuple[str, ...]:
     if not isinstance(steppers, (list, tuple)) or not steppers:
         raise ValueError(f"`steppers` must be a list of steppers, at least one, got {steppers!r}.")
-    return tuple(tableau(stepper).name for stepper in steppers)
+    return tuple(tableau_of(stepper).name for stepper in steppers)
 
 
-def _compiled(system, x0, t0, t1, stepper, lanes: int) -> Callable[[Any], Any]:
+def _compiled(
+    system: System, x0: Array, span: tuple[Array, Array], stepper: Stepper, lanes: int
+) -> Callable[[Array], Solution]:
     """A compiled program of `lanes` copies of the problem, called with their step lengths."""
+    t0, t1 = span
 
-    def one(dt):
+    def one(dt: Array) -> Solution:
         return solve(system, x0, t0, t1, dt, stepper=stepper, max_events=None, throw=False)
 
     return jax.jit(jax.vmap(one)).lower(jnp.ones((lanes,), x0.dtype)).compile()

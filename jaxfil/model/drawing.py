@@ -36,4 +36,5 @@ def draw(result: object, **options: Any) -> Axes:
     # comes from `sys.modules`), and a second one may have been added since.
     for importer in _IMPORTERS:
         importer()
-    return _DRAWERS[type(result)](result, **options)
+    drawer = next(_DRAWERS[kind] for kind in type(result).__mro__ if kind in _DRAWERS)
+    return drawer(result, **options)

@@ -31,10 +31,6 @@ SweptValues: TypeAlias = (
 PathLike: TypeAlias = str | os.PathLike[str]
 """Where a file or a folder is."""
 
-Stepper: TypeAlias = Any
-"""A method that takes one step: an explicit Runge–Kutta solver of diffrax, `jaxfil.RK4()` or
-`jaxfil.Rodas5P()`. They have no class in common, and `integrate` says which it takes."""
-
 Axes: TypeAlias = Any
 """`matplotlib.axes.Axes`. Only `jaxfil.plot` imports matplotlib, so that the name is all that the
 other rooms know of it."""

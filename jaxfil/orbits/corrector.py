@@ -1,40 +1,28 @@
-"""One-parameter families of orbits: a point on the branch, and what brings a guess onto it.
+"""Orbits of a system as one parameter varies: what brings a guess onto their branch.
 
 A system, the name of its parameter and a guess u = (starts of the arcs, the period if it is
-unknown, the parameter) enter, with a plane that the point is to lie in; the `Point` leaves, with
-the tangent of the branch there.
+unknown, the parameter) enter, with a constraint that the point is to fulfil; Newton's root leaves,
+and the point of the branch that it is.
 """
 
 import dataclasses
-import functools as ft
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from jaxfil.integrate.solution import switches
+from jaxfil.integrate.solution import Events, switches
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
+from jaxfil.orbits.closing import evaluate_closing, phase_condition, setting_of
+from jaxfil.orbits.curve import ArclengthConstraint, CurvePoint, tangent_of
 from jaxfil.orbits.newton import Evaluation, Root, newton
-from jaxfil.orbits.orbit import Orbit, closing, not_vanished
-from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
-
-# A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
-# root of the period map needs many, as it is halved again and again.
-_NEWTON_STEPS, _MANY_STEPS = 12, 40
-
-
-class ArclengthConstraint(eqx.Module):
-    """normal · (u − base)/scale = offset."""
-
-    base: Float[Array, " N"]
-    scale: Float[Array, " N"]
-    normal: Float[Array, " N"]
-    offset: Float[Array, ""]
+from jaxfil.orbits.orbit import Orbit
+from jaxfil.orbits.shooting import ShootingOptions, Shot
 
 
 class OrbitProblem(eqx.Module):
@@ -52,10 +40,7 @@ class OrbitProblem(eqx.Module):
 
     def setting(self, q: Array) -> tuple[System, Array]:
         """The system and the period for q = (period,) parameter."""
-        system = replace_parameter(self.system, self.parameter, q[-1])
-        if self.autonomous:
-            return system, q[0]
-        return system, jnp.asarray(system.period) * self.periods
+        return setting_of(replace_parameter(self.system, self.parameter, q[-1]), self.periods, q)
 
     def split(self, u: Array) -> tuple[Array, Array]:
         """The starts of the arcs, shape (M, n), and q."""
@@ -64,127 +49,66 @@ class OrbitProblem(eqx.Module):
 
 
 @dataclasses.dataclass(frozen=True)
-class Point:
-    """An orbit of a family: its unknowns u, their scales, the tangent of the branch in scaled
-    unknowns (of length one), and the `Shot`, all as NumPy arrays."""
+class OrbitPoint(CurvePoint):
+    """A point of a branch: an orbit, with its `Shot` as NumPy arrays."""
 
-    u: np.ndarray
-    scale: np.ndarray
-    tangent: np.ndarray
     shot: Shot
     residual: float
-    num_steps: int
-
-    @property
-    def value(self) -> float:
-        """The parameter."""
-        return float(self.u[-1])
 
     @property
     def sequence(self) -> tuple:
-        """The contacts in order: surfaces and modes after. An orbit has no first contact: of all
-        rotations the least is taken, so that a contact may pass t0."""
-        events = self.shot.events
-        if events is None:
-            return ()
-        rows = [
-            (tuple(np.flatnonzero(events.members[i]).tolist()), tuple(events.modes[i].tolist()))
-            for i in switches(events)
-        ]
-        return min((tuple(rows[i:] + rows[:i]) for i in range(len(rows))), default=())
+        """The contacts in order, as `contacts_of` tells them."""
+        return contacts_of(self.shot.events)
+
+
+def contacts_of(events: Events | None) -> tuple:
+    """The contacts of an orbit in order: surfaces and modes after. An orbit has no first contact:
+    of all rotations the least is taken, so that a contact may pass t0."""
+    if events is None:
+        return ()
+    members, modes = np.asarray(events.members), np.asarray(events.modes)
+    rows = [
+        (tuple(np.flatnonzero(members[i]).tolist()), tuple(modes[i].tolist()))
+        for i in switches(events)
+    ]
+    return min((tuple(rows[i:] + rows[:i]) for i in range(len(rows))), default=())
 
 
 @eqx.filter_jit
-def _correct(
-    family: OrbitProblem, u: Array, plane: ArclengthConstraint, newton_steps: Array
+def solve_across(
+    problem: OrbitProblem, u: Array, constraint: ArclengthConstraint, newton_steps: Array
 ) -> Root:
-    starts, q = family.split(plane.base)
-    normal = velocity(family.setting, family.options, starts[0], q)
-    normal = normal / jnp.sqrt(normal @ normal)
-    evaluate = ft.partial(_evaluation, family, plane, starts[0], normal)
+    """Newton's root of the closing equations and a constraint, with the `Shot` there."""
+    phase = None
+    if problem.autonomous:
+        starts, q = problem.split(constraint.base)
+        phase = phase_condition(problem.setting, problem.options, starts[0], q)
+
+    def evaluate(u: Array) -> Evaluation:
+        orbit = evaluate_closing(problem.setting, problem.options, phase, *problem.split(u))
+        unknowns = jnp.append(orbit.unknown_scale, constraint.scale[-1])
+        return constraint.appended(dataclasses.replace(orbit, unknown_scale=unknowns), u)
+
     return newton(evaluate, u, newton_steps)
 
 
-def _evaluation(
-    family: OrbitProblem, plane: ArclengthConstraint, anchor: Array, phase: Array, u: Array
-) -> Evaluation:
-    """The closing of all arcs, the phase of an autonomous orbit, and the plane."""
-    starts, q = family.split(u)
-    shot = shoot(family.setting, family.options, starts, q)
-    residual, jacobian = closing(shot, starts)
-    m, n = starts.shape
-    equations, parameter_scale = jnp.tile(shot.size, m), plane.scale[-1:]
-    unknowns, result = equations, shot.result
-    if family.autonomous:
-        result = not_vanished(shot, q[0], family.split(plane.base)[1][0])
-        row = jnp.zeros_like(u).at[:n].set(phase)
-        residual = jnp.append(residual, phase @ (starts[0] - anchor))
-        jacobian = jnp.concatenate([jacobian, row[None]])
-        equations = jnp.append(equations, abs(phase) @ shot.size)
-        unknowns = jnp.append(unknowns, abs(q[0]))
-    gap = plane.normal @ ((u - plane.base) / plane.scale) - plane.offset
-    return Evaluation(
-        jnp.append(residual, gap),
-        jnp.concatenate([jacobian, (plane.normal / plane.scale)[None]]),
-        jnp.append(equations, 1.0),
-        jnp.concatenate([unknowns, parameter_scale]),
-        result,
-        shot,
+def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:
+    """A root as the point it is, its tangent to the side of `along`."""
+    root, scale = jax.tree.map(np.asarray, root), np.asarray(constraint.scale)
+    return OrbitPoint(
+        u=np.asarray(root.z),
+        scale=scale,
+        tangent=tangent_of(root, scale, along),
+        num_steps=int(root.num_steps),
+        shot=root.at.aux,
+        residual=float(root.at.size),
     )
 
 
-def correct(
-    family: OrbitProblem, guess: np.ndarray, plane: ArclengthConstraint, along: np.ndarray
-) -> Point | None:
-    """The point of the branch in a plane, near a guess; None if there is none. Its tangent points
-    to the side of `along`."""
-    root = _correct(family, jnp.asarray(guess), plane, jnp.asarray(_NEWTON_STEPS, jnp.int32))
-    if not bool(root.result == RESULTS.successful):
-        return None
-    return _point(jax.tree.map(np.asarray, root), plane, along)
-
-
-def correct_many(
-    family: OrbitProblem, guesses: np.ndarray, planes: ArclengthConstraint, along: np.ndarray
-) -> list[Point]:
-    """`correct` for many guesses and planes at once; those that converged."""
-    steps = jnp.asarray(_MANY_STEPS, jnp.int32)
-    roots = eqx.filter_vmap(lambda u, plane: _correct(family, u, plane, steps))(guesses, planes)
-    found = np.flatnonzero(np.asarray(roots.result == RESULTS.successful))
-    pick = lambda tree, i: jax.tree.map(lambda v: np.asarray(v)[i], tree)  # noqa: E731
-    return [_point(pick(roots, i), pick(planes, i), along) for i in found]
-
-
-def _point(root: Root, plane: ArclengthConstraint, along: np.ndarray) -> Point:
-    scale = np.asarray(plane.scale)
-    # The branch runs along what the equations without the plane leave free.
-    rows = np.asarray(root.at.jacobian)[:-1] * scale
-    tangent = np.linalg.svd(rows)[2][-1]
-    tangent = tangent if tangent @ along >= 0 else -tangent
-    return Point(
-        np.asarray(root.z), scale, tangent, root.at.aux, float(root.at.size), int(root.num_steps)
-    )
-
-
-def metric(family: OrbitProblem, point: Point) -> np.ndarray:
-    """The metric at a point. All arcs together count as one state."""
-    m = family.options.arcs
-    size = np.tile(np.asarray(point.shot.size) * np.sqrt(m), m)
-    q = point.u[size.shape[0] :]
-    return np.append(size, np.where(q == 0, 1.0, abs(q)))
-
-
-def constraint_across(
-    base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float
-) -> ArclengthConstraint:
-    """A `ArclengthConstraint` of NumPy arrays, or many of them."""
-    return ArclengthConstraint(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
-
-
-def orbit_of(family: OrbitProblem, point: Point) -> Orbit:
+def orbit_of(problem: OrbitProblem, point: OrbitPoint) -> Orbit:
     """A point as the `Orbit` it is."""
-    starts, q = family.split(jnp.asarray(point.u))
-    system, period = family.setting(q)
+    starts, q = problem.split(jnp.asarray(point.u))
+    system, period = problem.setting(q)
     shot: Any = jax.tree.map(jnp.asarray, point.shot)
     return Orbit(
         x0=starts[0],
@@ -198,5 +122,5 @@ def orbit_of(family: OrbitProblem, point: Point) -> Orbit:
         system=system,
         starts=starts,
         num_steps=jnp.asarray(point.num_steps),
-        options=family.options,
+        options=problem.options,
     )

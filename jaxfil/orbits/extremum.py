@@ -12,9 +12,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate import components, filippov
+from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.solution import Dense
-from jaxfil.integrate.stepper import step, tableau
+from jaxfil.integrate.stepper import step, tableau_of
 from jaxfil.orbits.regula_falsi import zero_between
 
 # Steps on which it is located, those with the largest estimates.
@@ -42,17 +43,15 @@ class _Start(eqx.Module):
 def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum:
     """The largest value of `function(t, x)` over all steps of a trajectory."""
     dtype = dense.xs.dtype
-    scene_ = components.build(dense.system, dense.xs[0])
-    table = tableau(dense.stepper)
+    system, tableau = build(dense.system, dense.xs[0]), tableau_of(dense.stepper)
 
     def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
         """State, value and rate of change after a part h of a step."""
-        mode = components.unpack(start.mode.astype(dtype))
-        smooth = lambda t, x, known=None: filippov.field(scene_, t, x, mode, known)  # noqa: E731
-        x, forcing = components.unpack(start.x), scene_.forcing(start.t, h, table.times)
-        x, _ = step(table, smooth, forcing, start.t, x, smooth(start.t, x), h, scene_.once)
-        t, f = start.t + h, components.pack(smooth(start.t + h, x), dtype)
-        x = components.pack(x, dtype)
+        field = ModeField(system, unpack(start.mode.astype(dtype)))
+        x0, forcing = unpack(start.x), system.forcing(start.t, h, tableau.times)
+        end = step(tableau, field, start.t, x0, field(start.t, x0), h, forcing)
+        t, f = start.t + h, pack(field(start.t + h, end.x), dtype)
+        x = pack(end.x, dtype)
         value, rate = jax.jvp(function, (t, x), (jnp.ones_like(t), f))
         return x, value, rate
 

@@ -1,121 +1,141 @@
-"""Along a branch of orbits, step by step, from one point on.
+"""Pseudo-arclength continuation: along a curve of solutions, step by step.
 
-A point of a `OrbitProblem` with the direction in which to go enters; the points ahead leave, with the
-special ones among them and why they end.
-
-Where the period map has a square root (an orbit that grazes a discontinuity) the branch has a
-corner: it goes on in another direction, perhaps back. The step cannot get round it; the points of
-the branch in planes of many directions close by can, and the one that does not lead back goes on.
+A `Curve` and a point on it enter; the points on either side leave, in order, with the special ones
+among them and why they end. The predictor goes along the tangent, the corrector comes back to the
+curve across it: the parameter is one unknown among others, so that a fold is no obstacle.
 """
 
 import dataclasses
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from jaxfil.orbits.corrector import (
-    OrbitProblem,
-    Point,
-    constraint_across,
-    correct,
-    correct_many,
-    metric,
-)
-from jaxfil.orbits.special_points import special_points
+from jaxfil.orbits.curve import Curve, CurvePoint, Special, constraint_across
 
-# Steps, in scaled unknowns: a state by its largest value on the orbit, the parameter by its size.
-_FIRST, _LEAST = 0.005, 1e-9
-# The tangent may turn by this cosine in a step; below the other the step may grow.
-_SHARP, _STRAIGHT = 0.9, 0.995
-# Directions in which the way round a corner is searched, and how far from it.
-_DIRECTIONS, _RADIUS = 48, 1e-3
-# A point further away than so many of these distances is on another branch, one at this cosine to
-# the tangent where the branch has come from.
-_REACH, _BACK = 20, -0.95
+# Between two points the tangent may turn by this cosine, and they may be so many steps apart: what
+# lies further away is on another curve.
+_SHARP, _STRAYED = 0.9, 2.0
+
+_Point = TypeVar("_Point", bound=CurvePoint)
+
+
+@dataclasses.dataclass(frozen=True)
+class Path(Generic[_Point]):
+    """Points in order, the special ones, and why they end at either side."""
+
+    points: list[_Point]
+    special: list[Special[_Point]]
+    ended: tuple[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """The range of the parameter in which to stay, and the directions in which to go, ±1."""
+
+    low: float
+    high: float
+    ways: tuple[float, ...]
+
+
+def ends_of(stop: Any) -> list[float]:
+    """The argument `stop`, a number or a pair, as a list of one or two numbers."""
+    try:
+        ends = np.asarray(stop, float)
+    except (TypeError, ValueError):
+        ends = np.asarray(np.nan)
+    if ends.shape not in ((), (2,)) or not np.isfinite(ends).all():
+        raise ValueError(f"`stop` must be a number or a pair (low, high), got {stop!r}.")
+    return np.atleast_1d(ends).tolist()
+
+
+def range_around(ends: list[float], value: float) -> Range:
+    """What they mean for a curve that starts at a value."""
+    if len(ends) == 1:
+        (end,) = ends
+        if end == value:
+            raise ValueError(f"`stop` must differ from the value at the start, got {end}.")
+        return Range(min(end, value), max(end, value), (float(np.sign(end - value)),))
+    low, high = ends
+    ways = (-1.0,) * (low < value) + (1.0,) * (value < high)
+    if not low <= value <= high or not ways:
+        raise ValueError(f"`stop` must be (low, high) around the value {value}, got {low, high}.")
+    return Range(low, high, ways)
 
 
 def follow(
-    family: OrbitProblem, start: Point, low: float, high: float, max_step: float, max_points: int
-) -> tuple[list[Point], list[tuple], str]:
-    """Points from `start` on, the special ones among them, and why they end."""
-    points, special, ds = [start], [], min(_FIRST, max_step)
+    curve: Curve[_Point], starts: list[_Point], within: Range, max_step: float, max_points: int
+) -> Path[_Point]:
+    """The curve from one point, given once for each direction, with a tangent that points there."""
+    *back, ahead = (_follow(curve, start, within, max_step, max_points) for start in starts)
+    if not back:
+        begin = f"start at {curve.told(starts[0])}"
+        return dataclasses.replace(ahead, ended=(begin, ahead.ended[1]))
+    # What was found on the way back is put in the order of the way ahead.
+    first, shift = back[0], len(back[0].points) - 1
+    turned = [
+        Special(s.kind, s.point, s.after, s.before, shift - s.index + 1)
+        for s in reversed(first.special)
+    ]
+    moved = [dataclasses.replace(s, index=s.index + shift) for s in ahead.special]
+    points = first.points[:0:-1] + ahead.points
+    return Path(points, turned + moved, (first.ended[1], ahead.ended[1]))
+
+
+def _follow(
+    curve: Curve[_Point], start: _Point, within: Range, max_step: float, max_points: int
+) -> Path[_Point]:
+    points, special, ds = [start], [], min(curve.steps.first, max_step)
+
+    def end(why: str) -> Path[_Point]:
+        return Path(points, special, ("", why))
+
     while len(points) < max_points:
         here = points[-1]
-        ahead, ds = _advance(family, here, ds, max_step)
+        ahead, ds = _advance(curve, here, ds, max_step)
         corner = None
         if ahead is None:
-            corner = here
-            ahead = _round_corner(family, here)
-            if ahead is None:
-                return points, special, f"no orbit was found beyond {here.value:.10g}"
-            ds = _FIRST * 0.1
-        end = next((edge for edge in (low, high) if _passes(here, ahead, edge)), None)
-        if end is not None:
-            last = _at_value(family, here, ahead, end)
-            ahead = last or ahead
+            beyond = curve.beyond_end(here)
+            if beyond is None:
+                return end(f"no {curve.solution} was found beyond {curve.told(here)}")
+            (ahead, corner), ds = beyond, 0.1 * curve.steps.first
+        refusal = curve.refusal(ahead)
+        if refusal is not None:
+            return end(f"{refusal} beyond {curve.told(here)}")
+        edges = (within.low, within.high)
+        edge = next((v for v in edges if _passes(curve.value(here), curve.value(ahead), v)), None)
+        if edge is not None:
+            ahead = curve.at_value(here, ahead, edge) or ahead
         if corner is not None:
-            special.append(("contacts", here, here.sequence, ahead.sequence, len(points) - 1))
+            special.append(dataclasses.replace(corner, index=len(points) - 1))
         else:
-            special.extend((*found, len(points)) for found in special_points(family, here, ahead))
+            found = curve.special_points(here, ahead)
+            special.extend(dataclasses.replace(s, index=len(points)) for s in found)
         points.append(ahead)
-        if end is not None:
-            return points, special, f"{family.parameter} = {end:.10g} was reached"
-    return points, special, f"{max_points} points were made"
+        if edge is not None:
+            return end(f"{curve.parameter} = {edge:.10g} was reached")
+    return end(f"{max_points} points were made")
 
 
-def _passes(here: Point, ahead: Point, edge: float) -> bool:
-    a, b = here.value - edge, ahead.value - edge
-    return a != 0 and a * b <= 0
+def _passes(here: float, ahead: float, edge: float) -> bool:
+    return here != edge and (here - edge) * (ahead - edge) <= 0
 
 
 def _advance(
-    family: OrbitProblem, here: Point, ds: float, max_step: float
-) -> tuple[Point | None, float]:
+    curve: Curve[_Point], here: _Point, ds: float, max_step: float
+) -> tuple[_Point | None, float]:
     """The next point, and the step to try after it."""
-    scale = metric(family, here)
+    steps, scale = curve.steps, curve.metric(here)
     tangent = here.tangent * here.scale / scale
     tangent = tangent / np.linalg.norm(tangent)
-    while ds >= _LEAST:
-        plane = constraint_across(here.u, scale, tangent, ds)
-        ahead = correct(family, here.u + ds * tangent * scale, plane, tangent)
+    while ds >= steps.least:
+        constraint = constraint_across(here.u, scale, tangent, ds)
+        ahead = curve.correct(here.u + ds * tangent * scale, constraint, tangent)
         if ahead is not None:
             cosine = float(ahead.tangent @ tangent)
-            strayed = np.linalg.norm((ahead.u - here.u) / scale) > 2 * ds
+            strayed = np.linalg.norm((ahead.u - here.u) / scale) > _STRAYED * ds
             # A corner is passed in a short step; a curve is followed in many.
-            if not strayed and (cosine > _SHARP or ds < 1e-5):
-                grows = cosine > _STRAIGHT and ahead.num_steps <= 5
-                return ahead, min(max_step, ds * 1.6) if grows else ds
+            if not strayed and (cosine > _SHARP or ds < steps.corner):
+                grows = cosine > steps.straight and ahead.num_steps <= steps.easy
+                return ahead, min(max_step, steps.growth * ds) if grows else ds
         ds *= 0.5
     return None, ds
-
-
-def _round_corner(family: OrbitProblem, here: Point) -> Point | None:
-    """The nearest way on from a point where the branch ahead ends: in planes close by, of random
-    directions, the nearest point with other contacts that does not lie where the branch has come
-    from."""
-    rng = np.random.default_rng(0)
-    normals = rng.normal(size=(_DIRECTIONS, here.u.size))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    scale = metric(family, here)
-    guesses = here.u + _RADIUS * normals * scale
-    base = np.broadcast_to(here.u, guesses.shape)
-    offsets = np.full(_DIRECTIONS, _RADIUS)
-    planes = constraint_across(base, np.broadcast_to(scale, guesses.shape), normals, offsets)  # pyright: ignore
-    best, least = None, _REACH * _RADIUS
-    for point in correct_many(family, guesses, planes, here.tangent):
-        away = (point.u - here.u) / scale
-        distance = np.linalg.norm(away)
-        forward = float(away @ here.tangent / distance)
-        if point.sequence != here.sequence and forward > _BACK and distance < least:
-            sign = 1.0 if point.tangent @ away >= 0 else -1.0
-            best, least = dataclasses.replace(point, tangent=sign * point.tangent), distance
-    return best
-
-
-def _at_value(family: OrbitProblem, a: Point, b: Point, value: float) -> Point | None:
-    """The point between two where the parameter has a value."""
-    normal = np.zeros_like(a.u)
-    normal[-1] = 1.0
-    part = (value - a.value) / (b.value - a.value)
-    base = a.u + part * (b.u - a.u)
-    base[-1] = value
-    return correct(family, base, constraint_across(base, a.scale, normal, 0.0), b.tangent)

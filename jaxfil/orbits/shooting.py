@@ -5,8 +5,8 @@ the states at the starts of the arcs, enter; a `Shot` leaves, with the derivativ
 respect to its own start and to q, by forward mode through every contact.
 """
 
+import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,12 +14,12 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxfil.integrate import components
+from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import integrate, integrate_in_kernel
+from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid
 from jaxfil.integrate.solution import Events, events_of
-from jaxfil.integrate.state import Recording, TimeGrid
-from jaxfil.integrate.stepper import tableau
+from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.xla.kernel import kernel_if_it_fits
@@ -31,20 +31,15 @@ class ShootingOptions(eqx.Module):
     t0: Array
     steps: int = eqx.field(static=True)
     arcs: int = eqx.field(static=True)
-    stepper: Any = eqx.field(static=True)
+    stepper: Stepper = eqx.field(static=True)
     max_events: int = eqx.field(static=True)
 
-    def span(self, t0: Array, length: Array, arcs: int) -> TimeGrid:
-        """The grid of one of `arcs` arcs."""
-        num = -(-self.steps // arcs)
-        budget = 32 * num + 64 * self.max_events + 1024
-        return TimeGrid(
-            t0,
-            length,
-            stop_gradient(length) / num,
-            jnp.asarray(num, jnp.int32),
-            jnp.asarray(budget, jnp.int32),
-        )
+    def problem(self, system: System, x0: Array, t0: Array, length: Array, arcs: int) -> Problem:
+        """One of `arcs` arcs of equal length, from `t0`."""
+        num_steps = jnp.asarray(-(-self.steps // arcs), jnp.int32)
+        grid = even_grid(t0, length, num_steps, self.max_events)
+        recording = Recording("none", self.max_events)
+        return Problem(build(system, x0), tableau_of(self.stepper), grid, recording)
 
 
 class Shot(eqx.Module):
@@ -84,17 +79,13 @@ def shoot(
     def arc(number: Array, start: Array):
         def end(z: Array):
             system, period = setting(z[n:])
-            scene_ = components.build(system, z[:n])
             length = period / options.arcs
-            span = options.span(options.t0 + number * length, length, options.arcs)
-            policy = Recording("none", options.max_events)
-            lane = integrate(
-                scene_, tableau(options.stepper), span, policy, components.unpack(z[:n])
-            )
-            x = components.pack(lane.x, z.dtype)
-            size = components.pack(lane.size, z.dtype)
-            mode = components.pack(lane.first_mode, z.dtype).astype(jnp.int8)
-            more = (x, size, lane.table, lane.num_events, mode, lane.result)
+            t0 = options.t0 + number * length
+            problem = options.problem(system, z[:n], t0, length, options.arcs)
+            state = integrate(problem, unpack(z[:n]))
+            x, size = pack(state.x, z.dtype), pack(state.size, z.dtype)
+            mode = pack(state.first_mode, z.dtype).astype(jnp.int8)
+            more = (x, size, state.table, state.num_events, mode, state.result)
             return x, jax.tree.map(stop_gradient, more)
 
         z = jnp.concatenate([start, q])
@@ -158,12 +149,11 @@ def flow_map(
     length = part * period
 
     def forward(x: Array, number: Array) -> Array:
-        scene_ = components.build(system, x)
-        span = options.span(options.t0 + number * length, length, max(1, round(1 / part)))
-        lane = integrate_in_kernel(
-            scene_, tableau(options.stepper), span, Recording("none", None), components.unpack(x)
-        )
-        return jnp.where(lane.result == RESULTS.successful, components.pack(lane.x, x.dtype), x)
+        arcs = max(1, round(1 / part))
+        problem = options.problem(system, x, options.t0 + number * length, length, arcs)
+        problem = dataclasses.replace(problem, recording=NOTHING)
+        state = integrate_in_kernel(problem, unpack(x))
+        return jnp.where(state.result == RESULTS.successful, pack(state.x, x.dtype), x)
 
     return forward
 
@@ -171,7 +161,6 @@ def flow_map(
 def velocity(setting: Setting, options: ShootingOptions, x0: Float[Array, " n"], q: Array) -> Array:
     """The field at (t0, x0) in the mode in which the solution starts, shape (n,)."""
     system, period = setting(q)
-    scene_ = components.build(system, x0)
-    span = options.span(options.t0, period, options.arcs)
-    lane = initial_state(scene_, span, Recording("none", None), components.unpack(x0), 0)
-    return components.pack(lane.f, x0.dtype)
+    problem = options.problem(system, x0, options.t0, period, options.arcs)
+    problem = dataclasses.replace(problem, recording=NOTHING)
+    return pack(initial_state(problem, unpack(x0)).f, x0.dtype)

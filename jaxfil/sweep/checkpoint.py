@@ -22,12 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.stepper import tableau
+from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System, has_resets
-from jaxfil.model.types import Dataset, PathLike, Stepper
+from jaxfil.model.types import Dataset, PathLike
 from jaxfil.sweep import dataset_io
 from jaxfil.sweep.dataset_io import NamedArrays, Variable
 from jaxfil.sweep.diagram import Conditions
@@ -112,7 +112,7 @@ def record_of(
 ) -> Record:
     """All that the numbers of a sweep depend on, by the names that a user knows."""
     # The coefficients as well as the name: another version of diffrax may have other digits.
-    table = repr(tableau(stepper)).encode()
+    table = repr(tableau_of(stepper)).encode()
     columns = grid.values if isinstance(grid.values, tuple) else grid.rows.T
     return {
         "system": type(system).__name__,

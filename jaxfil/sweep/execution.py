@@ -21,6 +21,7 @@ import numpy as np
 from jaxfil.model.outcomes import RESULTS, code
 from jaxfil.sweep import multiprocess
 from jaxfil.sweep.checkpoint import Checkpoint, FinishedChunk
+from jaxfil.xla.kernel import DoesNotFitError
 
 # Lanes that share a loop, on a CPU: few enough for all of their numbers to stay in the first-level
 # cache, and to wait for few others.
@@ -45,27 +46,27 @@ def compiled(run: Callable) -> Callable:
     return eqx.filter_jit(run, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
-# Jobs that XLA has refused to compile into one kernel: see `one_kernel`.
-_REFUSED: set[Any] = set()
+# Jobs that are known not to fit into one kernel: see `one_kernel`.
+_IN_PARTS: set[Any] = set()
 
 
-def _compiled_job(job: Callable, rows: np.ndarray, n: int, followed: bool) -> tuple[Callable, int]:
+def _compiled_job(
+    job: ft.partial, rows: np.ndarray, n: int, followed: bool
+) -> tuple[Callable, int]:
     """`job` compiled, as one kernel where that can be, and the lanes of its calls.
 
     Their number depends on the sweep and not on the machine's cores, and a call is filled up with
     lanes that fail at once: a lane's last bits may depend on the shape that it was compiled in.
     """
     what = jax.tree.structure((job.args, job.keywords))
-    whole = jax.default_backend() == "cpu" and what not in _REFUSED
+    whole = jax.default_backend() == "cpu" and what not in _IN_PARTS
     lanes = _FOLLOW if followed else _lanes(len(rows), whole)
     call = ft.partial(job, followed=followed, whole=whole)
     nowhere = np.full((lanes, rows.shape[1]), np.nan, rows.dtype)
     try:
         call(nowhere, np.full((n,) if followed else (lanes, n), np.nan, rows.dtype))
-    except jax.errors.JaxRuntimeError:
-        if not whole:
-            raise
-        _REFUSED.add(what)
+    except DoesNotFitError:
+        _IN_PARTS.add(what)
         return _compiled_job(job, rows, n, followed)
     return call, lanes
 
@@ -158,7 +159,7 @@ class _Bar:
 
 
 def side_by_side(
-    job: Callable,
+    job: ft.partial,
     rows: np.ndarray,
     states: np.ndarray,
     samples: int,
@@ -168,7 +169,7 @@ def side_by_side(
     """Samples and outcomes of all lanes, a chunk at a time on each core of each process."""
     (p, _), n = rows.shape, states.shape[1]
     with _Bar(p, progress) as bar:
-        job, size = _compiled_job(job, rows, n, False)
+        call, size = _compiled_job(job, rows, n, False)
         rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
         lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
 
@@ -178,7 +179,7 @@ def side_by_side(
             if stop.is_set():  # by Ctrl-C, before this chunk has begun
                 return 0, False
             here = slice(start, start + size)
-            done, kept = lanes.finish(start, size, lambda: job(rows[here], states[here]))
+            done, kept = lanes.finish(start, size, lambda: call(rows[here], states[here]))
             return len(done.codes), kept
 
         starts = multiprocess.share(range(0, p, size))
@@ -200,7 +201,7 @@ def side_by_side(
 
 
 def one_after_another(
-    job: Callable,
+    job: ft.partial,
     rows: np.ndarray,
     state: np.ndarray,
     samples: int,
@@ -214,13 +215,13 @@ def one_after_another(
     p, n = len(rows), len(state)
     lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
     with _Bar(p, progress) as bar:
-        job, size = _compiled_job(job, rows, n, True)
+        call, size = _compiled_job(job, rows, n, True)
         rows = _filled_up(rows, size)
         bar.start(p)
         with suppress(KeyboardInterrupt):
             for start in range(0, p, size):
                 here = rows[start : start + size]
-                done, kept = lanes.finish(start, size, ft.partial(job, here, state))
+                done, kept = lanes.finish(start, size, ft.partial(call, here, state))
                 state = done.end
                 bar.count(len(done.codes), kept)
     xs, codes = lanes.finished()

@@ -12,23 +12,25 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate import components
 from jaxfil.integrate.batch_loop import integrate_batch
+from jaxfil.integrate.components import build, unpack
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.state import LoopState, Recording, TimeGrid
-from jaxfil.integrate.stepper import checked, tableau
+from jaxfil.integrate.problem import Problem, Recording, grid_of_periods
+from jaxfil.integrate.state import LoopState
+from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import RESULTS, code, outcomes
 from jaxfil.model.parameter import cast, get_parameter, parameters, replace_parameter
 from jaxfil.model.system import System
-from jaxfil.model.types import PathLike, States, Stepper, SweptValues
+from jaxfil.model.types import PathLike, States, SweptValues
 from jaxfil.sweep import multiprocess, step_halving
 from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, record_of
 from jaxfil.sweep.diagram import BifurcationDiagram, Conditions
@@ -132,13 +134,13 @@ def bifurcation_diagram(
         )
     labels = labels_of(system, np.shape(x0)[-1]).of(grid.names)
     _check_follow(follow, grid)
-    stepper = checked(stepper)
+    stepper = checked_stepper(stepper)
     conditions = Conditions(
         parameters=_others(system, grid.names),
         x0=_initial_states(x0, grid.shape, follow is not None).astype(dtype),
         transient=check.count("transient", transient, least=0),
         steps=check.count("steps", steps),
-        stepper=tableau(stepper).name,
+        stepper=tableau_of(stepper).name,
         follow=follow,
         version=__version__,
     )
@@ -180,16 +182,14 @@ def _swept(
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
-    job = ft.partial(
-        compiled(_run),
-        system,
-        grid.names,
-        # Counts are traced, so that new ones compile nothing; `samples` is the shape of the result.
+    # Counts are traced, so that new ones compile nothing; `samples` is the shape of the result.
+    sampling = _Sampling(
         transient=jnp.asarray(given.transient, jnp.int32),
         samples=samples,
         steps=jnp.asarray(given.steps, jnp.int32),
         stepper=stepper,
     )
+    job = ft.partial(compiled(_run), system, grid.names, sampling)
     if given.follow is None:
         states = given.x0.reshape(-1, given.x0.shape[-1])
         return side_by_side(job, grid.rows, states, samples, kept, progress)
@@ -258,60 +258,56 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike 
     return not missing.any()
 
 
-def _problem(
-    system: System,
-    names: tuple[str, ...],
-    transient: Array,
-    samples: int,
-    steps: Array,
-    stepper: Stepper,
-    row: Array,
-    x0: Array,
-):
-    """What `integrate` is given for one point in parameter space."""
-    for i, name in enumerate(names):
-        system = replace_parameter(system, name, row[i])
-    period = jnp.asarray(system.period, x0.dtype)
-    num_steps = (transient + samples) * steps
-    span = TimeGrid(
-        t0=jnp.zeros((), x0.dtype),
-        length=(transient + samples).astype(x0.dtype) * period,
-        dt=period / steps.astype(x0.dtype),
-        num_steps=num_steps,
-        max_iterations=32 * jnp.minimum(num_steps, 2**25) + 100_000,
-    )
-    policy = Recording("samples", None, first=(transient + 1) * steps, every=steps)
-    return components.build(system, x0), tableau(stepper), span, policy
+class _Sampling(eqx.Module):
+    """What every lane of a sweep does: `transient` periods unseen, then `samples` periods whose
+    ends are kept, `steps` steps each."""
+
+    transient: Array
+    samples: int = eqx.field(static=True)
+    steps: Array
+    stepper: Stepper
+
+    def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
+        """That of one point in parameter space."""
+        for i, name in enumerate(names):
+            system = replace_parameter(system, name, row[i])
+        period = jnp.asarray(system.period, x0.dtype)
+        grid = grid_of_periods(period, self.transient + self.samples, self.steps)
+        recording = Recording(
+            save="samples",
+            max_events=None,
+            num_saves=self.samples,
+            first=(self.transient + 1) * self.steps,
+            every=self.steps,
+        )
+        return Problem(build(system, x0), tableau_of(self.stepper), grid, recording)
 
 
-def _outcome(lane: LoopState) -> tuple[Array, RESULTS, Array]:
+def _outcome(state: LoopState) -> tuple[Array, RESULTS, Array]:
     """Samples (samples, n), outcome, and the last state (n,) of a lane, or of many."""
-    assert lane.saves is not None
-    xs = jnp.where(jnp.isfinite(lane.saves.xs), lane.saves.xs, jnp.nan)
-    return xs, lane.result, jnp.stack(lane.x, axis=-1)
+    assert state.saves is not None
+    xs = jnp.where(jnp.isfinite(state.saves.xs), state.saves.xs, jnp.nan)
+    return xs, state.result, jnp.stack(state.x, axis=-1)
 
 
 def _run(
     system: System,
     names: tuple[str, ...],
+    sampling: _Sampling,
     rows: Array,
     states: Array,
     *,
-    transient: Array,
-    samples: int,
-    steps: Array,
-    stepper: Stepper,
     followed: bool,
     whole: bool,
 ) -> tuple[Array, RESULTS, Array]:
     """A chunk of lanes side by side, or one after the other each from the last one's end."""
-    problem = ft.partial(_problem, system, names, transient, samples, steps, stepper)
+    problem = ft.partial(sampling.problem, system, names)
 
     def lane(row: Array, x0: Array) -> tuple[Array, RESULTS, Array]:
-        return _outcome(integrate(*problem(row, x0), components.unpack(x0), num_saves=samples))
+        return _outcome(integrate(problem(row, x0), unpack(x0)))
 
     def block(rows: Array, states: Array) -> tuple[Array, RESULTS, Array]:
-        return _outcome(integrate_batch(problem, rows, states, samples))
+        return _outcome(integrate_batch(problem, rows, states))
 
     if not followed:
         return (in_blocks(block, BLOCK) if whole else jax.vmap(lane))(rows, states)

@@ -1,1 +1,13 @@
-"""."""
+"""xla: what coaxes one good kernel out of XLA.
+
+Nothing here knows what a nonsmooth system is. Words of this room:
+
+- kernel: a program that XLA's CPU backend compiles into one function, loops included, instead of
+  one for each of their parts, which would have to be started one by one (`kernel`).
+- block: so many lanes that share a kernel, few enough for their numbers to stay in the first-level
+  cache.
+- fence: what keeps XLA from computing a value again in each loop that uses it (`trace`).
+- ahead: what a function takes of time alone, computed for all stages of a step at once (`trace`).
+- masked write: an entry of a table, written by those lanes that have one (`masked_write`).
+- range reduction: what brings the argument of a sine within a quarter of a turn (`fast_trig`).
+"""

@@ -24,15 +24,18 @@ from jaxtyping import Array
 _WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
 
+class DoesNotFitError(Exception):
+    """A program holds an operation that a single kernel cannot hold."""
+
+
 def one_kernel(function: Callable) -> Callable:
-    """`function` of arrays as a single kernel.
+    """`function` of arrays as a single kernel; a `DoesNotFitError` where it does not fit into one:
+    see `kernel_if_it_fits`."""
 
-    It may hold arithmetic, control flow and slices; XLA refuses (`jax.errors.JaxRuntimeError`) to
-    compile a scatter, a sort or a library call there.
-    """
-
-    def call(*args):
+    def call(*args: Any) -> Any:
         program, values, tree = _opened(function, args)
+        if not _fits(program.jaxpr):
+            raise DoesNotFitError
         return jax.tree.unflatten(tree, _kernel_of(program)(*values))
 
     return call
@@ -53,7 +56,7 @@ def _kernel_of(program: Any) -> Callable:
     """A program that closes over nothing, as a function of its arguments and a single kernel."""
     run = jexc.jaxpr_as_fun(program)
 
-    def call(*values):
+    def call(*values: Array) -> Any:
         out = kernel_of_all(lambda *values: (run(*values), _all_used(values)))(*values)
         out, _ = jax.lax.optimization_barrier(out)
         return out
@@ -65,12 +68,12 @@ def kernel_of_all(function: Callable) -> Callable:
     """`function` as a single kernel, where it uses all of its arguments and closes over nothing: on
     another one XLA (jaxlib 0.10.2) aborts."""
 
-    def inside(*args):
+    def inside(*args: Any) -> Any:
         # The attributes are those of the call, not of what it calls.
         with set_xla_metadata(**dict.fromkeys(_WHOLE)):
             return function(*args)
 
-    def call(*args):
+    def call(*args: Any) -> Any:
         with set_xla_metadata(**_WHOLE):
             return jax.jit(inside)(*args)
 
@@ -85,15 +88,17 @@ def _all_used(values: Sequence[Array]) -> Array:
 
 # What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
 # add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
-# scatters, sorts, and calls of libraries, which a product of matrices may become.
+# scatters, sorts, and calls of libraries, which a product of matrices may become. (A `psum` over
+# the axis of a batch has become a sum over an axis of an array by then.)
 _NAMES = """
 abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh bitcast_convert_type
 broadcast_in_dim cbrt ceil clamp concatenate cond convert_element_type copy copy_p cos cosh
 custom_jvp_call div dynamic_slice empty2 eq erf erf_inv erfc exp exp2 expm1 floor gather ge gt
 integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg nextafter not
-optimization_barrier or pad pjit pow reduce_and reduce_max reduce_min reduce_or reduce_precision
-reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign sin sinh slice
-split sqrt square squeeze stack stop_gradient sub tan tanh transpose unstack unvmap_any while xor
+optimization_barrier or pad pjit pow psum reduce_and reduce_max reduce_min reduce_or
+reduce_precision reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign
+sin sinh slice split sqrt square squeeze stack stop_gradient sub tan tanh transpose unstack
+unvmap_any while xor
 """
 _FITTING = frozenset(_NAMES.split())
 # Lanes that are one kernel together, at most: a larger batch is so many of them at a time.
@@ -108,7 +113,7 @@ def kernel_if_it_fits(function: Callable) -> Callable:
     batch of either.
     """
 
-    def call(*args):
+    def call(*args: Any) -> Any:
         if jax.default_backend() != "cpu":
             return function(*args)
         # What the function has closed over becomes an argument: it may come as a batch.
@@ -116,7 +121,7 @@ def kernel_if_it_fits(function: Callable) -> Callable:
         if not _fits(program.jaxpr):
             return function(*args)
 
-        def spread(batched):
+        def spread(batched: Sequence[bool]) -> list[bool]:
             return [any(batched)] * len(program.out_avals)
 
         return jax.tree.unflatten(tree, _whole(program, spread, 1)(*values))
@@ -200,7 +205,7 @@ def in_blocks(function: Callable, size: int) -> Callable:
     single kernel."""
     kernel = one_kernel(function)
 
-    def blocks(*args):
+    def blocks(*args: Array) -> Any:
         (p,) = {a.shape[0] for a in args}
         return in_turns(kernel, [True] * len(args), None, p, size)(*args)
 
@@ -214,7 +219,7 @@ def in_turns(
     `size` of them at a time. Its results are rows too, all or those that `spreads` flags."""
     count = -(-p // size)
 
-    def call(*args):
+    def call(*args: Any) -> Any:
         if count == 1:
             return function(*args)
         pick = jnp.minimum(jnp.arange(count * size), p - 1).reshape(count, size)

@@ -16,7 +16,7 @@ from jaxfil.xla.kernel import kernel_of_all
 
 
 @jax.custom_jvp
-def write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
+def masked_write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
     """Arrays of k entries, with `row`, one of each, as entry number i where `yes`.
 
     A batch of these would be a scatter, which no single kernel may hold and which takes the time of
@@ -26,15 +26,15 @@ def write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
     return _write(rows, i, row, yes)
 
 
-@write.defjvp
+@masked_write.defjvp
 def _write_jvp(primals: tuple, tangents: tuple) -> tuple:
     _, i, _, yes = primals
     (leaves, tree), rows = jax.tree.flatten(tangents[0]), jax.tree.leaves(tangents[2])
     real = [k for k, leaf in enumerate(leaves) if leaf.dtype != jax.dtypes.float0]
-    moved = write([leaves[k] for k in real], i, [rows[k] for k in real], yes)
+    moved = masked_write([leaves[k] for k in real], i, [rows[k] for k in real], yes)
     for k, leaf in zip(real, moved, strict=True):
         leaves[k] = leaf
-    return write(*primals), jax.tree.unflatten(tree, leaves)
+    return masked_write(*primals), jax.tree.unflatten(tree, leaves)
 
 
 @custom_vmap

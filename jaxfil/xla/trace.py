@@ -53,20 +53,15 @@ FIRST, EARLY, LATE = range(3)
 
 
 class Traced:
-    """`function` for arguments shaped like `example`. `hold` is applied to each of those,
-    unless a call says that its result is used `alone` and one number in it depends on them.
+    """`function` for arguments shaped like `example`.
 
     `when` says of each argument when it is known. What is dear and can be computed early, `ahead`
-    of the late arguments, a call can be given as `known`.
+    of the late arguments, a call can be given as `known`. Each sine is divided by the call's
+    `fence`, a one that the compiler cannot see through, unless the call says that its result is
+    used `alone` and one number in it depends on them: see `ComponentSystem`.
     """
 
-    def __init__(
-        self,
-        function: Callable,
-        *example: Any,
-        hold: Callable = lambda v: v,
-        when: Sequence[int] | None = None,
-    ):
+    def __init__(self, function: Callable, *example: Any, when: Sequence[int] | None = None):
         self._closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
         self._tree = jax.tree.structure(shape)
         order = when or (LATE,) * len(example)
@@ -74,30 +69,33 @@ class Traced:
         self._when = [k for k, arg in each for _ in jax.tree.leaves(arg)]
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
         waves = _dependencies(self._closed.jaxpr, self._no_consts(), nothing, sources=_FAST)
-        shared = sum(int(np.sum(flags)) for flags in waves) > 1
+        self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
         # As functions of their own they are put through a transformation once, however often they
         # are called.
-        self._run = self._compiled(hold)
-        self._alone = self._run if shared else self._compiled(lambda v: v)
-        self._ahead = jax.jit(self._found)
+        self._run, self._ahead = jax.jit(self._evaluated), jax.jit(self._found)
 
-    def _compiled(self, hold: Callable) -> Callable:
-        def traced(leaves: list, known: list | None) -> list:
-            return _Evaluation(hold, known)(self._closed, leaves, self._when)
-
-        return jax.jit(traced)
+    def _evaluated(self, leaves: list, known: list | None, fence: Array | None) -> list:
+        hold = _same if fence is None else lambda v: v / fence
+        return _Evaluation(hold, known)(self._closed, leaves, self._when)
 
     def _found(self, leaves: list) -> list:
         late = [None] * (len(self._when) - len(leaves))
-        evaluation = _Evaluation(lambda v: v)
+        evaluation = _Evaluation(_same)
         evaluation(self._closed, [*leaves, *late], self._when)
         return evaluation.found
 
     def _no_consts(self) -> list[np.ndarray]:
         return [np.zeros(np.shape(c), bool) for c in self._closed.consts]
 
-    def __call__(self, *args: Any, alone: bool = False, known: list | None = None) -> Any:
-        out = (self._alone if alone else self._run)(jax.tree.leaves(args), known)
+    def __call__(
+        self,
+        *args: Any,
+        fence: Array | None = None,
+        alone: bool = False,
+        known: list | None = None,
+    ) -> Any:
+        fenced = self._shared or not alone
+        out = self._run(jax.tree.leaves(args), known, fence if fenced else None)
         return jax.tree.unflatten(self._tree, out)
 
     def ahead(self, *args: Any) -> list:
@@ -113,6 +111,10 @@ class Traced:
         ]
         out = _dependencies(jaxpr, self._no_consts(), flags)
         return jax.tree.unflatten(self._tree, [bool(np.any(flag)) for flag in out])
+
+
+def _same(v: Array) -> Array:
+    return v
 
 
 class _Evaluation:

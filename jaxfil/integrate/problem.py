@@ -1,0 +1,102 @@
+"""What the loop is given: a problem of one lane.
+
+A system on components, a tableau, a grid of steps and what is to be recorded enter, and travel
+together from here on as a `Problem`.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.components import ComponentSystem
+from jaxfil.integrate.stepper import Tableau
+
+# Times closer than this many eps of their size are one time.
+SAME_TIME = 8
+
+
+def iteration_budget(num_steps: Array, max_events: int | None = None) -> Array:
+    """Iterations after which a run of `num_steps` steps is given up: 32 for each step, and 64 for
+    each of `max_events` contacts, which take about four. What runs into it does not end."""
+    contacts = 100_000 if max_events is None else 64 * max_events + 1024
+    return 32 * jnp.minimum(num_steps, 2**25) + contacts
+
+
+class TimeGrid(eqx.Module):
+    """The grid: `num_steps` steps of `dt` (signed) from `t0`, the last one ending at `length`.
+
+    Times in the loop are elapsed times, so that a huge t0 costs the grid no accuracy.
+    """
+
+    t0: Array
+    length: Array
+    dt: Array
+    num_steps: Array
+    max_iterations: Array
+
+    @property
+    def direction(self) -> Array:
+        """+1 forward in time, −1 backward."""
+        return jnp.where(self.length < 0, -1.0, 1.0).astype(self.dt.dtype)
+
+    def same_time(self, tau: Array) -> Array:
+        """The rounding of times near the elapsed time `tau`."""
+        size = jnp.maximum(jnp.maximum(abs(self.t0 + tau), abs(tau)), 1e-3 * abs(self.dt))
+        return stop_gradient(SAME_TIME * jnp.finfo(self.dt.dtype).eps * size)
+
+    def grid_point(self, index: Array) -> Array:
+        """Elapsed time at the end of step number `index` (from 1)."""
+        last = index >= self.num_steps
+        return jnp.where(last, self.length, index.astype(self.dt.dtype) * self.dt)
+
+
+def even_grid(
+    t0: Array, length: Array, num_steps: Array, max_events: int | None = None
+) -> TimeGrid:
+    """The grid of `num_steps` equal steps, with the budget of `iteration_budget`. Only the end has
+    a derivative: the steps before it do not move."""
+    dt = stop_gradient(length) / num_steps.astype(length.dtype)
+    return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps, max_events))
+
+
+def grid_of_periods(period: Array, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:
+    """The grid of `count` periods after the first `start` from t = 0 on, `steps` steps each."""
+    num_steps = count * steps
+    return TimeGrid(
+        t0=jnp.asarray(start).astype(period.dtype) * period,
+        length=count.astype(period.dtype) * period,
+        dt=period / steps.astype(period.dtype),
+        num_steps=num_steps,
+        max_iterations=iteration_budget(num_steps),
+    )
+
+
+class Recording(eqx.Module):
+    """What is kept on the way.
+
+    `save` is "none", "ts" (the elapsed times `ts`, sorted along the direction of time), "steps"
+    (every state between two iterations) or "samples" (every `every`-th grid point from `first`
+    on), and there is space for `num_saves` of them. `max_events` is the length of the event table;
+    None keeps none and sets no limit.
+    """
+
+    save: str = eqx.field(static=True)
+    max_events: int | None = eqx.field(static=True)
+    num_saves: int = eqx.field(static=True, default=0)
+    ts: Array | None = None
+    first: Array | None = None
+    every: Array | None = None
+
+
+NOTHING = Recording("none", None)
+"""Neither states nor events are kept: the end alone is of interest."""
+
+
+class Problem(eqx.Module):
+    """A system to be integrated over a grid by a method, and what is to be recorded."""
+
+    system: ComponentSystem
+    tableau: Tableau
+    grid: TimeGrid
+    recording: Recording

@@ -1,0 +1,182 @@
+"""`continue_orbit`: a branch of periodic orbits by pseudo-arclength continuation.
+
+A system, the name of a parameter and an orbit enter; a `Branch` leaves: orbits along the curve, and
+the special points on it: folds, period doublings, Neimark–Sacker points, and every value where the
+sequence of contacts changes.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxfil.model import check
+from jaxfil.model.deprecation import renamed_argument
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import cast, get_parameter, replace_parameter
+from jaxfil.model.system import System
+from jaxfil.orbits.branch import Branch, SpecialPoint
+from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, contacts_of, orbit_of
+from jaxfil.orbits.curve import constraint_across
+from jaxfil.orbits.orbit import Orbit
+from jaxfil.orbits.orbit_curve import OrbitCurve
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
+
+# A guess of a state this small is measured as if it were this large.
+_SMALL = 1e-3
+# Steps off a branch, along the eigenvector of −1, to the branch of doubled period.
+_OFF = (1e-2, 3e-3, 1e-3)
+
+
+@renamed_argument("name", "parameter")
+def continue_orbit(
+    system: System,
+    parameter: str,
+    orbit: Orbit | SpecialPoint,
+    *,
+    stop: float | tuple[float, float],
+    max_step: float = 0.02,
+    max_points: int = 2000,
+    throw: bool = True,
+) -> Branch:
+    """The branch of periodic orbits through `orbit` as `parameter` varies.
+
+    Pseudo-arclength: a step along the tangent, then Newton in the plane across it, so that folds
+    are no obstacle. Steps adapt to the curve. Special points are located on the way to about 1e-10
+    of the parameter.
+
+    **Arguments**
+
+    - `orbit`: where to start, as `periodic_orbit` gives it (or a period doubling of another
+      branch, from which the branch of doubled period is followed).
+    - `stop`: the value of the parameter to end at; a pair of values follows the branch both ways,
+      down to the one and up to the other. A branch that turns back ends where it leaves this range.
+    - `max_step`: largest step, relative to the size of the unknowns.
+    - `max_points`: the most points in either direction.
+
+    **Returns** a `Branch`.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=12.0)
+    >>> orbit = jf.periodic_orbit(belt, jnp.array([0.1, 0.0]))
+    >>> branch = jf.continue_orbit(belt, "omega", orbit, stop=10.0)
+    >>> print(branch.points[0].kind, round(branch.points[0].value, 6))
+    contacts 10.904976
+    """
+    check.system("system", system)
+    if np.ndim(get_parameter(system, parameter)):
+        raise ValueError(f"`parameter` must be a scalar parameter, but {parameter!r} is an array.")
+    max_points = check.count("max_points", max_points)
+    max_step = float(check.scalar("max_step", max_step, float, positive=True))
+    ends = ends_of(stop)
+    if isinstance(orbit, SpecialPoint):
+        given = orbit.orbit
+        curve, start, result = _off_branch(system, parameter, orbit)
+    elif isinstance(orbit, Orbit) and orbit.x0.ndim == 1:
+        given = orbit
+        curve, start, result = _on_branch(system, parameter, orbit)
+    else:
+        raise ValueError(f"`orbit` must be a single Orbit or a SpecialPoint, got {orbit!r}.")
+    if start is None:
+        branch = _not_begun(curve, given, result)
+    else:
+        within = range_around(ends, curve.value(start))
+        starts = [dataclasses.replace(start, tangent=sign * start.tangent) for sign in within.ways]
+        branch = _branch(curve, follow(curve, starts, within, max_step, max_points))
+    if not throw:
+        return branch
+    return branch.result.error_if(branch, branch.result != RESULTS.successful)
+
+
+def _on_branch(
+    system: System, parameter: str, orbit: Orbit
+) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
+    """The branch of an orbit; the orbit as a point of it, if Newton's method stays; its outcome."""
+    system = cast(system, orbit.x0.dtype)
+    periods = 1
+    if system.period is not None:
+        periods = round(float(orbit.period / jnp.asarray(orbit.system.period)))
+    known = get_parameter(orbit.system, parameter)
+    system = replace_parameter(system, parameter, known)
+    curve = OrbitCurve(OrbitProblem(system, orbit.options, parameter, periods))
+    q = [float(orbit.period), float(known)] if curve.problem.autonomous else [float(known)]
+    starts = np.asarray(orbit.starts)
+    u = np.append(starts.ravel(), q)
+    size = np.maximum(np.max(abs(starts), axis=0), _SMALL)
+    scale = np.append(np.tile(size, orbit.options.arcs), [abs(v) or 1.0 for v in q])
+    constraint = constraint_across(u, scale, curve.axis(u), 0.0)
+    root = curve.solve(u, constraint)
+    found = bool(root.result == RESULTS.successful)
+    point = curve.point(root, constraint, curve.axis(u)) if found else None
+    return curve, point, root.result
+
+
+def _off_branch(
+    system: System, parameter: str, doubling: SpecialPoint
+) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
+    """The branch of doubled period at a period doubling; a point of it beside that, if there is
+    one; the outcome of Newton's method."""
+    if doubling.kind != "period-doubling":
+        raise ValueError(f"`orbit` must be a period doubling, got a {doubling.kind}.")
+    single, at, result = _on_branch(system, parameter, doubling.orbit)
+    problem = single.problem
+    if problem.options.arcs > 1 or problem.autonomous:
+        raise ValueError("`orbit` must be of a forced system and shot in one segment.")
+    options = dataclasses.replace(problem.options, steps=2 * problem.options.steps)
+    curve = OrbitCurve(OrbitProblem(problem.system, options, parameter, 2 * problem.periods))
+    if at is None:
+        return curve, None, result
+    values, vectors = np.linalg.eig(np.asarray(doubling.orbit.monodromy))
+    scale = single.metric(at)
+    along = np.append(np.real(vectors[:, np.argmin(abs(values + 1))]), 0.0) / scale
+    along /= np.linalg.norm(along)
+    for ds in _OFF:
+        constraint = constraint_across(at.u, scale, along, ds)
+        root = curve.solve(at.u + ds * along * scale, constraint)
+        result = root.result
+        if bool(result == RESULTS.successful):
+            return curve, curve.point(root, constraint, along), result
+    return curve, None, result
+
+
+def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
+    """A path as the `Branch` it is."""
+    problem = curve.problem
+    orbits = [orbit_of(problem, point) for point in path.points]
+    dynamic = [eqx.filter(orbit, eqx.is_array) for orbit in orbits]
+    stacked = jax.tree.map(lambda *v: jnp.stack(v), *dynamic)
+    return Branch(
+        parameter=problem.parameter,
+        values=np.array([curve.value(point) for point in path.points]),
+        orbits=eqx.combine(stacked, eqx.filter(orbits[0], eqx.is_array, inverse=True)),
+        points=[
+            SpecialPoint(
+                s.kind, curve.value(s.point), orbit_of(problem, s.point), s.index, s.before, s.after
+            )
+            for s in path.special
+        ],
+        sequences=tuple(point.sequence for point in path.points),
+        ended=path.ended,
+        periods=problem.periods,
+        result=RESULTS.successful,
+    )
+
+
+def _not_begun(curve: OrbitCurve, orbit: Orbit, result: RESULTS) -> Branch:
+    """Nothing but the orbit that was given. What it failed by itself comes first."""
+    value = float(get_parameter(orbit.system, curve.parameter))
+    arrays, rest = eqx.partition(orbit, eqx.is_array)
+    why = f"no branch was found at {value:.10g}"
+    return Branch(
+        parameter=curve.parameter,
+        values=np.array([value]),
+        orbits=eqx.combine(jax.tree.map(lambda v: v[None], arrays), rest),
+        points=[],
+        sequences=(contacts_of(orbit.events),),
+        ended=(why, why),
+        periods=curve.problem.periods,
+        result=RESULTS.where(orbit.result == RESULTS.successful, result, orbit.result),
+    )

@@ -1,0 +1,163 @@
+"""A curve of solutions, as pseudo-arclength continuation sees it.
+
+A guess and an `ArclengthConstraint` enter; the point of the curve that fulfils it leaves, with what
+is known there. What differs from curve to curve (orbits as a parameter varies, tangencies as two
+do) is said by a class of its own, a `Curve`.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, ClassVar, Generic, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.orbits.newton import Evaluation, Root
+
+
+class ArclengthConstraint(eqx.Module):
+    """normal · (u − base)/scale = offset."""
+
+    base: Float[Array, " N"]
+    scale: Float[Array, " N"]
+    normal: Float[Array, " N"]
+    offset: Float[Array, ""]
+
+    def appended(self, at: Evaluation, u: Array) -> Evaluation:
+        """What is known at u, with this equation as the last one."""
+        gap = self.normal @ ((u - self.base) / self.scale) - self.offset
+        return dataclasses.replace(
+            at,
+            residual=jnp.append(at.residual, gap),
+            jacobian=jnp.concatenate([at.jacobian, (self.normal / self.scale)[None]]),
+            equation_scale=jnp.append(at.equation_scale, 1.0),
+        )
+
+
+def constraint_across(
+    base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float | np.ndarray
+) -> ArclengthConstraint:
+    """An `ArclengthConstraint` of NumPy arrays, or many of them."""
+    return ArclengthConstraint(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
+
+
+@dataclasses.dataclass(frozen=True)
+class CurvePoint:
+    """A point of a curve: its unknowns u, their scales, the tangent of the curve in scaled unknowns
+    (of length one), and the evaluations that Newton's method took."""
+
+    u: np.ndarray
+    scale: np.ndarray
+    tangent: np.ndarray
+    num_steps: int
+
+
+def tangent_of(root: Root, scale: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """The tangent at a root, in unknowns of this scale, to the side of `along`: what the equations
+    without the last one, the constraint, leave free."""
+    rows = np.asarray(root.at.jacobian)[:-1] * scale
+    tangent = np.linalg.svd(rows)[2][-1]
+    return tangent if tangent @ along >= 0 else -tangent
+
+
+_Point = TypeVar("_Point", bound=CurvePoint)
+
+
+@dataclasses.dataclass(frozen=True)
+class Special(Generic[_Point]):
+    """A special point: what happens there, and what is different before and after it. It lies
+    between the points number index − 1 and index of its curve."""
+
+    kind: str
+    point: _Point
+    before: Any
+    after: Any
+    index: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class StepSizes:
+    """How steps adapt, in scaled unknowns: the first and the least one, and by how much a step
+    grows where the tangent has turned by no more than the cosine `straight` and Newton's method
+    took at most `easy` evaluations. A step below `corner` may turn as it likes."""
+
+    first: float
+    least: float
+    growth: float
+    straight: float
+    easy: int
+    corner: float
+
+
+class Curve(abc.ABC, Generic[_Point]):
+    """A curve of solutions of N − 1 equations for N unknowns u, and what happens on it."""
+
+    steps: ClassVar[StepSizes]
+    """Its steps."""
+    solution: ClassVar[str]
+    """What a point of it is, in a word."""
+    place: ClassVar[int]
+    """Which of the unknowns is the parameter that it is followed in."""
+
+    @property
+    @abc.abstractmethod
+    def parameter(self) -> str:
+        """The name of that parameter."""
+
+    @abc.abstractmethod
+    def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
+        """Newton's root of the equations and the constraint, near a guess."""
+
+    @abc.abstractmethod
+    def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> _Point:
+        """A root as a point, its tangent to the side of `along`."""
+
+    @abc.abstractmethod
+    def metric(self, point: _Point) -> np.ndarray:
+        """The scales in which a step from a point is measured."""
+
+    @abc.abstractmethod
+    def special_points(self, a: _Point, b: _Point) -> Iterable[Special[_Point]]:
+        """The special points between two neighbours, in order."""
+
+    def beyond_end(self, here: _Point) -> tuple[_Point, Special[_Point]] | None:
+        """The point from which the curve goes on where no step leads on, and what happens there."""
+        return None
+
+    def refusal(self, ahead: _Point) -> str | None:
+        """Why a solution of the equations is none of the curve's."""
+        return None
+
+    def told(self, point: _Point) -> str:
+        """Where a point is, in words."""
+        return f"{self.value(point):.10g}"
+
+    def value(self, point: _Point) -> float:
+        """The parameter at a point."""
+        return float(point.u[self.place])
+
+    def correct(
+        self, guess: np.ndarray, constraint: ArclengthConstraint, along: np.ndarray
+    ) -> _Point | None:
+        """The point near a guess that fulfils a constraint; None if there is none."""
+        root = self.solve(guess, constraint)
+        found = bool(root.result == RESULTS.successful)
+        return self.point(root, constraint, along) if found else None
+
+    def at_value(self, a: _Point, b: _Point, value: float) -> _Point | None:
+        """The point between two neighbours where the parameter has a value."""
+        part = (value - self.value(a)) / (self.value(b) - self.value(a))
+        base = a.u + part * (b.u - a.u)
+        base[self.place] = value
+        constraint = constraint_across(base, a.scale, self.axis(base), 0.0)
+        return self.correct(base, constraint, b.tangent)
+
+    def axis(self, u: np.ndarray) -> np.ndarray:
+        """The direction in which the parameter alone changes."""
+        normal = np.zeros_like(u)
+        normal[self.place] = 1.0
+        return normal

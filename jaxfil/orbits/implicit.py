@@ -1,0 +1,95 @@
+"""The solution of equations that depend on a system's parameters, and its derivative.
+
+Equations r(z; θ) = 0, a system whose float leaves are θ, and a guess of z enter; the solution z
+leaves, with the derivative of the implicit function, dz/dθ = −(∂r/∂z)⁻¹ ∂r/∂θ, forward and reverse.
+
+`jax.lax.custom_root` has the same rule but differentiates r along one tangent of θ, which reverse
+mode would have to transpose, through an integrator's loop that only has forward derivatives. Here
+the whole matrix dz/dθ is formed by forward mode; its product with a tangent can be transposed.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float
+
+from jaxfil.model.parameter import is_parameter
+from jaxfil.model.system import System
+
+SystemOf = Callable[[Array], System]
+"""The system for the vector θ of all its float leaves."""
+
+
+class Equations(eqx.Module):
+    """Equations r(z; θ) = 0 for N unknowns, and how they are solved."""
+
+    @abc.abstractmethod
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Any]:
+        """The solution z, shape (N,), ∂r/∂z there, shape (N, N), and what else is known there."""
+
+    @abc.abstractmethod
+    def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """∂r/∂θ, shape (N, p)."""
+
+
+class _SystemOf(eqx.Module):
+    """A system without its float leaves, and how they are cut from one vector."""
+
+    rest: System
+    unravel: Callable[[Array], System] = eqx.field(static=True)
+
+    def __call__(self, theta: Array) -> System:
+        return eqx.combine(self.unravel(theta), self.rest)
+
+
+def solve_implicit(
+    equations: Equations, system: System, guess: Float[Array, " N"]
+) -> tuple[Float[Array, " N"], Any]:
+    """The solution near a guess and what else is known there. The solution has derivatives with
+    respect to the float leaves of the system; those of all else are NaN."""
+    theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
+    system_of = _SystemOf(eqx.filter(system, is_parameter, inverse=True), unravel)
+    equations = jax.tree.map(lambda v: stop_gradient(v) if eqx.is_array(v) else v, equations)
+    z, _, more = _solution(
+        theta, equations=equations, system_of=system_of, guess=stop_gradient(guess)
+    )
+    return z, more
+
+
+# Compiled, as is the matrix below: a search by gradient outside of `jit` calls both many times.
+@eqx.filter_jit
+def _solve(theta: Array, equations: Equations, system_of: _SystemOf, guess: Array) -> tuple:
+    return equations.solve(system_of(theta), guess)
+
+
+@eqx.filter_jit
+def _sensitivity(
+    theta: Array, equations: Equations, system_of: _SystemOf, z: Array, by_z: Array
+) -> Array:
+    return -jnp.linalg.solve(by_z, equations.by_parameters(system_of, theta, z))
+
+
+@eqx.filter_custom_jvp
+def _solution(theta: Array, *, equations: Equations, system_of: _SystemOf, guess: Array) -> tuple:
+    return _solve(theta, equations, system_of, guess)
+
+
+@_solution.def_jvp
+def _solution_jvp(
+    primals: tuple, tangents: tuple, *, equations: Equations, system_of: _SystemOf, guess: Array
+) -> tuple[tuple, tuple]:
+    (theta,), (direction,) = primals, tangents
+    z, by_z, more = _solution(theta, equations=equations, system_of=system_of, guess=guess)
+    # A NaN is seen where somebody takes the derivative of what has none; a zero would not be.
+    none = jax.tree.map(
+        lambda v: jnp.full_like(v, jnp.nan) if eqx.is_inexact_array(v) else None, (by_z, more)
+    )
+    if direction is None:
+        return (z, by_z, more), (jnp.zeros_like(z), *none)
+    return (z, by_z, more), (_sensitivity(theta, equations, system_of, z, by_z) @ direction, *none)

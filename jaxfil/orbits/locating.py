@@ -1,0 +1,77 @@
+"""Special points between two neighbours on a curve.
+
+Two points of a `Curve` enter, and a test function that changes its sign between them or a property
+that one of them has and the other has not; the point where that happens leaves.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+import scipy  # its parts are imported where they are first used
+
+from jaxfil.orbits.curve import Curve, CurvePoint, constraint_across
+
+# Special points are located to this distance, in scaled unknowns.
+_LOCATED = 1e-12
+# A test function this small is zero: a determinant of numbers of order one, known to rounding.
+_ZERO = 1e-13
+
+_Point = TypeVar("_Point", bound=CurvePoint)
+
+
+class _Lost(Exception):
+    """There is no point, or the test function has no value."""
+
+
+def zero_on_curve(
+    curve: Curve[_Point], a: _Point, b: _Point, test: Callable[[_Point], float]
+) -> _Point | None:
+    """The point between two at which a test function is zero, by Alefeld, Potra and Shi's
+    algorithm 748. If the curve is lost on the way, the last point that was found on it."""
+    last = None
+
+    def value(part: float) -> float:
+        nonlocal last
+        if part in (0.0, 1.0):
+            return test(b if part else a)
+        point = _at_part(curve, a, b, part)
+        found = np.nan if point is None else test(point)
+        if not np.isfinite(found):
+            raise _Lost
+        last = point
+        return found if abs(found) > _ZERO else 0.0
+
+    try:
+        part: Any = scipy.optimize.toms748(value, 0.0, 1.0, xtol=_LOCATED / _distance(a, b))
+    except _Lost:
+        return last
+    return _at_part(curve, a, b, part) or last
+
+
+def change_on_curve(
+    curve: Curve[_Point], a: _Point, b: _Point, same: Callable[[_Point], bool]
+) -> tuple[_Point, _Point]:
+    """Two points next to each other, the first with a property of a, the second without, by
+    bisection: a property has no value that could say how far to go."""
+    low, high, before, after = 0.0, 1.0, a, b
+    while (high - low) * _distance(a, b) > _LOCATED:
+        middle = 0.5 * (low + high)
+        point = _at_part(curve, a, b, middle)
+        if point is not None and same(point):
+            low, before = middle, point
+        else:
+            high, after = middle, after if point is None else point
+    return before, after
+
+
+def _distance(a: CurvePoint, b: CurvePoint) -> float:
+    return float(np.max(abs(b.u - a.u) / a.scale))
+
+
+def _at_part(curve: Curve[_Point], a: _Point, b: _Point, part: float) -> _Point | None:
+    """The point that lies this part of the way between two."""
+    normal = (b.u - a.u) / a.scale
+    base = a.u + part * (b.u - a.u)
+    constraint = constraint_across(base, a.scale, normal / np.linalg.norm(normal), 0.0)
+    return curve.correct(base, constraint, a.tangent)

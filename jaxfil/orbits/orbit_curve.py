@@ -1,0 +1,107 @@
+"""`OrbitCurve`: a branch of periodic orbits as a curve to be followed.
+
+Where the period map has a square root (an orbit that grazes a discontinuity) the branch has a
+corner: it goes on in another direction, perhaps back. The step cannot get round it; the points of
+the branch that lie at a small distance in many directions can, and the nearest one that does not
+lie where the branch has come from goes on.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, point_of, solve_across
+from jaxfil.orbits.curve import (
+    ArclengthConstraint,
+    Curve,
+    Special,
+    StepSizes,
+    constraint_across,
+)
+from jaxfil.orbits.newton import Root
+from jaxfil.orbits.special_points import special_orbits
+
+# A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
+# root of the period map needs many, as it is halved again and again.
+_NEWTON_STEPS, _MANY_STEPS = 12, 40
+# Directions in which the way round a corner is searched, and how far from it.
+_DIRECTIONS, _RADIUS = 48, 1e-3
+# A point further away than so many of these distances is on another branch, one at this cosine to
+# the tangent where the branch has come from.
+_REACH, _BACK = 20, -0.95
+
+
+@dataclasses.dataclass(frozen=True)
+class OrbitCurve(Curve[OrbitPoint]):
+    """The branch of an `OrbitProblem`. The last unknown is the parameter."""
+
+    problem: OrbitProblem
+
+    # The branch ends at a corner or a square root, and where it ends is known to the least step.
+    steps = StepSizes(first=0.005, least=1e-9, growth=1.6, straight=0.995, easy=5, corner=1e-5)
+    solution = "orbit"
+    place = -1
+
+    @property
+    def parameter(self) -> str:
+        """The name of the parameter."""
+        return self.problem.parameter
+
+    def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
+        """By shooting."""
+        steps = jnp.asarray(_NEWTON_STEPS, jnp.int32)
+        return solve_across(self.problem, jnp.asarray(guess), constraint, steps)
+
+    def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:
+        """With its shot."""
+        return point_of(root, constraint, along)
+
+    def metric(self, point: OrbitPoint) -> np.ndarray:
+        """A state by its largest value on the orbit, a parameter by its size. All arcs together
+        count as one state."""
+        m = self.problem.options.arcs
+        size = np.tile(np.asarray(point.shot.size) * np.sqrt(m), m)
+        q = point.u[size.shape[0] :]
+        return np.append(size, np.where(q == 0, 1.0, abs(q)))
+
+    def special_points(self, a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
+        """Zeros of test functions and changes of the contacts."""
+        return special_orbits(self, a, b)
+
+    def beyond_end(self, here: OrbitPoint) -> tuple[OrbitPoint, Special[OrbitPoint]] | None:
+        """The nearest way on round a corner: at a small distance in random directions, the nearest
+        point with other contacts that does not lie where the branch has come from."""
+        scale = self.metric(here)
+        best, least = None, _REACH * _RADIUS
+        for point in self._around(here, scale):
+            away = (point.u - here.u) / scale
+            distance = np.linalg.norm(away)
+            forward = float(away @ here.tangent / distance)
+            if point.sequence != here.sequence and forward > _BACK and distance < least:
+                sign = 1.0 if point.tangent @ away >= 0 else -1.0
+                best, least = dataclasses.replace(point, tangent=sign * point.tangent), distance
+        if best is None:
+            return None
+        return best, Special("contacts", here, here.sequence, best.sequence)
+
+    def _around(self, here: OrbitPoint, scale: np.ndarray) -> list[OrbitPoint]:
+        """Points of the branch at a small distance in many directions, all in one call."""
+        rng = np.random.default_rng(0)
+        normals = rng.normal(size=(_DIRECTIONS, here.u.size))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        base, scales = (np.broadcast_to(v, normals.shape) for v in (here.u, scale))
+        constraints = constraint_across(base, scales, normals, np.full(_DIRECTIONS, _RADIUS))
+        guesses = jnp.asarray(base + _RADIUS * normals * scales)
+        steps = jnp.asarray(_MANY_STEPS, jnp.int32)
+        solve = lambda u, constraint: solve_across(self.problem, u, constraint, steps)  # noqa: E731
+        roots = eqx.filter_vmap(solve)(guesses, constraints)
+        pick = lambda tree, i: jax.tree.map(lambda v: np.asarray(v)[i], tree)  # noqa: E731
+        return [
+            self.point(pick(roots, i), pick(constraints, i), here.tangent)
+            for i in np.flatnonzero(np.asarray(roots.result == RESULTS.successful))
+        ]

@@ -1,0 +1,153 @@
+"""`periodic_orbit`: a periodic orbit by Newton shooting.
+
+A system and a guess of a state on the orbit enter; an `Orbit` leaves, with its monodromy matrix,
+Floquet multipliers, contacts and outcome. Stable or unstable makes no difference.
+"""
+
+import dataclasses
+import functools as ft
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxfil.integrate.stepper import checked_stepper
+from jaxfil.model import check
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import cast
+from jaxfil.model.system import System
+from jaxfil.orbits.closing import ClosedOrbit, setting_of
+from jaxfil.orbits.implicit import solve_implicit
+from jaxfil.orbits.orbit import Orbit
+from jaxfil.orbits.shooting import ShootingOptions, Shot, flow_map, starts_from
+
+
+def periodic_orbit(
+    system: System,
+    x0: Float[Array, " n"],
+    *,
+    periods: int = 1,
+    period: Array | float | None = None,
+    t0: Array | float = 0.0,
+    steps: int = 40,
+    stepper: Any = None,
+    segments: int = 1,
+    transient: int = 0,
+    newton_steps: int = 50,
+    max_events: int = 64,
+    throw: bool = True,
+) -> Orbit:
+    """The periodic orbit near `x0`, by Newton's method on x(t0 + T; x0) = x0.
+
+    The Jacobian is the derivative of the flow, exact through every contact. A forced system has
+    T = `periods` · `system.period`; of an autonomous one T is found too, with the condition that
+    x0 moves at right angles to the field at the guess.
+
+    **Arguments**
+
+    - `x0`: a guess of the state at `t0`, shape (n,).
+    - `periods`: forcing periods after which the orbit closes.
+    - `period`: a guess of the period of an autonomous system.
+    - `t0`: the phase of the forcing at which the orbit is looked at.
+    - `steps`: steps per forcing period, or per period of an autonomous system.
+    - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
+    - `segments`: arcs of multiple shooting, for orbits that are very unstable.
+    - `transient`: forcing periods integrated from `x0` before Newton starts, for a poor guess of
+      a stable orbit.
+    - `newton_steps`: evaluations of the period map at most.
+    - `max_events`: contacts in one arc at most.
+    - `throw`: raise an error unless the outcome is successful; otherwise return it.
+
+    **Returns** an `Orbit`. For a batch use `equinox.filter_vmap` with `throw=False`: each lane
+    then has its own outcome. The derivatives of `orbit.x0` and `orbit.period` with respect to the
+    parameters are those of the implicit function theorem, forward and reverse.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> orbit = jf.periodic_orbit(jf.systems.SDOscillator(omega=0.7), jnp.array([3.0, 0.6]))
+    >>> print(round(float(orbit.x0[0]), 4), int(orbit.num_events), bool(orbit.stable))
+    2.9729 2 True
+    """
+    x = check.state("x0", x0)
+    dtype = x.dtype
+    check.system("system", system)
+    system = cast(system, dtype)
+    autonomous = system.period is None
+    if autonomous and period is None:
+        raise ValueError(
+            f"`period` must be a guess of the period: {type(system).__name__} is autonomous; "
+            "got None."
+        )
+    if not autonomous and period is not None:
+        raise ValueError(
+            f"`period` must be None: that of {type(system).__name__} is known (use `periods`); "
+            f"got {period!r}."
+        )
+    periods = check.count("periods", periods)
+    transient = check.count("transient", transient, least=0)
+    if autonomous and (periods > 1 or transient > 0):
+        raise ValueError(
+            "`periods` and `transient` count forcing periods, and must be 1 and 0 for an "
+            f"autonomous system; got {periods} and {transient}."
+        )
+    guess = jnp.ones((), dtype)
+    if autonomous:
+        guess = check.scalar("period", period, dtype, positive=True)
+    stepper = checked_stepper(stepper)
+    options = ShootingOptions(
+        t0=check.scalar("t0", t0, dtype),
+        steps=check.count("steps", steps) * periods,
+        arcs=check.count("segments", segments),
+        stepper=stepper,
+        max_events=check.count("max_events", max_events),
+    )
+    # Traced: another number compiles nothing.
+    budget = jnp.asarray(check.count("newton_steps", newton_steps), jnp.int32)
+    settle = jnp.asarray(transient, jnp.int32) if transient else None
+    orbit = _find(system, x, guess, options, periods, settle, budget)
+    if not throw:
+        return orbit
+    return orbit.result.error_if(orbit, orbit.result != RESULTS.successful)
+
+
+@eqx.filter_jit
+def _find(
+    system: System,
+    x0: Array,
+    guess: Array,
+    options: ShootingOptions,
+    periods: int,
+    transient: Array | None,
+    newton_steps: Array,
+) -> Orbit:
+    autonomous = system.period is None
+    setting = ft.partial(setting_of, system, periods)
+    q = guess[None] if autonomous else jnp.zeros((0,), x0.dtype)
+    if transient is not None:
+        # One forcing period after the other: the phase stays exact.
+        one = dataclasses.replace(options, steps=options.steps // periods, arcs=1)
+        forward = flow_map(ft.partial(setting_of, system, 1), one, q, 1.0)
+        x0 = jax.lax.fori_loop(0, transient, lambda i, x: forward(x, i.astype(x.dtype)), x0)
+    starts = starts_from(setting, options, x0, q)
+    equations = ClosedOrbit(options, newton_steps, periods)
+    z, root = solve_implicit(equations, system, jnp.append(starts.ravel(), q))
+    shot: Shot = root.at.aux
+    starts, q = equations.split(system, z)
+    _, period = setting(q)
+    return Orbit(
+        x0=starts[0],
+        period=jnp.asarray(period, x0.dtype),
+        # Of a shot that ended early there is none.
+        monodromy=jnp.where(shot.result == RESULTS.successful, shot.monodromy, jnp.nan),
+        residual=root.at.size,
+        events=shot.events,
+        num_events=shot.num_events,
+        first_mode=shot.first_mode,
+        result=root.result,
+        system=system,
+        starts=starts,
+        num_steps=root.num_steps,
+        options=options,
+    )

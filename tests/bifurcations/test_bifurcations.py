@@ -1,0 +1,412 @@
+"""Grazing and sliding bifurcations of periodic orbits.
+
+Reference values: the closed form of the SD oscillator's grazing, Den Hartog's closed form, the
+amplitude at which a linear oscillator reaches a wall, and numbers from an independent piecewise
+closed-form and mpmath computation for the belt of Santhosh, Narayanan and Padmanabhan (2016).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfil as jf
+from jaxfil.bifurcations.candidates import tangency_candidates
+from jaxfil.bifurcations.locate import BIFURCATION_KINDS
+from jaxfil.model.outcomes import EventKind, outcome_names
+from jaxfil.model.parameter import replace_parameter
+from tests.problems import closed_forms
+from tests.problems.values import (
+    BELT_ADDS,
+    BELT_CHANGES,
+    BELT_GRAZES,
+    CUBIC_GRAZES,
+    SD_GRAZES,
+    WALL_GRAZES,
+)
+from tests.results import in_float32, lane
+
+SD_LOW, SD_HIGH = SD_GRAZES
+BELT = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0)
+
+
+def sd_orbits(values):
+    """One-sided orbits of the SD oscillator, a linear oscillation about 1."""
+    system = jf.systems.SDOscillator()
+
+    def one(w):
+        return jf.periodic_orbit(
+            replace_parameter(system, "omega", w), jnp.array([1.5, 0.0]), steps=60, throw=False
+        )
+
+    return system, eqx.filter_vmap(one)(jnp.asarray(values))
+
+
+def belt_orbits(values):
+    def one(w):
+        orbit = jf.periodic_orbit(
+            replace_parameter(BELT, "omega", w),
+            jnp.array([1.0, 0.5]),
+            transient=20,
+            steps=60,
+            throw=False,
+        )
+        return orbit
+
+    return eqx.filter_vmap(one)(jnp.asarray(values))
+
+
+@pytest.fixture(scope="module")
+def sd():
+    system, orbits = sd_orbits([0.97 * SD_LOW, 0.8, 1.03 * SD_HIGH])
+    return system, orbits
+
+
+@pytest.fixture(scope="module")
+def sd_grazing(sd):
+    system, orbits = sd
+    return jf.find_bifurcation(system, "omega", lane(orbits, 0), "grazing")
+
+
+def test_the_sd_oscillator_grazes_where_its_amplitude_is_one(sd):
+    system, orbits = sd
+    found = jf.find_bifurcation(system, "omega", orbits, "grazing")
+    np.testing.assert_allclose(found.value, [SD_LOW, SD_LOW, SD_HIGH], rtol=0, atol=1e-11)
+    assert found.kind.tolist() == ["grazing"] * 3
+    # It touches x = 0 at rest, from the right, with a positive acceleration.
+    np.testing.assert_allclose(found.x, 0, atol=1e-11)
+    assert np.all(np.asarray(found.conditions.bend) > 0)
+
+
+# Guesses 3 % off on either side: values from the branch of an independent code, or from closed
+# forms per piece (0.917, 1.549, 10.905).
+BELT_CASES = {
+    "grazing-sliding": [(value, off) for value in BELT_GRAZES for off in (0.97, 1.03)],
+    "adding-sliding": [(BELT_ADDS, 0.97), (BELT_ADDS, 1.03)],
+}
+
+
+@pytest.mark.parametrize("kind", BELT_CASES)
+def test_bifurcations_of_the_belt_from_either_side(kind):
+    values = np.array([value for value, _ in BELT_CASES[kind]])
+    orbits = belt_orbits(values * [off for _, off in BELT_CASES[kind]])
+    found = jf.find_bifurcation(BELT, "omega", orbits, kind)
+    np.testing.assert_allclose(found.value, values, rtol=0, atol=1e-10)
+    assert found.kind.tolist() == [kind] * values.size
+    assert np.all(np.asarray(found.residual) < 1e-11)
+
+
+def test_a_cubic_spring_grazes_where_its_orbit_reaches_the_belt():
+    system = jf.systems.BeltFriction(omega=4.52)
+    orbit = jf.periodic_orbit(system, jnp.array([0.148, 0.358]), steps=160)
+    found = jf.find_bifurcation(system, "omega", orbit, "grazing", throw=False)
+    assert abs(float(found.value) - CUBIC_GRAZES) < 1e-10
+    # There is a sliding region where it touches: the name says so, whatever was asked for.
+    assert found.kind == "grazing-sliding"
+    assert outcome_names(found.result) == "other_kind"
+
+
+def test_sticking_begins_as_den_hartog_says_over_a_range_of_frequencies():
+    system = jf.systems.DenHartog(friction=0.78, omega=0.8)
+    orbit = jf.periodic_orbit(system, jnp.array([2.0, 0.3]), steps=80)
+    begins = jf.find_bifurcation(system, "friction", orbit, "crossing-sliding")
+    assert abs(float(begins.value) - 0.8174063857) < 1e-10
+    assert abs(float(begins.value) - closed_forms.den_hartog_sticks(0.8)) < 1e-11
+    names = ("omega", "friction")
+    curve = jf.continue_bifurcation(system, names, begins, stop=(0.55, 0.95))
+    omega, friction = curve.values.T
+    assert omega.min() == pytest.approx(0.55, abs=1e-12)
+    assert omega.max() == pytest.approx(0.95, abs=1e-12)
+    np.testing.assert_allclose(friction, closed_forms.den_hartog_sticks(omega), rtol=0, atol=1e-8)
+    assert set(curve.kinds) == {"crossing-sliding"}
+
+
+def test_a_wall_is_grazed_where_the_amplitude_reaches_it():
+    system = jf.systems.ImpactOscillator(amplitude=0.43, omega=1.2)
+    orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.5]), steps=60)
+    graze = jf.find_bifurcation(system, "amplitude", orbit, "grazing")
+    assert abs(float(graze.value) - WALL_GRAZES) < 1e-9
+    curve = jf.continue_bifurcation(system, ("omega", "amplitude"), graze, stop=(1.1, 1.3))
+    omega, amplitude = curve.values.T
+    exact = closed_forms.wall_amplitude(omega)
+    np.testing.assert_allclose(amplitude, exact, rtol=0, atol=1e-9)
+
+
+def test_the_curve_of_grazing_is_where_the_amplitude_is_one(sd_grazing):
+    system = jf.systems.SDOscillator(omega=0.84)
+    curve = jf.continue_bifurcation(system, ("omega", "f0"), sd_grazing, stop=(0.75, 0.95))
+    ax = curve.plot(jf.plot.page().add_subplot())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Ω", "f0")
+    omega, f0 = curve.values.T
+    exact = np.sqrt((1 - omega**2) ** 2 + (2 * 0.0141 * omega) ** 2)
+    np.testing.assert_allclose(f0, exact, rtol=0, atol=1e-9)
+    assert "omega from 0.75 to 0.95" in repr(curve)
+    assert outcome_names(curve.result) == "successful" and "  successful\n" in repr(curve)
+
+
+def test_the_value_has_the_derivative_of_the_closed_form(sd):
+    system, orbits = sd
+    orbit = lane(orbits, 0)
+
+    def value(system):
+        return jf.find_bifurcation(system, "omega", orbit, "grazing").value
+
+    slope = jax.grad(value)(system)
+
+    def exact(f0, zeta):
+        a = 1 - 2 * zeta**2
+        return jnp.sqrt(a - jnp.sqrt(a**2 - 1 + f0**2))
+
+    by_f0, by_zeta = jax.grad(exact, argnums=(0, 1))(jnp.float64(0.25), jnp.float64(0.0141))
+    np.testing.assert_allclose(slope.f0, by_f0, rtol=1e-9)
+    np.testing.assert_allclose(slope.zeta, by_zeta, rtol=1e-8)
+
+
+def margin_exact(f0, zeta, omega):
+    return 1 - f0 / jnp.sqrt((1 - omega**2) ** 2 + (2 * zeta * omega) ** 2)
+
+
+def test_the_margin_and_its_gradient_on_both_sides_of_grazing(sd):
+    _, orbits = sd
+    orbit = lane(orbits, 1)
+    margin = jax.jit(jax.value_and_grad(lambda s: jf.grazing_margin(s, orbit)))
+    for omega in (0.8, 0.855, 0.875):  # the last one past grazing, where the margin is negative
+        value, slope = margin(jf.systems.SDOscillator(omega=jnp.float64(omega)))
+        exact, by = jax.value_and_grad(margin_exact, argnums=(0, 1, 2))(0.25, 0.0141, omega)
+        assert abs(float(value - exact)) < 1e-11
+        np.testing.assert_allclose([slope.f0, slope.zeta, slope.omega], by, rtol=1e-8)
+    assert float(value) < 0
+
+
+def margins(system, orbit, omegas):
+    """Margins for many values of ω, each with its outcome."""
+
+    def one(omega):
+        moved = replace_parameter(system, "omega", omega)
+        return jf.grazing_margin(moved, orbit, throw=False)
+
+    return eqx.filter_vmap(one)(jnp.asarray(omegas))
+
+
+def test_every_lane_of_a_margin_has_its_own_outcome(sd):
+    system, orbits = sd
+    found = margins(system, lane(orbits, 1), [0.8, np.nan, 0.855])
+    assert outcome_names(found.result).tolist() == ["successful", "nonfinite", "successful"]
+    exact = [margin_exact(0.25, 0.0141, omega) for omega in (0.8, np.nan, 0.855)]
+    np.testing.assert_allclose(found.value, exact, rtol=0, atol=1e-11)
+    assert repr(found) == "GrazingMargin: a batch of shape (3,)"
+    single = lane(found, 0)
+    assert repr(single) == f"GrazingMargin: successful\n  margin {float(single.value):.12g}"
+    assert "GrazingMargin: nonfinite: The state" in repr(lane(found, 1))
+    assert "GrazingMargin in float32: successful" in repr(in_float32(single))
+
+
+def test_a_margin_that_is_not_found_is_an_error(sd):
+    system, orbits = sd
+    broken = replace_parameter(system, "omega", np.nan)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="is not finite"):
+        jf.grazing_margin(broken, lane(orbits, 1))
+    lost = jf.periodic_orbit(broken, jnp.array([1.5, 0.0]), throw=False)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="no approach to a surface"):
+        jf.grazing_margin(system, lost)
+    found = jf.grazing_margin(system, lost, throw=False)
+    assert outcome_names(found.result) == "no_tangency_found" and np.isnan(float(found.value))
+
+
+@pytest.mark.parametrize("throw", [True, False])
+def test_a_margin_has_its_derivatives_with_and_without_an_error(sd, throw):
+    _, orbits = sd
+    orbit = lane(orbits, 1)
+
+    def margin(f0, zeta, omega):
+        found = jf.grazing_margin(
+            jf.systems.SDOscillator(omega=omega, f0=f0, zeta=zeta), orbit, throw=throw
+        )
+        return found if throw else found.value
+
+    f0, zeta = jnp.float64(0.25), jnp.float64(0.0141)
+    args, which = (f0, zeta, jnp.array([0.8, 0.855])), (0, 1, 2)
+    exact = jax.vmap(jax.grad(margin_exact, which), (None, None, 0))(*args)
+    for derivative in (jax.grad, jax.jacfwd):
+        got = jax.jit(jax.vmap(derivative(margin, which), (None, None, 0)))(*args)
+        np.testing.assert_allclose(got, exact, rtol=1e-8)
+
+
+def test_the_nearest_grazing_set_is_found_by_gradient(sd):
+    """Projection onto the set margin = 0 by Newton along the gradient ends where the closed form
+    of the margin vanishes."""
+    _, orbits = sd
+    orbit = lane(orbits, 1)
+    margin = jax.jit(jax.value_and_grad(lambda s: jf.grazing_margin(s, orbit)))
+    system = jf.systems.SDOscillator(omega=jnp.float64(0.8))
+    for _ in range(8):
+        value, slope = margin(system)
+        size = slope.f0**2 + slope.omega**2
+        system = eqx.tree_at(
+            lambda s: (s.f0, s.omega),
+            system,
+            (system.f0 - value * slope.f0 / size, system.omega - value * slope.omega / size),
+        )
+    assert abs(margin_exact(system.f0, 0.0141, system.omega)) < 1e-12
+
+
+def test_everything_that_happens_to_an_orbit_in_one_call():
+    """Belt case 1 from 12 down to 3.9: three of the nine on [0.5, 20]."""
+    system = replace_parameter(BELT, "omega", 12.0)
+    orbit = jf.periodic_orbit(system, jnp.array([0.1, 0.0]), steps=60)
+    route = jf.find_bifurcations(system, "omega", orbit, stop=3.9)
+    assert [b.kind for b in route] == ["grazing-sliding", "switching-sliding", "crossing-sliding"]
+    expected = [BELT_GRAZES[1], 7.952394749883, 4.217222740070]
+    np.testing.assert_allclose([b.value for b in route], expected, rtol=0, atol=1e-8)
+    assert "switching-sliding" in repr(route)
+
+
+def with_a_graze(orbit, k):
+    """The orbit with a touch told in the middle of the flight that its contact number k ends."""
+    events = orbit.events
+    middle = 0.5 * (events.ts[k - 1] + events.ts[k])
+    inserted = jax.tree.map(lambda v: jnp.insert(v, k, v[k - 1], axis=0)[:-1], events)
+    inserted = eqx.tree_at(
+        lambda e: (e.ts, e.kinds),
+        inserted,
+        (inserted.ts.at[k].set(middle), inserted.kinds.at[k].set(int(EventKind.graze))),
+    )
+    return eqx.tree_at(lambda o: o.events, orbit, inserted)
+
+
+def test_a_touch_within_a_flight_hides_nothing():
+    """The slip that is born in the adding-sliding bifurcation rises so little at first that its
+    vertex is told as a touch."""
+    system = replace_parameter(BELT, "omega", 1.402)
+    orbit = jf.periodic_orbit(system, jnp.array([1.56, 1.0]), steps=60)
+    slip = float(orbit.events.ts[3] - orbit.events.ts[2])
+    for seen in (orbit, with_a_graze(orbit, 3)):
+        reach, touch = tangency_candidates(seen, "adding-sliding")[0]
+        assert reach == slip < 0.2
+        assert touch.side == -1
+
+
+@pytest.mark.slow
+def test_all_nine_bifurcations_of_the_belt():
+    """Santhosh et al. name six of them; two lie 0.005 apart."""
+    system = replace_parameter(BELT, "omega", 17.0)
+    orbit = jf.periodic_orbit(system, jnp.array([0.6, 0.02]), steps=60)
+    route = jf.find_bifurcations(system, "omega", orbit, stop=(0.5, 20.0))
+    assert [b.kind for b in route] == [
+        "grazing-sliding",
+        "grazing-sliding",
+        "adding-sliding",
+        "adding-sliding",
+        "crossing-sliding",
+        "crossing-sliding",
+        "crossing-sliding",
+        "switching-sliding",
+        "grazing-sliding",
+    ]
+    known = {0: BELT_GRAZES[0], 3: BELT_ADDS, 8: BELT_GRAZES[1]}
+    np.testing.assert_allclose([b.value for b in route], BELT_CHANGES, rtol=0, atol=6e-4)
+    for i, value in known.items():
+        assert abs(float(route.bifurcations[i].value) - value) < 1e-9
+
+
+@pytest.mark.slow
+def test_a_kind_changes_where_the_acceleration_at_the_touch_vanishes():
+    """On Σ the belt's d²H/dt² is −f0 ω sin ωt − γ1 v: at the point of codimension two it is 0."""
+    system = replace_parameter(BELT, "omega", 7.8)
+    orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.3]), steps=60)
+    found = jf.find_bifurcation(system, "omega", orbit, "switching-sliding")
+    curve = jf.continue_bifurcation(system, ("omega", "f0"), found, stop=(4.5, 8.5))
+    assert set(curve.kinds) == {"crossing-sliding", "switching-sliding"}
+    (point,) = curve.points
+    assert (point.before, point.after) == ("crossing-sliding", "switching-sliding")
+    omega, f0 = curve.values.T
+    bend = -f0 * omega * np.sin(omega * curve.ts) - 10.0
+    visible = np.array(curve.kinds) == "crossing-sliding"
+    assert np.all((bend > 0) == visible)
+    assert abs(np.interp(0, bend[::-1], omega[::-1]) - point.values[0]) < 1e-3
+
+
+def test_an_orbit_without_such_a_touch_says_so(sd):
+    _, orbits = sd
+    system = jf.systems.SDOscillator()
+    found = jf.find_bifurcation(system, "omega", lane(orbits, 0), "adding-sliding", throw=False)
+    assert outcome_names(found.result) == "no_tangency_found"
+    assert np.isnan(float(found.value))
+    assert found.kind == "undecided"
+
+
+def test_a_touch_of_another_kind_is_named(sd):
+    system, orbits = sd
+    found = jf.find_bifurcation(system, "omega", lane(orbits, 0), "grazing-sliding", throw=False)
+    assert outcome_names(found.result) == "other_kind"
+    assert found.kind == "grazing"
+    with pytest.raises(eqx.EquinoxRuntimeError, match="another kind"):
+        jf.find_bifurcation(system, "omega", lane(orbits, 0), "grazing-sliding")
+
+
+def test_a_failed_orbit_in_a_batch_harms_no_other(sd):
+    system, _ = sd
+
+    def one(w, x):
+        return jf.periodic_orbit(replace_parameter(system, "omega", w), x, steps=60, throw=False)
+
+    states = jnp.array([[1.5, 0.0], [jnp.nan, 0.0], [1.5, 0.0]])
+    broken = eqx.filter_vmap(one)(jnp.array([0.97 * SD_LOW, 0.8, 1.03 * SD_HIGH]), states)
+    found = jf.find_bifurcation(system, "omega", broken, "grazing", throw=False)
+    assert outcome_names(found.result).tolist() == ["successful", "no_tangency_found", "successful"]
+    np.testing.assert_allclose(found.value, [SD_LOW, np.nan, SD_HIGH], atol=1e-11)
+
+
+def test_a_bifurcation_is_found_under_jit(sd, sd_grazing):
+    system, orbits = sd
+    orbit = lane(orbits, 0)
+    value = jax.jit(lambda s: jf.find_bifurcation(s, "omega", orbit, "grazing").value)
+    np.testing.assert_allclose(value(system), sd_grazing.value, rtol=1e-14)
+    with pytest.raises(ValueError, match="`orbit` must be known numbers, got a traced Orbit"):
+        eqx.filter_jit(jf.find_bifurcation)(system, "omega", orbit, "grazing")
+
+
+def test_a_curve_that_does_not_begin_is_an_outcome(sd, sd_grazing):
+    system, orbits = sd
+    call = ("omega", "f0"), {"stop": (0.8, 0.9)}
+    # The state is that of another orbit, which does not close.
+    far = eqx.tree_at(lambda b: b.orbit.system.f0, sd_grazing, jnp.float64(40.0))
+    curve = jf.continue_bifurcation(system, call[0], far, **call[1], throw=False)
+    assert outcome_names(curve.result) == "newton_stalled"
+    np.testing.assert_allclose(curve.values, [[SD_LOW, 40.0]], rtol=1e-11)
+    np.testing.assert_array_equal(curve.xs, far.x[None])
+    assert curve.points == [] and curve.kinds == ("grazing",)
+    assert curve.ended == ("no curve was found at (0.86671658, 40)",) * 2
+    assert "newton_stalled: Newton's method cannot" in repr(curve)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="cannot reduce the residual"):
+        jf.continue_bifurcation(system, call[0], far, **call[1])
+    # One that was not found in the first place keeps its own outcome.
+    none = jf.find_bifurcation(system, "omega", lane(orbits, 0), "adding-sliding", throw=False)
+    curve = jf.continue_bifurcation(system, call[0], none, **call[1], throw=False)
+    assert outcome_names(curve.result) == "no_tangency_found"
+
+
+def test_bad_arguments_are_named(sd, sd_grazing):
+    system, orbits = sd
+    orbit = lane(orbits, 0)
+    with pytest.raises(ValueError, match=r"`kind` must be one of grazing, .*got 'fold'"):
+        jf.find_bifurcation(system, "omega", orbit, "fold")
+    with pytest.raises(ValueError, match=r"`parameter` must be a parameter of SDOscillator"):
+        jf.find_bifurcation(system, "freq", orbit, "grazing")
+    with pytest.raises(ValueError, match=r"`orbit` must be an Orbit, got ndarray"):
+        jf.find_bifurcation(system, "omega", np.zeros(2), "grazing")
+    with pytest.raises(ValueError, match=r"`orbit` must be a single Orbit"):
+        jf.grazing_margin(system, orbits)
+    with pytest.raises(ValueError, match=r"`parameters` must be two different parameters"):
+        jf.continue_bifurcation(system, ("omega", "omega"), sd_grazing, stop=(0.8, 0.9))
+    with pytest.raises(ValueError, match=r"`stop` must be \(low, high\) around"):
+        jf.continue_bifurcation(system, ("omega", "f0"), sd_grazing, stop=(0.9, 1.0))
+    assert BIFURCATION_KINDS[0] == "grazing"
+
+
+def test_a_bifurcation_prints_its_conditions(sd_grazing):
+    card = repr(sd_grazing)
+    assert "grazing at omega = 0.86671658197" in card
+    assert "d²H/dt² 0.75119" in card
+    assert "Bifurcation in float32: grazing at omega = 0.8667" in repr(in_float32(sd_grazing))

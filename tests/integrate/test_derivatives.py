@@ -1,0 +1,213 @@
+"""Derivatives through crossings, slides, intersections and resets.
+
+By x0, t0, t1 and every parameter: against closed forms, against central differences of values,
+and reverse mode against forward mode.
+"""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+from tests.problems import PROBLEMS, closed_forms, tagged
+from tests.problems.systems import Box
+
+FORWARD, REVERSE = diffrax.ForwardMode(), diffrax.RecursiveCheckpointAdjoint()
+S = jf.systems
+
+
+def solve(system, x0, t0, t1, dt, adjoint=FORWARD, **kwargs):
+    """A run within a budget, as reverse mode under traced times needs one.
+
+    Two surfaces take long to compile, and RK4, exact for their constant fields, a third of it.
+    """
+    if isinstance(system, Box):
+        kwargs["stepper"] = jf.RK4()
+    return jf.solve(system, x0, t0, t1, dt, adjoint=adjoint, max_steps=1024, **kwargs)
+
+
+BALL = S.BouncingBall(g=9.8, restitution=0.8)
+
+
+def inputs(system, x0, t0, t1):
+    return system, jnp.asarray(x0, float), jnp.asarray(float(t0)), jnp.asarray(float(t1))
+
+
+def flat(tree):
+    """A pytree of Jacobians as one matrix."""
+    leaves = [leaf.reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(tree)]
+    return np.concatenate(leaves, axis=1)
+
+
+def arguments(name):
+    """The system, start and times of a problem of the bank."""
+    p = PROBLEMS[name]
+    return inputs(p.system, p.x0, p.t0, p.t1)
+
+
+@pytest.mark.parametrize("name", tagged("flow"))
+def test_closed_forms(name):
+    p, args = PROBLEMS[name], arguments(name)
+    end = jax.jit(lambda *args: solve(*args, p.dt).xs[-1])
+    assert_allclose(end(*args), p.flow(*args), rtol=0, atol=p.atol)
+    got = jax.jit(jax.jacfwd(end, (0, 1, 2, 3)))(*args)
+    want = jax.jacfwd(p.flow, (0, 1, 2, 3))(*args)
+    assert_allclose(flat(got), flat(want), rtol=0, atol=1e-9)
+
+
+# Scenes with kinks of every kind, over spans that are no whole number of steps.
+SCENES = {
+    "sd": (S.SDOscillator(omega=0.7), (0.3, 0.1), 0.05, 20.0),
+    "belt": (S.BeltFriction(omega=4.56), (0.1, 0.9), 0.02, 1.5),
+    "moving belt": (S.MovingBelt(), (3.0, 0.0), 0.1, 17.0),
+    "slip-stick": (S.SlipStick(), (1.2, 0.6), 0.0, 11.0),
+    "den hartog": (S.DenHartog(friction=0.9), (0.5, 0.4), 0.0, 12.0),
+    "impacts": (S.ImpactOscillator(amplitude=0.9, omega=1.2), (0.0, 0.3), 0.0, 15.0),
+    "fold": (S.VisibleFold(), (-1.0, 0.1), 0.0, 2.2),
+}
+
+
+def scene(name):
+    """The end of a scene's run as a function of all its inputs in one vector.
+
+    The SD oscillator's alpha is left out: values near 0 need steps of that size.
+    """
+    args = inputs(*SCENES[name])
+    vector, back = ravel_pytree(args)
+    keep = np.ones(vector.size, bool)
+    if name == "sd":
+        keep[[k for k in range(4) if vector[k] == 0.0]] = False
+    keep = np.flatnonzero(keep)
+
+    def end(part, adjoint=FORWARD):
+        args = back(vector.at[keep].set(part))
+        return solve(*args, (SCENES[name][3] - SCENES[name][2]) / 401.3, adjoint).xs[-1]
+
+    return end, vector[keep]
+
+
+@pytest.mark.parametrize("name", list(SCENES))
+def test_central_differences(name):
+    end, vector = scene(name)
+    steps = 1e-4 * np.maximum(abs(np.asarray(vector)), 0.1)
+    offsets = np.asarray([-2, -1, 1, 2])[:, None, None] * np.diag(steps)
+    values = jax.jit(jax.vmap(jax.vmap(end)))(vector + jnp.asarray(offsets))
+    weights = np.asarray([1, -8, 8, -1]) / 12
+    differences = np.einsum("k,kij->ji", weights, np.asarray(values)) / steps
+    got = jax.jit(jax.jacfwd(end))(vector)
+    scale = np.maximum(abs(differences), 1)
+    assert_allclose(got / scale, differences / scale, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["sd", "moving belt", "impacts"])
+def test_reverse_is_forward(name):
+    end, vector = scene(name)
+    forward = jax.jit(jax.jacfwd(end))(vector)
+    reverse = jax.jit(jax.jacrev(lambda part: end(part, REVERSE)))(vector)
+    scale = np.maximum(abs(np.asarray(forward)), 1)
+    assert_allclose(reverse / scale, forward / scale, rtol=0, atol=1e-12)
+
+
+def test_reverse_on_an_intersection():
+    system, x0, t0, t1 = arguments("box by everything")
+    got = jax.grad(lambda s, x: solve(s, x, t0, t1, 0.1, REVERSE).xs[-1, 2], (0, 1))(system, x0)
+    want = jax.grad(lambda s, x: closed_forms.box(s, x, t0, t1)[2], (0, 1))(system, x0)
+    for left, right in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+        assert_allclose(left, right, rtol=0, atol=1e-12)
+
+
+def test_alpha_of_the_sd_oscillator_leaves_no_nan():
+    def end(alpha):
+        system = S.SDOscillator(omega=0.7, alpha=alpha)
+        return solve(system, jnp.asarray([0.3, 0.1]), 0.0, 10.0, 0.05).xs[-1]
+
+    assert np.isfinite(jax.jacfwd(end)(jnp.asarray(0.0))).all()
+
+
+def test_smooth_sd_oscillator():
+    # alpha > 0 is smooth: variational equation by central differences.
+    def end(alpha):
+        system = S.SDOscillator(omega=0.7, alpha=alpha)
+        return solve(system, jnp.asarray([0.3, 0.1]), 0.0, 10.0, 0.025).xs[-1]
+
+    alphas = 0.3 + 1e-4 * jnp.asarray([-2.0, -1.0, 1.0, 2.0])
+    values = np.asarray(jax.vmap(end)(alphas))
+    difference = np.asarray([1, -8, 8, -1]) @ values / 12e-4
+    assert_allclose(jax.jacfwd(end)(jnp.asarray(0.3)), difference, rtol=1e-7)
+
+
+def test_event_times_and_states():
+    # Rotating: met at t0 - ln r0, at the angle θ0 - ω (t* - t0), turning with -ω until then.
+    def event(system, x0, t0, t1):
+        sol = solve(system, x0, t0, t1, 0.01, max_events=4)
+        return jnp.append(sol.events.xs[0], sol.events.ts[0])
+
+    def exact(system, x0, t0, t1):
+        wait = -jnp.log(jnp.hypot(x0[0], x0[1]))
+        angle = jnp.arctan2(x0[1], x0[0]) - system.omega * wait
+        return jnp.stack([jnp.cos(angle), jnp.sin(angle), t0 + wait + 0 * t1])
+
+    args = arguments("rotating by everything")
+    assert_allclose(event(*args), exact(*args), rtol=0, atol=1e-11)
+    got = jax.jacfwd(event, (0, 1, 2, 3))(*args)
+    assert_allclose(flat(got), flat(jax.jacfwd(exact, (0, 1, 2, 3))(*args)), rtol=0, atol=1e-9)
+
+
+def test_saved_states_between_contacts():
+    # Every saved state has its own derivative, before and after the two impacts.
+    ts = [0.5, 2.0, 3.9]
+
+    def saved(system, x0):
+        saveat = diffrax.SaveAt(ts=jnp.asarray(ts))
+        return solve(system, x0, 0.0, 4.0, 0.02, saveat=saveat).xs
+
+    system, x0 = BALL, jnp.asarray([10.0, 1.0])
+    got = jax.jacfwd(saved, (0, 1))(system, x0)
+    last = jax.jacfwd(lambda s, x: closed_forms.ball(s, x, 0.0, 3.9), (0, 1))(system, x0)
+    free = jax.jacfwd(
+        lambda s, x: jnp.stack([x[0] + x[1] * 0.5 - s.g * 0.125, x[1] - s.g * 0.5]), (0, 1)
+    )(system, x0)
+    for row, want in ((0, free), (2, last)):
+        picked = jax.tree.map(lambda leaf, row=row: leaf[row], got)
+        assert_allclose(flat(picked), flat(want), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("tail", [0.05, 1.0])
+def test_saltation_matrix(tail):
+    # One crossing of a surface that moves: X = E2 (I + (f+ - f-) n^T / (n·f- + H_t)) E1, where
+    # here E is the flow of y'' = -side on each side of y' = t/2.
+    class Throw(jf.System):
+        """y'' = -1 above the moving line y' = t/2 and -3 below it."""
+
+        def vector_field(self, t, x, side):
+            return jnp.stack([x[1], -2 + side])
+
+        def switching(self, t, x):
+            return x[1] - t / 2
+
+    def end(x0):
+        return solve(Throw(), x0, 0.0, 2.0 + tail, 0.07).xs[-1]
+
+    # v = 3 - t meets t/2 at t = 2; H' = -3/2 there; the field jumps by (0, -2).
+    saltation = np.asarray([[1, 0], [0, 1 + (-2) / (-1.5)]])
+    want = np.asarray([[1, tail], [0, 1]]) @ saltation @ np.asarray([[1, 2], [0, 1]])
+    assert_allclose(jax.jacfwd(end)(jnp.asarray([0.0, 3.0])), want, atol=1e-12)
+
+
+def test_batched_and_jitted():
+    def end(x0, friction):
+        system = S.CoulombOscillator(friction=friction)
+        return jf.solve(system, x0, 0.0, 20.0, 0.1).xs[-1]
+
+    x0 = jnp.asarray([[3.0, 0.1], [2.0, -0.5], [-2.5, 0.3]])
+    friction = jnp.asarray([0.4, 0.3, 0.5])
+    batched = jax.jit(jax.vmap(jax.jacfwd(end, (0, 1))))(x0, friction)
+    single = jax.jit(jax.jacfwd(end, (0, 1)))
+    for k in range(3):
+        alone = single(x0[k], friction[k])
+        for got, want in zip(batched, alone, strict=True):
+            assert_allclose(got[k], want, rtol=0, atol=1e-13)

@@ -1,0 +1,154 @@
+"""Slides that have broken trusted codes: one test a case, against answers by hand."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import RESULTS, EventKind
+from tests.problems import PROBLEMS, tagged
+from tests.problems.systems import corner
+from tests.results import assert_solves, run, solved, table
+
+
+@pytest.mark.parametrize("name", tagged("hand sliding"))
+def test_a_problem_has_its_known_motion(name):
+    assert_solves(PROBLEMS[name], solved(PROBLEMS[name]))
+
+
+@pytest.mark.parametrize("name", ["belt 1.4", "belt 1.54892"])
+@pytest.mark.parametrize("steps", [25, 60])
+def test_slip_shorter_than_a_step_inside_a_stick(name, steps):
+    # The second slip at omega = 1.54892 lasts 0.0188; a step is 0.16 or 0.068.
+    p = PROBLEMS[name]
+    sol = run(p.system, p.x0, p.t1, p.t1 / steps)
+    ts, kinds = table(sol)
+    assert kinds == p.kinds == [EventKind.slip, EventKind.stick] * 2
+    assert_allclose(ts, p.ts, atol=1e-10 if steps == 60 else 1e-5)
+    assert_allclose(sol.xs[-1], p.end, atol=1e-10 if steps == 60 else 1e-5)
+
+
+def sticks_and_slips(belts, x0, periods, per_period):
+    """Number of sticks and slips per lane, after checking that they alternate."""
+
+    def lane(belt):
+        dt = belt.period / 40
+        size = per_period * periods
+        sol = jf.solve(belt, x0, 0.0, periods * belt.period, dt, max_events=size, throw=False)
+        return sol.result == RESULTS.successful, sol.events.kinds
+
+    good, kinds = jax.jit(jax.vmap(lane))(belts)
+    assert good.all()
+    for row in np.asarray(kinds):
+        order = row[(row == EventKind.stick) | (row == EventKind.slip)]
+        assert np.all(order[1:] != order[:-1])
+    return (kinds == EventKind.stick).sum(axis=1), (kinds == EventKind.slip).sum(axis=1)
+
+
+def test_leaving_a_stick_in_the_linear_case():
+    # 1e5 periods, one stick and one slip in each (physics: only 0 -> -1 -> 0 for these omega).
+    belts = jax.vmap(lambda w: jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=w))(
+        jnp.linspace(1.25, 1.35, 100)
+    )
+    sticks, slips = sticks_and_slips(belts, jnp.asarray([1.56, 1.0]), 1000, 3)
+    assert np.all(np.abs(np.asarray(slips) - 1000) <= 1)
+    assert np.all(np.abs(sticks - slips) <= 1)
+
+
+def test_leaving_a_stick_in_the_cubic_case():
+    belts = jax.vmap(lambda w: jf.systems.BeltFriction(omega=w))(jnp.linspace(4.655, 4.7, 100))
+    sticks, slips = sticks_and_slips(belts, jnp.asarray([0.1, 1.0]), 1000, 12)
+    assert np.all(sticks > 500)
+    assert np.all(np.abs(sticks - slips) <= 1)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.3, 7.0])
+def test_held_surface(dt):
+    p = PROBLEMS["held surface"]
+    sol = run(p.system, p.x0, 100.0, dt)
+    ts, kinds = table(sol)
+    assert_allclose(ts, p.ts, rtol=1e-13)
+    assert kinds == p.kinds
+    assert_allclose(sol.xs[-1], [99, 1], rtol=1e-13)
+
+
+RELAY = jf.piecewise(
+    lambda t, x: jnp.asarray([1.0, -1.0]), lambda t, x: jnp.ones(2), lambda t, x: x[1]
+)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.3, 1.0, 5.0])
+@pytest.mark.parametrize("start", [1, -1])
+def test_chattering(dt, start):
+    sol = run(RELAY, (0, start), 5.0, dt, ts=[1.5, 3.0, 5.0])
+    ts, kinds = table(sol)
+    assert kinds == [EventKind.stick]
+    assert_allclose(ts, [1.0], rtol=1e-14)
+    assert_array_equal(sol.xs[:, 1], 0)
+    assert_array_equal(sol.modes[:, 0], 0)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.5, 10.0])
+def test_zeno(dt):
+    # t1 = 10/7, t∞ = t1 (1 + e)/(1 - e) = 30/7.
+    p = PROBLEMS["ball that comes to rest"]
+    sol = run(p.system, p.x0, p.t1, dt)
+    assert sol.result == RESULTS.zeno
+    assert_allclose(sol.t_final, p.ends_at, rtol=1e-10)
+    assert_allclose(sol.x_final, p.end, atol=1e-9)
+    assert np.all(np.isinf(sol.xs[1:]))
+    ts, kinds = table(sol)
+    assert_allclose(ts[:5], p.ts, rtol=1e-12)
+    assert_allclose(p.ts, 10 / 7 * (3 - 2 * 0.5 ** np.arange(5)), rtol=1e-14)
+    assert set(kinds) == {EventKind.impact}
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.1, 1.0])
+def test_zeno_ends_in_a_slide_on_both_surfaces(dt):
+    # Filippov's spiral reaches the origin at t = 1/2 and rests there.
+    spiral = corner(lambda s1, s2: (-s1 + 2 * s2, -2 * s1 - s2))
+    sol = run(spiral, (0, 1), 1.0, dt, ts=[0.1, 0.6, 1.0])
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.xs[1:], 0, atol=1e-14)
+    assert_array_equal(sol.modes[1:], 0)
+    ts, _ = table(sol)
+    assert_allclose(ts[-1], 0.5, rtol=1e-12)
+    assert_allclose(ts[:3], [1 / 3, 4 / 9, 13 / 27], rtol=1e-12)
+
+
+def test_stick_slip_chains_of_the_coulomb_oscillator():
+    p = PROBLEMS["coulomb"]
+    sol = run(p.system, p.x0, p.t1, p.dt / 2)
+    assert_solves(p, sol)
+    assert_allclose(sol.xs[-1], p.end, atol=1e-12)
+
+
+def test_stick_slip_chains_where_one_stick_releases_another():
+    p = PROBLEMS["one stick releases another"]
+    sol = run(p.system, p.x0, p.t1, p.dt, ts=[0.5, 1.0, 2.0])
+    assert sol.result == RESULTS.successful
+    assert_array_equal(sol.modes, [[-1, 0], [0, 1], [0, 1]])
+    assert_allclose(sol.xs[-1], p.end, atol=1e-14)
+
+
+def test_leaving_a_slide_at_a_fold():
+    # Exact: the circle is met at ln(2/1.01)/2; with φ the angle from (1, -1), φ' = -cot(φ/2)
+    # along it, until (-1, -1) where φ = 3π/2.
+    meet = 0.5 * np.log(2 / 1.01)
+    exit_ = meet - np.log(2) - 2 * np.log(-np.cos(5 * np.pi / 8 - np.arctan(0.1) / 2))
+    p = PROBLEMS["visible fold"]
+    assert_allclose([meet, exit_], p.ts, rtol=1e-11)
+
+    def error(steps):
+        x0 = jnp.asarray(p.x0)
+        sol = jf.solve(p.system, x0, 0.0, p.t1, p.t1 / steps, max_events=4)
+        _, kinds = table(sol)
+        assert kinds == p.kinds
+        assert_allclose(sol.events.xs[1], p.before[1], rtol=1e-12)
+        return abs(float(sol.events.ts[1]) - exit_)
+
+    steps = np.array([10, 12, 15, 18, 20, 22, 25, 27])
+    order = -np.polyfit(np.log(steps), np.log([error(s) for s in steps]), 1)[0]
+    assert abs(order - 8) < 0.5

@@ -1,0 +1,364 @@
+"""Branches of orbits: folds, period doublings, changes of the contacts, where a branch ends."""
+
+import functools
+from types import SimpleNamespace
+
+import equinox as eqx
+import jax.numpy as jnp
+import matplotlib
+import matplotlib.figure
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, fsolve
+
+import jaxfil as jf
+from jaxfil.model.outcomes import outcome_names
+from tests.pictures import made
+from tests.problems import PROBLEMS, closed_forms
+from tests.problems.systems import belt, cubic_belt
+from tests.problems.values import BELT_ADDS, BELT_CHANGES, BELT_GRAZES, BELT_HIGHEST, SD_GRAZES
+
+matplotlib.use("Agg")
+
+S = jf.systems
+ZETA = closed_forms.ZETA
+
+
+def of_kind(branch, kind):
+    return [point for point in branch.points if point.kind == kind]
+
+
+class Symmetric:
+    """The symmetric crossing orbit of the SD oscillator, x(t + T/2) = -x(t), in closed form.
+
+    From an upward zero on, x = 1 + e^(-ζt)(A cos dt + B sin dt) + Re(R e^(i(Ωt + φ))). The forced
+    part is odd under half a period, so that the rest must be: two linear equations for A and B.
+    Then x = 0 at the start, 1 + A + |R| cos(φ + arg R) = 0, has two solutions, which meet in a
+    fold."""
+
+    def __init__(self, omega):
+        self.omega = omega
+        self.half = np.pi / omega
+        self.response = closed_forms.response(omega)
+        d = np.sqrt(1 - ZETA**2)
+        c, s = np.cos(d * self.half), np.sin(d * self.half)
+        # The free part and its rate, by its own start (p, q), after half a period.
+        decay = np.exp(-ZETA * self.half)
+        self.free = decay * np.asarray([[c + ZETA / d * s, s / d], [-s / d, c - ZETA / d * s]])
+        self.a, self.rate = np.linalg.solve(self.free + np.eye(2), [-2.0, 0.0])
+
+    @property
+    def excess(self):
+        """Positive where both orbits exist, zero at the fold."""
+        return abs(self.response) - abs(1 + self.a)
+
+    def multipliers(self, which):
+        angle = which * np.arccos(-(1 + self.a) / abs(self.response))
+        speed = self.rate - self.omega * abs(self.response) * np.sin(angle)
+        # Down through x = 0 at the speed -v, x'' jumps by -2: the saltation matrix.
+        jump = np.asarray([[1, 0], [2 / speed, 1]])
+        return np.linalg.eigvals(jump @ self.free @ jump @ self.free)
+
+
+@functools.cache
+def sd_branch():
+    orbit = jf.periodic_orbit(S.SDOscillator(omega=0.7), jnp.asarray([2.97, 0.62]))
+    return jf.continue_orbit(S.SDOscillator(), "omega", orbit, stop=(0.68, 1.0))
+
+
+def test_sd_oscillator_folds_where_the_closed_form_does():
+    (fold,) = of_kind(sd_branch(), "fold")
+    exact = brentq(lambda w: Symmetric(w).excess, 0.9, 0.99, xtol=1e-15)
+    assert_allclose(exact, 0.932, atol=1e-3)
+    assert_allclose(fold.value, exact, rtol=0, atol=1e-8)
+    assert_allclose(max(abs(fold.orbit.multipliers)), 1, rtol=0, atol=1e-5)
+    assert_allclose(sd_branch().values.max(), exact, atol=1e-4)
+
+
+def test_sd_oscillator_has_a_saddle_beyond_the_fold():
+    orbits = sd_branch().at(0.9)
+    assert len(orbits) == 2
+    for which, orbit in zip((-1, 1), orbits, strict=True):
+        exact = Symmetric(0.9).multipliers(which)
+        assert_allclose(np.sort_complex(orbit.multipliers), np.sort_complex(exact), atol=1e-8)
+    assert_allclose(max(orbits[1].multipliers.real), 1.24332, rtol=0, atol=5e-6)
+    assert bool(orbits[0].stable) and not bool(orbits[1].stable)
+
+
+def test_a_branch_that_ends_says_so():
+    # The one-sided orbit: amplitude f0/√((1 - Ω²)² + (2ζΩ)²), grazes at amplitude 1 and is gone.
+    x0 = jnp.asarray(closed_forms.one_sided(0.85))
+    orbit = jf.periodic_orbit(S.SDOscillator(omega=0.85), x0)
+    branch = jf.continue_orbit(S.SDOscillator(), "omega", orbit, stop=0.95)
+    assert branch.ended[1].startswith("no orbit was found beyond 0.8667165")
+    assert_allclose(branch.values[-1], SD_GRAZES[0], rtol=0, atol=1e-8)
+    assert branch.ended[0] == "start at 0.85" and not branch.points
+    assert outcome_names(branch.result) == "successful"
+    assert branch.stable.all()
+
+
+STEPS = 100
+
+
+def test_belt_begins_to_stick_where_its_orbit_grazes():
+    # Grazing-sliding of the orbit that slips for ever.
+    orbit = jf.periodic_orbit(belt(12.0), jnp.asarray([0.55, 0.0]), steps=STEPS)
+    branch = jf.continue_orbit(belt(12.0), "omega", orbit, stop=9.0)
+    (point,) = branch.points
+    assert point.kind == "contacts" and (len(point.before), len(point.after)) == (0, 2)
+    assert_allclose(point.value, BELT_GRAZES[1], rtol=0, atol=1e-9)
+    assert branch.ended == ("start at 12", "omega = 9 was reached")
+    assert branch.stable.all() and branch.values[-1] == 9.0
+    (orbit,) = branch.at(9.1)
+    assert_allclose(orbit.x0, PROBLEMS["belt 9.1"].x0, rtol=0, atol=1e-10)
+    assert "contacts at 10.9049758221: 0 to 2 contacts" in repr(branch)
+
+
+def test_belt_adds_a_slide():
+    orbit = jf.periodic_orbit(belt(1.5), jnp.asarray([1.6, 1.0]), steps=STEPS)
+    branch = jf.continue_orbit(belt(1.5), "omega", orbit, stop=1.6)
+    values = [p.value for p in of_kind(branch, "contacts")]
+    assert_allclose(values, [BELT_ADDS], rtol=0, atol=1e-9)
+    (orbit,) = branch.at(1.55)
+    assert_allclose(orbit.extremes()[1][1], BELT_HIGHEST[1.55], rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_belt_from_one_end_to_the_other():
+    orbit = jf.periodic_orbit(belt(12.0), jnp.asarray([0.55, 0.0]), steps=STEPS)
+    branch = jf.continue_orbit(belt(12.0), "omega", orbit, stop=(0.5, 20.0), max_step=0.05)
+    assert (branch.values[0], branch.values[-1]) == (0.5, 20.0)
+    values = [p.value for p in of_kind(branch, "contacts")]
+    assert_allclose(values, BELT_CHANGES, rtol=0, atol=6e-4)
+    exact = [BELT_GRAZES[0], BELT_ADDS, BELT_GRAZES[1]]
+    assert_allclose([values[0], values[3], values[8]], exact, rtol=0, atol=1e-9)
+    for omega, speed in BELT_HIGHEST.items():
+        (orbit,) = branch.at(omega)
+        assert_allclose(orbit.extremes()[1][1], speed, rtol=0, atol=1e-9)
+
+
+MU_G, DAMPING, STIFF = 0.6 * 9.81, 0.05 * 9.81, 10000.0
+
+
+def stick_map(omega, t0, x1, rtol=1e-12):
+    """x1 one period after (x1, belt speed) at t0, if it sticks at both ends: SciPy, with an event
+    for every contact. Where the push on the mass exceeds the friction it slips."""
+
+    def push(t, x):
+        return 10 * np.cos(omega * t) - STIFF * x**3
+
+    def field(t, y, side):
+        if side == 0:
+            return [1.0, 0.0]
+        return [y[1], push(t, y[0]) - DAMPING * (y[1] - 1) - side * MU_G]
+
+    def release(t, y, side):
+        return MU_G - abs(push(t, y[0]))
+
+    def contact(t, y, side):
+        return side * (y[1] - 1) if t > start else 1.0
+
+    release.terminal = contact.terminal = True
+    release.direction = contact.direction = -1
+    start, y, side, end = t0, np.asarray([x1, 1.0]), 0, t0 + 2 * np.pi / omega
+    while start < end:
+        run = solve_ivp(
+            field,
+            (start, end),
+            y,
+            "DOP853",
+            events=contact if side else release,
+            args=(side,),
+            rtol=rtol,
+            atol=1e-13,
+            max_step=0.02,
+        )
+        start, y = run.t[-1], run.y[:, -1]
+        if run.status == 1:
+            force = push(start, y[0])
+            y[1] = 1.0
+            held = side != 0 and abs(force) < MU_G
+            side = 0 if held else int(np.sign(force))
+    assert side == 0
+    return y[0]
+
+
+@functools.cache
+def cubic_branch():
+    """The sticking orbits of the belt with a cubic spring, from 4.56 round their fold."""
+    system = cubic_belt(4.56)
+    orbit = jf.periodic_orbit(system, jnp.asarray([0.08, 0.48]), steps=STEPS)
+    return jf.continue_orbit(system, "omega", orbit, stop=(4.4, 4.56))
+
+
+def sticking_at(orbit):
+    """A time at which an orbit sticks, and x1 then: the middle of the longest stick."""
+    count = int(orbit.num_events)
+    ts, after = np.asarray(orbit.events.ts)[:count], np.asarray(orbit.events.modes)[:count, 0]
+    ends = np.append(ts[1:], ts[0] + float(orbit.period))
+    longest = np.argmax(np.where(after == 0, ends - ts, 0))
+    t = 0.5 * (ts[longest] + ends[longest]) % float(orbit.period)
+    return t, float(orbit.states(jnp.asarray([t, t]))[0, 0])
+
+
+def slope(omega, t0, x1, h=2e-4):
+    """The multiplier, by central differences of the one-dimensional map."""
+    values = [stick_map(omega, t0, x1 + k * h) for k in (-2, -1, 1, 2)]
+    return np.dot([1, -8, 8, -1], values) / (12 * h)
+
+
+@pytest.mark.parametrize(
+    ("kind", "multiplier", "near"), [("fold", 1, 4.4566), ("period-doubling", -1, 4.4964)]
+)
+def test_belt_with_a_cubic_spring(kind, multiplier, near):
+    (point,) = of_kind(cubic_branch(), kind)
+    assert_allclose(point.value, near, rtol=0, atol=1e-4)
+    t0, x1 = sticking_at(point.orbit)
+
+    def equations(z):
+        return [stick_map(z[0], t0, z[1]) - z[1], 0.1 * (slope(z[0], t0, z[1]) - multiplier)]
+
+    omega, _ = fsolve(equations, [near, x1], xtol=1e-11)
+    assert_allclose(point.value, omega, rtol=0, atol=1e-7)
+
+
+def test_both_sticking_orbits_are_unstable():
+    orbits = cubic_branch().at(4.56)
+    assert len(orbits) == 2
+    assert not any(bool(orbit.stable) for orbit in orbits)
+    for orbit in orbits:
+        assert abs(orbit.multipliers).min() < 1e-12
+        t0, x1 = sticking_at(orbit)
+        largest = orbit.multipliers[jnp.argmax(abs(orbit.multipliers))]
+        assert_allclose(stick_map(4.56, t0, x1), x1, rtol=0, atol=1e-9)
+        assert_allclose(largest.real, slope(4.56, t0, x1), rtol=0, atol=1e-6)
+
+
+def test_the_doubled_branch_leaves_from_the_period_doubling():
+    (point,) = of_kind(cubic_branch(), "period-doubling")
+    system = cubic_belt(4.5)
+    doubled = jf.continue_orbit(system, "omega", point, stop=4.51, max_points=12)
+    assert doubled.periods == 2
+    orbit = doubled.orbits
+    assert_allclose(orbit.period, 4 * np.pi / doubled.values, rtol=1e-12)
+    # Beside the point the two sections lie on both sides of the single orbit's, and the multiplier
+    # is near 1 = (-1)². Halfway, it is another state.
+    assert_allclose(doubled.values[0], point.value, rtol=0, atol=1e-2)
+    assert abs(np.asarray(orbit.multipliers[0])).max() == pytest.approx(1, abs=0.2)
+    t0, x1 = sticking_at(
+        jf.periodic_orbit(cubic_belt(doubled.values[-1]), orbit.x0[-1], periods=2, steps=STEPS)
+    )
+    omega = doubled.values[-1]
+    once = stick_map(omega, t0, x1)
+    assert abs(once - x1) > 1e-4
+    assert_allclose(stick_map(omega, t0, once), x1, rtol=0, atol=1e-8)
+
+
+def test_round_the_grazing_of_a_wall():
+    # Where the orbit touches the wall at x = 1.
+    grazing = closed_forms.wall_amplitude(1.2)
+    response = 0.45 / (1 - 1.2**2 + 0.12j)
+    system = S.ImpactOscillator(omega=1.2, amplitude=0.45)
+    x0 = jnp.asarray([response.real, (1.2j * response).real])
+    orbit = jf.periodic_orbit(system, x0)
+    branch = jf.continue_orbit(system, "amplitude", orbit, stop=(0.4, 0.5))
+    point = of_kind(branch, "contacts")[0]
+    assert_allclose(point.value, grazing, rtol=0, atol=1e-8)
+    assert (len(point.before), len(point.after)) == (0, 1)
+    beyond = branch.orbits.num_events[point.index + 1 :]
+    assert len(beyond) > 3 and (beyond == 1).all()
+    assert (branch.orbits.residual < 1e-10).all()
+
+
+def test_a_special_point_is_drawn_on_the_curve():
+    # Between the orbits number 1 and 2, halfway.
+    point = jf.SpecialPoint("contacts", 1.5, sd_branch().points[0].orbit, 2, (), ())
+    orbits = SimpleNamespace(x0=np.asarray([[0.0, 0], [1, 0], [4, 0]]), system=S.SDOscillator())
+    told = {"parameter": "a", "values": np.arange(3.0), "points": [point]}
+    branch = made(jf.Branch, **told, orbits=orbits, stable=np.ones(3, bool))
+    marker = jf.plot.branch(branch, ax=matplotlib.figure.Figure().subplots()).lines[-1]
+    assert marker.get_xydata().tolist() == [[1.5, 2.5]]
+
+
+def test_a_branch_draws_itself():
+    branch = sd_branch()
+    ax = branch.plot(component=1)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Ω", "x' at t0")
+    labels = [line.get_label() for line in ax.lines]
+    assert labels == ["stable", "unstable", "fold"]
+    solid, dashed, fold = ax.lines
+    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
+    x0 = np.asarray(branch.orbits.x0)[:, 1]
+    for line, kept in ((solid, branch.stable), (dashed, ~branch.stable)):
+        x, y = line.get_data()
+        np.testing.assert_array_equal(x, branch.values)
+        np.testing.assert_array_equal(y[kept], x0[kept])
+    assert fold.get_xdata() == [of_kind(branch, "fold")[0].value]
+    _, own = plt.subplots()
+    assert jf.plot.branch(branch, ax=own, extremes=True) is own
+    least, most = branch.extremes()
+    assert_allclose(least, -most, rtol=1e-8)
+    assert len(own.lines) == 6
+    plt.close("all")
+    with pytest.raises(ValueError, match="`component` must be from 0 to 1, got 2"):
+        branch.plot(component=2)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"system": S.SDOscillator}, "`system` must be an instance"),
+        ({"parameter": "omegaa"}, "`parameter` must be a parameter of SDOscillator, one of f0"),
+        ({"orbit": jnp.zeros(2)}, "`orbit` must be a single Orbit or a SpecialPoint"),
+        ({"orbit": "batch"}, "`orbit` must be a single Orbit or a SpecialPoint"),
+        ({"orbit": "fold"}, "`orbit` must be a period doubling, got a fold"),
+        ({"stop": "there"}, r"`stop` must be a number or a pair \(low, high\), got 'there'"),
+        ({"stop": float("nan")}, "`stop` must be a number or a pair"),
+        ({"stop": (0.1, 0.2, 0.3)}, "`stop` must be a number or a pair"),
+        ({"stop": (0.8, 0.9)}, r"`stop` must be \(low, high\) around the value"),
+        ({"max_points": 0}, "`max_points` must be an integer of at least 1, got 0"),
+        ({"max_step": -0.1}, "`max_step` must be a positive number, got -0.1"),
+    ],
+)
+def test_bad_calls(change, message):
+    branch = sd_branch()
+    first = branch.at(branch.values[0])[0]
+    call = {"system": S.SDOscillator(), "parameter": "omega", "orbit": first, "stop": 0.8} | change
+    special = {"batch": branch.orbits, "fold": of_kind(branch, "fold")[0]}
+    orbit = call["orbit"]
+    call["orbit"] = special[orbit] if isinstance(orbit, str) else orbit
+    with pytest.raises(ValueError, match=message):
+        jf.continue_orbit(call.pop("system"), call.pop("parameter"), call.pop("orbit"), **call)
+
+
+# The orbits of the SD oscillator are none of this one's.
+OTHER = S.SDOscillator(f0=40.0, zeta=-1.0)
+
+
+@pytest.mark.parametrize("start", ["orbit", "period doubling"])
+def test_an_orbit_of_another_system_is_an_outcome(start):
+    first = sd_branch().at(0.7)[0]
+    doubling = jf.SpecialPoint("period-doubling", 0.7, first, 0, (), ())
+    given = {"orbit": first, "period doubling": doubling}[start]
+    branch = jf.continue_orbit(OTHER, "omega", given, stop=0.8, throw=False)
+    assert outcome_names(branch.result) == "newton_stalled"
+    assert_allclose(branch.values, [0.7], rtol=1e-15)
+    assert_array_equal(branch.orbits.x0, first.x0[None])
+    assert branch.points == [] and branch.ended == ("no branch was found at 0.7",) * 2
+    assert "newton_stalled: Newton's method cannot" in repr(branch)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="cannot reduce the residual"):
+        jf.continue_orbit(OTHER, "omega", given, stop=0.8)
+    with pytest.raises(ValueError, match="`stop` must be a number or a pair"):
+        jf.continue_orbit(OTHER, "omega", given, stop="there", throw=False)
+
+
+def test_an_orbit_that_was_not_found_keeps_its_outcome():
+    lost = jf.periodic_orbit(S.SDOscillator(omega=0.7), jnp.asarray([np.nan, 0.0]), throw=False)
+    found = jf.find_bifurcations(S.SDOscillator(), "omega", lost, stop=0.8, throw=False)
+    assert outcome_names(found.result) == outcome_names(found.branch.result) == "nonfinite"
+    assert len(found) == 0 and "nonfinite: The state" in repr(found)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="is not finite"):
+        jf.find_bifurcations(S.SDOscillator(), "omega", lost, stop=0.8)

@@ -1,0 +1,169 @@
+"""Harmonic balance: against closed forms, against shooting, and at the rate that theory gives."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import RESULTS
+from jaxfil.model.outcomes import outcome_names
+from jaxfil.orbits import harmonic_balance as harmonic
+from tests.problems import closed_forms
+
+S = jf.systems
+OMEGA = 0.7
+# The symmetric orbit of the SD oscillator at 0.7 by its first harmonic, roughly.
+ROUGH = jnp.asarray([[0.0, 0.0], [3.0, 0.0], [0.0, -2.1]])
+
+
+def series(harmonics, omega=OMEGA, **kwargs):
+    return jf.harmonic_balance(S.SDOscillator(omega=omega), ROUGH, harmonics, **kwargs)
+
+
+def missing(top):
+    """The sum of all harmonics of position and velocity above the highest: sgn x is a square wave,
+    Σ 4/(πk) over odd k in its own phase, and dividing by kΩ integrates it."""
+    k = np.arange(top + 2, 20_000, 2)
+    return np.asarray([np.sum(4 / (np.pi * k * (k * OMEGA) ** p)) for p in (2, 1)])
+
+
+@pytest.fixture(scope="module")
+def orbit():
+    return jf.periodic_orbit(S.SDOscillator(omega=OMEGA), jnp.asarray([3.0, 0.6]))
+
+
+def test_the_error_falls_at_the_rate_of_a_jump_in_acceleration(orbit):
+    # sgn x is a square wave, in its own phase Σ 4/(πk) over odd k: the position's harmonics are
+    # 4/(πk (kΩ)²), the velocity's 4/(πk kΩ), and what is left out is the mean-square error.
+    ts = np.linspace(0.0, 2 * np.pi / OMEGA, 4001)[:-1]
+    exact = np.asarray(orbit.states(jnp.asarray(ts)))
+    errors = {}
+    for top in (9, 39):
+        got = np.asarray(jax.vmap(series(top).evaluate)(jnp.asarray(ts)))
+        errors[top] = np.sqrt(np.mean((got - exact) ** 2, axis=0))
+        k = np.arange(top + 2, 20_000, 2)
+        tail = [4 / (np.pi * k * (k * OMEGA) ** 2), 4 / (np.pi * k * k * OMEGA)]
+        want = [np.sqrt(np.sum(c**2) / 2) for c in tail]
+        assert_allclose(errors[top], want, rtol={9: 0.1, 39: 0.02}[top])
+    # A fourfold number of harmonics: K^(-5/2) and K^(-3/2).
+    assert_allclose(np.log(errors[9] / errors[39]) / np.log(4), [2.5, 1.5], atol=0.1)
+
+
+def test_a_linear_system_is_solved_exactly():
+    # x'' + x = cos Ωt: x = cos Ωt/(1 - Ω²), from a guess that is nothing.
+    found = jf.harmonic_balance(S.DenHartog(friction=0.0), lambda t: jnp.zeros(2), 5)
+    amplitude = 1 / (1 - 0.8**2)
+    want = np.zeros((6, 2))
+    want[1] = amplitude, 0.8 * amplitude
+    assert_allclose(found.amplitudes, want, rtol=0, atol=1e-12)
+    assert found.num_steps <= 3 and found.harmonics == 5
+    t = 1.7
+    exact = [amplitude * np.cos(0.8 * t), -0.8 * amplitude * np.sin(0.8 * t)]
+    assert_allclose(found.evaluate(t), exact, rtol=0, atol=1e-12)
+    assert "5 harmonics of 2 components" in repr(found) and "successful" in repr(found)
+
+
+def test_friction_takes_from_the_amplitude_what_den_hartog_says():
+    # sgn x' switches where the series
+    # of x' is zero: too early by its own missing harmonics, all in phase there. So the error falls
+    # as Σ 1/k² over odd k > K, or 1/2K.
+    amplitude, _ = closed_forms.den_hartog()
+    guess = lambda t: jnp.stack([2.7 * jnp.cos(0.8 * t), -2.2 * jnp.sin(0.8 * t)])  # noqa: E731
+    ts = jnp.linspace(0.0, 2.5 * np.pi, 4001)
+    errors = []
+    for top in (20, 40):
+        found = jf.harmonic_balance(S.DenHartog(), guess, top)
+        highest = float(jax.vmap(found.evaluate)(ts)[:, 0].max())
+        errors.append(highest - amplitude)
+    assert_allclose(errors[0] / errors[1], 2, rtol=0.01)
+    assert abs(2 * errors[1] - errors[0]) < 5e-5
+
+
+def test_a_batch_over_the_forcing(orbit):
+    omegas = jnp.asarray([0.65, 0.7, 0.75, 0.7])
+    guesses = jnp.broadcast_to(ROUGH, (4, 3, 2)).at[3, 1, 0].set(jnp.nan)
+
+    def solve(omega, guess):
+        system = S.SDOscillator(omega=omega)
+        return jf.harmonic_balance(system, guess, 19, throw=False)
+
+    found = eqx.filter_vmap(solve)(omegas, guesses)
+    assert_array_equal(outcome_names(found.result), ["successful"] * 3 + ["nonfinite"])
+    starts = eqx.filter_vmap(lambda one: one.evaluate(0.0))(found)
+    assert np.all(abs(starts[1] - orbit.x0) < missing(19))
+    # Galerkin's first equation, by hand: (1 - Ω² + 2iζΩ) X1 = f0 + S1, where |S1| = 4/π for any
+    # square wave of two equal parts.
+    cosine, sine = np.asarray(found.coefficients[:3, 1:3, 0]).T
+    first = cosine - 1j * sine
+    w = np.asarray(omegas[:3])
+    square = (1 - w**2 + 2j * 0.0141 * w) * first - 0.25
+    assert_allclose(abs(square), 4 / np.pi, rtol=1e-10)
+    assert "batch of shape (4,), 19 harmonics" in repr(found)
+
+
+def test_a_single_failure_is_an_error():
+    found = series(9, newton_steps=1, throw=False)
+    assert bool(found.result == RESULTS.newton_max_steps_reached)
+    with pytest.raises(RuntimeError, match="number of steps"):
+        series(9, newton_steps=1)
+
+
+def test_from_an_orbit_and_over_two_periods(orbit):
+    found = jf.harmonic_balance(orbit.system, orbit, 19)
+    assert found.num_steps <= 4
+    assert np.all(abs(found.evaluate(0.0) - orbit.x0) < missing(19))
+    # Every other harmonic of twice the period: the same orbit.
+    twice = jf.harmonic_balance(orbit.system, orbit, 38, periods=2)
+    assert_allclose(twice.period, 2 * found.period, rtol=1e-15)
+    assert_allclose(twice.amplitudes[::2], found.amplitudes, rtol=0, atol=1e-9)
+    assert_allclose(twice.amplitudes[1::2], 0, atol=1e-9)
+
+
+def test_a_smoothed_belt_that_sticks():
+    # Analytic, so that the series converges fast; shooting knows nothing of it.
+    belt = jf.smoothed(S.BeltFriction(gamma1=10.0, gamma2=0.0, omega=1.3), 0.5)
+    orbit = jf.periodic_orbit(belt, jnp.asarray([1.5, 0.9]), steps=200)
+    found = jf.harmonic_balance(belt, orbit, 30)
+    assert_allclose(found.evaluate(0.0), orbit.x0, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("omega", [1.3, 2.44])
+def test_the_jacobian_is_the_derivative_of_the_residual(omega):
+    # Through zeros of H that move with the coefficients.
+    system = S.BeltFriction(gamma1=10.0, gamma2=0.0, omega=omega)
+    balance = harmonic._Balance(system, jnp.asarray(2 * jnp.pi / omega), 9, 2)
+    c = np.zeros((9, 2))
+    c[1:7] = np.asarray([[0.8, 1.5], [0.3, 2.0], [0.1, 0.2], [-0.1, 0.3], [0.05, 0.1], [0.0, -0.2]])
+    equations = jax.jit(harmonic._equations)
+    jacobian = equations(balance, jnp.asarray(c))[1]
+    assert jnp.sum(harmonic._quadrature(balance, jnp.asarray(c))[3][1] != 0) >= 2
+    for i in range(c.size):
+        step = np.zeros(c.size)
+        step[i] = 1e-4
+        at = [
+            np.asarray(equations(balance, jnp.asarray(c + k * step.reshape(9, 2)))[0])
+            for k in (-2, -1, 1, 2)
+        ]
+        slope = np.tensordot([1, -8, 8, -1], at, 1) / 12e-4
+        assert_allclose(jacobian[:, i], slope, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"system": S.SlipStick()}, "`system` must be forced, but the period of SlipStick is None"),
+        ({"system": S.SDOscillator}, "`system` must be an instance"),
+        ({"guess": jnp.zeros((4, 2))}, r"`guess` must be .* got shape \(4, 2\)"),
+        ({"guess": jnp.zeros(3)}, r"`guess` must be .* got shape \(3,\)"),
+        ({"harmonics": 0}, "`harmonics` must be an integer of at least 1, got 0"),
+        ({"periods": 0.5}, "`periods` must be an integer of at least 1, got 0.5"),
+        ({"newton_steps": 0}, "`newton_steps` must be an integer of at least 1, got 0"),
+    ],
+)
+def test_bad_calls(change, message):
+    call = {"system": S.SDOscillator(), "guess": ROUGH, "harmonics": 3} | change
+    with pytest.raises(ValueError, match=message):
+        jf.harmonic_balance(call.pop("system"), call.pop("guess"), call.pop("harmonics"), **call)

@@ -1,0 +1,409 @@
+"""Periodic orbits by shooting: known orbits from poor guesses, derivatives, outcomes."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import RESULTS, EventKind
+from jaxfil.model.outcomes import outcome_names
+from tests.problems import PROBLEMS, closed_forms, tagged
+from tests.problems.systems import belt
+from tests.problems.values import BELT_DAMPING, SD_DAMPING, SLIP_STICK_PERIOD
+from tests.results import by_imaginary_part, in_float32, lane
+
+S = jf.systems
+CROSS, STICK, SLIP = EventKind.crossing, EventKind.stick, EventKind.slip
+# A guess off by a fifth, with every pattern of signs.
+OFF = jnp.asarray([[1.2, 1.2], [1.2, 0.8], [0.8, 1.2], [0.8, 0.8]])
+
+
+BELT = tagged("orbit belt", but="twice")
+
+
+@functools.cache
+def belts():
+    """All four orbits from four guesses each, in one call: axes (omega, guess)."""
+
+    def orbit(omega, x0):
+        return jf.periodic_orbit(belt(omega), x0, steps=100, throw=False)
+
+    x0 = jnp.asarray([PROBLEMS[name].x0 for name in BELT])
+    omegas = jnp.stack([PROBLEMS[name].system.omega for name in BELT])
+    over_guesses = eqx.filter_vmap(orbit, in_axes=(None, 0))
+    return eqx.filter_vmap(over_guesses)(omegas, x0[:, None] * OFF)
+
+
+def one_belt(name, guess=0):
+    return lane(belts(), (BELT.index(name), guess))
+
+
+@pytest.mark.parametrize("name", BELT)
+@pytest.mark.parametrize("guess", range(4))
+def test_belt_orbit_from_a_guess_off_by_a_fifth(name, guess):
+    p, orbit = PROBLEMS[name], one_belt(name, guess)
+    assert bool(orbit.result == RESULTS.successful)
+    assert_allclose(orbit.x0, p.x0, rtol=0, atol=1e-10)
+    assert orbit.residual < 1e-12
+    count = len(p.ts)
+    assert_array_equal(orbit.num_events, count)
+    assert_array_equal(orbit.events.kinds[:count], p.kinds)
+    assert_allclose(orbit.events.ts[:count], p.ts, rtol=0, atol=1e-10)
+    digits = max(p.digits, 1e-10)
+    assert_allclose(by_imaginary_part(orbit.multipliers), p.multipliers, rtol=0, atol=digits)
+    # The damping alone is the trace of the field where nothing sticks or crosses.
+    if not p.kinds:
+        determinant = np.prod(orbit.multipliers)
+        assert_allclose(determinant, np.exp(BELT_DAMPING * p.t1), rtol=1e-8)
+    if STICK in p.kinds:
+        assert abs(orbit.multipliers).min() < 1e-12
+
+
+def test_belt_with_a_cubic_spring_after_a_transient():
+    # Non-sliding; both multipliers have the rate -0.24525, half the damping.
+    p = PROBLEMS["cubic belt 4.56"]
+    system, x0 = p.system, jnp.asarray(p.x0)
+
+    def orbit(x0):
+        return jf.periodic_orbit(system, x0, steps=100, transient=30, throw=False)
+
+    found = eqx.filter_vmap(orbit)(x0 * OFF)
+    assert (found.result == RESULTS.successful).all()
+    assert_allclose(found.x0, np.broadcast_to(x0, (4, 2)), rtol=0, atol=1e-10)
+    assert_array_equal(found.num_events, 0)
+    for multipliers in found.multipliers:
+        assert_allclose(by_imaginary_part(multipliers), p.multipliers, rtol=0, atol=1e-8)
+    assert found.stable.all()
+
+
+SD = jnp.asarray(PROBLEMS["symmetric sd"].x0)
+
+
+@functools.cache
+def sd_orbits():
+    """The symmetric crossing orbit of the SD oscillator at 0.7, from four guesses; and a fifth
+    time, as it is seen from t = 1 on."""
+
+    def orbit(x0, t0):
+        return jf.periodic_orbit(S.SDOscillator(omega=0.7), x0, t0=t0, throw=False)
+
+    guesses = jnp.append(SD * OFF, jnp.asarray([[2.5, -1.2]]), axis=0)
+    return eqx.filter_vmap(orbit)(guesses, jnp.asarray([0.0, 0.0, 0.0, 0.0, 1.0]))
+
+
+@functools.cache
+def sd_orbit():
+    return lane(sd_orbits(), 0)
+
+
+def test_sd_oscillator_from_guesses_off_by_a_fifth():
+    found = sd_orbits()
+    assert (found.result == RESULTS.successful).all()
+    assert_allclose(found.x0[:4], np.broadcast_to(SD, (4, 2)), rtol=0, atol=1e-10)
+    assert_array_equal(found.events.kinds[:, :3], [[CROSS, CROSS, EventKind.none]] * 5)
+    # Known to five digits; their product exactly, as crossings keep areas.
+    p = PROBLEMS["symmetric sd"]
+    for multipliers in found.multipliers:
+        assert_allclose(by_imaginary_part(multipliers), p.multipliers, rtol=0, atol=p.digits)
+        assert_allclose(np.prod(multipliers), np.exp(SD_DAMPING * p.t1), rtol=1e-8)
+
+
+def test_an_orbit_seen_from_another_phase():
+    # The same curve; the forcing's phase is that of t0.
+    again = lane(sd_orbits(), 4)
+    assert_allclose(again.x0, sd_orbit().states(jnp.asarray([1.0]))[0], rtol=0, atol=1e-10)
+    end = again.states(jnp.asarray([2 * np.pi / 0.7]))[0]
+    assert_allclose(end, sd_orbit().x0, rtol=0, atol=1e-10)
+
+
+def test_a_trajectory_is_a_smooth_line_and_closes():
+    orbit = sd_orbit()
+    sol = orbit.trajectory(periods=2)
+    seen = np.isfinite(sol.ts)
+    ts, xs = np.asarray(sol.ts)[seen], np.asarray(sol.xs)[seen]
+    assert seen.all() and int(sol.num_events) == 4
+    # A line through the states turns by small angles, but for two at each of the four crossings.
+    strokes = np.diff(xs / np.ptp(xs, axis=0), axis=0)
+    turns = np.diff(np.unwrap(np.arctan2(strokes[:, 1], strokes[:, 0])))
+    assert np.sort(abs(turns))[-9] < np.radians(3)
+    assert_allclose([ts[0], ts[-1]], [0, 4 * np.pi / 0.7], rtol=1e-14)
+    assert_allclose(xs[[0, -1]], np.broadcast_to(orbit.x0, (2, 2)), rtol=0, atol=1e-10)
+    away = abs(xs[:, 0]) > 1e-9
+    assert_array_equal(np.sign(xs[away, 0]), np.asarray(sol.modes)[seen, 0][away])
+
+
+def test_extremes_lie_between_the_steps():
+    # Symmetric: x(t + T/2) = -x(t). Where x' has a maximum, x'' = 0: x = sgn x + f cos - 2 z x'.
+    least, most = sd_orbit().extremes()
+    assert_allclose(least, -most, rtol=1e-9)
+    ts = jnp.linspace(0.0, 2 * np.pi / 0.7, 4001)
+    xs = np.asarray(sd_orbit().states(ts))
+    assert np.all(most >= xs.max(axis=0) - 1e-12)
+    # Samples h apart miss a smooth maximum by x'' h²/8 at most, a kink of x' by more.
+    assert_allclose(most[0], xs[:, 0].max(), rtol=0, atol=3 * (ts[1] ** 2) / 8)
+
+
+def test_highest_speeds_of_the_belt():
+    # At 1.3 and 9.1 the belt's own speed.
+    for name in BELT:
+        highest = one_belt(name).extremes()[1][1]
+        assert_allclose(highest, PROBLEMS[name].highest, rtol=0, atol=1e-9)
+
+
+def test_an_orbit_tells_what_it_is():
+    card = repr(sd_orbit())
+    assert "Orbit of SDOscillator: successful" in card and "stable" in card
+    assert "crossing, crossing" in card and "8.97597901026" in card
+    assert "batch of shape (5,)" in repr(sd_orbits())
+    assert "no contacts" in repr(one_belt("belt 17"))
+    assert "Orbit of SDOscillator in float32: successful" in repr(in_float32(sd_orbit()))
+
+
+# Its start at t = 0: the solution is taken from where it turns, at the phase of the forcing there.
+GUESS = jnp.asarray([2.0, 1.5])
+
+
+def turning(orbit):
+    count = int(orbit.num_events)
+    return np.asarray(orbit.events.xs)[:count]
+
+
+@pytest.mark.parametrize("segments", [1, 3])
+def test_den_hartog(segments):
+    amplitude, multipliers = closed_forms.den_hartog()
+    assert_allclose(amplitude, 2.6261048757, rtol=1e-10)
+    orbit = jf.periodic_orbit(S.DenHartog(), GUESS, segments=segments, steps=60)
+    assert_allclose(np.sort(turning(orbit)[:, 0]), [-amplitude, amplitude], rtol=0, atol=1e-9)
+    assert_allclose(
+        by_imaginary_part(orbit.multipliers), by_imaginary_part(multipliers), rtol=0, atol=1e-9
+    )
+    assert_allclose(orbit.monodromy, single().monodromy, rtol=0, atol=1e-9)
+    assert_allclose(orbit.x0, single().x0, rtol=0, atol=1e-11)
+    assert_allclose(orbit.events.ts[:2], single().events.ts[:2], rtol=0, atol=1e-11)
+    assert orbit.starts.shape == (segments, 2)
+    third = jnp.arange(float(segments)) * orbit.period / segments
+    assert_allclose(orbit.starts, single().states(third), rtol=0, atol=1e-10)
+
+
+@functools.cache
+def single():
+    return jf.periodic_orbit(S.DenHartog(), GUESS, steps=60)
+
+
+def test_convergence_is_quadratic():
+    errors = []
+    for steps in range(1, 9):
+        orbit = jf.periodic_orbit(S.DenHartog(), GUESS, steps=60, newton_steps=steps, throw=False)
+        errors.append(float(np.max(abs(orbit.x0 - single().x0))))
+    tail = [e for e in errors if 1e-13 < e < 0.3]
+    assert len(tail) >= 3 and errors[-1] < 1e-13
+    orders = [
+        np.log(c / b) / np.log(b / a) for a, b, c in zip(tail, tail[1:], tail[2:], strict=False)
+    ]
+    assert orders[-1] > 1.8
+
+
+class Slipping(jf.System):
+    """Stick–slip on a belt of speed v: x1'' = -x1 + F(v - x1'), F(w) = ±1/(1 + c|w|)."""
+
+    v: jax.Array
+    c: jax.Array
+
+    def vector_field(self, t, x, side):
+        w = (self.v - x[1]) * -side
+        return jnp.stack([x[1], -x[0] - side / (1 + self.c * w)])
+
+    def switching(self, t, x):
+        return x[1] - self.v
+
+
+def test_slip_stick():
+    orbit = jf.periodic_orbit(S.SlipStick(), jnp.asarray([1.1, 0.3]), period=8.0)
+    assert_allclose(orbit.period, SLIP_STICK_PERIOD, rtol=0, atol=1e-9)
+    first, second = sorted(abs(orbit.multipliers))
+    assert first < 1e-12
+    assert_allclose(second, 1, rtol=0, atol=1e-9)
+    assert bool(orbit.stable)
+    rows = {int(k): x for k, x in zip(orbit.events.kinds, orbit.events.xs, strict=True) if k}
+    before = PROBLEMS["slip-stick"].before
+    for kind, x in zip([STICK, SLIP], before, strict=True):
+        assert_allclose(rows[kind], x, rtol=0, atol=1e-9)
+
+
+def test_the_period_zero_is_no_answer():
+    # Every state closes after no time at all.
+    orbit = jf.periodic_orbit(S.SlipStick(), jnp.asarray([1.1, 0.3]), period=0.2, throw=False)
+    assert bool(orbit.result != RESULTS.successful) or orbit.period > 9
+
+
+def central(f, at, h=1e-4):
+    """f' by central differences of the fourth order."""
+    values = [np.asarray(f(at + k * h)) for k in (-2.0, -1.0, 1.0, 2.0)]
+    return np.tensordot([1, -8, 8, -1], values, 1) / (12 * h)
+
+
+def test_derivatives_of_a_forced_orbit():
+    def start(p):
+        orbit = jf.periodic_orbit(S.DenHartog(friction=p[0], omega=p[1]), GUESS, steps=60)
+        return jnp.append(orbit.x0, orbit.period)
+
+    p = jnp.asarray([0.3, 0.8])
+    forward = jax.jacfwd(start)(p)
+    assert_allclose(jax.jacrev(start)(p), forward, rtol=1e-12, atol=1e-13)
+    for i in range(2):
+        slope = central(lambda q, i=i: start(p.at[i].set(q)), p[i])
+        assert_allclose(forward[:, i], slope, rtol=0, atol=1e-7)
+    assert_allclose(forward[2], [0, -2 * np.pi / 0.8**2], rtol=1e-12)
+
+
+def test_derivatives_of_an_autonomous_orbit():
+    # It sticks. x0 moves at right angles to the field at the guess, which depends on the parameters
+    # too; the period does not.
+    def found(p):
+        system = Slipping(*p)
+        orbit = jf.periodic_orbit(system, jnp.asarray([1.1, 0.3]), period=8.0)
+        return jnp.append(orbit.x0, orbit.period)
+
+    p = jnp.asarray([0.2, 1.0])
+    assert_allclose(found(p)[2], SLIP_STICK_PERIOD, rtol=0, atol=1e-9)
+    forward = jax.jacfwd(found)(p)
+    for i in range(2):
+        slope = central(lambda q, i=i: found(p.at[i].set(q)), p[i])
+        assert_allclose(forward[2, i], slope[2], rtol=1e-6)
+
+
+class Valve(jf.System):
+    """x' = a + k|x| + f cos 2πt, of which everything is known while x keeps its sign s:
+    x = c e^(skt) - a/(sk) + f (-sk cos 2πt + 2π sin 2πt)/(k² + 4π²)."""
+
+    a: jax.Array
+    k: jax.Array
+    f: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        push = self.f * jnp.cos(2 * jnp.pi * t)
+        return jnp.stack([self.a + self.k * side * x[0] + push])
+
+    def switching(self, t, x):
+        return x[0]
+
+    @property
+    def period(self):
+        return jnp.ones((), self.a.dtype)
+
+
+def valve(a, k, f=0.3):
+    return Valve(*(jnp.asarray(v) for v in (a, k, f)))
+
+
+def valves(a, k, x0, newton_steps=50):
+    def orbit(a, k, x0):
+        return jf.periodic_orbit(
+            valve(a, k), x0[None], stepper=jf.RK4(), newton_steps=newton_steps, throw=False
+        )
+
+    return eqx.filter_vmap(orbit)(*(jnp.asarray(v) for v in (a, k, x0)))
+
+
+NAN = float("nan")
+LANES = [  # a, k, guess, outcome
+    (-0.5, 1.0, -0.9, "successful"),
+    (0.5, 1.0, -0.9, "newton_stalled"),  # x' > 0 but for the forcing, whose mean is zero
+    (-0.5, 1.0, NAN, "nonfinite"),
+    (-0.5, 1.0, 0.8, "successful"),
+    (0.5, 0.0, 0.1, "newton_singular"),  # the period map is x + 1/2
+    (NAN, 1.0, 0.4, "nonfinite"),
+    (-1.0, 2.0, 0.6, "successful"),
+]
+
+
+def test_every_lane_has_its_own_outcome():
+    a, k, x0 = (np.asarray(column) for column in list(zip(*LANES, strict=True))[:3])
+    orbits = valves(a, k, x0)
+    assert_array_equal(outcome_names(orbits.result), [lane[3] for lane in LANES])
+    good = np.asarray([lane[3] == "successful" for lane in LANES])
+    s, rate = np.sign(x0)[good], k[good]
+    want = -a[good] / (s * rate) - 0.3 * s * rate / (rate**2 + 4 * np.pi**2)
+    assert_allclose(orbits.x0[good, 0], want, rtol=0, atol=1e-6)
+    assert_allclose(orbits.multipliers[good, 0], np.exp(s * rate), rtol=1e-6)
+    assert_array_equal(orbits.stable[good], s < 0)
+    assert not orbits.stable[~good].any()
+    assert not np.isfinite(np.asarray(orbits.multipliers)[[2, 5]]).any()
+    # Bit for bit what they are among good neighbours.
+    i = np.flatnonzero(good)[np.arange(len(LANES)) % good.sum()]
+    alone = valves(a[i], k[i], x0[i])
+    assert_array_equal(orbits.x0[good], alone.x0[: good.sum()])
+
+
+def test_a_budget_of_two_steps_is_an_outcome():
+    # All on one side, where the map is linear: one step, and one to see it. From the other side, or
+    # after the third, it takes more.
+    x0 = [-0.9, -0.8, -0.7, 0.05, 0.9, 0.8, -0.6]
+    names = outcome_names(valves([-0.5] * 7, [1.0] * 7, x0, newton_steps=2).result)
+    assert names[3] == "newton_max_steps_reached"
+    assert (names[[0, 1, 2, 4, 5, 6]] == "successful").all()
+
+
+def test_two_periods_of_the_forcing():
+    orbit = jf.periodic_orbit(valve(-0.5, 1.0), jnp.asarray([-0.9]), periods=2, stepper=jf.RK4())
+    assert_allclose(orbit.period, 2)
+    assert_allclose(orbit.multipliers, np.exp([-2.0]), rtol=1e-6)
+
+
+def test_single_failures_are_errors_that_say_why():
+    with pytest.raises(RuntimeError, match="no solution near"):
+        jf.periodic_orbit(valve(0.5, 1.0), jnp.asarray([-0.9]), periods=2, stepper=jf.RK4())
+
+
+class Spring(jf.System):
+    """x'' + x = cos ωt: no orbit at ω = 1, where the period map is the identity and a shift, known
+    to rounding only."""
+
+    omega: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.cos(self.omega * t) - x[0]])
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+def test_a_linear_oscillator_in_resonance_has_no_orbit():
+    def orbit(omega):
+        return jf.periodic_orbit(Spring(omega), jnp.asarray([1.0, 0.0]), throw=False)
+
+    orbits = eqx.filter_vmap(orbit)(jnp.asarray([1.0, 0.8]))
+    assert_array_equal(outcome_names(orbits.result), ["newton_singular", "successful"])
+    assert_allclose(orbits.x0[1], [1 / (1 - 0.64), 0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"x0": jnp.zeros((2, 2))}, r"`x0` must be of shape \(n,\)"),
+        ({"system": S.SlipStick}, "`system` must be an instance"),
+        ({"system": S.SlipStick()}, "`period` must be a guess of the period: SlipStick is auto"),
+        ({"system": S.SlipStick(), "period": -1.0}, "`period` must be a positive number, got -1"),
+        ({"system": S.SlipStick(), "period": 9.0, "periods": 2}, "`periods` and `transient`"),
+        ({"period": 9.0}, "`period` must be None: that of SDOscillator is known"),
+        ({"periods": 0}, "`periods` must be an integer of at least 1, got 0"),
+        ({"steps": 2.5}, "`steps` must be an integer of at least 1, got 2.5"),
+        ({"segments": 0}, "`segments` must be an integer of at least 1, got 0"),
+        ({"transient": -1}, "`transient` must be an integer of at least 0, got -1"),
+        ({"newton_steps": 0}, "`newton_steps` must be an integer of at least 1, got 0"),
+        ({"max_events": None}, "`max_events` must be an integer of at least 1, got None"),
+        ({"stepper": "RK4"}, "`stepper` must be jaxfil.RK4"),
+        ({"t0": "now"}, "`t0` must be a number, got 'now'"),
+    ],
+)
+def test_bad_calls(change, message):
+    call = {"system": S.SDOscillator(), "x0": jnp.zeros(2)} | change
+    with pytest.raises(ValueError, match=message):
+        jf.periodic_orbit(call.pop("system"), call.pop("x0"), **call)

@@ -1,0 +1,402 @@
+"""Pictures: what is drawn is what was computed, contact by contact and sample by sample."""
+
+import dataclasses
+import functools
+import re
+import time
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import matplotlib
+import matplotlib.colors
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import RESULTS, EventKind
+from tests.pictures import PICTURES, VALUES, made
+from tests.problems import PROBLEMS
+
+matplotlib.use("Agg")
+
+
+@pytest.fixture(autouse=True)
+def no_figure_stays_open():
+    yield
+    plt.close("all")
+
+
+def solved(system, x0, t1, dt=0.05, t0=0.0):
+    saveat = diffrax.SaveAt(t0=True, steps=True)
+    return jf.solve(system, jnp.array(x0, float), t0, t1, dt, stepper=jf.RK4(), saveat=saveat)
+
+
+def swept(points=5, samples=4, **kwargs):
+    return jf.bifurcation_diagram(
+        jf.systems.SDOscillator(),
+        "omega",
+        jnp.linspace(0.7, 0.9, points),
+        jnp.array([0.3, 0.1]),
+        transient=3,
+        samples=samples,
+        progress=False,
+        **kwargs,
+    )
+
+
+@functools.cache
+def sticking():
+    """One orbit of the belt that sticks at 3.388..., and slips at 0.025..., once a period."""
+    p = PROBLEMS["belt 1.3"]
+    return solved(p.system, [*p.x0], p.t1, 0.01)
+
+
+def bands(ax, mode):
+    """Start, end, bottom and top of the bands with this mode's colour."""
+    color = matplotlib.colors.to_rgb(jf.plot.BANDS[mode][1])
+    for collection in ax.collections:
+        if tuple(collection.get_facecolor()[0][:3]) == color:
+            for path in collection.get_paths():
+                (x0, y0), (x1, y1) = path.vertices.min(axis=0), path.vertices.max(axis=0)
+                yield x0, x1, y0, y1
+
+
+def marked(ax, kind):
+    (line,) = [line for line in ax.lines if line.get_label() == kind.name]
+    return np.array(line.get_data()).T
+
+
+@pytest.mark.parametrize("component", [0, 1])
+def test_a_diagram_shows_every_sample_over_its_value(component):
+    diagram = swept()
+    ax = jf.plot.bifurcation_diagram(diagram, component=component)
+    (dots,) = ax.lines
+    x, y = dots.get_data()
+    assert_array_equal(x, np.repeat(diagram.values, 4))
+    assert_array_equal(y, diagram.xs[:, :, component].ravel())
+    assert ax.get_xlabel() == "Ω"
+    assert ax.get_ylabel() == ("x once a period", "x' once a period")[component]
+    assert ax.get_xlim() == (0.7, 0.9)
+    assert dots.get_rasterized()
+
+
+def test_the_axes_given_are_drawn_on_and_come_back():
+    _, axes = plt.subplots(1, 3)
+    assert jf.plot.bifurcation_diagram(swept(), axes[0]) is axes[0]
+    assert jf.plot.time_history(sticking(), axes[1]) is axes[1]
+    assert jf.plot.phase_portrait(sticking(), axes[2]) is axes[2]
+    assert len(plt.get_fignums()) == 1
+
+
+def test_a_diagram_draws_itself():
+    ax = swept().plot(component=1)
+    assert ax.get_ylabel() == "x' once a period"
+
+
+def test_a_page_is_shown_in_no_window():
+    jf.plot.bifurcation_diagram(swept(), jf.plot.page().add_subplot())
+    assert plt.get_fignums() == []
+
+
+def test_values_whose_lane_ended_early_are_ticked_and_counted():
+    bad = jf.bifurcation_diagram(
+        jf.systems.BeltFriction(),
+        "mu",
+        jnp.array([0.5, jnp.nan, 0.6]),
+        jnp.zeros(2),
+        transient=1,
+        samples=2,
+        progress=False,
+    )
+    assert_array_equal(bad.results == RESULTS.successful, [True, False, True])
+    ax = jf.plot.bifurcation_diagram(bad)
+    dots, ticks = ax.lines
+    assert_array_equal(dots.get_xdata(), [0.5, 0.5, 0.6, 0.6])
+    assert_array_equal(ticks.get_xdata(), [jnp.nan])
+    assert ticks.get_label() == "1 ended early"
+
+
+def test_a_diagram_of_one_value_can_be_seen():
+    ax = jf.plot.bifurcation_diagram(swept(points=1))
+    low, high = ax.get_xlim()
+    assert low < 0.7 < high
+    assert ax.lines[0].get_markersize() == 2
+
+
+def test_a_million_samples_are_drawn_in_seconds(tmp_path):
+    diagram = swept()
+    shape = (10_000, 100, 2)
+    values = jnp.linspace(0.0, 1.0, shape[0])
+    xs = jnp.sin(jnp.arange(np.prod(shape), dtype=float)).reshape(shape)
+    results = jax.tree.map(lambda code: jnp.full(shape[0], code[0]), diagram.results)
+    many = dataclasses.replace(diagram, values=values, xs=xs, results=results)
+    start = time.perf_counter()
+    page = jf.plot.page()
+    jf.plot.bifurcation_diagram(many, page.add_subplot())
+    page.savefig(tmp_path / "million.pdf")
+    assert time.perf_counter() - start < 10
+    assert (tmp_path / "million.pdf").stat().st_size < 3e6
+
+
+def test_bands_change_at_the_contacts():
+    sol = sticking()
+    ax = jf.plot.time_history(sol)
+    slip, stick = PROBLEMS["belt 1.3"].ts
+    held = sorted(bands(ax, 0))
+    assert_allclose([b[:2] for b in held], [(0, slip), (stick, PROBLEMS["belt 1.3"].t1)], atol=1e-7)
+    assert_allclose([b[:2] for b in bands(ax, -1)], [(slip, stick)], atol=1e-7)
+    assert not list(bands(ax, 1))
+    assert {t.get_text() for t in ax.get_legend().get_texts()} == {"sliding", "H < 0"}
+
+
+def test_each_surface_has_its_own_band():
+    sol = solved(jf.systems.FilippovSpiral(), [0.0, 1.0], 1.0, 0.01)
+    ax = jf.plot.time_history(sol)
+    spans = [b for mode in (-1, 0, 1) for b in bands(ax, mode)]
+    lower = sorted(b[:2] for b in spans if b[2:] == (0, 0.5))
+    upper = sorted(b[:2] for b in spans if b[2:] == (0.5, 1))
+    assert len(lower) + len(upper) == len(spans)
+    for band in (lower, upper):
+        assert len(band) > 3
+        assert_allclose([a for a, _ in band], [0, *(b for _, b in band[:-1])], atol=1e-12)
+        assert band[-1][1] == 1.0
+
+
+def test_a_history_backward_in_time_is_shaded_too():
+    sol = solved(jf.systems.SDOscillator(), [0.5, 2.0], 0.0, t0=6.0)
+    ax = jf.plot.time_history(sol)
+    assert sol.num_events > 0
+    edges = sorted(e for mode in (-1, 1) for b in bands(ax, mode) for e in b[:2])
+    for t in np.asarray(sol.events.ts)[: int(sol.num_events)]:
+        assert np.abs(np.array(edges) - t).min() < 1e-12
+    assert (edges[0], edges[-1]) == (0.0, 6.0)
+
+
+def test_a_smooth_system_has_a_history_without_bands():
+    ax = jf.plot.time_history(solved(jf.smoothed(jf.systems.CoulombOscillator(), 0.1), [3, 0.0], 1))
+    assert not list(ax.collections)
+    assert ax.get_legend() is None
+
+
+@pytest.mark.parametrize("component", [0, 1])
+def test_a_history_goes_through_every_saved_state_and_contact(component):
+    sol = sticking()
+    x, y = jf.plot.time_history(sol, component=component).lines[0].get_data()
+    drawn = set(zip(x.tolist(), y.tolist(), strict=True))
+    saved = np.isfinite(sol.ts)
+    assert saved.sum() > 400
+    for ts, xs in ((sol.ts[saved], sol.xs[saved]), (sol.events.ts[:2], sol.events.xs[:2])):
+        assert set(zip(ts.tolist(), xs[:, component].tolist(), strict=True)) <= drawn
+    assert_array_equal(x, np.sort(x))
+
+
+def test_every_contact_is_marked_by_its_kind():
+    sol = sticking()
+    ax = jf.plot.phase_portrait(sol)
+    kinds = np.asarray(sol.events.kinds)
+    assert_array_equal(marked(ax, EventKind.stick), sol.events.xs[kinds == EventKind.stick])
+    assert_array_equal(marked(ax, EventKind.slip), sol.events.xs[kinds == EventKind.slip])
+    assert {t.get_text() for t in ax.get_legend().get_texts()} == {"sliding", "stick", "slip"}
+
+
+def test_slides_are_thick_and_surfaces_dashed():
+    sol = sticking()
+    ax = jf.plot.phase_portrait(sol, system=PROBLEMS["belt 1.3"].system)
+    slides = [line.get_data() for line in ax.lines if line.get_linewidth() == 4]
+    # It starts on the belt, slips at 0.025, sticks at 3.388 and is carried to the period's end.
+    assert len(slides) == 2
+    assert_allclose(np.concatenate([y for _, y in slides]), 1.0, atol=1e-12)
+    assert_allclose([slides[0][0][0], slides[1][0][-1]], sol.xs[0, 0], atol=1e-9)
+    (surface,) = ax.collections
+    vertices = np.concatenate([path.vertices for path in surface.get_paths()])
+    assert_allclose(vertices[:, 1], 1.0, atol=1e-9)
+    assert "H = 0" in {t.get_text() for t in ax.get_legend().get_texts()}
+
+
+def test_a_surface_that_is_the_whole_plane_is_not_in_the_legend():
+    # Two masses that stick: the plane of their places, at the velocities of the end, has H = 0.
+    class Pair(jf.System):
+        def vector_field(self, t, x, side):
+            return jnp.concatenate([x[2:], -x[:2] - side])
+
+        def switching(self, t, x):
+            return x[2:] - 0.1
+
+    pair = Pair()
+    ax = jf.plot.phase_portrait(solved(pair, [0.0, 0.2, 0.1, 0.1], 1.0), system=pair)
+    assert not ax.collections
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["sliding"]
+
+
+def test_a_section_shows_every_finite_state():
+    xs = np.arange(12.0).reshape(2, 3, 2)
+    xs[1, 2] = np.nan
+    (dots,) = jf.plot.poincare_section(xs).lines
+    assert_array_equal(np.array(dots.get_data()).T, xs.reshape(-1, 2)[:5])
+    with pytest.raises(ValueError, match=r"`xs` must be states of shape \(k, n\) with n > 2"):
+        jf.plot.poincare_section(xs, components=(0, 2))
+
+
+def test_multipliers_inside_and_outside_the_unit_circle():
+    found = made(jf.Orbit, multipliers=jnp.array([0.5 + 0.5j, -2.0, jnp.nan]))
+    ax = jf.plot.multipliers(found)
+    _, _, _, inside, outside = ax.lines
+    assert_array_equal(np.array(inside.get_data()).ravel(), [0.5, 0.5])
+    assert_array_equal(np.array(outside.get_data()).ravel(), [-2.0, 0.0])
+    assert ax.get_aspect() == 1
+
+
+def test_exponents_by_synchronisation():
+    def pull(t, x):
+        return 1 - 0.5 * x
+
+    decay = jf.piecewise(pull, pull, lambda t, x: x[0] + 1e9)
+    x0, couplings = jnp.ones(1), jnp.array([-0.8, -0.7, 0.3, 0.5])
+    run = {"periods": 40, "transient": 0, "interval": 1.0, "stepper": jf.RK4()}
+    found = jf.synchronization_exponent(decay, x0, couplings, **run)
+    ax = found.plot()
+    apart, together = ax.lines[:2]
+    assert_array_equal(np.append(apart.get_xdata(), together.get_xdata()), couplings)
+    assert_array_equal(together.get_xdata(), couplings[np.asarray(found.synchronized)])
+    assert "couplings from -0.8 to 0.5" in repr(found)
+    rate = jf.transverse_exponent(decay, x0, coupling=0.2, **run)
+    (line,) = rate.plot().lines
+    assert_allclose(line.get_ydata(), -0.5, rtol=1e-3)
+    assert repr(rate).startswith("TransverseExponent: successful")
+    spectrum = jf.lyapunov_spectrum(decay, x0, **run)
+    (line,) = spectrum.plot().lines
+    assert_allclose(line.get_ydata(), -0.5, rtol=1e-3)
+    assert "-0.5 ± " in repr(spectrum)
+
+
+def test_a_solution_draws_itself():
+    assert sticking().plot().get_ylabel() == "x'"
+    decay = jf.piecewise(lambda t, x: -x, lambda t, x: -x, lambda t, x: x[0])
+    assert solved(decay, [1.0], 1.0).plot().get_ylabel() == "x[0]"
+
+
+def test_an_impact_breaks_the_line():
+    sol = solved(jf.systems.BouncingBall(), [10.0, 0.0], 4.5)
+    ax = jf.plot.phase_portrait(sol)
+    line, _ = ax.lines
+    impacts = marked(ax, EventKind.impact)
+    assert len(impacts) == 2
+    x, v = line.get_data()
+    assert np.isnan(x).sum() == 2
+    assert np.nanmax(np.diff(v)) < 1, "no stroke leads from before an impact to after it"
+
+
+def test_what_cannot_be_drawn_is_refused_with_a_reason():
+    sol = sticking()
+    ball = jf.systems.BouncingBall()
+    with pytest.raises(ValueError, match="`component` must be from 0 to 1, got 2"):
+        jf.plot.time_history(sol, component=2)
+    with pytest.raises(ValueError, match="`component` must be from 0 to 1, got 5"):
+        jf.plot.bifurcation_diagram(swept(), component=5)
+    with pytest.raises(ValueError, match="two saved times or more"):
+        jf.plot.phase_portrait(jf.solve(ball, jnp.array([10.0, 0.0]), 0.0, 1.0, 0.1))
+    with pytest.raises(ValueError, match=r"one lane, got \(2,\) of them"):
+        jf.plot.phase_portrait(jax.tree.map(lambda a: jnp.stack([a, a]), sol))
+    up, down = (lambda t, x: jnp.ones(1)), (lambda t, x: -jnp.ones(1))
+    with pytest.raises(ValueError, match="two components or more, got 1"):
+        jf.plot.phase_portrait(solved(jf.piecewise(down, up, lambda t, x: x[0]), [1.0], 2.0))
+
+
+def spectrum(exponents, settled=True, error=0.01):
+    """A batch of spectra, or one, with made-up numbers."""
+    exponents = np.asarray(exponents, float)
+    lanes, n = exponents.shape[:-1], exponents.shape[-1]
+    times = np.broadcast_to(np.array([10.0, 20.0, 40.0]), (*lanes, 3))
+    return jf.LyapunovSpectrum(
+        exponents=exponents,
+        standard_error=np.full((*lanes, n), error),
+        running=exponents[..., None, :] + np.array([0.3, 0.1, 0.0])[:, None],
+        times=times,
+        x0=np.zeros((*lanes, n)),
+        x_final=np.zeros((*lanes, n)),
+        settled=np.broadcast_to(settled, lanes),
+        result=RESULTS.successful,
+    )
+
+
+def test_exponents_against_a_parameter():
+    values = np.array([1.0, 2.0, 3.0, 4.0])
+    found = spectrum(
+        [[0.5, -np.inf], [0.4, -1.0], [0.3, -2.0], [np.nan, np.nan]],
+        settled=[True, True, False, False],
+    )
+    ax = jf.plot.lyapunov_exponents(values, found, parameter="omega")
+    drawn = {}
+    for line in ax.lines[1:]:  # the first is zero
+        key = (line.get_label().split("_")[0], line.get_fillstyle(), line.get_marker())
+        drawn.setdefault(key, []).append(np.transpose(line.get_data()).tolist())
+    assert drawn["λ1", "full", "o"] == [[[1.0, 0.5], [2.0, 0.4]]]
+    assert drawn["λ2", "full", "o"] == [[[2.0, -1.0]]]
+    assert drawn["", "none", "o"] == [[[3.0, 0.3]], [[3.0, -2.0]]]
+    ((tick,),) = drawn["λ2 = −∞", "full", "|"]
+    assert tick[0] == 1.0
+    assert ax.get_xlabel() == "omega" and ax.get_xlim() == (1.0, 4.0)
+
+
+def test_the_running_estimate_and_its_band():
+    ax = jf.plot.lyapunov_convergence(spectrum([0.5, -np.inf]))
+    (line,) = ax.lines
+    assert_allclose(np.transpose(line.get_data()), [[10, 0.8], [20, 0.6], [40, 0.5]])
+    assert line.get_label() == "λ1 = 0.5"
+    edges = ax.collections[0].get_paths()[0].vertices
+    assert_allclose([edges[:, 1].min(), edges[:, 1].max()], [0.48, 0.52])
+
+
+def test_exponents_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="`spectrum` must hold one spectrum for each of 3 values"):
+        jf.plot.lyapunov_exponents(np.zeros(3), spectrum(np.zeros((2, 2))))
+    with pytest.raises(ValueError, match="`spectrum` must be of one lane"):
+        jf.plot.lyapunov_convergence(spectrum(np.zeros((2, 2))))
+
+
+# The argument of each picture that is a result, and what it must be.
+DRAWN = {
+    "basins": ("found", "a jaxfil.Basins"),
+    "bifurcation_curve": ("curve", "a jaxfil.BifurcationCurve"),
+    "bifurcation_diagram": ("diagram", "a jaxfil.BifurcationDiagram"),
+    "branch": ("branch", "a jaxfil.Branch"),
+    "lyapunov_convergence": (
+        "spectrum",
+        "a jaxfil.LyapunovSpectrum or a jaxfil.TransverseExponent",
+    ),
+    "lyapunov_exponents": ("spectrum", "a jaxfil.LyapunovSpectrum"),
+    "multipliers": ("orbit", "a jaxfil.Orbit"),
+    "parameter_map": ("diagram", "a jaxfil.BifurcationDiagram"),
+    "phase_portrait": ("sol", "a jaxfil.Solution"),
+    "poincare_section": ("xs", "states of shape (k, n) with n > 1"),
+    "synchronization": ("found", "a jaxfil.Synchronization"),
+    "time_history": ("sol", "a jaxfil.Solution"),
+    "work_precision": ("table", "a jaxfil.WorkPrecision"),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_another_result_is_refused_by_its_name(name):
+    argument, must = DRAWN[name]
+    draw = getattr(jf.plot, name)
+    before = {"values": VALUES} if name == "lyapunov_exponents" else {}
+    for wrong in (None, np.zeros(3), jf.systems.SDOscillator(), jf.Bifurcation):
+        with pytest.raises(
+            ValueError, match=re.escape(f"`{argument}` must be {must}, got")
+        ) as told:
+            draw(**before, **{argument: wrong})
+        assert any(word in str(told.value) for word in (type(wrong).__name__, "None", "(3,)"))
+    for public in re.findall(r"jaxfil\.(\w+)", must):
+        assert hasattr(jf, public)
+    with pytest.raises(ValueError, match="`ax` must be matplotlib axes or None, got SDOscillator"):
+        PICTURES[name](jf.systems.SDOscillator())
+
+
+def test_surfaces_and_names_of_no_system_are_refused():
+    with pytest.raises(ValueError, match=r"instance of jaxfil\.System, got str"):
+        jf.plot.phase_portrait(sticking(), system="belt")
+    with pytest.raises(ValueError, match=r"instance of jaxfil\.System, got str"):
+        jf.plot.poincare_section(np.zeros((3, 2)), system="belt")

@@ -1,0 +1,196 @@
+"""The house is in order: what imports what, how long files are, and what the papers promise."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+import jaxfil as jf
+from tests import ROOT
+
+PACKAGE = ROOT / "jaxfil"
+
+# A room imports from the rooms named, and from those that these import: arrows point one way.
+ROOMS = {
+    "version": set(),
+    "xla": set(),
+    "model": {"xla"},
+    "systems": {"model"},
+    "integrate": {"model"},
+    "sweep": {"integrate", "version"},
+    "orbits": {"integrate"},
+    "exponents": {"integrate"},
+    "bifurcations": {"orbits"},
+    "plot": {"sweep", "bifurcations", "exponents"},
+    "__main__": {"plot", "systems"},
+    "__init__": {"__main__"},
+}
+
+
+def below(room):
+    """The rooms that a room may import from."""
+    return set().union(*({near} | below(near) for near in ROOMS[room]))
+
+
+def modules():
+    """The dotted name of every file of the package, with its tree of syntax."""
+    files = {f: f.relative_to(ROOT).with_suffix("").parts for f in PACKAGE.rglob("*.py")}
+    return {
+        ".".join(parts[:-1] if parts[-1] == "__init__" else parts): ast.parse(f.read_text())
+        for f, parts in files.items()
+    }
+
+
+def room(module):
+    return [*module.split("."), "__init__"][1]
+
+
+def imported(tree):
+    """Dotted names that a syntax tree imports anywhere, inside of functions too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{'.' * node.level}{node.module}.{name.name}" for name in node.names)
+
+
+def arrows(trees):
+    """The files that each file imports."""
+    own = {}
+    for module, tree in trees.items():
+        names = {n for n in imported(tree) if n.split(".")[0] in ("jaxfil", "")}
+        assert not any(n.startswith(".") for n in names), f"{module} has a relative import"
+        files = {n if n in trees else n.rpartition(".")[0] for n in names}
+        assert files <= {*trees}, f"{module} imports {files - {*trees}}"
+        own[module] = files - {module}
+    return own
+
+
+def upward(arrows):
+    """Imports from a room that is not below."""
+    return {
+        (file, other)
+        for file, others in arrows.items()
+        for other in others
+        if room(other) not in below(room(file)) | {room(file)}
+    }
+
+
+def circle(arrows):
+    """Files that import each other in a circle; none if there is no circle."""
+    left = {file: {*others} for file, others in arrows.items()}
+    while free := {file for file, others in left.items() if not others & {*left}}:
+        for file in free:
+            del left[file]
+    return {*left}
+
+
+def third_party(tree):
+    """Distributions that a syntax tree imports, by the name of their top module."""
+    for name in imported(tree):
+        top = name.split(".")[0]
+        if top and top not in sys.stdlib_module_names | {"jaxfil", "tests", "benchmarks"}:
+            yield top
+
+
+def readme_blocks(language):
+    return re.findall(rf"^```{language}\n(.*?)^```", (ROOT / "README.md").read_text(), re.M | re.S)
+
+
+def project():
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def declared(requirements):
+    return {re.match(r"[\w-]+", r).group() for r in requirements}
+
+
+def test_every_file_is_in_a_room():
+    assert {room(module) for module in modules()} <= {*ROOMS}
+
+
+def test_arrows_between_rooms_point_one_way():
+    assert upward(arrows(modules())) == set()
+
+
+def test_no_files_import_each_other_in_a_circle():
+    assert circle(arrows(modules())) == set()
+
+
+@pytest.mark.parametrize(
+    "line, where, other",
+    [
+        ("from jaxfil.plot.canvas import page", "jaxfil.model.check", "jaxfil.plot.canvas"),
+        ("from jaxfil.sweep import sweep", "jaxfil.orbits.orbit", "jaxfil.sweep.sweep"),
+        ("import jaxfil.orbits.branch", "jaxfil.orbits.orbit", "jaxfil.orbits.branch"),
+        ("from jaxfil import systems", "jaxfil.model.system", "jaxfil.systems"),
+    ],
+)
+@pytest.mark.parametrize("late", [False, True])
+def test_a_planted_import_is_seen(line, where, other, late):
+    trees = modules()
+    planted = f"def late():\n    {line}\n" if late else f"{line}\n"
+    trees[where].body += ast.parse(planted).body
+    found = arrows(trees)
+    assert other in found[where]
+    if room(where) == room(other):
+        assert {where, other} <= circle(found)
+    else:
+        assert (where, other) in upward(found)
+
+
+@pytest.mark.parametrize(
+    "file", sorted(PACKAGE.rglob("*.py")), ids=lambda f: "/".join(f.parts[-2:])
+)
+def test_a_file_can_be_read_at_one_sitting(file):
+    assert len(file.read_text().splitlines()) <= 400
+
+
+def test_importing_jaxfil_never_imports_matplotlib():
+    code = "import sys, jaxfil; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    code = "import sys, jaxfil; jaxfil.plot.page(); sys.exit('matplotlib' not in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_declared_dependencies_are_those_imported_by_the_package_and_the_scripts_in_readme():
+    sources = [f.read_text() for f in PACKAGE.rglob("*.py")] + readme_blocks("python")
+    used = {name for source in sources for name in third_party(ast.parse(source))}
+    optional = declared(project()["optional-dependencies"]["xarray"])
+    assert declared(project()["dependencies"]) == used - optional
+
+
+@pytest.mark.parametrize("extra, folder", [("test", "tests"), ("benchmarks", "benchmarks")])
+def test_an_extra_declares_what_its_folder_imports(extra, folder):
+    trees = [ast.parse(f.read_text()) for f in (ROOT / folder).rglob("*.py")]
+    used = {name for tree in trees for name in third_party(tree)}
+    assert used <= declared(project()["dependencies"] + project()["optional-dependencies"][extra])
+
+
+def test_the_package_knows_its_version():
+    assert jf.__version__ == project()["version"]
+
+
+def test_ci_runs_the_test_command_in_readme():
+    (command,) = [c for c in readme_blocks("bash") if "pytest" in c]
+    pattern = re.search(r"grep -m 1 '(.*)' README.md", (ROOT / ".ci/run").read_text()).group(1)
+    found = [
+        line for line in (ROOT / "README.md").read_text().splitlines() if re.search(pattern, line)
+    ]
+    assert found[0] == command.strip()
+
+
+@pytest.mark.parametrize("script", readme_blocks("python"), ids=lambda s: s.splitlines()[0])
+def test_a_script_in_readme_runs(script, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", script], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("link", re.findall(r"\]\(([^)#]+)\)", (ROOT / "README.md").read_text()))
+def test_a_link_in_readme_leads_somewhere(link):
+    assert link.startswith("https://") or (ROOT / link).exists()

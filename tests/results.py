@@ -1,0 +1,79 @@
+"""What tests do with results: run a problem, read its events, compare it with what is known."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxfil as jf
+from jaxfil import EventKind
+from jaxfil.model.outcomes import outcome_names
+
+
+def run(system, x0, t1, dt, ts=None, t0=0.0):
+    """Three saved times and a table of events, so that all lanes share one compiled program."""
+    ts = jnp.linspace(t0, t1, 3) if ts is None else jnp.asarray(ts, float)
+    x0 = jnp.asarray(x0, float)
+    saveat = diffrax.SaveAt(ts=ts)
+    return jf.solve(system, x0, t0, t1, dt, saveat=saveat, max_events=64, throw=False)
+
+
+def solved(problem):
+    """The motion of a problem of the bank, as `run` gives it."""
+    p = problem
+    return run(p.system, p.x0, p.t1, p.dt, t0=p.t0)
+
+
+def table(sol):
+    """Times and kinds of the events that happened."""
+    count = int(sol.num_events)
+    assert np.all(np.isinf(sol.events.ts[count:]))
+    assert np.all(sol.events.kinds[count:] == EventKind.none)
+    return np.asarray(sol.events.ts[:count]), sol.events.kinds[:count].tolist()
+
+
+def assert_solves(problem, sol):
+    """Assert all that is known of a problem's motion."""
+    p = problem
+    assert outcome_names(sol.result) == p.outcome
+    times, kinds = table(sol)
+    if p.kinds is not None:
+        # Of infinitely many contacts the first ones are known.
+        several = len(p.kinds) if "zeno" in p.tags.split() else None
+        assert kinds[:several] == p.kinds
+    t_atol = p.atol if p.t_atol is None else p.t_atol
+    if p.ts is not None:
+        assert_within(times[: len(p.ts)], p.ts, t_atol)
+    if p.before is not None:
+        assert_within(sol.events.xs[: len(p.before)], p.before, p.atol)
+    if p.mode is not None:
+        assert tuple(sol.mode_final.tolist()) == p.mode
+    if p.end is not None:
+        assert_within(sol.x_final, p.end, p.atol)
+    assert_within(sol.t_final, p.t1 if p.ends_at is None else p.ends_at, np.max(t_atol))
+
+
+def assert_within(got, want, atol):
+    """Assert that two arrays differ by `atol` at most, which may be an array too."""
+    got, want = np.asarray(got), np.asarray(want, float)
+    assert got.shape == want.shape
+    assert np.all(abs(got - want) <= atol), (got, want, got - want)
+
+
+def lane(batch, i):
+    """One member of a batch of results."""
+    return jax.tree.map(lambda leaf: leaf[i] if hasattr(leaf, "shape") else leaf, batch)
+
+
+def in_float32(result):
+    """The same result, or system, in float32."""
+
+    def cast(leaf):
+        return jnp.asarray(leaf, jnp.float32) if np.asarray(leaf).dtype == np.float64 else leaf
+
+    return jax.tree.map(cast, result)
+
+
+def by_imaginary_part(values):
+    """Multipliers in order of their imaginary part, then of their size."""
+    return np.asarray(sorted(values, key=lambda z: (round(np.imag(z), 6), abs(z))))
