@@ -21,14 +21,16 @@ from jaxfil.bifurcations.two_parameter import (
     BifurcationCurve as BifurcationCurve,
     continue_bifurcation as continue_bifurcation,
 )
+from jaxfil.exponents.coupled import (
+    Synchronization as Synchronization,
+    TransverseExponent as TransverseExponent,
+)
 from jaxfil.exponents.drive_response import drive_response as drive_response
 from jaxfil.exponents.lyapunov import (
     LyapunovSpectrum as LyapunovSpectrum,
     lyapunov_spectrum as lyapunov_spectrum,
 )
 from jaxfil.exponents.synchronization import (
-    Synchronization as Synchronization,
-    TransverseExponent as TransverseExponent,
     synchronization_exponent as synchronization_exponent,
     transverse_exponent as transverse_exponent,
 )

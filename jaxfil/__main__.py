@@ -279,6 +279,7 @@ def _number(text: str) -> float:
 
 def _whole(least: int) -> Callable[[str], int]:
     def parse(text: str) -> int:
+        # `int` alone would also take "1_000", " 5" and "+5".
         if not re.fullmatch(r"\d+", text) or int(text) < least:
             message = f"must be a whole number of {least} or more, it was {text!r}"
             raise argparse.ArgumentTypeError(message)
@@ -299,6 +300,7 @@ def _setting(text: str) -> tuple[str, float]:
 
 
 def _picture(text: str) -> Path:
+    # What cannot be written is told before hours of computing, not after.
     path = Path(text)
     if path.suffix not in PICTURES:
         raise argparse.ArgumentTypeError(f"must end in {', '.join(PICTURES)}; it was {text!r}")

@@ -69,11 +69,13 @@ def _changes(values: Array, least: Array | float) -> Array:
     """Whether the mean of values (batches, k) changes at some split by more than their scatter
     explains, and by more than `least` over the number of batches in the shorter part."""
     batches = values.shape[0]
+    # All splits at once, a row each: products with triangles of ones are the sums on either side.
     k = np.arange(1, batches)
     early = jnp.asarray(np.tril(np.ones((batches - 1, batches))), values.dtype)  # a row: a split
     early_mean = early @ values / jnp.asarray(k[:, None], values.dtype)
     late_mean = (1 - early) @ values / jnp.asarray(batches - k[:, None], values.dtype)
     mean = jnp.where(early[..., None] > 0, early_mean[:, None], late_mean[:, None])
+    # Two means were taken from the batches, which leaves so many degrees of freedom.
     variance = jnp.sum((values - mean) ** 2, axis=1) / (batches - 2)
     weight = jnp.asarray(1 / k + 1 / (batches - k), values.dtype)[:, None]
     shorter = jnp.asarray(np.minimum(k, batches - k)[:, None], values.dtype)

@@ -137,6 +137,7 @@ def _spectrum(
     periods, transient, steps = counts
     grid = grid_of_periods(duration, transient + periods, steps)
     problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING)
+    # The frame costs n times the orbit: it joins when most of the transient is over.
     alone = (transient - transient // 4) * steps
     ends = batch_ends(periods, batches)
     stops = (transient + jnp.append(0, ends)) * steps

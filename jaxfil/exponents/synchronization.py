@@ -8,13 +8,12 @@ itself. Stefański and Kapitaniak, Discrete Dynamics in Nature and Society 4 (20
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
-from jaxfil.exponents.card import average_card
+from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Counts, counts_of, interval_of
 from jaxfil.integrate.components import Components, build, pack, unpack
@@ -24,116 +23,14 @@ from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods
 from jaxfil.integrate.state import is_running
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
-from jaxfil.model.card import precision
-from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes, Scalar, State
+from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 
 # A distance of fewer eps of the size of the state is rounding: a few bits of it are right.
 _RESOLVED = 64
-
-
-class Synchronization(eqx.Module):
-    """Which couplings synchronise drive and response.
-
-    >>> import jax.numpy as jnp
-    >>> import jaxfil as jf
-    >>> wall = jf.systems.ImpactOscillator(damping=1.0)  # λ1 = λ2 = −1/2 away from it
-    >>> found = jf.synchronization_exponent(
-    ...     wall, jnp.array([0.1, 0.0]), jnp.array([-0.55, -0.3]), periods=20, transient=0,
-    ...     steps=20, stepper=jf.RK4())
-    >>> found.synchronized.tolist()
-    [False, True]
-    """
-
-    exponent: Float[Array, ""]
-    """The smallest of `couplings` that synchronises, an estimate of λ1; NaN if none does."""
-    couplings: Float[Array, " c"]
-    """As they were given."""
-    distances: Float[Array, " c"]
-    """The smallest distance |x − y| seen at the ends of periods, until it fell to `tolerance`; NaN
-    where the lane failed."""
-    synchronized: Bool[Array, " c"]
-    """Whether that distance fell to `tolerance`."""
-    tolerance: Float[Array, ""]
-    """The distance that counts as synchronised."""
-    time: Float[Array, ""]
-    """How long drive and response were given."""
-    bias: Float[Array, ""]
-    """By how much the estimate is expected to lie above λ1: half a step of the grid, and
-    log(d0/tolerance)/time, since the distance must fall from its initial d0 within that time."""
-    x0: Float[Array, " n"]
-    """The drive's state before the transient."""
-    results: RESULTS
-    """An outcome for each coupling, shape (c,)."""
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the distances against the couplings; returns the matplotlib axes."""
-        return draw(self, ax=ax)
-
-    def __repr__(self) -> str:
-        told = precision(self.exponent)
-        if isinstance(self.exponent, jax.core.Tracer) or self.exponent.ndim > 0:
-            return f"Synchronization{told}: a batch of shape {self.exponent.shape}"
-        state = np.array2string(np.asarray(self.x0), precision=6, separator=", ")
-        low, high = float(self.couplings[0]), float(self.couplings[-1])
-        return "\n".join(
-            [
-                f"Synchronization{told}: exponent {float(self.exponent):.5g}, biased by "
-                f"about {float(self.bias):.2g}",
-                f"  {int(np.sum(self.synchronized))} of {self.couplings.size} couplings from "
-                f"{low:g} to {high:g} synchronise to {float(self.tolerance):.1g} within a time of "
-                f"{float(self.time):.6g}, from x0 = {state}",
-            ]
-        )
-
-
-class TransverseExponent(eqx.Module):
-    """λ1 from the rate at which a small distance between drive and response grows.
-
-    >>> import jax.numpy as jnp
-    >>> import jaxfil as jf
-    >>> wall = jf.systems.ImpactOscillator(damping=1.0)  # λ1 = λ2 = −1/2 away from it
-    >>> found = jf.transverse_exponent(
-    ...     wall, jnp.array([0.1, 0.0]), periods=20, transient=0, steps=20, stepper=jf.RK4())
-    >>> found.times.shape, bool(found.settled)
-    ((20,), True)
-    """
-
-    exponent: Float[Array, ""]
-    """That rate plus the coupling, per unit time. NaN where the distance fell below what rounding
-    resolves within one interval."""
-    standard_error: Float[Array, ""]
-    """Of the exponent, by batch means."""
-    running: Float[Array, " batches"]
-    """The estimates at `times`."""
-    times: Float[Array, " batches"]
-    """The time averaged over so far."""
-    separation: Float[Array, ""]
-    """The distance to which the response was set back after every interval."""
-    x0: Float[Array, " n"]
-    """The drive's state before the transient."""
-    x_final: Float[Array, " n"]
-    """The drive's state at the end."""
-    settled: Bool[Array, ""]
-    """False if the growth changed for good on the way: take a longer transient."""
-    result: RESULTS
-    """The lane's outcome."""
-
-    @property
-    def exponents(self) -> Float[Array, " 1"]:
-        """The one that is known, as `LyapunovSpectrum.exponents`."""
-        return self.exponent[..., None]
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the running estimate; returns the matplotlib axes."""
-        return draw(self, ax=ax)
-
-    def __repr__(self) -> str:
-        return average_card("TransverseExponent", self, self.exponent, self.standard_error)
 
 
 def synchronization_exponent(
@@ -196,7 +93,7 @@ def synchronization_exponent(
     x = check.state("x0", x0)
     check.system("system", system)
     system = cast(system, x.dtype)
-    grid = jnp.asarray(couplings, x.dtype)
+    grid = jnp.asarray(couplings, x.dtype)  # ascending: the first that synchronises is the answer
     if grid.ndim != 1 or grid.shape[0] == 0:
         raise ValueError(f"`couplings` must be of shape (c,) with c ≥ 1, got shape {grid.shape}.")
     values = check.concrete(grid)
@@ -222,6 +119,7 @@ def _settle(
     grid = grid_of_periods(duration, jnp.maximum(transient, 1), steps)
     problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING)
     state = integrate_in_kernel(problem, unpack(x0))
+    # A grid needs a step: without a transient one period is run, and forgotten.
     moved = transient > 0
     x = jnp.where(moved, pack(state.x, x0.dtype), x0)
     return x, RESULTS.where(moved, state.result, RESULTS.successful)
@@ -279,6 +177,7 @@ def _threshold(
     nearest = jnp.where(results == RESULTS.successful, nearest, jnp.nan)
     met = nearest <= tolerance
     time = periods.astype(x0.dtype) * duration
+    # Somewhere in the last step of the grid: its middle is half a step below its end.
     spacing = jnp.diff(couplings)[jnp.argmax(met) - 1] if couplings.shape[0] > 1 else 0.0
     return Synchronization(
         exponent=jnp.where(jnp.any(met), couplings[jnp.argmax(met)], jnp.nan),
@@ -363,6 +262,8 @@ def _transverse(
     periods, transient, steps = counts
     x, settled = _settle(system, x0, duration, counts, stepper)
     eps = float(jnp.finfo(x0.dtype).eps)
+    # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
+    # √eps, and a little more leaves room to shrink within an interval.
     y, separation = _away(x, eps**0.4)
     n, z = x.shape[0], jnp.concatenate([x, y])
     pair = build(drive_response(system, coupling), z)
@@ -373,6 +274,7 @@ def _transverse(
         state = integrate_in_kernel(Problem(pair, tableau_of(stepper), grid, NOTHING), unpack(z))
         end = pack(state.x, x0.dtype)
         distance = _distance(state.x)
+        # Below this nothing of the distance is known, and a wrong rate would look like any other.
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
         growth = growth + jnp.where(resolved, jnp.log(distance / separation), jnp.nan)
         apart = (end[n:] - end[:n]) * (separation / jnp.where(resolved, distance, 1.0))
@@ -391,6 +293,7 @@ def _transverse(
     (_, z, result), growth = jax.lax.scan(batch, (jnp.zeros_like(periods), z, settled), ends)
     times = ends.astype(x0.dtype) * duration
     growth = jnp.where(result == RESULTS.successful, growth, jnp.nan)
+    # The pull shrinks every distance at the rate of the coupling, which is added back.
     growth = growth + coupling * jnp.diff(times, prepend=0.0)
     exponent, running, error, steady = averages(growth[:, None], times)
     return TransverseExponent(

@@ -18,7 +18,7 @@ from jaxtyping import Array
 from jaxfil.model.system import System, has_resets
 
 
-def concrete(value: Any) -> np.ndarray | None:
+def concrete(value: object) -> np.ndarray | None:
     """The value as NumPy numbers, or None while it is being traced."""
     if isinstance(value, jax.core.Tracer):
         return None
@@ -39,7 +39,7 @@ def state(name: str, x: Any) -> Array:
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ValueError(f"`{name}` must be of a real dtype, got {array.dtype}.")
     if not jnp.issubdtype(array.dtype, jnp.floating):
-        array = array.astype(jnp.result_type(float))
+        array = array.astype(jnp.result_type(float))  # float32 or float64, as JAX is set
     return array
 
 
@@ -69,14 +69,14 @@ def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> A
     # 40.0 is refused: counts are shapes and lengths of loops, and 40.5 would have to be as well.
     if value is None and optional:
         return None
-    whole = isinstance(value, (int, np.integer))
+    whole = isinstance(value, (int, np.integer))  # as True is, to Python
     if not whole or isinstance(value, bool) or value < least:
         must = f"an integer of at least {least}" + (" or None" if optional else "")
         raise ValueError(f"`{name}` must be {must}, got {value!r}.")
     return int(value)
 
 
-def system(name: str, value: Any) -> None:
+def system(name: str, value: object) -> None:
     """A `System`."""
     if not isinstance(value, System):
         what = value.__name__ if isinstance(value, type) else type(value).__name__
@@ -89,7 +89,7 @@ def system(name: str, value: Any) -> None:
         )
 
 
-def instance(name: str, value: Any, *kinds: type) -> None:
+def instance(name: str, value: object, *kinds: type) -> None:
     """A result of one of these public kinds."""
     if not isinstance(value, kinds):
         must = " or ".join(f"a jaxfil.{kind.__name__}" for kind in kinds)
@@ -124,6 +124,7 @@ def _same_as_state(value: System, name: str, **args: Array) -> None:
 def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...]:
     """The shape of the real numbers that one of the user's functions returns."""
     function, told = getattr(value, name), f"`{name}` of {type(value).__name__}"
+    # Bound before it is called: a TypeError from inside of the function is another mistake.
     try:
         inspect.signature(function).bind(*args.values())
     except TypeError as error:
@@ -146,5 +147,5 @@ def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...
     return out.shape
 
 
-def _kind(value: Any) -> str:
+def _kind(value: object) -> str:
     return "None" if value is None else f"an object of type {type(value).__name__}"

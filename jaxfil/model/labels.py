@@ -61,7 +61,7 @@ class Labels:
 
     def of(self, names: tuple[str, ...]) -> "Labels":
         """Those of the state and of these parameters alone."""
-        kept = {*self.state, *names}
+        kept = {*self.state, *names}  # a result has no word for what it does not hold
         return Labels(
             self.state,
             tuple(pair for pair in self.symbols if pair[0] in names),
@@ -111,4 +111,5 @@ def _pairs(system: System, attribute: str, known: list[str]) -> Pairs:
             raise ValueError(f"{must} by a name among {', '.join(known)}; got {name!r}.")
         if not isinstance(told, str):
             raise ValueError(f"{must}, got {told!r} for {name!r}.")
+    # Sorted: labels in another order are the same ones, and compile no other program.
     return tuple(sorted(given.items()))

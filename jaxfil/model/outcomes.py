@@ -103,7 +103,7 @@ def outcome_names(results: RESULTS) -> np.ndarray:
 def outcome_codes(names: np.ndarray) -> np.ndarray:
     """The integers that stand for outcomes of these names, an array in their shape."""
     codes = np.empty(np.shape(names), np.int32)
-    for name in np.unique(names):
+    for name in np.unique(names):  # by name and not by lane: few outcomes, many lanes
         if name not in RESULTS._name_to_item:
             raise ValueError(
                 f"An outcome must be one of {', '.join(RESULTS._name_to_item)}, got {str(name)!r}."
@@ -114,12 +114,13 @@ def outcome_codes(names: np.ndarray) -> np.ndarray:
 
 def code(outcome: RESULTS) -> int:
     """The integer that stands for an outcome."""
-    (number,) = jax.tree.leaves(outcome)
+    (number,) = jax.tree.leaves(outcome)  # the one leaf that equinox gives a member
     return int(number)
 
 
 def outcomes(codes: np.ndarray) -> RESULTS:
     """The outcomes that integers stand for."""
+    # A member holds one integer array, of shape () itself: a batch of outcomes is one with more.
     return jax.tree.map(lambda _: jnp.asarray(codes), RESULTS.successful)
 
 

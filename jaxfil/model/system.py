@@ -73,13 +73,13 @@ class System(eqx.Module):
 
     def switching(self, t: Float[Array, ""], x: Float[Array, " n"]) -> Array:
         """H, a scalar or shape (m,): the surfaces are its zeros. Not overridden: smooth."""
-        return jnp.zeros((0,), x.dtype)
+        return jnp.zeros((0,), x.dtype)  # no surface: nothing that looks for one is compiled
 
     def reset(
         self, t: Float[Array, ""], x: Float[Array, " n"], surface: Int[Array, ""]
     ) -> Float[Array, " n"]:
         """The state, shape (n,), just after an impact on surface number `surface`."""
-        return x
+        return x  # never called: `has_resets` looks whether a class has its own
 
     @property
     def period(self) -> Array | float | None:

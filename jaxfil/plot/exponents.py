@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 
+from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.lyapunov import LyapunovSpectrum
-from jaxfil.exponents.synchronization import Synchronization, TransverseExponent
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.plot.canvas import BLACK, COLORS, marker_size, own_axes

@@ -181,6 +181,7 @@ def _path(sol: Solution) -> tuple[np.ndarray, np.ndarray]:
     ts, xs, _ = _saved(sol)
     times, contacts, kinds, _ = _contacts(sol)
     impacts = times[kinds == EventKind.impact]
+    # A state jumps at an impact: a row of NaN keeps its line from being drawn.
     gaps = np.full((impacts.size, xs.shape[1]), np.nan)
     every = np.concatenate([times, impacts, ts])  # so at one time: left limit, gap, right limit
     order = np.argsort(every if ts[0] <= ts[-1] else -every, kind="stable")
@@ -194,6 +195,7 @@ def _saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             f"`sol` must be one lane, got {np.shape(sol.t_final)} of them: "
             "take lane i with jax.tree.map(lambda a: a[i], sol)."
         )
+    # Times that were not reached are padded with inf.
     if sol.ts is not None:
         ts, xs, modes = map(np.asarray, (sol.ts, sol.xs, sol.modes))
         real = np.isfinite(ts) & np.isfinite(xs).all(axis=1)

@@ -34,6 +34,7 @@ def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
     values = np.ravel(np.asarray(orbit.multipliers, complex))
     values = values[np.isfinite(values)]
     ax = own_axes(ax)
+    # Stability is told by the modulus: equal axes, or the circle would be none.
     angle = np.linspace(0, 2 * np.pi, 361)
     ax.plot(np.cos(angle), np.sin(angle), color=BLACK, linewidth=0.8)
     ax.axhline(0, color=BLACK, linewidth=0.3)

@@ -51,9 +51,11 @@ def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
     ax = own_axes(ax)
     at = [np.argsort(axis)[: np.isfinite(axis).sum()] for axis in values]  # NaN comes last
     periods = np.minimum(diagram.periods(), _MANY)[np.ix_(*at)].T
+    # The colours of all periods would fill the bar, those that occur are few.
     seen = [period for period in PERIODS if (periods == period).any()]
     picture = ax.pcolormesh(
         *(axis[order] for axis, order in zip(values, at, strict=True)),
+        # The place of each period among those seen, for colours go by place.
         np.argmax(periods[..., None] == np.array(seen), axis=-1),
         cmap=ListedColormap([PERIODS[period] for period in seen]),
         vmin=-0.5,

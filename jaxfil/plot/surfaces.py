@@ -21,6 +21,7 @@ def draw_surfaces(ax: Axes, system: System, sol: Solution) -> None:
     """Dash the zeros of every switching function within what the axes show."""
     limits = ax.get_xlim(), ax.get_ylim()
     x, y = (np.linspace(*ends, _GRID) for ends in limits)
+    # A surface is a set in n dimensions, and cut by the plane through the last state.
     last = np.broadcast_to(np.asarray(sol.x_final), (_GRID, _GRID, np.size(sol.x_final))).copy()
     last[..., 0], last[..., 1] = np.meshgrid(x, y)
     heights = jax.vmap(jax.vmap(lambda x: jnp.atleast_1d(system.switching(sol.t_final, x))))

@@ -188,12 +188,14 @@ def _classified(
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """The label of every lane, and the section points of every attractor."""
     periods = diagram.periods(tolerance)
+    # Short periods first, each motion claiming all lanes that pass near it: a pass over the lanes
+    # for each attractor, of which there are few.
     labels = np.where(periods > 0, APERIODIC, periods)
     attractors: list[np.ndarray] = []
     for period in np.unique(periods[periods > 0]):
         left = np.flatnonzero(periods == period)
         while left.size:
-            points = diagram.xs[left[0], -period:]
+            points = diagram.xs[left[0], -period:]  # the last ones have had the longest transient
             # Ten times what two lanes of one motion may be away from where they repeat.
             near = 10 * tolerance * np.max(np.abs(points), axis=0)
             away = np.abs(diagram.xs[left, -1][:, None] - points)

@@ -102,6 +102,7 @@ class Checkpoint:
             # Another process has put the same there first: a folder that is not empty stays.
             if not (self._path / name).exists():
                 raise
+        # What is left by a run that was killed while it wrote is no use to anyone.
         for left in self._path.glob(f".*-{name}"):  # by a run that was killed
             shutil.rmtree(left, ignore_errors=True)
 
@@ -137,7 +138,7 @@ def record_of(
 
 def digest(record: Record) -> bytes:
     """A hash of all arguments."""
-    sha = hashlib.sha256()
+    sha = hashlib.sha256()  # and not `hash`, which is another one in each process
     for name, value in sorted(record.items()):
         sha.update(f"{name} {_shown(value)} ".encode())
         sha.update(value.tobytes() if isinstance(value, np.ndarray) else b"")
@@ -150,6 +151,7 @@ def equations(system: System, x: np.ndarray) -> str:
     It is that of the program lowered for XLA: of everything the functions of the system do, their
     constants included, and of nothing that changes from one process to the next.
     """
+    # Parameters are arguments of the program and not constants in it: new values are told by name.
     leaves, static = eqx.partition(system, is_parameter)
     state = jnp.asarray(x)
     h = check.shapes(system, state)

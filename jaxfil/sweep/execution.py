@@ -74,7 +74,7 @@ def _compiled_job(
 def _lanes(p: int, whole: bool) -> int:
     """Lanes of a chunk of p. Without a single kernel every operation of the loop starts its own,
     and only many lanes make up for that."""
-    blocks = -(-p // BLOCK)
+    blocks = -(-p // BLOCK)  # rounded up
     return BLOCK * min(-(-blocks // _CHUNKS) if whole else blocks, _BLOCKS)
 
 
@@ -176,14 +176,14 @@ def side_by_side(
         stop = threading.Event()
 
         def chunk(start: int) -> tuple[int, bool]:
-            if stop.is_set():
+            if stop.is_set():  # by Ctrl-C, before this chunk has begun
                 return 0, False
             here = slice(start, start + size)
             done, kept = lanes.finish(start, size, lambda: call(rows[here], states[here]))
             return len(done.codes), kept
 
         starts = multiprocess.share(range(0, p, size))
-        bar.start(sum(min(size, p - s) for s in starts))
+        bar.start(sum(min(size, p - s) for s in starts))  # the lanes of this process alone
         # Threads and not devices: XLA releases Python's lock while it computes, and a core that has
         # finished a chunk takes the next one without waiting for the others.
         pool = ThreadPoolExecutor(_cores())
@@ -230,5 +230,6 @@ def one_after_another(
 
 def _filled_up(rows: np.ndarray, size: int) -> np.ndarray:
     """Rows of NaN behind, up to a multiple of `size`."""
+    # All calls have one shape, so that one program serves; a lane of NaN ends in its first step.
     missing = -len(rows) % size
     return np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, rows.dtype)])

@@ -6,7 +6,6 @@ order, and the shape of the result that they make, leave.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jax.typing import DTypeLike
@@ -51,6 +50,7 @@ def parameter_grid(
             f"one array of shape (p, {len(names)}) for single points, got {_told(values)}."
         )
     axes = tuple(_axis(v, dtype, "(p,) with p ≥ 1 for each name") for v in values)
+    # "ij": the first parameter is the first dimension of the result.
     mesh = np.meshgrid(*axes, indexing="ij")
     rows = np.stack([m.ravel() for m in mesh], axis=1)
     return ParameterGrid(names, axes, rows, mesh[0].shape)
@@ -67,7 +67,7 @@ def _one_by_one(names: tuple[str, ...], rows: np.ndarray, dtype: DTypeLike) -> P
     return ParameterGrid(names, rows, rows, rows.shape[:1])
 
 
-def _axis(values: Any, dtype: DTypeLike, shape: str) -> np.ndarray:
+def _axis(values: object, dtype: DTypeLike, shape: str) -> np.ndarray:
     array = np.asarray(values)
     # Not finite is allowed: such a lane fails by itself and harms no other.
     if array.ndim != 1 or array.shape[0] == 0 or array.dtype.kind not in "fiu":
@@ -78,5 +78,5 @@ def _axis(values: Any, dtype: DTypeLike, shape: str) -> np.ndarray:
     return array.astype(dtype)
 
 
-def _told(values: Any) -> str:
+def _told(values: object) -> str:
     return f"{len(values)} of them" if isinstance(values, Sequence) else repr(values)

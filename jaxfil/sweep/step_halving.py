@@ -30,7 +30,7 @@ def errors(
     """
     good = code(RESULTS.successful)
     known = ((codes == good) & (half_codes == good))[:, None]
-    size = np.max(abs(xs), axis=(1, 2))[:, None]
+    size = np.max(abs(xs), axis=(1, 2))[:, None]  # of all components: they feed each other
     # Errors of one unit at random add up as a walk does: √(number of steps) units.
     units = math.sqrt((half.transient + xs.shape[1]) * half.steps)
     rounding = np.finfo(xs.dtype).eps * size * units

@@ -10,7 +10,7 @@ import functools as ft
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -213,13 +213,14 @@ def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     return {key: np.asarray(v) for key, v in parameters(system).items() if key not in names}
 
 
-def _state_type(x0: Any) -> np.dtype:
+def _state_type(x0: States) -> np.dtype:
     """The float precision of initial states."""
+    # One of them is checked for all: an array has one shape and one dtype.
     several = np.ndim(x0) > 1 and np.size(x0) > 0
     return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
 
 
-def _initial_states(x0: Any, shape: tuple[int, ...], follow: bool) -> np.ndarray:
+def _initial_states(x0: States, shape: tuple[int, ...], follow: bool) -> np.ndarray:
     """One initial state, shape (n,), or one for each lane."""
     states = np.asarray(x0)
     if follow and states.ndim != 1:
@@ -237,6 +238,7 @@ def _begun(
     checkpoint: PathLike | None, record: Callable[[], Record], estimate_error: bool
 ) -> Checkpoint | None:
     """The checkpoint, if one is asked for, after a look whether all processes ask for the same."""
+    # Processes with other arguments would wait for each other's chunks for ever.
     if jax.process_count() > 1:
         multiprocess.same(digest({**record(), "estimate_error": str(estimate_error)}))
     return None if checkpoint is None else Checkpoint(checkpoint, record())
@@ -313,6 +315,7 @@ def _run(
     single = one_kernel(lane) if whole else lane
 
     def next_point(x: Array, row: Array) -> tuple[Array, tuple[Array, RESULTS]]:
+        # A value whose lane failed leaves the next one the last good state to start from.
         xs, result, end = single(row, x)
         return jnp.where(result == RESULTS.successful, end, x), (xs, result)
 

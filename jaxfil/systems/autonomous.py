@@ -15,7 +15,8 @@ from jaxfil.systems.default import default
 class CoulombOscillator(System):
     """A mass on a spring with dry friction, dimensionless: x'' = −x − F sgn x';  H = x'.
 
-    From (3, 0) with F = 0.4 it turns at π, 2π, 3π and sticks for good at t = 4π with x = 3 − 8F.
+    From (3, 0), as in `TEXTBOOK`, with F = 0.4 it turns at π, 2π, 3π and sticks for good at t = 4π
+    with x = 3 − 8F.
 
     **Source**: textbook; J. P. Den Hartog, Mechanical Vibrations, McGraw–Hill (1934).
 
@@ -45,8 +46,9 @@ class RotatingOscillator(System):
 
         ẋ = A₁x for |x| < 1, A₂x outside;  A₁ = [[1, ω], [−ω, 1]], A₂ = [[1, −ω], [ω, 1]]
 
-    H = |x|² − 1 is curved. From (1/e, 0) with ω = −2π it crosses at t = 1, and x(T) =
-    e^{T−1}(cos 2π(T−1), −sin 2π(T−1)) after: the problem for measuring the order of a method.
+    H = |x|² − 1 is curved. From (1/e, 0), as in `TEXTBOOK`, with ω = −2π it crosses at t = 1, and
+    x(T) = e^{T−1}(cos 2π(T−1), −sin 2π(T−1)) after: the problem for measuring the order of a
+    method.
 
     **Source**: A. Nurkanović and M. Diehl, NOSNOC: a software package for numerical optimal control
     of nonsmooth systems, IEEE Control Systems Letters 6 (2022) 3110–3115.
@@ -80,7 +82,7 @@ class SlipStick(System):
         x₁' = x₂;  x₂' = −x₁ + 1/(1.2 − x₂) for x₂ < 0.2, −x₁ − 1/(0.8 + x₂) above;  H = x₂ − 0.2
 
     Its periodic orbit has the period 9.230770458083, sticks at x₁ = 0.094518907972 and slips
-    exactly at (1, 0.2).
+    exactly at (1, 0.2), where `TEXTBOOK` starts it.
 
     **Source**: L. Dieci and L. Lopez, Sliding motion in Filippov differential systems: theoretical
     results and a computational approach, SIAM Journal on Numerical Analysis 47 (2009) 2023–2051.
@@ -111,7 +113,7 @@ class BouncingBall(System):
     """A ball that bounces on a floor: y'' = −g for y > 0, y' → −e y' at y = 0;  H = y.
 
     From rest at height h the impacts accumulate at √(2h/g)(1 + e)/(1 − e): the textbook Zeno
-    system.
+    system. `TEXTBOOK` starts it from (10, 0).
 
     **Source**: textbook; B. Brogliato, Nonsmooth Mechanics, Springer (2016).
 
@@ -147,8 +149,8 @@ class FilippovSpiral(System):
 
         ẋ = −sgn x + 2 sgn y,  ẏ = −2 sgn x − sgn y;  H = (x, y)
 
-    From (0, 1) it reaches the origin at t = 1/2 after infinitely many crossings, each leg a third
-    of the last, and rests there.
+    From (0, 1), as in `TEXTBOOK`, it reaches the origin at t = 1/2 after infinitely many crossings,
+    each leg a third of the last, and rests there.
 
     **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer
     (1988).
@@ -175,8 +177,8 @@ class VisibleFold(System):
 
         ẋ = (1, −1) where |x|² > 2, x inside;  H = |x|² − 2
 
-    From (−1, 0.1) it slides on the circle from t = 0.34159842485 and leaves it at 1.82862978083 in
-    (−1, −1), where the field outside is tangent to the circle.
+    From (−1, 0.1), as in `TEXTBOOK`, it slides on the circle from t = 0.34159842485 and leaves it
+    at 1.82862978083 in (−1, −1), where the field outside is tangent to the circle.
 
     **Source**: textbook; M. di Bernardo, C. Budd, A. Champneys and P. Kowalczyk, Piecewise-smooth
     Dynamical Systems, Springer (2008), for folds.
@@ -203,7 +205,8 @@ class TwoRelays(System):
 
         ẋ = (−2, 1.5) where x > y, (2, −3) where x < y;  H = x − y
 
-    From (1.5, 1) it slides along x = y from t = 1/7, and is at x = y = 15.5/17 at t = 1.
+    From (1.5, 1), as in `TEXTBOOK`, it slides along x = y from t = 1/7, and is at x = y = 15.5/17
+    at t = 1.
 
     **Source**: textbook; A. F. Filippov, Differential Equations with Discontinuous Righthand Sides,
     Kluwer (1988), § 4, for the field along the line.

@@ -21,7 +21,8 @@ class SDOscillator(System):
 
     Both fields give the same dH/dt, so the surface is crossed or touched, never slid on. The motion
     from (0, 0) is not unique. The one-sided period-1 orbit about ±1 grazes the surface at
-    Ω² = 1 − 2ζ² ∓ √((1 − 2ζ²)² − 1 + f0²), which is Ω = 0.866716581971234 with the defaults.
+    Ω² = 1 − 2ζ² ∓ √((1 − 2ζ²)² − 1 + f0²), first at Ω = 0.866716581971234 with the defaults.
+    `TEXTBOOK` starts it from (1.995, 0.085).
 
     **Source**: B. Santhosh, S. Narayanan and C. Padmanabhan, Discontinuity induced bifurcations in
     nonlinear systems, Procedia IUTAM 19 (2016) 219–227.
@@ -54,6 +55,7 @@ class SDOscillator(System):
         return jnp.stack([x[1], force - 2 * self.zeta * x[1] - x[0] + snap])
 
     def switching(self, t: Array, x: Array) -> Array:
+        # Smooth for α > 0: no surface at all, and no code for one is compiled.
         return x[0] if self.alpha is None else jnp.zeros((0,), x.dtype)
 
     @property
@@ -68,7 +70,8 @@ class BeltFriction(System):
 
     It sticks on x' = v while |f0 cos ωt − γ1 x − γ2 x³| < μg. The defaults are case 2 of the
     source, a cubic spring; case 1, a linear one, has γ1 = 10, γ2 = 0. Units follow from g in m/s².
-    Case 2 has two attractors from ω = 4.53 on: say which initial state a diagram began in.
+    Case 2 has two attractors from about ω = 4.53 to 4.65, where its diagrams depend on the initial
+    state. `TEXTBOOK` starts it from (0, 0).
 
     **Source**: B. Santhosh, S. Narayanan and C. Padmanabhan, Discontinuity induced bifurcations in
     nonlinear systems, Procedia IUTAM 19 (2016) 219–227.
@@ -130,8 +133,8 @@ class MovingBelt(System):
 
         x'' = −x − 0.4x' + cos 0.7t − F sgn(x' − v(t)),  v = cos t + 0.7;  H = x' − v(t)
 
-    It has two frequencies and no period. From (3, 0) it crosses at t = 7.60556996475, sticks at
-    9.48337857886 and slips at 9.76525875446.
+    It has two frequencies and no period. From (3, 0), as in `TEXTBOOK`, it crosses at t =
+    7.60556996475, sticks at 9.48337857886 and slips at 9.76525875446.
 
     **Source**: M. Calvo, J. I. Montijano and L. Rández, Algorithm 968: DISODE45, ACM Transactions
     on Mathematical Software 43 (2016) 25.
@@ -164,7 +167,7 @@ class DenHartog(System):
         x'' + x = cos Ωt − S sgn x';  H = x'
 
     With V = 1/(1 − Ω²) and U = tan(π/2Ω)/Ω the motion without stops has the amplitude √(V² − S²U²);
-    it begins to stop at S = Ω²|V|/√(1 + Ω⁴U²).
+    it begins to stop at S = Ω²|V|/√(1 + Ω⁴U²). `TEXTBOOK` starts it from (0, 0).
 
     **Source**: J. P. Den Hartog, Forced vibrations with combined Coulomb and viscous friction,
     Transactions of the ASME 53 (1931) 107–115.
@@ -202,7 +205,8 @@ class ImpactOscillator(System):
 
         x'' + cx' + kx = A cos ωt for x < d,  x' → −e x' at x = d;  H = d − x
 
-    Its orbit without impacts grazes the wall at A = √((k − ω²)² + c²ω²) d.
+    Its orbit without impacts grazes the wall at A = √((k − ω²)² + c²ω²) d. `TEXTBOOK` starts it
+    from (0, 0).
 
     **Source**: S. W. Shaw and P. J. Holmes, A periodically forced piecewise linear oscillator,
     Journal of Sound and Vibration 90 (1983) 129–155.

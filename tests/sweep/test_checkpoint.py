@@ -26,7 +26,7 @@ from tests.sweep.runs import ESTIMATED, X0, sweep
 def interrupt_after(monkeypatch, pieces):
     """Press Ctrl-C when so many pieces are finished, and again after the next."""
     finished = []
-    before = execution._Lanes.piece
+    before = execution._Lanes.finish
 
     def piece(*args):
         done = before(*args)
@@ -36,7 +36,7 @@ def interrupt_after(monkeypatch, pieces):
         return done
 
     monkeypatch.setattr(execution, "_cores", lambda: 1)
-    monkeypatch.setattr(execution._Lanes, "piece", piece)
+    monkeypatch.setattr(execution._Lanes, "finish", piece)
 
 
 @pytest.fixture

@@ -112,7 +112,7 @@ def test_files_are_xarrays_own(tmp_path):
 
 def test_bad_paths(tmp_path, monkeypatch):
     d = sweep([0.7, 0.8])
-    with pytest.raises(ValueError, match=r"`path` must end in \.nc or \.zarr, got .*a\.h5'"):
+    with pytest.raises(ValueError, match=r"`path` must end in \.nc, \.zarr or \.npz, got .*a\.h5'"):
         d.save(tmp_path / "a.h5")
     with pytest.raises(FileNotFoundError, match=r"a file that `save` has written, got .*nowhere"):
         jf.load(tmp_path / "nowhere.nc")
