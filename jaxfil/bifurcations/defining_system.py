@@ -1,4 +1,4 @@
-"""The defining system of a tangency: an orbit that closes, and two conditions where it touches.
+"""The defining system of a tangency: an orbit that closes, and two conditions where it is tangent.
 
 A system and a guess of (state, phase of the tangency or period, free parameters) enter; how far the
 equations are from holding leaves, with all derivatives. With one free parameter there are as many

@@ -22,16 +22,18 @@ from jaxfil.orbits.orbit import Orbit
 
 
 class BifurcationSequence(eqx.Module):
-    """A branch of orbits and its bifurcations in the order in which they are met: a `Bifurcation`
-    where the orbit touches a surface, a `SpecialPoint` for folds, period doublings and
-    Neimark–Sacker points, and where the contacts change in a way that has no name."""
+    """A branch of periodic orbits and its bifurcations, in the order in which they are met. It can
+    be iterated over."""
 
     branch: Branch
+    """The branch."""
     bifurcations: list[Bifurcation | SpecialPoint]
+    """A `Bifurcation` where the orbit is tangent to a surface; a `SpecialPoint` for folds, period
+    doublings and Neimark–Sacker points, and where the contacts change in a way without a name."""
 
     @property
     def result(self) -> RESULTS:
-        """The outcome of the branch."""
+        """How the branch began, as `Branch.result`."""
         return self.branch.result
 
     def __iter__(self) -> Iterator[Bifurcation | SpecialPoint]:
@@ -66,10 +68,27 @@ def find_bifurcations(
     max_points: int = 2000,
     throw: bool = True,
 ) -> BifurcationSequence:
-    """What happens to `orbit` as `parameter` goes to `stop`.
+    """Find all that happens to a periodic orbit as a parameter goes to `stop`.
 
-    The branch is followed by `continue_orbit` (which takes the `options`); each change of the
-    contacts on it is then located again by `find_bifurcation` and named by its conditions.
+    The branch is followed by `continue_orbit`; each change of the contacts on it is then located
+    again as a tangency, as `find_bifurcation` does, and named by its conditions.
+
+    **Arguments**
+
+    - `system`: the `System`.
+    - `parameter`: the name of a scalar parameter.
+    - `orbit`: the orbit at which to start, as `periodic_orbit` gives it.
+    - `stop`: the value of the parameter to end at, or a pair (low, high).
+    - `max_step`, `max_points`: the largest step, relative to the size of the unknowns, and the most
+      points in either direction, as in `continue_orbit`.
+    - `throw`: whether to raise an error unless the outcome is `successful`.
+
+    **Returns** a `BifurcationSequence`. A branch that ends before `stop` is a success.
+
+    **Outcomes**: those of `continue_orbit`: `successful`; `newton_stalled`, `newton_singular` or
+    `newton_max_steps_reached` where Newton's method leaves the orbit.
+
+    **Source**: that of `continue_orbit` and `find_bifurcation`.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf

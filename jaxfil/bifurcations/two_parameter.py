@@ -1,10 +1,8 @@
-"""`continue_bifurcation`: a bifurcation in the plane of two parameters.
+"""`continue_bifurcation`: a bifurcation as two parameters vary.
 
 A located bifurcation and the names of two parameters enter; the curve on which it goes on leaves,
 with the points of codimension two at which its kind changes.
 """
-
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -21,6 +19,7 @@ from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import get_parameter
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes
 from jaxfil.orbits.curve import constraint_across
 from jaxfil.orbits.pseudo_arclength import Path, Range, ends_of, follow, range_around
 
@@ -31,29 +30,40 @@ _KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
 
 
 class CodimensionTwo(eqx.Module):
-    """Where the kind changes along a curve."""
+    """A point of codimension two: where the kind changes along a curve."""
 
     values: Float[np.ndarray, "2"]
+    """The two parameters there."""
     before: str = eqx.field(static=True)
+    """The kind before it, in the order of the curve."""
     after: str = eqx.field(static=True)
+    """The kind after it."""
 
 
 class BifurcationCurve(eqx.Module):
-    """A bifurcation in two parameters: `values` (k, 2), the touch at `ts` (k,) in `xs` (k, n), and
-    the kind at each point."""
+    """A bifurcation of periodic orbits in two parameters: k points of a curve."""
 
     parameters: tuple[str, str] = eqx.field(static=True)
+    """The names of the parameters."""
     values: Float[np.ndarray, "k 2"]
+    """The parameters at each point."""
     ts: Float[np.ndarray, " k"]
+    """When the orbit is tangent to the surface."""
     xs: Float[np.ndarray, "k n"]
+    """The state then."""
     kinds: tuple[str, ...] = eqx.field(static=True)
+    """The kind at each point, one of `BIFURCATION_KINDS` or "undecided"."""
     points: list[CodimensionTwo]
+    """Where the kind changes."""
     ended: tuple[str, str] = eqx.field(static=True)
+    """Why the curve ends where it does, at either side."""
     result: RESULTS
+    """How it began: `successful`, also where the curve ends before `stop`, which `ended` tells;
+    otherwise why it did not, and the bifurcation that was given is its only point."""
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call the parameters."""
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the curve in the plane of its two parameters; returns the matplotlib axes."""
         return draw(self, ax=ax)
 
@@ -79,21 +89,38 @@ def continue_bifurcation(
     parameters: tuple[str, str],
     bifurcation: Bifurcation,
     *,
-    stop: tuple[float, float],
+    stop: float | tuple[float, float],
     max_step: float = 0.03,
     max_points: int = 1000,
     throw: bool = True,
 ) -> BifurcationCurve:
-    """The curve of a bifurcation in two parameters, by pseudo-arclength, in both directions.
+    """Follow a bifurcation in two parameters.
+
+    Pseudo-arclength continuation of the defining system that `find_bifurcation` solves, with a
+    parameter more. Where the kind changes, a point of codimension two is located.
 
     **Arguments**
 
-    - `parameters`: two parameters; the bifurcation was found in either of them.
-    - `stop`: the range (low, high) of the first one at which to stop.
-    - `max_step`: largest step, relative to the size of the unknowns.
+    - `system`: the `System`.
+    - `parameters`: the names of two scalar parameters; the bifurcation was found in either of them.
+    - `bifurcation`: where to start, as `find_bifurcation` gives it. Its own values of all
+      parameters count.
+    - `stop`: the value of the first parameter to end at; a pair (low, high) follows the curve both
+      ways.
+    - `max_step`: the largest step, relative to the size of the unknowns.
     - `max_points`: the most points in either direction.
+    - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a curve that
+      does not begin has the bifurcation that was given as its only point.
 
-    **Returns** a `BifurcationCurve`. It ends early where the touch ceases to be one of the orbit.
+    **Returns** a `BifurcationCurve`. One that ends before `stop`, where the orbit meets a surface
+    elsewhere or no tangency is found, is a success; `BifurcationCurve.ended` says why.
+
+    **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
+    where Newton's method leaves the bifurcation; that of the bifurcation itself where it was not
+    found, as `no_tangency_found` or `orbit_lost`.
+
+    **Source**: curves and their points of codimension two: P. Kowalczyk et al., Two-parameter
+    discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006).
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -181,7 +208,7 @@ def _not_begun(
         values=values[None],
         ts=np.asarray(bifurcation.t)[None],
         xs=np.asarray(bifurcation.x)[None],
-        kinds=(bifurcation.kind,),
+        kinds=(str(bifurcation.kind),),
         points=[],
         ended=(why, why),
         result=RESULTS.where(located, result, own),

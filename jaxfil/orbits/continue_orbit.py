@@ -41,22 +41,34 @@ def continue_orbit(
     max_points: int = 2000,
     throw: bool = True,
 ) -> Branch:
-    """The branch of periodic orbits through `orbit` as `parameter` varies.
+    """Follow the branch of periodic orbits through `orbit` as a parameter varies.
 
-    Pseudo-arclength: a step along the tangent, then Newton in the plane across it, so that folds
-    are no obstacle. Steps adapt to the curve. Special points are located on the way to about 1e-10
-    of the parameter.
+    Pseudo-arclength continuation: the predictor goes along the tangent, the corrector is Newton's
+    method across it, so that folds are no obstacle. Steps adapt to the curve. Special points are
+    located on the way to about 1e-10 of the parameter.
 
     **Arguments**
 
-    - `orbit`: where to start, as `periodic_orbit` gives it (or a period doubling of another
-      branch, from which the branch of doubled period is followed).
-    - `stop`: the value of the parameter to end at; a pair of values follows the branch both ways,
-      down to the one and up to the other. A branch that turns back ends where it leaves this range.
-    - `max_step`: largest step, relative to the size of the unknowns.
+    - `system`: the `System`; its value of the parameter does not matter.
+    - `parameter`: the name of a scalar parameter.
+    - `orbit`: where to start, as `periodic_orbit` gives it; or a period doubling of another branch,
+      from which the branch of doubled period is followed.
+    - `stop`: the value of the parameter to end at; a pair (low, high) follows the branch both ways.
+      A branch that turns back ends where it leaves this range.
+    - `max_step`: the largest step, relative to the size of the unknowns.
     - `max_points`: the most points in either direction.
+    - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
+      does not begin has the orbit that was given as its only one.
 
-    **Returns** a `Branch`.
+    **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` says why.
+
+    **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
+    where Newton's method leaves the orbit, which then is none of the system, or finds none of
+    doubled period; that of the orbit itself where it was not found, as `nonfinite`.
+
+    **Source**: textbook: H. Keller, Numerical solution of bifurcation and nonlinear eigenvalue
+    problems, in: Applications of Bifurcation Theory (1977); H. Dankowicz, F. Schilder, Recipes for
+    Continuation (2013).
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf

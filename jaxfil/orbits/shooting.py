@@ -26,13 +26,18 @@ from jaxfil.xla.kernel import kernel_if_it_fits
 
 
 class ShootingOptions(eqx.Module):
-    """How orbits are shot: from `t0`, over `steps` steps in `arcs` arcs."""
+    """How an orbit is integrated."""
 
-    t0: Array
+    t0: Float[Array, ""]
+    """When it starts: the phase of the forcing."""
     steps: int = eqx.field(static=True)
+    """Steps for all of it."""
     arcs: int = eqx.field(static=True)
+    """Arcs of multiple shooting."""
     stepper: Stepper = eqx.field(static=True)
+    """What a step is made by."""
     max_events: int = eqx.field(static=True)
+    """The most contacts in one arc."""
 
     def problem(self, system: System, x0: Array, t0: Array, length: Array, arcs: int) -> Problem:
         """One of `arcs` arcs of equal length, from `t0`."""
