@@ -40,6 +40,7 @@ def _flights(orbit: Orbit) -> list[_Flight]:
     t0, period = float(orbit.options.t0), float(orbit.period)
     first = np.asarray(orbit.first_mode).astype(float)
     events = orbit.events
+    # A mere touch ends no flight.
     ends = switches(events)
     count = ends.size
     if events is None or count == 0:
@@ -112,6 +113,8 @@ def _short(
     if not patterns[kind] or count < 2:
         return []
     side = {"adding-sliding": b, "crossing-sliding": c, "switching-sliding": b}.get(kind, a)
+    # Half into the neighbours: the flight without the short piece goes on there, on either side of
+    # the bifurcation.
     length = flight.stop - flight.start
     left = flight.start - 0.5 * (before.stop - before.start)
     right = flight.stop + 0.5 * (after.stop - after.start)
@@ -127,6 +130,7 @@ def _minima(
     if (flight.mode[j] == 0) != sliding:
         return []
     period = float(orbit.period)
+    # A flight may pass the end of the period: its steps are looked for a period earlier and later.
     times = np.concatenate([ts[:-1] - period, ts[:-1], ts[:-1] + period])
     states = np.tile(xs[:-1], (3, 1))
     low, high = max(flight.start, ts[0] - 0.5 * period), min(flight.stop, ts[-1] + 0.5 * period)

@@ -226,6 +226,8 @@ def _find(
     system, period, tangency = equations.placed(system, z)
     closing = root.at.aux
     found = conditions(system, closing.t, closing.x, tangency)
+    # What is told, last to first: no guess at all, Newton's own failure, an orbit that is none, a
+    # tangency of another kind.
     located = kind_of(family, found)
     result = RESULTS.where(located == code, RESULTS.successful, RESULTS.other_kind)
     result = RESULTS.where(closing.holds, result, RESULTS.orbit_lost)
@@ -238,6 +240,7 @@ def _find(
         orbit=Orbit(
             x0=tangency.x,
             period=period,
+            # The closing's derivative is that of the flow map less one, through the tangency.
             monodromy=root.at.jacobian[:n, :n] + jnp.eye(n, dtype=z.dtype),
             residual=root.at.size,
             events=orbit.events,

@@ -73,9 +73,9 @@ def grazing_margin(
 
     **Outcomes**: `successful`; `no_tangency_found` where the given orbit was not found itself or no
     flight of it approaches a surface; `newton_stalled`, `newton_singular` or
-    `newton_max_steps_reached` where the system has perhaps no orbit near it; and where the flow cannot be followed from the guess,
-    `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`, `nonunique`, `undeclared_sliding` or
-    `step_too_long`.
+    `newton_max_steps_reached` where the system has perhaps no orbit near it; and where the flow
+    cannot be followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
+    `nonunique`, `undeclared_sliding` or `step_too_long`.
 
     **Source**: the implicit function theorem (textbook) applied to the defining system of grazing,
     as in `find_bifurcation`.
@@ -114,6 +114,7 @@ class _Margin(Equations):
         keep = jnp.array([*range(n), n + 1])
 
         def evaluate(z: Array) -> Evaluation:
+            # All rows but that of H, which need not be zero: it is the margin.
             at = self.tangency.evaluate(system, z)
             return Evaluation(
                 at.residual[keep],
@@ -125,6 +126,7 @@ class _Margin(Equations):
             )
 
         root = newton(evaluate, guess, _NEWTON_STEPS)
+        # Without an orbit the last guard is that of nothing.
         margin, jacobian = root.at.aux
         margin = jnp.where(root.result == RESULTS.successful, margin, jnp.nan)
         by_margin = jnp.zeros((n + 2, 1), guess.dtype).at[n].set(-1)

@@ -85,8 +85,8 @@ def find_bifurcations(
 
     **Returns** a `BifurcationSequence`. A branch that ends before `stop` is a success.
 
-    **Outcomes**: those of `continue_orbit`: `successful`; `newton_stalled`, `newton_singular` or
-    `newton_max_steps_reached` where Newton's method leaves the orbit.
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
+    the orbit; that of the orbit itself where it was not found, as `nonfinite`.
 
     **Source**: that of `continue_orbit` and `find_bifurcation`.
 
@@ -119,11 +119,13 @@ def _named(system: System, parameter: str, point: SpecialPoint) -> Bifurcation |
     orbit = dataclasses.replace(
         point.orbit, system=replace_parameter(system, parameter, point.value)
     )
+    # The kind is not known yet: all are looked for, that with the nearest tangency first.
     nearest = []
     for kind in BIFURCATION_KINDS:
         nearest += [(reach, kind) for reach, _ in tangency_candidates(orbit, kind)[:1]]
     for _, kind in sorted(nearest):
         found = find_bifurcation(system, parameter, orbit, kind, throw=False)
+        # A bifurcation further off is another one, which has its own place on the branch.
         located = (found.result == RESULTS.successful) | (found.result == RESULTS.other_kind)
         close = abs(float(found.value) - point.value) <= 1e-6 * abs(point.value)
         if bool(located) and close and int(found.code) >= 0:

@@ -4,6 +4,8 @@ A located bifurcation and the names of two parameters enter; the curve on which 
 with the points of codimension two at which its kind changes.
 """
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
@@ -115,8 +117,8 @@ def continue_bifurcation(
     **Returns** a `BifurcationCurve`. One that ends before `stop`, where the orbit meets a surface
     elsewhere or no tangency is found, is a success; `BifurcationCurve.ended` says why.
 
-    **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
-    where Newton's method leaves the bifurcation; that of the bifurcation itself where it was not
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
+    the bifurcation; that of the bifurcation itself where it was not
     found, as `no_tangency_found` or `orbit_lost`.
 
     **Source**: curves and their points of codimension two: P. Kowalczyk et al., Two-parameter
@@ -168,12 +170,12 @@ def _starts(
     u = np.concatenate([tangency.x, [float(phase)], values])
     axis = curve.axis(u)
     constraint = constraint_across(u, np.where(u == 0, 1.0, abs(u)), axis, 0.0)
-    root = curve.solve(u, constraint)
-    if not bool(root.result == RESULTS.successful):
-        return curve, None, root.result
+    start, result = curve.begin(u, constraint, axis)
+    if start is None:
+        return curve, None, result
     within = range_around(ends, values[0])
-    starts = [curve.point(root, constraint, way * axis) for way in within.ways]
-    return curve, (starts, within), root.result
+    starts = [dataclasses.replace(start, tangent=way * start.tangent) for way in within.ways]
+    return curve, (starts, within), result
 
 
 def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> BifurcationCurve:

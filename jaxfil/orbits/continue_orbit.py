@@ -62,9 +62,9 @@ def continue_orbit(
 
     **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` says why.
 
-    **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
-    where Newton's method leaves the orbit, which then is none of the system, or finds none of
-    doubled period; that of the orbit itself where it was not found, as `nonfinite`.
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
+    the orbit, which then is none of the system, or finds none of doubled period; that of the orbit
+    itself where it was not found, as `nonfinite`.
 
     **Source**: textbook: H. Keller, Numerical solution of bifurcation and nonlinear eigenvalue
     problems, in: Applications of Bifurcation Theory (1977); H. Dankowicz, F. Schilder, Recipes for
@@ -107,23 +107,23 @@ def _on_branch(
     system: System, parameter: str, orbit: Orbit
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
     """The branch of an orbit; the orbit as a point of it, if Newton's method stays; its outcome."""
+    # A float leaf that is no array would be static, and compile a program for each of its values.
     system = cast(system, orbit.x0.dtype)
     periods = 1
     if system.period is not None:
         periods = round(float(orbit.period / jnp.asarray(orbit.system.period)))
+    # The orbit says where the branch starts, whatever the system's own value is.
     known = get_parameter(orbit.system, parameter)
     system = replace_parameter(system, parameter, known)
     curve = OrbitCurve(OrbitProblem(system, orbit.options, parameter, periods))
     q = [float(orbit.period), float(known)] if curve.problem.autonomous else [float(known)]
     starts = np.asarray(orbit.starts)
     u = np.append(starts.ravel(), q)
+    # Before the first shot nothing better is known of the size of a component on the orbit.
     size = np.maximum(np.max(abs(starts), axis=0), _SMALL)
     scale = np.append(np.tile(size, orbit.options.arcs), [abs(v) or 1.0 for v in q])
     constraint = constraint_across(u, scale, curve.axis(u), 0.0)
-    root = curve.solve(u, constraint)
-    found = bool(root.result == RESULTS.successful)
-    point = curve.point(root, constraint, curve.axis(u)) if found else None
-    return curve, point, root.result
+    return curve, *curve.begin(u, constraint, curve.axis(u))
 
 
 def _off_branch(
@@ -141,16 +141,17 @@ def _off_branch(
     curve = OrbitCurve(OrbitProblem(problem.system, options, parameter, 2 * problem.periods))
     if at is None:
         return curve, None, result
+    # At a period doubling both sections of the new orbit lie along the eigenvector of −1, at the
+    # same parameter but for the square of their distance.
     values, vectors = np.linalg.eig(np.asarray(doubling.orbit.monodromy))
     scale = single.metric(at)
     along = np.append(np.real(vectors[:, np.argmin(abs(values + 1))]), 0.0) / scale
     along /= np.linalg.norm(along)
     for ds in _OFF:
         constraint = constraint_across(at.u, scale, along, ds)
-        root = curve.solve(at.u + ds * along * scale, constraint)
-        result = root.result
-        if bool(result == RESULTS.successful):
-            return curve, curve.point(root, constraint, along), result
+        point, result = curve.begin(at.u + ds * along * scale, constraint, along)
+        if point is not None:
+            return curve, point, result
     return curve, None, result
 
 

@@ -68,6 +68,7 @@ def equal_phases(count: int, dtype: jnp.dtype) -> Array:
 def project(phases: Array, values: Array, harmonics: int) -> Array:
     """The coefficients of a series through samples at equally spaced phases."""
     basis = jax.vmap(ft.partial(waves_at, harmonics=harmonics))(phases)
+    # The mean of a squared wave is one half, that of the constant one.
     norm = jnp.where(jnp.arange(2 * harmonics + 1) == 0, 1.0, 2.0).astype(values.dtype)
     return norm[:, None] * (basis.T @ values) / phases.shape[0]
 

@@ -128,6 +128,7 @@ def _first(system: System, guess: Guess, harmonics: int, periods: int) -> Array:
             f"shape {array.shape}."
         )
     array = array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
+    # Higher harmonics start from zero, or are left out.
     return jnp.zeros((size, array.shape[1]), array.dtype).at[: array.shape[0]].set(array[:size])
 
 
@@ -181,6 +182,7 @@ def _equations(balance: _Balance, c: Array) -> tuple[Array, Array]:
     norm = jnp.where(jnp.arange(size) == 0, 1.0, 2.0).astype(c.dtype)[:, None]
     slope = ft.partial(slope_of, harmonics=harmonics)
 
+    # dx/dφ is a series itself and exact; only the force is integrated.
     phases, weights, sides, zeros = _quadrature(balance, c)
     at_points = basis(phases)
     states = at_points @ c
@@ -220,6 +222,7 @@ def _quadrature(balance: _Balance, c: Array) -> tuple[Array, Array, Array, tuple
 
     def move(phase: Array, j: Array, crosses: Array, h_before: Array) -> tuple[Array, Array]:
         x = balance.state(c, phase)
+        # Leibniz: the zero moves by −∇H·δx/(dH/dφ), and the integral by that times the jump.
         rate = jax.jvp(surfaces, (phase,), (jnp.ones_like(phase),))[1][j]
         normal = jax.jacfwd(balance.switching, argnums=1)(phase, x)[j]
         side = jnp.where(balance.switching(phase, x) > 0, 1.0, -1.0).astype(c.dtype)
@@ -243,6 +246,7 @@ def _cell(
         jnp.where(crosses[j], zero_between(lambda p, j=j: surfaces(p)[j], a, b, h_a[j], h_b[j]), b)
         for j in range(m)
     ]
+    # A cut where nothing crosses is the cell's end, and the piece beyond it has no weight.
     cuts = jnp.sort(jnp.stack([a, *zeros, b]))
     middle, half = 0.5 * (cuts[:-1] + cuts[1:]), 0.5 * (cuts[1:] - cuts[:-1])
     sides = jnp.where(jax.vmap(surfaces)(middle) > 0, 1.0, -1.0).astype(a.dtype)

@@ -82,6 +82,7 @@ class Orbit(eqx.Module):
         values = self.multipliers
         size = abs(values)
         if self.system.period is None:
+            # It is 1 to the error of the orbit only: the nearest one is taken for it.
             trivial = jnp.argmin(abs(values - 1), axis=-1)[..., None]
             size = jnp.where(jnp.arange(size.shape[-1]) == trivial, 0, size)
         return (jnp.max(size, axis=-1) < 1) & (self.result == RESULTS.successful)
@@ -136,6 +137,7 @@ class Orbit(eqx.Module):
 def _extremes(orbit: Orbit) -> tuple[Array, Array]:
     dense = orbit.dense()
     n = orbit.x0.shape[-1]
+    # The smallest value is the largest of the opposite: one search for all, as lanes of a batch.
     numbers, signs = np.repeat(np.arange(n), 2), np.tile([-1.0, 1.0], n)
 
     def extreme(i: Array, sign: Array) -> Array:

@@ -142,6 +142,7 @@ def _find(
         one = dataclasses.replace(options, steps=options.steps // periods, arcs=1)
         forward = flow_map(ft.partial(setting_of, system, 1), one, q, 1.0)
         x0 = jax.lax.fori_loop(0, transient, lambda i, x: forward(x, i.astype(x.dtype)), x0)
+    # The trajectory from the guess gives the other starts: only the last arc then fails to close.
     starts = starts_from(setting, options, x0, q)
     equations = ClosedOrbit(options, newton_steps, periods)
     z, root = solve_implicit(equations, system, jnp.append(starts.ravel(), q))

@@ -97,6 +97,7 @@ def _follow(
             beyond = curve.beyond_end(here)
             if beyond is None:
                 return end(f"no {curve.solution} was found beyond {curve.told(here)}")
+            # In the new direction nothing is known of the curve: steps grow from a small one.
             (ahead, corner), ds = beyond, 0.1 * curve.steps.first
         refusal = curve.refusal(ahead)
         if refusal is not None:
@@ -124,10 +125,13 @@ def _advance(
     curve: Curve[_Point], here: _Point, ds: float, max_step: float
 ) -> tuple[_Point | None, float]:
     """The next point, and the step to try after it."""
+    # The tangent is known in the scales in which the point was found; a step is measured in the
+    # point's own.
     steps, scale = curve.steps, curve.metric(here)
     tangent = here.tangent * here.scale / scale
     tangent = tangent / np.linalg.norm(tangent)
     while ds >= steps.least:
+        # The prediction fulfils the constraint already: the corrector moves at right angles to it.
         constraint = constraint_across(here.u, scale, tangent, ds)
         ahead = curve.correct(here.u + ds * tangent * scale, constraint, tangent)
         if ahead is not None:
