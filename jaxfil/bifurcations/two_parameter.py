@@ -4,8 +4,6 @@ A located bifurcation and the names of two parameters enter; the curve on which 
 with the points of codimension two at which its kind changes.
 """
 
-import dataclasses
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
@@ -23,7 +21,7 @@ from jaxfil.model.parameter import get_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
 from jaxfil.orbits.curve import constraint_across
-from jaxfil.orbits.pseudo_arclength import Path, Range, ends_of, follow, range_around
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow
 
 # A guess taken from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
@@ -118,8 +116,8 @@ def continue_bifurcation(
     elsewhere or no tangency is found, is a success; `BifurcationCurve.ended` says why.
 
     **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
-    the bifurcation; that of the bifurcation itself where it was not
-    found, as `no_tangency_found` or `orbit_lost`.
+    the bifurcation; that of the bifurcation itself where it was not found, as `no_tangency_found`
+    or `orbit_lost`.
 
     **Source**: curves and their points of codimension two: P. Kowalczyk et al., Two-parameter
     discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006).
@@ -145,22 +143,21 @@ def continue_bifurcation(
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)
     free = parameters[0], parameters[1]
-    curve, starts, result = _starts(bifurcation, free, ends)
+    curve, start, result = _on_curve(bifurcation, free)
     names = labels_of(bifurcation.orbit.system, bifurcation.x.shape[-1]).of(free)
-    if starts:
-        found = _curve(curve, follow(curve, *starts, max_step, max_points), names)
-    else:
+    if start is None:
         found = _not_begun(bifurcation, free, result, names)
+    else:
+        found = _curve(curve, follow(curve, start, ends, max_step, max_points), names)
     if not throw:
         return found
     return found.result.error_if(found, found.result != RESULTS.successful)
 
 
-def _starts(
-    bifurcation: Bifurcation, free: tuple[str, str], ends: list[float]
-) -> tuple[TangencyCurve, tuple[list[TangencyPoint], Range] | None, RESULTS]:
-    """The curve; the bifurcation as a point of it, once for each direction, and the range, if
-    Newton's method stays; its outcome."""
+def _on_curve(
+    bifurcation: Bifurcation, free: tuple[str, str]
+) -> tuple[TangencyCurve, TangencyPoint | None, RESULTS]:
+    """The curve; the bifurcation as a point of it, if Newton's method stays; its outcome."""
     at, tangency = bifurcation.orbit, bifurcation.tangency
     equations = defining_system(at.system, at, tangency, bifurcation.family, free, _NEWTON_STEPS)
     curve = TangencyCurve(at.system, equations)
@@ -170,12 +167,7 @@ def _starts(
     u = np.concatenate([tangency.x, [float(phase)], values])
     axis = curve.axis(u)
     constraint = constraint_across(u, np.where(u == 0, 1.0, abs(u)), axis, 0.0)
-    start, result = curve.begin(u, constraint, axis)
-    if start is None:
-        return curve, None, result
-    within = range_around(ends, values[0])
-    starts = [dataclasses.replace(start, tangent=way * start.tangent) for way in within.ways]
-    return curve, (starts, within), result
+    return curve, *curve.begin(u, constraint, axis)
 
 
 def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> BifurcationCurve:

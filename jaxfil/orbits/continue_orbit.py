@@ -22,7 +22,7 @@ from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, contacts_of, orbit
 from jaxfil.orbits.curve import constraint_across
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_curve import OrbitCurve
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow
 
 # A guess of a state this small is measured as if it were this large.
 _SMALL = 1e-3
@@ -95,9 +95,7 @@ def continue_orbit(
     if start is None:
         branch = _not_begun(curve, given, result)
     else:
-        within = range_around(ends, curve.value(start))
-        starts = [dataclasses.replace(start, tangent=sign * start.tangent) for sign in within.ways]
-        branch = _branch(curve, follow(curve, starts, within, max_step, max_points))
+        branch = _branch(curve, follow(curve, start, ends, max_step, max_points))
     if not throw:
         return branch
     return branch.result.error_if(branch, branch.result != RESULTS.successful)
@@ -111,7 +109,9 @@ def _on_branch(
     system = cast(system, orbit.x0.dtype)
     periods = 1
     if system.period is not None:
-        periods = round(float(orbit.period / jnp.asarray(orbit.system.period)))
+        ratio = float(orbit.period / jnp.asarray(orbit.system.period))
+        # Of a period that is NaN none is a multiple; Newton's method will say what is wrong.
+        periods = round(ratio) if np.isfinite(ratio) else 1
     # The orbit says where the branch starts, whatever the system's own value is.
     known = get_parameter(orbit.system, parameter)
     system = replace_parameter(system, parameter, known)

@@ -63,12 +63,22 @@ def range_around(ends: list[float], value: float) -> Range:
 
 
 def follow(
-    curve: Curve[_Point], starts: list[_Point], within: Range, max_step: float, max_points: int
+    curve: Curve[_Point], start: _Point, ends: list[float], max_step: float, max_points: int
 ) -> Path[_Point]:
-    """The curve from one point, given once for each direction, with a tangent that points there."""
-    *back, ahead = (_follow(curve, start, within, max_step, max_points) for start in starts)
+    """The curve from one point on to its ends, ahead being where its tangent points."""
+    within = range_around(ends, curve.value(start))
+    *back, ahead = (
+        _follow(
+            curve,
+            dataclasses.replace(start, tangent=way * start.tangent),
+            within,
+            max_step,
+            max_points,
+        )
+        for way in within.ways
+    )
     if not back:
-        begin = f"start at {curve.told(starts[0])}"
+        begin = f"start at {curve.told(start)}"
         return dataclasses.replace(ahead, ended=(begin, ahead.ended[1]))
     # What was found on the way back is put in the order of the way ahead.
     first, shift = back[0], len(back[0].points) - 1

@@ -74,9 +74,7 @@ def from_below(curve, stop, max_points=200):
     axis = curve.axis(u)
     start, result = curve.begin(u, constraint_across(u, np.ones(2), axis, 0.0), axis)
     assert outcome_names(result) == "successful"
-    within = range_around(ends_of(stop), curve.value(start))
-    starts = [dataclasses.replace(start, tangent=way * start.tangent) for way in within.ways]
-    return follow(curve, starts, within, 0.2, max_points)
+    return follow(curve, start, ends_of(stop), 0.2, max_points)
 
 
 def test_both_ways_round_a_fold_are_one_curve():
