@@ -47,10 +47,8 @@ from jaxfil.model.outcomes import RESULTS as RESULTS, EventKind as EventKind
 from jaxfil.model.system import System as System, piecewise as piecewise, smoothed as smoothed
 from jaxfil.orbits.branch import Branch as Branch, SpecialPoint as SpecialPoint
 from jaxfil.orbits.continue_orbit import continue_orbit as continue_orbit
-from jaxfil.orbits.harmonic_balance import (
-    FourierOrbit as FourierOrbit,
-    harmonic_balance as harmonic_balance,
-)
+from jaxfil.orbits.fourier import FourierOrbit as FourierOrbit
+from jaxfil.orbits.harmonic_balance import harmonic_balance as harmonic_balance
 from jaxfil.orbits.orbit import Orbit as Orbit
 from jaxfil.orbits.periodic_orbit import periodic_orbit as periodic_orbit
 from jaxfil.sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction

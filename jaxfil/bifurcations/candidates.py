@@ -1,4 +1,4 @@
-"""Where an orbit comes near a touch: the guesses from which a bifurcation is located.
+"""Where an orbit comes near a tangency: the guesses from which a bifurcation is located.
 
 An orbit and a kind of bifurcation enter; `Tangency`es leave, the nearest first. On one side of a
 bifurcation the orbit has a short piece that is not there on the other: a short flight between two
@@ -21,7 +21,7 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
 
-# Touches of an orbit that are told, the nearest first.
+# Tangencies of an orbit that are told, the nearest first.
 _CANDIDATES = 3
 
 
@@ -40,6 +40,7 @@ def _flights(orbit: Orbit) -> list[_Flight]:
     t0, period = float(orbit.options.t0), float(orbit.period)
     first = np.asarray(orbit.first_mode).astype(float)
     events = orbit.events
+    # A mere touch ends no flight.
     ends = switches(events)
     count = ends.size
     if events is None or count == 0:
@@ -75,8 +76,8 @@ def _guesses(orbit: Orbit, kind: str) -> list[tuple[Tangency, Array]]:
 
 
 def tangency_candidates(orbit: Orbit, kind: str) -> list[tuple[float, Tangency]]:
-    """The nearest touches from which a bifurcation of this kind could come, each with the time by
-    which the orbit misses it (or is past it)."""
+    """The nearest tangencies from which a bifurcation of this kind could come, each with the time
+    by which the orbit misses it (or is past it)."""
     flights = _flights(orbit)
     dense = orbit.dense()
     ts, xs = np.asarray(dense.ts), np.asarray(dense.xs)
@@ -100,7 +101,7 @@ def tangency_candidates(orbit: Orbit, kind: str) -> list[tuple[float, Tangency]]
 def _short(
     flight: _Flight, before: _Flight, after: _Flight, j: int, kind: str, count: int
 ) -> list[tuple]:
-    """A flight that may be the one born in the bifurcation: its length, and the touch there."""
+    """A flight that may be the one born in the bifurcation: its length, and the tangency there."""
     a, b, c = before.mode[j], flight.mode[j], after.mode[j]
     patterns = {
         "grazing": a != 0 and c == a and b == -a,
@@ -112,6 +113,8 @@ def _short(
     if not patterns[kind] or count < 2:
         return []
     side = {"adding-sliding": b, "crossing-sliding": c, "switching-sliding": b}.get(kind, a)
+    # Half into the neighbours: the flight without the short piece goes on there, on either side of
+    # the bifurcation.
     length = flight.stop - flight.start
     left = flight.start - 0.5 * (before.stop - before.start)
     right = flight.stop + 0.5 * (after.stop - after.start)
@@ -127,6 +130,7 @@ def _minima(
     if (flight.mode[j] == 0) != sliding:
         return []
     period = float(orbit.period)
+    # A flight may pass the end of the period: its steps are looked for a period earlier and later.
     times = np.concatenate([ts[:-1] - period, ts[:-1], ts[:-1] + period])
     states = np.tile(xs[:-1], (3, 1))
     low, high = max(flight.start, ts[0] - 0.5 * period), min(flight.stop, ts[-1] + 0.5 * period)
@@ -169,7 +173,13 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
 
 
 def _impacts(
-    orbit: Orbit, flight: _Flight, after: _Flight, j: int, kind: str, ts, xs
+    orbit: Orbit,
+    flight: _Flight,
+    after: _Flight,
+    j: int,
+    kind: str,
+    ts: np.ndarray,
+    xs: np.ndarray,
 ) -> list[tuple]:
     """Impacts on a wall: the time in which the rate of approach would vanish."""
     side = flight.mode[j]
@@ -182,7 +192,9 @@ def _impacts(
     return [(reach, j, side, flight.mode, left, at, right)]
 
 
-def _reach(orbit: Orbit, flight: _Flight, j: int, side: float, ts, xs) -> float:
+def _reach(
+    orbit: Orbit, flight: _Flight, j: int, side: float, ts: np.ndarray, xs: np.ndarray
+) -> float:
     """The time in which Ḣ_s at the end of a flight would vanish."""
     within = ts[0] + (flight.stop - ts[0]) % float(orbit.period)
     x = jnp.asarray(xs[np.argmin(abs(ts - within))])
@@ -193,7 +205,13 @@ def _reach(orbit: Orbit, flight: _Flight, j: int, side: float, ts, xs) -> float:
 
 
 def _arrivals(
-    orbit: Orbit, flight: _Flight, after: _Flight, j: int, kind: str, ts, xs
+    orbit: Orbit,
+    flight: _Flight,
+    after: _Flight,
+    j: int,
+    kind: str,
+    ts: np.ndarray,
+    xs: np.ndarray,
 ) -> list[tuple]:
     """Contacts at which the orbit arrives near the end of the sliding region: the time in which
     Ḣ_s would vanish."""
@@ -212,9 +230,16 @@ _state_at = eqx.filter_jit(evaluate)
 
 
 def _tangency(
-    orbit: Orbit, dense: Dense, j: int, side: float, mode, left, middle, right
+    orbit: Orbit,
+    dense: Dense,
+    j: int,
+    side: float,
+    mode: np.ndarray,
+    left: float,
+    middle: float,
+    right: float,
 ) -> Tangency:
-    """The touch as arrays, its flight starting within the period that the orbit is known for."""
+    """The tangency as arrays, its flight starting within the period that the orbit is known for."""
     t0, period = float(orbit.options.t0), float(orbit.period)
     shift = period * np.floor((left - t0) / period)
     left, middle, right = (min(v - shift, t0 + 2 * period) for v in (left, middle, right))

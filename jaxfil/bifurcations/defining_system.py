@@ -1,4 +1,4 @@
-"""The defining system of a tangency: an orbit that closes, and two conditions where it touches.
+"""The defining system of a tangency: an orbit that closes, and two conditions where it is tangent.
 
 A system and a guess of (state, phase of the tangency or period, free parameters) enter; how far the
 equations are from holding leaves, with all derivatives. With one free parameter there are as many
@@ -69,6 +69,7 @@ class DefiningSystem(Equations):
         n = self.tangency.x.shape[0]
         system, period, _ = self.placed(system, z)
         size = jnp.where(closing.size == 0, 1, closing.size)
+        # H by how far it reaches across the orbit, its rates by that in a turn of the forcing.
         normals = jax.jacfwd(system.switching, argnums=1)(closing.t, closing.x)
         height = jnp.max(abs(jnp.atleast_2d(normals)) @ size)
         height = jnp.where(height == 0, 1, height)
@@ -98,6 +99,7 @@ def defining_system(
     newton_steps: int | Array,
 ) -> DefiningSystem:
     """The defining system of a tangency of an orbit of a forced or an autonomous system."""
+    # A multiple of the forcing period that is an argument of the program, not a part of it.
     periods = 1
     if system.period is not None:
         periods = jnp.round(stop_gradient(orbit.period / jnp.asarray(orbit.system.period)))

@@ -1,8 +1,8 @@
 """`find_bifurcation`: where an orbit meets a surface tangentially.
 
 A system, the name of a parameter, an orbit nearby and a kind enter; a `Bifurcation` leaves: the
-value, the orbit, where and when it touches, and the conditions that define the kind, with their
-values. Found by Newton's method on the orbit, the phase of the touch and the parameter together;
+value, the orbit, where and when it is tangent, and the conditions that define the kind, with their
+values. Found by Newton's method on the orbit, the phase of the tangency and the parameter together;
 nothing there has the square root that grazing puts into the period map.
 
 Kinds and conditions: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk, Piecewise-smooth
@@ -10,14 +10,14 @@ Dynamical Systems (2008), chapter 8, with time as a state.
 """
 
 import functools as ft
-from typing import Any
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxfil.bifurcations.candidates import guesses
 from jaxfil.bifurcations.defining_system import defining_system
@@ -38,29 +38,50 @@ from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.orbit import Orbit
 
 BIFURCATION_KINDS = tuple(FAMILIES)
+"""The kinds of bifurcation that `find_bifurcation` locates, in the order of `Bifurcation.code`.
+
+- `"grazing"`: the orbit is tangent to a surface from one side, and no sliding region is there; also
+  an impact on a wall at zero velocity.
+- `"grazing-sliding"`: it is tangent where a sliding region is: beyond, a piece of the orbit slides.
+- `"adding-sliding"`: a sliding piece is tangent to the end of the sliding region: beyond, it leaves
+  the surface for a while and comes back.
+- `"crossing-sliding"`: the orbit arrives on the surface at the end of the sliding region, where the
+  field leaves it: beyond, it slides before it crosses.
+- `"switching-sliding"`: it arrives there, where the field comes back to the surface: beyond, it
+  crosses before it slides.
+"""
 
 
 class Bifurcation(eqx.Module):
-    """A located bifurcation: at `value` of the parameter the orbit touches `surface` at time `t` in
-    state `x`. `orbit` starts where the flight around the touch does. `code` is the number of its
-    kind in `BIFURCATION_KINDS`, −1 where the conditions are those of none."""
+    """A grazing or sliding bifurcation of a periodic orbit, located."""
 
     value: Float[Array, ""]
+    """The parameter at which it happens; NaN where there was nothing to start from."""
     orbit: Orbit
+    """The orbit there. It starts where the flight around the tangency does."""
     t: Float[Array, ""]
+    """When the orbit is tangent."""
     x: Float[Array, " n"]
-    code: Array
+    """The state then."""
+    code: Int[Array, ""]
+    """The number of its kind in `BIFURCATION_KINDS`; −1 where the conditions are those of none."""
     conditions: Conditions
+    """What defines the kind and tells it from others."""
     residual: Float[Array, ""]
+    """The largest residual of the defining system, each in its scale."""
     result: RESULTS
+    """How the search ended."""
     tangency: Tangency
+    """The tangency, in the form in which it is followed."""
     parameter: str = eqx.field(static=True)
+    """The name of the parameter."""
     family: str = eqx.field(static=True)
+    """Which equations define it: "flight", "slide" or "arrival"."""
 
     touch = renamed_attribute("touch", "tangency")
 
     @property
-    def kind(self) -> Any:
+    def kind(self) -> str | np.ndarray:
         """The name of the kind, decided by the conditions; an array of names for a batch."""
         names = np.array([*BIFURCATION_KINDS, "undecided"])[np.asarray(self.code)]
         return str(names) if names.ndim == 0 else names
@@ -93,24 +114,35 @@ def find_bifurcation(
     newton_steps: int = 40,
     throw: bool = True,
 ) -> Bifurcation:
-    """The value of `parameter` at which an orbit near `orbit` has a bifurcation.
+    """Find the value of a parameter at which an orbit near `orbit` has a bifurcation.
 
-    Unknowns are a state on the orbit, the phase of the touch (or the period of an autonomous
-    system) and the parameter; equations that the orbit closes, and two at the touch: H = Ḣ_s = 0,
-    or for a slide Ḣ_s = 0 and its derivative along the slide.
+        x(t0 + T; x0) = x0,  H = Ḣ_s = 0  (of a slide Ḣ_s = 0 and its derivative along the slide)
+
+    Unknowns are a state on the orbit, the phase of the tangency (or the period of an autonomous
+    system) and the parameter: Newton's method finds them together.
 
     **Arguments**
 
+    - `system`: the `System`.
+    - `parameter`: the name of a scalar parameter.
     - `orbit`: a periodic orbit of `system` near the bifurcation, on either side of it; a batch (as
-      from `equinox.filter_vmap`) is searched in one call.
-    - `kind`: "grazing" (also impacts on a wall), "grazing-sliding", "adding-sliding",
-      "crossing-sliding" or "switching-sliding".
-    - `newton_steps`: evaluations at most.
-    - `throw`: raise an error unless the outcome is successful; otherwise return it.
+      from `equinox.filter_vmap`) is searched in one call. It must not be traced.
+    - `kind`: one of `BIFURCATION_KINDS`.
+    - `newton_steps`: the most evaluations.
+    - `throw`: whether to raise an error unless the outcome is `successful`.
 
-    **Returns** a `Bifurcation`. Besides Newton's outcomes: `no_tangency_found`, `orbit_lost`, and
-    `other_kind` (the place is one, but of the kind that `.kind` names). The derivative of `.value`
-    with respect to the other parameters is that of the implicit function, forward and reverse.
+    **Returns** a `Bifurcation`. The derivative of its `value` with respect to the other float
+    leaves of the system is that of the implicit function, forward and reverse.
+
+    **Outcomes**: `successful`; `no_tangency_found` where the orbit was not found itself or comes
+    near no surface in that way; `other_kind` where the place is a bifurcation, but of the kind that
+    `.kind` names; `orbit_lost` where the orbit meets a surface elsewhere; `newton_stalled`,
+    `newton_singular` or `newton_max_steps_reached` where there is perhaps none; and where the flow
+    cannot be followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
+    `nonunique`, `undeclared_sliding` or `step_too_long`.
+
+    **Source**: kinds and conditions: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk,
+    Piecewise-smooth Dynamical Systems (2008), chapter 8, with time as a state.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -132,15 +164,17 @@ def find_bifurcation(
         _find, system, parameter, FAMILIES[kind], BIFURCATION_KINDS.index(kind), newton_steps
     )
     search = one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
-    found = _first_real(search, orbit, guesses(orbit, kind))
+    found = _first_found(search, orbit, guesses(orbit, kind))
     if not throw:
         return found
     return found.result.error_if(found, found.result != RESULTS.successful)
 
 
-def _first_real(search: Any, orbit: Orbit, lanes: list[list]) -> Bifurcation:
-    """The bifurcation at the first touch of each lane from which one is found. The touch that is
-    nearest now need not be the first to happen."""
+def _first_found(
+    search: Callable[..., Bifurcation], orbit: Orbit, lanes: list[list[tuple[Tangency, Array]]]
+) -> Bifurcation:
+    """The bifurcation at the first tangency of each lane from which one is found. The tangency that
+    is nearest now need not be the first to happen."""
     found = None
     for i in range(max(len(lane) for lane in lanes)):
         tried = [lane[min(i, len(lane) - 1)] for lane in lanes]
@@ -166,7 +200,7 @@ def _better(a: Bifurcation, b: Bifurcation) -> Bifurcation:
 
     take = rank(b) > rank(a)
 
-    def pick(u: Any, v: Any) -> Any:
+    def pick(u: Array, v: Array) -> Array:
         return jnp.where(jnp.reshape(take, take.shape + (1,) * (v.ndim - take.ndim)), v, u)
 
     arrays, rest = eqx.partition(a, eqx.is_array)
@@ -192,6 +226,8 @@ def _find(
     system, period, tangency = equations.placed(system, z)
     closing = root.at.aux
     found = conditions(system, closing.t, closing.x, tangency)
+    # What is told, last to first: no guess at all, Newton's own failure, an orbit that is none, a
+    # tangency of another kind.
     located = kind_of(family, found)
     result = RESULTS.where(located == code, RESULTS.successful, RESULTS.other_kind)
     result = RESULTS.where(closing.holds, result, RESULTS.orbit_lost)
@@ -204,6 +240,7 @@ def _find(
         orbit=Orbit(
             x0=tangency.x,
             period=period,
+            # The closing's derivative is that of the flow map less one, through the tangency.
             monodromy=root.at.jacobian[:n, :n] + jnp.eye(n, dtype=z.dtype),
             residual=root.at.size,
             events=orbit.events,

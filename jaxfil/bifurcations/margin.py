@@ -26,10 +26,12 @@ _NEWTON_STEPS = 40
 
 
 class GrazingMargin(eqx.Module):
-    """How far an orbit stays from grazing, and whether that was found."""
+    """How far an orbit stays from grazing, with its outcome."""
 
     value: Float[Array, ""]
+    """The margin, in the unit of H; NaN where none was found."""
     result: RESULTS
+    """How the search ended."""
 
     def __repr__(self) -> str:
         told = precision(self.value)
@@ -51,15 +53,32 @@ def grazing_margin(system: System, orbit: Orbit, *, throw: Literal[False]) -> Gr
 def grazing_margin(
     system: System, orbit: Orbit, *, throw: bool = True
 ) -> Float[Array, ""] | GrazingMargin:
-    """The smallest |H| of the flight on which `orbit` comes closest to grazing, signed.
+    """Measure how far an orbit stays from grazing, as a function of all parameters.
+
+        margin = min_t s H(t, x(t)) on the flight that comes closest to grazing from side s
 
     The flight is followed as if the surface were not there, so that the margin goes on smoothly
-    through zero into negative values, where the orbit would cut the surface. `orbit` is one of
-    `system` at parameters close by: it says which flight is meant, and is where Newton's method
-    starts. NaN where that finds no orbit, or where no flight approaches a surface.
+    through zero into negative values, where the orbit would cut the surface.
 
-    Differentiable with respect to every float leaf of `system`, forward and reverse; `jit` and
-    `vmap` over the system work.
+    **Arguments**
+
+    - `system`: the `System`; the margin is differentiable with respect to each of its float leaves,
+      forward and reverse, under `jit` and `vmap`.
+    - `orbit`: an orbit of `system` at parameters close by, which says which flight is meant and is
+      where Newton's method starts. It must not be traced.
+    - `throw`: whether to raise an error unless the outcome is `successful`.
+
+    **Returns** the margin, an array of shape (), or with `throw=False` a `GrazingMargin`, which has
+    the outcome of each lane of a batch.
+
+    **Outcomes**: `successful`; `no_tangency_found` where the given orbit was not found itself or no
+    flight of it approaches a surface; `newton_stalled`, `newton_singular` or
+    `newton_max_steps_reached` where the system has perhaps no orbit near it; and where the flow
+    cannot be followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
+    `nonunique`, `undeclared_sliding` or `step_too_long`.
+
+    **Source**: the implicit function theorem (textbook) applied to the defining system of grazing,
+    as in `find_bifurcation`.
 
     >>> import jax, jax.numpy as jnp
     >>> import jaxfil as jf
@@ -95,6 +114,7 @@ class _Margin(Equations):
         keep = jnp.array([*range(n), n + 1])
 
         def evaluate(z: Array) -> Evaluation:
+            # All rows but that of H, which need not be zero: it is the margin.
             at = self.tangency.evaluate(system, z)
             return Evaluation(
                 at.residual[keep],
@@ -106,6 +126,7 @@ class _Margin(Equations):
             )
 
         root = newton(evaluate, guess, _NEWTON_STEPS)
+        # Without an orbit the last guard is that of nothing.
         margin, jacobian = root.at.aux
         margin = jnp.where(root.result == RESULTS.successful, margin, jnp.nan)
         by_margin = jnp.zeros((n + 2, 1), guess.dtype).at[n].set(-1)

@@ -22,16 +22,18 @@ from jaxfil.orbits.orbit import Orbit
 
 
 class BifurcationSequence(eqx.Module):
-    """A branch of orbits and its bifurcations in the order in which they are met: a `Bifurcation`
-    where the orbit touches a surface, a `SpecialPoint` for folds, period doublings and
-    Neimark–Sacker points, and where the contacts change in a way that has no name."""
+    """A branch of periodic orbits and its bifurcations, in the order in which they are met. It can
+    be iterated over."""
 
     branch: Branch
+    """The branch."""
     bifurcations: list[Bifurcation | SpecialPoint]
+    """A `Bifurcation` where the orbit is tangent to a surface; a `SpecialPoint` for folds, period
+    doublings and Neimark–Sacker points, and where the contacts change in a way without a name."""
 
     @property
     def result(self) -> RESULTS:
-        """The outcome of the branch."""
+        """How the branch began, as `Branch.result`."""
         return self.branch.result
 
     def __iter__(self) -> Iterator[Bifurcation | SpecialPoint]:
@@ -66,10 +68,27 @@ def find_bifurcations(
     max_points: int = 2000,
     throw: bool = True,
 ) -> BifurcationSequence:
-    """What happens to `orbit` as `parameter` goes to `stop`.
+    """Find all that happens to a periodic orbit as a parameter goes to `stop`.
 
-    The branch is followed by `continue_orbit` (which takes the `options`); each change of the
-    contacts on it is then located again by `find_bifurcation` and named by its conditions.
+    The branch is followed by `continue_orbit`; each change of the contacts on it is then located
+    again as a tangency, as `find_bifurcation` does, and named by its conditions.
+
+    **Arguments**
+
+    - `system`: the `System`.
+    - `parameter`: the name of a scalar parameter.
+    - `orbit`: the orbit at which to start, as `periodic_orbit` gives it.
+    - `stop`: the value of the parameter to end at, or a pair (low, high).
+    - `max_step`, `max_points`: the largest step, relative to the size of the unknowns, and the most
+      points in either direction, as in `continue_orbit`.
+    - `throw`: whether to raise an error unless the outcome is `successful`.
+
+    **Returns** a `BifurcationSequence`. A branch that ends before `stop` is a success.
+
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
+    the orbit; that of the orbit itself where it was not found, as `nonfinite`.
+
+    **Source**: that of `continue_orbit` and `find_bifurcation`.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -100,11 +119,13 @@ def _named(system: System, parameter: str, point: SpecialPoint) -> Bifurcation |
     orbit = dataclasses.replace(
         point.orbit, system=replace_parameter(system, parameter, point.value)
     )
+    # The kind is not known yet: all are looked for, that with the nearest tangency first.
     nearest = []
     for kind in BIFURCATION_KINDS:
         nearest += [(reach, kind) for reach, _ in tangency_candidates(orbit, kind)[:1]]
     for _, kind in sorted(nearest):
         found = find_bifurcation(system, parameter, orbit, kind, throw=False)
+        # A bifurcation further off is another one, which has its own place on the branch.
         located = (found.result == RESULTS.successful) | (found.result == RESULTS.other_kind)
         close = abs(float(found.value) - point.value) <= 1e-6 * abs(point.value)
         if bool(located) and close and int(found.code) >= 0:

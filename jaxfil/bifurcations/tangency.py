@@ -1,21 +1,20 @@
-"""The touch of an orbit with a boundary: the equations that define it.
+"""The tangency of an orbit to a surface: the equations that define it.
 
-A system, its parameter's values and a guess of the touch enter; how far the equations are from
-holding leaves, and the conditions that tell the kind. Three families cover all kinds:
+A system and a guess of the tangency enter; how far the equations are from holding leaves, and the
+conditions that tell the kind. Three families cover all kinds:
 
-- "flight": in a mode ±1 the orbit touches Σ: H = Ḣ_s = 0 (grazing, grazing-sliding);
-- "slide": a slide touches the end of the sliding region: Ḣ_s = 0 and D Ḣ_s = 0, D along the slide
-  (adding-sliding);
+- "flight": in a mode ±1 the orbit is tangent to Σ: H = Ḣ_s = 0 (grazing, grazing-sliding);
+- "slide": a slide is tangent to the end of the sliding region: Ḣ_s = 0 and D Ḣ_s = 0, D along the
+  slide (adding-sliding);
 - "arrival": from the other side it arrives on Σ at the end of the sliding region: H = Ḣ_s = 0
   (crossing-sliding, switching-sliding).
 
-Ḣ_s = ∂H/∂t + ⟨∇H, F_s⟩: time counts as a state. Around the touch the orbit is followed in one mode
-as if Σ were not there, from phase `start` to phase `stop`, and by the full flow elsewhere: near the
-bifurcation, on either side of it, everything is then smooth.
+Ḣ_s = ∂H/∂t + ⟨∇H, F_s⟩: time counts as a state. Around the tangency the orbit is followed in one
+mode as if Σ were not there, from phase `start` to phase `stop`, and by the full flow elsewhere:
+near the bifurcation, on either side of it, everything is then smooth.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -41,40 +40,52 @@ FAMILIES = {
     "switching-sliding": "arrival",
 }
 
-# Pieces of the flight on either side of the touch.
+# Pieces of the flight on either side of the tangency.
 _PIECES = 8
-# A guard this small beside its largest value on the flight is zero: the touch itself.
+# A guard this small beside its largest value on the flight is zero: the tangency itself.
 _ROUNDING = 1e-7
 
 
 class Tangency(eqx.Module):
-    """A touch of surface `surface`, on side `side` (±1), at `phase` (in periods since t = 0). The
-    flight in `mode` around it is followed from `start`, in state `x`, to `stop`."""
+    """A tangency of an orbit, and the flight around it that is followed in one mode. Phases are
+    times since t = 0 in periods."""
 
     x: Float[Array, " n"]
+    """The state at the start of the flight."""
     phase: Float[Array, ""]
+    """When the orbit is tangent."""
     start: Float[Array, ""]
+    """When the flight starts."""
     stop: Float[Array, ""]
+    """When it stops."""
     mode: Float[Array, " m"]
+    """The mode in which it is followed."""
     surface: Int[Array, ""]
+    """The number of the surface."""
     side: Float[Array, ""]
+    """The side s = ±1 from which the orbit comes."""
 
 
 class Conditions(eqx.Module):
-    """What defines a bifurcation and tells its kind, at the point of touch: H, Ḣ and Ḧ along F_s,
-    Ḣ along the field of the other side, and along the slide the first and second derivative of
-    Ḣ_s. Times s, so that positive is away from Σ on side s."""
+    """What defines a bifurcation and tells its kind, at the tangency. All are multiplied by s, so
+    that positive is away from Σ on side s."""
 
-    h: Array
-    rate: Array
-    bend: Array
-    other_rate: Array
-    slide_rate: Array
-    slide_bend: Array
+    h: Float[Array, ""]
+    """H."""
+    rate: Float[Array, ""]
+    """Ḣ along the field F_s of this side."""
+    bend: Float[Array, ""]
+    """Ḧ along F_s: positive where the tangency is visible."""
+    other_rate: Float[Array, ""]
+    """Ḣ along the field of the other side: positive where a sliding region ends here."""
+    slide_rate: Float[Array, ""]
+    """The derivative of Ḣ_s along the slide; 0 where the system does not slide."""
+    slide_bend: Float[Array, ""]
+    """Its second derivative along the slide."""
 
 
 class _Rates:
-    """H of the touched surface and its derivatives along the fields at the touch."""
+    """H of the surface and its derivatives along the fields at the tangency."""
 
     def __init__(self, system: System, x: Float[Array, " n"], tangency: Tangency):
         self.system, self.tangency = build(system, x), tangency
@@ -87,7 +98,9 @@ class _Rates:
             jnp.where(self.number == self.tangency.surface, values, 0)
         )
 
-    def along(self, side: Any, function: Callable) -> Callable[[Array, Array], Array]:
+    def along(
+        self, side: Array, function: Callable[[Array, Array], Array]
+    ) -> Callable[[Array, Array], Array]:
         """The derivative of a function of (t, x) along the field with this side of the surface."""
         mode = jnp.where(self.number == self.tangency.surface, side, self.tangency.mode)
 
@@ -151,9 +164,9 @@ def kind_of(family: str, found: Conditions) -> Int[Array, ""]:
 
 
 class Closing(eqx.Module):
-    """How far an orbit through a touch is from closing, and what is met on the way. `holds` tells
-    whether the flight that was followed as if Σ were not there is one: its guards stay positive,
-    but for the touch."""
+    """How far an orbit through a tangency is from closing, and what is met on the way. `holds`
+    tells whether the flight that was followed as if Σ were not there is one: its guards stay
+    positive, but for the tangency."""
 
     gap: Float[Array, " n"]
     t: Array

@@ -30,8 +30,8 @@ from jaxfil.orbits.newton import Evaluation, Root, newton
 
 
 class _Known(eqx.Module):
-    """What is known at a root: when and where the orbit touches, the largest |x| of each component,
-    the number of the kind, and whether it touches nowhere else."""
+    """What is known at a root: when and where the orbit is tangent, the largest |x| of each
+    component, the number of the kind, and whether the orbit meets no surface elsewhere."""
 
     t: Float[Array, ""]
     x: Float[Array, " n"]

@@ -1,10 +1,8 @@
-"""`continue_bifurcation`: a bifurcation in the plane of two parameters.
+"""`continue_bifurcation`: a bifurcation as two parameters vary.
 
 A located bifurcation and the names of two parameters enter; the curve on which it goes on leaves,
 with the points of codimension two at which its kind changes.
 """
-
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -21,8 +19,9 @@ from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import get_parameter
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes
 from jaxfil.orbits.curve import constraint_across
-from jaxfil.orbits.pseudo_arclength import Path, Range, ends_of, follow, range_around
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow
 
 # A guess taken from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
@@ -31,29 +30,40 @@ _KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
 
 
 class CodimensionTwo(eqx.Module):
-    """Where the kind changes along a curve."""
+    """A point of codimension two: where the kind changes along a curve."""
 
     values: Float[np.ndarray, "2"]
+    """The two parameters there."""
     before: str = eqx.field(static=True)
+    """The kind before it, in the order of the curve."""
     after: str = eqx.field(static=True)
+    """The kind after it."""
 
 
 class BifurcationCurve(eqx.Module):
-    """A bifurcation in two parameters: `values` (k, 2), the touch at `ts` (k,) in `xs` (k, n), and
-    the kind at each point."""
+    """A bifurcation of periodic orbits in two parameters: k points of a curve."""
 
     parameters: tuple[str, str] = eqx.field(static=True)
+    """The names of the parameters."""
     values: Float[np.ndarray, "k 2"]
+    """The parameters at each point."""
     ts: Float[np.ndarray, " k"]
+    """When the orbit is tangent to the surface."""
     xs: Float[np.ndarray, "k n"]
+    """The state then."""
     kinds: tuple[str, ...] = eqx.field(static=True)
+    """The kind at each point, one of `BIFURCATION_KINDS` or "undecided"."""
     points: list[CodimensionTwo]
+    """Where the kind changes."""
     ended: tuple[str, str] = eqx.field(static=True)
+    """Why the curve ends where it does, at either side."""
     result: RESULTS
+    """How it began: `successful`, also where the curve ends before `stop`, which `ended` tells;
+    otherwise why it did not, and the bifurcation that was given is its only point."""
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call the parameters."""
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the curve in the plane of its two parameters; returns the matplotlib axes."""
         return draw(self, ax=ax)
 
@@ -79,21 +89,38 @@ def continue_bifurcation(
     parameters: tuple[str, str],
     bifurcation: Bifurcation,
     *,
-    stop: tuple[float, float],
+    stop: float | tuple[float, float],
     max_step: float = 0.03,
     max_points: int = 1000,
     throw: bool = True,
 ) -> BifurcationCurve:
-    """The curve of a bifurcation in two parameters, by pseudo-arclength, in both directions.
+    """Follow a bifurcation in two parameters.
+
+    Pseudo-arclength continuation of the defining system that `find_bifurcation` solves, with a
+    parameter more. Where the kind changes, a point of codimension two is located.
 
     **Arguments**
 
-    - `parameters`: two parameters; the bifurcation was found in either of them.
-    - `stop`: the range (low, high) of the first one at which to stop.
-    - `max_step`: largest step, relative to the size of the unknowns.
+    - `system`: the `System`.
+    - `parameters`: the names of two scalar parameters; the bifurcation was found in either of them.
+    - `bifurcation`: where to start, as `find_bifurcation` gives it. Its own values of all
+      parameters count.
+    - `stop`: the value of the first parameter to end at; a pair (low, high) follows the curve both
+      ways.
+    - `max_step`: the largest step, relative to the size of the unknowns.
     - `max_points`: the most points in either direction.
+    - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a curve that
+      does not begin has the bifurcation that was given as its only point.
 
-    **Returns** a `BifurcationCurve`. It ends early where the touch ceases to be one of the orbit.
+    **Returns** a `BifurcationCurve`. One that ends before `stop`, where the orbit meets a surface
+    elsewhere or no tangency is found, is a success; `BifurcationCurve.ended` says why.
+
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
+    the bifurcation; that of the bifurcation itself where it was not found, as `no_tangency_found`
+    or `orbit_lost`.
+
+    **Source**: curves and their points of codimension two: P. Kowalczyk et al., Two-parameter
+    discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006).
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -116,22 +143,21 @@ def continue_bifurcation(
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)
     free = parameters[0], parameters[1]
-    curve, starts, result = _starts(bifurcation, free, ends)
+    curve, start, result = _on_curve(bifurcation, free)
     names = labels_of(bifurcation.orbit.system, bifurcation.x.shape[-1]).of(free)
-    if starts:
-        found = _curve(curve, follow(curve, *starts, max_step, max_points), names)
-    else:
+    if start is None:
         found = _not_begun(bifurcation, free, result, names)
+    else:
+        found = _curve(curve, follow(curve, start, ends, max_step, max_points), names)
     if not throw:
         return found
     return found.result.error_if(found, found.result != RESULTS.successful)
 
 
-def _starts(
-    bifurcation: Bifurcation, free: tuple[str, str], ends: list[float]
-) -> tuple[TangencyCurve, tuple[list[TangencyPoint], Range] | None, RESULTS]:
-    """The curve; the bifurcation as a point of it, once for each direction, and the range, if
-    Newton's method stays; its outcome."""
+def _on_curve(
+    bifurcation: Bifurcation, free: tuple[str, str]
+) -> tuple[TangencyCurve, TangencyPoint | None, RESULTS]:
+    """The curve; the bifurcation as a point of it, if Newton's method stays; its outcome."""
     at, tangency = bifurcation.orbit, bifurcation.tangency
     equations = defining_system(at.system, at, tangency, bifurcation.family, free, _NEWTON_STEPS)
     curve = TangencyCurve(at.system, equations)
@@ -141,12 +167,7 @@ def _starts(
     u = np.concatenate([tangency.x, [float(phase)], values])
     axis = curve.axis(u)
     constraint = constraint_across(u, np.where(u == 0, 1.0, abs(u)), axis, 0.0)
-    root = curve.solve(u, constraint)
-    if not bool(root.result == RESULTS.successful):
-        return curve, None, root.result
-    within = range_around(ends, values[0])
-    starts = [curve.point(root, constraint, way * axis) for way in within.ways]
-    return curve, (starts, within), root.result
+    return curve, *curve.begin(u, constraint, axis)
 
 
 def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> BifurcationCurve:
@@ -181,7 +202,7 @@ def _not_begun(
         values=values[None],
         ts=np.asarray(bifurcation.t)[None],
         xs=np.asarray(bifurcation.x)[None],
-        kinds=(bifurcation.kind,),
+        kinds=(str(bifurcation.kind),),
         points=[],
         ended=(why, why),
         result=RESULTS.where(located, result, own),

@@ -4,32 +4,38 @@ What a continuation has found enters; the orbits at a value of the parameter, th
 and stability, a picture and a card leave.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameter
+from jaxfil.model.types import Axes
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.periodic_orbit import periodic_orbit
 
 
 class SpecialPoint(eqx.Module):
-    """Where a branch changes its character: `kind` is "fold", "period-doubling", "neimark-sacker"
-    or "contacts" (the sequence of contacts changes there, from `before` to `after`)."""
+    """Where a branch of periodic orbits changes its character."""
 
     kind: str = eqx.field(static=True)
+    """One of "fold" (the branch turns back), "period-doubling" (a multiplier is −1),
+    "neimark-sacker" (a complex pair of multipliers leaves the unit circle) and "contacts" (their
+    sequence changes)."""
     value: float
+    """The parameter there, located to about 1e-10."""
     orbit: Orbit
+    """The orbit there; where the contacts change, the first one after."""
     index: int = eqx.field(static=True)
+    """It lies between the orbits number `index` − 1 and `index` of the branch."""
     before: tuple = eqx.field(static=True)
+    """The contacts before, as in `Branch.sequences`."""
     after: tuple = eqx.field(static=True)
+    """The contacts after."""
 
     def __repr__(self) -> str:
         more = f": {len(self.before)} to {len(self.after)} contacts" * (self.kind == "contacts")
@@ -37,17 +43,25 @@ class SpecialPoint(eqx.Module):
 
 
 class Branch(eqx.Module):
-    """Orbits along a curve: `orbits` is one `Orbit` whose arrays have a leading axis of k points;
-    `values` (k,) is the parameter. `ended` says why the curve ends where it does."""
+    """A branch of periodic orbits: k orbits along a curve as one parameter varies."""
 
     parameter: str = eqx.field(static=True)
+    """The name of the parameter."""
     values: Float[np.ndarray, " k"]
+    """The parameter at each orbit. It turns back at a fold."""
     orbits: Orbit
+    """All orbits as one, whose arrays have a leading axis of k."""
     points: list[SpecialPoint]
+    """The special points, in the order of the curve."""
     sequences: tuple = eqx.field(static=True)
+    """The contacts of each orbit in order: for each the surfaces met and the modes after it."""
     ended: tuple[str, str] = eqx.field(static=True)
+    """Why the curve ends where it does, at either side."""
     periods: int = eqx.field(static=True)
+    """Forcing periods after which an orbit closes."""
     result: RESULTS
+    """How it began: `successful`, also where the branch ends before `stop`, which `ended` tells;
+    otherwise what Newton's method said at the start, and the orbit given there is the only one."""
 
     @property
     def stable(self) -> np.ndarray:
@@ -84,7 +98,7 @@ class Branch(eqx.Module):
         least, most = _extremes(self.orbits)
         return np.asarray(least), np.asarray(most)
 
-    def plot(self, ax: Any = None, component: int = 0, extremes: bool = False) -> Any:
+    def plot(self, ax: Axes | None = None, component: int = 0, extremes: bool = False) -> Axes:
         """Draw one component of x0, or its smallest and largest value on the orbit, against the
         parameter: unstable parts dashed, with the special points. Returns the matplotlib axes."""
         return draw(self, ax=ax, component=component, extremes=extremes)
@@ -102,5 +116,5 @@ class Branch(eqx.Module):
 
 
 @eqx.filter_jit
-def _extremes(orbits: Orbit) -> Any:
+def _extremes(orbits: Orbit) -> tuple[Array, Array]:
     return eqx.filter_vmap(lambda orbit: orbit.extremes())(orbits)

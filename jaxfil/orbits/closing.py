@@ -35,6 +35,7 @@ def phase_condition(
     """The condition at a state of an autonomous system; q opens with the period."""
     normal = velocity(setting, options, anchor, q)
     size = jnp.sqrt(normal @ normal)
+    # At rest there is no direction; a row of zeros then makes the Jacobian singular, and says so.
     return PhaseCondition(anchor, normal / jnp.where(size == 0, 1, size), q[0])
 
 
@@ -56,6 +57,7 @@ def evaluate_closing(
     whose scales are their sizes. What else is known is the `Shot`."""
     shot = shoot(setting, options, starts, q)
     residual, jacobian = _closing(shot, starts)
+    # A component is measured by its largest value on the orbit, as an unknown and as a mismatch.
     equations = jnp.tile(shot.size, options.arcs)
     unknowns = jnp.append(equations, abs(q))
     result = shot.result
@@ -74,6 +76,7 @@ def evaluate_closing(
 def _closing(shot: Shot, starts: Array) -> tuple[Array, Array]:
     """The mismatch of every arc's end with the next one's start, shape (M n,), and its derivative
     with respect to all starts and the global unknowns, shape (M n, M n + k)."""
+    # Block by block: the arc's own derivative on the diagonal, −1 for the next start, round about.
     m, n = starts.shape
     residual = shot.ends - jnp.roll(starts, -1, axis=0)
     eye = jnp.eye(m, dtype=starts.dtype)

@@ -22,7 +22,7 @@ from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, contacts_of, orbit
 from jaxfil.orbits.curve import constraint_across
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_curve import OrbitCurve
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow
 
 # A guess of a state this small is measured as if it were this large.
 _SMALL = 1e-3
@@ -41,22 +41,34 @@ def continue_orbit(
     max_points: int = 2000,
     throw: bool = True,
 ) -> Branch:
-    """The branch of periodic orbits through `orbit` as `parameter` varies.
+    """Follow the branch of periodic orbits through `orbit` as a parameter varies.
 
-    Pseudo-arclength: a step along the tangent, then Newton in the plane across it, so that folds
-    are no obstacle. Steps adapt to the curve. Special points are located on the way to about 1e-10
-    of the parameter.
+    Pseudo-arclength continuation: the predictor goes along the tangent, the corrector is Newton's
+    method across it, so that folds are no obstacle. Steps adapt to the curve. Special points are
+    located on the way to about 1e-10 of the parameter.
 
     **Arguments**
 
-    - `orbit`: where to start, as `periodic_orbit` gives it (or a period doubling of another
-      branch, from which the branch of doubled period is followed).
-    - `stop`: the value of the parameter to end at; a pair of values follows the branch both ways,
-      down to the one and up to the other. A branch that turns back ends where it leaves this range.
-    - `max_step`: largest step, relative to the size of the unknowns.
+    - `system`: the `System`; its value of the parameter does not matter.
+    - `parameter`: the name of a scalar parameter.
+    - `orbit`: where to start, as `periodic_orbit` gives it; or a period doubling of another branch,
+      from which the branch of doubled period is followed.
+    - `stop`: the value of the parameter to end at; a pair (low, high) follows the branch both ways.
+      A branch that turns back ends where it leaves this range.
+    - `max_step`: the largest step, relative to the size of the unknowns.
     - `max_points`: the most points in either direction.
+    - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
+      does not begin has the orbit that was given as its only one.
 
-    **Returns** a `Branch`.
+    **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` says why.
+
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
+    the orbit, which then is none of the system, or finds none of doubled period; that of the orbit
+    itself where it was not found, as `nonfinite`.
+
+    **Source**: textbook: H. Keller, Numerical solution of bifurcation and nonlinear eigenvalue
+    problems, in: Applications of Bifurcation Theory (1977); H. Dankowicz, F. Schilder, Recipes for
+    Continuation (2013).
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -83,9 +95,7 @@ def continue_orbit(
     if start is None:
         branch = _not_begun(curve, given, result)
     else:
-        within = range_around(ends, curve.value(start))
-        starts = [dataclasses.replace(start, tangent=sign * start.tangent) for sign in within.ways]
-        branch = _branch(curve, follow(curve, starts, within, max_step, max_points))
+        branch = _branch(curve, follow(curve, start, ends, max_step, max_points))
     if not throw:
         return branch
     return branch.result.error_if(branch, branch.result != RESULTS.successful)
@@ -95,23 +105,25 @@ def _on_branch(
     system: System, parameter: str, orbit: Orbit
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
     """The branch of an orbit; the orbit as a point of it, if Newton's method stays; its outcome."""
+    # A float leaf that is no array would be static, and compile a program for each of its values.
     system = cast(system, orbit.x0.dtype)
     periods = 1
     if system.period is not None:
-        periods = round(float(orbit.period / jnp.asarray(orbit.system.period)))
+        ratio = float(orbit.period / jnp.asarray(orbit.system.period))
+        # Of a period that is NaN none is a multiple; Newton's method will say what is wrong.
+        periods = round(ratio) if np.isfinite(ratio) else 1
+    # The orbit says where the branch starts, whatever the system's own value is.
     known = get_parameter(orbit.system, parameter)
     system = replace_parameter(system, parameter, known)
     curve = OrbitCurve(OrbitProblem(system, orbit.options, parameter, periods))
     q = [float(orbit.period), float(known)] if curve.problem.autonomous else [float(known)]
     starts = np.asarray(orbit.starts)
     u = np.append(starts.ravel(), q)
+    # Before the first shot nothing better is known of the size of a component on the orbit.
     size = np.maximum(np.max(abs(starts), axis=0), _SMALL)
     scale = np.append(np.tile(size, orbit.options.arcs), [abs(v) or 1.0 for v in q])
     constraint = constraint_across(u, scale, curve.axis(u), 0.0)
-    root = curve.solve(u, constraint)
-    found = bool(root.result == RESULTS.successful)
-    point = curve.point(root, constraint, curve.axis(u)) if found else None
-    return curve, point, root.result
+    return curve, *curve.begin(u, constraint, curve.axis(u))
 
 
 def _off_branch(
@@ -129,16 +141,17 @@ def _off_branch(
     curve = OrbitCurve(OrbitProblem(problem.system, options, parameter, 2 * problem.periods))
     if at is None:
         return curve, None, result
+    # At a period doubling both sections of the new orbit lie along the eigenvector of −1, at the
+    # same parameter but for the square of their distance.
     values, vectors = np.linalg.eig(np.asarray(doubling.orbit.monodromy))
     scale = single.metric(at)
     along = np.append(np.real(vectors[:, np.argmin(abs(values + 1))]), 0.0) / scale
     along /= np.linalg.norm(along)
     for ds in _OFF:
         constraint = constraint_across(at.u, scale, along, ds)
-        root = curve.solve(at.u + ds * along * scale, constraint)
-        result = root.result
-        if bool(result == RESULTS.successful):
-            return curve, curve.point(root, constraint, along), result
+        point, result = curve.begin(at.u + ds * along * scale, constraint, along)
+        if point is not None:
+            return curve, point, result
     return curve, None, result
 
 

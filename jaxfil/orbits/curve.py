@@ -59,6 +59,7 @@ class CurvePoint:
 def tangent_of(root: Root, scale: np.ndarray, along: np.ndarray) -> np.ndarray:
     """The tangent at a root, in unknowns of this scale, to the side of `along`: what the equations
     without the last one, the constraint, leave free."""
+    # The last right singular vector is the null vector, and has length one; its sign is arbitrary.
     rows = np.asarray(root.at.jacobian)[:-1] * scale
     tangent = np.linalg.svd(rows)[2][-1]
     return tangent if tangent @ along >= 0 else -tangent
@@ -144,12 +145,22 @@ class Curve(abc.ABC, Generic[_Point]):
         self, guess: np.ndarray, constraint: ArclengthConstraint, along: np.ndarray
     ) -> _Point | None:
         """The point near a guess that fulfils a constraint; None if there is none."""
+        return self.begin(guess, constraint, along)[0]
+
+    def begin(
+        self, guess: np.ndarray, constraint: ArclengthConstraint, along: np.ndarray
+    ) -> tuple[_Point | None, RESULTS]:
+        """`correct`, and the outcome of Newton's method. Nobody can give it more evaluations: from
+        a point of the curve it needs a few, so that to use up all of them is to be stalled."""
         root = self.solve(guess, constraint)
-        found = bool(root.result == RESULTS.successful)
-        return self.point(root, constraint, along) if found else None
+        if bool(root.result == RESULTS.successful):
+            return self.point(root, constraint, along), root.result
+        used_up = root.result == RESULTS.newton_max_steps_reached
+        return None, RESULTS.where(used_up, RESULTS.newton_stalled, root.result)
 
     def at_value(self, a: _Point, b: _Point, value: float) -> _Point | None:
         """The point between two neighbours where the parameter has a value."""
+        # Across the axis the parameter is what the constraint says, to the last bit.
         part = (value - self.value(a)) / (self.value(b) - self.value(a))
         base = a.u + part * (b.u - a.u)
         base[self.place] = value

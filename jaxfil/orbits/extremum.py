@@ -18,7 +18,8 @@ from jaxfil.integrate.solution import Dense
 from jaxfil.integrate.stepper import step, tableau_of
 from jaxfil.orbits.regula_falsi import zero_between
 
-# Steps on which it is located, those with the largest estimates.
+# Steps on which it is located, those with the largest estimates: of two that are as large to the
+# error of a parabola, either may be the one.
 _LOOKED_AT = 3
 
 
@@ -58,6 +59,7 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
     def estimate(start: _Start) -> tuple[Array, Array]:
         """The largest value on a step by the parabola through both slopes; the slopes."""
         _, values, rates = jax.vmap(lambda h: look(start, h))(jnp.stack([0 * start.h, start.h]))
+        # The parabola through both slopes and the value at the start; flat slopes have no peak.
         gap = rates[0] - rates[1]
         peak = values[0] + 0.5 * rates[0] ** 2 * start.h / jnp.where(gap == 0, 1, gap)
         inside = (rates[0] > 0) & (rates[1] < 0)
@@ -66,12 +68,14 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
     def locate(start: _Start, rates: Array) -> tuple[Array, Array, Array]:
         """The largest value on one step, its time and state."""
         peak = zero_between(lambda h: look(start, h)[2], 0 * start.h, start.h, *rates)
+        # Without a change of sign the search returns any point: the ends are the candidates.
         inside = (rates[0] > 0) & (rates[1] < 0)
         ends = jnp.stack([0 * start.h, jnp.where(inside, peak, 0), start.h])
         xs, values, _ = jax.vmap(lambda h: look(start, h))(ends)
         best = jnp.argmax(values)
         return values[best], start.t + ends[best], xs[best]
 
+    # Rows beyond the last step are padding, and in a step of no length there is nothing to find.
     ends = jnp.append(dense.ts[1:], jnp.inf)
     real = jnp.isfinite(ends) & (ends != dense.ts)
     starts = _Start(

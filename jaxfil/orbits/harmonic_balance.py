@@ -13,20 +13,20 @@ the integral, and the jump of F at each zero times the rate at which the zero mo
 
 import functools as ft
 from collections.abc import Callable
-from typing import Any
+from typing import TypeAlias
 
 import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxfil.model import check
-from jaxfil.model.card import outcome, precision
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
+from jaxfil.orbits.fourier import FourierOrbit, equal_phases, project, slope_of, waves_at
 from jaxfil.orbits.newton import Evaluation, newton
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.regula_falsi import zero_between
@@ -37,56 +37,22 @@ _CELLS, _POINTS = 4, 6
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
 
 
-class FourierOrbit(eqx.Module):
-    """x(t) = c₀ + Σ_k a_k cos kωt + b_k sin kωt: `coefficients` are c₀, a₁, b₁, a₂, b₂, …, shape
-    (2K + 1, n), and ω = 2π/`period`. `residual` is the largest one of Galerkin's equations, as a
-    part of the size of ẋ."""
-
-    coefficients: Float[Array, "k n"]
-    period: Float[Array, ""]
-    residual: Float[Array, ""]
-    result: RESULTS
-    num_steps: Int[Array, ""]
-
-    @property
-    def harmonics(self) -> int:
-        """K, the number of the highest harmonic."""
-        return (self.coefficients.shape[-2] - 1) // 2
-
-    @property
-    def amplitudes(self) -> Float[Array, "k n"]:
-        """√(a_k² + b_k²) of every harmonic, from 0 (|c₀|) to K, shape (K + 1, n)."""
-        c = self.coefficients
-        pairs = jnp.sqrt(c[..., 1::2, :] ** 2 + c[..., 2::2, :] ** 2)
-        return jnp.concatenate([abs(c[..., :1, :]), pairs], axis=-2)
-
-    def evaluate(self, t: Array | float) -> Float[Array, " n"]:
-        """The state at a time, shape (n,)."""
-        t = jnp.asarray(t, self.coefficients.dtype)
-        return _basis(t / self.period, self.harmonics) @ self.coefficients
-
-    def __repr__(self) -> str:
-        shape: Any = self.coefficients.shape
-        told = precision(self.coefficients)
-        if isinstance(self.coefficients, jax.core.Tracer) or len(shape) > 2:
-            return f"FourierOrbit{told}: a batch of shape {shape[:-2]}, {self.harmonics} harmonics"
-        return (
-            f"FourierOrbit{told}: {outcome(self.result)}\n  {self.harmonics} harmonics of "
-            f"{shape[-1]} components, period {float(self.period):.12g}, residual "
-            f"{float(self.residual):.1e} after {int(self.num_steps)} Newton steps"
-        )
+Guess: TypeAlias = Orbit | Callable[[Array], Array] | Float[Array, "k n"]
+"""An orbit, a function of t, or coefficients."""
 
 
 def harmonic_balance(
     system: System,
-    guess: Orbit | Callable[[Array], Array] | Float[Array, "k n"],
+    guess: Guess,
     harmonics: int,
     *,
     periods: int = 1,
     newton_steps: int = 50,
     throw: bool = True,
 ) -> FourierOrbit:
-    """The periodic orbit near `guess` as a Fourier series of `harmonics` harmonics.
+    """Find the periodic orbit near `guess` as a Fourier series of `harmonics` harmonics.
+
+        ∫ (ẋ − F(t, x, sgn H)) ψ_k dt = 0    for ψ = 1, cos kωt, sin kωt, k = 1 … K
 
     Where the acceleration jumps, the harmonics of a velocity fall as 1/k² and those of a position
     as 1/k³, and the mean square error of the position as K^(−5/2): many harmonics buy little there,
@@ -96,14 +62,21 @@ def harmonic_balance(
 
     **Arguments**
 
+    - `system`: a forced `System`.
     - `guess`: an `Orbit`; a function of t; or coefficients as in `FourierOrbit`, of any number of
       harmonics.
     - `harmonics`: K, the number of the highest harmonic.
     - `periods`: forcing periods after which the orbit closes.
-    - `newton_steps`: evaluations of the residual at most.
-    - `throw`: raise an error unless the outcome is successful; otherwise return it.
+    - `newton_steps`: the most evaluations of the residual.
+    - `throw`: whether to raise an error unless the outcome is `successful`.
 
     **Returns** a `FourierOrbit`. For a batch use `equinox.filter_vmap` with `throw=False`.
+
+    **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
+    where no orbit was found; `nonfinite` where the equations are not finite at the guess.
+
+    **Source**: textbook: M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems
+    (2019); that the integrals are taken from zero to zero of H is ours.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -130,24 +103,24 @@ def harmonic_balance(
     return series.result.error_if(series, series.result != RESULTS.successful)
 
 
-def _first(system: System, guess: Any, harmonics: int, periods: int) -> Array:
+def _first(system: System, guess: Guess, harmonics: int, periods: int) -> Array:
     """The coefficients of the guess, shape (2K + 1, n)."""
     assert system.period is not None
     size = 2 * harmonics + 1
     if isinstance(guess, Orbit):
         # Where in its own period the orbit is at equally spaced times of ours, in forcing periods.
-        elapsed = periods * _phases(4 * size * periods, guess.x0.dtype)
+        elapsed = periods * equal_phases(4 * size * periods, guess.x0.dtype)
         forcing = guess.period if guess.system.period is None else guess.system.period
         local = jnp.mod(elapsed * forcing, guess.period)
         order = jnp.argsort(local)
         values = guess.states(guess.options.t0 + local[order])[jnp.argsort(order)]
         phases = (guess.options.t0 / forcing + elapsed) / periods
-        return _project(phases.astype(values.dtype), values, harmonics)
+        return project(phases.astype(values.dtype), values, harmonics)
     if callable(guess):
-        phases = _phases(4 * size, jnp.result_type(float))
-        values: Any = jax.vmap(guess)(phases * system.period * periods)
+        phases = equal_phases(4 * size, jnp.result_type(float))
+        values = jax.vmap(guess)(phases * system.period * periods)
         values = values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)
-        return _project(phases.astype(values.dtype), values, harmonics)
+        return project(phases.astype(values.dtype), values, harmonics)
     array = jnp.asarray(guess)
     if array.ndim != 2 or array.shape[0] % 2 == 0:
         raise ValueError(
@@ -155,33 +128,8 @@ def _first(system: System, guess: Any, harmonics: int, periods: int) -> Array:
             f"shape {array.shape}."
         )
     array = array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
+    # Higher harmonics start from zero, or are left out.
     return jnp.zeros((size, array.shape[1]), array.dtype).at[: array.shape[0]].set(array[:size])
-
-
-def _phases(count: int, dtype: Any) -> Array:
-    """Equally spaced in a period."""
-    return jnp.arange(count).astype(dtype) / count
-
-
-def _project(phases: Array, values: Array, harmonics: int) -> Array:
-    """Coefficients of samples at equally spaced phases."""
-    basis = jax.vmap(ft.partial(_basis, harmonics=harmonics))(phases)
-    norm = jnp.where(jnp.arange(2 * harmonics + 1) == 0, 1.0, 2.0).astype(values.dtype)
-    return norm[:, None] * (basis.T @ values) / phases.shape[0]
-
-
-def _basis(phase: Array, harmonics: int) -> Float[Array, " k"]:
-    """1, cos 2πφ, sin 2πφ, cos 4πφ, …, shape (2K + 1,)."""
-    angles = 2 * jnp.pi * phase * jnp.arange(1, harmonics + 1).astype(phase.dtype)
-    waves = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1).reshape(-1)
-    return jnp.concatenate([jnp.ones((1,), phase.dtype), waves])
-
-
-def _slope(c: Array, harmonics: int) -> Array:
-    """Coefficients of dx/dφ."""
-    k = 2 * jnp.pi * jnp.arange(1, harmonics + 1).astype(c.dtype)[:, None]
-    waves = jnp.stack([k * c[2::2], -k * c[1::2]], axis=1).reshape(-1, c.shape[1])
-    return jnp.concatenate([jnp.zeros_like(c[:1]), waves])
 
 
 class _Balance(eqx.Module):
@@ -194,7 +142,7 @@ class _Balance(eqx.Module):
 
     def state(self, c: Array, phase: Array) -> Array:
         """x at a phase, shape (n,)."""
-        return _basis(phase, (self.size - 1) // 2) @ c
+        return waves_at(phase, (self.size - 1) // 2) @ c
 
     def switching(self, phase: Array, x: Array) -> Array:
         """H, shape (m,)."""
@@ -229,11 +177,12 @@ def _equations(balance: _Balance, c: Array) -> tuple[Array, Array]:
     """Coefficients of dx/dφ − T F, shape (size · n,), and their derivative."""
     size, n = balance.size, balance.n
     harmonics = (size - 1) // 2
-    basis = jax.vmap(ft.partial(_basis, harmonics=harmonics))
+    basis = jax.vmap(ft.partial(waves_at, harmonics=harmonics))
     # The coefficient of a wave is twice its mean with the function.
     norm = jnp.where(jnp.arange(size) == 0, 1.0, 2.0).astype(c.dtype)[:, None]
-    slope = ft.partial(_slope, harmonics=harmonics)
+    slope = ft.partial(slope_of, harmonics=harmonics)
 
+    # dx/dφ is a series itself and exact; only the force is integrated.
     phases, weights, sides, zeros = _quadrature(balance, c)
     at_points = basis(phases)
     states = at_points @ c
@@ -273,6 +222,7 @@ def _quadrature(balance: _Balance, c: Array) -> tuple[Array, Array, Array, tuple
 
     def move(phase: Array, j: Array, crosses: Array, h_before: Array) -> tuple[Array, Array]:
         x = balance.state(c, phase)
+        # Leibniz: the zero moves by −∇H·δx/(dH/dφ), and the integral by that times the jump.
         rate = jax.jvp(surfaces, (phase,), (jnp.ones_like(phase),))[1][j]
         normal = jax.jacfwd(balance.switching, argnums=1)(phase, x)[j]
         side = jnp.where(balance.switching(phase, x) > 0, 1.0, -1.0).astype(c.dtype)
@@ -296,6 +246,7 @@ def _cell(
         jnp.where(crosses[j], zero_between(lambda p, j=j: surfaces(p)[j], a, b, h_a[j], h_b[j]), b)
         for j in range(m)
     ]
+    # A cut where nothing crosses is the cell's end, and the piece beyond it has no weight.
     cuts = jnp.sort(jnp.stack([a, *zeros, b]))
     middle, half = 0.5 * (cuts[:-1] + cuts[1:]), 0.5 * (cuts[1:] - cuts[:-1])
     sides = jnp.where(jax.vmap(surfaces)(middle) > 0, 1.0, -1.0).astype(a.dtype)

@@ -33,6 +33,7 @@ def zero_on_curve(
 
     def value(part: float) -> float:
         nonlocal last
+        # The ends are known already.
         if part in (0.0, 1.0):
             return test(b if part else a)
         point = _at_part(curve, a, b, part)
@@ -60,7 +61,7 @@ def change_on_curve(
         point = _at_part(curve, a, b, middle)
         if point is not None and same(point):
             low, before = middle, point
-        else:
+        else:  # a point that is lost is not like a either
             high, after = middle, after if point is None else point
     return before, after
 
@@ -71,6 +72,7 @@ def _distance(a: CurvePoint, b: CurvePoint) -> float:
 
 def _at_part(curve: Curve[_Point], a: _Point, b: _Point, part: float) -> _Point | None:
     """The point that lies this part of the way between two."""
+    # Across the chord, so that no fold between them is in the way.
     normal = (b.u - a.u) / a.scale
     base = a.u + part * (b.u - a.u)
     constraint = constraint_across(base, a.scale, normal / np.linalg.norm(normal), 0.0)

@@ -79,7 +79,8 @@ def newton(
     The outcome is `successful`, `newton_stalled`, `newton_singular`, `newton_max_steps_reached`,
     or that of the evaluation at the guess if this one fails.
     """
-    evaluate = eqx.filter_jit(evaluate)  # traced once, though it is called twice
+    # Traced once, though it is called twice: for its shapes and in the loop.
+    evaluate = eqx.filter_jit(evaluate)
     blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(evaluate, z))
     zero = jnp.zeros((), jnp.int32)
     first = _State(
@@ -104,23 +105,32 @@ def newton(
 def _iterate(evaluate: Callable, state: _State) -> _State:
     """One evaluation, at the end of the damped step, and what follows from it."""
     first = state.num_steps == 0
+    # The one evaluation of an iteration: with a second one inside, the program would be as large
+    # again. So the length of a step is tried by the iteration after it.
     trial = state.z + state.damping * state.step
     at = evaluate(trial)
-    # A residual that is zero to rounding falls no more.
+    # By a quarter of what the linear equations promise. A residual that is zero to rounding falls
+    # no more.
     eps = jnp.finfo(trial.dtype).eps
     falls = (at.size <= (1 - 0.25 * state.damping) * state.at.size) | (at.size <= 4 * eps)
     sound = (at.result == RESULTS.successful) & jnp.isfinite(at.size)
+    # Shorter is of no use: what does not fall along so short a step has a kink there.
     forced = state.damping <= _SHORTEST
     accepted = first | (sound & (falls | forced))
     step = -_solve(at.jacobian, at.residual)
     length = jnp.max(abs(step) / at.unknown_scale)
     old_length = jnp.max(abs(state.step) / state.at.unknown_scale)
 
+    # No if the step is not finite, or so long that only rounding keeps the Jacobian regular.
     solvable = length <= eps**_ENDLESS
+    # The step that would follow is the error of this point, and it is not taken.
     converged = accepted & sound & (length <= _CONVERGED * eps)
+    # A full step that is short already and cannot reduce the residual: rounding is all there is.
     floor = ~accepted & (old_length <= eps ** (2 / 3)) & (state.damping == 1)
+    # An iteration that goes to and fro across a kink reduces nothing in the long run.
     better = accepted & (at.size < 0.9 * state.least)
     patience = jnp.where(better, 0, state.patience + accepted.astype(jnp.int32))
+    # At the guess there is no shorter step to go back to.
     failed = first & ~sound
     singular = accepted & sound & ~solvable & ~converged
     stalled = (patience >= _PATIENCE) | (~accepted & forced)
@@ -135,6 +145,7 @@ def _iterate(evaluate: Callable, state: _State) -> _State:
         z=jnp.where(accepted, trial, state.z),
         at=pick(at, state.at),
         step=jnp.where(accepted & solvable, step, state.step),
+        # Back to the full step soon: the order is two with that alone.
         damping=jnp.where(accepted, jnp.minimum(1, 4 * state.damping), 0.5 * state.damping),
         least=jnp.where(accepted, jnp.minimum(at.size, state.least), state.least),
         patience=patience,
@@ -146,6 +157,7 @@ def _iterate(evaluate: Callable, state: _State) -> _State:
 
 def _solve(matrix: Array, right: Array) -> Array:
     """x of A x = b, not finite where A is singular to rounding."""
+    # Rows of one size, so that pivots are chosen by more than the units of the equations.
     rows = jnp.max(abs(matrix), axis=1, keepdims=True)
     scaled = matrix / jnp.where(rows == 0, 1, rows)
     return jnp.linalg.solve(scaled, right / jnp.where(rows == 0, 1, rows)[:, 0])

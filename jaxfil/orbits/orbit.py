@@ -5,7 +5,6 @@ values, a trajectory and a card leave.
 """
 
 import functools as ft
-from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -22,6 +21,7 @@ from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_attribute
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes
 from jaxfil.orbits.extremum import largest
 from jaxfil.orbits.shooting import (
     ShootingOptions,
@@ -32,31 +32,44 @@ _SHORTEST = 1 / 16
 
 
 class Orbit(eqx.Module):
-    """A periodic orbit, x(t0 + period) = x(t0) = `x0`.
+    """A periodic orbit, x(t0 + T) = x(t0).
 
-    `residual` is the largest mismatch of any arc's end with the next one's start, each component
-    relative to its largest value on the orbit. Only `x0`, `starts` and `period` have derivatives
-    (with respect to the float leaves of the system); those of all else are NaN.
+    Only `x0`, `starts` and `period` have derivatives (with respect to the float leaves of the
+    system); those of all else are NaN.
     """
 
     x0: Float[Array, " n"]
+    """The state at t0, which is `options.t0`."""
     period: Float[Array, ""]
+    """The period T: that of the forcing, or a multiple of it, or found."""
     monodromy: Float[Array, "n n"]
+    """The monodromy matrix ∂x(t0 + T)/∂x(t0), exact through every contact. NaN where there is
+    none."""
     residual: Float[Array, ""]
+    """The largest mismatch of any arc's end with the next one's start, each component relative to
+    its largest value on the orbit."""
     events: Events | None
+    """The contacts of one period, in order."""
     num_events: Int[Array, ""]
+    """How many contacts there are."""
     first_mode: Int[Array, " m"]
+    """The mode in which the orbit starts at t0: ±1 is a side of a surface, 0 sliding on it."""
     result: RESULTS
+    """How the search ended."""
     system: System
+    """The system, with the parameters for which this is its orbit."""
     starts: Float[Array, "M n"]
+    """The states at the starts of the M arcs of multiple shooting; the first one is `x0`."""
     num_steps: Int[Array, ""]
+    """Evaluations of the period map that Newton's method took."""
     options: ShootingOptions
+    """How the orbit was integrated."""
 
     plan = renamed_attribute("plan", "options")
 
     @property
     def multipliers(self) -> Complex[Array, " n"]:
-        """Floquet multipliers, the eigenvalues of the monodromy matrix, shape (n,). One of an
+        """The Floquet multipliers, eigenvalues of the monodromy matrix, shape (n,). One of an
         autonomous system's is 1; a sticking orbit has one that is 0."""
         # Where the orbit was not found there are none; LAPACK must not see a NaN.
         fine = jnp.all(jnp.isfinite(self.monodromy), axis=(-2, -1))
@@ -69,6 +82,7 @@ class Orbit(eqx.Module):
         values = self.multipliers
         size = abs(values)
         if self.system.period is None:
+            # It is 1 to the error of the orbit only: the nearest one is taken for it.
             trivial = jnp.argmin(abs(values - 1), axis=-1)[..., None]
             size = jnp.where(jnp.arange(size.shape[-1]) == trivial, 0, size)
         return (jnp.max(size, axis=-1) < 1) & (self.result == RESULTS.successful)
@@ -97,7 +111,7 @@ class Orbit(eqx.Module):
         ts = jnp.linspace(self.options.t0, end, 10 * self.options.steps * periods + 1)
         return self._solved(periods, diffrax.SaveAt(ts=ts))
 
-    def plot(self, ax: Any = None) -> Any:
+    def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the orbit in the plane of its first two components; returns the matplotlib axes."""
         return self.trajectory().plot(ax)
 
@@ -125,6 +139,7 @@ class Orbit(eqx.Module):
 def _extremes(orbit: Orbit) -> tuple[Array, Array]:
     dense = orbit.dense()
     n = orbit.x0.shape[-1]
+    # The smallest value is the largest of the opposite: one search for all, as lanes of a batch.
     numbers, signs = np.repeat(np.arange(n), 2), np.tile([-1.0, 1.0], n)
 
     def extreme(i: Array, sign: Array) -> Array:

@@ -81,6 +81,8 @@ class OrbitCurve(Curve[OrbitPoint]):
         for point in self._around(here, scale):
             away = (point.u - here.u) / scale
             distance = np.linalg.norm(away)
+            # −1 is where the branch has come from. A point with the same contacts is on the branch
+            # itself, or on one that passes by.
             forward = float(away @ here.tangent / distance)
             if point.sequence != here.sequence and forward > _BACK and distance < least:
                 sign = 1.0 if point.tangent @ away >= 0 else -1.0
@@ -91,6 +93,7 @@ class OrbitCurve(Curve[OrbitPoint]):
 
     def _around(self, here: OrbitPoint, scale: np.ndarray) -> list[OrbitPoint]:
         """Points of the branch at a small distance in many directions, all in one call."""
+        # Always the same directions: a branch does not depend on chance.
         rng = np.random.default_rng(0)
         normals = rng.normal(size=(_DIRECTIONS, here.u.size))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)

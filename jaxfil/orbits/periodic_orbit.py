@@ -6,18 +6,18 @@ Floquet multipliers, contacts and outcome. Stable or unstable makes no differenc
 
 import dataclasses
 import functools as ft
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from jaxfil.integrate.stepper import checked_stepper
+from jaxfil.integrate.stepper import Stepper, checked_stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
+from jaxfil.model.types import Scalar, State
 from jaxfil.orbits.closing import ClosedOrbit, setting_of
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.orbit import Orbit
@@ -26,43 +26,55 @@ from jaxfil.orbits.shooting import ShootingOptions, Shot, flow_map, starts_from
 
 def periodic_orbit(
     system: System,
-    x0: Float[Array, " n"],
+    x0: State,
     *,
     periods: int = 1,
-    period: Array | float | None = None,
-    t0: Array | float = 0.0,
+    period: Scalar | None = None,
+    t0: Scalar = 0.0,
     steps: int = 40,
-    stepper: Any = None,
+    stepper: Stepper | None = None,
     segments: int = 1,
     transient: int = 0,
     newton_steps: int = 50,
     max_events: int = 64,
     throw: bool = True,
 ) -> Orbit:
-    """The periodic orbit near `x0`, by Newton's method on x(t0 + T; x0) = x0.
+    """Find the periodic orbit near `x0` by Newton's method, whether it is stable or not.
 
-    The Jacobian is the derivative of the flow, exact through every contact. A forced system has
+        x(t0 + T; x0) = x0
+
+    The Jacobian is the derivative of the flow map, exact through every contact. A forced system has
     T = `periods` · `system.period`; of an autonomous one T is found too, with the condition that
     x0 moves at right angles to the field at the guess.
 
     **Arguments**
 
+    - `system`: the `System`.
     - `x0`: a guess of the state at `t0`, shape (n,).
     - `periods`: forcing periods after which the orbit closes.
-    - `period`: a guess of the period of an autonomous system.
-    - `t0`: the phase of the forcing at which the orbit is looked at.
+    - `period`: a guess of the period of an autonomous system; None for a forced one.
+    - `t0`: the time, and so the phase of the forcing, at which the orbit is looked at.
     - `steps`: steps per forcing period, or per period of an autonomous system.
-    - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `segments`: arcs of multiple shooting, for orbits that are very unstable.
-    - `transient`: forcing periods integrated from `x0` before Newton starts, for a poor guess of
-      a stable orbit.
-    - `newton_steps`: evaluations of the period map at most.
-    - `max_events`: contacts in one arc at most.
-    - `throw`: raise an error unless the outcome is successful; otherwise return it.
+    - `stepper`: as in `solve`; None is `diffrax.Dopri8()`.
+    - `segments`: arcs of multiple shooting: more than one for orbits that are very unstable.
+    - `transient`: forcing periods integrated from `x0` before Newton's method starts, for a poor
+      guess of a stable orbit.
+    - `newton_steps`: the most evaluations of the period map.
+    - `max_events`: the most contacts in one arc.
+    - `throw`: whether to raise an error unless the outcome is `successful`.
 
     **Returns** an `Orbit`. For a batch use `equinox.filter_vmap` with `throw=False`: each lane
     then has its own outcome. The derivatives of `orbit.x0` and `orbit.period` with respect to the
-    parameters are those of the implicit function theorem, forward and reverse.
+    float leaves of the system are those of the implicit function, forward and reverse.
+
+    **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
+    where no orbit was found; and where the guess itself cannot be integrated for a period,
+    `nonfinite`, `max_steps_reached`, `max_events_reached`, `mode_undecided`, `zeno`, `nonunique`,
+    `undeclared_sliding` or `step_too_long`.
+
+    **Source**: (multiple) shooting is textbook: R. Seydel, Practical Bifurcation and Stability
+    Analysis (2010). Its Jacobian through contacts: R. Leine, H. Nijmeijer, Dynamics and
+    Bifurcations of Non-Smooth Mechanical Systems (2004).
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -130,6 +142,7 @@ def _find(
         one = dataclasses.replace(options, steps=options.steps // periods, arcs=1)
         forward = flow_map(ft.partial(setting_of, system, 1), one, q, 1.0)
         x0 = jax.lax.fori_loop(0, transient, lambda i, x: forward(x, i.astype(x.dtype)), x0)
+    # The trajectory from the guess gives the other starts: only the last arc then fails to close.
     starts = starts_from(setting, options, x0, q)
     equations = ClosedOrbit(options, newton_steps, periods)
     z, root = solve_implicit(equations, system, jnp.append(starts.ravel(), q))

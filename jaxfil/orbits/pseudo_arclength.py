@@ -63,12 +63,22 @@ def range_around(ends: list[float], value: float) -> Range:
 
 
 def follow(
-    curve: Curve[_Point], starts: list[_Point], within: Range, max_step: float, max_points: int
+    curve: Curve[_Point], start: _Point, ends: list[float], max_step: float, max_points: int
 ) -> Path[_Point]:
-    """The curve from one point, given once for each direction, with a tangent that points there."""
-    *back, ahead = (_follow(curve, start, within, max_step, max_points) for start in starts)
+    """The curve from one point on to its ends, ahead being where its tangent points."""
+    within = range_around(ends, curve.value(start))
+    *back, ahead = (
+        _follow(
+            curve,
+            dataclasses.replace(start, tangent=way * start.tangent),
+            within,
+            max_step,
+            max_points,
+        )
+        for way in within.ways
+    )
     if not back:
-        begin = f"start at {curve.told(starts[0])}"
+        begin = f"start at {curve.told(start)}"
         return dataclasses.replace(ahead, ended=(begin, ahead.ended[1]))
     # What was found on the way back is put in the order of the way ahead.
     first, shift = back[0], len(back[0].points) - 1
@@ -97,6 +107,7 @@ def _follow(
             beyond = curve.beyond_end(here)
             if beyond is None:
                 return end(f"no {curve.solution} was found beyond {curve.told(here)}")
+            # In the new direction nothing is known of the curve: steps grow from a small one.
             (ahead, corner), ds = beyond, 0.1 * curve.steps.first
         refusal = curve.refusal(ahead)
         if refusal is not None:
@@ -124,10 +135,13 @@ def _advance(
     curve: Curve[_Point], here: _Point, ds: float, max_step: float
 ) -> tuple[_Point | None, float]:
     """The next point, and the step to try after it."""
+    # The tangent is known in the scales in which the point was found; a step is measured in the
+    # point's own.
     steps, scale = curve.steps, curve.metric(here)
     tangent = here.tangent * here.scale / scale
     tangent = tangent / np.linalg.norm(tangent)
     while ds >= steps.least:
+        # The prediction fulfils the constraint already: the corrector moves at right angles to it.
         constraint = constraint_across(here.u, scale, tangent, ds)
         ahead = curve.correct(here.u + ds * tangent * scale, constraint, tangent)
         if ahead is not None:

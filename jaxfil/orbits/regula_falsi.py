@@ -21,7 +21,7 @@ def zero_between(
     """The zero of `function` in [a, b], by the Illinois variant of regula falsi. Any point of the
     interval where the values at the ends have the same sign."""
 
-    def narrow(_, state: tuple) -> tuple:
+    def narrow(_: Array, state: tuple) -> tuple:
         low, high, at_low, at_high, last = state
         gap = at_high - at_low
         secant = low - at_low * (high - low) / jnp.where(gap == 0, 1, gap)

@@ -28,13 +28,18 @@ from jaxfil.xla.kernel import kernel_if_it_fits
 
 
 class ShootingOptions(eqx.Module):
-    """How orbits are shot: from `t0`, over `steps` steps in `arcs` arcs."""
+    """How an orbit is integrated."""
 
-    t0: Array
+    t0: Float[Array, ""]
+    """When it starts: the phase of the forcing."""
     steps: int = eqx.field(static=True)
+    """Steps for all of it."""
     arcs: int = eqx.field(static=True)
+    """Arcs of multiple shooting."""
     stepper: Stepper = eqx.field(static=True)
+    """What a step is made by."""
     max_events: int = eqx.field(static=True)
+    """The most contacts in one arc."""
 
     def problem(self, system: System, x0: Array, t0: Array, length: Array, arcs: int) -> Problem:
         """One of `arcs` arcs of equal length, from `t0`."""
@@ -90,6 +95,8 @@ def shoot(
             more = (x, size, state.table, state.num_events, mode, state.result)
             return x, jax.tree.map(stop_gradient, more)
 
+        # One derivative by all that an arc depends on: the directions share the steps, the contacts
+        # and the loop.
         z = jnp.concatenate([start, q])
         return kernel_if_it_fits(jax.jacfwd(end, has_aux=True))(z)
 
@@ -99,10 +106,12 @@ def shoot(
     else:
         done = jax.vmap(arc)(numbers, starts)
     by, (ends, sizes, tables, counts, modes, results) = done
+    # The last write wins: the outcome is that of the first arc that failed.
     result = RESULTS.successful
     for i in reversed(range(options.arcs)):
         one = jax.tree.map(lambda v, i=i: v[i], results)
         result = RESULTS.where(one == RESULTS.successful, result, one)
+    # Of the states at the steps: what a component is measured by, and no more than that.
     size = jnp.maximum(jnp.max(sizes, axis=0), jnp.max(abs(ends), axis=0))
     return Shot(
         ends=ends,

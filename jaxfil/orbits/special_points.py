@@ -14,10 +14,12 @@ from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 
 
 def _fold(point: OrbitPoint) -> float:
+    # At a fold the curve runs at right angles to the parameter's axis.
     return float(point.tangent[-1])
 
 
 def _period_doubling(point: OrbitPoint) -> float:
+    # Π (μ + 1): smooth, where a single multiplier would have to be told from the others.
     monodromy = np.asarray(point.shot.monodromy)
     return float(np.linalg.det(monodromy + np.eye(len(monodromy))))
 

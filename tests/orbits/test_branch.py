@@ -355,8 +355,9 @@ def test_an_orbit_of_another_system_is_an_outcome(start):
         jf.continue_orbit(OTHER, "omega", given, stop="there", throw=False)
 
 
-def test_an_orbit_that_was_not_found_keeps_its_outcome():
-    lost = jf.periodic_orbit(S.SDOscillator(omega=0.7), jnp.asarray([np.nan, 0.0]), throw=False)
+@pytest.mark.parametrize("omega, x", [(0.7, np.nan), (np.nan, 1.0)])
+def test_an_orbit_that_was_not_found_keeps_its_outcome(omega, x):
+    lost = jf.periodic_orbit(S.SDOscillator(omega=omega), jnp.asarray([x, 0.0]), throw=False)
     found = jf.find_bifurcations(S.SDOscillator(), "omega", lost, stop=0.8, throw=False)
     assert outcome_names(found.result) == outcome_names(found.branch.result) == "nonfinite"
     assert len(found) == 0 and "nonfinite: The state" in repr(found)
