@@ -89,9 +89,9 @@ def text(system, **options):
     "source, declared, other",
     [
         # The search for contacts, and what a contact leads to.
-        ("event_location.search", "crossing", "smooth"),
+        ("event_location.find_contact", "crossing", "smooth"),
         ("event_location.land", "crossing", "smooth"),
-        ("mode_switch._switch", "crossing", "smooth"),
+        ("mode_switch._chosen", "crossing", "smooth"),
         ("filippov._choose_on_one", "crossing", "smooth"),
         # Sliding: the blend's weights, the return to the surface, whether it draws the state back.
         ("filippov.weights", "sliding", "crossing"),

@@ -185,6 +185,8 @@ def everything(x, k):
     ]
     out += [lax.iota(np.int32, 3), jax.jit(jnp.sin)(x), jax.nn.relu(x), eqxi.unvmap_any(k > 1)]
     out += [jax.linear_transpose(lambda v: v + v, x)(x)[0]]
+    # A count over the lanes of a batch: a sum over an axis, once the batch is one.
+    out += [jax.vmap(lambda v: v / lax.psum(v, "batch"), axis_name="batch")(x)]
     out += [jax.linearize(lambda x: lax.cond(k > 1, jnp.sin, jnp.negative, x), x)[1](x)]
     return out
 
