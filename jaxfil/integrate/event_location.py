@@ -121,8 +121,11 @@ def first_contact(
     cubic = Cubic(g0, d0, g1, d1)
     inside = (cubic.low > 0) & (cubic.low < 1)
     low_value = cubic(cubic.low)
+    # The end alone would not do: a dip below zero and back is two contacts, or an impact missed.
     dips = inside & (low_value < -noise)
     contact = dips | (g1 < -noise)
+    # The first root lies before the minimum, if that is below zero, and after the maximum: between
+    # the two the cubic falls, and Halley's iteration cannot leave for another root.
     hi = jnp.where(dips, cubic.low, 1.0)
     rises_first = (cubic.high > 0) & (cubic.high < hi)
     lo = jnp.where(rises_first, cubic.high, 0.0)
@@ -180,11 +183,14 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     system, h = problem.system, length.h
     found = []
     for j in range(system.m):
+        # A guard just met has its own rounding; one left long ago may have gathered all of t0 to
+        # here, in the state that it is made of.
         fresh = jnp.maximum(end.noise[j], state.noise[j])
         noise = jnp.where(state.armed[j], jnp.maximum(end.noise[j], end.touch[j]), fresh)
         ends = state.g[j], h * state.rate[j], stop_gradient(end.g[j]), h * end.rate[j]
         met = ~(state.armed[j] & stays_off(*ends, noise))
         found.append(system.where_any(met, _found, _nothing, *ends, state.armed[j], noise))
+    # The earliest counts, whichever surface is listed first; contacts beat minima at the same θ.
     contact = minimum = jnp.asarray(NEVER, h.dtype)
     thetas = []
     for number in system.hold(*found):
@@ -194,6 +200,7 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     # One look at a time: a step that was cut short is taken as it is.
     minimum = jnp.where(length.cutting, NEVER, minimum)
     if system.slides:
+        # Where a slide turns repelling no guard is zero, so that there is nothing to interpolate.
         bisect = end.repels & (abs(h) > problem.grid.same_time(end.tau))
         minimum = jnp.where(bisect, jnp.minimum(minimum, 0.5), minimum)
     first = (contact < NEVER) & (contact <= minimum)
@@ -233,6 +240,8 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
     pairs = zip(hits, kinds, strict=True)
     surfaces = tuple(hit | (touched & (kind == _BRUSHED)) for hit, kind in pairs)
+    # Of several surfaces met together the first listed gives δ; within the rounding of times all
+    # give the same. A contact that is `_HERE` has δ = 0, but the derivative of its time.
     delta: Any = jnp.zeros_like(length.h)
     for kind, missing in reversed(list(zip(kinds, times, strict=True))):
         missing = jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
@@ -255,6 +264,7 @@ def _kind_of_end(
     falls = direction * rate < 0
     missing = -end.g[j] / jnp.where(falls, rate, -direction)
     size = abs(stop_gradient(missing))
+    # g̈ h, from the rates at both ends: what Newton's step leaves out is of the order of δ g̈/ġ.
     bend = direction * (rate - state.rate[j])
     close = (size <= small * abs(grid.dt)) & (size * abs(bend) <= small * abs(rate * h))
     inside = (length.room - stop_gradient(missing)) * direction >= 0

@@ -43,7 +43,8 @@ from jaxfil.integrate.stepper import Trial, is_too_long, step
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.kernel import kernel_if_it_fits
 
-# This many contacts in a row, each at the time of the last, are an accumulation.
+# This many contacts in a row, each at the time of the last, are an accumulation: more than surfaces
+# that are met together, one after the other, need to settle.
 _FROZEN = 12
 # What an iteration does with its trial step.
 _IDLE, _REJECT, _ACCEPT, _LAND, _TOUCH, _SWITCH, _FAIL = map(float, range(7))
@@ -57,7 +58,8 @@ _FAILURES = (
     RESULTS.zeno,
     RESULTS.step_too_long,
 )
-# Trial steps rejected in a row before the search for a contact is given up.
+# Trial steps rejected in a row before the search for a contact is given up: halving alone takes an
+# interval to eps in 53.
 _TRIES = 60
 # A cut of a step is no shorter than this part of the rounding of times: one of length zero would
 # say that no contact is expected.

@@ -71,8 +71,13 @@ def evaluate_step_end(
     if system.m == 0:
         return _smooth_end(system, state, tau, x, system.field(t, x, (), forcing=forcing))
     x, moved = _reset(system, state, t, x)
+    # Everything from here on is taken after the reset: sides, rates and modes are those of the
+    # state that goes on.
     h, h_t, normals = system.gradients(t, x)
     size = larger(state.size, x)
+    # Two scales: what rounding of this step does to H, and what all rounding since t0 may have
+    # done, which is of the largest state so far. The first tells whether a contact is here, the
+    # second whether a touch is more than rounding.
     here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(state.x, x, strict=True))
     noise = surface_noise(system, t, here, h_t, normals)
     touch = surface_noise(system, t, size, h_t, normals)
@@ -110,6 +115,7 @@ def _reset(
     """The state after the reset of a pending switch, and whether that has moved it."""
     if not system.resets:
         return x, jnp.zeros((), bool)
+    # Of surfaces hit together the reset hears of the first: its signature takes one.
     surface = jnp.argmax(jnp.stack(state.hit))
     after = where(state.pending & ~state.graze, system.reset(t, x, surface), x)
     return after, any_of(tuple(a != b for a, b in zip(after, x, strict=True)))
@@ -191,9 +197,12 @@ def _chosen(
     the same time.
     """
     system, grid = problem.system, problem.grid
+    # Which mode goes on is no number that could have a derivative; its field has.
     rates = jax.tree.map(stop_gradient, rates)
+    # A graze only touches: it switches nothing, even where two modes could go on.
     switching = state.pending & ~state.graze
     current = filippov.weights(state.mode, rates) if system.slides else state.mode
+    # A slide ends at w = ±1: it leaves to the side whose field has become the blend.
     leaving = tuple(hit & (s == 0) for hit, s in zip(state.hit, state.mode, strict=True))
     sides = tuple(jnp.where(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
     left = tuple(
@@ -208,6 +217,8 @@ def _chosen(
             for o, v, s in zip(off, h, left, strict=True)
         )
         met = tuple(hit & ~o for hit, o in zip(met, off, strict=True))
+    # A surface that will be met within the rounding of times is met now: its contact could not be
+    # told from this one, and would follow it at once.
     same = grid.same_time(state.tau)
     on = []
     for j in range(system.m):
@@ -229,6 +240,8 @@ def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Comp
     for j in range(problem.system.m):
         hit = state.pending & state.hit[j]
         old_slide = state.mode[j] == 0
+        # The rounding of the landing counts until the surface is left, also where the state has
+        # become smaller since.
         kept = (hit | ~state.armed[j]) & ~old_slide
         noise = jnp.maximum(end.noise[j], jnp.where(kept, state.noise[j], 0.0))
         sliding = end.mode[j] == 0

@@ -45,6 +45,8 @@ def _opened(function: Callable, args: tuple) -> tuple[Any, list, Any]:
     """The program of a function, which takes what the function has closed over as arguments; the
     values that it takes, and the structure of what its results stand for."""
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+    # A constant inside of a kernel would be written out in its code, and a tracer that the function
+    # has closed over would be taken for one lane's number in a batch: both become arguments.
     inner = closed.jaxpr
     program = jexc.ClosedJaxpr(
         inner.replace(constvars=(), invars=[*inner.constvars, *inner.invars]), ()
@@ -57,6 +59,8 @@ def _kernel_of(program: Any) -> Callable:
     run = jexc.jaxpr_as_fun(program)
 
     def call(*values: Array) -> Any:
+        # The barrier keeps the number made of all arguments alive, which nobody else uses: XLA
+        # would take it out, and then abort on the arguments that the kernel has no use for.
         out = kernel_of_all(lambda *values: (run(*values), _all_used(values)))(*values)
         out, _ = jax.lax.optimization_barrier(out)
         return out
@@ -106,7 +110,7 @@ _BLOCK = 64
 
 
 def kernel_if_it_fits(function: Callable) -> Callable:
-    """`function` of arrays as a single kernel on a processor, if all of it fits into one.
+    """`function` of arrays as a single kernel on a CPU, if all of it fits into one.
 
     That is known from its operations, before it is compiled, so that this also serves inside of a
     transformation that somebody else compiles. So are its forward derivatives, and the blocks of a
@@ -133,6 +137,8 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
     results are a batch's if some of its arguments are."""
     run = jexc.jaxpr_as_fun(program)
+    # A kernel under `vmap` or `jvp` would be taken apart by JAX's own rules, and its parts put
+    # together again by XLA as it likes. Here the batch, and the tangents, are a kernel again.
     together = custom_vmap(_kernel_of(program))
     whole = jax.custom_jvp(together)
 
@@ -140,6 +146,7 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     def batch(axis_size: int, batched: Any, *values: Any) -> tuple:
         spreads = spread(batched)
         axes, out_axes = ([0 if flag else None for flag in flags] for flags in (batched, spreads))
+        # A batch of batches counts all its lanes: more than a block does not stay in the cache.
         rows = min(axis_size, max(1, _BLOCK // lanes))
         several = jax.vmap(run, axes, out_axes, axis_size=rows)
         some = [v[:rows] if flag else v for v, flag in zip(values, batched, strict=True)]
@@ -147,6 +154,8 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
         return in_turns(block, batched, spreads, axis_size, rows)(*values), spreads
 
     def push(values: tuple, tangents: tuple) -> tuple:
+        # What does not move adds nothing to the program: a Jacobian by x0 alone carries no rates of
+        # the parameters.
         moving = [k for k, v in enumerate(tangents) if not isinstance(v, SymbolicZero)]
         rates = [tangents[k] for k in moving]
         pushed = jax.make_jaxpr(ft.partial(_pushed, run, moving))(values, rates)
@@ -187,7 +196,7 @@ def _fits(jaxpr: Any) -> bool:
     """Whether all operations of a program fit into a single kernel."""
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if name == "custom_vmap_call":  # that of `entry.write`, which knows what to be in a batch
+        if name == "custom_vmap_call":  # that of `masked_write`, which knows what to be in a batch
             continue
         if name not in _FITTING or not all(map(_fits, _programs(eqn.params))):
             return False
