@@ -9,6 +9,7 @@ Kinds and conditions: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk, Piece
 Dynamical Systems (2008), chapter 8, with time as a state.
 """
 
+import dataclasses
 import functools as ft
 from collections.abc import Callable
 
@@ -250,7 +251,7 @@ def _find(
             system=system,
             starts=tangency.x[None],
             num_steps=root.num_steps,
-            options=eqx.tree_at(lambda p: p.t0, equations.options, tangency.start * period),
+            options=dataclasses.replace(equations.options, t0=tangency.start * period),
         ),
         t=closing.t,
         x=closing.x,
