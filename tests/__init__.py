@@ -2,4 +2,6 @@
 
 from pathlib import Path
 
+from tests.typecheck import inner as inner
+
 ROOT = Path(__file__).parent.parent

@@ -5,6 +5,7 @@ which `tests/test_pictures.py` compares new pictures with. Words are kept apart 
 and ticks left out, since another release of matplotlib or FreeType draws other ones.
 """
 
+import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,6 +34,15 @@ def made(kind, **attributes):
     return object.__new__(type(kind)(kind.__name__, (kind,), attributes))
 
 
+def unchecked(kind, **values):
+    """A result with these values of its fields as they are: NumPy's in place of JAX's, or those of
+    many lanes, which `vmap` gives and the check of its types would refuse."""
+    result = object.__new__(kind)
+    for field in dataclasses.fields(kind):
+        object.__setattr__(result, field.name, values.get(field.name, field.default))
+    return result
+
+
 def motion():
     """A turn on a belt of velocity 1/2: it sticks, slips, crosses and ends at a wall."""
     ts = np.linspace(0.0, 8.0, 161)
@@ -53,18 +63,29 @@ def motion():
         before = np.stack([-np.cos(times), np.sin(times)], axis=1)
     members = np.array([[1, 0], [1, 0], [1, 0], [0, 1], [0, 0]], bool)
     surfaces = np.array([0, 0, 0, 1, -1])
-    events = jf.Events(times, before, surfaces, members, np.array(kinds), np.zeros((5, 2), int))
-    return jf.Solution(
+    events = unchecked(
+        jf.Events,
+        ts=times,
+        xs=before,
+        surfaces=surfaces,
+        members=members,
+        kinds=np.array(kinds),
+        modes=np.zeros((5, 2), int),
+    )
+    return unchecked(
+        jf.Solution,
         ts=ts,
         xs=xs,
         modes=modes,
         events=events,
         num_events=np.array(4),
         result=jf.RESULTS.successful,
-        stats={},
+        stats={"num_steps": np.array(9)},
         t_final=jnp.asarray(8.0),
         x_final=jnp.asarray(xs[-1]),
         mode_final=np.array([1, 1]),
+        errors=None,
+        _dense=None,
         labels=NAMES,
     )
 
@@ -118,7 +139,8 @@ def spectrum(values=None):
     if values is not None:
         exponents[3 * len(values) // 4 :, 1] = -np.inf
     decay = np.stack([np.cos(times) / times, -2 / times], axis=-1)
-    return jf.LyapunovSpectrum(
+    return unchecked(
+        jf.LyapunovSpectrum,
         exponents=exponents,
         standard_error=np.full(exponents.shape, 0.004),
         running=exponents[..., None, :] + decay,
@@ -134,7 +156,8 @@ def synchronized():
     """Drives and responses that keep apart below a coupling of 0.4."""
     couplings = np.linspace(0.0, 1.0, 11)
     distances = np.where(couplings < 0.4, 0.3 - couplings / 2, 1e-10)
-    return jf.Synchronization(
+    return unchecked(
+        jf.Synchronization,
         exponent=np.array(0.4),
         couplings=couplings,
         distances=distances,
@@ -170,7 +193,8 @@ def curve():
     values = np.stack([np.linspace(0.6, 1.3, 30), np.linspace(-1, 1, 30) ** 2 + 0.1], axis=1)
     kinds = ("grazing-sliding",) * 12 + ("crossing-sliding",) * 18
     change = SimpleNamespace(values=values[12], before=kinds[0], after=kinds[-1])
-    return jf.BifurcationCurve(
+    return unchecked(
+        jf.BifurcationCurve,
         parameters=("omega", "f0"),
         values=values,
         ts=np.zeros(30),
@@ -189,7 +213,8 @@ def basins():
     x, y = np.meshgrid(*axes, indexing="ij")
     labels = np.where(np.sin(3 * np.hypot(x, y) + np.arctan2(y, x)) > 0, 1, 2)
     labels[:4], labels[-1, -1] = 0, -1
-    return jf.Basins(
+    return unchecked(
+        jf.Basins,
         axes=axes,
         labels=labels,
         attractors=(np.array([[0.5, 0.2]]), np.array([[-1.0, 0.3], [1.2, -0.6]])),
@@ -203,7 +228,8 @@ def basins():
 def errors():
     """Two steppers of orders four and eight, down to what the reference resolves."""
     dts = np.array([0.2, 0.1, 0.05, 0.025])
-    return jf.WorkPrecision(
+    return unchecked(
+        jf.WorkPrecision,
         steppers=("RK4", "Dopri8"),
         dts=dts,
         errors=np.stack([dts**4, 1e-2 * dts**8]),

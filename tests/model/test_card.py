@@ -1,6 +1,5 @@
 """What results print of themselves: the precision, where it is not float64."""
 
-import dataclasses
 from types import SimpleNamespace
 
 import jax
@@ -22,9 +21,9 @@ def branch(orbits):
 SD = jf.systems.SDOscillator()
 ORBITS = SimpleNamespace(system=SD, x0=np.zeros((2, 2)))
 SINGLE_ORBITS = SimpleNamespace(system=SD, x0=np.zeros((2, 2), np.float32))
-MOTION = dataclasses.replace(pictures.motion(), stats={"num_steps": np.array(9)})
+MOTION = pictures.motion()
 FOURIER = jf.FourierOrbit(
-    np.zeros((3, 2)), np.array(1.0), np.array(0.0), jf.RESULTS.successful, np.array(2)
+    jnp.zeros((3, 2)), jnp.array(1.0), jnp.array(0.0), jf.RESULTS.successful, jnp.array(2)
 )
 
 

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
-from tests.pictures import PICTURES, VALUES, made
+from tests.pictures import PICTURES, VALUES, made, unchecked
 from tests.problems import PROBLEMS
 
 matplotlib.use("Agg")
@@ -312,7 +312,8 @@ def spectrum(exponents, settled=True, error=0.01):
     exponents = np.asarray(exponents, float)
     lanes, n = exponents.shape[:-1], exponents.shape[-1]
     times = np.broadcast_to(np.array([10.0, 20.0, 40.0]), (*lanes, 3))
-    return jf.LyapunovSpectrum(
+    return unchecked(
+        jf.LyapunovSpectrum,
         exponents=exponents,
         standard_error=np.full((*lanes, n), error),
         running=exponents[..., None, :] + np.array([0.3, 0.1, 0.0])[:, None],
