@@ -149,9 +149,10 @@ def continue_bifurcation(
         found = _not_begun(bifurcation, free, result, names)
     else:
         found = _curve(curve, follow(curve, start, ends, max_step, max_points), names)
-    if not throw:
-        return found
-    return found.result.error_if(found, found.result != RESULTS.successful)
+    if throw:
+        # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
+        found.result.error_if(found.values, found.result != RESULTS.successful)
+    return found
 
 
 def _on_curve(

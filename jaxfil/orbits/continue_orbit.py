@@ -96,9 +96,10 @@ def continue_orbit(
         branch = _not_begun(curve, given, result)
     else:
         branch = _branch(curve, follow(curve, start, ends, max_step, max_points))
-    if not throw:
-        return branch
-    return branch.result.error_if(branch, branch.result != RESULTS.successful)
+    if throw:
+        # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
+        branch.result.error_if(branch.values, branch.result != RESULTS.successful)
+    return branch
 
 
 def _on_branch(

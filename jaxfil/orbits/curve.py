@@ -20,12 +20,12 @@ from jaxfil.orbits.newton import Evaluation, Root
 
 
 class ArclengthConstraint(eqx.Module):
-    """normal · (u − base)/scale = offset."""
+    """normal · (u − base)/scale = offset, or many of them."""
 
-    base: Float[Array, " N"]
-    scale: Float[Array, " N"]
-    normal: Float[Array, " N"]
-    offset: Float[Array, ""]
+    base: Float[Array, "*many N"]
+    scale: Float[Array, "*many N"]
+    normal: Float[Array, "*many N"]
+    offset: Float[Array, "*many"]
 
     def appended(self, at: Evaluation, u: Array) -> Evaluation:
         """What is known at u, with this equation as the last one."""

@@ -68,7 +68,7 @@ class Orbit(eqx.Module):
     plan = renamed_attribute("plan", "options")
 
     @property
-    def multipliers(self) -> Complex[Array, " n"]:
+    def multipliers(self) -> Complex[Array, "*batch n"]:
         """The Floquet multipliers, eigenvalues of the monodromy matrix, shape (n,). One of an
         autonomous system's is 1; a sticking orbit has one that is 0."""
         # Where the orbit was not found there are none; LAPACK must not see a NaN.

@@ -111,6 +111,7 @@ def test_belt_begins_to_stick_where_its_orbit_grazes():
     assert point.kind == "contacts" and (len(point.before), len(point.after)) == (0, 2)
     assert_allclose(point.value, BELT_GRAZES[1], rtol=0, atol=1e-9)
     assert branch.ended == ("start at 12", "omega = 9 was reached")
+    assert isinstance(branch.values, np.ndarray)
     assert branch.stable.all() and branch.values[-1] == 9.0
     (orbit,) = branch.at(9.1)
     assert_allclose(orbit.x0, PROBLEMS["belt 9.1"].x0, rtol=0, atol=1e-10)
@@ -347,12 +348,13 @@ def test_an_orbit_of_another_system_is_an_outcome(start):
     assert outcome_names(branch.result) == "newton_stalled"
     assert_allclose(branch.values, [0.7], rtol=1e-15)
     assert_array_equal(branch.orbits.x0, first.x0[None])
+    assert isinstance(branch.values, np.ndarray)
     assert branch.points == [] and branch.ended == ("no branch was found at 0.7",) * 2
     assert "newton_stalled: Newton's method cannot" in repr(branch)
     with pytest.raises(eqx.EquinoxRuntimeError, match="cannot reduce the residual"):
         jf.continue_orbit(OTHER, "omega", given, stop=0.8)
     with pytest.raises(ValueError, match="`stop` must be a number or a pair"):
-        jf.continue_orbit(OTHER, "omega", given, stop="there", throw=False)
+        jf.continue_orbit(OTHER, "omega", given, stop=np.nan, throw=False)
 
 
 @pytest.mark.parametrize("omega, x", [(0.7, np.nan), (np.nan, 1.0)])
