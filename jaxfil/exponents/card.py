@@ -39,7 +39,9 @@ class Average(Protocol):
         ...
 
 
-def average_card(name: str, found: Average, exponents: Array, errors: Array) -> str:
+def average_card(
+    name: str, found: Average, exponents: Array | np.ndarray, errors: Array | np.ndarray
+) -> str:
     """What was averaged, over how long, and whether it is to be trusted, in a few lines."""
     name += precision(found.x0)
     if isinstance(found.result._value, jax.core.Tracer) or found.times.ndim > 1:

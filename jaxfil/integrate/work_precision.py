@@ -75,7 +75,10 @@ class WorkPrecision(eqx.Module):
             np.nanargmin(np.where(good | ~good.any(), ranks, np.inf)), good.shape
         )
         told = f"{self.steppers[i]}, {self._step(self.dts[k])}: {self.errors[i, k]:.1e} at "
-        return told + f"{_duration(self.seconds[i, k])}{'' if good.any() else ' (the best here)'}"
+        return (
+            told
+            + f"{_duration(float(self.seconds[i, k]))}{'' if good.any() else ' (the best here)'}"
+        )
 
     def plot(self, ax: Axes = None) -> Axes:
         """Draw the errors against the run times; returns the matplotlib axes."""
@@ -87,7 +90,7 @@ class WorkPrecision(eqx.Module):
             for k, dt in enumerate(self.dts):
                 reached = self.reached[i, k]
                 error = f"{self.errors[i, k]:.1e}" if reached else str(self.outcomes[i, k])
-                told = _duration(self.seconds[i, k])
+                told = _duration(float(self.seconds[i, k]))
                 contacts = self.num_events[i, k]
                 lines.append(f"{name:<12} {dt:>10.4g} {error:>9} {told:>9} {contacts:>9}")
         return "\n".join([*lines, self._reference_line(), self.recommendation()])
