@@ -1,6 +1,6 @@
 """integrate: a system from one state to the next.
 
-Words of this room, in the order in which a step meets them:
+The words of this room, in the order in which a step meets them:
 
 - components: the numbers of a state one by one, as the loop carries them (`components`).
 - side, mode: a surface's side is +1 or −1; the mode of a motion is its side of each surface, or 0

@@ -1,6 +1,8 @@
 """xla: what coaxes one good kernel out of XLA.
 
-Nothing here knows what a nonsmooth system is. Words of this room:
+Nothing here knows what a nonsmooth system is.
+
+The words of this room:
 
 - kernel: a program that XLA's CPU backend compiles into one function, loops included, instead of
   one for each of their parts, which would have to be started one by one (`kernel`).
