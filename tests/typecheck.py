@@ -2,7 +2,8 @@
 
 jaxtyping's import hook (`--jaxtyping-packages` in pyproject.toml) hands every function of the
 package to `inner`. What answers for bad arguments itself is left as it is, since tests call it with
-bad ones and look at its answer: the public functions, and the modules that are the door.
+bad ones and look at its answer: the public functions, and the modules that are the door; and the
+textbook systems, whose functions anybody may call with plain numbers.
 """
 
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from beartype import beartype
 DOORS = (
     "jaxfil.model",
     "jaxfil.plot",
+    "jaxfil.systems",
     "jaxfil.integrate.options",
     "jaxfil.integrate.stepper",
     "jaxfil.sweep.diagram",
