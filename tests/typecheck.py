@@ -16,6 +16,7 @@ DOORS = (
     "jaxfil.model",
     "jaxfil.plot",
     "jaxfil.systems",
+    "jaxfil.exponents.intervals",
     "jaxfil.integrate.options",
     "jaxfil.integrate.stepper",
     "jaxfil.sweep.diagram",

@@ -74,7 +74,7 @@ class WorkPrecision(eqx.Module):
         i, k = np.unravel_index(
             np.nanargmin(np.where(good | ~good.any(), ranks, np.inf)), good.shape
         )
-        told = f"{self.steppers[i]}, {self._step(self.dts[k])}: {self.errors[i, k]:.1e} at "
+        told = f"{self.steppers[i]}, {self._step(float(self.dts[k]))}: {self.errors[i, k]:.1e} at "
         return (
             told
             + f"{_duration(float(self.seconds[i, k]))}{'' if good.any() else ' (the best here)'}"

@@ -103,7 +103,12 @@ def harmonic_balance(
     return series.result.error_if(series, series.result != RESULTS.successful)
 
 
-def _first(system: System, guess: Guess, harmonics: int, periods: int) -> Array:
+def _first(
+    system: System,
+    guess: Orbit | Callable[[Array], Array] | Array | np.ndarray,
+    harmonics: int,
+    periods: int,
+) -> Array:
     """The coefficients of the guess, shape (2K + 1, n)."""
     assert system.period is not None
     size = 2 * harmonics + 1

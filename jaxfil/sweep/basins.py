@@ -167,7 +167,7 @@ def basins_of_attraction(
     )
 
 
-def _axis(i: int, axis: ArrayLike | Sequence[float]) -> np.ndarray:
+def _axis(i: int, axis: Any) -> np.ndarray:
     values = np.asarray(axis, float)
     if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
         raise ValueError(f"`axes[{i}]` must be numbers of shape (k,), got shape {values.shape}.")
