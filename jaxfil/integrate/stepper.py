@@ -33,7 +33,7 @@ class RK4(eqx.Module):
     >>> belt = jf.systems.BeltFriction()
     >>> sol = jf.solve(belt, jnp.zeros(2), 0.0, 1.0, 0.01, stepper=jf.RK4())
     >>> int(sol.num_events)
-    2
+    3
     """
 
     c = np.array([0.5, 0.5, 1.0])

@@ -5,18 +5,18 @@ leaves. It does so for one release, with a `DeprecationWarning` that says the ne
 """
 
 import functools as ft
-import warnings
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
+
+from jaxfil.model.warning import warn
 
 _Args = ParamSpec("_Args")
 _Out = TypeVar("_Out")
 
 
-def warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
+def warn_renamed(old: str, new: str) -> None:
     """The warning that `old` is now called `new`."""
-    # Level 3 is the line that uses the old name: 1 is this one, 2 whoever found the old name.
-    warnings.warn(f"`{old}` is now called `{new}`.", DeprecationWarning, stacklevel=stacklevel)
+    warn(f"`{old}` is now called `{new}`.", DeprecationWarning)
 
 
 def renamed_argument(

@@ -7,7 +7,6 @@ each has its own outcome.
 
 import dataclasses
 import functools as ft
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
@@ -31,6 +30,7 @@ from jaxfil.model.outcomes import RESULTS, code, outcomes
 from jaxfil.model.parameter import cast, get_parameter, parameters, replace_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import PathLike, States, SweptValues
+from jaxfil.model.warning import warn
 from jaxfil.sweep import multiprocess, step_halving
 from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, record_of
 from jaxfil.sweep.diagram import BifurcationDiagram, Conditions
@@ -249,11 +249,10 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike 
     missing = codes == code(RESULTS.interrupted)
     if missing.any():
         rest = "" if checkpoint is None else f"; the same call goes on from {checkpoint}"
-        warnings.warn(
+        warn(
             f"The {what} was interrupted: {int((~missing).sum())} of {missing.size} lanes are "
             f"finished, the {lost} of the others are NaN{rest}.",
             RuntimeWarning,
-            stacklevel=4,  # of the line that called the decorated `bifurcation_diagram`
         )
     return not missing.any()
 

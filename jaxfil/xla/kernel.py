@@ -58,7 +58,7 @@ def _kernel_of(program: Any) -> Callable:
     """A program that closes over nothing, as a function of its arguments and a single kernel."""
     run = jexc.jaxpr_as_fun(program)
 
-    def call(*values: Array) -> Any:
+    def call(*values: Any) -> Any:
         # The barrier keeps the number made of all arguments alive, which nobody else uses: XLA
         # would take it out, and then abort on the arguments that the kernel has no use for.
         out = kernel_of_all(lambda *values: (run(*values), _all_used(values)))(*values)

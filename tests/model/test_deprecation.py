@@ -22,8 +22,11 @@ def graze(orbit):
     "old, new", [("KINDS", "EventKind"), ("Route", "BifurcationSequence")], ids=lambda n: n
 )
 def test_a_class_is_found_under_its_old_name(old, new):
-    with pytest.warns(DeprecationWarning, match=f"`jaxfil.{old}` is now called `jaxfil.{new}`"):
+    with pytest.warns(
+        DeprecationWarning, match=f"`jaxfil.{old}` is now called `jaxfil.{new}`"
+    ) as warned:
         assert getattr(jf, old) is getattr(jf, new)
+    assert warned[0].filename == __file__  # the line to be changed
 
 
 def test_an_outcome_is_found_under_its_old_name():
@@ -35,8 +38,9 @@ def test_an_outcome_is_found_under_its_old_name():
 
 
 def test_attributes_are_found_under_their_old_names(orbit, graze):
-    with pytest.warns(DeprecationWarning, match="`plan` is now called `options`"):
+    with pytest.warns(DeprecationWarning, match="`plan` is now called `options`") as warned:
         assert orbit.plan is orbit.options
+    assert warned[0].filename == __file__
     with pytest.warns(DeprecationWarning, match="`touch` is now called `tangency`"):
         assert graze.touch is graze.tangency
 
@@ -71,8 +75,9 @@ def test_arguments_are_taken_under_their_old_names(verb, orbit, graze):
     several = verb == "curve"
     old, new = ("names", "parameters") if several else ("name", "parameter")
     value = ("omega", "f0") if several else "omega"
-    with pytest.warns(DeprecationWarning, match=f"`{old}` is now called `{new}`"):
+    with pytest.warns(DeprecationWarning, match=f"`{old}` is now called `{new}`") as warned:
         found = calls[verb](**{old: value})
+    assert warned[0].filename == __file__
     assert (found == calls[verb](**{new: value})).all()
 
 
