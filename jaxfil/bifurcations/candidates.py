@@ -161,13 +161,13 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
     """The guard of surface j and the sliding weight at many points of a flight."""
 
     def one(t: Array, x: Array) -> tuple[Array, Array]:
-        scene_ = components.build(system, x)
+        on_components = components.build(system, x)
         blocks, modes = components.unpack(x), components.unpack(mode)
         weight = jnp.zeros((), x.dtype)
-        if scene_.slides:
-            _, rates = filippov.corners(scene_, t, blocks)
+        if on_components.slides:
+            _, rates = filippov.corners(on_components, t, blocks)
             weight = filippov.weights(modes, rates)[j]
-        return filippov.guard(scene_, t, blocks, modes)[j], weight
+        return filippov.guard(on_components, t, blocks, modes)[j], weight
 
     return jax.vmap(one)(ts, xs)
 

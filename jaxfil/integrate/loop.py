@@ -21,7 +21,6 @@ corrected state, is the saltation matrix.
 
 import dataclasses
 import functools as ft
-from typing import Literal
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -279,12 +278,11 @@ def integrate_with_checkpoints(
     def buffers(state: LoopState) -> list:
         return [v for name in records for v in vars(getattr(state, name)).values()]
 
-    kind: Literal["checkpointed"] = "checkpointed"
     state = eqxi.while_loop(
         ft.partial(is_running, problem.grid),
         ft.partial(advance, problem),
         first,
-        kind=kind,
+        kind="checkpointed",
         buffers=buffers,
         max_steps=max_iterations,
         checkpoints=checkpoints,
