@@ -129,16 +129,16 @@ def _coast(problem: Problem, state: LoopState) -> tuple[LoopState, Array]:
 
 
 def _judge(problem: Problem, state: LoopState) -> LoopState:
-    """A full iteration, in which the step of a lane that does not slide is the one that it might
+    """A full iteration, in which the step of a lane that slides and rests on nothing is the one that it might
     have coasted through, to the last bit."""
     length, free = _try(problem, state)
     x, error, forcing = free.trial.x, free.trial.error, free.trial.forcing
-    if problem.system.slides:
+    if problem.system.slides or problem.system.resets:
 
-        def slid() -> tuple[Components, Components]:
+        def bound() -> tuple[Components, Components]:
             slide = trial_step(problem, state, length, forcing)
-            return where(state.sliding, slide.x, x), where(state.sliding, slide.error, error)
+            return where(state.held, slide.x, x), where(state.held, slide.error, error)
 
-        any_slides = _count(state.sliding) > 0
-        x, error = jax.lax.cond(any_slides, slid, lambda: (x, error))
+        any_held = _count(state.held) > 0
+        x, error = jax.lax.cond(any_held, bound, lambda: (x, error))
     return judge(problem, state, length, Trial(x, error, forcing), free)

@@ -21,7 +21,8 @@ from jaxfil.integrate.mode_switch import larger, surface_noise
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.recording import keep_sample
 from jaxfil.integrate.state import FreeStep, LoopState
-from jaxfil.integrate.stepper import is_too_long, step
+from jaxfil.integrate.step_error import Step, may_be_too_long
+from jaxfil.integrate.stepper import step
 
 
 def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeStep:
@@ -41,9 +42,9 @@ def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeSte
 
 
 def is_near_surface(state: LoopState) -> Array:
-    """Whether a lane slides, or is at or near a contact."""
+    """Whether a lane slides or rests, or is at or near a contact."""
     near = any_of(tuple(~armed for armed in state.armed))
-    return state.sliding | state.pending | (state.cut != 0) | near
+    return state.held | state.pending | (state.cut != 0) | near
 
 
 def is_event_free(problem: Problem, state: LoopState, length: Length, free: FreeStep) -> Array:
@@ -53,7 +54,9 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     _, h_t, normals = problem.system.gradients(t, x)
     touch = surface_noise(problem.system, t, size, h_t, normals)
     clear = ~is_near_surface(state) & all_finite(x, free.f, free.g)
-    clear = clear & ~is_too_long(problem.tableau, free.trial.error, free.f, h, size)
+    start = problem.grid.t0 + state.tau
+    taken = Step(t=start, h=h, x0=state.x, f0=state.f, f1=free.f, trial=free.trial)
+    clear = clear & ~may_be_too_long(problem.tableau, taken)
     for j in range(problem.system.m):
         d0, d1 = h * state.rate[j], h * free.rate[j]
         clear = clear & stays_off(state.g[j], d0, free.g[j], d1, touch[j])

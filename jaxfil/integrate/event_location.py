@@ -163,10 +163,12 @@ def _nothing(g0: Array, *_: Array) -> Array:
 
 class Contact(eqx.Module):
     """What a trial step has run over: θ of the earliest contact or minimum to be looked at
-    (`NEVER`: nothing), and the surfaces of that contact (none for a minimum)."""
+    (`NEVER`: nothing), the surfaces of that contact (none for a minimum), and all those run
+    over."""
 
     theta: Array
     surfaces: Components
+    all: Components
 
     @property
     def found(self) -> Array:
@@ -208,7 +210,8 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, minimum)
     stalled = (theta < NEVER) & (state.tries >= _STALLED) & (state.tries % 4 == 3)
-    return Contact(jnp.where(stalled, 0.5 * theta, theta), surfaces)
+    run_over = tuple(theta < NEVER for theta in thetas)
+    return Contact(jnp.where(stalled, 0.5 * theta, theta), surfaces, run_over)
 
 
 # What the end of a step is to a surface.
@@ -238,14 +241,26 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     hits = tuple(kind >= _HIT for kind in kinds)
     landed = any_of(hits)
     touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
+    # A contact that is `_HERE` has δ = 0, but the derivative of its time.
+    times = [
+        jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
+        for kind, missing in zip(kinds, times, strict=True)
+    ]
+    # Of several surfaces the one met first gives δ, and those within the rounding of times are met
+    # with it; a later one is left to a step of its own.
+    delta: Any = jnp.zeros_like(length.h)
+    best: Any = jnp.full_like(length.h, jnp.inf)
+    for hit, missing in zip(hits, times, strict=True):
+        earlier = hit & (direction * stop_gradient(missing) < best)
+        delta = jnp.where(earlier, missing, delta)
+        best = jnp.where(earlier, direction * stop_gradient(missing), best)
+    same = problem.grid.same_time(end.tau)
+    hits = tuple(
+        hit & ((kind == _HERE) | (direction * stop_gradient(missing) <= best + same))
+        for hit, kind, missing in zip(hits, kinds, times, strict=True)
+    )
     pairs = zip(hits, kinds, strict=True)
     surfaces = tuple(hit | (touched & (kind == _BRUSHED)) for hit, kind in pairs)
-    # Of several surfaces met together the first listed gives δ; within the rounding of times all
-    # give the same. A contact that is `_HERE` has δ = 0, but the derivative of its time.
-    delta: Any = jnp.zeros_like(length.h)
-    for kind, missing in reversed(list(zip(kinds, times, strict=True))):
-        missing = jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
-        delta = jnp.where(kind >= _HIT, missing, delta)
     # Rounding can put a contact just past the end of the span it belongs to.
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
@@ -268,10 +283,13 @@ def _kind_of_end(
     bend = direction * (rate - state.rate[j])
     close = (size <= small * abs(grid.dt)) & (size * abs(bend) <= small * abs(rate * h))
     inside = (length.room - stop_gradient(missing)) * direction >= 0
-    # Rounding of t hides what is missing to the end of a slide, whose guard is made of fields. A
+    # Rounding of t hides what is missing to the end of a slide or a rest, whose guard is made of
+    # fields. A
     # state knows its surface better: it is there when all that is left of g is rounding.
     g = stop_gradient(end.g[j])
     sliding = end.mode[j] == 0 if system.slides else jnp.zeros((), bool)
+    if system.resets:
+        sliding = sliding | (abs(end.mode[j]) == 2)
     zero = abs(g) <= end.noise[j]
     # So do several surfaces: those met within the rounding of times are met together.
     loose = sliding | (system.m > 1)

@@ -26,6 +26,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate import unilateral
 from jaxfil.integrate.components import Components, ComponentSystem, Forcing, SmoothField
 from jaxfil.xla.small_linear import solve_small
 
@@ -155,25 +156,42 @@ def field(
     mode: Components,
     forcing: Forcing | None = None,
 ) -> Components:
-    """The field of a mode, blended while it slides; `forcing` as in `ComponentSystem.field`."""
+    """The field of a mode, blended while it slides and held while it rests; `forcing` as in
+    `ComponentSystem.field`."""
+    f = free_field(system, t, x, mode, forcing)
+    return unilateral.held_field(system, t, x, mode, f)[0] if system.resets else f
+
+
+def free_field(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    mode: Components,
+    forcing: Forcing | None = None,
+) -> Components:
+    """`field` without the reactions of surfaces rested on."""
     if not system.slides:
-        return system.field(t, x, mode, True, forcing)
+        sides = unilateral.sides_of(mode) if system.resets else mode
+        return system.field(t, x, sides, True, forcing)
     fields, rates = corners(system, t, x, True, forcing)
     return blend_fields(system, fields, mode, weights(mode, rates))
 
 
 class ModeField(SmoothField):
     """The field of a mode as a smooth vector field of time and state; `blended`: the mode may
-    slide. Where it is known not to, the fields of the other sides are not computed."""
+    slide, `held`: it may rest. Where it is known not to, the fields of the other sides, or the
+    reactions, are not computed."""
 
     system: ComponentSystem
     mode: Components
     blended: bool = eqx.field(static=True, default=True)
+    held: bool = eqx.field(static=True, default=True)
 
     def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components:
-        if self.blended:
-            return field(self.system, t, x, self.mode, forcing)
-        return self.system.field(t, x, self.mode, True, forcing)
+        if not self.blended:
+            return self.system.field(t, x, self.mode, True, forcing)
+        choose = field if self.held else free_field
+        return choose(self.system, t, x, self.mode, forcing)
 
     def once(self, function: Callable, *args: Any) -> Any:
         """`ComponentSystem.once`."""
@@ -209,7 +227,19 @@ def without_surfaces(system: ComponentSystem, mode: Components) -> ComponentSyst
 
 
 def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:
-    """What must stay positive in a mode: ±H_j on a side, 1 − w_j² while sliding."""
+    """What must stay positive in a mode: ±H_j on a side, 1 − w_j² while sliding, the reaction λ_j
+    at rest."""
+    off = free_guard(system, t, x, mode)
+    if not system.resets:
+        return off
+    f = free_field(system, t, x, mode)
+    _, force = unilateral.held_field(system, t, x, mode, f)
+    rests = unilateral.rests_of(mode)
+    return tuple(jnp.where(r, v, g) for r, v, g in zip(rests, force, off, strict=True))
+
+
+def free_guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:
+    """`guard` of a mode that does not rest."""
     h = system.switching(t, x)
     off = tuple(s * v for s, v in zip(mode, h, strict=True))
     if not system.slides:

@@ -13,9 +13,9 @@ from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate import filippov
-from jaxfil.integrate.components import Components, ComponentSystem, all_finite
-from jaxfil.integrate.mode_switch import guards, surface_noise
+from jaxfil.integrate import filippov, impact, unilateral
+from jaxfil.integrate.components import Components, ComponentSystem, all_finite, any_of
+from jaxfil.integrate.mode_switch import guards, stays_on, surface_noise, with_reactions
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.recording import empty_saves, empty_table
 from jaxfil.integrate.state import LoopState
@@ -63,19 +63,30 @@ def _three_rates(
 
 def _first_mode(
     problem: Problem, x: Components, h: Components, noise: Components
-) -> tuple[Components, Components, Array]:
-    """The mode at t0, the surfaces the state starts on, and the number of admissible modes."""
+) -> tuple[Components, Components, Components, Array]:
+    """The mode at t0, the surfaces the state starts on, those whose reset comes first, and the
+    number of admissible modes."""
     system, grid = problem.system, problem.grid
     sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
     on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
     rates = _resolved_rates(system, grid.t0, x, grid.direction)
     rates = jax.tree.map(stop_gradient, rates)
-    mode, count = filippov.choose(system.m, rates, sides, on, grid.direction)
-    return mode, on, count
+    if not system.resets:
+        mode, count = filippov.choose(system.m, rates, sides, on, grid.direction)
+        return mode, on, (), count
+    start = impact.begin(problem, x, on, sides, rates[0])
+    free = tuple(o & ~known for o, known in zip(on, start.known, strict=True))
+    mode, count = filippov.choose(system.m, rates, start.sides, free, grid.direction)
+    mode = tuple(jnp.where(r, 2 * s, s) for r, s in zip(start.rests, mode, strict=True))
+    count = jnp.where(start.consistent, count, 0)
+    # In backward time a rest may have begun at any time.
+    count = jnp.where(any_of(start.rests) & (grid.direction < 0), 2, count)
+    return mode, on, start.owed, count
 
 
 class _Start(eqx.Module):
-    """Field, mode and guards at t0, and the number of modes that could go on from there."""
+    """Field, mode and guards at t0, the surfaces whose reset comes first, and the number of modes
+    that could go on from there."""
 
     f: Components
     mode: Components
@@ -83,27 +94,36 @@ class _Start(eqx.Module):
     rate: Components
     armed: Components
     noise: Components
+    owed: Components
     num_modes: Array
 
 
 def _start(problem: Problem, x: Components) -> _Start:
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     if system.m == 0:
-        return _Start(system.field(t, x, ()), (), (), (), (), (), jnp.ones((), jnp.int32))
+        return _Start(system.field(t, x, ()), (), (), (), (), (), (), jnp.ones((), jnp.int32))
     h, h_t, normals = system.gradients(t, x)
     size = tuple(stop_gradient(abs(v)) for v in x)
+    if system.resets:
+        # A state that an earlier run has left on the surface has the rounding of its steps.
+        f = system.field(t, x, tuple(jnp.ones_like(v) for v in h))
+        dt = problem.grid.dt
+        size = tuple(s + stop_gradient(abs(dt * v)) for s, v in zip(size, f, strict=True))
     noise = surface_noise(system, t, size, h_t, normals)
-    mode, on, count = _first_mode(problem, x, h, noise)
-    moving = tuple(jnp.where(s == 0, 1.0, s).astype(system.dtype) for s in mode)
-    f = filippov.field(system, t, x, mode if system.slides else moving)
+    mode, on, owed, count = _first_mode(problem, x, h, noise)
+    moving = mode if system.slides else unilateral.sides_of(mode)
+    f = filippov.free_field(system, t, x, moving)
+    f = with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, noise)
-    armed = tuple((s == 0) | ~on_j for s, on_j in zip(mode, on, strict=True))
+    stays = stays_on(system, mode)
+    armed = tuple(s | ~on_j for s, on_j in zip(stays, on, strict=True))
     g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
     rate = tuple(
         jnp.where(a, r, direction * jnp.maximum(direction * r, 0.0))
         for a, r in zip(armed, rate, strict=True)
     )
-    return _Start(f, mode, tuple(stop_gradient(v) for v in g), rate, armed, noise, count)
+    g = tuple(stop_gradient(v) for v in g)
+    return _Start(f, mode, g, rate, armed, noise, owed, count)
 
 
 def initial_state(problem: Problem, x: Components) -> LoopState:
@@ -126,9 +146,10 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         noise=start.noise,
         cut=tau,
         aim=(false,) * system.m,
-        pending=false,
-        hit=(false,) * system.m,
+        pending=any_of(start.owed),
+        hit=start.owed if system.resets else (false,) * system.m,
         graze=false,
+        settled=false if system.resets else None,
         index=zero,
         tries=zero,
         frozen=zero,

@@ -38,13 +38,18 @@ from jaxfil.integrate.mode_switch import evaluate_step_end, rearm_guards
 from jaxfil.integrate.problem import Problem, TimeGrid
 from jaxfil.integrate.recording import keep_sample, record_event, save_state
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd, is_running, later
-from jaxfil.integrate.stepper import Trial, is_too_long, step
+from jaxfil.integrate.step_error import Step, is_too_long
+from jaxfil.integrate.stepper import Trial, step
+from jaxfil.integrate.unilateral import rests_of, sides_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.kernel import kernel_if_it_fits
 
 # This many contacts in a row, each at the time of the last, are an accumulation: more than surfaces
 # that are met together, one after the other, need to settle.
 _FROZEN = 12
+# Resets of surfaces that are met together follow one another at one time, so many at most: where
+# each takes half of what the last one has left, fifty are none.
+_CHAIN = 192
 # What an iteration does with its trial step.
 _IDLE, _REJECT, _ACCEPT, _LAND, _TOUCH, _SWITCH, _FAIL = map(float, range(7))
 # What can go wrong in it, in the order in which it is told.
@@ -53,6 +58,8 @@ _FAILURES = (
     RESULTS.max_events_reached,
     RESULTS.nonunique,
     RESULTS.undeclared_sliding,
+    RESULTS.irreversible_reset,
+    RESULTS.reset_undecided,
     RESULTS.mode_undecided,
     RESULTS.zeno,
     RESULTS.step_too_long,
@@ -89,8 +96,16 @@ def advance(problem: Problem, state: LoopState) -> LoopState:
 
 def trial_step(problem: Problem, state: LoopState, length: Length, forcing: list[Forcing]) -> Trial:
     """A trial step in the lane's mode."""
-    field, t = ModeField(problem.system, state.mode), problem.grid.t0 + state.tau
-    return step(problem.tableau, field, t, state.x, state.f, length.h, forcing)
+    system, t = problem.system, problem.grid.t0 + state.tau
+
+    def tried(held: bool) -> Trial:
+        field = ModeField(system, state.mode, held=held)
+        return step(problem.tableau, field, t, state.x, state.f, length.h, forcing)
+
+    if not system.resets:
+        return tried(held=False)
+    resting = any_of(rests_of(state.mode))
+    return system.where_any(resting, lambda: tried(held=True), lambda: tried(held=False))
 
 
 def judge(
@@ -103,7 +118,7 @@ def judge(
     """The lane after a trial step: accepted, rejected, landed or switched. `free` is as in
     `evaluate_step_end`."""
     x = where(state.pending, state.x, trial.x)
-    end = evaluate_step_end(problem, state, length.end, x, trial.forcing[-1], free)
+    end = evaluate_step_end(problem, state, length, x, trial.forcing[-1], free)
     contact = find_contact(problem, state, end, length)
     # A flight this short cannot be told from the correction that ends it.
     again = abs(end.tau - state.contact_tau) <= 4 * problem.grid.same_time(end.tau)
@@ -112,7 +127,7 @@ def judge(
         end=end,
         contact=contact,
         landing=land(problem, state, end, length),
-        too_long=is_too_long(problem.tableau, trial.error, end.f, length.h, end.size),
+        too_long=_too_long(problem, state, length, trial, end),
         tries=jnp.where(contact.found, state.tries + 1, 0),
         frozen=frozen,
     )
@@ -120,11 +135,24 @@ def judge(
     return _carried_out(problem, state, length, judgement, action)
 
 
+def _too_long(
+    problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd
+) -> Array:
+    """Whether the error of a trial step says that it cannot be trusted."""
+    t = problem.grid.t0 + state.tau
+    taken = Step(t=t, h=length.h, x0=state.x, f0=state.f, f1=end.f, trial=trial)
+    return is_too_long(problem.system, problem.tableau, taken, sides_of(state.mode))
+
+
 def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     """What to do with a trial step, or the number of the failure it has met, as one float: all that
     follows needs nothing else of what went into it."""
     system, end, found = problem.system, judged.end, judged.contact.found
     landed, touched = judged.landing.landed, judged.landing.touched
+    if system.m > 1:
+        # A step that has run over one surface is not taken because it ends on another.
+        pairs = zip(judged.contact.all, judged.landing.surfaces, strict=True)
+        landed = landed & ~any_of(tuple(over & ~there for over, there in pairs))
     action = jnp.where(found, _REJECT, _ACCEPT)
     action = jnp.where(landed, jnp.where(touched, _TOUCH, _LAND), action)
     action = jnp.where(state.pending, _SWITCH, action)
@@ -135,8 +163,11 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     failures.append((end.num_modes > 1) | (end.repels & (~found | state.pending)))
     slid = jnp.zeros((), bool) if system.slides else any_of(tuple(s == 0 for s in end.mode))
     failures.append(slid)
+    failures.append(end.moved & (problem.grid.direction < 0))
+    failures.append((end.num_modes == 0) & end.moved)
     failures.append((end.num_modes == 0) | (judged.tries > _TRIES))
-    failures.append(judged.frozen >= _FROZEN)
+    chains = system.resets and system.m > 1
+    failures.append(judged.frozen >= (_CHAIN if chains else _FROZEN))
     failures.append(judged.too_long & ~state.pending & (landed | ~found))
     for number, failed in reversed(list(enumerate(failures))):
         action = jnp.where(failed, _FAIL + number, action)
@@ -165,6 +196,12 @@ def _carried_out(
     g, rate, armed, noise = rearm_guards(problem, state, end)
     landed_noise = where(action == _TOUCH, end.touch, end.noise)
     h = jnp.where(lands, length.h + landing.delta, jnp.where(moved, length.h, 0.0))
+    pending, hit, settled = lands | (state.pending & ~moved), state.hit, state.settled
+    if end.jump is not None:
+        h = h + jnp.where(switched, end.jump, 0.0)
+        pending = pending | (switched & any_of(end.next))
+        hit = where(switched, end.next, hit)
+        settled = switched & (end.jump > 0)
     tau, rest = later(state.tau, state.rest, h)
     after = dataclasses.replace(
         state,
@@ -180,9 +217,10 @@ def _carried_out(
         noise=where(lands, landed_noise, where(moved, noise, state.noise)),
         cut=_next_cut(grid, state, length, judged, rejected, accepted, moved),
         aim=where(rejected, judged.contact.surfaces, state.aim),
-        pending=lands | (state.pending & ~moved),
-        hit=where(lands, landing.surfaces, state.hit),
+        pending=pending,
+        hit=where(lands, landing.surfaces, hit),
         graze=jnp.where(lands, action == _TOUCH, state.graze),
+        settled=settled,
         index=state.index + gridded.astype(jnp.int32),
         tries=jnp.where(rejected, state.tries + 1, 0),
         frozen=jnp.where(switched, judged.frozen, state.frozen),
@@ -217,10 +255,10 @@ def _next_cut(
 
 def _accept_smooth(problem: Problem, state: LoopState, length: Length, trial: Trial) -> LoopState:
     """The whole of an iteration where there are no surfaces."""
-    end = evaluate_step_end(problem, state, length.end, trial.x, trial.forcing[-1])
+    end = evaluate_step_end(problem, state, length, trial.x, trial.forcing[-1])
     on = is_running(problem.grid, state)
     finite = all_finite(end.x, end.f)
-    ok = finite & ~is_too_long(problem.tableau, trial.error, end.f, length.h, end.size) & on
+    ok = finite & ~_too_long(problem, state, length, trial, end) & on
     saving, gridded = length.saving & ok, length.gridded & ok
     moved = ok & ~(saving & ~gridded)
     failure = RESULTS.where(finite, RESULTS.step_too_long, RESULTS.nonfinite)

@@ -6,12 +6,14 @@ contact changes its mode, here, where all fields are taken at the corrected stat
 correction, they left the state right and its derivative wrong in the fourth digit.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate import filippov
+from jaxfil.integrate import filippov, impact, unilateral
 from jaxfil.integrate.components import (
     Components,
     ComponentSystem,
@@ -21,11 +23,16 @@ from jaxfil.integrate.components import (
     axpy,
     where,
 )
+from jaxfil.integrate.impact import Impact
+from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
 
 # A guard is zero to rounding below this many eps times the size of its terms.
 _NOISE = 32
+# What is left after a step of the size of a state that decides on its rounding: a transient from
+# 1e14 is forgotten after some five hundred, a period of forty steps is not.
+_FADE = 15 / 16
 
 
 def surface_noise(
@@ -50,14 +57,15 @@ def _project(x: Components, h: Components, normals: tuple, on: Components) -> Co
 
 
 def larger(size: Components, x: Components) -> Components:
-    """The largest |x| so far."""
-    return tuple(jnp.maximum(s, stop_gradient(abs(v))) for s, v in zip(size, x, strict=True))
+    """The largest |x| of late: what rounding it has left fades with the motion."""
+    each = zip(size, x, strict=True)
+    return tuple(jnp.maximum(_FADE * s, stop_gradient(abs(v))) for s, v in each)
 
 
 def evaluate_step_end(
     problem: Problem,
     state: LoopState,
-    tau: Array,
+    length: Length,
     x: Components,
     forcing: Forcing,
     free: FreeStep | None = None,
@@ -67,10 +75,12 @@ def evaluate_step_end(
     `forcing` is that of the end: see `ComponentSystem.forcing`. What a `free` step has found is
     taken for a lane that stays on its sides, to the last bit.
     """
-    system, t = problem.system, problem.grid.t0 + tau
+    system, tau = problem.system, length.end
+    t = problem.grid.t0 + tau
     if system.m == 0:
         return _smooth_end(system, state, tau, x, system.field(t, x, (), forcing=forcing))
-    x, moved = _reset(system, state, t, x)
+    reset = impact.make_reset(system, state, t, x) if system.resets else None
+    x = x if reset is None else reset.x
     # Everything from here on is taken after the reset: sides, rates and modes are those of the
     # state that goes on.
     h, h_t, normals = system.gradients(t, x)
@@ -81,9 +91,15 @@ def evaluate_step_end(
     here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(state.x, x, strict=True))
     noise = surface_noise(system, t, here, h_t, normals)
     touch = surface_noise(system, t, size, h_t, normals)
+    moved = jnp.zeros((), bool) if reset is None else reset.moved
     x = _held(system, state, x, h, normals, moved)
+    led = None
+    if reset is not None:
+        seen = impact.view(problem, state, t, x, (h_t, normals))
+        led = impact.follow(problem, state, length, reset, seen, h, touch)
+        x = impact.held(state, reset, seen, x)
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
-    mode, num_modes = _switch(problem, state, rates, h, touch, moved)
+    mode, num_modes = _switch(problem, state, rates, h, touch, moved, led)
     shares = filippov.weights(mode, rates) if system.slides else mode
     f = filippov.blend_fields(system, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
@@ -92,12 +108,73 @@ def evaluate_step_end(
     repels = jnp.zeros((), bool)
     if system.slides:
         repels = ~filippov.attracting(mode, rates, problem.grid.direction)
+    f = with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, noise)
     if free is not None:
-        stays = ~state.pending & ~state.sliding
+        stays = ~state.pending & ~state.held
         f, g, rate = where(stays, free.f, f), where(stays, free.g, g), where(stays, free.rate, rate)
-    touch = tuple(jnp.where(s == 0, v, w) for s, v, w in zip(mode, noise, touch, strict=True))
-    return StepEnd(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels, moved)
+    on = stays_on(system, mode)
+    touch = tuple(jnp.where(s, v, w) for s, v, w in zip(on, noise, touch, strict=True))
+    end = StepEnd(
+        tau=tau,
+        x=x,
+        f=f,
+        size=size,
+        mode=mode,
+        g=g,
+        rate=rate,
+        noise=noise,
+        touch=touch,
+        num_modes=num_modes,
+        repels=repels,
+        moved=moved,
+        members=state.hit,
+        next=(),
+        jump=None,
+        still=(),
+    )
+    return end if reset is None or led is None else _led_on(state, end, reset, led)
+
+
+def _led_on(state: LoopState, end: StepEnd, reset: impact.Reset, led: Impact) -> StepEnd:
+    """The end of a step with what follows from its reset."""
+    # Surfaces that wait for their reset are met by another switch.
+    members = tuple(
+        jnp.where(reset.moved, acted | (hit & ~more), hit)
+        for acted, hit, more in zip(reset.acted, state.hit, led.next, strict=True)
+    )
+    x = axpy(end.x, led.jump, end.f)
+    x = tuple(a + b for a, b in zip(x, led.kick, strict=True))
+    return dataclasses.replace(
+        end,
+        x=where(led.jump > 0, x, end.x),
+        members=members,
+        next=led.next,
+        jump=led.jump,
+        still=led.still,
+    )
+
+
+def stays_on(system: ComponentSystem, mode: Components) -> Components:
+    """The surfaces that a mode slides or rests on."""
+    slides = tuple(s == 0 for s in mode)
+    if not system.resets:
+        return slides
+    return tuple(a | b for a, b in zip(slides, unilateral.rests_of(mode), strict=True))
+
+
+def with_reactions(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, f: Components
+) -> Components:
+    """The field of a mode, with the reactions of the surfaces that it rests on."""
+    if not system.resets:
+        return f
+    resting = any_of(unilateral.rests_of(mode))
+
+    def reacted(t: Array, x: Components, mode: Components, f: Components) -> Components:
+        return unilateral.held_field(system, t, x, mode, f)[0]
+
+    return system.where_any(resting, reacted, lambda t, x, mode, f: f, t, x, mode, f)
 
 
 def _smooth_end(
@@ -106,19 +183,7 @@ def _smooth_end(
     """The end of a step where there are no surfaces."""
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     size = larger(state.size, x)
-    return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, false)
-
-
-def _reset(
-    system: ComponentSystem, state: LoopState, t: Array, x: Components
-) -> tuple[Components, Array]:
-    """The state after the reset of a pending switch, and whether that has moved it."""
-    if not system.resets:
-        return x, jnp.zeros((), bool)
-    # Of surfaces hit together the reset hears of the first: its signature takes one.
-    surface = jnp.argmax(jnp.stack(state.hit))
-    after = where(state.pending & ~state.graze, system.reset(t, x, surface), x)
-    return after, any_of(tuple(a != b for a, b in zip(after, x, strict=True)))
+    return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, false, (), (), None, ())
 
 
 def _held(
@@ -129,13 +194,13 @@ def _held(
     normals: tuple,
     moved: Array,
 ) -> Components:
-    """The state on the surfaces that it slides on or has just met: a slide is exact in its surface,
-    however long it lasts."""
-    if not system.slides:
+    """The state on the surfaces that it slides or rests on or has just met: a slide is exact in its
+    surface, however long it lasts."""
+    if not system.slides and not system.resets:
         return x
     landed = state.pending & ~state.graze & ~moved
-    each = zip(state.mode, state.hit, strict=True)
-    on = tuple(((s == 0) & ~moved) | (landed & hit) for s, hit in each)
+    each = zip(stays_on(system, state.mode), state.hit, strict=True)
+    on = tuple((stays & ~moved) | (landed & hit) for stays, hit in each)
     return system.hold(*_project(x, h, normals, on))
 
 
@@ -149,12 +214,43 @@ def guards(
 ) -> tuple[Components, Components, Components]:
     """The guards of a mode, their rates along its field f, and their noise, given that of H."""
     g, rate = jax.jvp(
-        lambda t, x: filippov.guard(system, t, x, mode), (t, x), (jnp.ones_like(t), f)
+        lambda t, x: filippov.free_guard(system, t, x, mode), (t, x), (jnp.ones_like(t), f)
     )
     # The guard of a slide, 1 - w², is of order one.
     slide = _NOISE * system.eps
     noise = tuple(jnp.where(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
+    if system.resets:
+        g, rate, noise = _guards_of_rest(system, t, x, f, mode, (g, rate, noise))
     return system.hold(*g), stop_gradient(system.hold(*rate)), noise
+
+
+def _guards_of_rest(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    f: Components,
+    mode: Components,
+    known: tuple[Components, Components, Components],
+) -> tuple[Components, Components, Components]:
+    """The same guards, rates and noise, with those of the surfaces that a mode rests on: the
+    reactions."""
+    rests = unilateral.rests_of(mode)
+
+    def reactions(t: Array, x: Components, f: Components, known: tuple) -> tuple:
+        def force(t: Array, x: Components) -> Components:
+            free = filippov.free_field(system, t, x, mode)
+            return unilateral.held_field(system, t, x, mode, free)[1]
+
+        value, slope = jax.jvp(force, (t, x), (jnp.ones_like(t), f))
+        scale = unilateral.reaction_scale(system, t, x, mode)
+        noise = tuple(stop_gradient(_NOISE * system.eps * v) for v in scale)
+        each = zip((value, slope, noise), known, strict=True)
+        return tuple(
+            tuple(jnp.where(r, a, b) for r, a, b in zip(rests, new, old, strict=True))
+            for new, old in each
+        )
+
+    return system.where_any(any_of(rests), reactions, lambda t, x, f, known: known, t, x, f, known)
 
 
 def _switch(
@@ -164,21 +260,17 @@ def _switch(
     h: Components,
     touch: Components,
     moved: Array,
+    led: Impact | None,
 ) -> tuple[Components, Array]:
     """The mode after a landing and the number of admissible ones, computed once; elsewhere the old
     mode and 1."""
     system = problem.system
-    mode, count = _chosen(problem, state, rates, h, touch, moved)
-    if system.resets:
-        # A wall has one side: an impact that does not turn the motion back leads nowhere.
-        sides = zip(state.hit, mode, state.mode, strict=True)
-        through = any_of(tuple(hit & (a != b) for hit, a, b in sides))
-        count = jnp.where(moved & through, 0, count)
-    # Where there is one surface, both are one number: mode + 4 count, and the mode is at most 1.
-    number = mode[0] + 4 * count.astype(system.dtype)
+    mode, count = _chosen(problem, state, rates, h, touch, moved, led)
+    # Where there is one surface, both are one number: mode + 8 count, and the mode is at most 2.
+    number = mode[0] + 8 * count.astype(system.dtype)
     number, *others = system.hold(number, *mode[1:])
-    count = jnp.floor(0.25 * number + 0.5)
-    return (number - 4 * count, *others), count.astype(jnp.int32)
+    count = jnp.floor(0.125 * number + 0.5)
+    return (number - 8 * count, *others), count.astype(jnp.int32)
 
 
 def _chosen(
@@ -188,13 +280,14 @@ def _chosen(
     h: Components,
     touch: Components,
     moved: Array,
+    led: Impact | None,
 ) -> tuple[Components, Array]:
     """The mode after a landing and the number of admissible ones; elsewhere the old mode and 1.
 
     A slide that has reached the end of its weight leaves to that side. A reset that has `moved` the
-    state may have carried it off a surface, or across another one. Everything else is chosen among
-    all modes on the surfaces the state is on: those hit, those slid on, and those met or left at
-    the same time.
+    state may have carried it off a surface, or across another one; what it has `led` to on others
+    is known. Everything else is chosen among all modes on the surfaces the state is on: those hit,
+    those slid on, and those met or left at the same time.
     """
     system, grid = problem.system, problem.grid
     # Which mode goes on is no number that could have a derivative; its field has.
@@ -210,23 +303,56 @@ def _chosen(
         for go, side, s in zip(leaving, sides, state.mode, strict=True)
     )
     met = tuple(hit & ~go for hit, go in zip(state.hit, leaving, strict=True))
-    if system.resets:
-        off = tuple(moved & (abs(v) > least) for v, least in zip(h, touch, strict=True))
-        left = tuple(
-            jnp.where(o & switching, jnp.where(v > 0, jnp.ones_like(v), -jnp.ones_like(v)), s)
-            for o, v, s in zip(off, h, left, strict=True)
-        )
-        met = tuple(hit & ~o for hit, o in zip(met, off, strict=True))
+    if led is not None:
+        left, met = _left_by_reset(state, left, met, h, touch, moved, led)
     # A surface that will be met within the rounding of times is met now: its contact could not be
     # told from this one, and would follow it at once.
     same = grid.same_time(state.tau)
     on = []
     for j in range(system.m):
         close = abs(h[j]) < abs(state.rate[j]) * same
+        if led is not None:
+            close = close & ~led.next[j] & ~led.still[j] & (abs(left[j]) != 2)
         on.append(met[j] | (left[j] == 0) | ((state.mode[j] != 0) & close))
     decide = switching & any_of(met)
-    chosen, count = filippov.choose(system.m, rates, left, tuple(on), grid.direction)
-    return where(decide, chosen, left), jnp.where(decide, count, 1)
+    beside = unilateral.beside(left) if system.resets else left
+    chosen, count = filippov.choose(system.m, rates, beside, tuple(on), grid.direction)
+    count = jnp.where(decide, count, 1)
+    if led is None:
+        return where(decide, chosen, left), count
+    rests = unilateral.rests_of(left)
+    mode = tuple(
+        jnp.where(decide & ~rest, new, old)
+        for rest, new, old in zip(rests, chosen, left, strict=True)
+    )
+    return mode, jnp.where(led.consistent, count, 0)
+
+
+def _left_by_reset(
+    state: LoopState,
+    left: Components,
+    met: Components,
+    h: Components,
+    touch: Components,
+    moved: Array,
+    led: Impact,
+) -> tuple[Components, Components]:
+    """The mode on surfaces that a reset has carried the state off, that it rests on and that wait
+    for another switch, and the surfaces met on which a mode is still to be chosen."""
+    switching = state.pending & ~state.graze
+    modes, open_ = [], []
+    for j, (s, v, least) in enumerate(zip(left, h, touch, strict=True)):
+        one = jnp.ones_like(s)
+        off = moved & (abs(v) > least)
+        beside = jnp.where(s < 0, -one, one)
+        rested = jnp.where(led.rests[j], 2 * beside, beside)
+        # What ends a rest, and what asks for a reset, leaves to its side.
+        ends = (state.hit[j] & (abs(s) == 2)) | led.next[j]
+        mode = jnp.where(off & switching, jnp.where(v > 0, one, -one), s)
+        mode = jnp.where(ends & switching, beside, mode)
+        modes.append(jnp.where(led.still[j], rested, mode))
+        open_.append(met[j] & ~off & ~ends & ~led.still[j])
+    return tuple(modes), tuple(open_)
 
 
 def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Components, ...]:
@@ -235,20 +361,22 @@ def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Comp
     A surface just met counts as left only when its guard has risen above rounding. Until then the
     guard starts at exactly zero, and its rate at zero or above.
     """
-    direction = problem.grid.direction
+    system, direction = problem.system, problem.grid.direction
+    before, after = stays_on(system, state.mode), stays_on(system, end.mode)
     gs, rates, armed, noises = [], [], [], []
-    for j in range(problem.system.m):
+    for j in range(system.m):
         hit = state.pending & state.hit[j]
-        old_slide = state.mode[j] == 0
+        old_slide, sliding = before[j], after[j]
         # The rounding of the landing counts until the surface is left, also where the state has
         # become smaller since.
         kept = (hit | ~state.armed[j]) & ~old_slide
         noise = jnp.maximum(end.noise[j], jnp.where(kept, state.noise[j], 0.0))
-        sliding = end.mode[j] == 0
         away = sliding | (~hit & state.armed[j]) | (end.g[j] > noise)
         # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
         # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
         double = hit & (old_slide | state.graze)
+        if system.resets:
+            double = double | end.still[j]
         rising = direction * jnp.maximum(direction * end.rate[j], 0.0)
         gs.append(jnp.where(away, jnp.maximum(end.g[j], 0.0), 0.0))
         rates.append(jnp.where(away, end.rate[j], jnp.where(double, 0.0, rising)))

@@ -63,11 +63,15 @@ def mode_codes(mode: Components) -> Array:
 def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
     """What the switch just made was, told from the modes of the surfaces hit."""
     kind: Any = jnp.asarray(EventKind.graze.value, jnp.int8)
-    for hit, old, new in reversed(list(zip(state.hit, state.mode, end.mode, strict=True))):
-        slip = jnp.where(old == 0, EventKind.slip.value, EventKind.crossing.value)
-        change = jnp.where(new == 0, EventKind.stick.value, slip).astype(jnp.int8)
+    resets = problem.system.resets
+    for hit, old, new in reversed(list(zip(end.members, state.mode, end.mode, strict=True))):
+        left, held = old == 0, new == 0
+        if resets:
+            left, held = left | (abs(old) == 2), held | (abs(new) == 2)
+        slip = jnp.where(left, EventKind.slip.value, EventKind.crossing.value)
+        change = jnp.where(held, EventKind.stick.value, slip).astype(jnp.int8)
         kind = jnp.where(hit & (old != new), change, kind)
-    if problem.system.resets:
+    if resets:
         impact = jnp.asarray(EventKind.impact.value, jnp.int8)
         kind = jnp.where(end.moved, impact, kind)
     return kind
@@ -108,7 +112,7 @@ def record_event(
     entry = EventTable(
         ts=_event_time(problem, state, end),
         xs=pack(state.x, problem.system.dtype),
-        members=jnp.stack(state.hit),
+        members=jnp.stack(end.members),
         kinds=_kind(problem, state, end),
         modes=mode_codes(end.mode),
     )

@@ -56,9 +56,9 @@ class LoopState(eqx.Module):
     f: Components
     """Field of the mode at (tau, x), n components."""
     size: Components
-    """Largest |x| so far, n components."""
+    """Largest |x| of late, n components: see `mode_switch.larger`."""
     mode: Components
-    """+1 or −1, 0 while sliding on the surface."""
+    """+1 or −1, 0 while sliding on the surface, +2 or −2 at rest on it from that side."""
     first_mode: Components
     """The mode at t0."""
     g: Components
@@ -79,6 +79,8 @@ class LoopState(eqx.Module):
     """The surfaces of that landing."""
     graze: Array
     """Whether that landing only touches."""
+    settled: Array | None
+    """Whether its resets have been made already; None without resets."""
     index: Array
     """Grid steps completed."""
     tries: Array
@@ -96,9 +98,12 @@ class LoopState(eqx.Module):
     saves: SavedStates | None
 
     @property
-    def sliding(self) -> Array:
-        """Whether it slides on any surface."""
-        return any_of(tuple(s == 0 for s in self.mode))
+    def held(self) -> Array:
+        """Whether it slides or rests on any surface."""
+        slides = any_of(tuple(s == 0 for s in self.mode))
+        if self.settled is None:
+            return slides
+        return slides | any_of(tuple(abs(s) == 2 for s in self.mode))
 
 
 class FreeStep(eqx.Module):
@@ -120,7 +125,7 @@ class StepEnd(eqx.Module):
     f: Components
     """Field of the mode there, n components."""
     size: Components
-    """Largest |x| so far, n components."""
+    """Largest |x| of late, n components: see `mode_switch.larger`."""
     mode: Components
     g: Components
     rate: Components
@@ -134,6 +139,14 @@ class StepEnd(eqx.Module):
     """Whether it slides where the surface repels."""
     moved: Array
     """Whether a reset has moved the state."""
+    members: Components
+    """The surfaces that a switch made here is of."""
+    next: Components
+    """Those that ask for another one at once; none without resets."""
+    jump: Array | None
+    """The time that it takes besides, a chattering that ends in rest; None without resets."""
+    still: Components
+    """Surfaces that are rested on, or left with a rate of zero; none without resets."""
 
 
 def is_running(grid: TimeGrid, state: LoopState, stop: Array | None = None) -> Array:

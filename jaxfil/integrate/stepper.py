@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 
 import diffrax
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -81,10 +80,8 @@ class Trial(eqx.Module):
 
 
 # Order of a method from which on its estimate of an error says something of a single step: one of
-# lower order is as large as a state that starts to move from zero.
+# lower order is as large as what a step does to a state that starts to move from rest.
 _TRUSTED = 5
-# Estimated errors of a step up to this part of the state are left to the user to judge.
-_GROSS = 0.1
 
 
 def _floats(row: np.ndarray) -> tuple[float, ...]:
@@ -181,19 +178,3 @@ def step(
     error = [stop_gradient(_sum(d[:-1], slopes, i)) for i in range(n if d else 0)]
     held = field.once(lambda *held: held, *end, *error)
     return Trial(held[:n], held[n:], forcing)
-
-
-def is_too_long(
-    tableau: Tableau, error: Components, f: Components, h: Array, size: Components
-) -> Array:
-    """Whether a step of length h that ends with the field f cannot be trusted, given what `step`
-    says of its error and the largest |x| so far, its end included."""
-    gross = jnp.zeros((), bool)
-    if isinstance(tableau, RosenbrockTableau) or not error:
-        return gross
-    # What is smaller than this is rounding of the other components.
-    least = np.sqrt(np.finfo(h.dtype).eps) * ft.reduce(jnp.maximum, size)
-    for e, f_i, s in zip(error, f, size, strict=True):
-        missed = abs(h * (e + tableau.d[-1] * stop_gradient(f_i)))
-        gross = gross | (missed > _GROSS * jnp.maximum(s, least))
-    return gross

@@ -31,7 +31,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     the sentence that the user reads: `jf.RESULTS[sol.result]`.
 
     - Of every integration: `successful`, `max_steps_reached`, `max_events_reached`, `zeno`,
-      `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`.
+      `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`;
+      with resets `irreversible_reset`, `reset_undecided`.
     - Of Newton's method, in orbits, branches and bifurcations: `newton_stalled`,
       `newton_singular`, `newton_max_steps_reached`.
     - Of the search for a bifurcation: `no_tangency_found`, `other_kind`, `orbit_lost`.
@@ -89,6 +90,14 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "state or more. Try a smaller step, or `stepper=jf.Rodas5P()` if the field is stiff."
     )
     interrupted = "The sweep was interrupted before this lane was finished."
+    irreversible_reset = (
+        "The motion has met a reset in backward time, which cannot be undone: what was before it "
+        "does not follow from what is after it."
+    )
+    reset_undecided = (
+        "No motion goes on from the state that a reset has led to: on its surface, neither a side, "
+        "nor sliding, nor rest is consistent with the vector fields there."
+    )
 
 
 def outcome_names(results: RESULTS) -> np.ndarray:

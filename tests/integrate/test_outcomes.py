@@ -124,13 +124,15 @@ def test_undeclared_sliding_is_no_matter_where_the_scene_only_crosses():
     assert_allclose(sol.x_final, p.end, atol=1e-13)
 
 
-@pytest.mark.parametrize("factor", [0.0, 0.5])
-def test_impact_that_does_not_turn_the_motion_back(factor):
-    # Falls from 1/2, at the floor at t = 1: no motion leads on from there.
+@pytest.mark.parametrize(
+    "factor, end, mode", [(0.0, (0, 0), 2), (0.5, (-3, -2.5), -1)], ids=["at rest", "let through"]
+)
+def test_impact_that_does_not_turn_the_motion_back(factor, end, mode):
+    # Falls from 1/2, at the floor at t = 1 with speed 1.
     sol = run(Wall(jnp.asarray(factor)), (0.5, 0), 3.0, 0.3)
-    assert sol.result == RESULTS.mode_undecided
-    assert_allclose(sol.t_final, 1.0, rtol=1e-12)
-    assert_allclose(sol.x_final[0], 0, atol=1e-12)
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.x_final, end, atol=1e-12)
+    assert sol.mode_final[0] == mode
 
 
 def test_very_stiff_sides():

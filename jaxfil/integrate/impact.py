@@ -1,0 +1,260 @@
+"""Impacts: what a reset leads to.
+
+A lane that waits for its switch and the state there enter; the state after the reset leaves, and
+what H and its rates say there: which surface asks for a reset next, which the motion rests on, and
+how long a chattering lasts that ends in rest.
+
+Of surfaces met together the reset hears one at a time, the lowest number first, and again of every
+one that another's reset has made the motion run into, until none is left: a ball in a corner, a
+wave through balls that touch. Each is an event of its own, at the same time. A surface that has
+been reset is then off (H ≠ 0: the motion goes on where it is), left (on the side that the rate
+points to: thrown back or let through) or, where the rate is zero too, rested on or left as the
+acceleration says.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate import filippov, unilateral
+from jaxfil.integrate.components import Components, ComponentSystem, any_of, axpy, where
+from jaxfil.integrate.length import Length
+from jaxfil.integrate.problem import Problem
+from jaxfil.integrate.state import LoopState
+from jaxfil.integrate.unilateral import Constraints
+
+# Rounding of H, in eps of its terms.
+_NOISE = 64
+
+
+class Reset(eqx.Module):
+    """A reset just made. Components are m."""
+
+    x: Components
+    """The state after it, n components."""
+    acted: Components
+    """The surface that it was of; none: nothing has moved."""
+    waits: Components
+    """Surfaces met with it that wait for theirs."""
+
+    @property
+    def moved(self) -> Array:
+        """Whether it has moved the state."""
+        return any_of(self.acted)
+
+
+class Impact(eqx.Module):
+    """What a reset has led to. Components are m."""
+
+    next: Components
+    """The surfaces that ask for a reset or a choice of mode next, at once."""
+    still: Components
+    """Surfaces where the rate is zero too: rested on, or left with a rate of zero."""
+    rests: Components
+    """Those of them that the motion rests on."""
+    consistent: Array
+    """Whether these reactions are all that is needed."""
+    jump: Array
+    """The time that a chattering takes that ends here; 0: there is none."""
+    kick: Components
+    """How far it carries the state besides the field, n components."""
+
+    @property
+    def goes_on(self) -> Array:
+        """Whether there is more to be done at once."""
+        return any_of(self.next)
+
+
+class View(eqx.Module):
+    """The surfaces as constraints, and their accelerations along the field."""
+
+    constraints: Constraints
+    a: Components
+    noise: Components
+    """Rounding of the rates."""
+
+
+def make_reset(system: ComponentSystem, state: LoopState, t: Array, x: Components) -> Reset:
+    """The reset of the first surface met on which it moves the state."""
+    assert state.settled is not None
+    due = state.pending & ~state.graze & ~state.settled
+    acted, waits, after, found = [], [], x, jnp.zeros((), bool)
+    # What ends a rest is no impact.
+    resting = unilateral.rests_of(state.mode)
+    for j, (hit, rests) in enumerate(zip(state.hit, resting, strict=True)):
+        y = system.reset(t, x, jnp.int32(j))
+        moves = due & hit & ~rests & any_of(tuple(a != b for a, b in zip(y, x, strict=True)))
+        first = moves & ~found
+        after = where(first, y, after)
+        acted.append(first)
+        waits.append(moves & found)
+        found = found | moves
+    return Reset(after, tuple(acted), tuple(waits))
+
+
+def view(
+    problem: Problem,
+    state: LoopState,
+    t: Array,
+    x: Components,
+    surfaces: tuple[Components, tuple[Components, ...]],
+) -> View:
+    """The surfaces as constraints, of a lane that rests or waits for its switch; zeros elsewhere.
+    `surfaces` are ∂H/∂t and ∂H/∂x."""
+    system = problem.system
+
+    def look(t: Array, x: Components, mode: Components, before: tuple, surfaces: tuple) -> View:
+        sides = unilateral.sides_of(mode)
+        c = unilateral.constraints(system, t, x, sides)
+        f = filippov.free_field(system, t, x, mode)
+        a = unilateral.accelerations(system, t, x, sides, f)
+        size, fast = (
+            tuple(jnp.maximum(abs(u), abs(v)) for u, v in zip(now, old, strict=True))
+            for now, old in zip((x, f), before, strict=True)
+        )
+        noise = unilateral.rate_noise(t, size, problem.grid.dt, fast, c, a, surfaces)
+        return View(c, a, noise)
+
+    def nothing(t: Array, *_: Any) -> View:
+        zero = jnp.zeros_like(t)
+        row, vector = (zero,) * system.m, (zero,) * system.n
+        c = Constraints(row, (vector,) * system.m, (vector,) * system.m, (row,) * system.m)
+        return View(c, row, row)
+
+    engaged = state.pending | any_of(unilateral.rests_of(state.mode))
+    before = state.x, state.f
+    return system.where_any(engaged, look, nothing, t, x, state.mode, before, surfaces)
+
+
+def held(state: LoopState, reset: Reset, seen: View, x: Components) -> Components:
+    """The state with no rate against the surfaces that it rests on."""
+    rests = tuple(r & ~reset.moved for r in unilateral.rests_of(state.mode))
+    c = seen.constraints
+    return unilateral.pushed(x, c.directions, unilateral.multipliers(c.gains, c.rate, rests))
+
+
+def follow(
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    reset: Reset,
+    seen: View,
+    h: Components,
+    touch: Components,
+) -> Impact:
+    """What follows from a reset, given H after it and what rounding does to H."""
+    system, c, direction = problem.system, seen.constraints, problem.grid.direction
+    assert state.settled is not None
+    switching = state.pending & ~state.graze
+    sides, resting = unilateral.sides_of(state.mode), unilateral.rests_of(state.mode)
+    still, owed = [], []
+    for j in range(system.m):
+        there = (abs(stop_gradient(h[j])) <= touch[j]) | (state.settled & state.hit[j])
+        on = switching & c.throws_back[j] & there
+        rate, noise = stop_gradient(c.rate[j]), seen.noise[j]
+        leaves = state.hit[j] & resting[j] & ~reset.moved
+        still.append(on & (abs(rate) <= noise) & ~leaves)
+        inward = direction * sides[j] * rate < -noise
+        owed.append(reset.waits[j] | (reset.moved & on & inward & ~reset.acted[j]))
+    rests, consistent = unilateral.pressed(c.gains, seen.a, sides, tuple(still))
+    jump, kick = _chattering(problem, state, length, reset, seen, rests, any_of(tuple(owed)))
+    ends = jump > 0
+    upcoming = tuple(
+        jnp.where(ends, acted, o | (more & hit & ~acted))
+        for acted, o, hit, more in zip(
+            reset.acted, owed, state.hit, (any_of(tuple(owed)),) * system.m, strict=True
+        )
+    )
+    return Impact(upcoming, tuple(still), rests, consistent | ~switching, jump, kick)
+
+
+def _chattering(
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    reset: Reset,
+    seen: View,
+    rests: Components,
+    more: Array,
+) -> tuple[Array, Components]:
+    """The time in which impacts on the surface just reset die out, if that is so short that the
+    field does not change, and how far they carry the state besides the field."""
+    system, grid, c = problem.system, problem.grid, seen.constraints
+    sides = unilateral.sides_of(state.mode)
+    same = grid.same_time(state.tau)
+    # What is left out is a part T ȧ/a of T.
+    longest = jnp.maximum(same, np.sqrt(system.eps) * abs(grid.dt))
+    push = unilateral.multipliers(c.gains, seen.a, rests)
+    total, kick = jnp.zeros_like(state.tau), tuple(jnp.zeros_like(v) for v in state.x)
+    for j in range(system.m):
+        gain = c.gains[j][j]
+        a = seen.a[j] + sum(g * p for g, p in zip(c.gains[j], push, strict=True))
+        away, fall = sides[j] * c.rate[j], -sides[j] * a * (2 - gain)  # 2 − gain = 1 − e
+        bounces = reset.acted[j] & c.throws_back[j] & (away > seen.noise[j]) & (fall > 0) & ~more
+        time = 2 * away / jnp.where(bounces, fall, 1)
+        ends = bounces & (time <= longest) & (time <= abs(length.room) + same)
+        ends = ends & (grid.direction > 0)
+        time = jnp.where(ends, time, 0.0)
+        # All impacts together take away the rate that is left: ψ + T a + p ∇ψ·d = 0.
+        impulse = jnp.where(ends, -(c.rate[j] + time * a) / jnp.where(ends, gain, 1), 0.0)
+        total, kick = total + time, axpy(kick, impulse, c.directions[j])
+    return total, kick
+
+
+class Beginning(eqx.Module):
+    """How a run starts on surfaces with resets. Components are m."""
+
+    sides: Components
+    """The side to start on, where nothing else is said."""
+    known: Components
+    """Surfaces on which no mode is to be chosen."""
+    owed: Components
+    """Surfaces whose reset comes first."""
+    rests: Components
+    """Surfaces rested on."""
+    consistent: Array
+    """Whether their reactions are all that is needed."""
+
+
+def begin(
+    problem: Problem, x: Components, on: Components, sides: Components, rates: Components
+) -> Beginning:
+    """How a run starts on the surfaces marked `on`, given the rates of H on side + with the sign of
+    the first derivative that does not vanish.
+
+    A surface that throws back bounds H ≥ 0: a motion towards H < 0 is an impact at t0, one that
+    has no rate and is pressed rests, any other has left. A reset that leads off its surface comes
+    first if it leads to where the motion comes from; any other has been made already.
+    """
+    system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
+    above = tuple(jnp.ones_like(s) for s in sides)
+    c = unilateral.constraints(system, t, x, above)
+    f = system.field(t, x, above)
+    a = unilateral.accelerations(system, t, x, above, f)
+    _, h_t, normals = system.gradients(t, x)
+    size = tuple(abs(v) for v in x)
+    noise = unilateral.rate_noise(t, size, problem.grid.dt, f, c, a, (h_t, normals))
+    owed, still, known, start, lean = [], [], [], [], []
+    for j in range(system.m):
+        flat = abs(c.rate[j]) <= noise[j]
+        inward = direction * rates[j] < 0
+        wall = on[j] & c.throws_back[j]
+        after = system.reset(t, x, jnp.int32(j))
+        led = system.switching(t, after)[j]
+        far = stop_gradient(abs(led)) > _NOISE * system.eps * sum(
+            abs(u * v) for u, v in zip(normals[j], x, strict=True)
+        )
+        side = jnp.where(led < 0, -1.0, 1.0).astype(system.dtype)
+        back = on[j] & ~c.throws_back[j] & far & (direction * side * rates[j] < 0) & ~flat
+        owed.append((wall & inward & ~flat) | back)
+        still.append(wall & flat & inward)
+        known.append(wall | back)
+        start.append(jnp.where(wall, 1.0, jnp.where(back, side, sides[j])).astype(system.dtype))
+        # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
+        lean.append(jnp.where(a[j] < 0, a[j], jnp.where(still[j], rates[j], a[j])))
+    rests, consistent = unilateral.pressed(c.gains, tuple(lean), above, tuple(still))
+    return Beginning(tuple(start), tuple(known), tuple(owed), rests, consistent)

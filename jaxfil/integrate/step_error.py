@@ -1,0 +1,114 @@
+"""What an estimated error says of a step: too long to be trusted, or not.
+
+A trial step's ends, its fields there and what the method says of its error enter; whether the step
+is too long leaves. It is if it has missed by a tenth or more of what it does to a component: of its
+displacement, or of |h f| at both ends where that is more, as round a turning point. That depends
+neither on where the origin of the state is nor on its units; and a step of a motion at rest is not
+too long, since what it misses is rounding.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.components import Components, ComponentSystem
+from jaxfil.integrate.rosenbrock import RosenbrockTableau
+from jaxfil.integrate.stepper import Tableau, Trial
+
+# Estimated errors of a step up to this part of what it does are left to the user to judge.
+_GROSS = 0.1
+# Rounding of a step, in eps of the terms that it is made of.
+_ROUNDING = 64
+# So many components deep rounding is followed from one to the next.
+_DEEP = 4
+
+
+class Step(eqx.Module):
+    """A step of length h from (t, x0), and its fields at both ends."""
+
+    t: Array
+    h: Array
+    x0: Components
+    f0: Components
+    f1: Components
+    trial: Trial
+
+
+def may_be_too_long(tableau: Tableau, step: Step) -> Array:
+    """Whether a step should be looked at by `is_too_long`: cheap, and never False in error."""
+    suspect = jnp.zeros((), bool)
+    for missed, x0, x1, f0, f1 in zip(
+        _missed(tableau, step), step.x0, step.trial.x, step.f0, step.f1, strict=True
+    ):
+        suspect = suspect | (missed > _GROSS * stop_gradient(_moved(step.h, x0, x1, f0, f1)))
+    return suspect
+
+
+def is_too_long(system: ComponentSystem, tableau: Tableau, step: Step, sides: Components) -> Array:
+    """Whether a step of a lane on these sides cannot be trusted: see the top of this file."""
+    if not _estimates(tableau):
+        return jnp.zeros((), bool)
+    step = jax.tree.map(stop_gradient, step)
+    suspect = may_be_too_long(tableau, step)
+
+    def gross(step: Step, sides: Components) -> Array:
+        return _is_gross(system, tableau, step, sides)
+
+    def fine(step: Step, sides: Components) -> Array:
+        return jnp.zeros((), bool)
+
+    return suspect & system.where_any(suspect, gross, fine, step, sides)
+
+
+def _is_gross(system: ComponentSystem, tableau: Tableau, step: Step, sides: Components) -> Array:
+    """Whether a step has missed by a tenth of what it does, and by more than rounding."""
+    h, x1 = step.h, step.trial.x
+    t, x = step.t + 0.5 * h, tuple(0.5 * (a + b) for a, b in zip(step.x0, x1, strict=True))
+    middle = system.field(t, x, sides)
+    rounded = _terms(system, t, x, h, sides, middle)
+    total = jnp.zeros((), bool)
+    ends = zip(step.x0, x1, step.f0, step.f1, strict=True)
+    each = zip(_missed(tableau, step), ends, rounded, strict=True)
+    for missed, (a, b, f0, f1), size in each:
+        rounding = _ROUNDING * system.eps * (size + jnp.maximum(abs(a), abs(b)))
+        total = total | (missed > jnp.maximum(_GROSS * _moved(h, a, b, f0, f1), rounding))
+    return total
+
+
+def _moved(h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
+    """What a step does to a component. (Of a step that is unstable the field at its end is no
+    measure: it may be a thousand times the state.)"""
+    return jnp.maximum(abs(x1 - x0), abs(h) * jnp.minimum(abs(f0), abs(f1)))
+
+
+def _terms(
+    system: ComponentSystem, t: Array, x: Components, h: Array, sides: Components, f: Components
+) -> Components:
+    """The size of the terms that a step of length h is made of.
+
+    Rounding of the state and of h f enters the field with its derivative, and so on from component
+    to component: here along a direction in which terms that cancel in the field do not.
+    """
+
+    def passed_on(size: Components) -> Components:
+        generic = tuple((1 + (0.618 * i) % 1) * v for i, v in enumerate(size))
+        _, change = jax.jvp(lambda t, x: system.field(t, x, sides), (t, x), (abs(t), generic))
+        return tuple(v + abs(h * c) for v, c in zip(size, change, strict=True))
+
+    size = tuple(abs(v) + abs(h * g) for v, g in zip(x, f, strict=True))
+    return jax.lax.fori_loop(0, min(system.n, _DEEP), lambda _, size: passed_on(size), size)
+
+
+def _estimates(tableau: Tableau) -> bool:
+    """Whether a step of this method says something of its error."""
+    return not isinstance(tableau, RosenbrockTableau) and bool(tableau.d)
+
+
+def _missed(tableau: Tableau, step: Step) -> list[Array]:
+    """The estimated errors of a step; zeros of a method that estimates none."""
+    if isinstance(tableau, RosenbrockTableau) or not tableau.d:
+        return [jnp.zeros_like(step.h)] * len(step.x0)
+    each = zip(step.trial.error, step.f1, strict=True)
+    return [abs(step.h * (e + tableau.d[-1] * stop_gradient(f))) for e, f in each]

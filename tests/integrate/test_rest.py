@@ -1,0 +1,307 @@
+"""What a surface with a reset does: thrown back, let through, carried off, and rest on it.
+
+Every motion here is made of parabolas, lines and sines, and compared with them.
+"""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import RESULTS, EventKind
+
+G = 9.8
+
+
+def ball(restitution=0.5):
+    return jf.systems.BouncingBall(g=G, restitution=restitution)
+
+
+def solve(system, x0, t1, dt=0.1, t0=0.0, **options):
+    x0 = jnp.asarray(x0, float)
+    return jf.solve(system, x0, t0, t1, dt, throw=False, **options)
+
+
+def kinds(sol):
+    return np.asarray(sol.events.kinds)[: int(sol.num_events)].tolist()
+
+
+class Kick(jf.System):
+    """x'' = −x; at t = 1 the velocity jumps."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0]])
+
+    def switching(self, t, x):
+        return t - 1.0
+
+    def reset(self, t, x, surface):
+        return x.at[1].add(0.7)
+
+
+class Toggle(jf.System):
+    """x'' = −x; the third state changes sign at each zero of x."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0], jnp.zeros(())])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[2].multiply(-1.0)
+
+
+class Rocking(jf.System):
+    """θ'' = −sgn θ; θ' → e θ' as θ passes 0."""
+
+    e: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -side])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], self.e * x[1]])
+
+
+class Corner(jf.System):
+    """A free point between two walls at a right angle, restitution 1/2 and 1."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[2], x[3], 0 * x[0], 0 * x[0]])
+
+    def switching(self, t, x):
+        return x[:2]
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 0, x.at[2].multiply(-0.5), x.at[3].multiply(-1.0))
+
+
+class Table(jf.System):
+    """A ball on a table that shakes, x and x' as seen from the ground: z = a sin t, e = 1/2."""
+
+    a: jax.Array
+    e: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.full((), -1.0)])
+
+    def switching(self, t, x):
+        return x[0] - self.a * jnp.sin(t)
+
+    def reset(self, t, x, surface):
+        v = self.a * jnp.cos(t)
+        return jnp.stack([x[0], v - self.e * (x[1] - v)])
+
+
+def test_a_ball_on_the_floor_that_moves_down_bounces_at_t0():
+    sol = solve(ball(), (0, -2), 0.1, 0.01)
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.x_final, [0.051, 0.02], rtol=1e-13)
+    assert kinds(sol) == [EventKind.impact] and float(sol.events.ts[0]) == 0
+
+
+@pytest.mark.parametrize("above", [0.0, 1e-15, -1e-16])
+def test_a_ball_on_the_floor_that_moves_up_has_left(above):
+    sol = solve(ball(), (above, 2), 0.1, 0.01)
+    assert int(sol.num_events) == 0
+    assert_allclose(sol.x_final, [0.2 - 0.049, 2 - 0.98], rtol=1e-13)
+
+
+@pytest.mark.parametrize("above", [0.0, 1e-15])
+def test_a_run_goes_on_from_a_recorded_impact(above):
+    whole = solve(ball(), (10, 0), 2.0)
+    x = whole.events.xs[0] + jnp.array([above, 0.0])
+    later = solve(ball(), x, 2.0, t0=whole.events.ts[0])
+    assert int(later.num_events) == 1
+    assert_allclose(later.x_final, whole.x_final, rtol=1e-13)
+
+
+def test_an_impact_is_not_undone_in_backward_time():
+    end = solve(ball(), (10, 0), 2.0).x_final
+    back = solve(ball(), end, 0.0, t0=2.0)
+    assert back.result == RESULTS.irreversible_reset
+    assert_allclose(back.t_final, np.sqrt(20 / G), rtol=1e-13)
+
+
+@pytest.mark.parametrize("dt", [0.03, 0.1, 1.0])
+def test_a_kick_goes_on_through_its_surface(dt):
+    sol = solve(Kick(), (1, 0), 3.0, dt)
+    assert sol.result == RESULTS.successful and kinds(sol) == [EventKind.impact]
+    v, c, s = -np.sin(1) + 0.7, np.cos(2), np.sin(2)
+    end = [c * np.cos(1) + s * v, c * v - s * np.cos(1)]
+    assert_allclose(sol.x_final, end, atol=1e-6 if dt == 1 else 1e-12)
+
+
+def test_a_toggle_goes_on_through_its_surface():
+    sol = solve(Toggle(), (1, 0, 1), 10.0)
+    assert_allclose(sol.events.ts[:3], np.pi * np.array([0.5, 1.5, 2.5]), rtol=1e-12)
+    assert int(sol.num_events) == 3
+    assert_allclose(sol.x_final, [np.cos(10), -np.sin(10), -1], atol=1e-11)
+
+
+def test_a_rocking_block_goes_through_with_its_new_rate():
+    # Down from 1/2 in 1; then up to v²/2 and back, each quarter of the swing lasts v.
+    sol = solve(Rocking(jnp.asarray(0.9)), (0.5, 0), 3.0)
+    assert_allclose(sol.events.ts[:2], [1.0, 1 + 2 * 0.9], rtol=1e-12)
+    s = 3 - 2.8
+    assert_allclose(sol.x_final, [0.81 * s - s * s / 2, 0.81 - s], rtol=1e-11)
+
+
+@pytest.mark.parametrize("lag", [0.0, 1e-16, 1e-14, 1e-12, 1e-9])
+def test_both_walls_of_a_corner_throw_back(lag):
+    sol = solve(Corner(), (1, 1 + lag, -1, -1), 3.0, 0.3)
+    assert sol.result == RESULTS.successful and kinds(sol) == [EventKind.impact] * 2
+    assert_array_equal(np.asarray(sol.events.members)[:2], [[True, False], [False, True]])
+    assert_allclose(sol.x_final, [1, 2 - lag, 0.5, 1], rtol=1e-13)
+
+
+def test_a_start_in_a_corner_is_thrown_back_from_both_walls():
+    sol = solve(Corner(), (0, 0, -1, -1), 1.0, 0.3)
+    assert_allclose(sol.x_final, [0.5, 1, 0.5, 1], rtol=1e-13)
+
+
+class Cradle(jf.System):
+    """Equal beads on a line that touch from the start; restitution e."""
+
+    e: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([x[4:], jnp.zeros(4)])
+
+    def switching(self, t, x):
+        return x[1:4] - x[:3]
+
+    def reset(self, t, x, surface):
+        v, share = x[4:], 0.5 * (1 + self.e)
+        dv = v[surface + 1] - v[surface]
+        v = v.at[surface].add(share * dv).at[surface + 1].add(-share * dv)
+        return jnp.concatenate([x[:4], v])
+
+
+def test_a_wave_runs_through_beads_that_touch():
+    x0 = [-1, 0, 0, 0, 1, 0, 0, 0]
+    sol = solve(Cradle(jnp.asarray(1.0)), x0, 3.0, 0.1)
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.x_final, [0, 0, 0, 2, 0, 0, 0, 1], atol=1e-13)
+    surfaces = np.asarray(sol.events.surfaces)[: int(sol.num_events)]
+    assert_array_equal(surfaces, [0, 1, 2])
+    assert_allclose(sol.events.ts[:3], 1.0, rtol=1e-14)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.2, 0.5, 0.8])
+@pytest.mark.parametrize("dt", [0.02, 0.3])
+def test_a_ball_comes_to_rest(e, dt):
+    first = np.sqrt(20 / G)
+    sol = solve(ball(e), (10, 0), 20.0, dt, saveat=diffrax.SaveAt(ts=jnp.array([0.5, 15.0, 20.0])))
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.xs[1:], 0, atol=1e-14)
+    assert_array_equal(sol.modes[1:, 0], 2)
+    last = float(sol.events.ts[int(sol.num_events) - 1])
+    assert_allclose(last, first * (1 + e) / (1 - e), rtol=1e-12)
+
+
+def test_the_time_of_rest_has_its_derivative():
+    def rest(e, height):
+        sol = solve(ball(e), jnp.stack([height, 0 * height]), 20.0)
+        return sol.events.ts[sol.num_events - 1]
+
+    by_e, by_height = jax.jacfwd(rest, argnums=(0, 1))(jnp.asarray(0.5), jnp.asarray(10.0))
+    first = np.sqrt(20 / G)
+    assert_allclose(by_e, first * 2 / (1 - 0.5) ** 2, rtol=1e-7)
+    assert_allclose(by_height, 3 * first / 20, rtol=1e-7)
+
+
+def test_a_ball_lies_on_a_table_until_it_shakes():
+    # Contact is lost where −a sin t = −1; until then x = a sin t, then a parabola.
+    a = 1.5
+    start, leave = -np.pi / 2, np.arcsin(1 / a)
+    x0 = (-a, 0.0)
+
+    def end(a, t1):
+        x0 = jnp.stack([-a, 0 * a])
+        return solve(Table(a, jnp.asarray(0.5)), x0, t1, 0.1, t0=start).x_final
+
+    sol = solve(Table(jnp.asarray(a), jnp.asarray(0.5)), x0, leave + 0.5, 0.1, t0=start)
+    assert sol.result == RESULTS.successful
+    assert kinds(sol) == [EventKind.slip]
+    assert_allclose(sol.events.ts[0], leave, rtol=1e-12)
+    flight = [
+        1.0 + a * np.cos(leave) * 0.5 - 0.125,
+        a * np.cos(leave) - 0.5,
+    ]
+    assert_allclose(sol.x_final, flight, rtol=1e-11)
+    slope = jax.jacfwd(end)(jnp.asarray(a), leave + 0.5)
+    h = 1e-6
+    above, below = (end(jnp.asarray(a + s * h), leave + 0.5) for s in (1, -1))
+    assert_allclose(slope, (above - below) / (2 * h), rtol=1e-8)
+
+
+def test_a_ball_comes_to_rest_on_a_shaking_table():
+    # a = 1/2: the table never falls as fast as the ball, which ends up on it.
+    table = Table(jnp.asarray(0.5), jnp.asarray(0.3))
+    sol = solve(table, (1, 0), 20.0, 0.1)
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.x_final, [0.5 * np.sin(20), 0.5 * np.cos(20)], rtol=1e-13)
+    assert sol.mode_final[0] == 2
+
+
+@pytest.mark.parametrize("place", [0.0, -1e-9])
+def test_a_wall_at_the_rest_position(place):
+    # Pressed against the wall until cos 2t changes sign; x = −1/3 of the forced sine then.
+    system = jf.systems.ImpactOscillator(
+        wall=0.0, amplitude=1.0, omega=2.0, restitution=0.8, damping=0.0, stiffness=1.0
+    )
+    times = jnp.array([0.5, 3.0])
+    sol = solve(system, (place, 0), 3.0, 0.05, saveat=diffrax.SaveAt(ts=times))
+    assert sol.result == RESULTS.successful
+    s = 3.0 - np.pi / 4
+    # x'' + x = −sin 2s from rest: x = (sin 2s − 2 sin s)/3.
+    assert_allclose(sol.xs[0], 0, atol=1e-14)
+    assert_allclose(sol.xs[1, 0], (np.sin(2 * s) - 2 * np.sin(s)) / 3, rtol=1e-9)
+
+
+def test_a_sweep_over_restitution_through_zero():
+    e = np.linspace(-0.5, 0.5, 11)
+    end = jax.vmap(lambda e: solve(ball(e), (0.5 * G, 0), 1.5).x_final)(jnp.asarray(e))
+    # At the floor at t = 1 with -g: thrown back for 2e, at rest, or let through.
+    flight = np.stack([G * (e / 2 - 0.125), G * (e - 0.5)], axis=1)
+    free = (e < -1e-9) | (e > 0.26)
+    assert_allclose(end[free], flight[free], rtol=1e-12, atol=1e-14)
+    assert_allclose(end[abs(e) < 1e-9], 0, atol=1e-13)
+    assert np.all(np.asarray(end)[e > -1e-9, 0] >= -1e-15)
+
+
+class Stack(jf.System):
+    """Two balls, one above the other, above a floor; no restitution anywhere."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[2], x[3], jnp.full((), -1.0), jnp.full((), -1.0)])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0], x[1] - x[0]])
+
+    def reset(self, t, x, surface):
+        mean = 0.5 * (x[2] + x[3])
+        return jnp.where(surface == 0, x.at[2].set(0.0), x.at[2].set(mean).at[3].set(mean))
+
+
+def test_two_balls_come_to_rest_on_each_other():
+    sol = solve(Stack(), (0.5, 2, 0, 0), 5.0)
+    assert sol.result == RESULTS.successful
+    assert_allclose(sol.x_final, 0, atol=1e-13)
+    assert_array_equal(sol.mode_final, [2, 2])
+
+
+def test_a_batch_of_balls_is_what_each_is_alone():
+    es = jnp.array([0.0, 0.3, 0.9, 1.0])
+    run = lambda e: solve(ball(e), (1, 0), 3.0).x_final  # noqa: E731
+    together = jax.jit(jax.vmap(run))(es)
+    alone = jnp.stack([run(e) for e in es])
+    assert_allclose(together, alone, atol=1e-12)
