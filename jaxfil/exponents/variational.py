@@ -22,6 +22,7 @@ from jaxtyping import Array
 from jaxfil.integrate import filippov
 from jaxfil.integrate.components import Components, ComponentSystem, axpy, where
 from jaxfil.integrate.loop import advance
+from jaxfil.integrate.mode_switch import stays_on
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState, is_running
 
@@ -78,22 +79,26 @@ def _push(problem: Problem, variation: Variation) -> Variation:
     """One iteration of the loop."""
     system, state = problem.system, variation.state
 
-    def through(x: Components) -> tuple:
-        f = filippov.field(system, problem.grid.t0 + state.tau, x, state.mode)
-        after = advance(problem, dataclasses.replace(state, x=x, f=f))
+    def through(x: Components, tau: Array = state.tau) -> tuple:
+        f = filippov.field(system, problem.grid.t0 + tau, x, state.mode)
+        after = advance(problem, dataclasses.replace(state, x=x, f=f, tau=tau))
         return (after.x, after.tau), after
 
-    _, derivative, after = jax.linearize(through, state.x, has_aux=True)
+    # A reset may take place at a time that differs; without one a switch leaves the state alone.
+    given = (state.x, state.tau) if system.resets else (state.x,)
+    _, derivative, after = jax.linearize(through, *given, has_aux=True)
     frame, delay = [], []
     for v, dt in zip(variation.frame, variation.delay, strict=True):
-        pushed, late = derivative(v)
+        pushed, late = derivative(*(v, dt)[: len(given)])
         if system.m > 0:
             switched = state.pending & ~after.pending
-            pushed = where(switched, _apply_saltation(problem, state, after, v, dt), pushed)
+            met, moment = (pushed, late) if system.resets else (v, dt)
+            pushed = where(switched, _apply_saltation(problem, after, met, moment), pushed)
+            late = jnp.where(after.pending, late, 0.0)
         frame.append(pushed)
         delay.append(late)
     # A slide takes directions away, and so may a reset: only then is a lost one of length zero.
-    moved = after.sliding
+    moved = after.held
     if system.resets:
         moved = moved | after.pending
     return Variation(
@@ -106,25 +111,19 @@ def _push(problem: Problem, variation: Variation) -> Variation:
     )
 
 
-def _apply_saltation(
-    problem: Problem, state: LoopState, after: LoopState, v: Components, dt: Array
-) -> Components:
-    """A tangent after a switch. It was carried to the contact itself, whose time moves by dt: it
-    holds f⁻ dt already, and gives up f⁺ dt to be at a fixed time again."""
-    system, t = problem.system, problem.grid.t0 + state.tau
-    if system.resets:
-        hit = jnp.argmax(jnp.stack(state.hit))
-        _, kicked = jax.jvp(lambda t, x: system.reset(t, x, hit), (t, state.x), (dt, v))
-        v = where(state.graze, v, kicked)
+def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Array) -> Components:
+    """A tangent after a switch. It was carried to the contact itself, whose time moves by dt, and
+    through its resets: it holds f⁻ dt already, and gives up f⁺ dt to be at a fixed time again."""
+    system, t = problem.system, problem.grid.t0 + after.tau
     v = axpy(v, -dt, after.f)
-    if system.slides:
+    if system.slides or system.resets:
         _, _, normals = system.gradients(t, after.x)
-        for normal, s in zip(normals, after.mode, strict=True):
+        for normal, on in zip(normals, stays_on(system, after.mode), strict=True):
             size = sum(a * a for a in normal)
             out = sum(a * b for a, b in zip(v, normal, strict=True))
             # On a surface a tangent has no component across it: two motions that slide there
             # differ along it alone. What is removed is the direction that sticking takes away.
-            share = jnp.where(s == 0, out / jnp.where(size == 0, 1, size), 0.0)
+            share = jnp.where(on, out / jnp.where(size == 0, 1, size), 0.0)
             v = axpy(v, -share, normal)
     return v
 

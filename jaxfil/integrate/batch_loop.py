@@ -129,8 +129,8 @@ def _coast(problem: Problem, state: LoopState) -> tuple[LoopState, Array]:
 
 
 def _judge(problem: Problem, state: LoopState) -> LoopState:
-    """A full iteration, in which the step of a lane that slides and rests on nothing is the one that it might
-    have coasted through, to the last bit."""
+    """A full iteration, in which the step of a lane that neither slides nor rests is the one that
+    it might have coasted through, to the last bit."""
     length, free = _try(problem, state)
     x, error, forcing = free.trial.x, free.trial.error, free.trial.forcing
     if problem.system.slides or problem.system.resets:

@@ -21,6 +21,7 @@ corrected state, is the saltation matrix.
 
 import dataclasses
 import functools as ft
+from collections.abc import Callable
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -39,7 +40,7 @@ from jaxfil.integrate.problem import Problem, TimeGrid
 from jaxfil.integrate.recording import keep_sample, record_event, save_state
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd, is_running, later
 from jaxfil.integrate.step_error import Step, is_too_long
-from jaxfil.integrate.stepper import Trial, step
+from jaxfil.integrate.stepper import Trial, compact_step, step
 from jaxfil.integrate.unilateral import rests_of, sides_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.kernel import kernel_if_it_fits
@@ -98,14 +99,15 @@ def trial_step(problem: Problem, state: LoopState, length: Length, forcing: list
     """A trial step in the lane's mode."""
     system, t = problem.system, problem.grid.t0 + state.tau
 
-    def tried(held: bool) -> Trial:
+    def tried(take: Callable, held: bool) -> Trial:
         field = ModeField(system, state.mode, held=held)
-        return step(problem.tableau, field, t, state.x, state.f, length.h, forcing)
+        return take(problem.tableau, field, t, state.x, state.f, length.h, forcing)
 
     if not system.resets:
-        return tried(held=False)
-    resting = any_of(rests_of(state.mode))
-    return system.where_any(resting, lambda: tried(held=True), lambda: tried(held=False))
+        return tried(step, held=False)
+    # Reactions make a field large, and lanes that rest are few.
+    held, free = ft.partial(tried, compact_step, True), ft.partial(tried, step, False)
+    return system.where_any(any_of(rests_of(state.mode)), held, free)
 
 
 def judge(

@@ -78,8 +78,8 @@ def _is_gross(system: ComponentSystem, tableau: Tableau, step: Step, sides: Comp
 
 
 def _moved(h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
-    """What a step does to a component. (Of a step that is unstable the field at its end is no
-    measure: it may be a thousand times the state.)"""
+    """What a step does to a component."""
+    # The field at the end of an unstable step is no measure: it may be a thousand times the state.
     return jnp.maximum(abs(x1 - x0), abs(h) * jnp.minimum(abs(f0), abs(f1)))
 
 

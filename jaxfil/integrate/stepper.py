@@ -9,6 +9,8 @@ from typing import Any, TypeAlias
 
 import diffrax
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -178,3 +180,38 @@ def step(
     error = [stop_gradient(_sum(d[:-1], slopes, i)) for i in range(n if d else 0)]
     held = field.once(lambda *held: held, *end, *error)
     return Trial(held[:n], held[n:], forcing)
+
+
+def compact_step(
+    tableau: Tableau,
+    field: SmoothField,
+    t: Array,
+    x: Components,
+    f: Components,
+    h: Array,
+    forcing: list[Forcing],
+) -> Trial:
+    """`step` with its stages in a loop: a program as small as one evaluation of the field, for
+    fields that are large and steps that are few."""
+    if isinstance(tableau, RosenbrockTableau):
+        return step(tableau, field, t, x, f, h, forcing)
+    stages = tableau.stages
+    times, rows = np.zeros(stages), np.zeros((stages, stages))
+    for k, (c, row) in enumerate(zip(tableau.c, tableau.a, strict=True), start=1):
+        times[k], rows[k, : len(row)] = c, row
+    times, rows = jnp.asarray(times, h.dtype), jnp.asarray(rows, h.dtype)
+    number = jnp.arange(stages)
+
+    def stage(k: Array, slopes: Components) -> Components:
+        row = rows[k]
+        inner = tuple(v + h * jnp.sum(row * s) for v, s in zip(x, slopes, strict=True))
+        new = field(t + times[k] * h, inner)
+        return tuple(jnp.where(number == k, v, s) for v, s in zip(new, slopes, strict=True))
+
+    first = tuple(jnp.where(number == 0, v, 0.0) for v in f)
+    slopes = jax.lax.fori_loop(1, stages, stage, first)
+    b = jnp.asarray(tableau.b, h.dtype)
+    end = tuple(v + h * jnp.sum(b * s) for v, s in zip(x, slopes, strict=True))
+    d = jnp.asarray(tableau.d[:-1], h.dtype)
+    error = tuple(stop_gradient(jnp.sum(d * s)) for s in slopes) if tableau.d else ()
+    return Trial(end, error, forcing)

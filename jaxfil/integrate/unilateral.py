@@ -5,7 +5,7 @@ reaction that holds a motion at rest there, leave.
 
 At rest on surface j both H_j = 0 and ψ_j = dH_j/dt = 0, and the field presses the motion against
 the surface. What keeps it there acts as the reset does: along the direction d_j in which the reset
-moves a state that comes in slowly. Near such a state the reset is x − d_j ψ_j, so that with y = ∇ψ_j
+moves a state that comes in slowly. Near such a state the reset is x − d_j ψ_j: with y = ∇ψ_j
 
     d_j = −(D reset_j − I) y / (∇ψ_j·y),    ψ_j after it = (1 − ∇ψ_j·d_j) ψ_j = −e_j ψ_j
 
@@ -71,8 +71,9 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
         (gradient,) = pull(pick)
         gradients.append(gradient)
         directions.append(_direction(system, t, x, sides, rate, gradient, j))
+    zero = jnp.zeros_like(t)
     gains = tuple(
-        tuple(sum(a * b for a, b in zip(row, d, strict=True)) for d in directions)
+        tuple(sum((a * b for a, b in zip(row, d, strict=True)), start=zero) for d in directions)
         for row in gradients
     )
     return Constraints(rate, tuple(gradients), tuple(directions), gains)
@@ -199,21 +200,17 @@ def pressed(
     Surfaces that would have to pull let go, all of them at once, until none would.
     """
     gains, a, sides = jax.tree.map(stop_gradient, (gains, a, sides))
+    m = len(a)
 
-    def force(on: Components) -> Components:
-        each = zip(sides, multipliers(gains, a, on), strict=True)
-        return tuple(s * v for s, v in each)
+    def let_go(_: int, on: Components) -> Components:
+        force = multipliers(gains, a, on)
+        each = zip(on, sides, force, strict=True)
+        return tuple(o & (s * v >= 0) for o, s, v in each)
 
-    on = candidates
-    for _ in range(len(a)):
-        on = tuple(o & (v >= 0) for o, v in zip(on, force(on), strict=True))
-        if len(a) == 1:
-            break
-    left = [s * v for s, v in zip(sides, a, strict=True)]
-    push = multipliers(gains, a, on)
-    for i in range(len(a)):
-        left[i] = left[i] + sides[i] * sum(gains[i][j] * push[j] for j in range(len(a)))
+    on = let_go(0, candidates) if m == 1 else jax.lax.fori_loop(0, m, let_go, candidates)
+    force = multipliers(gains, a, on)
     fine = jnp.ones((), bool)
-    for candidate, o, v in zip(candidates, on, left, strict=True):
-        fine = fine & (~candidate | o | (v >= 0))
+    for i, (candidate, o) in enumerate(zip(candidates, on, strict=True)):
+        left = a[i] + sum(gains[i][j] * force[j] for j in range(m))
+        fine = fine & (~candidate | o | (sides[i] * left >= 0))
     return on, fine
