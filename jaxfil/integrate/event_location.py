@@ -215,17 +215,19 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
 
 
 # What the end of a step is to a surface.
-_NOTHING, _BRUSHED, _HIT, _HERE = 0.0, 1.0, 2.0, 3.0
+_NOTHING, _BRUSHED, _HIT, _HERE, _JUMPED = 0.0, 1.0, 2.0, 3.0, 4.0
 
 
 class Landing(eqx.Module):
-    """Whether a step has ended on a contact, the surfaces, whether they are only touched, and the
-    signed time δ from the end of the step to the contact."""
+    """Whether a step has ended on a contact, the surfaces, whether they are only touched, the
+    signed time δ from the end of the step to the contact, and whether it is at the end exactly,
+    where H has jumped."""
 
     landed: Array
     surfaces: Components
     touched: Array
     delta: Array
+    jumped: Array
 
 
 def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> Landing:
@@ -242,10 +244,7 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     landed = any_of(hits)
     touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
     # A contact that is `_HERE` has δ = 0, but the derivative of its time.
-    times = [
-        jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
-        for kind, missing in zip(kinds, times, strict=True)
-    ]
+    times = [_time_of(kind, missing) for kind, missing in zip(kinds, times, strict=True)]
     # Of several surfaces the one met first gives δ, and those within the rounding of times are met
     # with it; a later one is left to a step of its own.
     delta: Any = jnp.zeros_like(length.h)
@@ -256,7 +255,7 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
         best = jnp.where(earlier, direction * stop_gradient(missing), best)
     same = problem.grid.same_time(end.tau)
     hits = tuple(
-        hit & ((kind == _HERE) | (direction * stop_gradient(missing) <= best + same))
+        hit & ((kind >= _HERE) | (direction * stop_gradient(missing) <= best + same))
         for hit, kind, missing in zip(hits, kinds, times, strict=True)
     )
     pairs = zip(hits, kinds, strict=True)
@@ -265,7 +264,15 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
     (delta,) = system.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))
-    return Landing(landed | touched, surfaces, touched, delta)
+    jumped = any_of(tuple(hit & (kind == _JUMPED) for hit, kind in zip(hits, kinds, strict=True)))
+    return Landing(landed | touched, surfaces, touched, delta, jumped)
+
+
+def _time_of(kind: Array, missing: Array) -> Array:
+    """δ of a contact: 0 if it is here, with the derivative of its time, and without one if H has
+    jumped, at a time that nothing moves."""
+    here = jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
+    return jnp.where(kind == _JUMPED, 0.0, here)
 
 
 def _kind_of_end(
@@ -299,10 +306,14 @@ def _kind_of_end(
     past = (g < 0) & (-g <= end.touch[j])
     here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
     hit = falls & (here | ((state.armed[j] | aimed) & reached))
+    # H jumps at a known time, as that of a ramp or of a clock: however short the step, it is past.
+    across = aimed & (abs(h) <= same) & (g < -end.touch[j] - 2 * same * abs(rate))
+    jumped = across & (abs(g) > 2 * same * abs(state.rate[j])) & ~sliding
     # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
     vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.touch[j] * bend)
     touch = state.armed[j] & (abs(g) <= end.touch[j]) & ~sliding & vertex
     kind = jnp.where(hit, jnp.where(here, _HERE, _HIT), jnp.where(touch, _BRUSHED, _NOTHING))
+    kind = jnp.where(jumped, _JUMPED, kind)
     return kind.astype(h.dtype), missing
 
 

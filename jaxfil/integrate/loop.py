@@ -205,10 +205,11 @@ def _carried_out(
         hit = where(switched, end.next, hit)
         settled = switched & (end.jump > 0)
     tau, rest = later(state.tau, state.rest, h)
+    exact = gridded | (lands & landing.jumped)
     after = dataclasses.replace(
         state,
-        tau=jnp.where(gridded, end.tau, tau),
-        rest=jnp.where(gridded, 0.0, rest),
+        tau=jnp.where(exact, end.tau, tau),
+        rest=jnp.where(exact, 0.0, rest),
         x=where(moved, end.x, where(lands, axpy(end.x, landing.delta, end.f), state.x)),
         size=where(moved, end.size, state.size),
         f=where(moved, end.f, state.f),

@@ -303,6 +303,7 @@ def _chosen(
         for go, side, s in zip(leaving, sides, state.mode, strict=True)
     )
     met = tuple(hit & ~go for hit, go in zip(state.hit, leaving, strict=True))
+    left, met = _jumped(problem, state, left, met, h, touch)
     if led is not None:
         left, met = _left_by_reset(state, left, met, h, touch, moved, led)
     # A surface that will be met within the rounding of times is met now: its contact could not be
@@ -326,6 +327,25 @@ def _chosen(
         for rest, new, old in zip(rests, chosen, left, strict=True)
     )
     return mode, jnp.where(led.consistent, count, 0)
+
+
+def _jumped(
+    problem: Problem,
+    state: LoopState,
+    left: Components,
+    met: Components,
+    h: Components,
+    touch: Components,
+) -> tuple[Components, Components]:
+    """The mode on surfaces whose H has jumped across zero, by more than rounding of times explains,
+    and the surfaces met on which a mode is still to be chosen."""
+    same, modes, open_ = problem.grid.same_time(state.tau), [], []
+    for s, on, v, least, rate in zip(left, met, h, touch, state.rate, strict=True):
+        across = on & (s * v < -(least + 2 * same * abs(stop_gradient(rate))))
+        across = across & state.pending & ~state.graze
+        modes.append(jnp.where(across, -s, s))
+        open_.append(on & ~across)
+    return tuple(modes), tuple(open_)
 
 
 def _left_by_reset(

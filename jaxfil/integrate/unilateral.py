@@ -202,7 +202,7 @@ def pressed(
     gains, a, sides = jax.tree.map(stop_gradient, (gains, a, sides))
     m = len(a)
 
-    def let_go(_: int, on: Components) -> Components:
+    def let_go(_: Array | int, on: Components) -> Components:
         force = multipliers(gains, a, on)
         each = zip(on, sides, force, strict=True)
         return tuple(o & (s * v >= 0) for o, s, v in each)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import brentq
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
@@ -166,3 +167,86 @@ def test_grazing_touch_missed_by_a_little(gap, dt):
     ts, kinds = table(below)
     assert kinds == [EventKind.crossing] * 2
     assert_allclose(ts, [1 - np.sqrt(gap), 1 + np.sqrt(gap)], atol=1e-15 / np.sqrt(gap) + 1e-13)
+
+
+class Comparator(jf.System):
+    """x' = 1 − x while a ramp of the given period is above x, −x below."""
+
+    period_: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return 0.5 * (1 + side) - x
+
+    def switching(self, t, x):
+        return jnp.mod(t, self.period_) - x[0]
+
+
+@pytest.mark.parametrize("dt", [0.07, 0.1, 0.25])
+def test_a_jump_of_h_at_a_known_time_is_a_contact(dt):
+    # Below the ramp from x = r at t = r on; at t = 1, 2, 3 the ramp falls to zero.
+    system = Comparator(jnp.asarray(1.0))
+    sol = jf.solve(system, jnp.array([0.5]), 0.0, 3.0 - 1e-9, dt)
+    r, want = brentq(lambda t: t - 0.5 * np.exp(-t), 0, 1, xtol=1e-15), []
+    x = 0.5 * np.exp(-r)
+    for _ in range(2):
+        x = 1 - (1 - x) * np.exp(r - 1)
+        want += [r, 1.0]
+        peak = x
+        r = brentq(lambda t, peak=peak: t - peak * np.exp(-t), 0, 1, xtol=1e-15)
+        x = peak * np.exp(-r)
+    want = np.array(want) + np.array([0, 0, 1, 1])
+    np.testing.assert_allclose(sol.events.ts[:4], want, rtol=1e-12)
+    assert int(sol.num_events) == 5
+    x = 1 - (1 - x) * np.exp(r - 1)
+    np.testing.assert_allclose(sol.x_final, [x], rtol=1e-8)
+
+
+class Passing(jf.System):
+    """x1' = 1, x2' = side0 + 10 side1: one surface at x1 = a, the other at t = 1/2."""
+
+    a: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([jnp.ones_like(t), side[0] + 10 * side[1]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - self.a, t - 0.5])
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.25, 0.3, 0.5])
+def test_a_contact_at_a_grid_point_hides_none_in_its_step(dt):
+    a = jnp.linspace(0.01, 0.99, 99)
+    run = lambda a: jf.solve(Passing(a), jnp.zeros(2), 0.0, 1.0, dt, throw=False)  # noqa: E731
+    sols = jax.vmap(run)(a)
+    assert np.all(np.asarray(sols.result == jf.RESULTS.successful))
+    np.testing.assert_allclose(sols.x_final[:, 1], 1 - 2 * a, atol=1e-13)
+
+
+class BallAndBead(jf.System):
+    """A ball above a floor, and a bead that runs into a wall: neither knows of the other."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -10.0 + 0 * x[0], x[3], 0 * x[3]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0], 1 - x[2]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 0, x.at[1].multiply(-0.9), x.at[3].multiply(-1.0))
+
+
+@pytest.mark.parametrize("lag", [0.3, 1e-2, 1e-3])
+def test_a_contact_that_lands_at_once_hides_no_earlier_one(lag):
+    place = np.array([0.003, 0.03, 0.1, 0.3, 0.7])[:, None]
+    floor = (0.1 * place * np.linspace(0.8, 1.2, 20)).ravel()
+    speed = np.tile(np.linspace(0.0, 0.5, 20), 5)
+    height = speed * floor + 5 * floor**2
+    x0 = np.stack([height, -speed, 0 * height, 1 / (floor * (1 + lag))], axis=1)
+    run = lambda x: jf.solve(BallAndBead(), x, 0.0, 0.1, 0.1, throw=False)  # noqa: E731
+    sols = jax.vmap(run)(jnp.asarray(x0))
+    assert np.all(np.asarray(sols.result == jf.RESULTS.successful))
+    np.testing.assert_allclose(sols.events.ts[:, 0], floor, rtol=1e-10)
+    assert np.all(np.asarray(sols.x_final[:, 0]) > -1e-15)
