@@ -31,10 +31,12 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, any_of
+from jaxfil.integrate.components import Components, any_of, axpy
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem, TimeGrid
+from jaxfil.integrate.second_order import beyond_newton
 from jaxfil.integrate.state import LoopState, StepEnd
+from jaxfil.xla.second_derivative import add_second_derivative
 
 NEVER = 2.0
 """θ of a contact that does not happen in this step."""
@@ -216,20 +218,21 @@ _NOTHING, _BRUSHED, _HIT, _HERE = 0.0, 1.0, 2.0, 3.0
 
 
 class Landing(eqx.Module):
-    """Whether a step has ended on a contact, the surfaces, whether they are only touched, and the
-    signed time δ from the end of the step to the contact."""
+    """Whether a step has ended on a contact, the surfaces, whether they are only touched, the
+    signed time δ from the end of the step to the contact, and the state there, n components."""
 
     landed: Array
     surfaces: Components
     touched: Array
     delta: Array
+    x: Components
 
 
 def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> Landing:
     """Whether this step has ended on a contact.
 
     δ is one Newton step: with g the guard, its error is of order δ² g̈/ġ, and that of its derivative
-    of order δ g̈/ġ, which is what is kept small here.
+    of order δ g̈/ġ, which is what is kept small here. The second derivative is `beyond_newton`'s.
     """
     system, direction = problem.system, problem.grid.direction
     told = [_kind_of_end(problem, state, end, length, j) for j in range(system.m)]
@@ -249,8 +252,23 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     # Rounding can put a contact just past the end of the span it belongs to.
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
-    (delta,) = system.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))
-    return Landing(landed | touched, surfaces, touched, delta)
+    late_delta = delta - stop_gradient(delta) + stop_gradient(room)
+    (delta,) = system.hold(jnp.where(late, late_delta, delta))
+    linear = delta, axpy(end.x, delta, end.f)
+    first = _first_of(hits)
+    delta, x = add_second_derivative(
+        beyond_newton, linear, system, problem.grid.t0 + end.tau, end.x, end.mode, first
+    )
+    return Landing(landed | touched, surfaces, touched, delta, x)
+
+
+def _first_of(flags: Components) -> Components:
+    """The flags, of which only the first that is set stays set."""
+    none, first = jnp.ones((), bool), []
+    for flag in flags:
+        first.append(flag & none)
+        none = none & ~flag
+    return tuple(first)
 
 
 def _kind_of_end(
