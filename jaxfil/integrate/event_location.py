@@ -31,10 +31,12 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, any_of
+from jaxfil.integrate.components import Components, any_of, axpy
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem, TimeGrid
+from jaxfil.integrate.second_order import beyond_newton
 from jaxfil.integrate.state import LoopState, StepEnd
+from jaxfil.xla.second_derivative import add_second_derivative
 
 NEVER = 2.0
 """θ of a contact that does not happen in this step."""
@@ -220,13 +222,14 @@ _NOTHING, _BRUSHED, _HIT, _HERE, _JUMPED = 0.0, 1.0, 2.0, 3.0, 4.0
 
 class Landing(eqx.Module):
     """Whether a step has ended on a contact, the surfaces, whether they are only touched, the
-    signed time δ from the end of the step to the contact, and whether it is at the end exactly,
-    where H has jumped."""
+    signed time δ from the end of the step to the contact, the state there, n components, and
+    whether it is at the end exactly, where H has jumped."""
 
     landed: Array
     surfaces: Components
     touched: Array
     delta: Array
+    x: Components
     jumped: Array
 
 
@@ -234,7 +237,7 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     """Whether this step has ended on a contact.
 
     δ is one Newton step: with g the guard, its error is of order δ² g̈/ġ, and that of its derivative
-    of order δ g̈/ġ, which is what is kept small here.
+    of order δ g̈/ġ, which is what is kept small here. The second derivative is `beyond_newton`'s.
     """
     system, direction = problem.system, problem.grid.direction
     told = [_kind_of_end(problem, state, end, length, j) for j in range(system.m)]
@@ -249,8 +252,10 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     # with it; a later one is left to a step of its own.
     delta: Any = jnp.zeros_like(length.h)
     best: Any = jnp.full_like(length.h, jnp.inf)
-    for hit, missing in zip(hits, times, strict=True):
+    first: list = []
+    for hit, kind, missing in zip(hits, kinds, times, strict=True):
         earlier = hit & (direction * stop_gradient(missing) < best)
+        first = [flag & ~earlier for flag in first] + [earlier & (kind != _JUMPED)]
         delta = jnp.where(earlier, missing, delta)
         best = jnp.where(earlier, direction * stop_gradient(missing), best)
     same = problem.grid.same_time(end.tau)
@@ -263,9 +268,14 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     # Rounding can put a contact just past the end of the span it belongs to.
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
-    (delta,) = system.hold(jnp.where(late, delta - stop_gradient(delta) + room, delta))
+    late_delta = delta - stop_gradient(delta) + stop_gradient(room)
+    (delta,) = system.hold(jnp.where(late, late_delta, delta))
+    linear = delta, axpy(end.x, delta, end.f)
+    delta, x = add_second_derivative(
+        beyond_newton, linear, system, problem.grid.t0 + end.tau, end.x, end.mode, tuple(first)
+    )
     jumped = any_of(tuple(hit & (kind == _JUMPED) for hit, kind in zip(hits, kinds, strict=True)))
-    return Landing(landed | touched, surfaces, touched, delta, jumped)
+    return Landing(landed | touched, surfaces, touched, delta, x, jumped)
 
 
 def _time_of(kind: Array, missing: Array) -> Array:

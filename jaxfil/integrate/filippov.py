@@ -23,7 +23,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import unilateral
@@ -103,8 +102,13 @@ def weights(mode: Components, rates: Sequence[Components]) -> Components:
             jnp.where(s == 0, _safe_quotient(below + above, below - above), s)
             for s, above, below in zip(mode, *rates, strict=True)
         )
-    # Newton on constants, then one differentiable iteration: its derivative is the implicit one.
-    fixed = [tuple(stop_gradient(v) for v in row) for row in rates]
+    return _implicit_weights(mode, rates)
+
+
+@jax.custom_jvp
+def _implicit_weights(mode: Components, rates: Sequence[Components]) -> Components:
+    """`weights` on several surfaces, by Newton's method. Their derivative is the implicit one, made
+    of the weights themselves: derivatives of every order are exact."""
 
     def unsettled(state: tuple) -> Array:
         _, change, k = state
@@ -112,28 +116,40 @@ def weights(mode: Components, rates: Sequence[Components]) -> Components:
 
     def improve(state: tuple) -> tuple:
         w, _, k = state
-        better = _newton(mode, fixed, w)
+        better = _newton(mode, rates, w)
         now = sum(abs(a - b) for a, b in zip(better, w, strict=True))
         done = now <= 4 * jnp.finfo(w[0].dtype).eps
         return better, jnp.where(done, 0, now), k + 1
 
-    w = tuple(stop_gradient(s) for s in mode)
-    start = (w, jnp.ones_like(w[0]), jnp.zeros((), jnp.int32))
+    start = (mode, jnp.ones_like(mode[0]), jnp.zeros((), jnp.int32))
     w, _, _ = jax.lax.while_loop(unsettled, improve, start)
     return _newton(mode, rates, w)
 
 
+@_implicit_weights.defjvp
+def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
+    (mode, rates), (_, moved) = primals, tangents
+    w = _implicit_weights(mode, rates)
+    return w, tuple(-v for v in _correction(mode, rates, w, blend(moved, mode, w)))
+
+
 def _newton(mode: Components, rates: Sequence[Components], w: Components) -> Components:
     """One Newton iteration for the weights of the surfaces slid on."""
-    residual = blend(rates, mode, w)
+    update = _correction(mode, rates, w, blend(rates, mode, w))
+    return tuple(a - b for a, b in zip(w, update, strict=True))
+
+
+def _correction(
+    mode: Components, rates: Sequence[Components], w: Components, residual: Components
+) -> list[Array]:
+    """What Newton's method takes from the weights of the surfaces slid on, given dH/dt."""
     slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
     matrix, right = [], []
     for j, s in enumerate(mode):
         sliding = s == 0
         right.append(jnp.where(sliding, residual[j], 0.0))
         matrix.append([jnp.where(sliding, slopes[i][j], float(i == j)) for i in range(len(w))])
-    update = solve_small(matrix, right)
-    return tuple(a - b for a, b in zip(w, update, strict=True))
+    return solve_small(matrix, right)
 
 
 def corners(

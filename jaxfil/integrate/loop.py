@@ -16,7 +16,8 @@ operations around it, and a contact costs its lane two or three iterations more.
 
 Derivatives. The lengths found by the search for contacts are constants; the Newton correction
 x += δf, t += δ, δ = −g/ġ is not. Differentiating it, with the new mode's field taken at the
-corrected state, is the saltation matrix.
+corrected state, is the saltation matrix. What it lacks to second order is added in the programs of
+second derivatives alone (`second_order`).
 """
 
 import dataclasses
@@ -30,7 +31,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, Forcing, all_finite, any_of, axpy, where
+from jaxfil.integrate.components import Components, Forcing, all_finite, any_of, where
 from jaxfil.integrate.event_location import Contact, Landing, find_contact, land, missing_time
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.initial_mode import initial_state
@@ -210,7 +211,7 @@ def _carried_out(
         state,
         tau=jnp.where(exact, end.tau, tau),
         rest=jnp.where(exact, 0.0, rest),
-        x=where(moved, end.x, where(lands, axpy(end.x, landing.delta, end.f), state.x)),
+        x=where(moved, end.x, where(lands, landing.x, state.x)),
         size=where(moved, end.size, state.size),
         f=where(moved, end.f, state.f),
         mode=where(moved, end.mode, state.mode),

@@ -74,8 +74,8 @@ def solve(
     - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
       of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
     - `adjoint`: `diffrax.ForwardMode()`, or `diffrax.RecursiveCheckpointAdjoint()` for reverse
-      mode. Derivatives with respect to x0, t0, t1 and every float leaf of the system are exact
-      through crossings, slides and resets.
+      mode. First and second derivatives with respect to x0, t0, t1 and every float leaf of the
+      system are exact through crossings, slides and resets; third ones raise.
     - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it.
     - `estimate_error`: also run at half the step, and give the distance between the two as
       `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`

@@ -102,7 +102,7 @@ integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg nexta
 optimization_barrier or pad pjit pow psum reduce_and reduce_max reduce_min reduce_or
 reduce_precision reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign
 sin sinh slice split sqrt square squeeze stack stop_gradient sub tan tanh transpose unstack
-unvmap_any while xor
+unvmap_any vanishing_map while xor
 """
 _FITTING = frozenset(_NAMES.split())
 # Lanes that are one kernel together, at most: a larger batch is so many of them at a time.

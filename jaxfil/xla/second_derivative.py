@@ -1,0 +1,200 @@
+"""Second derivatives that a first one does not pay for.
+
+Numbers and a function whose value and first derivatives are zero at its arguments enter; the same
+numbers leave, whose second derivatives are increased by those of the function. It is traced where
+a second derivative is asked for: in the program of a value nothing stands for it, in that of a
+first derivative a zero.
+
+With b a function whose first derivatives vanish, the derivative of v + b along u is
+
+    dv·u + B u,   B = ∂b/∂y = 0:   a linear map of u, whose own derivative is the Hessian of b.
+
+`B u` is a primitive of its own: a zero that knows its derivative by y, and its transpose. A `where`
+or a product with zero would do for forward over forward mode alone, as JAX drops the derivative of
+a linear map by its coefficients where it transposes one (`custom_jvp`).
+"""
+
+import dataclasses
+import functools as ft
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.core
+import jax.extend.core as jexc
+import jax.numpy as jnp
+from jax.interpreters import ad, batching, mlir
+from jaxtyping import Array
+
+THIRD = (
+    "Third derivatives through contacts are not available: derivatives by `x0`, times and "
+    "parameters are exact to the second; take central differences of those."
+)
+"""What is said of a third derivative."""
+
+
+@ft.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def add_second_derivative(function: Callable, values: Any, *args: Any) -> Any:
+    """`values`, with the second derivatives of `function(*args)`, a pytree of the same shapes,
+    added to theirs. Its value and first derivatives must be zero. It closes over nothing.
+
+    >>> import jax
+    >>> square = lambda x: add_second_derivative(lambda x: (x - 2) ** 2, x, x)
+    >>> [float(d(square)(2.0)) for d in (lambda f: f, jax.grad, lambda f: jax.hessian(f))]
+    [2.0, 1.0, 2.0]
+    """
+    return values
+
+
+@add_second_derivative.defjvp
+def _add_jvp(function: Callable, primals: tuple, tangents: tuple) -> tuple:
+    _, *args = primals
+    rates, *moves = tangents
+    leaves, tree = jax.tree.flatten(args)
+    real = tuple(k for k, v in enumerate(leaves) if jnp.issubdtype(v.dtype, jnp.inexact))
+    moving = [jax.tree.leaves(moves)[k] for k in real]
+    pushed = _Pushed(function, tree, real, len(leaves))
+    out, shape = jax.tree.flatten(rates)
+    zeros = _vanishing_map(pushed, leaves, moving, out)
+    moved = jax.tree.unflatten(shape, [a + b for a, b in zip(out, zeros, strict=True)])
+    return add_second_derivative(function, *primals), moved
+
+
+@dataclasses.dataclass(frozen=True)
+class _Pushed:
+    """(y, u) ↦ ∂b/∂y u, where u moves those leaves of y that are numbered `real`."""
+
+    function: Callable
+    tree: Any
+    real: tuple[int, ...]
+    size: int
+
+    def __call__(self, args: Sequence[Any], moves: Sequence[Any]) -> list[Array]:
+        def moved(*some: Array) -> list:
+            leaves = list(args)
+            for k, v in zip(self.real, some, strict=True):
+                leaves[k] = v
+            return jax.tree.leaves(self.function(*jax.tree.unflatten(self.tree, leaves)))
+
+        return jax.jvp(moved, [args[k] for k in self.real], list(moves))[1]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Transposed:
+    """(y, c) ↦ the transpose of u ↦ B(y) u at c, u shaped as `shapes`."""
+
+    linear: Callable
+    shapes: tuple
+
+    def __call__(self, args: Sequence[Any], cotangents: Sequence[Any]) -> list[Array]:
+        shapes = [jax.ShapeDtypeStruct(*shape) for shape in self.shapes]
+        back = jax.linear_transpose(lambda *moves: self.linear(args, moves), *shapes)
+        return list(back(list(cotangents)))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Batched:
+    """(y, u) ↦ B(y) u for a batch of those of y and u that are flagged."""
+
+    linear: Callable
+    of_args: tuple[bool, ...]
+    of_moves: tuple[bool, ...]
+
+    def __call__(self, args: Sequence[Any], moves: Sequence[Any]) -> list[Array]:
+        axes = [[0 if flag else None for flag in flags] for flags in (self.of_args, self.of_moves)]
+        return jax.vmap(self.linear, axes)(list(args), list(moves))
+
+
+_Shapes = tuple[tuple[tuple[int, ...], Any], ...]
+
+
+def _shapes(values: Sequence[Any]) -> _Shapes:
+    return tuple((tuple(v.shape), v.dtype) for v in values)
+
+
+vanishing_map_p = jexc.Primitive("vanishing_map")
+"""B u = 0 for the arguments y, of which there are `split`, and then u."""
+vanishing_map_p.multiple_results = True
+
+
+def _vanishing_map(
+    linear: Callable, args: Sequence[Any], moves: Sequence[Any], like: Sequence[Any]
+) -> list[Array]:
+    return vanishing_map_p.bind(*args, *moves, linear=linear, split=len(args), out=_shapes(like))
+
+
+def _zeros(*_: Any, linear: Callable, split: int, out: _Shapes) -> list[Array]:
+    return [jnp.zeros(*shape) for shape in out]
+
+
+def _avals(*_: Any, linear: Callable, split: int, out: _Shapes) -> list:
+    return [jax.core.ShapedArray(*shape) for shape in out]
+
+
+@jax.custom_jvp
+def _last(values: list) -> list:
+    """The same; of these no derivative is known."""
+    return values
+
+
+@ft.partial(_last.defjvp, symbolic_zeros=True)
+def _last_jvp(primals: tuple, tangents: tuple) -> tuple:
+    raise NotImplementedError(THIRD)
+
+
+def _jvp(
+    primals: Sequence[Any], tangents: Sequence[Any], linear: Callable, split: int, out: _Shapes
+) -> tuple:
+    args, moves = primals[:split], primals[split:]
+    zeros = _vanishing_map(linear, args, moves, _avals(linear=linear, split=split, out=out))
+    rates = [ad.Zero(jax.core.ShapedArray(*shape)) for shape in out]
+    moving = [k for k in range(split) if type(tangents[k]) is not ad.Zero]
+    if moving:
+
+        def by_args(*some: Array) -> list:
+            here = list(args)
+            for k, v in zip(moving, some, strict=True):
+                here[k] = v
+            return linear(here, moves)
+
+        picked = [args[k] for k in moving], [tangents[k] for k in moving]
+        rates = _last(jax.jvp(by_args, *picked)[1])
+    if any(type(v) is not ad.Zero for v in tangents[split:]):
+        along = [ad.instantiate_zeros(v) for v in tangents[split:]]
+        rates = map(ad.add_tangents, rates, _vanishing_map(linear, args, along, zeros))
+    return zeros, list(rates)
+
+
+def _transpose(
+    cotangents: Sequence[Any], *values: Any, linear: Callable, split: int, out: _Shapes
+) -> list:
+    moves = [v.aval if ad.is_undefined_primal(v) else v for v in values[split:]]
+    back = _Transposed(linear, _shapes(moves))
+    given = [ad.instantiate_zeros(v) for v in cotangents]
+    pulled = _vanishing_map(back, values[:split], given, moves)
+    wanted = map(ad.is_undefined_primal, values[split:])
+    return [None] * split + [v if asked else None for v, asked in zip(pulled, wanted, strict=True)]
+
+
+def _batch(
+    values: Sequence[Any], axes: Sequence[Any], linear: Callable, split: int, out: _Shapes
+) -> tuple:
+    flags = tuple(axis is not None for axis in axes)
+    rows = [
+        jnp.moveaxis(v, axis, 0) if flag else v
+        for v, axis, flag in zip(values, axes, flags, strict=True)
+    ]
+    (size,) = {v.shape[0] for v in itertools.compress(rows, flags)}
+    several = _Batched(linear, flags[:split], flags[split:])
+    like = [jax.ShapeDtypeStruct((size, *shape), dtype) for shape, dtype in out]
+    zeros = _vanishing_map(several, rows[:split], rows[split:], like)
+    return zeros, [0] * len(zeros)
+
+
+vanishing_map_p.def_impl(_zeros)
+vanishing_map_p.def_abstract_eval(_avals)
+ad.primitive_jvps[vanishing_map_p] = _jvp
+ad.primitive_transposes[vanishing_map_p] = _transpose
+batching.primitive_batchers[vanishing_map_p] = _batch
+mlir.register_lowering(vanishing_map_p, mlir.lower_fun(_zeros, multiple_results=True))

@@ -1,0 +1,188 @@
+"""Second derivatives through every kind of contact, by x0, t0, t1 and every parameter.
+
+Against closed forms, and against central differences of first derivatives, which are exact.
+"""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+from jaxfil.integrate import filippov
+from tests.problems import PROBLEMS, tagged
+
+REVERSE = diffrax.RecursiveCheckpointAdjoint()
+S = jf.systems
+
+
+def forward_twice(function):
+    return jax.jit(jax.jacfwd(jax.jacfwd(function)))
+
+
+def compare(got, want, rtol):
+    """Within `rtol` of the largest entry."""
+    assert np.isfinite(want).all()
+    assert_allclose(got, want, rtol=0, atol=rtol * np.max(abs(want), initial=1))
+
+
+@pytest.mark.parametrize("name", tagged("flow"))
+def test_closed_forms(name):
+    # RK4 is exact where fields are linear in time, and compiles in half the time.
+    p = PROBLEMS[name]
+    exact = name.split()[0] in ("ball", "relays", "box", "leave")
+    stepper = jf.RK4() if exact else diffrax.Dopri8()
+    inputs = p.system, jnp.asarray(p.x0, float), jnp.asarray(float(p.t0)), jnp.asarray(float(p.t1))
+    vector, back = ravel_pytree(inputs)
+
+    def end(vector):
+        return jf.solve(*back(vector), p.dt, stepper=stepper, max_events=None).xs[-1]
+
+    want = jax.hessian(lambda vector: p.flow(*back(vector)))(vector)
+    compare(forward_twice(end)(vector), want, 1e-13 if exact else 1e-11)
+
+
+class Decay(jf.System):
+    """x' = -x above c and -2x² below it."""
+
+    c: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, -x, -2 * x * x)
+
+    def switching(self, t, x):
+        return x[0] - self.c
+
+
+def decay(p):
+    """Its end at p[2] from p[0], with c = p[1]."""
+    return 1 / (1 / p[1] + 2 * (p[2] - jnp.log(p[0] / p[1])))
+
+
+def decayed(p, **options):
+    return jf.solve(Decay(p[1]), p[:1], 0.0, p[2], 0.05, max_steps=512, **options).xs[-1, 0]
+
+
+DECAY = jnp.asarray([1.5, 0.7, 2.0])
+
+
+def test_forward_over_forward():
+    compare(forward_twice(decayed)(DECAY), jax.hessian(decay)(DECAY), 1e-10)
+
+
+def test_forward_over_reverse():
+    got = jax.jit(jax.hessian(lambda p: decayed(p, adjoint=REVERSE)))(DECAY)
+    compare(got, jax.hessian(decay)(DECAY), 1e-10)
+
+
+def test_a_batch():
+    batch = jnp.stack([DECAY, 1.1 * DECAY])
+    got = jax.jit(jax.vmap(jax.jacfwd(jax.jacfwd(decayed))))(batch)
+    compare(got, jax.vmap(jax.hessian(decay))(batch), 1e-10)
+
+
+def test_what_is_not_available_is_refused_by_name():
+    with pytest.raises(Exception, match=r"`adjoint` must be diffrax\.RecursiveCheckpointAdjoint"):
+        jax.hessian(decayed)(DECAY)
+    with pytest.raises(NotImplementedError, match="Third derivatives through contacts"):
+        jax.jacfwd(jax.jacfwd(jax.jacfwd(decayed)))(DECAY)
+
+
+class Lift(jf.System):
+    """x' = a above the curve x = c + k t², and b below it."""
+
+    p: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, self.p[0], self.p[1])[None]
+
+    def switching(self, t, x):
+        return x[0] - self.p[2] - self.p[3] * t**2
+
+
+def test_a_curve_that_moves():
+    def end(p):
+        return jf.solve(Lift(p[:4]), p[4:5], 0.0, p[5], 0.3, stepper=jf.RK4()).xs[-1, 0]
+
+    def exact(p):
+        a, b, c, k, x0, t1 = p
+        meet = (a + jnp.sqrt(a**2 + 4 * k * (x0 - c))) / (2 * k)
+        return x0 + a * meet + b * (t1 - meet)
+
+    p = jnp.asarray([0.5, -0.7, 0.1, 0.8, 0.9, 2.9])
+    compare(forward_twice(end)(p), jax.hessian(exact)(p), 1e-12)
+
+
+def test_event_times_and_saved_states():
+    # A ball's first impact and the states before and after it.
+    def kept(p):
+        system = S.BouncingBall(g=p[0], restitution=p[1])
+        saveat = diffrax.SaveAt(ts=jnp.asarray([0.4, 2.0]))
+        options = {"stepper": jf.RK4(), "saveat": saveat, "max_events": 3}
+        sol = jf.solve(system, p[2:], 0.0, 2.5, 0.07, **options)
+        return jnp.concatenate([sol.events.ts[:1], sol.events.xs[0], sol.xs.ravel()])
+
+    def exact(p):
+        g, e, x, v = p
+        speed = jnp.sqrt(v**2 + 2 * g * x)
+        time = (v + speed) / g
+        free = [x + 0.4 * v - 0.08 * g, v - 0.4 * g]
+        rest = 2.0 - time
+        after = [e * speed * rest - g * rest**2 / 2, e * speed - g * rest]
+        return jnp.stack([time, 0 * g, -speed, *free, *after])
+
+    p = jnp.asarray([9.8, 0.8, 10.0, 1.0])
+    compare(forward_twice(kept)(p), jax.hessian(exact)(p), 1e-13)
+
+
+def test_weights_on_an_intersection_to_every_order():
+    # p - 2 s1 + a s1 s2 = 0 and q - 2 s2 + b s1 s2 = 0: a quadratic equation for s1.
+    def weights(p):
+        zero, corners = jnp.zeros(()), [(1, 1), (1, -1), (-1, 1), (-1, -1)]
+        rates = [
+            (p[0] - 2 * s1 + p[2] * s1 * s2, p[1] - 2 * s2 + p[3] * s1 * s2) for s1, s2 in corners
+        ]
+        return jnp.stack(filippov.weights((zero, zero), rates))
+
+    def exact(p):
+        p, q, a, b = p
+        half = (4 + b * p - a * q) / (4 * b)
+        s1 = half - jnp.sqrt(half**2 - p / b)
+        return jnp.stack([s1, q / (2 - b * s1)])
+
+    p = jnp.asarray([0.7, 0.9, 0.5, 0.3])
+    compare(weights(p), exact(p), 1e-14)
+    for d in (jax.jacfwd, jax.jacrev, jax.hessian, lambda f: jax.jacfwd(jax.hessian(f))):
+        compare(d(weights)(p), d(exact)(p), 1e-12)
+
+
+# Scenes that stick, slip, turn at a fold, and meet a wall, over no whole number of steps.
+SCENES = {
+    "belt": (S.BeltFriction(omega=4.56), (0.1, 0.9), 1.5),
+    "moving belt": (S.MovingBelt(), (3.0, 0.0), 17.0),
+    "impacts": (S.ImpactOscillator(amplitude=0.9, omega=1.2), (0.0, 0.3), 15.0),
+}
+
+
+@pytest.mark.parametrize("name", list(SCENES))
+def test_central_differences_of_first_derivatives(name):
+    system, x0, t1 = SCENES[name]
+    vector, back = ravel_pytree((system, jnp.asarray(x0), jnp.asarray(t1)))
+    along = np.cos(np.arange(vector.size)) * np.maximum(abs(vector), 0.1)
+
+    def slope(vector):
+        def end(vector):
+            system, x0, t1 = back(vector)
+            return jf.solve(system, x0, 0.0, t1, t1 / 801.3, stepper=diffrax.Tsit5()).xs[-1]
+
+        return jax.jvp(end, (vector,), (jnp.asarray(along),))[1]
+
+    eye = jnp.diag(jnp.maximum(abs(vector), 0.1))
+    offsets = 1e-4 * jnp.asarray([-2.0, -1.0, 1.0, 2.0])[:, None, None] * eye
+    slopes = jax.jit(jax.vmap(jax.vmap(slope)))(vector + offsets)
+    want = jnp.einsum("k,kij->ij", jnp.asarray([1.0, -8.0, 8.0, -1.0]), slopes) / 12e-4
+    got = jax.jit(jax.vmap(lambda v: jax.jvp(slope, (vector,), (v,))[1]))(eye)
+    compare(got, want, 1e-7)
