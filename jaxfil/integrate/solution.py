@@ -36,7 +36,7 @@ class Events(eqx.Module):
     kinds: Int[Array, " k"]
     """`EventKind`: crossing, stick, slip, impact or graze."""
     modes: Int[Array, "k m"]
-    """Modes just after; 0 in the padding."""
+    """Modes just after, as in `Solution`; 0 in the padding."""
 
     def __repr__(self) -> str:
         return event_rows(self)
@@ -63,7 +63,8 @@ class Solution(eqx.Module):
     """What `solve` returns. Unreached entries of `ts` and `xs` are inf, as in diffrax.
 
     `xs` and `modes` are right limits: a state saved at the time of a contact is the one after it.
-    Modes are +1 or −1 (on that side of a surface) or 0 (sliding on it).
+    Modes are +1 or −1 (on that side of a surface), 0 (sliding on it), or +2 or −2 (at rest on it,
+    from that side, held by its reaction).
     """
 
     ts: Float[Array, " k"] | None

@@ -85,7 +85,8 @@ def solve(
 
     **Outcomes**: `successful`; `max_steps_reached`, `max_events_reached`, `nonfinite` and
     `step_too_long` for a run that cannot go on; `nonunique`, `mode_undecided`,
-    `undeclared_sliding` and `zeno` for a solution that does not.
+    `undeclared_sliding` and `zeno` for a solution that does not; `reset_undecided` and, in
+    backward time, `irreversible_reset` for a reset that nothing follows from.
 
     **Source**: the switch model: Piiroinen and Kuznetsov, An event-driven method to simulate
     Filippov systems with accurate computing of sliding motions, ACM Transactions on Mathematical

@@ -78,7 +78,14 @@ class System(eqx.Module):
     def reset(
         self, t: Float[Array, ""], x: Float[Array, " n"], surface: Int[Array, ""]
     ) -> Float[Array, " n"]:
-        """The state, shape (n,), just after an impact on surface number `surface`."""
+        """The state, shape (n,), just after an impact on surface number `surface`.
+
+        What goes on from there is decided by H and its rates there: the motion is thrown back,
+        let through, carried off the surface, or rests on it until its reaction would have to pull.
+        Of surfaces met together each is reset in turn, the lowest number first, until the motion
+        runs into none. A surface that throws back bounds the region H ≥ 0: a run that starts on it
+        and moves towards H < 0 starts with an impact, one that moves away has left it.
+        """
         return x  # never called: `has_resets` looks whether a class has its own
 
     @property

@@ -16,7 +16,12 @@ from jaxfil.plot.canvas import BLACK, check_component, own_axes
 from jaxfil.plot.surfaces import draw_surfaces
 
 # The colour of each mode, and what the legend calls it.
-BANDS = {1: ("H > 0", "#56B4E9"), 0: ("sliding", "#E69F00"), -1: ("H < 0", "#FFFFFF")}
+BANDS = {
+    1: ("H > 0", "#56B4E9"),
+    0: ("sliding", "#E69F00"),
+    2: ("at rest", "#999999"),
+    -1: ("H < 0", "#FFFFFF"),
+}
 # The marker of each kind of contact.
 MARKERS = {
     EventKind.crossing: ("o", "#0072B2"),
@@ -119,20 +124,20 @@ def phase_portrait(sol: Solution, ax: Axes | None = None, system: System | None 
 
 
 def _draw_slides(ax: Axes, sol: Solution, ts: np.ndarray, xs: np.ndarray) -> None:
-    """Thicken the path wherever it slides on a surface."""
+    """Thicken the path wherever it slides or rests on a surface."""
     times, _, modes = _saved(sol)
     contacts, _, _, members = _contacts(sol)
-    label = "sliding"
+    labels = {mode: BANDS[mode][0] for mode in (0, 2)}
     for j in range(modes.shape[1]):
         for start, width, held in zip(
             *_spans(times, modes[:, j], contacts[members[:, j]]), strict=True
         ):
             low, high = min(start, start + width), max(start, start + width)
             part = xs[(low <= ts) & (ts <= high)]
-            if held == 0 and len(part) > 1:
-                color = BANDS[0][1]
+            if held in labels and len(part) > 1:
+                color, label = BANDS[held][1], labels[held]
                 ax.plot(part[:, 0], part[:, 1], color=color, linewidth=4, zorder=1.5, label=label)
-                label = None  # one entry in the legend
+                labels[held] = None  # one entry in the legend
 
 
 def _shade_modes(ax: Axes, sol: Solution) -> None:
@@ -200,7 +205,8 @@ def _saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ts, xs, modes = map(np.asarray, (sol.ts, sol.xs, sol.modes))
         real = np.isfinite(ts) & np.isfinite(xs).all(axis=1)
         if real.sum() > 1:
-            return ts[real], xs[real], modes[real]
+            # Rest looks the same from either side.
+            return ts[real], xs[real], np.where(modes[real] == -2, 2, modes[real])
     raise ValueError(
         "`sol` must hold two saved times or more: "
         "solve with saveat=diffrax.SaveAt(t0=True, steps=True) or diffrax.SaveAt(ts=...)."
