@@ -51,8 +51,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "consistent with the vector fields there."
     )
     zeno = (
-        "Contacts accumulate: infinitely many happen in a finite time (Zeno behaviour), no rule says "
-        "what comes after them, and the solution was followed up to that time."
+        "Contacts accumulate: infinitely many happen in a finite time (Zeno behaviour), no rule "
+        "says what comes after them, and the solution was followed up to that time."
     )
     nonunique = (
         "The solution is not unique from here: a repelling sliding region, a two-fold or a corner "
@@ -86,8 +86,9 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "inf), or the switching function is too large to be squared."
     )
     step_too_long = (
-        "A step is too long for the motion: the error that the stepper estimates is a tenth of what "
-        "the step does to the state, or more. Try a smaller step, or `stepper=jf.Rodas5P()` if the field is stiff."
+        "A step is too long for the motion: the error that the stepper estimates is a tenth of "
+        "what the step does to the state, or more. Try a smaller step, or `stepper=jf.Rodas5P()` "
+        "if the field is stiff."
     )
     interrupted = "The sweep was interrupted before this lane was finished."
     irreversible_reset = (
