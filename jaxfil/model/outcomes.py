@@ -36,6 +36,7 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
       `newton_singular`, `newton_max_steps_reached`.
     - Of the search for a bifurcation: `no_tangency_found`, `other_kind`, `orbit_lost`.
     - Of a sweep that Ctrl-C ended: `interrupted`.
+    - Of sweeps, orbits and exponents, which count forcing periods: `invalid_period`.
     """
 
     successful = ""
@@ -89,6 +90,10 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "state or more. Try a smaller step, or `stepper=jf.Rodas5P()` if the field is stiff."
     )
     interrupted = "The sweep was interrupted before this lane was finished."
+    invalid_period = (
+        "The forcing period is negative, zero or infinite, so that there is nothing to sample once "
+        "in each."
+    )
 
 
 def outcome_names(results: RESULTS) -> np.ndarray:
