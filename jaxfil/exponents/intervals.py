@@ -21,12 +21,7 @@ def counts_of(periods: int, transient: int, steps: int) -> Counts:
     periods = check.count("periods", periods)
     transient = check.count("transient", transient, least=0)
     steps = check.count("steps", steps)
-    # Steps are counted in 32 bits, on every device and in every precision.
-    if (periods + transient) * steps >= 2**31:
-        raise ValueError(
-            "`periods`, `transient` and `steps` must make fewer than 2³¹ steps, got "
-            f"({periods} + {transient}) × {steps}."
-        )
+    check.number_of_steps(steps, periods=periods, transient=transient)
     whole = jnp.int32
     return jnp.asarray(periods, whole), jnp.asarray(transient, whole), jnp.asarray(steps, whole)
 
@@ -40,4 +35,4 @@ def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> Ar
             f"`interval` must be a positive number: {type(system).__name__} has no forcing period "
             "to take its place; got None."
         )
-    return jnp.asarray(system.period, dtype)
+    return check.period(system, dtype)

@@ -17,7 +17,7 @@ from jaxfil.exponents.variational import Variation, propagate, vary
 from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish
-from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods
+from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods, period_outcome
 from jaxfil.integrate.state import LoopState, is_running
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
@@ -106,7 +106,7 @@ def lyapunov_spectrum(
     **Returns** a `LyapunovSpectrum`.
 
     **Outcomes**: `successful`, `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`,
-    `undeclared_sliding`, `nonfinite`, `step_too_long`.
+    `undeclared_sliding`, `nonfinite`, `step_too_long`, `invalid_period`.
 
     **Source**: G. Benettin, L. Galgani, A. Giorgilli and J.-M. Strelcyn, Lyapunov characteristic
     exponents for smooth dynamical systems, Meccanica 15 (1980) 9–30; P. C. Müller, Calculation of
@@ -169,5 +169,5 @@ def _spectrum(
         x0=x0,
         x_final=pack(state.x, x0.dtype),
         settled=settled,
-        result=state.result,
+        result=period_outcome(duration, state.result),
     )

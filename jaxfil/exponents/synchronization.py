@@ -6,6 +6,8 @@ A system enters twice: as a drive and as a response that is pulled towards it,
 itself. Stefański and Kapitaniak, Discrete Dynamics in Nature and Society 4 (2000) 207–215.
 """
 
+import functools as ft
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,7 @@ from jaxfil.exponents.intervals import Counts, counts_of, interval_of
 from jaxfil.integrate.components import Components, build, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish, integrate_in_kernel
-from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods
+from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods, period_outcome
 from jaxfil.integrate.state import is_running
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
@@ -75,7 +77,7 @@ def synchronization_exponent(
 
     **Outcomes**, one for each coupling in `results`: `successful`, whether it synchronises or not,
     `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`,
-    `step_too_long`.
+    `step_too_long`, `invalid_period`.
 
     **Source**: A. Stefański and T. Kapitaniak, Using chaos synchronization to estimate the largest
     Lyapunov exponent of nonsmooth systems, Discrete Dynamics in Nature and Society 4 (2000)
@@ -174,6 +176,7 @@ def _threshold(
 
     nearest, results = jax.vmap(kernel_if_it_fits(lane))(couplings)
     results = RESULTS.where(settled == RESULTS.successful, results, settled)
+    results = jax.vmap(ft.partial(period_outcome, duration))(results)
     nearest = jnp.where(results == RESULTS.successful, nearest, jnp.nan)
     met = nearest <= tolerance
     time = periods.astype(x0.dtype) * duration
@@ -225,7 +228,7 @@ def transverse_exponent(
     **Returns** a `TransverseExponent`.
 
     **Outcomes**: `successful`, `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`,
-    `undeclared_sliding`, `nonfinite`, `step_too_long`.
+    `undeclared_sliding`, `nonfinite`, `step_too_long`, `invalid_period`.
 
     **Source**: A. Stefański and T. Kapitaniak, Discrete Dynamics in Nature and Society 4 (2000)
     207–215, for the coupling; G. Benettin, L. Galgani and J.-M. Strelcyn, Kolmogorov entropy and
@@ -305,5 +308,5 @@ def _transverse(
         x0=x0,
         x_final=z[:n],
         settled=steady,
-        result=result,
+        result=period_outcome(duration, result),
     )

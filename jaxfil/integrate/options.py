@@ -6,7 +6,8 @@ argument, what it must be and what it was.
 
 import dataclasses
 import math
-from typing import Any, TypeAlias
+from types import ModuleType
+from typing import Any, NamedTuple, TypeAlias
 
 import diffrax
 import equinox as eqx
@@ -16,6 +17,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.problem import SAME_TIME
 from jaxfil.model import check
+from jaxfil.model.types import Scalar
 
 Adjoint: TypeAlias = diffrax.ForwardMode | diffrax.RecursiveCheckpointAdjoint
 """Which derivatives a solve has: forward mode, or reverse mode from a loop with checkpoints."""
@@ -24,6 +26,8 @@ FORWARD_ONLY = (
     "`adjoint` must be diffrax.RecursiveCheckpointAdjoint() for derivatives in reverse "
     "mode (jax.grad, jax.vjp), got diffrax.ForwardMode(), for those in forward mode (jax.jacfwd)."
 )
+# diffrax's own function of what is saved: the state.
+_SAVE_STATE = diffrax.SubSaveAt(t1=True).fn
 # Contacts that a default budget leaves room for where their number has no limit.
 _MANY_EVENTS = 256
 
@@ -58,18 +62,20 @@ def options_of(
     max_events: int | None,
     max_steps: int | None,
     adjoint: Adjoint,
-    span: tuple[Array, Array, Array],
+    times: tuple[Scalar, Scalar, Scalar],
+    dtype: np.dtype,
 ) -> Options:
-    """The options of a solve over the span (t0, t1, dt)."""
-    t0, t1, _ = span
-    save, ts = _save_kind(saveat, t0.dtype)
-    _check_ts(ts, t0, t1)
-    _check_pace(*span)
+    """The options of a solve over the span (t0, t1, dt), numbers as the user gave them: under `jit`
+    they are known as long as they are no arrays of JAX."""
+    save, ts = _save_kind(saveat, dtype)
+    span = _known_span(times, dtype)
+    if span is not None:
+        _check_span(span, saveat)
     max_events = check.count("max_events", max_events, optional=True)
     budget = check.count("max_steps", max_steps, optional=True)
     reverse = _is_reverse(adjoint)
     if budget is None and (save in ("steps", "dense") or reverse):
-        budget = _default_budget(*span, max_events)
+        budget = _default_budget(span, max_events)
     return Options(
         save=save,
         with_t0=saveat.subs is not None and bool(saveat.subs.t0),
@@ -94,6 +100,7 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
     sub = saveat.subs
     if not isinstance(sub, diffrax.SubSaveAt | None):
         raise ValueError(f"`saveat` must have a single SubSaveAt, got {sub!r}.")
+    _refuse_unknown(saveat, sub)
     asked = {"dense": bool(saveat.dense)}
     if sub is not None:  # diffrax leaves it out where only `dense` is asked for
         asked |= {"t1": bool(sub.t1), "ts": sub.ts is not None, "steps": bool(sub.steps)}
@@ -113,15 +120,73 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
     return "ts", ts
 
 
-def _check_ts(ts: Array | None, t0: Array, t1: Array) -> None:
-    """Saving times lie in the span, in its direction; unknown while traced."""
-    saved, start, stop = (check.concrete(v) for v in (ts, t0, t1))
-    if ts is None or saved is None or start is None or stop is None:
+def _refuse_unknown(saveat: diffrax.SaveAt, sub: diffrax.SubSaveAt | None) -> None:
+    """An error for what diffrax would do, and a solve does not."""
+    for name in ("solver_state", "controller_state", "made_jump"):
+        if getattr(saveat, name):
+            raise ValueError(
+                f"`saveat.{name}` must be False: nothing of the kind is kept; got True."
+            )
+    if sub is None:
         return
-    if not bool(valid_ts(ts, t0, t1)) and np.isfinite(start) and np.isfinite(stop):
+    if sub.steps not in (0, 1):
         raise ValueError(
-            f"`saveat.ts` must be times in order within the span from t0 = {start} to t1 = "
-            f"{stop}, got {saved}."
+            f"`saveat.steps` must be True: every step is saved (take every {sub.steps}th row of "
+            f"the result); got {sub.steps!r}."
+        )
+    if sub.fn is not _SAVE_STATE:
+        raise ValueError(
+            "`saveat.fn` must be left out: states are saved (apply the function to the result's "
+            f"`ts` and `xs`); got {sub.fn!r}."
+        )
+
+
+class _Span(NamedTuple):
+    """A span of time and its step, not traced."""
+
+    t0: np.ndarray
+    t1: np.ndarray
+    dt: np.ndarray
+
+    @property
+    def finite(self) -> bool:
+        """Whether all three are finite."""
+        return bool(np.isfinite(self).all())
+
+    @property
+    def steps(self) -> float:
+        """How many steps it takes."""
+        return float(abs(self.t1 - self.t0) / self.dt)
+
+
+def _known_span(times: tuple[Scalar, Scalar, Scalar], dtype: np.dtype) -> _Span | None:
+    """The span in the precision of the run; None while a part of it is traced."""
+    known = [v.astype(dtype) for v in map(check.concrete, times) if v is not None]
+    return _Span(*known) if len(known) == 3 else None
+
+
+def _check_span(span: _Span, saveat: diffrax.SaveAt) -> None:
+    """Saving times lie in the span, in its direction, a step is longer than what times of the span
+    can tell apart, and steps can be counted."""
+    if not span.finite:
+        return
+    t0, t1, dt = span
+    ts = None if saveat.subs is None else saveat.subs.ts
+    saved = None if ts is None else check.concrete(ts)
+    if saved is not None and not valid_ts(saved.astype(dt.dtype), t0, t1, np):
+        raise ValueError(
+            f"`saveat.ts` must be times in order within the span from t0 = {t0} to t1 = {t1}, got "
+            f"{saved}."
+        )
+    if dt <= (least := float(resolution(t0, t1, np.maximum))):
+        raise ValueError(
+            f"`dt` must be greater than {least:.2g}, the rounding of times from t0 = {t0} to t1 = "
+            f"{t1} in {dt.dtype}, got {dt}. Start at a t0 nearer to 0, or use float64."
+        )
+    if span.steps > check.MOST_STEPS:
+        raise ValueError(
+            f"`dt` must make fewer than 2³¹ steps from t0 = {t0} to t1 = {t1}, got {dt}, which "
+            f"makes {span.steps:.3g}."
         )
 
 
@@ -130,25 +195,12 @@ def resolution(t0: Any, t1: Any, maximum: Any = jnp.maximum) -> Any:
     return SAME_TIME * np.finfo(t0.dtype).eps * maximum(abs(t0), abs(t1))
 
 
-def _check_pace(t0: Array, t1: Array, dt: Array) -> None:
-    """A step is longer than what times of the span can tell apart; unknown while traced."""
-    start, stop, pace = (check.concrete(v) for v in (t0, t1, dt))
-    if start is None or stop is None or pace is None:
-        return
-    if not np.isfinite(start) or not np.isfinite(stop):
-        return
-    if pace <= (least := float(resolution(start, stop, np.maximum))):
-        raise ValueError(
-            f"`dt` must be greater than {least:.2g}, the rounding of times from t0 = {start} to "
-            f"t1 = {stop} in {t0.dtype}, got {pace}. Start at a t0 nearer to 0, or use float64."
-        )
-
-
-def valid_ts(ts: Array, t0: Array, t1: Array) -> Array:
-    """Whether saving times are in order, in the direction of time, and within the span."""
-    sign = jnp.where(t1 < t0, -1.0, 1.0).astype(ts.dtype)
+def valid_ts(ts: Any, t0: Any, t1: Any, xp: ModuleType = jnp) -> Any:
+    """Whether saving times are in order, in the direction of time, and within the span; `xp` is the
+    library of the arrays, NumPy or JAX's."""
+    sign = xp.where(t1 < t0, -1.0, 1.0).astype(ts.dtype)
     inside = (sign * ts >= sign * t0) & (sign * ts <= sign * t1)
-    return jnp.all(inside) & jnp.all(sign * jnp.diff(ts) >= 0)
+    return xp.all(inside) & xp.all(sign * xp.diff(ts) >= 0)
 
 
 def _is_reverse(adjoint: Any) -> bool:
@@ -162,14 +214,14 @@ def _is_reverse(adjoint: Any) -> bool:
     )
 
 
-def _default_budget(t0: Array, t1: Array, dt: Array, max_events: int | None) -> int:
+def _default_budget(span: _Span | None, max_events: int | None) -> int:
     """Iterations enough for the span."""
-    start, stop, pace = (check.concrete(v) for v in (t0, t1, dt))
-    if start is None or stop is None or pace is None:
+    if span is None:
         raise ValueError(
             "`max_steps` must be an integer here: an array of that length is kept, and `t0`, `t1` "
             "or `dt` is traced, so that the number of steps is not known; got None."
         )
-    steps = abs(stop - start) / pace
-    num_steps = math.ceil(steps) if np.isfinite(steps) else 1
-    return enough_iterations(num_steps, max_events or _MANY_EVENTS)
+    num_steps = math.ceil(span.steps) if span.finite else 1
+    enough = enough_iterations(num_steps, max_events or _MANY_EVENTS)
+    # A power of two: a length of its own for every span would compile a program for every span.
+    return 1 << (enough - 1).bit_length()

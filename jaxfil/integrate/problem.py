@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.components import ComponentSystem
 from jaxfil.integrate.stepper import Tableau
+from jaxfil.model.outcomes import RESULTS
 
 # Times closer than this many eps of their size are one time.
 SAME_TIME = 8
@@ -60,8 +61,20 @@ def even_grid(
     return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps, max_events))
 
 
+def _is_no_period(period: Array) -> Array:
+    """Whether a number is negative, zero or infinite."""
+    return (period <= 0) | jnp.isinf(period)
+
+
+def period_outcome(period: Array, result: RESULTS) -> RESULTS:
+    """The outcome of lanes that ran for forcing periods, given the one that the loop has found."""
+    return RESULTS.where(_is_no_period(period), RESULTS.invalid_period, result)
+
+
 def grid_of_periods(period: Array, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:
-    """The grid of `count` periods after the first `start` from t = 0 on, `steps` steps each."""
+    """The grid of `count` periods after the first `start` from t = 0 on, `steps` steps each. It is
+    NaN, and a run over it ends at once, where there is no such period: see `period_outcome`."""
+    period = jnp.where(_is_no_period(period), jnp.nan, period)
     num_steps = count * steps
     return TimeGrid(
         t0=jnp.asarray(start).astype(period.dtype) * period,

@@ -6,12 +6,14 @@ A lane before and after an iteration enters; its buffers with one more entry lea
 import dataclasses
 from typing import Any
 
+import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.components import Components, ComponentSystem, pack
+from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.problem import Problem, Recording
 from jaxfil.integrate.state import EventTable, LoopState, SavedStates, StepEnd
 from jaxfil.model.outcomes import EventKind
@@ -137,6 +139,62 @@ def keep_sample(
     )
 
 
+class _InTime(eqx.Module):
+    """A vector field as the rate of time and state together."""
+
+    field: ModeField
+
+    def __call__(self, at: Any) -> Any:
+        t, x = at
+        return jnp.ones_like(t), self.field(t, x)
+
+
+class _Linearised(eqx.Module):
+    """A field together with its linearisation, as the rate of what moves and of its tangent."""
+
+    field: Any
+    by_field: Any
+
+    def __call__(self, at: Any) -> Any:
+        now, rate = eqx.filter_jvp(lambda f, v: f(v), (self.field, at[0]), (self.by_field, at[1]))
+        return now, _or_zero(rate, now)
+
+
+def _or_zero(rate: Any, of: Any) -> Any:
+    """A tangent, zero where equinox has left it out."""
+    return eqx.combine(rate, jax.tree.map(jnp.zeros_like, of))
+
+
+@eqx.filter_custom_jvp
+def _moved(gap: Array, at: Any, field: Any) -> Any:
+    """`at`, which moves along the field with a gap that is zero but for its derivatives. The field
+    is computed for these alone."""
+    return at
+
+
+@_moved.def_jvp
+def _moved_jvp(primals: tuple, tangents: tuple) -> tuple:
+    gap, at, field = primals
+    by_gap, rate, by_field = tangents
+    rate = _or_zero(rate, at)
+    # Both move themselves, which gives the second derivatives, and so on.
+    at, rate = _moved(gap, (at, rate), _Linearised(field, by_field))
+    if by_gap is not None:
+        rate = jax.tree.map(lambda own, f: own + by_gap * f, rate, field(at))
+    return at, rate
+
+
+def _at_saving_time(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Array, Components]:
+    """Time and state at the end of a step to a saving time. A grid point there does not move with
+    the saving time; what is saved does."""
+    ts = problem.recording.ts
+    t = problem.grid.t0 + end.tau
+    if ts is None:
+        return t, end.x
+    gap = ts[jnp.minimum(state.num_saved, ts.shape[0] - 1)] - end.tau
+    return _moved(gap, (t, end.x), _InTime(ModeField(problem.system, end.mode)))
+
+
 def save_state(
     problem: Problem, state: LoopState, after: LoopState, end: StepEnd, save: Array
 ) -> LoopState:
@@ -145,8 +203,8 @@ def save_state(
     saves = state.saves
     assert saves is not None
     size = saves.ts.shape[0]
-    x = pack(end.x, problem.system.dtype)
-    entry = SavedStates(problem.grid.t0 + end.tau, x, mode_codes(end.mode))
+    t, x = _at_saving_time(problem, state, end)
+    entry = SavedStates(t, pack(x, problem.system.dtype), mode_codes(end.mode))
     i = jnp.minimum(state.num_saved, size - 1)
     return dataclasses.replace(
         after,

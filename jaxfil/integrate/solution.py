@@ -3,6 +3,9 @@
 Nothing is computed here but on request: a card of a few lines, and the state between saved times.
 """
 
+import functools as ft
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.core
@@ -19,7 +22,7 @@ from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes, Scalar
+from jaxfil.model.types import Axes, Scalar, Times
 
 
 class Events(eqx.Module):
@@ -94,15 +97,16 @@ class Solution(eqx.Module):
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call its quantities."""
 
-    def evaluate(self, t: Scalar) -> Float[Array, " n"]:
-        """The state at a time of the solved span, to the order of the stepper, shape (n,).
+    # Not a method: one of an equinox module is hashed with all arrays, and `jax.jit` refuses it.
+    @property
+    def evaluate(self) -> Callable[[Times], Float[Array, "*shape n"]]:
+        """The function `evaluate(t)`: the state at a time of the solved span, to the order of the
+        stepper, shape (n,); of an array of times the states, shape (*t.shape, n).
 
         Needs `saveat=diffrax.SaveAt(dense=True)`. The step that contains `t` is taken again, up to
         `t`: nothing is interpolated. NaN outside the span that was reached.
         """
-        if self._dense is None:
-            raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
-        return evaluate(self._dense, t)
+        return jax.tree_util.Partial(_evaluate, self)
 
     def plot(self, ax: Axes = None) -> Axes:
         """Draw the phase portrait, or the history of a state of one component; returns the
@@ -142,6 +146,20 @@ class Dense(eqx.Module):
     xs: Array
     modes: Array
     stepper: Stepper
+
+
+def _evaluate(sol: Solution, t: Times) -> Float[Array, "*shape n"]:
+    """`Solution.evaluate`."""
+    if sol._dense is None:
+        raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
+    return _states(sol._dense, jnp.asarray(t, sol._dense.xs.dtype))
+
+
+@eqx.filter_jit
+def _states(dense: Dense, ts: Float[Array, "*shape"]) -> Float[Array, "*shape n"]:
+    """The states at times of any shape."""
+    xs = jax.vmap(ft.partial(evaluate, dense))(ts.ravel())
+    return xs.reshape(*ts.shape, *xs.shape[1:])
 
 
 def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:

@@ -28,6 +28,7 @@ from jaxfil.integrate.recording import mode_codes
 from jaxfil.integrate.solution import Dense, Solution, errors, events_of
 from jaxfil.integrate.state import LoopState, SavedStates
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.stopped import raise_unless_successful
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import RESULTS
@@ -38,6 +39,8 @@ from jaxfil.xla.kernel import kernel_if_it_fits
 
 # Steps that end this close to the end of the span (in steps) are its last.
 _WHOLE = 1e-6
+# The largest number of steps that every float precision holds exactly.
+_MOST = check.MOST_STEPS + 1 - 2**7
 
 
 def solve(
@@ -69,14 +72,16 @@ def solve(
     - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|).
     - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`, or for
       stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
-    - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`).
+    - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
+      what else it can ask for is refused by name.
     - `max_events`: length of the event table; None keeps no table and sets no limit.
     - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
       of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
     - `adjoint`: `diffrax.ForwardMode()`, or `diffrax.RecursiveCheckpointAdjoint()` for reverse
       mode. First and second derivatives with respect to x0, t0, t1 and every float leaf of the
       system are exact through crossings, slides and resets; third ones raise.
-    - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it.
+    - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it. The
+      error says t, x and the surface where it stopped, but not from within `jit`.
     - `estimate_error`: also run at half the step, and give the distance between the two as
       `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
       or `ts`.
@@ -107,20 +112,22 @@ def solve(
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
     length = check.scalar("dt", dt, dtype, positive=True)
     stepper = checked_stepper(stepper)
-    options = options_of(saveat, max_events, max_steps, adjoint, (start, stop, length))
+    options = options_of(saveat, max_events, max_steps, adjoint, (t0, t1, dt), dtype)
     if estimate_error and options.save not in ("t1", "ts"):
         raise ValueError(
             f"`estimate_error` must be False with a `saveat` of {options.save}: errors are "
             "estimated at times that do not depend on the step, t1 or ts; got True."
         )
+    if throw:
+        check.finite("x0", x)
     sol = _solve(system, x, start, stop, length, stepper, options)
     if estimate_error:
         half = options.at_half_the_step()
-        system, x, start, stop, half = _constant((system, x, start, stop, half))
-        finer = _solve(system, x, start, stop, length / 2, stepper, half)
+        still, x, start, stop, half = _constant((system, x, start, stop, half))
+        finer = _solve(still, x, start, stop, length / 2, stepper, half)
         sol = dataclasses.replace(sol, errors=errors(sol, finer))
     sol = dataclasses.replace(sol, labels=labels)
-    return _raise_unless_successful(sol) if throw else sol
+    return raise_unless_successful(sol, system, x) if throw else sol
 
 
 def _constant(tree: Any) -> Any:
@@ -167,10 +174,12 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     valid = valid if options.ts is None else valid & valid_ts(options.ts, t0, t1)
     dt = jnp.where(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
-    # A span of more steps than an int32 holds ends as a budget used up, never as a wrapped number.
-    num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, 2**30).astype(jnp.int32)
+    most = min(_MOST, float(jnp.finfo(dt.dtype).max))
+    num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, most).astype(jnp.int32)
     ample, budget = iteration_budget(num_steps), options.budget
     iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
+    # More steps than an int32 holds are a budget used up at once, never a wrapped number.
+    iterations = jnp.where(steps > most, 0, iterations)
     return TimeGrid(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
 
 
@@ -226,8 +235,3 @@ def _solution(
         mode_final=mode_codes(state.mode),
         _dense=dense,
     )
-
-
-def _raise_unless_successful(sol: Solution) -> Solution:
-    """The same solution, or an error with the sentence of its outcome."""
-    return sol.result.error_if(sol, sol.result != RESULTS.successful)

@@ -111,6 +111,9 @@ def _refuse_others(stepper: Any) -> None:
             "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
             f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
         )
+    kind = getattr(stepper, "scan_kind", None)
+    if kind is not None:
+        raise ValueError(f"`stepper.scan_kind` must be None: stages are written out; got {kind!r}.")
 
 
 def tableau_of(stepper: Stepper) -> Tableau:

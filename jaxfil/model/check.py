@@ -15,7 +15,13 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
+from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System, has_resets
+
+# Steps are counted in 32 bits, on every device and in every precision.
+MOST_STEPS = 2**31 - 1
+# Those of NumPy: of others neither eps nor the largest number is known to it.
+_PRECISIONS = (np.dtype(np.float64), np.dtype(np.float32), np.dtype(np.float16))
 
 
 def concrete(value: object) -> np.ndarray | None:
@@ -40,27 +46,48 @@ def state(name: str, x: Any) -> Array:
         raise ValueError(f"`{name}` must be of a real dtype, got {array.dtype}.")
     if not jnp.issubdtype(array.dtype, jnp.floating):
         array = array.astype(jnp.result_type(float))  # float32 or float64, as JAX is set
+    if array.dtype not in _PRECISIONS:
+        raise ValueError(
+            f"`{name}` must be of dtype {', '.join(v.name for v in _PRECISIONS)}, got "
+            f"{array.dtype}."
+        )
     return array
+
+
+def finite(name: str, x: Array) -> None:
+    """A state of finite numbers, as far as they are known."""
+    known = concrete(x)
+    if known is not None and not np.isfinite(known).all():
+        raise ValueError(f"`{name}` must be finite, got {known}.")
 
 
 def scalar(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -> Array:
     """A real number, traced or not."""
+    return _number(f"`{name}`", value, dtype, positive)
+
+
+def period(of: System, dtype: DTypeLike) -> Array:
+    """The period of a forced system, a positive number as far as it is known."""
+    return _number(f"`period` of {type(of).__name__}", of.period, dtype, True)
+
+
+def _number(told: str, value: Any, dtype: DTypeLike, positive: bool) -> Array:
     must = "a positive number" if positive else "a number"
     # A string would become an array of characters, and True the number one.
     if isinstance(value, (str, bytes, bool)) or value is None:
-        raise ValueError(f"`{name}` must be {must}, got {value!r}.")
+        raise ValueError(f"{told} must be {must}, got {value!r}.")
     try:
         array = jnp.asarray(value)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"`{name}` must be {must}, got {value!r}.") from error
+        raise ValueError(f"{told} must be {must}, got {value!r}.") from error
     if array.ndim != 0:
-        raise ValueError(f"`{name}` must be {must}, got an array of shape {array.shape}.")
+        raise ValueError(f"{told} must be {must}, got an array of shape {array.shape}.")
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
-        raise ValueError(f"`{name}` must be {must}, got dtype {array.dtype}.")
+        raise ValueError(f"{told} must be {must}, got dtype {array.dtype}.")
     # Under `jit` the value is not known yet: its sign is then the caller's affair.
     known = concrete(value)
     if positive and known is not None and not known > 0:
-        raise ValueError(f"`{name}` must be {must}, got {known}.")
+        raise ValueError(f"{told} must be {must}, got {known}.")
     return array.astype(dtype)
 
 
@@ -73,7 +100,30 @@ def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> A
     if not whole or isinstance(value, bool) or value < least:
         must = f"an integer of at least {least}" + (" or None" if optional else "")
         raise ValueError(f"`{name}` must be {must}, got {value!r}.")
+    if value > MOST_STEPS:
+        raise ValueError(f"`{name}` must be an integer below 2³¹, got {value}.")
     return int(value)
+
+
+def component(name: str, value: Any, n: int) -> int:
+    """The number of one of n components of a state, from 0, or from the end if it is negative."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or not -n <= value < n:
+        raise ValueError(f"`{name}` must be an integer from 0 to {n - 1}, got {value!r}.")
+    return int(value)
+
+
+def number_of_steps(steps: int, *, runs: int = 1, **periods: int) -> None:
+    """An error where `steps` steps in each of these periods are more than can be counted. `runs`: a
+    second one, at half the step, has twice as many."""
+    total = sum(periods.values()) * steps * runs
+    if total > MOST_STEPS:
+        names = ", ".join(f"`{name}`" for name in periods)
+        product = f"({' + '.join(map(str, periods.values()))}) × {steps}"
+        twice = " × 2 with `estimate_error`" if runs > 1 else ""
+        raise ValueError(
+            f"{names} and `steps` must make fewer than 2³¹ steps, got {product}{twice}."
+        )
 
 
 def system(name: str, value: object) -> None:
@@ -138,6 +188,15 @@ def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...
             "no values until it runs: jnp.where(side > 0, a, b) instead of `if`, jnp.sin instead "
             "of math.sin or np.sin, jnp.stack instead of np.array; got "
             f"{type(error).__name__}."
+        ) from error
+    except (TypeError, ValueError) as error:
+        shaped = {k: np.shape(v) for k, v in parameters(value).items() if np.ndim(v) > 0}
+        if not shaped:
+            raise
+        names, got = ", ".join(f"`{k}`" for k in shaped), ", ".join(map(str, shaped.values()))
+        raise ValueError(
+            f"{names} of {type(value).__name__} must be of a shape that `{name}` can take (batches "
+            f"come from `equinox.filter_vmap`), got {got}: {error}"
         ) from error
     if not isinstance(out, jax.ShapeDtypeStruct):
         hint = ": write jnp.stack([…])" if isinstance(out, (list, tuple)) else ""

@@ -37,6 +37,7 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
       `newton_singular`, `newton_max_steps_reached`.
     - Of the search for a bifurcation: `no_tangency_found`, `other_kind`, `orbit_lost`.
     - Of a sweep that Ctrl-C ended: `interrupted`.
+    - Of sweeps, orbits and exponents, which count forcing periods: `invalid_period`.
     """
 
     successful = ""
@@ -98,6 +99,10 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     reset_undecided = (
         "No motion goes on from the state that a reset has led to: on its surface, neither a side, "
         "nor sliding, nor rest is consistent with the vector fields there."
+    )
+    invalid_period = (
+        "The forcing period is negative, zero or infinite, so that there is nothing to sample once "
+        "in each."
     )
 
 

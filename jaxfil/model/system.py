@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxfil.model.fields import check_numbers
 from jaxfil.xla import fast_trig
 
 
@@ -65,6 +66,9 @@ class System(eqx.Module):
     """What they call parameters, by their names in the code; by default these names."""
     units: ClassVar[Mapping[str, str]] = {}
     """Units of components, parameters and the time `t`, by name; by default none."""
+
+    def __check_init__(self):
+        check_numbers(self)
 
     @abc.abstractmethod
     def vector_field(self, t: Float[Array, ""], x: Float[Array, " n"], side: Array) -> Array:

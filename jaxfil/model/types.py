@@ -13,6 +13,9 @@ from jaxtyping import Array, Float
 Scalar: TypeAlias = Array | np.ndarray | np.generic | float | int
 """A real number: a Python number, or an array of shape ()."""
 
+Times: TypeAlias = Scalar | Float[Array, "*shape"] | Float[np.ndarray, "*shape"] | Sequence[float]
+"""One time, or an array of them."""
+
 State: TypeAlias = Float[Array, " n"] | Float[np.ndarray, " n"]
 """A state of n components, shape (n,)."""
 

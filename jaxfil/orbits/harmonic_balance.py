@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxfil.integrate.problem import period_outcome
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
@@ -73,7 +74,8 @@ def harmonic_balance(
     **Returns** a `FourierOrbit`. For a batch use `equinox.filter_vmap` with `throw=False`.
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
-    where no orbit was found; `nonfinite` where the equations are not finite at the guess.
+    where no orbit was found; `nonfinite` where the equations are not finite at the guess;
+    `invalid_period`.
 
     **Source**: textbook: M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems
     (2019); that the integrals are taken from zero to zero of H is ours.
@@ -96,6 +98,7 @@ def harmonic_balance(
             f"`system` must be forced, but the period of {type(system).__name__} is None: use "
             "`periodic_orbit`."
         )
+    check.period(system, jnp.result_type(float))
     first = _first(system, guess, harmonics, periods)
     series = _solve(cast(system, first.dtype), first, periods, budget)
     if not throw:
@@ -175,7 +178,8 @@ def _solve(system: System, first: Array, periods: int, newton_steps: Array) -> F
         return Evaluation(value, jacobian, 2 * jnp.pi * scale, scale, result, None)
 
     root = newton(evaluate, first.ravel(), newton_steps)
-    return FourierOrbit(root.z.reshape(size, n), period, root.at.size, root.result, root.num_steps)
+    result = period_outcome(period, root.result)
+    return FourierOrbit(root.z.reshape(size, n), period, root.at.size, result, root.num_steps)
 
 
 def _equations(balance: _Balance, c: Array) -> tuple[Array, Array]:

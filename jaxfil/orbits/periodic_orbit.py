@@ -70,7 +70,7 @@ def periodic_orbit(
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
     where no orbit was found; and where the guess itself cannot be integrated for a period,
     `nonfinite`, `max_steps_reached`, `max_events_reached`, `mode_undecided`, `zeno`, `nonunique`,
-    `undeclared_sliding` or `step_too_long`.
+    `undeclared_sliding`, `step_too_long` or `invalid_period`.
 
     **Source**: (multiple) shooting is textbook: R. Seydel, Practical Bifurcation and Stability
     Analysis (2010). Its Jacobian through contacts: R. Leine, H. Nijmeijer, Dynamics and
@@ -83,6 +83,8 @@ def periodic_orbit(
     2.9729 2 True
     """
     x = check.state("x0", x0)
+    if throw:
+        check.finite("x0", x)
     dtype = x.dtype
     check.system("system", system)
     system = cast(system, dtype)
@@ -97,6 +99,8 @@ def periodic_orbit(
             f"`period` must be None: that of {type(system).__name__} is known (use `periods`); "
             f"got {period!r}."
         )
+    if not autonomous:
+        check.period(system, dtype)
     periods = check.count("periods", periods)
     transient = check.count("transient", transient, least=0)
     if autonomous and (periods > 1 or transient > 0):
@@ -107,10 +111,12 @@ def periodic_orbit(
     guess = jnp.ones((), dtype)
     if autonomous:
         guess = check.scalar("period", period, dtype, positive=True)
+    steps = check.count("steps", steps)
+    check.number_of_steps(steps, periods=periods, transient=transient)
     stepper = checked_stepper(stepper)
     options = ShootingOptions(
         t0=check.scalar("t0", t0, dtype),
-        steps=check.count("steps", steps) * periods,
+        steps=steps * periods,
         arcs=check.count("segments", segments),
         stepper=stepper,
         max_events=check.count("max_events", max_events),

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import integrate, integrate_in_kernel
-from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid
+from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid, period_outcome
 from jaxfil.integrate.solution import Events, events_of
 from jaxfil.integrate.state import EventTable
 from jaxfil.integrate.stepper import Stepper, tableau_of
@@ -111,6 +111,7 @@ def shoot(
     for i in reversed(range(options.arcs)):
         one = jax.tree.map(lambda v, i=i: v[i], results)
         result = RESULTS.where(one == RESULTS.successful, result, one)
+    result = period_outcome(setting(q)[1], result)
     # Of the states at the steps: what a component is measured by, and no more than that.
     size = jnp.maximum(jnp.max(sizes, axis=0), jnp.max(abs(ends), axis=0))
     return Shot(

@@ -39,12 +39,6 @@ def own_axes(ax: object) -> Axes:
     return plt.subplots(layout="constrained")[1]
 
 
-def check_component(component: int, n: int) -> None:
-    """An error unless a state of n components has that one."""
-    if not -n <= component < n:
-        raise ValueError(f"`component` must be from 0 to {n - 1}, got {component}.")
-
-
 def marker_size(ax: Axes, columns: int) -> float:
     """The width of a column of samples in points, from half a point up to two."""
     # Markers as wide as a column leave no gap and hide no neighbour; thinner than half a point they

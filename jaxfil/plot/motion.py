@@ -12,7 +12,7 @@ from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
-from jaxfil.plot.canvas import BLACK, check_component, own_axes
+from jaxfil.plot.canvas import BLACK, own_axes
 from jaxfil.plot.surfaces import draw_surfaces
 
 # The colour of each mode, and what the legend calls it.
@@ -65,7 +65,7 @@ def time_history(sol: Solution, ax: Axes | None = None, component: int = 0) -> A
     """
     check.instance("sol", sol, Solution)
     ts, xs = _path(sol)
-    check_component(component, xs.shape[1])
+    check.component("component", component, xs.shape[1])
     ax = own_axes(ax)
     _shade_modes(ax, sol)
     ax.plot(ts, xs[:, component], color=BLACK, linewidth=1)

@@ -11,7 +11,7 @@ from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.labels import labels_of
 from jaxfil.orbits.branch import Branch, SpecialPoint
-from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, own_axes
+from jaxfil.plot.canvas import BLACK, VERMILLION, own_axes
 
 # The colour of each kind of bifurcation.
 CURVES = {
@@ -55,7 +55,7 @@ def branch(
     ['stable', 'contacts']
     """
     check.instance("branch", branch, Branch)
-    check_component(component, branch.orbits.x0.shape[-1])
+    check.component("component", component, branch.orbits.x0.shape[-1])
     ax = own_axes(ax)
     if extremes:
         curves = [column[:, component] for column in branch.extremes()]

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, VERMILLION, check_component, marker_size, own_axes
+from jaxfil.plot.canvas import BLACK, VERMILLION, marker_size, own_axes
 from jaxfil.plot.periods import parameter_map
 from jaxfil.sweep.diagram import BifurcationDiagram
 
@@ -53,7 +53,7 @@ def bifurcation_diagram(
             f"`diagram` must be a sweep of one parameter, got {', '.join(diagram.parameter)}."
         )
     values, xs = np.asarray(diagram.values), np.asarray(diagram.xs)
-    check_component(component, xs.shape[-1])
+    check.component("component", component, xs.shape[-1])
     ax = own_axes(ax)
     column = xs[..., component]
     seen = np.isfinite(column)

@@ -45,6 +45,9 @@ def poincare_section(
     """
     if system is not None:
         check.system("system", system)
+    pair = tuple(components)
+    if len(pair) != 2 or not all(isinstance(c, (int, np.integer)) for c in pair):
+        raise ValueError(f"`components` must be two integers, got {components!r}.")
     given, xs = xs, np.asarray(xs)
     if xs.dtype.kind not in "fiu" or xs.ndim < 2 or xs.shape[-1] <= max(components):
         got = f"shape {xs.shape}" if xs.dtype.kind in "fiu" else type(given).__name__

@@ -132,6 +132,7 @@ def basins_of_attraction(
             "`system` must be forced: motions are looked at once a forcing period, and the period "
             f"of {type(system).__name__} is None."
         )
+    check.period(system, jnp.result_type(float))
     if len(axes) != 2:
         raise ValueError(f"`axes` must be a pair, the values of two components, got {axes!r}.")
     values = tuple(_axis(i, axis) for i, axis in enumerate(axes))
@@ -174,9 +175,10 @@ def _axis(i: int, axis: Any) -> np.ndarray:
     return values
 
 
-def _components(components: Sequence[int], n: int) -> tuple[int, int]:
+def _components(components: Sequence[Any], n: int) -> tuple[int, int]:
     pair = tuple(components)
-    if len(pair) != 2 or len(set(pair)) != 2 or not all(0 <= c < n for c in pair):
+    whole = all(isinstance(c, (int, np.integer)) and 0 <= c < n for c in pair)
+    if len(pair) != 2 or len(set(pair)) != 2 or not whole:
         raise ValueError(
             f"`components` must be two different ones from 0 to {n - 1}, got {components!r}."
         )

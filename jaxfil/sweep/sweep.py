@@ -20,7 +20,7 @@ from jaxtyping import Array
 from jaxfil.integrate.batch_loop import integrate_batch
 from jaxfil.integrate.components import build, unpack
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.problem import Problem, Recording, grid_of_periods
+from jaxfil.integrate.problem import Problem, Recording, grid_of_periods, period_outcome
 from jaxfil.integrate.state import LoopState
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
@@ -98,8 +98,8 @@ def bifurcation_diagram(
     n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for.
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
-    `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`, and after
-    Ctrl-C `interrupted`. A lane that fails harms no other.
+    `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`,
+    `invalid_period`, and after Ctrl-C `interrupted`. A lane that fails harms no other.
 
     **Source**: textbook; S. H. Strogatz, Nonlinear Dynamics and Chaos, Perseus (1994), section 10.2
     for diagrams and 12.5 for stroboscopic sections.
@@ -145,6 +145,12 @@ def bifurcation_diagram(
         version=__version__,
     )
     samples = check.count("samples", samples)
+    check.number_of_steps(
+        conditions.steps,
+        runs=2 if estimate_error else 1,
+        transient=conditions.transient,
+        samples=samples,
+    )
     record = ft.partial(record_of, system, grid, samples=samples, stepper=stepper)
     run = ft.partial(_swept, system, grid, samples=samples, stepper=stepper, progress=progress)
     kept = _begun(checkpoint, ft.partial(record, conditions), estimate_error)
@@ -268,9 +274,7 @@ class _Sampling(eqx.Module):
 
     def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
         """That of one point in parameter space."""
-        for i, name in enumerate(names):
-            system = replace_parameter(system, name, row[i])
-        period = jnp.asarray(system.period, x0.dtype)
+        system, period = _at(system, names, row)
         grid = grid_of_periods(period, self.transient + self.samples, self.steps)
         recording = Recording(
             save="samples",
@@ -280,6 +284,13 @@ class _Sampling(eqx.Module):
             every=self.steps,
         )
         return Problem(build(system, x0), tableau_of(self.stepper), grid, recording)
+
+
+def _at(system: System, names: tuple[str, ...], row: Array) -> tuple[System, Array]:
+    """The system at a point in parameter space, and its period."""
+    for i, name in enumerate(names):
+        system = replace_parameter(system, name, row[i])
+    return system, jnp.asarray(system.period, row.dtype)
 
 
 def _outcome(state: LoopState) -> tuple[Array, RESULTS, Array]:
@@ -301,6 +312,7 @@ def _run(
 ) -> tuple[Array, RESULTS, Array]:
     """A chunk of lanes side by side, or one after the other each from the last one's end."""
     problem = ft.partial(sampling.problem, system, names)
+    periods = jax.vmap(lambda row: _at(system, names, row)[1])(rows)
 
     def lane(row: Array, x0: Array) -> tuple[Array, RESULTS, Array]:
         return _outcome(integrate(problem(row, x0), unpack(x0)))
@@ -309,7 +321,9 @@ def _run(
         return _outcome(integrate_batch(problem, rows, states))
 
     if not followed:
-        return (in_blocks(block, BLOCK) if whole else jax.vmap(lane))(rows, states)
+        run = in_blocks(block, BLOCK) if whole else jax.vmap(lane)
+        xs, results, end = run(rows, states)
+        return xs, jax.vmap(period_outcome)(periods, results), end
 
     single = one_kernel(lane) if whole else lane
 
@@ -319,4 +333,4 @@ def _run(
         return jnp.where(result == RESULTS.successful, end, x), (xs, result)
 
     end, (xs, results) = jax.lax.scan(next_point, states, rows)
-    return xs, results, end
+    return xs, jax.vmap(period_outcome)(periods, results), end

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.model.system import System
-from jaxfil.systems.default import default
+from jaxfil.systems.default import check_restitution, default
 
 
 class CoulombOscillator(System):
@@ -133,6 +133,9 @@ class BouncingBall(System):
     slides: ClassVar[bool] = False
     state_names: ClassVar = ("y", "y'")
     symbols: ClassVar = {"restitution": "e"}
+
+    def __check_init__(self):
+        check_restitution(self)
 
     def vector_field(self, t: Array, x: Array, side: Array) -> Array:
         return jnp.stack([x[1], -self.g])

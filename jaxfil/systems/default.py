@@ -11,19 +11,37 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
+from jaxfil.model.fields import is_no_number
 from jaxfil.model.types import Scalar
 
 
 def default(value: float) -> Any:
     """A parameter of that value if none is given."""
-    return eqx.field(converter=jnp.asarray, default=value)
+    return eqx.field(converter=_array, default=value)
 
 
-def none_if_zero(value: Scalar | None) -> Array | None:
+def _array(value: Any) -> Any:
+    """The parameter as an array. What is no number stays as it is: the system refuses it by name,
+    which is not known here."""
+    return value if is_no_number(value) else jnp.asarray(value)
+
+
+def check_restitution(system: Any) -> None:
+    """An error where the restitution of a system is known to be negative."""
+    value = system.restitution
+    known = eqx.is_array(value) and not isinstance(value, jax.core.Tracer)
+    if known and np.any(np.asarray(value) < 0):
+        raise ValueError(
+            f"`restitution` of {type(system).__name__} must be 0 or more, got {np.asarray(value)}."
+        )
+
+
+def none_if_zero(value: Scalar | None) -> Any:
     """The parameter, or None where it is known to be zero."""
+    if is_no_number(value):
+        return value
     # A traced zero is a parameter like any other: what it is at run time cannot choose a program.
     known = not isinstance(value, jax.core.Tracer)
-    zero = value is None or (known and np.all(np.asarray(value) == 0))
+    zero = known and np.all(np.asarray(value) == 0)
     return None if zero else jnp.asarray(value)

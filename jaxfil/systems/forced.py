@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.model.system import System
-from jaxfil.systems.default import default, none_if_zero
+from jaxfil.systems.default import check_restitution, default, none_if_zero
 
 
 class SDOscillator(System):
@@ -242,6 +242,9 @@ class ImpactOscillator(System):
         "wall": "d",
         "restitution": "e",
     }
+
+    def __check_init__(self):
+        check_restitution(self)
 
     def vector_field(self, t: Array, x: Array, side: Array) -> Array:
         force = self.amplitude * jnp.cos(self.omega * t)

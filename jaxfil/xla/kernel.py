@@ -146,6 +146,8 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     def batch(axis_size: int, batched: Any, *values: Any) -> tuple:
         spreads = spread(batched)
         axes, out_axes = ([0 if flag else None for flag in flags] for flags in (batched, spreads))
+        if axis_size == 0:  # nothing to be put into blocks
+            return jax.vmap(run, axes, out_axes, axis_size=0)(*values), spreads
         # A batch of batches counts all its lanes: more than a block does not stay in the cache.
         rows = min(axis_size, max(1, _BLOCK // lanes))
         several = jax.vmap(run, axes, out_axes, axis_size=rows)

@@ -48,7 +48,9 @@ def _write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
 
 @_write.def_vmap
 def _write_batch(axis_size: int, batched: Any, *args: Any) -> tuple:
-    if jax.default_backend() != "cpu":
+    if axis_size == 0:  # none of them writes
+        out, *_ = _broadcast(axis_size, batched, args)
+    elif jax.default_backend() != "cpu":
         axes = jax.tree.map(lambda flag: 0 if flag else None, list(batched))
         out = jax.vmap(_write.fun, tuple(axes), axis_size=axis_size)(*args)
     else:
@@ -78,6 +80,8 @@ def _write_batches(axis_size: int, batched: Any, *args: Any) -> tuple:
     """A batch of batches is one batch."""
     args = _broadcast(axis_size, batched, args)
     shape = args[1].shape
+    if 0 in shape:
+        return args[0], jax.tree.map(lambda _: True, args[0])
     flat = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), args)
     out = jax.tree.map(lambda v: v.reshape(*shape, *v.shape[1:]), _write_lanes(*flat))
     return out, jax.tree.map(lambda _: True, out)

@@ -12,6 +12,7 @@ from jaxfil import RESULTS
 from jaxfil.exponents import batch_means
 from jaxfil.exponents.variational import generic_frame
 from jaxfil.integrate import components
+from jaxfil.model.outcomes import outcome_names
 from tests.problems import PROBLEMS
 from tests.problems.systems import cubic_belt
 from tests.problems.values import BELT_DAMPING, CUBIC_LYAPUNOV, SD_DAMPING
@@ -242,6 +243,21 @@ def test_the_standard_error_is_that_of_independent_batches():
     mean, _, error, _ = jax.vmap(lambda g: batch_means.averages(g, times))(noise)
     assert_allclose(np.std(mean), np.sqrt(np.mean(error**2)), rtol=0.03)
     assert_allclose(np.std(mean), np.sqrt(32) / 320, rtol=0.03)
+
+
+def test_a_negative_period_is_told():
+    def lane(omega, verb, **options):
+        wall = jf.systems.ImpactOscillator(damping=1.0, omega=omega)
+        few = {"periods": 20, "transient": 1, "steps": 20, "stepper": jf.RK4()}
+        return verb(wall, jnp.asarray([0.1, 0.0]), **few, **options)
+
+    omegas = jnp.asarray([1.0, -1.0])
+    for verb in (jf.lyapunov_spectrum, jf.transverse_exponent):
+        found = eqx.filter_vmap(lane)(omegas, verb)
+        assert outcome_names(found.result).tolist() == ["successful", "invalid_period"]
+        assert np.isnan(found.running[1]).all() and np.isfinite(found.running[0]).all()
+    drive = eqx.filter_vmap(lambda omega: lane(omega, jf.synchronization_exponent, couplings=[0.1]))
+    assert outcome_names(drive(omegas).results).tolist() == [["successful"], ["invalid_period"]]
 
 
 @pytest.mark.parametrize(

@@ -211,3 +211,46 @@ def test_batched_and_jitted():
         alone = single(x0[k], friction[k])
         for got, want in zip(batched, alone, strict=True):
             assert_allclose(got[k], want, rtol=0, atol=1e-13)
+
+
+class Spring(jf.System):
+    """x'' = -4 x: smooth."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -4 * x[0]])
+
+
+@pytest.mark.parametrize("adjoint", [FORWARD, REVERSE], ids=["forward", "reverse"])
+def test_saved_states_by_their_saving_times(adjoint):
+    """The field, at times that are grid points (the first, others, one after an impact, the end)
+    and others: a fall from 10, with one impact at 10/7 and v → -0.8 v."""
+    differentiate = jax.jacfwd if adjoint is FORWARD else jax.jacrev
+
+    def saved(ts, t0, t1):
+        saveat = diffrax.SaveAt(ts=ts)
+        sol = solve(BALL, jnp.asarray([10.0, 0.0]), t0, t1, 0.125, adjoint, saveat=saveat)
+        return sol.xs, sol.ts
+
+    ts = jnp.asarray([0.0, 0.5, 0.6, 1.25, 2.0, 2.1, 2.5])
+    (xs, _), jacobian = saved(ts, 0.0, 2.5), jax.jit(differentiate(saved, (0, 1, 2)))(ts, 0.0, 2.5)
+    fields = np.stack([xs[:, 1], np.full(len(ts), -9.8)], axis=1)
+    (by_ts, by_t0, by_t1), times = jacobian[0], jacobian[1]
+    assert_allclose(by_ts, np.eye(len(ts))[:, None] * fields[:, :, None], rtol=0, atol=1e-12)
+    # Later begun is the same motion later; nothing depends on the end.
+    assert_allclose(by_t0, -fields, rtol=0, atol=1e-12)
+    assert_allclose(by_t1, 0, rtol=0, atol=1e-12)
+    assert_allclose(times[0], np.eye(len(ts)), rtol=0, atol=1e-14)
+    assert_allclose(times[1], 0, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("time", [0.5, 0.55, 1.0])
+def test_second_derivatives_by_a_saving_time(time):
+    """cos 2t, by time twice and by time and the initial state, at grid points and between them."""
+
+    def saved(t, x):
+        saveat = diffrax.SaveAt(ts=t[None])
+        return jf.solve(Spring(), jnp.stack([x, 0 * x]), 0.0, 1.0, 0.05, saveat=saveat).xs[0, 0]
+
+    by = jax.jacfwd(jax.jacfwd(saved, (0, 1)), (0, 1))(jnp.asarray(time), jnp.asarray(1.0))
+    cos, sin = np.cos(2 * time), np.sin(2 * time)
+    assert_allclose(jax.tree.leaves(by), [-4 * cos, -2 * sin, -2 * sin, 0], rtol=0, atol=1e-9)

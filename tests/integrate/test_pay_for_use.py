@@ -198,3 +198,31 @@ def test_a_derivative_outside_of_jit_compiles_nothing_again():
         jax.block_until_ready(slope(system).f0)
         found.append(counter.since(before)["compilations"])
     assert found[0] > 0 and found[1:] == [0, 0]
+
+
+STEPS, KEPT = diffrax.SaveAt(steps=True), diffrax.SaveAt(dense=True)
+REVERSE = diffrax.RecursiveCheckpointAdjoint()
+
+
+@pytest.mark.parametrize("options", [{"saveat": STEPS}, {"saveat": KEPT}, {"adjoint": REVERSE}])
+def test_new_times_compile_nothing_where_every_step_is_kept(options):
+    counter, x0 = Counter(), jnp.array([1.0, 0.1])
+    counter.watch()
+    found = []
+    for t1, dt in ((1.0, 0.1), (2.0, 0.1), (1.5, 0.07)):
+        before = dict(counter.counts)
+        sol = jf.solve(Smooth(), x0, 0.0, t1, dt, stepper=jf.RK4(), **options)
+        jax.block_until_ready(sol.x_final)
+        found.append(counter.since(before)["compilations"])
+    assert found[0] > 0 and found[1:] == [0, 0]
+
+
+def test_a_dense_solution_is_evaluated_by_one_program():
+    sol = jf.solve(Smooth(), jnp.array([1.0, 0.1]), 0.0, 1.0, 0.1, stepper=jf.RK4(), saveat=KEPT)
+    counter, found = Counter(), []
+    counter.watch()
+    for t in (0.3, 0.35, 0.9):
+        before = dict(counter.counts)
+        jax.block_until_ready(sol.evaluate(t))
+        found.append(counter.since(before)["compilations"])
+    assert found[0] > 0 and found[1:] == [0, 0]

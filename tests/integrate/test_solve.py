@@ -1,6 +1,7 @@
 """Scales, batches, time that stands still or runs backward: one test a case."""
 
 import gc
+import math
 import os
 import sys
 
@@ -16,6 +17,7 @@ import jaxfil as jf
 from jaxfil import RESULTS, EventKind
 
 TRACED = []
+TOO_LATE = jnp.asarray([1.0, 2.5])
 
 
 class Relay(jf.System):
@@ -287,3 +289,54 @@ def test_a_smooth_scene_is_saved_between_its_steps():
     sol = jf.solve(Decay(), jnp.ones(1), 0.0, 1.0, 0.2, saveat=diffrax.SaveAt(ts=ts))
     assert sol.stats["num_steps"] == 5
     assert_allclose(sol.xs[:, 0], np.exp(-ts), rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def coulomb():
+    """x'' = -x - 0.4 sgn x' from (3, 0): 2.6 cos t + 0.4 until it turns at π."""
+    x0, saveat = jnp.asarray([3.0, 0.0]), diffrax.SaveAt(dense=True)
+    return jf.solve(jf.systems.CoulombOscillator(), x0, 0.0, 3.0, 0.1, saveat=saveat)
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (3,), (2, 3), (0,)])
+def test_a_dense_solution_is_evaluated_at_times_of_any_shape(coulomb, shape):
+    # Two times are as many as the state has components: nothing may take them for those.
+    ts = np.linspace(0.05, 2.95, math.prod(shape)).reshape(shape)
+    want = np.stack([2.6 * np.cos(ts) + 0.4, -2.6 * np.sin(ts)], axis=-1)
+    assert_allclose(coulomb.evaluate(ts), want, atol=1e-13)
+    assert_allclose(jax.jit(coulomb.evaluate)(ts), want, atol=1e-13)
+
+
+def test_times_under_jit_are_known_where_they_are_numbers():
+    """x'' = -1 from (9, 0): 9 - t²/2."""
+    relay, x0 = Relay(jnp.asarray(1.0)), jnp.asarray([9.0, 0.0])
+    reverse, every = diffrax.RecursiveCheckpointAdjoint(), diffrax.SaveAt(steps=True)
+
+    def height(x0, **options):
+        return jf.solve(relay, x0, 0.0, 2.0, 0.25, stepper=jf.RK4(), **options).x_final[0]
+
+    assert_allclose(jax.jit(lambda x: height(x, saveat=every))(x0), 7.0, rtol=1e-14)
+    assert_allclose(jax.jit(jax.grad(lambda x: height(x, adjoint=reverse)))(x0), [1, 2])
+    assert_allclose(jax.grad(jax.jit(lambda x: height(x, adjoint=reverse)))(x0), [1, 2])
+    with pytest.raises(ValueError, match=r"`saveat.ts` must be times in order within the span"):
+        jax.jit(lambda x: height(x, saveat=diffrax.SaveAt(ts=TOO_LATE)))(x0)
+
+
+def test_an_empty_batch_is_solved():
+    def end(x0, **options):
+        return jf.solve(Relay(jnp.asarray(1.0)), x0, 0.0, 1.0, 0.5, stepper=jf.RK4(), **options).xs
+
+    none = jnp.zeros((0, 2))
+    saveat = diffrax.SaveAt(ts=jnp.asarray([0.25, 1.0]))
+    assert jax.vmap(end)(none).shape == (0, 1, 2)
+    assert jax.jit(jax.vmap(lambda x: end(x, saveat=saveat)))(none).shape == (0, 2, 2)
+    assert jax.vmap(jax.jacfwd(end))(none).shape == (0, 1, 2, 2)
+
+
+def test_more_steps_than_can_be_counted_are_a_budget_used_up():
+    x0 = jnp.asarray([9.0, 0.0])
+    run = jax.jit(lambda t1: jf.solve(Relay(jnp.asarray(1.0)), x0, 0.0, t1, 0.1, throw=False))
+    sol = run(1e12)
+    assert sol.result == RESULTS.max_steps_reached
+    assert_array_equal(sol.t_final, 0.0)
+    assert_array_equal(sol.x_final, x0)

@@ -46,6 +46,15 @@ class Short(jf.System):
         return x
 
 
+class Gain(jf.System):
+    """A system of one's own, with a parameter that nothing converts."""
+
+    gain: float
+
+    def vector_field(self, t, x, side):
+        return self.gain * x
+
+
 def same(t, x):
     return x
 
@@ -73,6 +82,9 @@ SAVES = (
     "with steps=True)"
 )
 TIMES = "`saveat.ts` must be times in order within the span from t0 = 0.0 to t1 = 1.0"
+DTYPE = "`x0` must be of dtype float64, float32, float16"
+PERIOD = "`period` of SDOscillator must be a positive number"
+BACKWARD = jf.systems.SDOscillator(omega=-0.7)
 SHAPE = "`vector_field` of Custom must return an array of the shape of the state, (2,)"
 COMPILED = (
     "`vector_field` of Custom must be made of jnp functions, for it is compiled, and t, x, side "
@@ -115,6 +127,55 @@ CALLS = {
         "`x0` must be of a real dtype",
         "complex128",
     ),
+    "x0 in bfloat16": (lambda: solve(x0=X0.astype(jnp.bfloat16)), DTYPE, "bfloat16"),
+    "x0 in float8": (lambda: solve(x0=X0.astype(jnp.float8_e4m3fn)), DTYPE, "float8_e4m3fn"),
+    "x0 is not a number": (lambda: solve(x0=[math.nan, 0.0]), "`x0` must be finite", "[nan"),
+    "x0 is infinite": (lambda: solve(x0=[3.0, math.inf]), "`x0` must be finite", "inf]"),
+    "guess of an orbit is not a number": (
+        lambda: jf.periodic_orbit(FORCED, X0 * math.nan),
+        "`x0` must be finite",
+        "nan",
+    ),
+    "parameter is a word": (
+        lambda: jf.systems.SDOscillator(omega="0.7"),
+        "`omega` of SDOscillator must be a number or an array",
+        "'0.7'",
+    ),
+    "parameter is a list": (
+        lambda: jf.systems.SDOscillator(omega=[0.7, 0.8]),
+        "`omega` of SDOscillator must be a number or an array",
+        "[0.7, 0.8]",
+    ),
+    "parameter is None": (
+        lambda: jf.systems.BouncingBall(g=None),
+        "`g` of BouncingBall must be a number or an array",
+        "None",
+    ),
+    "parameter that may be None is a word": (
+        lambda: jf.systems.SDOscillator(alpha="flat"),
+        "`alpha` of SDOscillator must be a number or an array",
+        "'flat'",
+    ),
+    "own parameter is a word": (
+        lambda: Gain("3"),
+        "`gain` of Gain must be a number or an array",
+        "'3'",
+    ),
+    "parameter of another shape": (
+        lambda: solve(jf.systems.SDOscillator(omega=jnp.ones(3))),
+        "`omega` of SDOscillator must be of a shape that `vector_field` can take",
+        "(3,)",
+    ),
+    "restitution is negative": (
+        lambda: jf.systems.BouncingBall(restitution=-0.5),
+        "`restitution` of BouncingBall must be 0 or more",
+        "-0.5",
+    ),
+    "restitution at a wall is negative": (
+        lambda: jf.systems.ImpactOscillator(restitution=jnp.array(-0.25)),
+        "`restitution` of ImpactOscillator must be 0 or more",
+        "-0.25",
+    ),
     "x0 is a word": (lambda: solve(x0="here"), "`x0` must be an array of shape (n,)", "here"),
     "x0 is too long": (
         lambda: solve(x0=jnp.zeros(3)),
@@ -128,6 +189,11 @@ CALLS = {
     "dt is zero": (lambda: solve(dt=0.0), "`dt` must be a positive number", "0.0"),
     "dt is negative": (lambda: solve(t1=-1.0, dt=-0.25), "`dt` must be a positive number", "-0.25"),
     "dt is not a number": (lambda: solve(dt=float("nan")), "`dt` must be a positive number", "nan"),
+    "dt makes too many steps": (
+        lambda: solve(t1=1e12),
+        "`dt` must make fewer than 2³¹ steps from t0 = 0.0 to t1 = 1000000000000.0",
+        "0.1, which makes 1e+13",
+    ),
     "dt is an array": (
         lambda: solve(dt=jnp.full(4, 0.1)),
         "`dt` must be a positive number",
@@ -154,6 +220,36 @@ CALLS = {
         SAVES,
         "[]",
     ),
+    "saved by a function": (
+        lambda: solve(saveat=diffrax.SaveAt(t1=True, fn=lambda t, y, args: y[0])),
+        "`saveat.fn` must be left out",
+        "lambda",
+    ),
+    "every fifth step is saved": (
+        lambda: solve(saveat=diffrax.SaveAt(steps=5)),
+        "`saveat.steps` must be True",
+        "5",
+    ),
+    "solver's state is saved": (
+        lambda: solve(saveat=diffrax.SaveAt(t1=True, solver_state=True)),
+        "`saveat.solver_state` must be False",
+        "True",
+    ),
+    "controller's state is saved": (
+        lambda: solve(saveat=diffrax.SaveAt(t1=True, controller_state=True)),
+        "`saveat.controller_state` must be False",
+        "True",
+    ),
+    "a jump is saved": (
+        lambda: solve(saveat=diffrax.SaveAt(t1=True, made_jump=True)),
+        "`saveat.made_jump` must be False",
+        "True",
+    ),
+    "stages by a scan": (
+        lambda: solve(stepper=diffrax.Tsit5(scan_kind="lax")),
+        "`stepper.scan_kind` must be None",
+        "'lax'",
+    ),
     "saved after the end": (
         lambda: solve(saveat=saving([0.5, 1.5])),
         TIMES,
@@ -178,6 +274,11 @@ CALLS = {
         lambda: solve(max_events=2.5),
         "`max_events` must be an integer of at least 1 or None",
         "2.5",
+    ),
+    "max_steps is more than can be counted": (
+        lambda: solve(max_steps=2**31),
+        "`max_steps` must be an integer below 2³¹",
+        "2147483648",
     ),
     "max_steps is negative": (
         lambda: solve(max_steps=-3),
@@ -314,6 +415,65 @@ CALLS = {
         "`axes` must be a pair, the values of two components",
         "[1.0]",
     ),
+    "diagram of too many steps": (
+        lambda: diagram(transient=2**30, samples=5, steps=4),
+        "`transient`, `samples` and `steps` must make fewer than 2³¹ steps",
+        "(1073741824 + 5) × 4",
+    ),
+    "diagram of too many steps at half the step": (
+        lambda: diagram(transient=2**29, samples=1, steps=2, estimate_error=True),
+        "`transient`, `samples` and `steps` must make fewer than 2³¹ steps",
+        "(536870912 + 1) × 2 × 2 with `estimate_error`",
+    ),
+    "basins of too many steps": (
+        lambda: jf.basins_of_attraction(FORCED, ([0.0], [0.0]), transient=53_687_091),
+        "`transient`, `samples` and `steps` must make fewer than 2³¹ steps",
+        "(53687091 + 32) × 40",
+    ),
+    "exponents of too many steps": (
+        lambda: jf.lyapunov_spectrum(FORCED, X0, periods=2**26, transient=0, steps=32),
+        "`periods`, `transient` and `steps` must make fewer than 2³¹ steps",
+        "(67108864 + 0) × 32",
+    ),
+    "synchronization of too many steps": (
+        lambda: jf.synchronization_exponent(FORCED, X0, [0.1], periods=2**26, steps=32),
+        "`periods`, `transient` and `steps` must make fewer than 2³¹ steps",
+        "(67108864 + 200) × 32",
+    ),
+    "orbit of too many steps": (
+        lambda: jf.periodic_orbit(FORCED, X0, periods=2**26, steps=32),
+        "`periods`, `transient` and `steps` must make fewer than 2³¹ steps",
+        "(67108864 + 0) × 32",
+    ),
+    "orbit of a negative period": (lambda: jf.periodic_orbit(BACKWARD, X0), PERIOD, "-8.97"),
+    "harmonics of a negative period": (
+        lambda: jf.harmonic_balance(BACKWARD, jnp.zeros((3, 2)), 1),
+        PERIOD,
+        "-8.97",
+    ),
+    "exponents of a negative period": (lambda: jf.lyapunov_spectrum(BACKWARD, X0), PERIOD, "-8.97"),
+    "basins of a negative period": (
+        lambda: jf.basins_of_attraction(BACKWARD, ([0.0], [0.0])),
+        PERIOD,
+        "-8.97",
+    ),
+    "component is a name": (
+        lambda: jf.plot.time_history(
+            solve(saveat=diffrax.SaveAt(steps=True)), jf.plot.page().add_subplot(), component="v"
+        ),
+        "`component` must be an integer from 0 to 1",
+        "'v'",
+    ),
+    "components are names": (
+        lambda: jf.basins_of_attraction(FORCED, ([0.0], [0.0]), components=("x", "v")),
+        "`components` must be two different ones from 0 to 1",
+        "('x', 'v')",
+    ),
+    "section of names": (
+        lambda: jf.plot.poincare_section(np.zeros((3, 2)), components=("x", "v")),
+        "`components` must be two integers",
+        "('x', 'v')",
+    ),
     "diagram of a matrix": (
         lambda: diagram(values=np.ones((2, 3))),
         "`values` must be real numbers of shape (p,) with p ≥ 1",
@@ -353,7 +513,7 @@ def test_bad_call(name):
     with pytest.raises(ValueError) as caught:
         call()
     message = str(caught.value)
-    assert message.startswith(sentence)
+    assert message.startswith(sentence) and len(message.splitlines()) == 1
     assert was in message.removeprefix(sentence)
 
 

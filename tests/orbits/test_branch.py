@@ -304,7 +304,7 @@ def test_a_branch_draws_itself():
     assert_allclose(least, -most, rtol=1e-8)
     assert len(own.lines) == 6
     plt.close("all")
-    with pytest.raises(ValueError, match="`component` must be from 0 to 1, got 2"):
+    with pytest.raises(ValueError, match="`component` must be an integer from 0 to 1, got 2"):
         branch.plot(component=2)
 
 

@@ -389,6 +389,15 @@ def test_a_linear_oscillator_in_resonance_has_no_orbit():
     assert_allclose(orbits.x0[1], [1 / (1 - 0.64), 0], rtol=0, atol=1e-9)
 
 
+def test_an_orbit_of_a_negative_period_is_told():
+    def orbit(omega):
+        system = S.ImpactOscillator(omega=omega, damping=1.0)
+        return jf.periodic_orbit(system, jnp.zeros(2), stepper=jf.RK4(), throw=False)
+
+    found = eqx.filter_vmap(orbit)(jnp.asarray([0.5, -0.5]))
+    assert_array_equal(outcome_names(found.result), ["successful", "invalid_period"])
+
+
 @pytest.mark.parametrize(
     "change, message",
     [

@@ -294,9 +294,9 @@ def test_an_impact_breaks_the_line():
 def test_what_cannot_be_drawn_is_refused_with_a_reason():
     sol = sticking()
     ball = jf.systems.BouncingBall()
-    with pytest.raises(ValueError, match="`component` must be from 0 to 1, got 2"):
+    with pytest.raises(ValueError, match="`component` must be an integer from 0 to 1, got 2"):
         jf.plot.time_history(sol, component=2)
-    with pytest.raises(ValueError, match="`component` must be from 0 to 1, got 5"):
+    with pytest.raises(ValueError, match="`component` must be an integer from 0 to 1, got 5"):
         jf.plot.bifurcation_diagram(swept(), component=5)
     with pytest.raises(ValueError, match="two saved times or more"):
         jf.plot.phase_portrait(jf.solve(ball, jnp.array([10.0, 0.0]), 0.0, 1.0, 0.1))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
+from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
 from jaxfil.sweep import execution
 from tests.problems.values import CUBIC_JUMPS
@@ -195,3 +196,15 @@ def test_an_arctangent_is_in_its_quadrant():
         system = Bent(jnp.asarray(value))
         sol = jf.solve(system, x0, 0.0, 2 * system.period, system.period / 40)
         np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
+
+
+@pytest.mark.parametrize("follow", [None, "up"])
+def test_a_lane_without_a_forcing_period_is_told(follow):
+    """omega through zero: cos(-ωt) is the same force, but its period is negative."""
+    sd, x0 = jf.systems.SDOscillator(), jnp.array([0.3, 0.1])
+    values, options = [-0.7, 0.0, 0.7], {"transient": 2, "samples": 2, "progress": False}
+    d = jf.bifurcation_diagram(sd, "omega", values, x0, follow=follow, **options)
+    alone = jf.bifurcation_diagram(sd, "omega", [0.7], x0, **options)
+    assert outcome_names(d.results).tolist() == ["invalid_period"] * 2 + ["successful"]
+    assert np.isnan(d.xs[:2]).all()
+    np.testing.assert_array_equal(d.xs[2], alone.xs[0])
