@@ -127,7 +127,7 @@ def _draw_slides(ax: Axes, sol: Solution, ts: np.ndarray, xs: np.ndarray) -> Non
     """Thicken the path wherever it slides or rests on a surface."""
     times, _, modes = _saved(sol)
     contacts, _, _, members = _contacts(sol)
-    labels = {mode: BANDS[mode][0] for mode in (0, 2)}
+    labels: dict[int, str | None] = {mode: BANDS[mode][0] for mode in (0, 2)}
     for j in range(modes.shape[1]):
         for start, width, held in zip(
             *_spans(times, modes[:, j], contacts[members[:, j]]), strict=True

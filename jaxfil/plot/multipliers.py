@@ -14,7 +14,8 @@ from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, own_axes
 def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
     """Draw the Floquet multipliers of an orbit, or of a batch of them, and the unit circle.
 
-    Those outside it are drawn as crosses: the orbit is unstable.
+    Those outside it are drawn as crosses: the orbit is unstable. The multiplier 1 that every orbit
+    of an autonomous system has, for a shift in time, is drawn apart and says nothing of stability.
 
     **Arguments**
 
@@ -31,18 +32,25 @@ def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
     ('Re μ', ['inside'])
     """
     check.instance("orbit", orbit, Orbit)
-    values = np.ravel(np.asarray(orbit.multipliers, complex))
-    values = values[np.isfinite(values)]
+    values = np.asarray(orbit.multipliers, complex)
+    trivial = np.zeros(values.shape, bool)
+    if orbit.system.period is None:
+        # It is 1 to the error of the orbit only: the nearest one is taken for it.
+        nearest = np.argmin(abs(np.where(np.isfinite(values), values, np.inf) - 1), axis=-1)
+        np.put_along_axis(trivial, nearest[..., None], True, axis=-1)
+    finite = np.isfinite(values)
+    values, trivial = values[finite], trivial[finite]
     ax = own_axes(ax)
     # Stability is told by the modulus: equal axes, or the circle would be none.
     angle = np.linspace(0, 2 * np.pi, 361)
     ax.plot(np.cos(angle), np.sin(angle), color=BLACK, linewidth=0.8)
     ax.axhline(0, color=BLACK, linewidth=0.3)
     ax.axvline(0, color=BLACK, linewidth=0.3)
-    outside = np.abs(values) > 1
+    outside = (np.abs(values) > 1) & ~trivial
     for some, marker, color, label in (
-        (~outside, "o", COLORS[0], "inside"),
+        (~outside & ~trivial, "o", COLORS[0], "inside"),
         (outside, "x", VERMILLION, "outside"),
+        (trivial, "s", BLACK, "trivial"),
     ):
         if some.any():
             ax.plot(np.real(values[some]), np.imag(values[some]), marker, color=color, label=label)

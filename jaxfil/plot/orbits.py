@@ -62,18 +62,17 @@ def branch(
         wording = "least and largest {}"
     else:
         curves, wording = [np.asarray(branch.orbits.x0)[:, component]], "{} at t0"
-    stable = branch.stable
     # A line for each style, NaN where the other one is drawn: matplotlib breaks lines there.
     for curve in curves:
+        values, heights, stable = _pieces(branch, curve)
         for solid, style in ((True, "-"), (False, "--")):
-            keep = stable == solid
+            keep = np.append(stable == solid, False)
             if not keep.any():
                 continue
-            # A piece between two orbits is drawn as the second one is.
-            keep[:-1] |= keep[1:]
+            keep[1:] |= keep[:-1]
             ax.plot(
-                branch.values,
-                np.where(keep, curve, np.nan),
+                values,
+                np.where(keep, heights, np.nan),
                 style,
                 color=BLACK if solid else VERMILLION,
                 linewidth=1.2,
@@ -134,6 +133,23 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
     ax.set_xlabel(curve.labels.parameter(curve.parameters[0]))
     ax.set_ylabel(curve.labels.parameter(curve.parameters[1]))
     return ax
+
+
+def _pieces(branch: Branch, curve: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The corners of a curve along a branch, values and heights, its special points among them,
+    and whether each piece between two of them is stable: up to the first special point as the
+    orbit before it, then as the one after it."""
+    values, heights, stable = [branch.values[0]], [curve[0]], []
+    for i in range(1, len(branch.values)):
+        between = [point for point in branch.points if point.index == i]
+        for k, point in enumerate(between):
+            values.append(point.value)
+            heights.append(_height(branch.values, curve, point))
+            stable.append(branch.stable[i if k else i - 1])
+        values.append(branch.values[i])
+        heights.append(curve[i])
+        stable.append(branch.stable[i])
+    return np.array(values), np.array(heights), np.array(stable, bool)
 
 
 def _height(values: np.ndarray, curve: np.ndarray, point: SpecialPoint) -> float:

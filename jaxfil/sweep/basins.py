@@ -22,7 +22,7 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, State
-from jaxfil.sweep.diagram import BifurcationDiagram
+from jaxfil.sweep.diagram import BifurcationDiagram, same_state
 from jaxfil.sweep.sweep import bifurcation_diagram
 
 # Labels of states that lead to no periodic motion.
@@ -199,7 +199,7 @@ def _classified(
         while left.size:
             points = diagram.xs[left[0], -period:]  # the last ones have had the longest transient
             # Ten times what two lanes of one motion may be away from where they repeat.
-            near = 10 * tolerance * np.max(np.abs(points), axis=0)
+            near = 10 * same_state(points, tolerance)
             away = np.abs(diagram.xs[left, -1][:, None] - points)
             same = np.any(np.all(away <= near, axis=-1), axis=-1)
             attractors.append(points)

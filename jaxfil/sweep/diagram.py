@@ -51,6 +51,17 @@ class Conditions(eqx.Module):
     """The version of jaxfil that computed it."""
 
 
+# Components below this many eps of the largest one are rounding.
+_ROUNDING = 1024
+
+
+def same_state(xs: np.ndarray, tolerance: float) -> np.ndarray:
+    """How far two of the states of a motion, (…, k, n), may be apart to be the same, (…, n)."""
+    size = np.max(np.abs(xs), axis=-2)
+    largest = np.max(size, axis=-1, keepdims=True)
+    return np.maximum(tolerance * size, _ROUNDING * np.finfo(xs.dtype).eps * largest)
+
+
 class BifurcationDiagram(eqx.Module):
     """The motion settled on against a parameter, or several.
 
@@ -104,12 +115,14 @@ class BifurcationDiagram(eqx.Module):
 
         It is the least m with max_k |x[k + m] − x[k]| ≤ `tolerance` · max_k |x[k]| in every
         component, over all samples and for m up to half their number; 0 where there is none
-        (chaos, a torus, a longer period or a transient not yet over), −1 where the lane failed.
+        (chaos, a torus, a longer period or a transient not yet over), −1 where the lane failed. A
+        component below 1024 eps of the lane's largest one is rounding, or has decayed: it has no
+        period of its own.
         """
         # Relative to the largest |x| of the lane and not to its spread, which is zero for a motion
         # of period one. The shortest period that fits is the answer, since its multiples fit too.
         xs = self.xs
-        bound = tolerance * np.max(np.abs(xs), axis=-2)
+        bound = same_state(xs, tolerance)
         found = np.where(self.successful, 0, -1)
         for m in range(1, xs.shape[-2] // 2 + 1):
             apart = np.max(np.abs(xs[..., m:, :] - xs[..., :-m, :]), axis=-2)
