@@ -255,7 +255,7 @@ PICTURES = {
     "lyapunov_convergence": lambda ax: jf.plot.lyapunov_convergence(spectrum(), ax),
     "lyapunov_exponents": lambda ax: jf.plot.lyapunov_exponents(VALUES, spectrum(VALUES), ax, "Ω"),
     "multipliers": lambda ax: jf.plot.multipliers(
-        made(jf.Orbit, multipliers=np.array([0.5 + 0.5j, 0.5 - 0.5j, -1.2])), ax
+        made(jf.Orbit, multipliers=np.array([0.5 + 0.5j, 0.5 - 0.5j, -1.2]), system=SD), ax
     ),
     "parameter_map": lambda ax: jf.plot.parameter_map(periods(), ax),
     "phase_portrait": lambda ax: jf.plot.phase_portrait(motion(), ax, BELT),

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import re
+import types
 
 import diffrax
 import jax
@@ -243,12 +244,43 @@ def test_a_section_shows_every_finite_state():
 
 
 def test_multipliers_inside_and_outside_the_unit_circle():
-    found = made(jf.Orbit, multipliers=jnp.array([0.5 + 0.5j, -2.0, jnp.nan]))
+    values = jnp.array([0.5 + 0.5j, -2.0, jnp.nan])
+    found = made(jf.Orbit, multipliers=values, system=jf.systems.SDOscillator())
     ax = jf.plot.multipliers(found)
     _, _, _, inside, outside = ax.lines
     assert_array_equal(np.array(inside.get_data()).ravel(), [0.5, 0.5])
     assert_array_equal(np.array(outside.get_data()).ravel(), [-2.0, 0.0])
     assert ax.get_aspect() == 1
+
+
+def test_the_trivial_multiplier_of_an_autonomous_orbit_is_told_apart():
+    values = jnp.array([[0.5, 1 + 1e-9], [1 - 1e-9, -2.0]])
+    found = made(jf.Orbit, multipliers=values, system=jf.systems.SlipStick())
+    ax = jf.plot.multipliers(found)
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels == ["inside", "outside", "trivial"]
+    assert_array_equal(ax.lines[-1].get_xdata(), [1 + 1e-9, 1 - 1e-9])
+
+
+def test_a_branch_changes_its_style_at_the_located_point():
+    orbits = made(
+        jf.Orbit,
+        stable=np.array([True, True, False]),
+        x0=jnp.array([[1.0, 0.0], [2.0, 0.0], [4.0, 0.0]]),
+        system=jf.systems.SDOscillator(),
+    )
+    point = types.SimpleNamespace(kind="period-doubling", value=1.25, index=2)
+    branch = unchecked(
+        jf.Branch,
+        parameter="omega",
+        values=np.array([0.0, 1.0, 2.0]),
+        orbits=orbits,
+        points=[point],
+    )
+    ax = jf.plot.branch(branch)
+    solid, dashed = (np.array(line.get_data()) for line in ax.lines[:2])
+    assert_array_equal(solid, [[0, 1, 1.25, 2], [1, 2, 2.5, np.nan]])
+    assert_array_equal(dashed, [[0, 1, 1.25, 2], [np.nan, np.nan, 2.5, 4]])
 
 
 def test_exponents_by_synchronisation():

@@ -113,6 +113,15 @@ def motions(grid):
     return with_samples(grid, xs)
 
 
+def test_a_component_that_has_decayed_has_no_period(motions):
+    # One decays to the smallest numbers, one is the rounding of the other.
+    k, rng = np.arange(40), np.random.default_rng(1)
+    for passenger in (1e-300 * 0.5**k, 1e-16 * rng.normal(size=40)):
+        xs = np.stack([np.cos(np.pi * k), passenger], axis=-1)
+        both = dataclasses.replace(motions, xs=np.broadcast_to(xs, (3, 2, 40, 2)))
+        assert both.periods()[0, 0] == 2
+
+
 def test_periods_are_counted(motions):
     assert_array_equal(motions.periods(), [[1, 3], [7, 8], [0, -1]])
     wobble = dataclasses.replace(motions, xs=motions.xs + 1e-3 * np.arange(40)[:, None] / 40)
