@@ -6,6 +6,7 @@ lanes, which XLA turns into vector instructions; an (n,) state in the loop would
 """
 
 import abc
+import functools as ft
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -206,8 +207,9 @@ class ComponentSystem(eqx.Module):
         return [tuple(jnp.asarray(s, self.dtype) for s in corner) for corner in corners]
 
 
-def build(system: System, x0: Array) -> ComponentSystem:
-    """The components of a system whose float leaves have the dtype of `x0`, shape (n,)."""
+def build(system: System, x0: Array, transposed: bool = False) -> ComponentSystem:
+    """The components of a system whose float leaves have the dtype of `x0`, shape (n,); to be
+    `transposed`, its functions must not let a side that is not taken into their derivatives."""
     n, dtype = x0.shape[0], x0.dtype
     t0, x = jnp.zeros((), dtype), unpack(x0)
     h_shape = check.shapes(system, x0)
@@ -216,14 +218,15 @@ def build(system: System, x0: Array) -> ComponentSystem:
     leaves, static = eqx.partition(system, eqx.is_array)
     field, switching, reset = _on_components(static, h_shape, dtype)
     sides = (jnp.ones((), dtype),) * m
-    traced_field = Traced(field, leaves, t0, x, sides, when=(FIRST, EARLY, LATE, LATE))
-    traced_switching = Traced(switching, leaves, t0, x)
+    traced = ft.partial(Traced, transposed=transposed)
+    traced_field = traced(field, leaves, t0, x, sides, when=(FIRST, EARLY, LATE, LATE))
+    traced_switching = traced(switching, leaves, t0, x)
     nothing = jax.tree.map(lambda _: False, (leaves, t0, x))
     seen = [traced_field.depends(*nothing, _only(j, m)) for j in range(m)]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     steers = [traced_switching.depends(*nothing[:2], _only(i, n)) for i in range(n)]
     opaque_one, fence = _fences(leaves, x0)
-    traced_reset = Traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
+    traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
     return ComponentSystem(
         n=n,
         m=m,

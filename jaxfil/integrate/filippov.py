@@ -83,10 +83,12 @@ def _slope(
     return corners[0]
 
 
-def _safe_quotient(a: Array, b: Array) -> Array:
-    """a/b, and 0 where b = 0, with finite derivatives there."""
-    zero = b == 0
-    return jnp.where(zero, 0, a / jnp.where(zero, 1, b))
+def _single_weight(s: Array, above: Array, below: Array) -> Array:
+    """The weight of one surface where s = 0, else s: (below + above)/(below − above), with finite
+    derivatives where both are the same, and none off the surface, where one side may be NaN."""
+    total, gap = below + above, below - above
+    slides = (s == 0) & (gap != 0)
+    return jnp.where(slides, total / jnp.where(slides, gap, 1), s)
 
 
 def weights(mode: Components, rates: Sequence[Components]) -> Components:
@@ -99,8 +101,7 @@ def weights(mode: Components, rates: Sequence[Components]) -> Components:
         return ()
     if len(rates) == 2:
         return tuple(
-            jnp.where(s == 0, _safe_quotient(below + above, below - above), s)
-            for s, above, below in zip(mode, *rates, strict=True)
+            _single_weight(s, above, below) for s, above, below in zip(mode, *rates, strict=True)
         )
     return _implicit_weights(mode, rates)
 
@@ -130,7 +131,8 @@ def _implicit_weights(mode: Components, rates: Sequence[Components]) -> Componen
 def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
     (mode, rates), (_, moved) = primals, tangents
     w = _implicit_weights(mode, rates)
-    return w, tuple(-v for v in _correction(mode, rates, w, blend(moved, mode, w)))
+    change = _correction(mode, rates, w, blend(moved, mode, w))
+    return w, tuple(jnp.where(s == 0, -v, 0.0) for s, v in zip(mode, change, strict=True))
 
 
 def _newton(mode: Components, rates: Sequence[Components], w: Components) -> Components:

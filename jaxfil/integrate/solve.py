@@ -154,7 +154,7 @@ def _solve(
         num_saves=options.num_saves,
         ts=None if options.ts is None else options.ts - t0,
     )
-    problem = Problem(build(system, x0), tableau_of(stepper), grid, recording)
+    problem = Problem(build(system, x0, options.reverse), tableau_of(stepper), grid, recording)
     if options.reverse:
         assert options.budget is not None
         state = integrate_with_checkpoints(problem, unpack(x0), options.budget, options.checkpoints)

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.xla import fast_trig
+from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
 
 _FLOATS = (jnp.float32, jnp.float64)
 _FAST = {"sin": fast_trig.sin, "cos": fast_trig.cos, "atan": fast_trig.arctan}
@@ -62,10 +63,17 @@ class Traced:
     `when` says of each argument when it is known. What is dear and can be computed early, `ahead`
     of the late arguments, a call can be given as `known`. Each sine is divided by the call's
     `fence`, a one that the compiler cannot see through, unless the call says that its result is
-    used `alone` and one number in it depends on them: see `ComponentSystem`.
+    used `alone` and one number in it depends on them: see `ComponentSystem`. With `transposed`, its
+    derivatives are those of `masked_product` where they might not be finite.
     """
 
-    def __init__(self, function: Callable, *example: Any, when: Sequence[int] | None = None):
+    def __init__(
+        self,
+        function: Callable,
+        *example: Any,
+        when: Sequence[int] | None = None,
+        transposed: bool = False,
+    ):
         self._closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
         self._tree = jax.tree.structure(shape)
         order = when or (LATE,) * len(example)
@@ -74,13 +82,14 @@ class Traced:
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
         waves = _dependencies(self._closed.jaxpr, self._no_consts(), nothing, sources=_FAST)
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
+        self._masks = transposed and not SINGULAR.isdisjoint(_names(self._closed.jaxpr))
         # As functions of their own they are put through a transformation once, however often they
         # are called.
         self._run, self._ahead = jax.jit(self._evaluated), jax.jit(self._found)
 
     def _evaluated(self, leaves: list, known: list | None, fence: Array | None) -> list:
         hold = _same if fence is None else lambda v: v / fence
-        return _Evaluation(hold, known)(self._closed, leaves, self._when)
+        return _Evaluation(hold, known, self._masks)(self._closed, leaves, self._when)
 
     def _found(self, leaves: list) -> list:
         late = [None] * (len(self._when) - len(leaves))
@@ -128,9 +137,10 @@ class _Evaluation:
     None, and what is made of it too.
     """
 
-    def __init__(self, hold: Callable, known: Sequence[Array] | None = None):
+    def __init__(self, hold: Callable, known: Sequence[Array] | None = None, masks: bool = False):
         self._hold = hold
         self._known = None if known is None else iter(known)
+        self._masks = masks
         self.found = []
 
     def __call__(self, closed: Any, args: Sequence[Any], when: Sequence[int]) -> list[Any]:
@@ -163,7 +173,11 @@ class _Evaluation:
         ahead = when == EARLY and eqn.primitive.name in _DEAR
         if ahead and self._known is not None:
             return [next(self._known)]
-        outputs = _evaluate(jaxpr, eqn, inputs, self._hold)
+        if self._masks and eqn.primitive.name in ELEMENTWISE:
+            out = masked(lambda *v: _evaluate(jaxpr, eqn, v, _same)[0])(*inputs)
+            outputs = [self._hold(out) if eqn.primitive.name in _FAST else out]
+        else:
+            outputs = _evaluate(jaxpr, eqn, inputs, self._hold)
         if ahead:
             self.found.extend(outputs)
         return outputs
@@ -178,7 +192,13 @@ def _evaluate(jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable) -> Se
         return [_SAFE[name](*map(jnp.asarray, inputs))]
     if name == "dot_general" and _is_small(eqn):
         return [_product(eqn, *map(jnp.asarray, inputs))]
-    return _evaluate_one(jaxpr, eqn, inputs)
+    return evaluate_one(jaxpr, eqn, inputs)
+
+
+def _names(jaxpr: Any) -> set[str]:
+    """The operations of a program, those of the functions that it calls included."""
+    inner = [eqn.params["jaxpr"].jaxpr for eqn in jaxpr.eqns if eqn.primitive.name in _CALLS]
+    return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(_names, inner))
 
 
 def _is_small(eqn: Any) -> bool:
@@ -201,16 +221,6 @@ def _product(eqn: Any, a: Array, b: Array) -> Array:
         [sum(u * v for u, v in zip(row, column, strict=True)) for column in columns] for row in rows
     ]
     return jnp.array(terms, a.dtype).reshape(eqn.outvars[0].aval.shape)
-
-
-def _evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
-    """One equation as it stands."""
-    pairs = zip(eqn.invars, inputs, strict=True)
-    free = [(v, x) for v, x in pairs if not isinstance(v, jexc.Literal)]
-    single = jaxpr.replace(
-        constvars=(), invars=[v for v, _ in free], outvars=eqn.outvars, eqns=[eqn]
-    )
-    return jax.core.eval_jaxpr(single, (), *(x for _, x in free))
 
 
 def _dependencies(

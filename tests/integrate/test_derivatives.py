@@ -120,6 +120,45 @@ def test_reverse_on_an_intersection():
         assert_allclose(left, right, rtol=0, atol=1e-12)
 
 
+class Roots(jf.System):
+    """A force on each side of x' = 0 that is a real number up to 0.4 beyond it."""
+
+    pull: jax.Array
+
+    def vector_field(self, t, x, side):
+        above = -1.2 - jnp.sqrt(x[1] + 0.4) * self.pull
+        below = 1.1 + jnp.log(0.4 - x[1]) ** 2
+        force = jnp.where(side > 0, above, below) - x[0] + 0.5 * jnp.cos(t)
+        return jnp.stack([x[1] + 0.1, force])
+
+    def switching(self, t, x):
+        return x[1]
+
+
+class Through(Roots):
+    """The same, never held: its force below points down too."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        above = -1.2 - jnp.sqrt(x[1] + 0.4) * self.pull
+        below = -0.1 / jnp.sqrt(0.4 - x[1]) - (0.4 - x[1]) ** 1.5 * self.pull
+        return jnp.stack([x[1] + 0.1, jnp.where(side > 0, above, below)])
+
+
+@pytest.mark.parametrize("kind", [Roots, Through])
+@pytest.mark.parametrize("stepper", [jf.RK4(), jf.Rodas5P()])
+def test_a_side_not_taken_leaves_no_nan_in_reverse_mode(kind, stepper):
+    # At the start, where x' = 1, the force of the other side is not a number.
+    def end(p, adjoint=FORWARD):
+        return jnp.sum(solve(kind(p[0]), p[1:], 0.0, 1.5, 0.05, adjoint, stepper=stepper).xs[-1])
+
+    p = jnp.asarray([0.8, 0.0, 1.0])
+    want = jax.jit(jax.jacfwd(end))(p)
+    assert np.isfinite(want).all() and (abs(want) > 1e-3).all()
+    assert_allclose(jax.jit(jax.grad(end))(p, REVERSE), want, rtol=1e-12)
+
+
 def test_alpha_of_the_sd_oscillator_leaves_no_nan():
     def end(alpha):
         system = S.SDOscillator(omega=0.7, alpha=alpha)

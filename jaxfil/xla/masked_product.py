@@ -1,0 +1,146 @@
+"""Derivatives of which a cotangent of zero takes nothing.
+
+A function of numbers enters; the same function leaves, whose derivative in reverse mode is that of
+forward mode where a branch that is not taken has no derivative:
+
+    where(x > 0, sqrt(x), -x) at x = −1:    forward    select(NaN·dx, −dx) = −dx
+                                            reverse    NaN·0 + (−1)·1 = NaN
+
+The tangent of each operation is a sum of products a·dx here, of which the transpose is zero where
+the cotangent is, whatever a may be.
+"""
+
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.core
+import jax.extend.core as jexc
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jax.interpreters import ad, batching, mlir
+from jaxtyping import Array
+
+# Operations on one element each that may be infinite, or not a number, or have such a derivative,
+# where their arguments are finite; and others that pass that on to their derivatives.
+_SINGULAR = """
+acos acosh asin atan2 atanh cbrt cosh digamma div erf_inv exp exp2 expm1 integer_pow lgamma log
+log1p pow rem rsqrt sinh sqrt tan
+"""
+_REGULAR = """
+abs asinh atan clamp cos erf erfc logistic max min mul sin square tanh
+"""
+SINGULAR = frozenset(_SINGULAR.split())
+ELEMENTWISE = SINGULAR.union(_REGULAR.split())
+
+
+masked_product_p = jexc.Primitive("masked_product")
+"""a b, and 0 where a = 0 or b = 0, for arrays of one shape."""
+
+
+def _product(a: Any, b: Any) -> Array:
+    return jnp.where((a == 0) | (b == 0), jnp.zeros_like(b), a * b)
+
+
+def masked_product(a: Any, b: Any) -> Array:
+    """a b, and 0 where one of them is, whatever the other one is; so are its derivatives and their
+    transposes."""
+    return masked_product_p.bind(a, b)
+
+
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple:
+    (a, b), (da, db) = primals, tangents
+    rate = ad.Zero(jax.core.ShapedArray(b.shape, b.dtype))
+    if type(db) is not ad.Zero:
+        rate = ad.add_tangents(rate, masked_product(a, db))
+    if type(da) is not ad.Zero:
+        rate = ad.add_tangents(rate, masked_product(b, da))
+    return masked_product(a, b), rate
+
+
+def _transpose(cotangent: Any, a: Any, b: Any) -> list:
+    if type(cotangent) is ad.Zero:
+        return [None, None]
+    if ad.is_undefined_primal(a):
+        return [masked_product(b, cotangent), None]
+    return [None, masked_product(a, cotangent)]
+
+
+def _batch(values: Sequence[Any], axes: Sequence[Any]) -> tuple:
+    rows = [v if d is None else jnp.moveaxis(v, d, 0) for v, d in zip(values, axes, strict=True)]
+    shape = jnp.broadcast_shapes(*(jnp.shape(v) for v in rows))
+    return masked_product(*(jnp.broadcast_to(v, shape) for v in rows)), 0
+
+
+masked_product_p.def_impl(_product)
+masked_product_p.def_abstract_eval(lambda a, b: jax.core.ShapedArray(b.shape, b.dtype))
+ad.primitive_jvps[masked_product_p] = _jvp
+ad.primitive_transposes[masked_product_p] = _transpose
+batching.primitive_batchers[masked_product_p] = _batch
+mlir.register_lowering(masked_product_p, mlir.lower_fun(_product, multiple_results=False))
+
+
+def masked(function: Callable) -> Callable:
+    """`function`, of arrays of one shape or numbers, element by element, to another one, with a
+    derivative made of masked products, and so are all further ones."""
+
+    @jax.custom_jvp
+    def call(*args: Any) -> Array:
+        return function(*args)
+
+    @ft.partial(call.defjvp, symbolic_zeros=True)
+    def push(args: tuple, moves: tuple) -> tuple:
+        out = call(*args)
+        rate = jnp.zeros_like(out)
+        for k, move in enumerate(moves):
+            if not isinstance(move, SymbolicZero):
+                rate = rate + masked_product(_slope(function, args, k), move)
+        return out, rate
+
+    def broadcast(*args: Any) -> Array:
+        shape = jnp.broadcast_shapes(*map(jnp.shape, args))
+        return call(*(v if jnp.shape(v) == shape else jnp.broadcast_to(v, shape) for v in args))
+
+    return broadcast
+
+
+def _slope(function: Callable, args: tuple, k: int) -> Array:
+    """The derivative by argument number k, element by element."""
+
+    def slope(*args: Any) -> Array:
+        def by_one(v: Any) -> Array:
+            return function(*args[:k], v, *args[k + 1 :])
+
+        return jax.jvp(by_one, (args[k],), (jnp.ones_like(args[k]),))[1]
+
+    closed = jax.make_jaxpr(slope)(*args)
+    return _evaluated(closed.jaxpr, closed.consts, args)[0]
+
+
+def _evaluated(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> list:
+    """A program, its own derivatives made of masked products too."""
+    values: dict[Any, Any] = dict(zip(jaxpr.invars, args, strict=True))
+    values.update(zip(jaxpr.constvars, consts, strict=True))
+
+    def read(atom: Any) -> Any:
+        return atom.val if isinstance(atom, jexc.Literal) else values[atom]
+
+    for eqn in jaxpr.eqns:
+        run = ft.partial(evaluate_one, jaxpr, eqn)
+        inputs = [read(v) for v in eqn.invars]
+        # That of a function of one element each holds no other calls than such, as of a cosine.
+        single = eqn.primitive.name in (*ELEMENTWISE, "custom_jvp_call")
+        outputs = [masked(lambda *v, run=run: run(v)[0])(*inputs)] if single else run(inputs)
+        values.update(zip(eqn.outvars, outputs, strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
+def evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
+    """One equation of a program as it stands."""
+    pairs = zip(eqn.invars, inputs, strict=True)
+    free = [(v, x) for v, x in pairs if not isinstance(v, jexc.Literal)]
+    single = jaxpr.replace(
+        constvars=(), invars=[v for v, _ in free], outvars=eqn.outvars, eqns=[eqn]
+    )
+    return jax.core.eval_jaxpr(single, (), *(x for _, x in free))
