@@ -83,12 +83,22 @@ def _slope(
     return corners[0]
 
 
+@jax.custom_jvp
 def _single_weight(s: Array, above: Array, below: Array) -> Array:
-    """The weight of one surface where s = 0, else s: (below + above)/(below − above), with finite
-    derivatives where both are the same, and none off the surface, where one side may be NaN."""
-    total, gap = below + above, below - above
+    """The weight of one surface: (below + above)/(below − above) where s = 0, else s. It has no
+    derivative off the surface, where a side may not be a number, and where both are the same."""
+    gap = below - above
+    zero = gap == 0
+    return jnp.where(s == 0, jnp.where(zero, 0, (below + above) / jnp.where(zero, 1, gap)), s)
+
+
+@_single_weight.defjvp
+def _single_weight_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    (s, above, below), (_, rise, fall) = primals, tangents
+    w, gap = _single_weight(s, above, below), below - above
     slides = (s == 0) & (gap != 0)
-    return jnp.where(slides, total / jnp.where(slides, gap, 1), s)
+    change = (fall + rise - w * (fall - rise)) / jnp.where(slides, gap, 1)
+    return w, jnp.where(slides, change, 0.0)
 
 
 def weights(mode: Components, rates: Sequence[Components]) -> Components:
