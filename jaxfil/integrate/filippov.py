@@ -15,6 +15,7 @@ each is that of one surface, and two corners, all sides + and all −, say every
 """
 
 import dataclasses
+import functools as ft
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -26,12 +27,23 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, Forcing, SmoothField
-from jaxfil.xla.small_linear import solve_small
+from jaxfil.integrate.components import (
+    Components,
+    ComponentSystem,
+    Forcing,
+    SmoothField,
+    any_of,
+    where,
+)
+from jaxfil.xla import small_linear
 
-# Newton iterations for the weights of an intersection at most. The system is multi-affine: affine
-# (one iteration) when each term of the field sees one side.
+# Newton iterations for the weights of an intersection at most, from one start. The system is
+# multi-affine: affine (one iteration) when each term of the field sees one side.
 _NEWTON = 20
+# The weights from which Newton's method starts if it has not found a root inside from 0.
+_START = 0.6
+# Weights this large are those of no slide, nor of its continuation beyond its end.
+_FAR = 1e3
 
 
 def _mix(s: Array, w: Array, above: Components, below: Components) -> Components:
@@ -95,35 +107,99 @@ def weights(mode: Components, rates: Sequence[Components]) -> Components:
     `rates[s][j]` is dH_j/dt along the field of corner s. The solution may lie outside [−1, 1]:
     beyond the end of a slide it is the smooth continuation that root finding needs.
     """
-    if len(mode) == 0:
-        return ()
+    return weights_and_determinant(mode, rates)[0]
+
+
+def weights_and_determinant(
+    mode: Components, rates: Sequence[Components]
+) -> tuple[Components, Array]:
+    """`weights`, and |det ∂(dH/dt)/∂w| of the surfaces slid on, 1 where there is none. Where that
+    vanishes the weights are undetermined: at a two-fold, or where two roots meet."""
     if len(rates) == 2:
-        return tuple(
+        each = list(zip(mode, *rates, strict=True))
+        w = tuple(
             jnp.where(s == 0, _safe_quotient(below + above, below - above), s)
-            for s, above, below in zip(mode, *rates, strict=True)
+            for s, above, below in each
         )
-    # Newton on constants, then one differentiable iteration: its derivative is the implicit one.
-    fixed = [tuple(stop_gradient(v) for v in row) for row in rates]
+        sizes = [jnp.where(s == 0, 0.5 * abs(below - above), 1) for s, above, below in each]
+        return w, ft.reduce(jnp.multiply, sizes)
+    # A root of constants, then one differentiable iteration: its derivative is the implicit one.
+    held, fixed = jax.tree.map(stop_gradient, (mode, list(rates)))
+    root = _root_of_two(held, fixed) if len(mode) == 2 else _root_of_many(held, fixed)
+    w, matrix = _newton(mode, rates, root)
+    return w, small_linear.size_of_determinant(matrix)
+
+
+def _root_of_two(mode: Components, rates: Sequence[Components]) -> Components:
+    """A point from which one Newton iteration leads to the weights of a mode of two surfaces.
+
+    Where both are slid on, dH_j/dt = a_j + b_j w_1 + c_j w_2 + d_j w_1 w_2 = 0 leave a quadratic
+    A w_1² + B w_1 + C = 0 with the slope −det ∂(dH/dt)/∂w at its roots. The modes that go on from
+    an intersection are the solutions of a variational inequality on [−1, 1]², whose indices add up
+    to 1; that of a slide on both is the sign of the determinant. So where nothing else goes on one
+    root lies inside, and it is the one with a positive determinant, in both directions of time.
+    """
+    eps = jnp.finfo(mode[0].dtype).eps
+    terms = []
+    for pp, pm, mp, mm in zip(*rates, strict=True):
+        row = (pp + pm + mp + mm, pp + pm - mp - mm, pp - pm + mp - mm, pp - pm - mp + mm)
+        scale = sum(abs(v) for v in row)
+        terms.append([v / jnp.where(scale == 0, 1, scale) for v in row])
+    (a1, b1, c1, d1), (a2, b2, c2, d2) = terms
+    a, b, c = b2 * d1 - b1 * d2, a2 * d1 + b2 * c1 - a1 * d2 - b1 * c2, a2 * c1 - a1 * c2
+    disc = b * b - 4 * a * c
+    # One and the same surface, listed twice, leaves nothing but rounding.
+    told = abs(disc) > (64 * eps) ** 2
+    root = jnp.sqrt(jnp.maximum(disc, 0))
+    w1 = _near(jnp.where(b > 0, -b - root, 2 * c), jnp.where(b > 0, 2 * a, root - b))
+    low, high = c1 + d1 * w1, c2 + d2 * w1
+    other = abs(high) > abs(low)
+    w2 = _near(-jnp.where(other, a2 + b2 * w1, a1 + b1 * w1), jnp.where(other, high, low))
+    both = (mode[0] == 0) & (mode[1] == 0) & told
+    return jnp.where(both, w1, mode[0]), jnp.where(both, w2, mode[1])
+
+
+def _near(a: Array, b: Array) -> Array:
+    """a/b, and 0 where that is far outside of [−1, 1]: such weights are those of no slide."""
+    return jnp.where(abs(a) < _FAR * abs(b), a / jnp.where(b == 0, 1, b), 0)
+
+
+def _root_of_many(mode: Components, rates: Sequence[Components]) -> Components:
+    """The weights of a mode of three surfaces or more by Newton's method, from 0 and, until a root
+    inside is found, from a point in each corner; if none is inside, that from 0."""
+    m, eps = len(mode), jnp.finfo(mode[0].dtype).eps
+    last = 2**m + 1
 
     def unsettled(state: tuple) -> Array:
-        _, change, k = state
-        return (change > 0) & (k < _NEWTON)
+        _, unsure, k = state
+        return unsure & (k < (last + 1) * _NEWTON)
 
     def improve(state: tuple) -> tuple:
         w, _, k = state
-        better = _newton(mode, fixed, w)
+        better, _ = _newton(mode, rates, w)
         now = sum(abs(a - b) for a, b in zip(better, w, strict=True))
-        done = now <= 4 * jnp.finfo(w[0].dtype).eps
-        return better, jnp.where(done, 0, now), k + 1
+        settled = now <= 4 * eps
+        inside = ft.reduce(jnp.maximum, map(abs, better)) <= 1
+        attempt = k // _NEWTON
+        done = settled & (inside | (attempt == last))
+        k = jnp.where(settled, (attempt + 1) * _NEWTON, k + 1)
+        attempt = k // _NEWTON
+        again = (k % _NEWTON == 0) & ~done
+        size = jnp.where(attempt == last, 0.0, _START)
+        corner = [jnp.where((attempt >> j) & 1 == 0, size, -size) for j in range(m)]
+        start = tuple(jnp.where(s == 0, v, s) for s, v in zip(mode, corner, strict=True))
+        return where(again, start, better), ~done, k
 
-    w = tuple(stop_gradient(s) for s in mode)
-    start = (w, jnp.ones_like(w[0]), jnp.zeros((), jnp.int32))
+    start = (mode, jnp.ones((), bool), jnp.zeros((), jnp.int32))
     w, _, _ = jax.lax.while_loop(unsettled, improve, start)
-    return _newton(mode, rates, w)
+    return w
 
 
-def _newton(mode: Components, rates: Sequence[Components], w: Components) -> Components:
-    """One Newton iteration for the weights of the surfaces slid on."""
+def _newton(
+    mode: Components, rates: Sequence[Components], w: Components
+) -> tuple[Components, list[list[Array]]]:
+    """One Newton iteration for the weights of the surfaces slid on, and its matrix
+    ∂(dH_j/dt)/∂w_i, with rows of the identity for the other surfaces."""
     residual = blend(rates, mode, w)
     slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
     matrix, right = [], []
@@ -131,8 +207,8 @@ def _newton(mode: Components, rates: Sequence[Components], w: Components) -> Com
         sliding = s == 0
         right.append(jnp.where(sliding, residual[j], 0.0))
         matrix.append([jnp.where(sliding, slopes[i][j], float(i == j)) for i in range(len(w))])
-    update = solve_small(matrix, right)
-    return tuple(a - b for a, b in zip(w, update, strict=True))
+    update = small_linear.solve_small(matrix, right)
+    return tuple(a - b for a, b in zip(w, update, strict=True)), matrix
 
 
 def corners(
@@ -221,48 +297,43 @@ def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) ->
     )
 
 
-def attracting(mode: Components, rates: Sequence[Components], direction: Array) -> Array:
-    """Whether every surface slid on draws the state back: dH_j/dt falls with the weight w_j."""
-    ok = jnp.ones((), bool)
-    if len(rates) == 2:
-        for s, above, below in zip(mode, *rates, strict=True):
-            ok = ok & ((s != 0) | (direction * (above - below) < 0))
-        return ok
-    w = weights(mode, rates)
-    for j, s in enumerate(mode):
-        ok = ok & ((s != 0) | (direction * _slope(rates, mode, w, j)[j] < 0))
-    return ok
-
-
 def _admissible(
     candidate: Components,
     rates: Sequence[Components],
     mode: Components,
     on: Components,
     direction: Array,
+    least: Array | float,
 ) -> Array:
     """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
     surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
-    w = weights(candidate, rates)
+    ok = ~any_of(tuple(~o & (a != b) for o, a, b in zip(on, mode, candidate, strict=True)))
+    # The weights of what is no candidate are not looked for.
+    w = weights(where(ok, candidate, tuple(map(jnp.ones_like, candidate))), rates)
     rate = blend(rates, candidate, w)
     eps = jnp.finfo(direction.dtype).eps
-    ok = jnp.ones((), bool)
     for j, c in enumerate(candidate):
         scale = sum(abs(r[j]) for r in rates)
         solved = (abs(rate[j]) <= 64 * eps * scale) & (scale > 0)
         slides = (abs(w[j]) <= 1) & solved
-        leaves = c * direction * rate[j] > 0
-        ok = ok & jnp.where(on[j], jnp.where(c == 0, slides, leaves), mode[j] == c)
+        leaves = c * direction * rate[j] > least * scale
+        ok = ok & (~on[j] | jnp.where(c == 0, slides, leaves))
     return ok
 
 
 def choose(
-    m: int, rates: Sequence[Components], mode: Components, on: Components, direction: Array
+    m: int,
+    rates: Sequence[Components],
+    mode: Components,
+    on: Components,
+    direction: Array,
+    least: Array | float = 0.0,
 ) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
 
     One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a
-    tangency that first derivatives do not decide.
+    tangency that first derivatives do not decide. An intersection is left at a rate of more than
+    `least`, relative to all rates there.
     """
     if len(rates) == 2:
         each = [
@@ -275,7 +346,7 @@ def choose(
         return tuple(s for s, _ in each), count
     candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)))
     columns = tuple(jnp.asarray(column, direction.dtype) for column in candidates.T)
-    ok = jax.vmap(lambda *c: _admissible(c, rates, mode, on, direction))(*columns)
+    ok = jax.vmap(lambda *c: _admissible(c, rates, mode, on, direction, least))(*columns)
     first = jnp.argmax(ok)
     any_ok = jnp.any(ok)
     chosen = tuple(jnp.where(any_ok, c[first], s) for c, s in zip(columns, mode, strict=True))

@@ -63,15 +63,19 @@ def _three_rates(
 
 def _first_mode(
     problem: Problem, x: Components, h: Components, noise: Components
-) -> tuple[Components, Components, Array]:
-    """The mode at t0, the surfaces the state starts on, and the number of admissible modes."""
+) -> tuple[Components, Components, Array, Array | None]:
+    """The mode at t0, the surfaces the state starts on, the number of admissible modes, and the
+    determinant of its weights."""
     system, grid = problem.system, problem.grid
     sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
     on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
     rates = _resolved_rates(system, grid.t0, x, grid.direction)
     rates = jax.tree.map(stop_gradient, rates)
     mode, count = filippov.choose(system.m, rates, sides, on, grid.direction)
-    return mode, on, count
+    determinant = None
+    if system.slides:
+        determinant = filippov.weights_and_determinant(mode, rates)[1]
+    return mode, on, count, determinant
 
 
 class _Start(eqx.Module):
@@ -84,16 +88,17 @@ class _Start(eqx.Module):
     armed: Components
     noise: Components
     num_modes: Array
+    determinant: Array | None
 
 
 def _start(problem: Problem, x: Components) -> _Start:
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     if system.m == 0:
-        return _Start(system.field(t, x, ()), (), (), (), (), (), jnp.ones((), jnp.int32))
+        return _Start(system.field(t, x, ()), (), (), (), (), (), jnp.ones((), jnp.int32), None)
     h, h_t, normals = system.gradients(t, x)
     size = tuple(stop_gradient(abs(v)) for v in x)
     noise = surface_noise(system, t, size, h_t, normals)
-    mode, on, count = _first_mode(problem, x, h, noise)
+    mode, on, count, determinant = _first_mode(problem, x, h, noise)
     moving = tuple(jnp.where(s == 0, 1.0, s).astype(system.dtype) for s in mode)
     f = filippov.field(system, t, x, mode if system.slides else moving)
     g, rate, noise = guards(system, t, x, f, mode, noise)
@@ -103,7 +108,9 @@ def _start(problem: Problem, x: Components) -> _Start:
         jnp.where(a, r, direction * jnp.maximum(direction * r, 0.0))
         for a, r in zip(armed, rate, strict=True)
     )
-    return _Start(f, mode, tuple(stop_gradient(v) for v in g), rate, armed, noise, count)
+    return _Start(
+        f, mode, tuple(stop_gradient(v) for v in g), rate, armed, noise, count, determinant
+    )
 
 
 def initial_state(problem: Problem, x: Components) -> LoopState:
@@ -122,6 +129,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         first_mode=start.mode,
         g=start.g,
         rate=start.rate,
+        determinant=start.determinant,
         armed=start.armed,
         noise=start.noise,
         cut=tau,

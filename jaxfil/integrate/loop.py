@@ -124,7 +124,8 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     """What to do with a trial step, or the number of the failure it has met, as one float: all that
     follows needs nothing else of what went into it."""
     system, end, found = problem.system, judged.end, judged.contact.found
-    landed, touched = judged.landing.landed, judged.landing.touched
+    # Where a slide nears a singular point, the end of a long step says nothing of its contacts.
+    landed, touched = judged.landing.landed & ~judged.contact.singular, judged.landing.touched
     action = jnp.where(found, _REJECT, _ACCEPT)
     action = jnp.where(landed, jnp.where(touched, _TOUCH, _LAND), action)
     action = jnp.where(state.pending, _SWITCH, action)
@@ -132,7 +133,7 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     limit = problem.recording.max_events
     full = jnp.zeros((), bool) if limit is None else state.pending & (state.num_events >= limit)
     failures.append(full)
-    failures.append((end.num_modes > 1) | (end.repels & (~found | state.pending)))
+    failures.append((end.num_modes > 1) & (~found | state.pending))
     slid = jnp.zeros((), bool) if system.slides else any_of(tuple(s == 0 for s in end.mode))
     failures.append(slid)
     failures.append((end.num_modes == 0) | (judged.tries > _TRIES))
@@ -176,6 +177,7 @@ def _carried_out(
         mode=where(moved, end.mode, state.mode),
         g=where(moved, g, state.g),
         rate=where(moved, rate, where(lands, end.rate, state.rate)),
+        determinant=jax.tree.map(ft.partial(jnp.where, moved), end.determinant, state.determinant),
         armed=where(moved, armed, state.armed),
         noise=where(lands, landed_noise, where(moved, noise, state.noise)),
         cut=_next_cut(grid, state, length, judged, rejected, accepted, moved),

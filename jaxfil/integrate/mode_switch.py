@@ -26,6 +26,11 @@ from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
 
 # A guard is zero to rounding below this many eps times the size of its terms.
 _NOISE = 32
+# At a graze a rate is told from zero above this multiple of what is left of the motion's own.
+_TANGENT = 64
+# Backward in time a motion that has left a slide comes to its end with the errors of both ways:
+# this multiple of rounding.
+_BACKWARD = 1024.0
 
 
 def surface_noise(
@@ -81,23 +86,29 @@ def evaluate_step_end(
     here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(state.x, x, strict=True))
     noise = surface_noise(system, t, here, h_t, normals)
     touch = surface_noise(system, t, size, h_t, normals)
+    if system.slides:
+        wider = jnp.where(problem.grid.direction < 0, _BACKWARD, 1.0)
+        touch = tuple(wider * v for v in touch)
     x = _held(system, state, x, h, normals, moved)
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
     mode, num_modes = _switch(problem, state, rates, h, touch, moved)
-    shares = filippov.weights(mode, rates) if system.slides else mode
+    shares, determinant = mode, None
+    if system.slides:
+        shares, determinant = filippov.weights_and_determinant(mode, rates)
+        (determinant,) = system.hold(stop_gradient(determinant))
     f = filippov.blend_fields(system, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (num_modes == 0) & ~all_finite(*rates)
     f = system.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
-    repels = jnp.zeros((), bool)
-    if system.slides:
-        repels = ~filippov.attracting(mode, rates, problem.grid.direction)
+    # Of a switch the modes are counted, and of a slide between its contacts.
+    repels = (num_modes > 1) & ~state.pending
     g, rate, noise = guards(system, t, x, f, mode, noise)
     if free is not None:
         stays = ~state.pending & ~state.sliding
         f, g, rate = where(stays, free.f, f), where(stays, free.g, g), where(stays, free.rate, rate)
     touch = tuple(jnp.where(s == 0, v, w) for s, v, w in zip(mode, noise, touch, strict=True))
-    return StepEnd(tau, x, f, size, mode, g, rate, noise, touch, num_modes, repels, moved)
+    modes = num_modes, repels, determinant
+    return StepEnd(tau, x, f, size, mode, g, rate, noise, touch, *modes, moved)
 
 
 def _smooth_end(
@@ -106,7 +117,7 @@ def _smooth_end(
     """The end of a step where there are no surfaces."""
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     size = larger(state.size, x)
-    return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, false)
+    return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, None, false)
 
 
 def _reset(
@@ -165,8 +176,7 @@ def _switch(
     touch: Components,
     moved: Array,
 ) -> tuple[Components, Array]:
-    """The mode after a landing and the number of admissible ones, computed once; elsewhere the old
-    mode and 1."""
+    """`_chosen`, computed once."""
     system = problem.system
     mode, count = _chosen(problem, state, rates, h, touch, moved)
     if system.resets:
@@ -189,7 +199,8 @@ def _chosen(
     touch: Components,
     moved: Array,
 ) -> tuple[Components, Array]:
-    """The mode after a landing and the number of admissible ones; elsewhere the old mode and 1.
+    """The mode after a landing and the number of admissible ones; elsewhere the old mode, and of a
+    slide the number of modes on its surfaces, at least 1.
 
     A slide that has reached the end of its weight leaves to that side. A reset that has `moved` the
     state may have carried it off a surface, or across another one. Everything else is chosen among
@@ -199,8 +210,12 @@ def _chosen(
     system, grid = problem.system, problem.grid
     # Which mode goes on is no number that could have a derivative; its field has.
     rates = jax.tree.map(stop_gradient, rates)
-    # A graze only touches: it switches nothing, even where two modes could go on.
-    switching = state.pending & ~state.graze
+    # A graze only touches: it switches nothing, even where two modes could go on. Backward in time
+    # it may be the end of a slide, to which all motions come that have left the slide there.
+    switching, grazes = state.pending & ~state.graze, jnp.zeros((), bool)
+    if system.slides and not system.resets:
+        grazes = state.pending & state.graze & (grid.direction < 0)
+        rates = _rates_at_graze(problem, state, rates, touch, grazes)
     current = filippov.weights(state.mode, rates) if system.slides else state.mode
     # A slide ends at w = ±1: it leaves to the side whose field has become the blend.
     leaving = tuple(hit & (s == 0) for hit, s in zip(state.hit, state.mode, strict=True))
@@ -220,13 +235,35 @@ def _chosen(
     # A surface that will be met within the rounding of times is met now: its contact could not be
     # told from this one, and would follow it at once.
     same = grid.same_time(state.tau)
+    decide = switching & any_of(met)
     on = []
     for j in range(system.m):
-        close = abs(h[j]) < abs(state.rate[j]) * same
-        on.append(met[j] | (left[j] == 0) | ((state.mode[j] != 0) & close))
-    decide = switching & any_of(met)
-    chosen, count = filippov.choose(system.m, rates, left, tuple(on), grid.direction)
-    return where(decide, chosen, left), jnp.where(decide, count, 1)
+        close = (state.mode[j] != 0) & (abs(h[j]) < abs(state.rate[j]) * same)
+        slid = (left[j] == 0) if system.slides else jnp.zeros((), bool)
+        on.append(slid | (decide & (met[j] | close)) | (grazes & met[j]))
+    # Where a slide on an intersection ends, another mode begins: rounding must not show both.
+    least = jnp.where(state.pending, 0.0, _NOISE * system.eps)
+    chosen, count = filippov.choose(system.m, rates, left, tuple(on), grid.direction, least)
+    return where(decide, chosen, left), jnp.where(decide, count, jnp.maximum(count, 1))
+
+
+def _rates_at_graze(
+    problem: Problem, state: LoopState, rates: list[Components], touch: Components, grazes: Array
+) -> list[Components]:
+    """dH/dt along the fields of all sides, those of a surface that is grazed told from rounding.
+
+    They vanish on the side of the motion, which stays there: what is no larger than that leads to
+    this side too.
+    """
+    direction, dt = problem.grid.direction, abs(problem.grid.dt)
+    noise = [_TANGENT * abs(r) + v / dt for r, v in zip(state.rate, touch, strict=True)]
+    return [
+        tuple(
+            jnp.where(grazes & hit & (abs(r) <= least), s * direction * least, r)
+            for r, s, hit, least in zip(row, state.mode, state.hit, noise, strict=True)
+        )
+        for row in rates
+    ]
 
 
 def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Components, ...]:

@@ -65,6 +65,8 @@ class LoopState(eqx.Module):
     """Guards: positive within the mode."""
     rate: Components
     """dg/dt along f."""
+    determinant: Array | None
+    """That of a slide's weights (`filippov.determinant`); None where nothing slides."""
     armed: Components
     """Whether the surface has been left since the last contact with it."""
     noise: Components
@@ -131,7 +133,9 @@ class StepEnd(eqx.Module):
     num_modes: Array
     """How many modes could go on from a switch made here; 1: all is well."""
     repels: Array
-    """Whether it slides where the surface repels."""
+    """Whether it slides where another mode could go on too."""
+    determinant: Array | None
+    """That of a slide's weights; None where nothing slides."""
     moved: Array
     """Whether a reset has moved the state."""
 
