@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 REAL = np.longdouble
+LEFT = (-1, 0)
 TERMS = 30
 
 
@@ -209,9 +210,9 @@ def speed(f):
 
 
 def propagate(system: Relays, x0, t1, most=40) -> Motion:
-    """The motion from x0 at t = 0 to t1. Outcomes: "successful"; "nonunique" and "undecided",
-    where several modes or none go on after a contact; "repelling", where the one that does slides
-    on a surface that repels; "many", after `most` contacts; "degenerate"."""
+    """The motion from x0 at t = 0 to t1. Outcomes: "successful"; "nonunique", where
+    several modes go on after a contact, or another one can leave an intersection slid on;
+    "undecided", where none goes on; "many", after `most` contacts; "degenerate"."""
     system = real(system)
     x, t, t1 = np.asarray(x0, REAL), REAL(0), REAL(t1)
     margin = Margin()
@@ -228,6 +229,9 @@ def propagate(system: Relays, x0, t1, most=40) -> Motion:
             t, x, hit = piece(system, x, t, t1, mode, zeros, margin)
             if hit is None:
                 break
+            if hit is LEFT:
+                outcome = "nonunique"
+                break
             if len(events[0]) == most:
                 outcome = "many"
                 break
@@ -243,10 +247,6 @@ def propagate(system: Relays, x0, t1, most=40) -> Motion:
                     outcome = "nonunique" if after else "undecided"
                     break
                 (mode,) = after
-                slid = [j for j, s in enumerate(mode) if s == 0]
-                if any(system.n[j] @ system.c[j] > 0 for j in slid):
-                    outcome = "repelling"
-                    break
                 for j in on:
                     zeros[j] = int(mode[j] != 0)
                 now, then = mode[hit[0]], before[hit[0]]
@@ -258,8 +258,57 @@ def propagate(system: Relays, x0, t1, most=40) -> Motion:
     return Motion(outcome, t, x, mode, *events, margin.least, rate)
 
 
+def appearance(rows, terms, length, margin: Margin):
+    """When all of these rows of z are positive first in [0, length], None if they never are."""
+    polynomials = [terms @ row for row in rows]
+    times = {REAL(0)}
+    for p in polynomials:
+        points = [REAL(0), *turning_points(p, length), REAL(length)]
+        signs = [np.polyval(p[::-1], at) > 0 for at in points]
+        pairs = zip(points, points[1:], signs, signs[1:], strict=False)
+        times |= {bisected(p, a, b) for a, b, u, v in pairs if u != v}
+    for at in sorted(times):
+        after = at + 1e-9 * length
+        values = [np.polyval(p[::-1], after) / (abs(p).sum() + 1e-300) for p in polynomials]
+        least = min(values)
+        if least > 1e-14:
+            return at
+        if least > -1e-14:
+            margin(0, 1)
+    return None
+
+
+def rows_of(system: Relays, mode, slid):
+    """The rows of z that are positive where this mode goes on from the surfaces `slid`."""
+    z_matrix, weights = mode_field(system, mode)
+    one, w, rows = np.eye(len(z_matrix), dtype=REAL)[-1], iter(weights), []
+    for j in slid:
+        if mode[j] == 0:
+            row = next(w)
+            rows += [one - row, one + row]
+        else:
+            rows.append(mode[j] * system.n[j] @ z_matrix[:-1])
+    return rows
+
+
+def others(system: Relays, mode):
+    """The rows of every other mode that may come to leave the intersection slid on."""
+    slid = [j for j, s in enumerate(mode) if s == 0]
+    if len(slid) < 2:
+        return []
+    found = []
+    for choice in itertools.product((1, -1, 0), repeat=len(slid)):
+        candidate = list(mode)
+        for j, s in zip(slid, choice, strict=True):
+            candidate[j] = s
+        if any(choice):
+            found.append(rows_of(system, candidate, slid))
+    return found
+
+
 def piece(system: Relays, x, t, t1, mode, zeros, margin: Margin):
-    """On in one mode to the first contact, (surface, side it leaves a slide to), or to t1."""
+    """On in one mode to the first contact, (surface, side it leaves a slide to), to t1, or to where
+    another mode could leave the intersection slid on (`LEFT`)."""
     z_matrix, weights = mode_field(system, mode)
     z = np.append(x, REAL(1))
     size = np.sqrt((z_matrix * z_matrix).sum())
@@ -273,7 +322,7 @@ def piece(system: Relays, x, t, t1, mode, zeros, margin: Margin):
             guards += [(j, 1, one - row, 0), (j, -1, one + row, 0)]
         else:
             guards.append((j, s, s * np.append(system.n[j], -system.d[j]), zeros[j]))
-    first = True
+    first, rivals = True, others(system, mode)
     while t < t1:
         length = min(longest, t1 - t)
         terms = series(z_matrix, z)
@@ -289,6 +338,13 @@ def piece(system: Relays, x, t, t1, mode, zeros, margin: Margin):
             at = first_fall(p, length, scale, margin)
             if at is not None:
                 found.append((at, j, side))
+        ends = min(found)[0] if found else length
+        appear = [appearance(rows, terms, length, margin) for rows in rivals]
+        appear = [at for at in appear if at is not None]
+        # A slide ends where another begins.
+        if appear and min(appear) < ends - 1e-9 * length:
+            at = min(appear)
+            return t + at, (terms * (at ** np.arange(TERMS))[:, None]).sum(axis=0)[:-1], LEFT
         if found:
             at, j, side = min(found)
             z_at = (terms * (at ** np.arange(TERMS))[:, None]).sum(axis=0)

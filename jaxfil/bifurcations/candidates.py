@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.bifurcations.tangency import FAMILIES, Tangency, conditions
-from jaxfil.integrate import components, filippov
+from jaxfil.integrate import components, filippov, sliding_weights
 from jaxfil.integrate.solution import Dense, evaluate, switches
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
@@ -166,7 +166,7 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:
             _, rates = filippov.corners(on_components, t, blocks)
-            weight = filippov.weights(modes, rates)[j]
+            weight = sliding_weights.weights(modes, rates)[j]
         return filippov.guard(on_components, t, blocks, modes)[j], weight
 
     return jax.vmap(one)(ts, xs)

@@ -21,8 +21,8 @@ from jaxtyping import Array
 
 from jaxfil.integrate import filippov
 from jaxfil.integrate.components import Components, ComponentSystem, axpy, where
+from jaxfil.integrate.guards import stays_on
 from jaxfil.integrate.loop import advance
-from jaxfil.integrate.mode_switch import stays_on
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState, is_running
 

@@ -16,8 +16,8 @@ from jaxtyping import Array
 from jaxfil.integrate.components import all_finite, any_of, where
 from jaxfil.integrate.event_location import stays_off
 from jaxfil.integrate.filippov import ModeField
+from jaxfil.integrate.guards import larger, surface_noise
 from jaxfil.integrate.length import Length
-from jaxfil.integrate.mode_switch import larger, surface_noise
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.recording import keep_sample
 from jaxfil.integrate.state import FreeStep, LoopState

@@ -19,7 +19,7 @@ surface that the lane has just left starts at exactly zero with a rate that is z
 contact is a root after the cubic's maximum, never the one at the start.
 
 Three tolerances tell a contact from rounding, none of them a bare number: the noise of a guard, a
-multiple of eps and of the size of its terms (`mode_switch.surface_noise`); the rounding of times
+multiple of eps and of the size of its terms (`guards.surface_noise`); the rounding of times
 (`TimeGrid.same_time`); and eps^(2/3), up to which one Newton correction in time is exact to
 rounding in the state and in its derivative.
 """
@@ -51,6 +51,12 @@ _SUSPICIOUS = 1 / 64
 _STALLED = 12
 # A step is cut at such a minimum only well inside it: at its ends the cubic is exact.
 _MARGIN = 0.02
+# A slide nears a singular point in a step by which its determinant falls below this part; the step
+# is cut to that part of the distance, and to no less than this part of itself.
+_FADED, _NEARER, _LEAST_NEARER = 0.25, 0.7, 1e-3
+# It has come to the point when the distance is this multiple of the rounding of times: much nearer
+# the weights are rounding.
+_LAST_LOOK = 64
 # Contacts closer than this part of the time to the first are one event.
 _TOGETHER = 1e-6
 
@@ -171,6 +177,8 @@ class Contact(eqx.Module):
     theta: Array
     surfaces: Components
     all: Components
+    singular: Array
+    """Whether θ only leads nearer to a point at which a slide ceases to be unique."""
 
     @property
     def found(self) -> Array:
@@ -182,7 +190,7 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     """The earliest contact of a trial step, over all surfaces; θ is NaN where guards are too large
     for it to be found.
 
-    A slide that repels at the end of the step is bisected to where it ceases to attract.
+    A slide that repels at the end of the step is followed to where it ceases to attract.
     """
     system, h = problem.system, length.h
     found = []
@@ -203,17 +211,36 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
         minimum = jnp.minimum(minimum, jnp.where(number < _LOOK, NEVER, number - _LOOK))
     # One look at a time: a step that was cut short is taken as it is.
     minimum = jnp.where(length.cutting, NEVER, minimum)
+    singular = jnp.zeros((), bool)
     if system.slides:
-        # Where a slide turns repelling no guard is zero, so that there is nothing to interpolate.
-        bisect = end.repels & (abs(h) > problem.grid.same_time(end.tau))
-        minimum = jnp.where(bisect, jnp.minimum(minimum, 0.5), minimum)
+        singular, theta = _to_singular_point(problem, state, end, h)
+        minimum = jnp.where(singular, jnp.minimum(minimum, theta), minimum)
     first = (contact < NEVER) & (contact <= minimum)
     surfaces = tuple(first & (theta <= contact * (1 + _TOGETHER)) for theta in thetas)
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, minimum)
     stalled = (theta < NEVER) & (state.tries >= _STALLED) & (state.tries % 4 == 3)
     run_over = tuple(theta < NEVER for theta in thetas)
-    return Contact(jnp.where(stalled, 0.5 * theta, theta), surfaces, run_over)
+    return Contact(jnp.where(stalled, 0.5 * theta, theta), surfaces, run_over, singular)
+
+
+def _to_singular_point(
+    problem: Problem, state: LoopState, end: StepEnd, h: Array
+) -> tuple[Array, Array]:
+    """Whether a step is too long for a slide that repels at its end, or whose weights are hardly
+    determined there any more, and θ of a shorter one.
+
+    No guard is zero where a slide turns repelling. At a two-fold the determinant of its weights is,
+    and in a step across it they are 0/0: the point is neared by steps of a part of the distance.
+    The last of them is long enough to be told apart from rounding, and steps over it.
+    """
+    assert state.determinant is not None and end.determinant is not None
+    least = _LAST_LOOK * problem.grid.same_time(end.tau)
+    fades = end.determinant < _FADED * state.determinant
+    singular = (end.repels | fades) & ~state.pending & (abs(h) > least)
+    then = jnp.where(end.repels, -end.determinant, end.determinant)
+    theta = _NEARER * _quotient(state.determinant, state.determinant - then)
+    return singular, jnp.clip(theta, jnp.maximum(_LEAST_NEARER, 0.5 * least / abs(h)), _NEARER)
 
 
 # What the end of a step is to a surface.

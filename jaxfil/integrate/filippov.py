@@ -26,31 +26,15 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate import unilateral
-from jaxfil.integrate.components import Components, ComponentSystem, Forcing, SmoothField
-from jaxfil.xla.small_linear import solve_small
-
-# Newton iterations for the weights of an intersection at most. The system is multi-affine: affine
-# (one iteration) when each term of the field sees one side.
-_NEWTON = 20
-
-
-def _mix(s: Array, w: Array, above: Components, below: Components) -> Components:
-    """The field on side s of one surface, or where s = 0 the blend of both with weight w. A side is
-    taken as it is, untouched by a NaN of the other."""
-    share = 0.5 * (1 + w)
-    return tuple(
-        jnp.where(s > 0, a, jnp.where(s < 0, b, b + share * (a - b)))
-        for a, b in zip(above, below, strict=True)
-    )
-
-
-def blend(corners: Sequence[Components], mode: Components, weights: Components) -> Components:
-    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of
-    `ComponentSystem.corner_sides`."""
-    for s, w in zip(mode, weights, strict=True):
-        half = len(corners) // 2
-        corners = [_mix(s, w, corners[i], corners[half + i]) for i in range(half)]
-    return corners[0]
+from jaxfil.integrate.components import (
+    Components,
+    ComponentSystem,
+    Forcing,
+    SmoothField,
+    any_of,
+    where,
+)
+from jaxfil.integrate.sliding_weights import blend, mix, weights
 
 
 def blend_fields(
@@ -60,108 +44,13 @@ def blend_fields(
     if system.separate:
         above, below = fields
         return tuple(
-            _mix(mode[seen[0]], weights[seen[0]], (a,), (b,))[0] if seen else a
+            mix(mode[seen[0]], weights[seen[0]], (a,), (b,))[0] if seen else a
             for seen, a, b in zip(system.switched, above, below, strict=True)
         )
     switched = [i for i, seen in enumerate(system.switched) if seen]
     parts = blend([tuple(f[i] for i in switched) for f in fields], mode, weights)
     mixed = dict(zip(switched, parts, strict=True))
     return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
-
-
-def _slope(
-    corners: Sequence[Components], mode: Components, weights: Components, j: int
-) -> Components:
-    """∂ blend/∂w_j."""
-    for i, (s, w) in enumerate(zip(mode, weights, strict=True)):
-        half = len(corners) // 2
-        pairs = [(corners[k], corners[half + k]) for k in range(half)]
-        if i == j:
-            corners = [tuple(0.5 * (p - q) for p, q in zip(a, b, strict=True)) for a, b in pairs]
-        else:
-            corners = [_mix(s, w, a, b) for a, b in pairs]
-    return corners[0]
-
-
-@jax.custom_jvp
-def _single_weight(s: Array, above: Array, below: Array) -> Array:
-    """The weight of one surface: (below + above)/(below − above) where s = 0, else s. It has no
-    derivative off the surface, where a side may not be a number, and where both are the same."""
-    gap = below - above
-    zero = gap == 0
-    return jnp.where(s == 0, jnp.where(zero, 0, (below + above) / jnp.where(zero, 1, gap)), s)
-
-
-@_single_weight.defjvp
-def _single_weight_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    (s, above, below), (_, rise, fall) = primals, tangents
-    w, gap = _single_weight(s, above, below), below - above
-    slides = (s == 0) & (gap != 0)
-    change = (fall + rise - w * (fall - rise)) / jnp.where(slides, gap, 1)
-    return w, jnp.where(slides, change, 0.0)
-
-
-def weights(mode: Components, rates: Sequence[Components]) -> Components:
-    """The weights of a mode: ±1 off a surface, the solution of dH/dt(w) = 0 on it.
-
-    `rates[s][j]` is dH_j/dt along the field of corner s. The solution may lie outside [−1, 1]:
-    beyond the end of a slide it is the smooth continuation that root finding needs.
-    """
-    if len(mode) == 0:
-        return ()
-    if len(rates) == 2:
-        return tuple(
-            _single_weight(s, above, below) for s, above, below in zip(mode, *rates, strict=True)
-        )
-    return _implicit_weights(mode, rates)
-
-
-@jax.custom_jvp
-def _implicit_weights(mode: Components, rates: Sequence[Components]) -> Components:
-    """`weights` on several surfaces, by Newton's method. Their derivative is the implicit one, made
-    of the weights themselves: derivatives of every order are exact."""
-
-    def unsettled(state: tuple) -> Array:
-        _, change, k = state
-        return (change > 0) & (k < _NEWTON)
-
-    def improve(state: tuple) -> tuple:
-        w, _, k = state
-        better = _newton(mode, rates, w)
-        now = sum(abs(a - b) for a, b in zip(better, w, strict=True))
-        done = now <= 4 * jnp.finfo(w[0].dtype).eps
-        return better, jnp.where(done, 0, now), k + 1
-
-    start = (mode, jnp.ones_like(mode[0]), jnp.zeros((), jnp.int32))
-    w, _, _ = jax.lax.while_loop(unsettled, improve, start)
-    return _newton(mode, rates, w)
-
-
-@_implicit_weights.defjvp
-def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
-    (mode, rates), (_, moved) = primals, tangents
-    w = _implicit_weights(mode, rates)
-    change = _correction(mode, rates, w, blend(moved, mode, w))
-    return w, tuple(jnp.where(s == 0, -v, 0.0) for s, v in zip(mode, change, strict=True))
-
-
-def _newton(mode: Components, rates: Sequence[Components], w: Components) -> Components:
-    """One Newton iteration for the weights of the surfaces slid on."""
-    update = _correction(mode, rates, w, blend(rates, mode, w))
-    return tuple(a - b for a, b in zip(w, update, strict=True))
-
-
-def _correction(
-    mode: Components, rates: Sequence[Components], w: Components, residual: Components
-) -> list[Array]:
-    """What Newton's method takes from the weights of the surfaces slid on, given dH/dt."""
-    slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
-    matrix, right = [], []
-    for j, s in enumerate(mode):
-        sliding = s == 0
-        right.append(jnp.where(sliding, residual[j], 0.0))
-        matrix.append([jnp.where(sliding, slopes[i][j], float(i == j)) for i in range(len(w))])
-    return solve_small(matrix, right)
 
 
 def corners(
@@ -279,48 +168,43 @@ def free_guard(system: ComponentSystem, t: Array, x: Components, mode: Component
     )
 
 
-def attracting(mode: Components, rates: Sequence[Components], direction: Array) -> Array:
-    """Whether every surface slid on draws the state back: dH_j/dt falls with the weight w_j."""
-    ok = jnp.ones((), bool)
-    if len(rates) == 2:
-        for s, above, below in zip(mode, *rates, strict=True):
-            ok = ok & ((s != 0) | (direction * (above - below) < 0))
-        return ok
-    w = weights(mode, rates)
-    for j, s in enumerate(mode):
-        ok = ok & ((s != 0) | (direction * _slope(rates, mode, w, j)[j] < 0))
-    return ok
-
-
 def _admissible(
     candidate: Components,
     rates: Sequence[Components],
     mode: Components,
     on: Components,
     direction: Array,
+    least: Array | float,
 ) -> Array:
     """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
     surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
-    w = weights(candidate, rates)
+    ok = ~any_of(tuple(~o & (a != b) for o, a, b in zip(on, mode, candidate, strict=True)))
+    # The weights of what is no candidate are not looked for.
+    w = weights(where(ok, candidate, tuple(map(jnp.ones_like, candidate))), rates)
     rate = blend(rates, candidate, w)
     eps = jnp.finfo(direction.dtype).eps
-    ok = jnp.ones((), bool)
     for j, c in enumerate(candidate):
         scale = sum(abs(r[j]) for r in rates)
         solved = (abs(rate[j]) <= 64 * eps * scale) & (scale > 0)
         slides = (abs(w[j]) <= 1) & solved
-        leaves = c * direction * rate[j] > 0
-        ok = ok & jnp.where(on[j], jnp.where(c == 0, slides, leaves), mode[j] == c)
+        leaves = c * direction * rate[j] > least * scale
+        ok = ok & (~on[j] | jnp.where(c == 0, slides, leaves))
     return ok
 
 
 def choose(
-    m: int, rates: Sequence[Components], mode: Components, on: Components, direction: Array
+    m: int,
+    rates: Sequence[Components],
+    mode: Components,
+    on: Components,
+    direction: Array,
+    least: Array | float = 0.0,
 ) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
 
     One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a
-    tangency that first derivatives do not decide.
+    tangency that first derivatives do not decide. An intersection is left at a rate of more than
+    `least`, relative to all rates there.
     """
     if len(rates) == 2:
         each = [
@@ -333,7 +217,7 @@ def choose(
         return tuple(s for s, _ in each), count
     candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)))
     columns = tuple(jnp.asarray(column, direction.dtype) for column in candidates.T)
-    ok = jax.vmap(lambda *c: _admissible(c, rates, mode, on, direction))(*columns)
+    ok = jax.vmap(lambda *c: _admissible(c, rates, mode, on, direction, least))(*columns)
     first = jnp.argmax(ok)
     any_ok = jnp.any(ok)
     chosen = tuple(jnp.where(any_ok, c[first], s) for c, s in zip(columns, mode, strict=True))

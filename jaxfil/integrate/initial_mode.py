@@ -13,9 +13,10 @@ from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate import filippov, impact, unilateral
+from jaxfil.integrate import filippov, impact, sliding_weights, unilateral
 from jaxfil.integrate.components import Components, ComponentSystem, all_finite, any_of
-from jaxfil.integrate.mode_switch import guards, stays_on, surface_noise, with_reactions
+from jaxfil.integrate.guards import guards, stays_on, surface_noise
+from jaxfil.integrate.mode_switch import with_reactions
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.recording import empty_saves, empty_table
 from jaxfil.integrate.state import LoopState
@@ -63,25 +64,30 @@ def _three_rates(
 
 def _first_mode(
     problem: Problem, x: Components, h: Components, noise: Components
-) -> tuple[Components, Components, Components, Array]:
-    """The mode at t0, the surfaces the state starts on, those whose reset comes first, and the
-    number of admissible modes."""
+) -> tuple[Components, Components, Components, Array, Array | None]:
+    """The mode at t0, the surfaces the state starts on, those whose reset comes first, the number
+    of admissible modes, and the determinant of the weights."""
     system, grid = problem.system, problem.grid
     sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
     on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
     rates = _resolved_rates(system, grid.t0, x, grid.direction)
     rates = jax.tree.map(stop_gradient, rates)
-    if not system.resets:
+    owed: Components = ()
+    if system.resets:
+        start = impact.begin(problem, x, on, sides, rates[0])
+        free = tuple(o & ~known for o, known in zip(on, start.known, strict=True))
+        mode, count = filippov.choose(system.m, rates, start.sides, free, grid.direction)
+        mode = tuple(jnp.where(r, 2 * s, s) for r, s in zip(start.rests, mode, strict=True))
+        count = jnp.where(start.consistent, count, 0)
+        # In backward time a rest may have begun at any time.
+        count = jnp.where(any_of(start.rests) & (grid.direction < 0), 2, count)
+        owed = start.owed
+    else:
         mode, count = filippov.choose(system.m, rates, sides, on, grid.direction)
-        return mode, on, (), count
-    start = impact.begin(problem, x, on, sides, rates[0])
-    free = tuple(o & ~known for o, known in zip(on, start.known, strict=True))
-    mode, count = filippov.choose(system.m, rates, start.sides, free, grid.direction)
-    mode = tuple(jnp.where(r, 2 * s, s) for r, s in zip(start.rests, mode, strict=True))
-    count = jnp.where(start.consistent, count, 0)
-    # In backward time a rest may have begun at any time.
-    count = jnp.where(any_of(start.rests) & (grid.direction < 0), 2, count)
-    return mode, on, start.owed, count
+    determinant = None
+    if system.slides:
+        determinant = sliding_weights.weights_and_determinant(mode, rates)[1]
+    return mode, on, owed, count, determinant
 
 
 class _Start(eqx.Module):
@@ -96,12 +102,14 @@ class _Start(eqx.Module):
     noise: Components
     owed: Components
     num_modes: Array
+    determinant: Array | None
 
 
 def _start(problem: Problem, x: Components) -> _Start:
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     if system.m == 0:
-        return _Start(system.field(t, x, ()), (), (), (), (), (), (), jnp.ones((), jnp.int32))
+        f = system.field(t, x, ())
+        return _Start(f, (), (), (), (), (), (), jnp.ones((), jnp.int32), None)
     h, h_t, normals = system.gradients(t, x)
     size = tuple(stop_gradient(abs(v)) for v in x)
     if system.resets:
@@ -110,7 +118,7 @@ def _start(problem: Problem, x: Components) -> _Start:
         dt = problem.grid.dt
         size = tuple(s + stop_gradient(abs(dt * v)) for s, v in zip(size, f, strict=True))
     noise = surface_noise(system, t, size, h_t, normals)
-    mode, on, owed, count = _first_mode(problem, x, h, noise)
+    mode, on, owed, count, determinant = _first_mode(problem, x, h, noise)
     moving = mode if system.slides else unilateral.sides_of(mode)
     f = filippov.free_field(system, t, x, moving)
     f = with_reactions(system, t, x, mode, f)
@@ -123,7 +131,7 @@ def _start(problem: Problem, x: Components) -> _Start:
         for a, r in zip(armed, rate, strict=True)
     )
     g = tuple(stop_gradient(v) for v in g)
-    return _Start(f, mode, g, rate, armed, noise, owed, count)
+    return _Start(f, mode, g, rate, armed, noise, owed, count, determinant)
 
 
 def initial_state(problem: Problem, x: Components) -> LoopState:
@@ -142,6 +150,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         first_mode=start.mode,
         g=start.g,
         rate=start.rate,
+        determinant=start.determinant,
         armed=start.armed,
         noise=start.noise,
         cut=tau,

@@ -34,9 +34,10 @@ from jaxtyping import Array
 from jaxfil.integrate.components import Components, Forcing, all_finite, any_of, where
 from jaxfil.integrate.event_location import Contact, Landing, find_contact, land, missing_time
 from jaxfil.integrate.filippov import ModeField
+from jaxfil.integrate.guards import rearm_guards
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.length import Length, choose_length
-from jaxfil.integrate.mode_switch import evaluate_step_end, rearm_guards
+from jaxfil.integrate.mode_switch import evaluate_step_end
 from jaxfil.integrate.problem import Problem, TimeGrid
 from jaxfil.integrate.recording import keep_sample, record_event, save_state
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd, is_running, later
@@ -151,7 +152,8 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     """What to do with a trial step, or the number of the failure it has met, as one float: all that
     follows needs nothing else of what went into it."""
     system, end, found = problem.system, judged.end, judged.contact.found
-    landed, touched = judged.landing.landed, judged.landing.touched
+    # Where a slide nears a singular point, the end of a long step says nothing of its contacts.
+    landed, touched = judged.landing.landed & ~judged.contact.singular, judged.landing.touched
     if system.m > 1:
         # A step that has run over one surface is not taken because it ends on another.
         pairs = zip(judged.contact.all, judged.landing.surfaces, strict=True)
@@ -163,7 +165,7 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     limit = problem.recording.max_events
     full = jnp.zeros((), bool) if limit is None else state.pending & (state.num_events >= limit)
     failures.append(full)
-    failures.append((end.num_modes > 1) | (end.repels & (~found | state.pending)))
+    failures.append((end.num_modes > 1) & (~found | state.pending))
     slid = jnp.zeros((), bool) if system.slides else any_of(tuple(s == 0 for s in end.mode))
     failures.append(slid)
     failures.append(end.moved & (problem.grid.direction < 0))
@@ -217,6 +219,7 @@ def _carried_out(
         mode=where(moved, end.mode, state.mode),
         g=where(moved, g, state.g),
         rate=where(moved, rate, where(lands, end.rate, state.rate)),
+        determinant=jax.tree.map(ft.partial(jnp.where, moved), end.determinant, state.determinant),
         armed=where(moved, armed, state.armed),
         noise=where(lands, landed_noise, where(moved, noise, state.noise)),
         cut=_next_cut(grid, state, length, judged, rejected, accepted, moved),

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate import filippov, impact, unilateral
+from jaxfil.integrate import filippov, impact, sliding_weights, unilateral
 from jaxfil.integrate.components import (
     Components,
     ComponentSystem,
@@ -23,28 +23,17 @@ from jaxfil.integrate.components import (
     axpy,
     where,
 )
+from jaxfil.integrate.guards import NOISE, guards, larger, stays_on, surface_noise
 from jaxfil.integrate.impact import Impact
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
 
-# A guard is zero to rounding below this many eps times the size of its terms.
-_NOISE = 32
-# What is left after a step of the size of a state that decides on its rounding: a transient from
-# 1e14 is forgotten after some five hundred, a period of forty steps is not.
-_FADE = 15 / 16
-
-
-def surface_noise(
-    system: ComponentSystem, t: Array, size: Components, h_t: Components, normals: tuple
-) -> Components:
-    """What rounding of t and x does to H: a multiple of eps and of the size of its terms, given the
-    size of x."""
-    out = []
-    for j in range(system.m):
-        terms = sum(abs(v) * s for v, s in zip(normals[j], size, strict=True))
-        out.append(stop_gradient(_NOISE * system.eps * (terms + abs(h_t[j] * t))))
-    return tuple(out)
+# At a graze a rate is told from zero above this multiple of what is left of the motion's own.
+_TANGENT = 64
+# Backward in time a motion that has left a slide comes to its end with the errors of both ways:
+# this multiple of rounding.
+_BACKWARD = 1024.0
 
 
 def _project(x: Components, h: Components, normals: tuple, on: Components) -> Components:
@@ -54,12 +43,6 @@ def _project(x: Components, h: Components, normals: tuple, on: Components) -> Co
         push = jnp.where(on_j, h_j / jnp.where(size == 0, 1, size), 0.0)
         x = axpy(x, -push, normal)
     return x
-
-
-def larger(size: Components, x: Components) -> Components:
-    """The largest |x| of late: what rounding it has left fades with the motion."""
-    each = zip(size, x, strict=True)
-    return tuple(jnp.maximum(_FADE * s, stop_gradient(abs(v))) for s, v in each)
 
 
 def evaluate_step_end(
@@ -92,6 +75,9 @@ def evaluate_step_end(
     noise = surface_noise(system, t, here, h_t, normals)
     touch = surface_noise(system, t, size, h_t, normals)
     moved = jnp.zeros((), bool) if reset is None else reset.moved
+    if system.slides:
+        wider = jnp.where(problem.grid.direction < 0, _BACKWARD, 1.0)
+        touch = tuple(wider * v for v in touch)
     x = _held(system, state, x, h, normals, moved)
     led = None
     if reset is not None:
@@ -100,14 +86,16 @@ def evaluate_step_end(
         x = impact.held(state, reset, seen, x)
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
     mode, num_modes = _switch(problem, state, rates, h, touch, moved, led)
-    shares = filippov.weights(mode, rates) if system.slides else mode
+    shares, determinant = mode, None
+    if system.slides:
+        shares, determinant = sliding_weights.weights_and_determinant(mode, rates)
+        (determinant,) = system.hold(stop_gradient(determinant))
     f = filippov.blend_fields(system, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (num_modes == 0) & ~all_finite(*rates)
     f = system.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
-    repels = jnp.zeros((), bool)
-    if system.slides:
-        repels = ~filippov.attracting(mode, rates, problem.grid.direction)
+    # Of a switch the modes are counted, and of a slide between its contacts.
+    repels = (num_modes > 1) & ~state.pending
     f = with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, noise)
     if free is not None:
@@ -127,6 +115,7 @@ def evaluate_step_end(
         touch=touch,
         num_modes=num_modes,
         repels=repels,
+        determinant=determinant,
         moved=moved,
         members=state.hit,
         next=(),
@@ -155,14 +144,6 @@ def _led_on(state: LoopState, end: StepEnd, reset: impact.Reset, led: Impact) ->
     )
 
 
-def stays_on(system: ComponentSystem, mode: Components) -> Components:
-    """The surfaces that a mode slides or rests on."""
-    slides = tuple(s == 0 for s in mode)
-    if not system.resets:
-        return slides
-    return tuple(a | b for a, b in zip(slides, unilateral.rests_of(mode), strict=True))
-
-
 def with_reactions(
     system: ComponentSystem, t: Array, x: Components, mode: Components, f: Components
 ) -> Components:
@@ -183,7 +164,7 @@ def _smooth_end(
     """The end of a step where there are no surfaces."""
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     size = larger(state.size, x)
-    return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, false, (), (), None, ())
+    return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, None, false, (), (), None, ())
 
 
 def _held(
@@ -204,55 +185,6 @@ def _held(
     return system.hold(*_project(x, h, normals, on))
 
 
-def guards(
-    system: ComponentSystem,
-    t: Array,
-    x: Components,
-    f: Components,
-    mode: Components,
-    noise: Components,
-) -> tuple[Components, Components, Components]:
-    """The guards of a mode, their rates along its field f, and their noise, given that of H."""
-    g, rate = jax.jvp(
-        lambda t, x: filippov.free_guard(system, t, x, mode), (t, x), (jnp.ones_like(t), f)
-    )
-    # The guard of a slide, 1 - w², is of order one.
-    slide = _NOISE * system.eps
-    noise = tuple(jnp.where(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
-    if system.resets:
-        g, rate, noise = _guards_of_rest(system, t, x, f, mode, (g, rate, noise))
-    return system.hold(*g), stop_gradient(system.hold(*rate)), noise
-
-
-def _guards_of_rest(
-    system: ComponentSystem,
-    t: Array,
-    x: Components,
-    f: Components,
-    mode: Components,
-    known: tuple[Components, Components, Components],
-) -> tuple[Components, Components, Components]:
-    """The same guards, rates and noise, with those of the surfaces that a mode rests on: the
-    reactions."""
-    rests = unilateral.rests_of(mode)
-
-    def reactions(t: Array, x: Components, f: Components, known: tuple) -> tuple:
-        def force(t: Array, x: Components) -> Components:
-            free = filippov.free_field(system, t, x, mode)
-            return unilateral.held_field(system, t, x, mode, free)[1]
-
-        value, slope = jax.jvp(force, (t, x), (jnp.ones_like(t), f))
-        scale = unilateral.reaction_scale(system, t, x, mode)
-        noise = tuple(stop_gradient(_NOISE * system.eps * v) for v in scale)
-        each = zip((value, slope, noise), known, strict=True)
-        return tuple(
-            tuple(jnp.where(r, a, b) for r, a, b in zip(rests, new, old, strict=True))
-            for new, old in each
-        )
-
-    return system.where_any(any_of(rests), reactions, lambda t, x, f, known: known, t, x, f, known)
-
-
 def _switch(
     problem: Problem,
     state: LoopState,
@@ -262,8 +194,7 @@ def _switch(
     moved: Array,
     led: Impact | None,
 ) -> tuple[Components, Array]:
-    """The mode after a landing and the number of admissible ones, computed once; elsewhere the old
-    mode and 1."""
+    """`_chosen`, computed once."""
     system = problem.system
     mode, count = _chosen(problem, state, rates, h, touch, moved, led)
     # Where there is one surface, both are one number: mode + 8 count, and the mode is at most 2.
@@ -282,7 +213,8 @@ def _chosen(
     moved: Array,
     led: Impact | None,
 ) -> tuple[Components, Array]:
-    """The mode after a landing and the number of admissible ones; elsewhere the old mode and 1.
+    """The mode after a landing and the number of admissible ones; elsewhere the old mode, and of a
+    slide the number of modes on its surfaces, at least 1.
 
     A slide that has reached the end of its weight leaves to that side. A reset that has `moved` the
     state may have carried it off a surface, or across another one; what it has `led` to on others
@@ -292,9 +224,13 @@ def _chosen(
     system, grid = problem.system, problem.grid
     # Which mode goes on is no number that could have a derivative; its field has.
     rates = jax.tree.map(stop_gradient, rates)
-    # A graze only touches: it switches nothing, even where two modes could go on.
-    switching = state.pending & ~state.graze
-    current = filippov.weights(state.mode, rates) if system.slides else state.mode
+    # A graze only touches: it switches nothing, even where two modes could go on. Backward in time
+    # it may be the end of a slide, to which all motions come that have left the slide there.
+    switching, grazes = state.pending & ~state.graze, jnp.zeros((), bool)
+    if system.slides and not system.resets:
+        grazes = state.pending & state.graze & (grid.direction < 0)
+        rates = _rates_at_graze(problem, state, rates, touch, grazes)
+    current = sliding_weights.weights(state.mode, rates) if system.slides else state.mode
     # A slide ends at w = ±1: it leaves to the side whose field has become the blend.
     leaving = tuple(hit & (s == 0) for hit, s in zip(state.hit, state.mode, strict=True))
     sides = tuple(jnp.where(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
@@ -309,16 +245,19 @@ def _chosen(
     # A surface that will be met within the rounding of times is met now: its contact could not be
     # told from this one, and would follow it at once.
     same = grid.same_time(state.tau)
+    decide = switching & any_of(met)
     on = []
     for j in range(system.m):
-        close = abs(h[j]) < abs(state.rate[j]) * same
+        close = (state.mode[j] != 0) & (abs(h[j]) < abs(state.rate[j]) * same)
         if led is not None:
             close = close & ~led.next[j] & ~led.still[j] & (abs(left[j]) != 2)
-        on.append(met[j] | (left[j] == 0) | ((state.mode[j] != 0) & close))
-    decide = switching & any_of(met)
+        slid = (left[j] == 0) if system.slides else jnp.zeros((), bool)
+        on.append(slid | (decide & (met[j] | close)) | (grazes & met[j]))
+    # Where a slide on an intersection ends, another mode begins: rounding must not show both.
+    least = jnp.where(state.pending, 0.0, NOISE * system.eps)
     beside = unilateral.beside(left) if system.resets else left
-    chosen, count = filippov.choose(system.m, rates, beside, tuple(on), grid.direction)
-    count = jnp.where(decide, count, 1)
+    chosen, count = filippov.choose(system.m, rates, beside, tuple(on), grid.direction, least)
+    count = jnp.where(decide, count, jnp.maximum(count, 1))
     if led is None:
         return where(decide, chosen, left), count
     rests = unilateral.rests_of(left)
@@ -375,31 +314,20 @@ def _left_by_reset(
     return tuple(modes), tuple(open_)
 
 
-def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Components, ...]:
-    """Guards, rates, arming and noise at the start of the next step.
+def _rates_at_graze(
+    problem: Problem, state: LoopState, rates: list[Components], touch: Components, grazes: Array
+) -> list[Components]:
+    """dH/dt along the fields of all sides, those of a surface that is grazed told from rounding.
 
-    A surface just met counts as left only when its guard has risen above rounding. Until then the
-    guard starts at exactly zero, and its rate at zero or above.
+    They vanish on the side of the motion, which stays there: what is no larger than that leads to
+    this side too.
     """
-    system, direction = problem.system, problem.grid.direction
-    before, after = stays_on(system, state.mode), stays_on(system, end.mode)
-    gs, rates, armed, noises = [], [], [], []
-    for j in range(system.m):
-        hit = state.pending & state.hit[j]
-        old_slide, sliding = before[j], after[j]
-        # The rounding of the landing counts until the surface is left, also where the state has
-        # become smaller since.
-        kept = (hit | ~state.armed[j]) & ~old_slide
-        noise = jnp.maximum(end.noise[j], jnp.where(kept, state.noise[j], 0.0))
-        away = sliding | (~hit & state.armed[j]) | (end.g[j] > noise)
-        # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
-        # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
-        double = hit & (old_slide | state.graze)
-        if system.resets:
-            double = double | end.still[j]
-        rising = direction * jnp.maximum(direction * end.rate[j], 0.0)
-        gs.append(jnp.where(away, jnp.maximum(end.g[j], 0.0), 0.0))
-        rates.append(jnp.where(away, end.rate[j], jnp.where(double, 0.0, rising)))
-        armed.append(away)
-        noises.append(noise)
-    return tuple(stop_gradient(g) for g in gs), tuple(rates), tuple(armed), tuple(noises)
+    direction, dt = problem.grid.direction, abs(problem.grid.dt)
+    noise = [_TANGENT * abs(r) + v / dt for r, v in zip(state.rate, touch, strict=True)]
+    return [
+        tuple(
+            jnp.where(grazes & hit & (abs(r) <= least), s * direction * least, r)
+            for r, s, hit, least in zip(row, state.mode, state.hit, noise, strict=True)
+        )
+        for row in rates
+    ]

@@ -56,7 +56,7 @@ class LoopState(eqx.Module):
     f: Components
     """Field of the mode at (tau, x), n components."""
     size: Components
-    """Largest |x| of late, n components: see `mode_switch.larger`."""
+    """Largest |x| of late, n components: see `guards.larger`."""
     mode: Components
     """+1 or −1, 0 while sliding on the surface, +2 or −2 at rest on it from that side."""
     first_mode: Components
@@ -65,6 +65,8 @@ class LoopState(eqx.Module):
     """Guards: positive within the mode."""
     rate: Components
     """dg/dt along f."""
+    determinant: Array | None
+    """That of a slide's weights (`sliding_weights`); None where nothing slides."""
     armed: Components
     """Whether the surface has been left since the last contact with it."""
     noise: Components
@@ -125,7 +127,7 @@ class StepEnd(eqx.Module):
     f: Components
     """Field of the mode there, n components."""
     size: Components
-    """Largest |x| of late, n components: see `mode_switch.larger`."""
+    """Largest |x| of late, n components: see `guards.larger`."""
     mode: Components
     g: Components
     rate: Components
@@ -136,7 +138,9 @@ class StepEnd(eqx.Module):
     num_modes: Array
     """How many modes could go on from a switch made here; 1: all is well."""
     repels: Array
-    """Whether it slides where the surface repels."""
+    """Whether it slides where another mode could go on too."""
+    determinant: Array | None
+    """That of a slide's weights; None where nothing slides."""
     moved: Array
     """Whether a reset has moved the state."""
     members: Components

@@ -28,6 +28,18 @@ def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> li
     return x
 
 
+def size_of_determinant(matrix: Sequence[Sequence[Array]]) -> Array:
+    """|det A|, and 0 where a pivot is nothing but rounding."""
+    k = len(matrix)
+    rows = _eliminated([_equilibrated([*row, row[0]])[:k] for row in matrix], k)
+    size: Any = 1.0
+    for i, row in enumerate(matrix):
+        pivot = abs(rows[i][i])
+        rounding = pivot <= 64 * jnp.finfo(pivot.dtype).eps
+        size = size * jnp.where(rounding, 0, pivot) * _scale(row)
+    return size
+
+
 def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
     """Rows whose first k columns are upper triangular."""
     for i in range(k):
@@ -44,8 +56,12 @@ def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
 
 def _equilibrated(row: Sequence[Array]) -> list[Array]:
     """The row with entries of order one, so that one threshold tells every singular pivot."""
-    scale = sum(abs(v) for v in row[:-1])
+    scale = _scale(row[:-1])
     return [v / jnp.where(scale == 0, 1, scale) for v in row]
+
+
+def _scale(row: Sequence[Array]) -> Array:
+    return sum((abs(v) for v in row), start=jnp.zeros_like(row[0]))
 
 
 def _quotient(a: Array, pivot: Array) -> Array:

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil.integrate import filippov
+from jaxfil.integrate import sliding_weights
 from tests.problems import PROBLEMS, tagged
 
 REVERSE = diffrax.RecursiveCheckpointAdjoint()
@@ -153,7 +153,7 @@ def test_weights_on_an_intersection_to_every_order():
         rates = [
             (p[0] - 2 * s1 + p[2] * s1 * s2, p[1] - 2 * s2 + p[3] * s1 * s2) for s1, s2 in corners
         ]
-        return jnp.stack(filippov.weights((zero, zero), rates))
+        return jnp.stack(sliding_weights.weights((zero, zero), rates))
 
     def exact(p):
         p, q, a, b = p

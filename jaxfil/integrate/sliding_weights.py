@@ -1,0 +1,202 @@
+"""Sliding weights: where on a surface, or on several, the blend of the fields is tangent to it.
+
+The rates dH/dt along the fields of all sides enter, with the mode of motion; the weights
+w in [−1, 1] of the surfaces slid on leave, at which the rate of the blend vanishes.
+"""
+
+import functools as ft
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.components import Components, where
+from jaxfil.xla import small_linear
+
+# Newton iterations for the weights of an intersection at most, from one start. The system is
+# multi-affine: affine (one iteration) when each term of the field sees one side.
+_NEWTON = 20
+# The weights from which Newton's method starts if it has not found a root inside from 0.
+_START = 0.6
+# Weights this large are those of no slide, nor of its continuation beyond its end.
+_FAR = 1e3
+
+
+def mix(s: Array, w: Array, above: Components, below: Components) -> Components:
+    """The field on side s of one surface, or where s = 0 the blend of both with weight w. A side is
+    taken as it is, untouched by a NaN of the other."""
+    share = 0.5 * (1 + w)
+    return tuple(
+        jnp.where(s > 0, a, jnp.where(s < 0, b, b + share * (a - b)))
+        for a, b in zip(above, below, strict=True)
+    )
+
+
+def blend(corners: Sequence[Components], mode: Components, weights: Components) -> Components:
+    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of
+    `ComponentSystem.corner_sides`."""
+    for s, w in zip(mode, weights, strict=True):
+        half = len(corners) // 2
+        corners = [mix(s, w, corners[i], corners[half + i]) for i in range(half)]
+    return corners[0]
+
+
+def _slope(
+    corners: Sequence[Components], mode: Components, weights: Components, j: int
+) -> Components:
+    """∂ blend/∂w_j."""
+    for i, (s, w) in enumerate(zip(mode, weights, strict=True)):
+        half = len(corners) // 2
+        pairs = [(corners[k], corners[half + k]) for k in range(half)]
+        if i == j:
+            corners = [tuple(0.5 * (p - q) for p, q in zip(a, b, strict=True)) for a, b in pairs]
+        else:
+            corners = [mix(s, w, a, b) for a, b in pairs]
+    return corners[0]
+
+
+@jax.custom_jvp
+def _single_weight(s: Array, above: Array, below: Array) -> Array:
+    """The weight of one surface: (below + above)/(below − above) where s = 0, else s. It has no
+    derivative off the surface, where a side may not be a number, and where both are the same."""
+    gap = below - above
+    zero = gap == 0
+    return jnp.where(s == 0, jnp.where(zero, 0, (below + above) / jnp.where(zero, 1, gap)), s)
+
+
+@_single_weight.defjvp
+def _single_weight_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    (s, above, below), (_, rise, fall) = primals, tangents
+    w, gap = _single_weight(s, above, below), below - above
+    slides = (s == 0) & (gap != 0)
+    change = (fall + rise - w * (fall - rise)) / jnp.where(slides, gap, 1)
+    return w, jnp.where(slides, change, 0.0)
+
+
+def weights(mode: Components, rates: Sequence[Components]) -> Components:
+    """The weights of a mode: ±1 off a surface, the solution of dH/dt(w) = 0 on it.
+
+    `rates[s][j]` is dH_j/dt along the field of corner s. The solution may lie outside [−1, 1]:
+    beyond the end of a slide it is the smooth continuation that root finding needs.
+    """
+    return weights_and_determinant(mode, rates)[0]
+
+
+def weights_and_determinant(
+    mode: Components, rates: Sequence[Components]
+) -> tuple[Components, Array]:
+    """`weights`, and |det ∂(dH/dt)/∂w| of the surfaces slid on, 1 where there is none. Where that
+    vanishes the weights are undetermined: at a two-fold, or where two roots meet."""
+    if len(rates) == 2:
+        each = list(zip(mode, *rates, strict=True))
+        w = tuple(_single_weight(s, above, below) for s, above, below in each)
+        sizes = [jnp.where(s == 0, 0.5 * abs(below - above), 1) for s, above, below in each]
+        return w, ft.reduce(jnp.multiply, sizes)
+    w = _implicit_weights(mode, rates)
+    return w, small_linear.size_of_determinant(_matrix(mode, rates, w))
+
+
+@jax.custom_jvp
+def _implicit_weights(mode: Components, rates: Sequence[Components]) -> Components:
+    """`weights` on several surfaces. Their derivative is the implicit one, made of the weights
+    themselves: derivatives of every order are exact."""
+    root = _root_of_two(mode, rates) if len(mode) == 2 else _root_of_many(mode, rates)
+    return _newton(mode, rates, root)
+
+
+@_implicit_weights.defjvp
+def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
+    (mode, rates), (_, moved) = primals, tangents
+    w = _implicit_weights(mode, rates)
+    change = _correction(mode, rates, w, blend(moved, mode, w))
+    return w, tuple(jnp.where(s == 0, -v, 0.0) for s, v in zip(mode, change, strict=True))
+
+
+def _root_of_two(mode: Components, rates: Sequence[Components]) -> Components:
+    """A point from which one Newton iteration leads to the weights of a mode of two surfaces.
+
+    Where both are slid on, dH_j/dt = a_j + b_j w_1 + c_j w_2 + d_j w_1 w_2 = 0 leave a quadratic
+    A w_1² + B w_1 + C = 0 with the slope −det ∂(dH/dt)/∂w at its roots. The modes that go on from
+    an intersection are the solutions of a variational inequality on [−1, 1]², whose indices add up
+    to 1; that of a slide on both is the sign of the determinant. So where nothing else goes on one
+    root lies inside, and it is the one with a positive determinant, in both directions of time.
+    """
+    eps = jnp.finfo(mode[0].dtype).eps
+    terms = []
+    for pp, pm, mp, mm in zip(*rates, strict=True):
+        row = (pp + pm + mp + mm, pp + pm - mp - mm, pp - pm + mp - mm, pp - pm - mp + mm)
+        scale = sum(abs(v) for v in row)
+        terms.append([v / jnp.where(scale == 0, 1, scale) for v in row])
+    (a1, b1, c1, d1), (a2, b2, c2, d2) = terms
+    a, b, c = b2 * d1 - b1 * d2, a2 * d1 + b2 * c1 - a1 * d2 - b1 * c2, a2 * c1 - a1 * c2
+    disc = b * b - 4 * a * c
+    # One and the same surface, listed twice, leaves nothing but rounding.
+    told = abs(disc) > (64 * eps) ** 2
+    root = jnp.sqrt(jnp.maximum(disc, 0))
+    w1 = _near(jnp.where(b > 0, -b - root, 2 * c), jnp.where(b > 0, 2 * a, root - b))
+    low, high = c1 + d1 * w1, c2 + d2 * w1
+    other = abs(high) > abs(low)
+    w2 = _near(-jnp.where(other, a2 + b2 * w1, a1 + b1 * w1), jnp.where(other, high, low))
+    both = (mode[0] == 0) & (mode[1] == 0) & told
+    return jnp.where(both, w1, mode[0]), jnp.where(both, w2, mode[1])
+
+
+def _near(a: Array, b: Array) -> Array:
+    """a/b, and 0 where that is far outside of [−1, 1]: such weights are those of no slide."""
+    return jnp.where(abs(a) < _FAR * abs(b), a / jnp.where(b == 0, 1, b), 0)
+
+
+def _root_of_many(mode: Components, rates: Sequence[Components]) -> Components:
+    """The weights of a mode of three surfaces or more by Newton's method, from 0 and, until a root
+    inside is found, from a point in each corner; if none is inside, that from 0."""
+    m, eps = len(mode), jnp.finfo(mode[0].dtype).eps
+    last = 2**m + 1
+
+    def unsettled(state: tuple) -> Array:
+        _, unsure, k = state
+        return unsure & (k < (last + 1) * _NEWTON)
+
+    def improve(state: tuple) -> tuple:
+        w, _, k = state
+        better = _newton(mode, rates, w)
+        now = sum(abs(a - b) for a, b in zip(better, w, strict=True))
+        settled = now <= 4 * eps
+        inside = ft.reduce(jnp.maximum, map(abs, better)) <= 1
+        attempt = k // _NEWTON
+        done = settled & (inside | (attempt == last))
+        k = jnp.where(settled, (attempt + 1) * _NEWTON, k + 1)
+        attempt = k // _NEWTON
+        again = (k % _NEWTON == 0) & ~done
+        size = jnp.where(attempt == last, 0.0, _START)
+        corner = [jnp.where((attempt >> j) & 1 == 0, size, -size) for j in range(m)]
+        start = tuple(jnp.where(s == 0, v, s) for s, v in zip(mode, corner, strict=True))
+        return where(again, start, better), ~done, k
+
+    start = (mode, jnp.ones((), bool), jnp.zeros((), jnp.int32))
+    w, _, _ = jax.lax.while_loop(unsettled, improve, start)
+    return w
+
+
+def _newton(mode: Components, rates: Sequence[Components], w: Components) -> Components:
+    """One Newton iteration for the weights of the surfaces slid on."""
+    update = _correction(mode, rates, w, blend(rates, mode, w))
+    return tuple(a - b for a, b in zip(w, update, strict=True))
+
+
+def _correction(
+    mode: Components, rates: Sequence[Components], w: Components, residual: Components
+) -> list[Array]:
+    """What Newton's method takes from the weights of the surfaces slid on, given dH/dt."""
+    right = [jnp.where(s == 0, v, 0.0) for s, v in zip(mode, residual, strict=True)]
+    return small_linear.solve_small(_matrix(mode, rates, w), right)
+
+
+def _matrix(mode: Components, rates: Sequence[Components], w: Components) -> list[list[Array]]:
+    """∂(dH_j/dt)/∂w_i of the surfaces slid on, with rows of the identity for the others."""
+    slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
+    matrix = []
+    for j, s in enumerate(mode):
+        row = [jnp.where(s == 0, slopes[i][j], float(i == j)) for i in range(len(w))]
+        matrix.append(row)
+    return matrix
