@@ -67,8 +67,14 @@ def scalar(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -
 
 
 def period(of: System, dtype: DTypeLike) -> Array:
-    """The period of a forced system, a positive number as far as it is known."""
-    return _number(f"`period` of {type(of).__name__}", of.period, dtype, True)
+    """The period of a forced system, a positive number as far as it is known. NaN is that of
+    parameters that are NaN, and a run tells it by its outcome."""
+    told = f"`period` of {type(of).__name__}"
+    number = _number(told, of.period, dtype, False)
+    known = concrete(number)
+    if known is not None and known <= 0:
+        raise ValueError(f"{told} must be a positive number, got {known}.")
+    return number
 
 
 def _number(told: str, value: Any, dtype: DTypeLike, positive: bool) -> Array:
