@@ -122,6 +122,8 @@ class _Lanes:
 
     def finished(self) -> tuple[np.ndarray, np.ndarray]:
         """Samples and codes of outcomes as they are now; NaN where a lane is not finished."""
+        if self.checkpoint:
+            self.checkpoint.tell_damaged()  # here, where the caller's line is: chunks run in threads
         codes = self.codes.copy()
         missing = codes == _UNFINISHED
         if missing.any():  # a chunk under way may still be written

@@ -10,8 +10,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jaxlib
 from jax.experimental.xla_metadata import set_xla_metadata
+from jaxlib import version as jaxlib_version
 
 WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 """The attributes of a call that XLA neither inlines nor splits."""
@@ -28,7 +28,7 @@ def makes_whole_kernels() -> bool:
     Of a version that is known to end the process at some programs it is asked nothing. Of any other
     one it is: two short loops are compiled and looked at, once.
     """
-    if jax.default_backend() != "cpu" or _version(jaxlib.__version__) < _OLDEST:
+    if jax.default_backend() != "cpu" or _version(jaxlib_version.__version__) < _OLDEST:
         return False
     try:
         text = jax.jit(_probe).lower(jax.ShapeDtypeStruct((), jnp.float32)).compile().as_text()

@@ -59,10 +59,10 @@ def _kernel_of(program: Any) -> Callable:
     run = jexc.jaxpr_as_fun(program)
 
     def call(*values: Any) -> Any:
-        values = _in_memory(values)
         # The barrier keeps the number made of all arguments alive, which nobody else uses: XLA
         # would take it out, and then abort on the arguments that the kernel has no use for.
-        out = kernel_of_all(lambda *values: (run(*values), _all_used(values)))(*values)
+        whole = kernel_of_all(lambda *values: (run(*values), _all_used(values)))
+        out = whole(*_in_memory(values))
         out, _ = jax.lax.optimization_barrier(out)
         return out
 
