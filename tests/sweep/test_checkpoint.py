@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import equinox as eqx
@@ -18,7 +19,7 @@ import pytest
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
-from jaxfil.sweep import checkpoint, execution
+from jaxfil.sweep import checkpoint, execution, interrupt
 from tests import ROOT
 from tests.sweep import runs
 from tests.sweep.runs import ESTIMATED, X0, sweep
@@ -38,14 +39,6 @@ def interrupt_after(monkeypatch, pieces):
 
     monkeypatch.setattr(execution, "_cores", lambda: 1)
     monkeypatch.setattr(execution._Lanes, "finish", piece)
-
-
-@pytest.fixture
-def ctrl_c_interrupts():
-    """It does not in what a shell has started in the background."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.usefixtures("ctrl_c_interrupts")
@@ -317,3 +310,42 @@ def test_two_processes_at_one_checkpoint_agree(tmp_path):
     assert [process.returncode for process in both] == [0, 0]
     whole = sweep(np.linspace(0.6, 0.9, 700))
     assert first == second == f"{whole.xs.tobytes().hex()}\n".encode()
+
+
+@pytest.mark.usefixtures("ctrl_c_interrupts")
+@pytest.mark.parametrize("follow", [None, "up"])
+def test_ctrl_c_while_a_sweep_compiles_is_heeded_when_it_is_compiled(monkeypatch, follow):
+    before, compiled = execution._compiled_job, []
+
+    def pressed(*args):
+        signal.raise_signal(signal.SIGINT)
+        compiled.append(before(*args))
+        return compiled[-1]
+
+    monkeypatch.setattr(execution, "_compiled_job", pressed)
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.warns(RuntimeWarning, match="0 of 3 lanes are finished"):
+        part = sweep([0.6, 0.7, 0.8], follow=follow)
+    assert len(compiled) == 1 and np.all(outcome_names(part.results) == "interrupted")
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_a_handler_of_the_users_own_and_other_threads_are_left_alone():
+    pressed = []
+    before = signal.signal(signal.SIGINT, lambda *args: pressed.append(args))
+    try:
+        with interrupt.counted() as interrupts:
+            signal.raise_signal(signal.SIGINT)
+        assert interrupts.count == 0 and len(pressed) == 1
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        with ThreadPoolExecutor() as pool:
+            d = pool.submit(sweep, [0.7, 0.8]).result()
+        assert d.successful.all()
+        with interrupt.counted() as outer, interrupt.counted() as inner:
+            signal.raise_signal(signal.SIGINT)
+            assert inner is outer and outer.count == 1
+        with pytest.raises(RuntimeError), interrupt.counted():
+            raise RuntimeError
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
