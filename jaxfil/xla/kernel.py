@@ -139,7 +139,7 @@ def kernel_if_it_fits(function: Callable) -> Callable:
 def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
     results are a batch's if some of its arguments are."""
-    run = jexc.jaxpr_as_fun(program)
+    run, outs = jexc.jaxpr_as_fun(program), program.out_avals
     # A kernel under `vmap` or `jvp` would be taken apart by JAX's own rules, and its parts put
     # together again by XLA as it likes. Here the batch, and the tangents, are a kernel again.
     together = custom_vmap(_kernel_of(program))
@@ -148,6 +148,13 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     @together.def_vmap
     def batch(axis_size: int, batched: Any, *values: Any) -> tuple:
         spreads = spread(batched)
+        if axis_size == 0:  # there is no lane to run, and none to take a result's shape from
+            shapes = [
+                ((0,) if flag else ()) + v.shape for v, flag in zip(outs, spreads, strict=True)
+            ]
+            return [
+                jnp.zeros(shape, v.dtype) for v, shape in zip(outs, shapes, strict=True)
+            ], spreads
         axes, out_axes = ([0 if flag else None for flag in flags] for flags in (batched, spreads))
         # A batch of batches counts all its lanes: more than a block does not stay in the cache.
         rows = min(axis_size, max(1, _BLOCK // lanes))
