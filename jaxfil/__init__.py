@@ -1,7 +1,15 @@
 """Differentiable, batched simulation and bifurcation analysis of nonsmooth systems in JAX."""
 
 import importlib
+import os
+import signal
+import sys
 from types import ModuleType
+
+# `python -m jaxfil` comes here before its own file: Ctrl-C ends it without a word while it loads.
+_is_command = sys.argv[:1] == ["-m"] and "jaxfil" in sys.orig_argv
+if _is_command and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
 
 from jaxfil import systems as systems
 from jaxfil.bifurcations.locate import (

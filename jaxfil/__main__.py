@@ -6,7 +6,9 @@
     python -m jaxfil work-precision belt-friction --out belt.png
 
 Whatever cannot be done is answered by one line on stderr that says what is allowed, and exit code
-2, before any computing starts. Exit code 1: no lane of the sweep reached its end.
+2, before any computing starts. Exit code 1: no lane of the sweep reached its end. Ctrl-C is
+answered by one line too, and exit code 130: a diagram of the lanes that are finished is drawn and
+saved. A second one, or one that nothing could be kept of, ends the process at once.
 """
 
 import argparse
@@ -14,8 +16,10 @@ import dataclasses
 import math
 import os
 import re
+import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -32,6 +36,7 @@ from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
 from jaxfil.sweep import dataset_io
 from jaxfil.sweep.diagram import BifurcationDiagram
+from jaxfil.sweep.interrupt import Interrupts, counted
 from jaxfil.sweep.sweep import bifurcation_diagram
 from jaxfil.systems import TEXTBOOK
 
@@ -46,6 +51,26 @@ STEPPERS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Do what `argv` (or the command line) asks; the exit code leaves."""
+    interrupts = _EndsTheProcess()
+    with counted(interrupts):
+        return _done(argv, interrupts)
+
+
+class _EndsTheProcess(Interrupts):
+    """Ctrl-C that ends the process: the first one if nothing is kept, and the second one."""
+
+    def __call__(self, number: int, frame: object) -> None:
+        super().__call__(number, frame)
+        if self.count > 1 or not self.keeps:
+            print("\njaxfil: interrupted", file=sys.stderr, flush=True)
+            # Python's own end would wait for what XLA compiles and computes, or trip over it.
+            os._exit(_INTERRUPTED)
+
+
+_INTERRUPTED = 130
+
+
+def _done(argv: list[str] | None, interrupts: _EndsTheProcess) -> int:
     jax.config.update("jax_enable_x64", True)  # nobody asks for a picture in float32
     try:
         args = _parser().parse_args(_join_negatives(sys.argv[1:] if argv is None else argv))
@@ -54,7 +79,9 @@ def main(argv: list[str] | None = None) -> int:
             return 0
         if args.command is None:
             raise _Misuse("what to do is missing: diagram, work-precision, or --list")
-        return _work_precision(args) if args.command == "work-precision" else _diagram(args)
+        if args.command == "work-precision":
+            return _work_precision(args)
+        return _diagram(args, interrupts)
     except _Misuse as misuse:
         print(f"jaxfil: {misuse}", file=sys.stderr)
         return 2
@@ -152,27 +179,40 @@ def _state_of(args: argparse.Namespace, default: tuple[float, ...]) -> tuple[flo
     return x0
 
 
-def _diagram(args: argparse.Namespace) -> int:
+def _diagram(args: argparse.Namespace, interrupts: _EndsTheProcess) -> int:
     settings = dict(args.set)
     x0 = _check(args, settings)
     start = time.perf_counter()
-    diagram = bifurcation_diagram(
-        TEXTBOOK[args.system][0](**{args.parameter: args.start, **settings}),
-        args.parameter,
-        jnp.asarray(np.linspace(args.start, args.stop, args.points)),
-        jnp.array(x0),
-        transient=args.transient,
-        samples=args.samples,
-        steps=args.steps,
-        follow=args.follow,
-        progress=not args.quiet,
-    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The sweep was interrupted", RuntimeWarning)
+        diagram = bifurcation_diagram(
+            TEXTBOOK[args.system][0](**{args.parameter: args.start, **settings}),
+            args.parameter,
+            jnp.asarray(np.linspace(args.start, args.stop, args.points)),
+            jnp.array(x0),
+            transient=args.transient,
+            samples=args.samples,
+            steps=args.steps,
+            follow=args.follow,
+            progress=not args.quiet,
+        )
     seconds = time.perf_counter() - start
     outcomes = outcome_names(diagram.results)
+    finished = int((outcomes != "interrupted").sum())
+    if not finished:
+        print("jaxfil: interrupted before a lane was finished", file=sys.stderr)
+        return _INTERRUPTED
     _draw(diagram, args, _conditions(args, settings, x0))
     _save(diagram, args, settings)
+    if finished < args.points:
+        written = f"wrote {args.out} and {args.out.with_suffix('.npz')}"
+        lanes = f"{finished} of {args.points} lanes are finished"
+        print(f"jaxfil: interrupted: {lanes}; {written}", file=sys.stderr)
+        return _INTERRUPTED
     if not args.quiet:
         print(_summary(args, outcomes, seconds))
+    if interrupts.count:  # while it was drawn
+        return _INTERRUPTED
     return 0 if (outcomes == "successful").any() else 1
 
 
@@ -314,4 +354,10 @@ def _text(x0: tuple[float, ...]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    heeded = callable(signal.getsignal(signal.SIGINT))  # and not ignored, as in the background
+    if heeded:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # until here it is `jaxfil`'s own
+    exit_code = main()
+    if heeded:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # there is nothing left to interrupt
+    sys.exit(exit_code)

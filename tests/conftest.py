@@ -10,6 +10,8 @@ tag; `results`, what is done with a solution; `exact`, relay systems in extended
 `pictures`, a picture of each kind, and their references.
 """
 
+import signal
+
 import equinox as eqx
 import jax
 import pytest
@@ -25,3 +27,11 @@ def compiled_programs_end_with_their_file():
     yield
     jax.clear_caches()
     eqx.clear_caches()
+
+
+@pytest.fixture
+def ctrl_c_interrupts():
+    """Ctrl-C does, also in a test that a shell has started in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

@@ -1,9 +1,12 @@
 """The command line: what it writes is what the library computes, and mistakes get one line."""
 
+import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
+import time
 
 import jax.numpy as jnp
 import matplotlib.image
@@ -184,3 +187,62 @@ def test_a_mistake_is_answered_by_one_line_that_says_what_is_allowed(
         command = words
     assert answer in refused(capsys, *command)
     assert not list(tmp_path.iterdir())
+
+
+LONG = ["diagram", "sd-oscillator", "--parameter", "omega", "--from", "0.6", "--to", "0.9"]
+
+
+def interrupted(folder, words, until, times=1):
+    """A command that Ctrl-C is pressed in once its stderr matches: exit code, stdout and stderr."""
+    with subprocess.Popen(
+        [sys.executable, *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stderr is not None
+        told = b""
+        while not re.search(until, told):
+            more = os.read(process.stderr.fileno(), 4096)
+            assert more, told
+            told += more
+        for _ in range(times):
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.1)  # two at once are one
+        out, err = process.communicate()
+    # The bar rewrites its own line.
+    lines = [line.split("\r")[-1] for line in (told + err).decode().splitlines()]
+    return process.returncode, out, [line for line in lines if line and "lane/s" not in line]
+
+
+@pytest.mark.usefixtures("ctrl_c_interrupts")
+@pytest.mark.parametrize(
+    "until, times, line",
+    [
+        (b"compiling", 1, "jaxfil: interrupted"),
+        (rb" [1-9]\d*/20000", 3, "jaxfil: interrupted"),
+        (rb" [1-9]\d*/20000", 1, r"jaxfil: interrupted: \d+ of 20000 lanes are finished; wrote .*"),
+    ],
+    ids=["compiling", "running, again and again", "running"],
+)
+def test_ctrl_c_is_answered_by_one_line_and_130(tmp_path, until, times, line):
+    words = ["-m", "jaxfil", *LONG, "--points", "20000", "--out", str(tmp_path / "a.png")]
+    code, _, (told,) = interrupted(tmp_path, words, until, times)
+    assert code == 130 and re.fullmatch(line, told)
+    if "wrote" in told:
+        with np.load(tmp_path / "a.npz") as saved:
+            finished = saved["results"] == "successful"
+            assert told.split()[2] == str(finished.sum()) and 0 < finished.sum() < 20000
+            assert np.isfinite(saved["xs"]).all(axis=(1, 2))[finished].all()
+        assert matplotlib.image.imread(tmp_path / "a.png").size
+    else:
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.usefixtures("ctrl_c_interrupts")
+def test_ctrl_c_while_python_loads_the_package_ends_it_without_a_word(tmp_path):
+    words = ["-X", "importtime", "-m", "jaxfil", "--list"]
+    code, out, lines = interrupted(tmp_path, words, rb"\| +numpy\n")
+    assert code == 130 and out == b""
+    assert all(line.startswith("import time:") for line in lines), lines

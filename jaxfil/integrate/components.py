@@ -210,6 +210,7 @@ class ComponentSystem(eqx.Module):
 def build(system: System, x0: Array, transposed: bool = False) -> ComponentSystem:
     """The components of a system whose float leaves have the dtype of `x0`, shape (n,); to be
     `transposed`, its functions must not let a side that is not taken into their derivatives."""
+    _check_sharding(x0)
     n, dtype = x0.shape[0], x0.dtype
     t0, x = jnp.zeros((), dtype), unpack(x0)
     h_shape = check.shapes(system, x0)
@@ -221,6 +222,7 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
     traced = ft.partial(Traced, transposed=transposed)
     traced_field = traced(field, leaves, t0, x, sides, when=(FIRST, EARLY, LATE, LATE))
     traced_switching = traced(switching, leaves, t0, x)
+    _check_derivatives(vector_field=traced_field, switching=traced_switching)
     nothing = jax.tree.map(lambda _: False, (leaves, t0, x))
     seen = [traced_field.depends(*nothing, _only(j, m)) for j in range(m)]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
@@ -240,6 +242,27 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
         _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
         _opaque_one=opaque_one,
     )
+
+
+def _check_sharding(x0: Array) -> None:
+    kind = jax.typeof(x0)
+    # `vma` until JAX 0.9.
+    varying = getattr(kind, "vma", None) or getattr(
+        getattr(kind, "manual_axis_type", None), "varying", None
+    )
+    if varying:
+        # Derivatives taken inside of the loop would have to say of each number where it differs.
+        raise ValueError("`check_vma` of `jax.shard_map` must be False around jaxfil, got True.")
+
+
+def _check_derivatives(**functions: Traced) -> None:
+    for name, function in functions.items():
+        found = function.without_derivatives()
+        if found is not None:
+            raise TypeError(
+                f"`{name}` must have forward derivatives, which contacts are located with, got one "
+                f"that calls `{found}`: wrap it in `jax.custom_jvp`."
+            )
 
 
 def _on_components(

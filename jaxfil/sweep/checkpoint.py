@@ -4,7 +4,8 @@ A folder and a record of every argument enter; chunks of finished lanes leave an
 folder holds Zarr groups that xarray opens: `sweep.zarr`, the record, and one for each chunk. A
 group is written under a name of its own and then renamed, which the file system does whole or not
 at all: what bears its name is complete, whenever a process was killed, and two at the same work
-harm nothing.
+harm nothing. Each carries a checksum of its numbers, its name and the record: what was damaged on
+the disk since, or put in another's place, is found out.
 """
 
 import dataclasses
@@ -12,9 +13,10 @@ import hashlib
 import os
 import shutil
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -28,10 +30,14 @@ from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System, has_resets
 from jaxfil.model.types import Dataset, PathLike
+from jaxfil.model.warning import warn
 from jaxfil.sweep import dataset_io
 from jaxfil.sweep.dataset_io import NamedArrays, Variable
 from jaxfil.sweep.diagram import Conditions
 from jaxfil.sweep.parameter_grid import ParameterGrid
+
+_RECORD = "sweep.zarr"
+_T = TypeVar("_T")
 
 Record = Mapping[str, str | int | np.ndarray]
 """What a sweep was asked for: every argument by name."""
@@ -55,16 +61,23 @@ class Checkpoint:
 
     def __init__(self, path: PathLike, record: Record):
         self._path = Path(path)
+        self._record = digest(record).hex()
+        self._damaged: list[str] = []
         self._path.mkdir(parents=True, exist_ok=True)
-        if not (self._path / "sweep.zarr").exists():
+        if not (self._path / _RECORD).exists():
             strange = [name for name in os.listdir(self._path) if not name.startswith(".")]
             if strange:
                 raise ValueError(
                     f"`checkpoint` must be a new folder, or one of an earlier run; {path} holds "
                     f"{strange[0]}."
                 )
-            self._put("sweep.zarr", _pack(record))
-        changes = _changes(_unpack(dataset_io.read_zarr(self._path / "sweep.zarr")), record)
+            self._put(_RECORD, _pack(record, self._record))
+        before = self._intact(_RECORD, _unpack)
+        if before is None:
+            # Whose it was is not known any more; each piece says for itself that it is this one's.
+            self._put(_RECORD, _pack(record, self._record))
+            return
+        changes = _changes(before, record)
         if changes:
             raise ValueError(
                 f"`checkpoint` must be a new folder, or the arguments those of the run that began "
@@ -72,36 +85,79 @@ class Checkpoint:
             )
 
     def read(self, start: int, stop: int) -> FinishedChunk | None:
-        """The lanes from number `start` to `stop`, or None if they are not finished."""
-        path = self._path / _name(start, stop)
-        if not path.exists():
+        """The lanes from number `start` to `stop`, or None if they are not finished, or not as they
+        were written."""
+        name = _name(start, stop)
+        if not (self._path / name).exists():
             return None
-        data = dataset_io.read_zarr(path)
-        codes = outcome_codes(data["outcome"].values)
-        return FinishedChunk(data["x"].values, codes, data["end"].values)
+
+        def unpack(data: Dataset) -> FinishedChunk | None:
+            names = data["outcome"].values
+            chunk = FinishedChunk(data["x"].values, outcome_codes(names), data["end"].values)
+            same = data.attrs["checksum"] == self._checksum(name, chunk)
+            return chunk if same and len(chunk.codes) == stop - start else None
+
+        return self._intact(name, unpack)
 
     def write(self, start: int, stop: int, chunk: FinishedChunk) -> None:
         """Keep finished lanes."""
-        # Names and not codes: a later version may number its outcomes in another order.
-        names = outcome_names(outcomes(chunk.codes))
+        name = _name(start, stop)
         # A dimension of its own: a chunk that is filled up has more last states than lanes.
         end = ("end_lane", "component")[-chunk.end.ndim :]
         variables: dict[str, Variable] = {
             "x": (("lane", "sample", "component"), chunk.xs),
-            "outcome": (("lane",), names),
+            "outcome": (("lane",), _names(chunk)),
             "end": (end, chunk.end),
         }
-        self._put(_name(start, stop), NamedArrays(variables))
+        checksum = {"checksum": self._checksum(name, chunk)}
+        self._put(name, NamedArrays(variables, attributes=checksum))
+
+    def tell_damaged(self) -> None:
+        """Warn of what was not as it was written."""
+        if self._damaged:
+            warn(
+                f"The checkpoint {self._path} held what was damaged, or another sweep's, and is "
+                f"computed again: {', '.join(sorted(self._damaged))}.",
+                RuntimeWarning,
+            )
+        self._damaged = []
+
+    def _checksum(self, name: str, chunk: FinishedChunk) -> str:
+        outcomes = " ".join(_names(chunk))
+        piece = {"sweep": self._record, "name": name, "outcome": outcomes}
+        return digest({**piece, "x": chunk.xs, "end": chunk.end}).hex()
+
+    def _intact(self, name: str, unpack: Callable[[Dataset], _T | None]) -> _T | None:
+        """A group that is as it was written; another one is put away, and None leaves."""
+        path = self._path / name
+        try:
+            # Whatever Zarr, xarray or a codec say of a file that something has written into.
+            found = unpack(dataset_io.read_zarr(path))
+        except (ImportError, MemoryError, PermissionError):  # which say nothing of the group
+            raise
+        except Exception:
+            found = None
+        if found is None and path.exists():
+            self._damaged.append(name)
+            away = self._path / f".{uuid.uuid4().hex}-{name}"
+            with suppress(FileNotFoundError):  # another process has put it away
+                os.rename(path, away)
+            shutil.rmtree(away, ignore_errors=True)
+        return found
 
     def _put(self, name: str, data: NamedArrays) -> None:
         partial = self._path / f".{uuid.uuid4().hex}-{name}"
         try:
             dataset_io.write_zarr(data, partial)
             os.rename(partial, self._path / name)
-        except Exception:
+        except Exception as error:
             # Another process has put the same there first: a folder that is not empty stays.
             if not (self._path / name).exists():
-                raise
+                shutil.rmtree(partial, ignore_errors=True)
+                if not isinstance(error, OSError):
+                    raise
+                why = f"{error.strerror or error}; what was finished before is kept"
+                raise OSError(error.errno, why, str(self._path / name)) from error
         # What is left by a run that was killed while it wrote is no use to anyone.
         for left in self._path.glob(f".*-{name}"):  # by a run that was killed
             shutil.rmtree(left, ignore_errors=True)
@@ -170,15 +226,24 @@ def _name(start: int, stop: int) -> str:
     return f"lanes-{start}-{stop}.zarr"
 
 
-def _pack(record: Record) -> NamedArrays:
+def _names(chunk: FinishedChunk) -> np.ndarray:
+    # Names and not codes: a later version may number its outcomes in another order.
+    return outcome_names(outcomes(chunk.codes))
+
+
+def _pack(record: Record, checksum: str) -> NamedArrays:
     arrays = {name: v for name, v in record.items() if isinstance(v, np.ndarray)}
     variables = {name: ([f"{name}_{i}" for i in range(v.ndim)], v) for name, v in arrays.items()}
     attributes = {name: v for name, v in record.items() if name not in arrays}
-    return NamedArrays(variables, attributes=attributes)
+    return NamedArrays(variables, attributes=attributes | {"checksum": checksum})
 
 
-def _unpack(data: Dataset) -> Record:
-    return data.attrs | {name: data[name].values for name in data}
+def _unpack(data: Dataset) -> Record | None:
+    attributes = dict(data.attrs)
+    checksum = attributes.pop("checksum", None)
+    record = attributes | {name: data[name].values for name in data}
+    # Without one it was begun by an earlier version, which is told by name.
+    return record if checksum in (None, digest(record).hex()) else None
 
 
 def _changes(before: Record, now: Record) -> list[str]:

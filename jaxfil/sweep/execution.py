@@ -1,17 +1,16 @@
 """Execution: chunks of lanes, compiled once, run on every core, kept as soon as they are finished.
 
 A job, the rows of parameters of its lanes and their initial states enter; samples and outcomes of
-all lanes leave. A job is called as `job(rows, states, followed=..., whole=...)`: with
+all lanes leave. A job is called as `job(rows, states, lanes, followed=..., whole=...)`: with
 lanes side by side, or, `followed`, one after the other each from the last one's end; compiled into
-one kernel if `whole`. It answers with samples, outcomes and last states.
+one kernel if `whole`. It answers with samples, outcomes and last states, of which the first `lanes`
+count: none are computed if that is 0.
 """
 
 import functools as ft
 import os
-import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from typing import Any
 
 import equinox as eqx
@@ -21,6 +20,7 @@ import numpy as np
 from jaxfil.model.outcomes import RESULTS, code
 from jaxfil.sweep import multiprocess
 from jaxfil.sweep.checkpoint import Checkpoint, FinishedChunk
+from jaxfil.sweep.interrupt import counted
 from jaxfil.xla.kernel import DoesNotFitError
 
 # Lanes that share a loop, on a CPU: few enough for all of their numbers to stay in the first-level
@@ -32,6 +32,8 @@ _CHUNKS, _BLOCKS = 64, 16
 # Lanes of a chunk when each starts from the last one's end: one after the other, they gain nothing
 # from being many, and are kept and counted as often as chunks are.
 _FOLLOW = 16
+# Seconds until Ctrl-C is heeded at the latest, where it has not woken what waits for a chunk.
+_HEED = 0.1
 # Vectors as wide as the machine has them. (XLA's fast math would be a fifth faster still, but NaN
 # goes unnoticed under it, whatever its options promise.)
 _CPU_OPTIONS = {"xla_cpu_prefer_vector_width": "512"}
@@ -56,15 +58,15 @@ def _compiled_job(
     """`job` compiled, as one kernel where that can be, and the lanes of its calls.
 
     Their number depends on the sweep and not on the machine's cores, and a call is filled up with
-    lanes that fail at once: a lane's last bits may depend on the shape that it was compiled in.
+    copies of a lane: a lane's last bits may depend on the shape that it was compiled in.
     """
     what = jax.tree.structure((job.args, job.keywords))
     whole = jax.default_backend() == "cpu" and what not in _IN_PARTS
     lanes = _FOLLOW if followed else _lanes(len(rows), whole)
     call = ft.partial(job, followed=followed, whole=whole)
-    nowhere = np.full((lanes, rows.shape[1]), np.nan, rows.dtype)
+    nowhere = np.zeros((lanes, rows.shape[1]), rows.dtype)
     try:
-        call(nowhere, np.full((n,) if followed else (lanes, n), np.nan, rows.dtype))
+        call(nowhere, np.zeros((n,) if followed else (lanes, n), rows.dtype), np.int32(0))
     except DoesNotFitError:
         _IN_PARTS.add(what)
         return _compiled_job(job, rows, n, followed)
@@ -122,6 +124,8 @@ class _Lanes:
 
     def finished(self) -> tuple[np.ndarray, np.ndarray]:
         """Samples and codes of outcomes as they are now; NaN where a lane is not finished."""
+        if self.checkpoint:
+            self.checkpoint.tell_damaged()  # not in a chunk's thread, which has no caller's line
         codes = self.codes.copy()
         missing = codes == _UNFINISHED
         if missing.any():  # a chunk under way may still be written
@@ -168,18 +172,18 @@ def side_by_side(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples and outcomes of all lanes, a chunk at a time on each core of each process."""
     (p, _), n = rows.shape, states.shape[1]
-    with _Bar(p, progress) as bar:
+    with counted() as interrupts, _Bar(p, progress) as bar:
         call, size = _compiled_job(job, rows, n, False)
+        interrupts.keeps = True
         rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
         lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
 
-        stop = threading.Event()
-
         def chunk(start: int) -> tuple[int, bool]:
-            if stop.is_set():  # by Ctrl-C, before this chunk has begun
+            if interrupts.count:  # before this chunk has begun
                 return 0, False
             here = slice(start, start + size)
-            done, kept = lanes.finish(start, size, lambda: call(rows[here], states[here]))
+            real = np.int32(min(size, p - start))
+            done, kept = lanes.finish(start, size, lambda: call(rows[here], states[here], real))
             return len(done.codes), kept
 
         starts = multiprocess.share(range(0, p, size))
@@ -187,15 +191,15 @@ def side_by_side(
         # Threads and not devices: XLA releases Python's lock while it computes, and a core that has
         # finished a chunk takes the next one without waiting for the others.
         pool = ThreadPoolExecutor(_cores())
-        chunks = [pool.submit(chunk, start) for start in starts]
+        running = {pool.submit(chunk, start) for start in starts}
         try:
-            with suppress(KeyboardInterrupt):
-                for done in as_completed(chunks):
-                    bar.count(*done.result())
+            # Of a second Ctrl-C: chunks under way are not waited for.
+            while running and interrupts.count < 2:
+                done, running = wait(running, _HEED, FIRST_COMPLETED)
+                for each in done:
+                    bar.count(*each.result())
         finally:
-            with suppress(KeyboardInterrupt):  # a second one: chunks under way are not waited for
-                stop.set()
-                pool.shutdown()
+            pool.shutdown(wait=interrupts.count < 2, cancel_futures=True)
     xs, codes = lanes.finished()
     return multiprocess.gather(xs, size), multiprocess.gather(codes, size)
 
@@ -214,22 +218,24 @@ def one_after_another(
     """
     p, n = len(rows), len(state)
     lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
-    with _Bar(p, progress) as bar:
+    with counted() as interrupts, _Bar(p, progress) as bar:
         call, size = _compiled_job(job, rows, n, True)
+        interrupts.keeps = True
         rows = _filled_up(rows, size)
         bar.start(p)
-        with suppress(KeyboardInterrupt):
-            for start in range(0, p, size):
-                here = rows[start : start + size]
-                done, kept = lanes.finish(start, size, ft.partial(call, here, state))
-                state = done.end
-                bar.count(len(done.codes), kept)
+        for start in range(0, p, size):
+            if interrupts.count:
+                break
+            here, real = rows[start : start + size], np.int32(min(size, p - start))
+            done, kept = lanes.finish(start, size, ft.partial(call, here, state, real))
+            state = done.end
+            bar.count(len(done.codes), kept)
     xs, codes = lanes.finished()
     return multiprocess.from_first(xs), multiprocess.from_first(codes)
 
 
 def _filled_up(rows: np.ndarray, size: int) -> np.ndarray:
-    """Rows of NaN behind, up to a multiple of `size`."""
-    # All calls have one shape, so that one program serves; a lane of NaN ends in its first step.
-    missing = -len(rows) % size
-    return np.concatenate([rows, np.full((missing, rows.shape[1]), np.nan, rows.dtype)])
+    """The last row again behind, up to a multiple of `size`."""
+    # All calls have one shape, so that one program serves. A copy takes as long as its lane, beside
+    # which it runs, and nothing that a field checks can fail in it and not in its lane.
+    return np.pad(rows, [(0, -len(rows) % size), (0, 0)], mode="edge")

@@ -9,7 +9,7 @@ import dataclasses
 import functools as ft
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -35,12 +35,14 @@ from jaxfil.sweep import multiprocess, step_halving
 from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, record_of
 from jaxfil.sweep.diagram import BifurcationDiagram, Conditions
 from jaxfil.sweep.execution import BLOCK, compiled, one_after_another, side_by_side
+from jaxfil.sweep.interrupt import counted
 from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
 from jaxfil.version import __version__
 from jaxfil.xla.kernel import in_blocks, one_kernel
 
 
 @renamed_argument("name", "parameter")
+@counted()
 def bifurcation_diagram(
     system: System,
     parameter: str | Sequence[str],
@@ -63,8 +65,9 @@ def bifurcation_diagram(
 
         xs[i, k] = x((transient + k + 1) T; values[i])
 
-    Ctrl-C ends the sweep after the chunks under way, with a warning, and returns what is done. The
-    numbers do not depend on how many cores the machine has.
+    Ctrl-C ends the sweep after the chunks under way, or once it is compiled, with a warning, and
+    returns what is done; a second one does not wait for chunks. The numbers do not depend on how
+    many cores the machine has.
 
     **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
     `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
@@ -306,11 +309,13 @@ def _run(
     sampling: _Sampling,
     rows: Array,
     states: Array,
+    lanes: Array,
     *,
     followed: bool,
     whole: bool,
 ) -> tuple[Array, RESULTS, Array]:
-    """A chunk of lanes side by side, or one after the other each from the last one's end."""
+    """A chunk of lanes side by side, or one after the other each from the last one's end; of the
+    first so many."""
     problem = ft.partial(sampling.problem, system, names)
     periods = jax.vmap(lambda row: _at(system, names, row)[1])(rows)
 
@@ -322,15 +327,27 @@ def _run(
 
     if not followed:
         run = in_blocks(block, BLOCK) if whole else jax.vmap(lane)
-        xs, results, end = run(rows, states)
+        xs, results, end = _if(lanes > 0, run, rows, states)
         return xs, jax.vmap(period_outcome)(periods, results), end
 
     single = one_kernel(lane) if whole else lane
 
-    def next_point(x: Array, row: Array) -> tuple[Array, tuple[Array, RESULTS]]:
+    def next_point(x: Array, point: tuple[Array, Array]) -> tuple[Array, tuple[Array, RESULTS]]:
         # A value whose lane failed leaves the next one the last good state to start from.
-        xs, result, end = single(row, x)
-        return jnp.where(result == RESULTS.successful, end, x), (xs, result)
+        row, i = point
+        xs, result, end = _if(i < lanes, single, row, x)
+        return jnp.where((result == RESULTS.successful) & (i < lanes), end, x), (xs, result)
 
-    end, (xs, results) = jax.lax.scan(next_point, states, rows)
+    numbers = jnp.arange(len(rows), dtype=jnp.int32)
+    end, (xs, results) = jax.lax.scan(next_point, states, (rows, numbers))
     return xs, jax.vmap(period_outcome)(periods, results), end
+
+
+def _if(flag: Array, function: Callable, *args: Array) -> Any:
+    """`function(*args)` if the flag is set; otherwise it is not called, and what it gives is 0."""
+
+    def nothing(*args: Array) -> Any:
+        shapes = jax.eval_shape(function, *args)
+        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+    return jax.lax.cond(flag, function, nothing, *args)

@@ -20,8 +20,8 @@ from jax.custom_derivatives import SymbolicZero
 from jax.experimental.xla_metadata import set_xla_metadata
 from jaxtyping import Array
 
-# A call that XLA neither inlines nor splits. A version that does not know these ignores them.
-_WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
+from jaxfil.xla.compiler import WHOLE, makes_whole_kernels
+from jaxfil.xla.fits import LARGE, fits
 
 
 class DoesNotFitError(Exception):
@@ -34,7 +34,7 @@ def one_kernel(function: Callable) -> Callable:
 
     def call(*args: Any) -> Any:
         program, values, tree = _opened(function, args)
-        if not _fits(program.jaxpr):
+        if not fits(program.jaxpr):
             raise DoesNotFitError
         return jax.tree.unflatten(tree, _kernel_of(program)(*values))
 
@@ -61,24 +61,42 @@ def _kernel_of(program: Any) -> Callable:
     def call(*values: Any) -> Any:
         # The barrier keeps the number made of all arguments alive, which nobody else uses: XLA
         # would take it out, and then abort on the arguments that the kernel has no use for.
-        out = kernel_of_all(lambda *values: (run(*values), _all_used(values)))(*values)
+        whole = kernel_of_all(lambda *values: (run(*values), _all_used(values)))
+        out = whole(*_in_memory(values))
         out, _ = jax.lax.optimization_barrier(out)
         return out
 
     return call
 
 
+def _in_memory(values: Sequence[Any]) -> list[Any]:
+    """The same values, none of which is a large array that the compiler knows: on a kernel with one
+    as an argument XLA aborts (jaxlib 0.7.2 to 0.10.2)."""
+    large = [v.size * v.dtype.itemsize >= LARGE for v in values]
+    if not any(large):
+        return list(values)
+    # A copy that is not to be known: the compiler does not know that no square ends in 3.
+    number = jax.lax.optimization_barrier(_all_used(values)).astype(jnp.int32)
+    never = (number * number) & 3 == 3
+    return [
+        jnp.where(never, jnp.zeros_like(v), v) if flag else v
+        for v, flag in zip(values, large, strict=True)
+    ]
+
+
 def kernel_of_all(function: Callable) -> Callable:
     """`function` as a single kernel, where it uses all of its arguments and closes over nothing: on
     another one XLA (jaxlib 0.10.2) aborts."""
+    if not makes_whole_kernels():
+        return function
 
     def inside(*args: Any) -> Any:
         # The attributes are those of the call, not of what it calls.
-        with set_xla_metadata(**dict.fromkeys(_WHOLE)):
+        with set_xla_metadata(**dict.fromkeys(WHOLE)):
             return function(*args)
 
     def call(*args: Any) -> Any:
-        with set_xla_metadata(**_WHOLE):
+        with set_xla_metadata(**WHOLE):
             return jax.jit(inside)(*args)
 
     return call
@@ -90,21 +108,6 @@ def _all_used(values: Sequence[Array]) -> Array:
     return jnp.asarray(sum(firsts), jnp.float32)
 
 
-# What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
-# add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
-# scatters, sorts, and calls of libraries, which a product of matrices may become. (A `psum` over
-# the axis of a batch has become a sum over an axis of an array by then.)
-_NAMES = """
-abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh bitcast_convert_type
-broadcast_in_dim cbrt ceil clamp concatenate cond convert_element_type copy copy_p cos cosh
-custom_jvp_call div dynamic_slice empty2 eq erf erf_inv erfc exp exp2 expm1 floor gather ge gt
-integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg nextafter not
-optimization_barrier or pad pjit pow psum reduce_and reduce_max reduce_min reduce_or
-reduce_precision reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign
-sin sinh slice split sqrt square squeeze stack stop_gradient sub tan tanh transpose unstack
-unvmap_any vanishing_map while xor
-"""
-_FITTING = frozenset(_NAMES.split())
 # Lanes that are one kernel together, at most: a larger batch is so many of them at a time.
 _BLOCK = 64
 
@@ -122,7 +125,7 @@ def kernel_if_it_fits(function: Callable) -> Callable:
             return function(*args)
         # What the function has closed over becomes an argument: it may come as a batch.
         program, values, tree = _opened(function, args)
-        if not _fits(program.jaxpr):
+        if not fits(program.jaxpr):
             return function(*args)
 
         def spread(batched: Sequence[bool]) -> list[bool]:
@@ -136,7 +139,7 @@ def kernel_if_it_fits(function: Callable) -> Callable:
 def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
     results are a batch's if some of its arguments are."""
-    run = jexc.jaxpr_as_fun(program)
+    run, outs = jexc.jaxpr_as_fun(program), program.out_avals
     # A kernel under `vmap` or `jvp` would be taken apart by JAX's own rules, and its parts put
     # together again by XLA as it likes. Here the batch, and the tangents, are a kernel again.
     together = custom_vmap(_kernel_of(program))
@@ -145,14 +148,22 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     @together.def_vmap
     def batch(axis_size: int, batched: Any, *values: Any) -> tuple:
         spreads = spread(batched)
+        if axis_size == 0:  # there is no lane to run, and none to take a result's shape from
+            shapes = [
+                ((0,) if flag else ()) + v.shape for v, flag in zip(outs, spreads, strict=True)
+            ]
+            return [
+                jnp.zeros(shape, v.dtype) for v, shape in zip(outs, shapes, strict=True)
+            ], spreads
         axes, out_axes = ([0 if flag else None for flag in flags] for flags in (batched, spreads))
-        if axis_size == 0:  # nothing to be put into blocks
-            return jax.vmap(run, axes, out_axes, axis_size=0)(*values), spreads
         # A batch of batches counts all its lanes: more than a block does not stay in the cache.
         rows = min(axis_size, max(1, _BLOCK // lanes))
         several = jax.vmap(run, axes, out_axes, axis_size=rows)
         some = [v[:rows] if flag else v for v, flag in zip(values, batched, strict=True)]
-        block = _whole(jax.make_jaxpr(several)(*some), spread, lanes * rows)
+        together = jax.make_jaxpr(several)(*some)
+        if not fits(together.jaxpr):  # sums that are long enough in a batch
+            return jax.vmap(run, axes, out_axes, axis_size=axis_size)(*values), spreads
+        block = _whole(together, spread, lanes * rows)
         return in_turns(block, batched, spreads, axis_size, rows)(*values), spreads
 
     def push(values: tuple, tangents: tuple) -> tuple:
@@ -192,23 +203,6 @@ def _pushed(run: Callable, moving: list[int], values: Any, rates: list) -> list:
 
     _, tangents = jax.jvp(moved, [values[k] for k in moving], rates)
     return [v for v in tangents if v.dtype != jax.dtypes.float0]
-
-
-def _fits(jaxpr: Any) -> bool:
-    """Whether all operations of a program fit into a single kernel."""
-    for eqn in jaxpr.eqns:
-        name = eqn.primitive.name
-        if name == "custom_vmap_call":  # that of `masked_write`, which knows what to be in a batch
-            continue
-        if name not in _FITTING or not all(map(_fits, _programs(eqn.params))):
-            return False
-    return True
-
-
-def _programs(params: Any) -> list:
-    """The programs inside of an operation: the bodies of a loop, the branches of a conditional."""
-    leaves = jax.tree.leaves(params, is_leaf=lambda v: hasattr(v, "eqns"))
-    return [v for v in leaves if hasattr(v, "eqns")]
 
 
 def in_blocks(function: Callable, size: int) -> Callable:

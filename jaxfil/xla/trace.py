@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.xla import fast_trig
+from jaxfil.xla.fits import programs
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
 
 _FLOATS = (jnp.float32, jnp.float64)
@@ -36,6 +37,13 @@ _DEAR = (*_FAST, *_SAFE, "exp", "log", "pow", "tan", "tanh")
 # Multiplications of a product of matrices at most that are written out one by one.
 _SMALL = 64
 _CALLS = ("jit", "pjit", "closed_call")
+# What has no forward derivatives, unless a rule of the user's own stands around it.
+_NO_DERIVATIVES = {
+    "custom_vjp_call": "jax.custom_vjp",
+    "custom_vjp_call_jaxpr": "jax.custom_vjp",
+    "pure_callback": "jax.pure_callback",
+    "io_callback": "jax.experimental.io_callback",
+}
 # Primitives that only move elements about: they move the dependencies the same way.
 _MOVES = (
     "broadcast_in_dim",
@@ -115,6 +123,10 @@ class Traced:
         """What is dear and early, given all arguments that are not late."""
         return self._ahead(jax.tree.leaves(args))
 
+    def without_derivatives(self) -> str | None:
+        """What the function calls that has no forward derivatives, by its name in JAX."""
+        return _without_derivatives(self._closed.jaxpr)
+
     def depends(self, *args: Any) -> Any:
         """Which results depend on the flagged arguments: pytrees of flags in, of flags out."""
         jaxpr = self._closed.jaxpr
@@ -124,6 +136,16 @@ class Traced:
         ]
         out = _dependencies(jaxpr, self._no_consts(), flags)
         return jax.tree.unflatten(self._tree, [bool(np.any(flag)) for flag in out])
+
+
+def _without_derivatives(jaxpr: Any) -> str | None:
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        inner = [] if name == "custom_jvp_call" else programs(eqn.params)
+        for found in (_NO_DERIVATIVES.get(name), *map(_without_derivatives, inner)):
+            if found is not None:
+                return found
+    return None
 
 
 def _same(v: Array) -> Array:

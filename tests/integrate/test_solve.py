@@ -340,3 +340,69 @@ def test_more_steps_than_can_be_counted_are_a_budget_used_up():
     assert sol.result == RESULTS.max_steps_reached
     assert_array_equal(sol.t_final, 0.0)
     assert_array_equal(sol.x_final, x0)
+
+
+class Called(jf.System):
+    """x'' = -2 x, by what has no forward derivatives, or by what has."""
+
+    how: str = eqx.field(static=True)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -DOUBLES[self.how](x[0])])
+
+    def switching(self, t, x):
+        return x[0] - 0.5
+
+
+def on_host(x):
+    return jax.pure_callback(
+        lambda v: 2 * np.asarray(v),
+        jax.ShapeDtypeStruct((), x.dtype),
+        x,
+        vmap_method="expand_dims",
+    )
+
+
+@jax.custom_vjp
+def reverse_only(x):
+    return 2 * x
+
+
+reverse_only.defvjp(lambda x: (2 * x, None), lambda _, v: (2 * v,))
+
+
+@jax.custom_jvp
+def with_rule(x):
+    return on_host(x)
+
+
+with_rule.defjvp(lambda x, v: (with_rule(*x), 2 * v[0]))
+DOUBLES = {"pure_callback": on_host, "custom_vjp": reverse_only, "custom_jvp": with_rule}
+
+
+@pytest.mark.parametrize("how", ["pure_callback", "custom_vjp"])
+def test_a_field_without_forward_derivatives_is_refused_by_name(how):
+    match = rf"^`vector_field` must have forward derivatives.*`jax\.{how}`: wrap it in .*custom_jvp"
+    with pytest.raises(TypeError, match=match):
+        jf.solve(Called(how), jnp.array([1.0, 0.0]), 0.0, 1.0, 0.05)
+
+
+def test_a_field_computed_on_the_host_is_solved_with_a_rule_around_it():
+    w = np.sqrt(2)
+    sol = jf.solve(Called("custom_jvp"), jnp.array([1.0, 0.0]), 0.0, 1.0, 0.05)
+    np.testing.assert_allclose(sol.x_final, [np.cos(w), -w * np.sin(w)], rtol=0, atol=1e-12)
+
+
+def test_under_shard_map_the_check_that_cannot_be_is_named():
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("lanes",))
+    lanes = jax.sharding.PartitionSpec("lanes")
+    starts = jnp.array([[1.0, 0.0], [0.8, 0.0]])
+
+    def ends(check):
+        run = jax.vmap(lambda x: jf.solve(jf.systems.SDOscillator(), x, 0.0, 1.0, 0.05).x_final)
+        shards = jax.shard_map(run, mesh=mesh, in_specs=lanes, out_specs=lanes, check_vma=check)
+        return shards(starts), run(starts)
+
+    np.testing.assert_array_equal(*ends(False))
+    with pytest.raises(ValueError, match=r"^`check_vma` of `jax\.shard_map` must be False"):
+        ends(True)

@@ -1,12 +1,14 @@
 """Sweeps that are broken off: Ctrl-C, and checkpoints after a kill."""
 
 import dataclasses
+import errno
 import os
 import re
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import equinox as eqx
@@ -17,7 +19,7 @@ import pytest
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
-from jaxfil.sweep import checkpoint, execution
+from jaxfil.sweep import checkpoint, execution, interrupt
 from tests import ROOT
 from tests.sweep import runs
 from tests.sweep.runs import ESTIMATED, X0, sweep
@@ -37,14 +39,6 @@ def interrupt_after(monkeypatch, pieces):
 
     monkeypatch.setattr(execution, "_cores", lambda: 1)
     monkeypatch.setattr(execution._Lanes, "finish", piece)
-
-
-@pytest.fixture
-def ctrl_c_interrupts():
-    """It does not in what a shell has started in the background."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.usefixtures("ctrl_c_interrupts")
@@ -224,3 +218,134 @@ def test_a_folder_with_something_else_is_refused(tmp_path):
 def test_a_finished_checkpoint_is_only_read(begun, monkeypatch):
     monkeypatch.setattr(checkpoint.Checkpoint, "write", None)
     assert eqx.tree_equal(sweep([0.7, 0.8], checkpoint=begun), sweep([0.7, 0.8]))
+
+
+def damage(path, how):
+    """What happens to files: to one of a piece, or to two pieces."""
+    piece = path / "lanes-0-64.zarr"
+    samples = piece / "x/c/0/0/0"
+    if how == "a bit":
+        content = bytearray(samples.read_bytes())
+        content[len(content) // 2] ^= 0x10
+        samples.write_bytes(content)
+    elif how == "a file lost":
+        samples.unlink()
+    elif how == "half a file":
+        (piece / "zarr.json").write_text((piece / "zarr.json").read_text()[:40])
+    elif how == "a bit of an outcome":
+        text = (piece / "zarr.json").read_text()
+        (piece / "zarr.json").write_text(text.replace('"checksum": "', '"checksum": "0'))
+    elif how == "the record":
+        text = (path / "sweep.zarr/zarr.json").read_text()
+        (path / "sweep.zarr/zarr.json").write_text(text.replace('"transient": 2', '"transient": 6'))
+        return "sweep.zarr"
+    else:
+        other = (
+            path / "lanes-64-128.zarr" if how == "swapped" else path.parent / "b/lanes-0-64.zarr"
+        )
+        other.rename(path / "kept.zarr")
+        piece.rename(other)
+        (path / "kept.zarr").rename(piece)
+        return "lanes-0-64.zarr, lanes-64-128.zarr" if how == "swapped" else "lanes-0-64.zarr"
+    return "lanes-0-64.zarr"
+
+
+HARM = ["a bit", "a file lost", "half a file", "a bit of an outcome", "the record", "swapped"]
+
+
+@pytest.mark.parametrize("how", [*HARM, "another sweep's"])
+def test_what_is_damaged_is_named_and_computed_again(tmp_path, how):
+    values = np.linspace(0.6, 0.9, 130)
+    whole = sweep(values, checkpoint=tmp_path / "a")
+    if how == "another sweep's":
+        sweep(values + 0.01, checkpoint=tmp_path / "b")
+    named = damage(tmp_path / "a", how)
+    with pytest.warns(RuntimeWarning, match=rf"was damaged.*again: {named}\.$") as told:
+        again = sweep(values, checkpoint=tmp_path / "a")
+    assert len(told) == 1 and told[0].filename == runs.__file__
+    assert eqx.tree_equal(again, whole)
+    assert eqx.tree_equal(sweep(values, checkpoint=tmp_path / "a"), whole)  # without a warning
+    assert not [name for name in os.listdir(tmp_path / "a") if name.startswith(".")]
+
+
+def test_a_full_disk_is_told_in_a_line_and_finished_pieces_stay(monkeypatch, tmp_path):
+    values = np.linspace(0.6, 0.9, 200)
+    whole, before = sweep(values), checkpoint.dataset_io.write_zarr
+    monkeypatch.setattr(execution, "_cores", lambda: 1)
+
+    def full(data, path):
+        before(data, path)
+        if "lanes-128" in path.name:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path / "x/c/0"))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint.dataset_io, "write_zarr", full)
+        with pytest.raises(OSError) as error:
+            sweep(values, checkpoint=tmp_path)
+    assert error.value.errno == errno.ENOSPC
+    assert re.fullmatch(
+        rf".*No space left on device; what was finished before is kept: '{tmp_path}/lanes-128-192"
+        r"\.zarr'",
+        str(error.value),
+    )
+    kept = {path.name for path in tmp_path.iterdir()}
+    assert kept - {"lanes-192-200.zarr"} == {"lanes-0-64.zarr", "lanes-64-128.zarr", "sweep.zarr"}
+    assert eqx.tree_equal(sweep(values, checkpoint=tmp_path), whole)
+
+
+TWO = """
+import sys
+import jax, numpy
+jax.config.update("jax_enable_x64", True)
+from tests.sweep.runs import sweep
+d = sweep(numpy.linspace(0.6, 0.9, 700), checkpoint={path!r})
+print(d.xs.tobytes().hex())
+"""
+
+
+def test_two_processes_at_one_checkpoint_agree(tmp_path):
+    command = [sys.executable, "-c", TWO.format(path=str(tmp_path))]
+    both = [subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) for _ in range(2)]
+    first, second = (process.communicate()[0] for process in both)
+    assert [process.returncode for process in both] == [0, 0]
+    whole = sweep(np.linspace(0.6, 0.9, 700))
+    assert first == second == f"{whole.xs.tobytes().hex()}\n".encode()
+
+
+@pytest.mark.usefixtures("ctrl_c_interrupts")
+@pytest.mark.parametrize("follow", [None, "up"])
+def test_ctrl_c_while_a_sweep_compiles_is_heeded_when_it_is_compiled(monkeypatch, follow):
+    before, compiled = execution._compiled_job, []
+
+    def pressed(*args):
+        signal.raise_signal(signal.SIGINT)
+        compiled.append(before(*args))
+        return compiled[-1]
+
+    monkeypatch.setattr(execution, "_compiled_job", pressed)
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.warns(RuntimeWarning, match="0 of 3 lanes are finished"):
+        part = sweep([0.6, 0.7, 0.8], follow=follow)
+    assert len(compiled) == 1 and np.all(outcome_names(part.results) == "interrupted")
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_a_handler_of_the_users_own_and_other_threads_are_left_alone():
+    pressed = []
+    before = signal.signal(signal.SIGINT, lambda *args: pressed.append(args))
+    try:
+        with interrupt.counted() as interrupts:
+            signal.raise_signal(signal.SIGINT)
+        assert interrupts.count == 0 and len(pressed) == 1
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        with ThreadPoolExecutor() as pool:
+            d = pool.submit(sweep, [0.7, 0.8]).result()
+        assert d.successful.all()
+        with interrupt.counted() as outer, interrupt.counted() as inner:
+            signal.raise_signal(signal.SIGINT)
+            assert inner is outer and outer.count == 1
+        with pytest.raises(RuntimeError), interrupt.counted():
+            raise RuntimeError
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)

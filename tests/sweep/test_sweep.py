@@ -1,5 +1,7 @@
 """Bifurcation diagrams: lanes against single runs, outcomes, following, chunks."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -208,3 +210,61 @@ def test_a_lane_without_a_forcing_period_is_told(follow):
     assert outcome_names(d.results).tolist() == ["invalid_period"] * 2 + ["successful"]
     assert np.isnan(d.xs[:2]).all()
     np.testing.assert_array_equal(d.xs[2], alone.xs[0])
+
+
+class Checked(System):
+    """x'' + x = 0, which looks at itself before each step."""
+
+    omega: jnp.ndarray
+    left: str = eqx.field(static=True, default="left the model's range")
+
+    def vector_field(self, t, x, side):
+        out = ~(jnp.abs(x[0]) < 1e3) | ~(self.omega < 5)
+        return jnp.stack([x[1], -eqx.error_if(x[0], out, self.left)])
+
+    def switching(self, t, x):
+        return x[0] - 0.5
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+def cosines(omegas, samples):
+    times = 2 * np.pi / np.asarray(omegas)[:, None] * np.arange(1, samples + 1)
+    return np.stack([np.cos(times), -np.sin(times)], axis=-1)
+
+
+@pytest.mark.parametrize("nans", [False, True], ids=["plain", "jax_debug_nans"])
+def test_a_field_that_checks_itself_is_swept(nans):
+    omegas = [0.7, 0.9, 1.1]
+    with jax.debug_nans(nans):
+        d = jf.bifurcation_diagram(
+            Checked(jnp.asarray(1.0)), "omega", omegas, jnp.array([1.0, 0.0]),
+            transient=0, samples=2, steps=200, progress=False,
+        )  # fmt: skip
+    np.testing.assert_allclose(d.xs, cosines(omegas, 2), rtol=0, atol=1e-12)
+
+
+def test_a_field_that_checks_itself_is_followed_and_says_what_fails():
+    def run(omegas, follow=None):
+        return jf.bifurcation_diagram(
+            Checked(jnp.asarray(1.0)), "omega", omegas, jnp.array([1.0, 0.0]),
+            transient=0, samples=1, steps=200, follow=follow, progress=False,
+        )  # fmt: skip
+
+    np.testing.assert_allclose(run([0.9], "up").xs[:, 0], cosines([0.9], 1)[:, 0], atol=1e-12)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="left the model's range"):
+        run([0.9, 6.0])
+
+
+@pytest.mark.parametrize("nans", [False, True], ids=["plain", "jax_debug_nans"])
+@pytest.mark.parametrize("follow", [None, "up"])
+def test_a_sweep_fills_up_with_nothing_that_is_not_a_number(nans, follow):
+    values = np.linspace(4.2, 4.7, 3)
+    with jax.debug_nans(nans):
+        d = jf.bifurcation_diagram(
+            BELT, "omega", values, jnp.zeros(2), transient=1, samples=2, follow=follow,
+            progress=False,
+        )  # fmt: skip
+    assert d.successful.all() and np.isfinite(d.xs).all()

@@ -10,7 +10,7 @@ import pytest
 from jax import lax
 
 import jaxfil as jf
-from jaxfil.xla import kernel
+from jaxfil.xla import fits, kernel
 
 X0 = jnp.array([1.0, 0.5])
 
@@ -57,7 +57,7 @@ def in_parts(monkeypatch):
     """Call it for nothing to fit into one kernel any more, in this test."""
 
     def start():
-        monkeypatch.setattr(kernel, "_fits", lambda jaxpr: False)
+        monkeypatch.setattr(kernel, "fits", lambda jaxpr: False)
         jax.clear_caches()
 
     yield start
@@ -194,7 +194,7 @@ def everything(x, k):
 def names(jaxpr):
     for eqn in jaxpr.eqns:
         yield eqn.primitive.name
-        for program in kernel._programs(eqn.params):
+        for program in fits.programs(eqn.params):
             yield from names(program)
 
 
@@ -205,8 +205,8 @@ OTHERS = {"pjit", "copy_p", "copy", "stop_gradient", "exp2", "square", "unstack"
 def test_one_kernel_holds_what_is_said_to_fit():
     x, k = jnp.linspace(0.2, 0.7, 6), jnp.float64(1.0)
     found = set(names(jax.make_jaxpr(everything)(x, k).jaxpr))
-    assert found <= kernel._FITTING, found - kernel._FITTING
-    assert kernel._FITTING - found <= OTHERS, kernel._FITTING - found - OTHERS
+    assert found <= fits.FITTING, found - fits.FITTING
+    assert fits.FITTING - found <= OTHERS, fits.FITTING - found - OTHERS
 
     def moved(x, k):
         return jax.jvp(lambda x: everything(x, k), (x,), (x,))
