@@ -16,7 +16,6 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
@@ -187,7 +186,7 @@ def _chattering(
     sides = unilateral.sides_of(state.mode)
     same = grid.same_time(state.tau)
     # What is left out is a part T ȧ/a of T.
-    longest = jnp.maximum(same, np.sqrt(system.eps) * abs(grid.dt))
+    longest = jnp.maximum(same, system.eps**0.5 * abs(grid.dt))
     push = unilateral.multipliers(c.gains, seen.a, rests)
     total, kick = jnp.zeros_like(state.tau), tuple(jnp.zeros_like(v) for v in state.x)
     for j in range(system.m):

@@ -94,7 +94,7 @@ def _direction(
     # A reset may be written for motions that come in only: its derivative is that at such a state,
     # by so little that nothing else is told of it.
     terms = sum(abs(a * b) for a, b in zip(gradient, x, strict=True))
-    least = np.sqrt(np.finfo(system.dtype).tiny)
+    least = float(np.finfo(system.dtype).tiny) ** 0.5
     depth = stop_gradient(_NOISE * system.eps * terms + least + sides[j] * rate[j])
     moving = axpy(x, -sides[j] * depth * stop_gradient(inverse), stop_gradient(gradient))
     _, moved = jax.jvp(lambda x: system.reset(t, x, jnp.int32(j)), (moving,), (gradient,))

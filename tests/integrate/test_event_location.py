@@ -250,3 +250,27 @@ def test_a_contact_that_lands_at_once_hides_no_earlier_one(lag):
     assert np.all(np.asarray(sols.result == jf.RESULTS.successful))
     np.testing.assert_allclose(sols.events.ts[:, 0], floor, rtol=1e-10)
     assert np.all(np.asarray(sols.x_final[:, 0]) > -1e-15)
+
+
+class Decay(jf.System):
+    """x' = −x above 1/2 and −x − 0.3 below it."""
+
+    def vector_field(self, t, x, side):
+        return -x - 0.15 * (1 - side)
+
+    def switching(self, t, x):
+        return x[0] - 0.5
+
+
+@pytest.mark.parametrize(
+    "dtype, start", [("float64", 1e9), ("float64", 1e14), ("float32", 1e5), ("float32", 1e8)]
+)
+def test_a_large_transient_is_forgotten(dtype, start):
+    # What rounding of the largest state would do to H has decayed with that state.
+    t1 = np.log(2 * start) + 5
+    x0 = jnp.array([start], dtype)
+    sol = jf.solve(Decay(), x0, 0.0, t1, 0.05, estimate_error=True)
+    assert np.asarray(sol.events.kinds)[:2].tolist() == [EventKind.crossing, EventKind.none]
+    error = abs(float(sol.x_final[0]) - (0.8 * np.exp(-5) - 0.3))
+    assert error < 100 * np.finfo(dtype).eps
+    assert error < 10 * float(sol.errors[0, 0])

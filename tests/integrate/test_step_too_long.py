@@ -3,6 +3,7 @@ or starts from zero, is not."""
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -120,3 +121,49 @@ def test_a_lane_that_cannot_be_followed_harms_no_other():
     np.testing.assert_array_equal(told, [False, True, False])
     np.testing.assert_array_equal(d.xs[0], d.xs[2])
     assert np.isfinite(d.xs[0]).all()
+
+
+class PulledBlock(jf.System):
+    """A block on a plane, pulled by a spring whose end moves: it sticks until t = 3."""
+
+    at: float = 0.0
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -0.5 * (x[0] - self.at - 0.2 * t) - 0.3 * side])
+
+    def switching(self, t, x):
+        return x[1]
+
+
+@pytest.mark.parametrize("at", [0.0, 1e-9, 1.0, -1e6])
+@pytest.mark.parametrize("stepper", RELIABLE, ids=name)
+def test_a_state_of_zero_is_no_measure_of_a_step(stepper, at):
+    # Wherever the origin is: x = at + 0.2 (s - sin(w s)/w) a time s after it has begun to slip.
+    x0 = jnp.array([at, 0.0])
+    sol = jf.solve(PulledBlock(at), x0, 0.0, 10.0, 0.05, stepper=stepper, throw=False)
+    assert sol.result == jf.RESULTS.successful
+    w, s = np.sqrt(0.5), 7.0
+    want = [at + 0.2 * (s - np.sin(w * s) / w), 0.2 * (1 - np.cos(w * s))]
+    np.testing.assert_allclose(sol.x_final, want, atol=1e-7 + 1e-15 * abs(at))
+
+
+class Beside(jf.System):
+    """Two oscillators that know nothing of each other, in units of their own."""
+
+    units_: jax.Array
+
+    def vector_field(self, t, x, side):
+        u = self.units_
+        pull = -x[0] - 0.3 * u * side[0]
+        return jnp.stack([x[1], pull, x[3], -4 * x[2]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[1] - 2 * self.units_])
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("dt, told", [(0.1, False), (6.0, True)])
+def test_a_step_is_judged_in_each_components_own_unit(unit, dt, told):
+    x0 = jnp.array([unit, 0.0, 1.0, 0.0])
+    sol = jf.solve(Beside(jnp.asarray(unit)), x0, 0.0, 12.0, dt, throw=False)
+    assert bool(sol.result == jf.RESULTS.step_too_long) == told
