@@ -140,7 +140,7 @@ def find_bifurcation(
     `.kind` names; `orbit_lost` where the orbit meets a surface elsewhere; `newton_stalled`,
     `newton_singular` or `newton_max_steps_reached` where there is perhaps none; and where the flow
     cannot be followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
-    `nonunique`, `undeclared_sliding` or `step_too_long`.
+    `nonunique`, `reset_undecided`, `undeclared_sliding` or `step_too_long`.
 
     **Source**: kinds and conditions: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk,
     Piecewise-smooth Dynamical Systems (2008), chapter 8, with time as a state.

@@ -75,7 +75,7 @@ def grazing_margin(
     flight of it approaches a surface; `newton_stalled`, `newton_singular` or
     `newton_max_steps_reached` where the system has perhaps no orbit near it; and where the flow
     cannot be followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
-    `nonunique`, `undeclared_sliding` or `step_too_long`.
+    `nonunique`, `reset_undecided`, `undeclared_sliding` or `step_too_long`.
 
     **Source**: the implicit function theorem (textbook) applied to the defining system of grazing,
     as in `find_bifurcation`.

@@ -106,7 +106,7 @@ def lyapunov_spectrum(
     **Returns** a `LyapunovSpectrum`.
 
     **Outcomes**: `successful`, `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`,
-    `undeclared_sliding`, `nonfinite`, `step_too_long`, `invalid_period`.
+    `reset_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`, `invalid_period`.
 
     **Source**: G. Benettin, L. Galgani, A. Giorgilli and J.-M. Strelcyn, Lyapunov characteristic
     exponents for smooth dynamical systems, Meccanica 15 (1980) 9–30; P. C. Müller, Calculation of

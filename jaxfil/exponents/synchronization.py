@@ -77,7 +77,7 @@ def synchronization_exponent(
 
     **Outcomes**, one for each coupling in `results`: `successful`, whether it synchronises or not,
     `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`,
-    `step_too_long`, `invalid_period`.
+    `reset_undecided`, `step_too_long`, `invalid_period`.
 
     **Source**: A. Stefański and T. Kapitaniak, Using chaos synchronization to estimate the largest
     Lyapunov exponent of nonsmooth systems, Discrete Dynamics in Nature and Society 4 (2000)
@@ -228,7 +228,7 @@ def transverse_exponent(
     **Returns** a `TransverseExponent`.
 
     **Outcomes**: `successful`, `max_steps_reached`, `zeno`, `nonunique`, `mode_undecided`,
-    `undeclared_sliding`, `nonfinite`, `step_too_long`, `invalid_period`.
+    `reset_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`, `invalid_period`.
 
     **Source**: A. Stefański and T. Kapitaniak, Discrete Dynamics in Nature and Society 4 (2000)
     207–215, for the coupling; G. Benettin, L. Galgani and J.-M. Strelcyn, Kolmogorov entropy and

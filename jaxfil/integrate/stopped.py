@@ -40,7 +40,7 @@ def _place(sol: Solution, system: System, x0: Array) -> str:
     )
     told = f"t = {float(sol.t_final):.10g}, x = {state}"
     size = jnp.maximum(abs(x0), abs(sol.x_final))
-    met = _surfaces(system, sol.t_final, sol.x_final, size) | (np.asarray(sol.mode_final) == 0)
+    met = _surfaces(system, sol.t_final, sol.x_final, size) | (np.abs(sol.mode_final) != 1)
     if not met.any():
         return told
     numbers = ", ".join(map(str, np.flatnonzero(met)))

@@ -70,7 +70,7 @@ def periodic_orbit(
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
     where no orbit was found; and where the guess itself cannot be integrated for a period,
     `nonfinite`, `max_steps_reached`, `max_events_reached`, `mode_undecided`, `zeno`, `nonunique`,
-    `undeclared_sliding`, `step_too_long` or `invalid_period`.
+    `reset_undecided`, `undeclared_sliding`, `step_too_long` or `invalid_period`.
 
     **Source**: (multiple) shooting is textbook: R. Seydel, Practical Bifurcation and Stability
     Analysis (2010). Its Jacobian through contacts: R. Leine, H. Nijmeijer, Dynamics and
