@@ -114,7 +114,8 @@ def basins_of_attraction(
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite`,
-    `step_too_long`, `invalid_period`, and after Ctrl-C `interrupted`. A lane that did not succeed has the label −1.
+    `step_too_long`, `invalid_period`, and after Ctrl-C `interrupted`. A lane that did not succeed
+    has the label −1.
 
     **Source**: textbook; H. E. Nusse and J. A. Yorke, Dynamics: Numerical Explorations, Springer
     (1998), chapter 7.

@@ -102,7 +102,8 @@ def bifurcation_diagram(
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite`,
-    `step_too_long`, `invalid_period`, and after Ctrl-C `interrupted`. A lane that fails harms no other.
+    `step_too_long`, `invalid_period`, and after Ctrl-C `interrupted`. A lane that fails harms no
+    other.
 
     **Source**: textbook; S. H. Strogatz, Nonlinear Dynamics and Chaos, Perseus (1994), section 10.2
     for diagrams and 12.5 for stroboscopic sections.
