@@ -259,7 +259,7 @@ def propagate(system: Relays, x0, t1, most=40) -> Motion:
 
 
 def appearance(rows, terms, length, margin: Margin):
-    """When all of these rows of z are positive first in [0, length], None if they never are."""
+    """When all of these rows of z are positive first in [0, length), None if they never are."""
     polynomials = [terms @ row for row in rows]
     times = {REAL(0)}
     for p in polynomials:
@@ -338,11 +338,11 @@ def piece(system: Relays, x, t, t1, mode, zeros, margin: Margin):
             at = first_fall(p, length, scale, margin)
             if at is not None:
                 found.append((at, j, side))
-        ends = min(found)[0] if found else length
-        appear = [appearance(rows, terms, length, margin) for rows in rivals]
-        appear = [at for at in appear if at is not None]
         # A slide ends where another begins.
-        if appear and min(appear) < ends - 1e-9 * length:
+        before = min(found)[0] - 1e-6 * length if found else length
+        appear = [appearance(rows, terms, before, margin) for rows in rivals if before > 0]
+        appear = [at for at in appear if at is not None]
+        if appear:
             at = min(appear)
             return t + at, (terms * (at ** np.arange(TERMS))[:, None]).sum(axis=0)[:-1], LEFT
         if found:
