@@ -269,8 +269,8 @@ def appearance(rows, terms, length, margin: Margin):
         times |= {bisected(p, a, b) for a, b, u, v in pairs if u != v}
     for at in sorted(times):
         after = at + 1e-9 * length
-        values = [np.polyval(p[::-1], after) / (abs(p).sum() + 1e-300) for p in polynomials]
-        least = min(values)
+        powers = length ** np.arange(TERMS)
+        least = min(np.polyval(p[::-1], after) / (abs(p) @ powers + 1e-300) for p in polynomials)
         if least > 1e-14:
             return at
         if least > -1e-14:
