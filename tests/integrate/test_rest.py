@@ -305,3 +305,31 @@ def test_a_batch_of_balls_is_what_each_is_alone():
     together = jax.jit(jax.vmap(run))(es)
     alone = jnp.stack([run(e) for e in es])
     assert_allclose(together, alone, atol=1e-12)
+
+
+def test_rocking_that_dies_out_is_told():
+    # Each half of a swing lasts twice its speed: 1 + 2 (1/2 + 1/4 + …) = 3. No rule completes it.
+    sol = solve(Rocking(jnp.asarray(0.5)), (0.5, 0), 5.0)
+    assert sol.result == RESULTS.zeno
+    # A swing of speed v has the height v²/2: rounding hides those below the root of eps.
+    assert_allclose(sol.t_final, 3.0, atol=4 * np.sqrt(np.finfo(float).eps))
+
+
+class Clutch(jf.System):
+    """A ball that a floor stops if it is fast, and lets through if it is slow."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], jnp.where(abs(x[1]) > 0.5, 0.0, x[1])])
+
+
+def test_a_reset_that_leads_nowhere_is_told():
+    # At zero speed the floor does nothing, so that it cannot hold the ball either.
+    sol = solve(Clutch(), (0.5, 0), 5.0)
+    assert sol.result == RESULTS.reset_undecided
+    assert_allclose(sol.t_final, 1.0, rtol=1e-13)
