@@ -293,11 +293,13 @@ def test_a_branch_draws_itself():
     solid, dashed, fold = ax.lines
     assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
     x0 = np.asarray(branch.orbits.x0)[:, 1]
+    (at,) = (point.value for point in of_kind(branch, "fold"))
     for line, kept in ((solid, branch.stable), (dashed, ~branch.stable)):
         x, y = line.get_data()
-        np.testing.assert_array_equal(x, branch.values)
-        np.testing.assert_array_equal(y[kept], x0[kept])
-    assert fold.get_xdata() == [of_kind(branch, "fold")[0].value]
+        np.testing.assert_array_equal(x[x != at], branch.values)
+        np.testing.assert_array_equal(y[x != at][kept], x0[kept])
+        assert np.isfinite(y[x == at])  # the style changes at the fold
+    assert fold.get_xdata() == [at]
     _, own = plt.subplots()
     assert jf.plot.branch(branch, ax=own, extremes=True) is own
     least, most = branch.extremes()
