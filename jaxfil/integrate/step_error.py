@@ -2,8 +2,8 @@
 
 A trial step's ends, its fields there and what the method says of its error enter; whether the step
 is too long leaves. It is if it has missed by a tenth or more of what it does to a component: of its
-displacement, or of |h f| at both ends where that is more, as round a turning point. That depends
-neither on where the origin of the state is nor on its units; and a step of a motion at rest is not
+displacement, of |h f| at both ends, as round a turning point, or of the state, whichever is most. It
+does not depend on units, nor on a state that is zero: a step of a motion at rest is not
 too long, since what it misses is rounding.
 """
 
@@ -72,8 +72,12 @@ def _is_gross(system: ComponentSystem, tableau: Tableau, step: Step, sides: Comp
     ends = zip(step.x0, x1, step.f0, step.f1, strict=True)
     each = zip(_missed(tableau, step), ends, rounded, strict=True)
     for missed, (a, b, f0, f1), size in each:
-        rounding = _ROUNDING * system.eps * (size + jnp.maximum(abs(a), abs(b)))
-        total = total | (missed > jnp.maximum(_GROSS * _moved(h, a, b, f0, f1), rounding))
+        # A jump of the field that no surface tells of costs a step a part of what it does, however
+        # short it is: beside a state that is not zero that is left to the user too.
+        state = jnp.maximum(abs(a), abs(b))
+        moved = jnp.maximum(_moved(h, a, b, f0, f1), state)
+        rounding = _ROUNDING * system.eps * (size + state)
+        total = total | (missed > jnp.maximum(_GROSS * moved, rounding))
     return total
 
 
