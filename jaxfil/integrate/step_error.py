@@ -2,9 +2,9 @@
 
 A trial step's ends, its fields there and what the method says of its error enter; whether the step
 is too long leaves. It is if it has missed by a tenth or more of what it does to a component: of its
-displacement, of |h f| at both ends, as round a turning point, or of the state, whichever is most. It
-does not depend on units, nor on a state that is zero: a step of a motion at rest is not
-too long, since what it misses is rounding.
+displacement, of |h f| at both ends, as round a turning point, or of the state, whichever is most.
+That depends on no units and on no state that is zero: a step of a motion at rest is not too long,
+since what it misses is rounding.
 """
 
 import equinox as eqx
