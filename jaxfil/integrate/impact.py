@@ -62,11 +62,6 @@ class Impact(eqx.Module):
     kick: Components
     """How far it carries the state besides the field, n components."""
 
-    @property
-    def goes_on(self) -> Array:
-        """Whether there is more to be done at once."""
-        return any_of(self.next)
-
 
 class View(eqx.Module):
     """The surfaces as constraints, and their accelerations along the field."""
@@ -160,13 +155,11 @@ def follow(
         inward = direction * sides[j] * rate < -noise
         owed.append(reset.waits[j] | (reset.moved & on & inward & ~reset.acted[j]))
     rests, consistent = unilateral.pressed(c.gains, seen.a, sides, tuple(still))
-    jump, kick = _chattering(problem, state, length, reset, seen, rests, any_of(tuple(owed)))
-    ends = jump > 0
+    more = any_of(tuple(owed))
+    jump, kick = _chattering(problem, state, length, reset, seen, rests, more)
     upcoming = tuple(
-        jnp.where(ends, acted, o | (more & hit & ~acted))
-        for acted, o, hit, more in zip(
-            reset.acted, owed, state.hit, (any_of(tuple(owed)),) * system.m, strict=True
-        )
+        jnp.where(jump > 0, acted, o | (more & hit & ~acted))
+        for acted, o, hit in zip(reset.acted, owed, state.hit, strict=True)
     )
     return Impact(upcoming, tuple(still), rests, consistent | ~switching, jump, kick)
 

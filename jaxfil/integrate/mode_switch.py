@@ -300,10 +300,10 @@ def _left_by_reset(
     for another switch, and the surfaces met on which a mode is still to be chosen."""
     switching = state.pending & ~state.graze
     modes, open_ = [], []
-    for j, (s, v, least) in enumerate(zip(left, h, touch, strict=True)):
+    each = zip(left, unilateral.sides_of(left), h, touch, strict=True)
+    for j, (s, beside, v, least) in enumerate(each):
         one = jnp.ones_like(s)
         off = moved & (abs(v) > least)
-        beside = jnp.where(s < 0, -one, one)
         rested = jnp.where(led.rests[j], 2 * beside, beside)
         # What ends a rest, and what asks for a reset, leaves to its side.
         ends = (state.hit[j] & (abs(s) == 2)) | led.next[j]

@@ -42,7 +42,7 @@ def may_be_too_long(tableau: Tableau, step: Step) -> Array:
     for missed, x0, x1, f0, f1 in zip(
         _missed(tableau, step), step.x0, step.trial.x, step.f0, step.f1, strict=True
     ):
-        suspect = suspect | (missed > _GROSS * stop_gradient(_moved(step.h, x0, x1, f0, f1)))
+        suspect = suspect | (missed > _GROSS * stop_gradient(_measure(step.h, x0, x1, f0, f1)))
     return suspect
 
 
@@ -72,19 +72,19 @@ def _is_gross(system: ComponentSystem, tableau: Tableau, step: Step, sides: Comp
     ends = zip(step.x0, x1, step.f0, step.f1, strict=True)
     each = zip(_missed(tableau, step), ends, rounded, strict=True)
     for missed, (a, b, f0, f1), size in each:
-        # A jump of the field that no surface tells of costs a step a part of what it does, however
-        # short it is: beside a state that is not zero that is left to the user too.
-        state = jnp.maximum(abs(a), abs(b))
-        moved = jnp.maximum(_moved(h, a, b, f0, f1), state)
-        rounding = _ROUNDING * system.eps * (size + state)
-        total = total | (missed > jnp.maximum(_GROSS * moved, rounding))
+        rounding = _ROUNDING * system.eps * (size + jnp.maximum(abs(a), abs(b)))
+        total = total | (missed > jnp.maximum(_GROSS * _measure(h, a, b, f0, f1), rounding))
     return total
 
 
-def _moved(h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
-    """What a step does to a component."""
+def _measure(h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
+    """What the error of a step is compared with, of one component."""
+    # A jump of the field that no surface tells of costs a step a part of what it does, however
+    # short it is: beside a state that is not zero that is left to the user too.
+    state = jnp.maximum(abs(x0), abs(x1))
     # The field at the end of an unstable step is no measure: it may be a thousand times the state.
-    return jnp.maximum(abs(x1 - x0), abs(h) * jnp.minimum(abs(f0), abs(f1)))
+    moved = jnp.maximum(abs(x1 - x0), abs(h) * jnp.minimum(abs(f0), abs(f1)))
+    return jnp.maximum(moved, state)
 
 
 def _terms(
