@@ -52,7 +52,7 @@ def _add_jvp(function: Callable, primals: tuple, tangents: tuple) -> tuple:
     _, *args = primals
     rates, *moves = tangents
     leaves, tree = jax.tree.flatten(args)
-    real = tuple(k for k, v in enumerate(leaves) if jnp.issubdtype(v.dtype, jnp.inexact))
+    real = tuple(k for k, v in enumerate(leaves) if jnp.issubdtype(jnp.result_type(v), jnp.inexact))
     moving = [jax.tree.leaves(moves)[k] for k in real]
     pushed = _Pushed(function, tree, real, len(leaves))
     out, shape = jax.tree.flatten(rates)
