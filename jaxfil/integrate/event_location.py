@@ -328,8 +328,7 @@ def _kind_of_end(
     close = (size <= small * abs(grid.dt)) & (size * abs(bend) <= small * abs(rate * h))
     inside = (length.room - stop_gradient(missing)) * direction >= 0
     # Rounding of t hides what is missing to the end of a slide or a rest, whose guard is made of
-    # fields. A
-    # state knows its surface better: it is there when all that is left of g is rounding.
+    # fields. A state knows its surface better: it is there when all that is left of g is rounding.
     g = stop_gradient(end.g[j])
     sliding = end.mode[j] == 0 if system.slides else jnp.zeros((), bool)
     if system.resets:

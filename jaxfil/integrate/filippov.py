@@ -183,9 +183,11 @@ def _admissible(
     w = weights(where(ok, candidate, tuple(map(jnp.ones_like, candidate))), rates)
     rate = blend(rates, candidate, w)
     eps = jnp.finfo(direction.dtype).eps
+    # Where no side moves the state off a surface, nothing but a slide on all of them stays there.
+    stays = ~any_of(tuple(o & (c != 0) for o, c in zip(on, candidate, strict=True)))
     for j, c in enumerate(candidate):
         scale = sum(abs(r[j]) for r in rates)
-        solved = (abs(rate[j]) <= 64 * eps * scale) & (scale > 0)
+        solved = (abs(rate[j]) <= 64 * eps * scale) & ((scale > 0) | stays)
         slides = (abs(w[j]) <= 1) & solved
         leaves = c * direction * rate[j] > least * scale
         ok = ok & (~on[j] | jnp.where(c == 0, slides, leaves))

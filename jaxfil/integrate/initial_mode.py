@@ -13,7 +13,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate import filippov, impact, sliding_weights, unilateral
+from jaxfil.integrate import accumulation, filippov, impact, sliding_weights, unilateral
 from jaxfil.integrate.components import Components, ComponentSystem, all_finite, any_of
 from jaxfil.integrate.guards import guards, stays_on, surface_noise
 from jaxfil.integrate.mode_switch import with_reactions
@@ -159,6 +159,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         hit=start.owed if system.resets else (false,) * system.m,
         graze=false,
         settled=false if system.resets else None,
+        turn=accumulation.no_turn(system, x),
         index=zero,
         tries=zero,
         frozen=zero,

@@ -23,6 +23,7 @@ second derivatives alone (`second_order`).
 import dataclasses
 import functools as ft
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -162,17 +163,20 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     action = jnp.where(landed, jnp.where(touched, _TOUCH, _LAND), action)
     action = jnp.where(state.pending, _SWITCH, action)
     failures = [~all_finite(end.x, end.f, end.g, (judged.contact.theta,))]
-    limit = problem.recording.max_events
-    full = jnp.zeros((), bool) if limit is None else state.pending & (state.num_events >= limit)
+    most = problem.recording.max_events
+    full = jnp.zeros((), bool) if most is None else state.pending & (state.num_events >= most)
     failures.append(full)
     failures.append((end.num_modes > 1) & (~found | state.pending))
     slid = jnp.zeros((), bool) if system.slides else any_of(tuple(s == 0 for s in end.mode))
     failures.append(slid)
     failures.append(end.moved & (problem.grid.direction < 0))
     failures.append((end.num_modes == 0) & end.moved)
-    failures.append((end.num_modes == 0) | (judged.tries > _TRIES))
+    # A limit of turns at which no mode goes on is none.
+    limit = jnp.zeros((), bool) if state.turn is None else state.turn.completed & state.pending
+    failures.append(((end.num_modes == 0) & ~limit) | (judged.tries > _TRIES))
     chains = system.resets and system.m > 1
-    failures.append(judged.frozen >= (_CHAIN if chains else _FROZEN))
+    frozen = judged.frozen >= (_CHAIN if chains else _FROZEN)
+    failures.append(frozen | ((end.num_modes == 0) & limit))
     failures.append(judged.too_long & ~state.pending & (landed | ~found))
     for number, failed in reversed(list(enumerate(failures))):
         action = jnp.where(failed, _FAIL + number, action)
@@ -206,7 +210,7 @@ def _carried_out(
         h = h + jnp.where(switched, end.jump, 0.0)
         pending = pending | (switched & any_of(end.next))
         hit = where(switched, end.next, hit)
-        settled = switched & (end.jump > 0)
+        settled = None if settled is None else switched & (end.jump > 0)
     tau, rest = later(state.tau, state.rest, h)
     exact = gridded | (lands & landing.jumped)
     after = dataclasses.replace(
@@ -219,7 +223,7 @@ def _carried_out(
         mode=where(moved, end.mode, state.mode),
         g=where(moved, g, state.g),
         rate=where(moved, rate, where(lands, end.rate, state.rate)),
-        determinant=jax.tree.map(ft.partial(jnp.where, moved), end.determinant, state.determinant),
+        determinant=_chosen(moved, end.determinant, state.determinant),
         armed=where(moved, armed, state.armed),
         noise=where(lands, landed_noise, where(moved, noise, state.noise)),
         cut=_next_cut(grid, state, length, judged, rejected, accepted, moved),
@@ -228,6 +232,7 @@ def _carried_out(
         hit=where(lands, landing.surfaces, hit),
         graze=jnp.where(lands, action == _TOUCH, state.graze),
         settled=settled,
+        turn=_chosen(switched, end.turn, state.turn),
         index=state.index + gridded.astype(jnp.int32),
         tries=jnp.where(rejected, state.tries + 1, 0),
         frozen=jnp.where(switched, judged.frozen, state.frozen),
@@ -239,6 +244,11 @@ def _carried_out(
         table=record_event(problem, state, end, switched),
     )
     return _keep(problem, state, after, end, moved, gridded, saving)
+
+
+def _chosen(flag: Array, new: Any, old: Any) -> Any:
+    """Choice between two records."""
+    return jax.tree.map(ft.partial(jnp.where, flag), new, old)
 
 
 def _next_cut(

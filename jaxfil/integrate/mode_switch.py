@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate import filippov, impact, sliding_weights, unilateral
+from jaxfil.integrate import accumulation, filippov, impact, sliding_weights, unilateral
 from jaxfil.integrate.components import (
     Components,
     ComponentSystem,
@@ -67,7 +67,7 @@ def evaluate_step_end(
     # Everything from here on is taken after the reset: sides, rates and modes are those of the
     # state that goes on.
     h, h_t, normals = system.gradients(t, x)
-    size = larger(state.size, x)
+    size = larger(state.size, x, None if state.turn is None else state.pending)
     # Two scales: what rounding of this step does to H, and what all rounding since t0 may have
     # done, which is of the largest state so far. The first tells whether a contact is here, the
     # second whether a touch is more than rounding.
@@ -121,8 +121,11 @@ def evaluate_step_end(
         next=(),
         jump=None,
         still=(),
+        turn=None,
     )
-    return end if reset is None or led is None else _led_on(state, end, reset, led)
+    if reset is None or led is None:
+        return accumulation.follow_turns(problem, state, length, end)
+    return _led_on(state, end, reset, led)
 
 
 def _led_on(state: LoopState, end: StepEnd, reset: impact.Reset, led: Impact) -> StepEnd:
@@ -164,7 +167,9 @@ def _smooth_end(
     """The end of a step where there are no surfaces."""
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     size = larger(state.size, x)
-    return StepEnd(tau, x, f, size, (), (), (), (), (), one, false, None, false, (), (), None, ())
+    return StepEnd(
+        tau, x, f, size, (), (), (), (), (), one, false, None, false, (), (), None, (), None
+    )
 
 
 def _held(
@@ -231,8 +236,10 @@ def _chosen(
         grazes = state.pending & state.graze & (grid.direction < 0)
         rates = _rates_at_graze(problem, state, rates, touch, grazes)
     current = sliding_weights.weights(state.mode, rates) if system.slides else state.mode
-    # A slide ends at w = ±1: it leaves to the side whose field has become the blend.
-    leaving = tuple(hit & (s == 0) for hit, s in zip(state.hit, state.mode, strict=True))
+    # A slide ends at w = ±1: it leaves to the side whose field has become the blend. A limit of
+    # turns is on their surfaces, and ends nothing.
+    limit = jnp.zeros((), bool) if state.turn is None else state.turn.completed
+    leaving = tuple(hit & (s == 0) & ~limit for hit, s in zip(state.hit, state.mode, strict=True))
     sides = tuple(jnp.where(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
     left = tuple(
         jnp.where(go & switching, side, s)
@@ -282,6 +289,8 @@ def _jumped(
     for s, on, v, least, rate in zip(left, met, h, touch, state.rate, strict=True):
         across = on & (s * v < -(least + 2 * same * abs(stop_gradient(rate))))
         across = across & state.pending & ~state.graze
+        if state.turn is not None:
+            across = across & ~state.turn.completed
         modes.append(jnp.where(across, -s, s))
         open_.append(on & ~across)
     return tuple(modes), tuple(open_)

@@ -199,4 +199,15 @@ def _matrix(mode: Components, rates: Sequence[Components], w: Components) -> lis
     for j, s in enumerate(mode):
         row = [jnp.where(s == 0, slopes[i][j], float(i == j)) for i in range(len(w))]
         matrix.append(row)
-    return matrix
+    return _least_of_two(mode, matrix) if len(w) == 2 else matrix
+
+
+def _least_of_two(mode: Components, matrix: list[list[Array]]) -> list[list[Array]]:
+    """The matrix of a slide on two surfaces. Where the field of no side moves the state off one of
+    them, as in the point that a twisting controller leads to (a sliding mode of the second order),
+    its row is zero and all solutions give one and the same field: the smallest is taken."""
+    rows = []
+    for row, (a, b) in zip(matrix, reversed(matrix), strict=True):
+        free = (mode[0] == 0) & (mode[1] == 0) & (row[0] == 0) & (row[1] == 0)
+        rows.append(list(where(free, (-b, a), tuple(row))))
+    return rows

@@ -43,6 +43,36 @@ class SavedStates(eqx.Module):
     modes: Rows
 
 
+class Turn(eqx.Module):
+    """A turn through the sides of coupled surfaces, from one contact to the next of its kind: see
+    `accumulation`."""
+
+    kind: Array
+    """The kind of the contact that it began with; −1: there has been none."""
+    tau: Array
+    """The time of that,"""
+    rest: Array
+    """what its rounding has left out,"""
+    x: Components
+    """and the state there, n components."""
+    length: Array
+    """The time that the turn before took; 0: there is none."""
+    move: Components
+    """How far that has moved the state, n components."""
+    left: Array
+    """The time from there to the limit of turns, as the one before has predicted it; inf: none,"""
+    limit: Components
+    """and the state at this limit, n components."""
+    met: Components
+    """The surfaces met since, m components."""
+    late: Array
+    """How uncertain the times of these contacts are."""
+    contacts: Array
+    """How many contacts there have been since."""
+    completed: Array
+    """Whether the next switch is the one at the limit."""
+
+
 class LoopState(eqx.Module):
     """The state of one lane between two iterations. Components are m, one for each surface, unless
     said otherwise."""
@@ -83,6 +113,8 @@ class LoopState(eqx.Module):
     """Whether that landing only touches."""
     settled: Array | None
     """Whether its resets have been made already; None without resets."""
+    turn: Turn | None
+    """The turn that it is in; None where contacts cannot accumulate by turns."""
     index: Array
     """Grid steps completed."""
     tries: Array
@@ -146,11 +178,14 @@ class StepEnd(eqx.Module):
     members: Components
     """The surfaces that a switch made here is of."""
     next: Components
-    """Those that ask for another one at once; none without resets."""
+    """Those that ask for another one at once; none where no surface can."""
     jump: Array | None
-    """The time that it takes besides, a chattering that ends in rest; None without resets."""
+    """The time that it takes besides, a chattering that ends in rest or all turns that follow; None
+    where there can be none."""
     still: Components
     """Surfaces that are rested on, or left with a rate of zero; none without resets."""
+    turn: Turn | None
+    """The turn after a switch made here; None where contacts cannot accumulate by turns."""
 
 
 def is_running(grid: TimeGrid, state: LoopState, stop: Array | None = None) -> Array:

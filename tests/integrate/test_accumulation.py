@@ -1,0 +1,169 @@
+"""Infinitely many switchings in a finite time: twisting controllers and spirals into a corner.
+
+The twisting controller is that of Levant (1993), in the form in which Siconos solves it; with a
+load on it no closed form is known, and derivatives are compared with differences. On a spiral of
+two relays |x1| + |x2| falls at a constant rate.
+"""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+from jaxfil import EventKind
+from jaxfil.model.outcomes import RESULTS
+
+
+class Twisting(jf.System):
+    """x1'' = -10 sgn x1 - 3 sgn x1' + load cos t about x1 = point, and z' = -z + x1 - point."""
+
+    load: float = 0.0
+    point: float = 0.0
+
+    def vector_field(self, t, x, side):
+        push = -10.0 * side[0] - 3.0 * side[1] + self.load * jnp.cos(t)
+        return jnp.stack([x[1], push, x[0] - self.point - x[2]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - self.point, x[1]])
+
+
+class Spiral(jf.System):
+    """x' = M sgn x, round the origin and into it."""
+
+    rate: float
+
+    def vector_field(self, t, x, side):
+        inward, round_ = self.rate * side, jnp.stack([-side[1], side[0]])
+        return round_ - inward
+
+    def switching(self, t, x):
+        return x
+
+
+def at_rest(a, b):
+    """When the unloaded controller has come to rest from (a, b), both positive: parabolas."""
+    top = a + b * b / 26
+    turn = jnp.sqrt(2 * top / 7) + jnp.sqrt(14 * top) / 13
+    return b / 13 + turn / (1 - jnp.sqrt(7 / 13))
+
+
+def last_event(sol):
+    return sol.events.ts[sol.num_events - 1]
+
+
+def run(system, x0, t1, dt, **options):
+    return jf.solve(system, jnp.asarray(x0), 0.0, t1, dt, max_events=2000, **options)
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.1, 0.03])
+def test_twisting_controller_comes_to_rest(dt):
+    sol = run(Twisting(), [10.0, 10.0, 1.0], 13.0, dt)
+    assert_allclose(last_event(sol), at_rest(10.0, 10.0), atol=3e-13)
+    assert_allclose(sol.x_final[:2], 0.0, atol=0)
+    np.testing.assert_array_equal(sol.mode_final, [0, 0])
+    i = int(sol.num_events) - 1
+    assert sol.events.members[i].all() and sol.events.kinds[i] == EventKind.stick.value
+    assert i < 150
+
+
+def test_twisting_controller_holds_against_a_load():
+    # While |load| < 7 it comes to rest; held there it gives way to more than 13 alone.
+    ends = [run(Twisting(load), [1.0, 1.0, 1.0], 20.0, 0.1).x_final for load in (0.0, 4.0, 6.0)]
+    for x in ends:
+        assert_allclose(x[:2], 0.0, atol=0)
+    # What x3 was moved by on the way has decayed by e^-17.
+    assert_allclose([x[2] for x in ends], 0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize("point, near", [(1.0, 1e-8), (-1e3, 1e-6)])
+def test_point_of_rest_anywhere(point, near):
+    # x1 is known to eps |point|, and x2 with it to the square root: so is the time.
+    at_zero = last_event(run(Twisting(2.0), [10.0, 10.0, 1.0], 20.0, 0.1))
+    sol = run(Twisting(2.0, point), [10.0 + point, 10.0, 1.0], 20.0, 0.1)
+    assert_allclose(last_event(sol), at_zero, atol=near)
+    assert_allclose(sol.x_final[:2], [point, 0.0], atol=0)
+
+
+def test_what_rides_along_is_carried_to_the_limit():
+    # x3 to its closed form between the contacts of a run that stops short of the limit.
+    t1 = float(at_rest(1.0, 1.0))
+    whole = run(Twisting(), [1.0, 1.0, 1.0], t1 + 0.5, 0.25)
+    short = run(Twisting(), [1.0, 1.0, 1.0], t1 - 1e-6, 1e-3)
+    assert_allclose(whole.x_final[2], short.x_final[2] * np.exp(-0.5 - 1e-6), atol=1e-13)
+
+
+def test_derivatives_of_the_limit_are_exact():
+    # Of a method of order three, which is exact on parabolas: second derivatives compile for long.
+    def time(x):
+        return last_event(run(Twisting(), [x[0], x[1], 0.0], 6.0, 0.1, stepper=diffrax.Bosh3()))
+
+    x0 = jnp.array([2.0, 1.0])
+    exact = jax.grad(lambda x: at_rest(*x))(x0)
+    assert_allclose(jax.jacfwd(time)(x0), exact, rtol=1e-11)
+    hessian = jax.hessian(lambda x: at_rest(*x))(x0)
+    assert_allclose(jax.jacfwd(jax.jacfwd(time))(x0), hessian, rtol=1e-8)
+
+
+def test_derivatives_of_what_follows():
+    def end(p):
+        return run(Twisting(p[0]), p[1:], 7.0, 0.05, stepper=diffrax.Tsit5()).x_final[2]
+
+    p, step = jnp.array([1.0, 1.0, 1.0, 1.0]), 1e-5
+    moved = step * jnp.eye(4)
+    differences = jax.vmap(lambda d: (end(p + d) - end(p - d)) / (2 * step))(moved)
+    assert_allclose(jax.jacfwd(end)(p), differences, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate, x0, dt", [(0.3, 1.0, 0.03), (0.3, 1.0, 1.0), (0.00125, 0.01, 0.1)])
+def test_spirals_end_in_their_point(rate, x0, dt):
+    # The last one turns 370 times, each time by a hundredth less.
+    sol = run(Spiral(rate), [x0, 0.0], 10.0, dt)
+    assert_allclose(last_event(sol), x0 / (2 * rate), rtol=1e-12)
+    assert_allclose(sol.x_final, 0.0, atol=0)
+    np.testing.assert_array_equal(sol.mode_final, [0, 0])
+
+
+def test_spirals_outward_and_round_do_not_end():
+    for rate in (-0.1, 0.0):
+        sol = run(Spiral(rate), [1.0, 0.0], 5.0, 1.0)
+        assert_allclose(abs(sol.x_final).sum(), 1.0 - 10.0 * rate, rtol=1e-13)
+
+
+def test_limit_whose_mode_is_rounding_is_told():
+    # In coordinates turned by 30 degrees rounding moves the state off the line x1' = 0.
+    turn = jnp.array([[np.sqrt(0.75), 0.5], [-0.5, np.sqrt(0.75)]])
+
+    class Turned(jf.System):
+        def vector_field(self, t, x, side):
+            y = turn.T @ x
+            return turn @ jnp.stack([y[1], -10.0 * side[0] - 3.0 * side[1]])
+
+        def switching(self, t, x):
+            return turn.T @ x
+
+    sol = run(Turned(), turn @ jnp.array([2.0, 1.0]), 10.0, 0.1, throw=False)
+    assert sol.result in (RESULTS.zeno, RESULTS.nonunique, RESULTS.mode_undecided)
+    assert_allclose(sol.t_final, at_rest(2.0, 1.0), rtol=1e-12)
+
+
+def test_batch_of_controllers():
+    def end(x):
+        x0 = jnp.stack([x, x, 0.0])
+        return run(Twisting(), x0, 13.0, 0.1, throw=False, stepper=diffrax.Bosh3())
+
+    xs = jnp.linspace(0.5, 10.0, 16)
+    sol = jax.vmap(end)(xs)
+    assert (sol.result == RESULTS.successful).all()
+    exact = jax.vmap(at_rest)(xs, xs)
+    assert_allclose(jax.vmap(last_event)(sol), exact, atol=1e-12)
+
+
+def test_single_precision():
+    with jax.enable_x64(False):
+        sol = run(Twisting(), np.float32([10.0, 10.0, 1.0]), 13.0, 0.1)
+        assert_allclose(last_event(sol), at_rest(10.0, 10.0), rtol=4e-6)
+        np.testing.assert_array_equal(sol.mode_final, [0, 0])
