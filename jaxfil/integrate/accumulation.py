@@ -18,7 +18,6 @@ other predict the same limit to within rounding, in time and in every component 
 
 import dataclasses
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
