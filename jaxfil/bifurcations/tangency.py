@@ -240,6 +240,7 @@ def _flow(
         tableau_of(options.stepper),
         even_grid(t0, length, num_steps, options.max_events),
         NOTHING,
+        options.compact,
     )
     state = integrate(problem, unpack(x))
     size = jnp.maximum(pack(state.size, x.dtype), abs(x))

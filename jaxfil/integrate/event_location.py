@@ -239,8 +239,17 @@ def _to_singular_point(
     fades = end.determinant < _FADED * state.determinant
     singular = (end.repels | fades) & ~state.pending & (abs(h) > least)
     then = jnp.where(end.repels, -end.determinant, end.determinant)
-    theta = _NEARER * _quotient(state.determinant, state.determinant - then)
-    return singular, jnp.clip(theta, jnp.maximum(_LEAST_NEARER, 0.5 * least / abs(h)), _NEARER)
+    known = state.determinant, then, jnp.maximum(_LEAST_NEARER * abs(h), 0.5 * least), abs(h)
+    return singular, problem.system.where_any(singular, _nearer, _not_nearer, *known)
+
+
+def _nearer(now: Array, then: Array, least: Array, h: Array) -> Array:
+    """θ of a step towards where a determinant vanishes that is `now` here and `then` after h."""
+    return jnp.clip(_NEARER * _quotient(now, now - then), least / h, _NEARER)
+
+
+def _not_nearer(now: Array, *_: Array) -> Array:
+    return jnp.full_like(now, NEVER)
 
 
 # What the end of a step is to a surface.

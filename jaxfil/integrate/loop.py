@@ -91,6 +91,7 @@ def advance(problem: Problem, state: LoopState) -> LoopState:
     """One iteration. A lane that has come to its end stays as it is."""
     length = choose_length(problem, state)
     times = problem.tableau.times
+    times = times[-1:] if problem.compact else times
     forcing = problem.system.forcing(problem.grid.t0 + state.tau, length.h, times)
     trial = trial_step(problem, state, length, forcing)
     if problem.system.m == 0:
@@ -106,10 +107,11 @@ def trial_step(problem: Problem, state: LoopState, length: Length, forcing: list
         field = ModeField(system, state.mode, held=held)
         return take(problem.tableau, field, t, state.x, state.f, length.h, forcing)
 
+    grade = compact_step if problem.compact else step
     if not system.resets:
-        return tried(step, held=False)
+        return tried(grade, held=False)
     # Reactions make a field large, and lanes that rest are few.
-    held, free = ft.partial(tried, compact_step, True), ft.partial(tried, step, False)
+    held, free = ft.partial(tried, compact_step, True), ft.partial(tried, grade, False)
     return system.where_any(any_of(rests_of(state.mode)), held, free)
 
 

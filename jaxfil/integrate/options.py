@@ -34,7 +34,7 @@ _MANY_EVENTS = 256
 
 class Options(eqx.Module):
     """What to save ("t1", "ts", "steps" or "dense", with the state at t0 or without it), the limits
-    on contacts and iterations, and the checkpoints of reverse mode."""
+    on contacts and iterations, the checkpoints of reverse mode, and whether steps are compact."""
 
     save: str = eqx.field(static=True)
     with_t0: bool = eqx.field(static=True)
@@ -42,6 +42,7 @@ class Options(eqx.Module):
     budget: int | None = eqx.field(static=True)
     reverse: bool = eqx.field(static=True)
     checkpoints: int | None = eqx.field(static=True)
+    compact: bool = eqx.field(static=True)
     ts: Array | None
 
     @property
@@ -62,6 +63,7 @@ def options_of(
     max_events: int | None,
     max_steps: int | None,
     adjoint: Adjoint,
+    compact: bool,
     times: tuple[Scalar, Scalar, Scalar],
     dtype: np.dtype,
 ) -> Options:
@@ -83,6 +85,8 @@ def options_of(
         budget=budget,
         reverse=reverse,
         checkpoints=getattr(adjoint, "checkpoints", None),
+        # What reverse mode keeps of a loop of stages is all of them, again and again.
+        compact=compact and not reverse,
         ts=ts,
     )
 

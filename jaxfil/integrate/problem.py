@@ -113,3 +113,5 @@ class Problem(eqx.Module):
     tableau: Tableau
     grid: TimeGrid
     recording: Recording
+    compact: bool = eqx.field(static=True, default=False)
+    """Whether the stages of a step are in a loop: see `compact_step`."""

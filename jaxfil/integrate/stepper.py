@@ -17,6 +17,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.components import Components, Forcing, SmoothField
 from jaxfil.integrate.rosenbrock import RODAS5P, Rodas5P, RosenbrockTableau, rosenbrock_step
+from jaxfil.xla.lanes import lanes_of
 
 
 class RK4(eqx.Module):
@@ -81,6 +82,8 @@ class Trial(eqx.Module):
     """The forcing at the times within the step, its end last."""
 
 
+# Lanes for which a step is compact by default, at most.
+_FEW = 8
 # Order of a method from which on its estimate of an error says something of a single step: one of
 # lower order is as large as what a step does to a state that starts to move from rest.
 _TRUSTED = 5
@@ -183,6 +186,14 @@ def step(
     error = [stop_gradient(_sum(d[:-1], slopes, i)) for i in range(n if d else 0)]
     held = field.once(lambda *held: held, *end, *error)
     return Trial(held[:n], held[n:], forcing)
+
+
+def is_compact(asked: bool | None, arguments: Any) -> bool:
+    """Whether a program takes `compact_step`: as asked for, and by default if its arguments are of
+    so few lanes that compiling costs more than running."""
+    if asked is not None and not isinstance(asked, bool):
+        raise ValueError(f"`compact` must be True, False or None, got {asked!r}.")
+    return lanes_of(arguments) <= _FEW if asked is None else asked
 
 
 def compact_step(

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.stepper import Stepper, checked_stepper
+from jaxfil.integrate.stepper import Stepper, checked_stepper, is_compact
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
@@ -38,6 +38,7 @@ def periodic_orbit(
     newton_steps: int = 50,
     max_events: int = 64,
     throw: bool = True,
+    compact: bool | None = None,
 ) -> Orbit:
     """Find the periodic orbit near `x0` by Newton's method, whether it is stable or not.
 
@@ -62,6 +63,7 @@ def periodic_orbit(
     - `newton_steps`: the most evaluations of the period map.
     - `max_events`: the most contacts in one arc.
     - `throw`: whether to raise an error unless the outcome is `successful`.
+    - `compact`: as in `solve`.
 
     **Returns** an `Orbit`. For a batch use `equinox.filter_vmap` with `throw=False`: each lane
     then has its own outcome. The derivatives of `orbit.x0` and `orbit.period` with respect to the
@@ -120,6 +122,7 @@ def periodic_orbit(
         arcs=check.count("segments", segments),
         stepper=stepper,
         max_events=check.count("max_events", max_events),
+        compact=is_compact(compact, (system, x)),
     )
     # Traced: another number compiles nothing.
     budget = jnp.asarray(check.count("newton_steps", newton_steps), jnp.int32)

@@ -40,13 +40,16 @@ class ShootingOptions(eqx.Module):
     """What a step is made by."""
     max_events: int = eqx.field(static=True)
     """The most contacts in one arc."""
+    compact: bool = eqx.field(static=True)
+    """Whether the stages of a step are in a loop: see `solve`."""
 
     def problem(self, system: System, x0: Array, t0: Array, length: Array, arcs: int) -> Problem:
         """One of `arcs` arcs of equal length, from `t0`."""
         num_steps = jnp.asarray(-(-self.steps // arcs), jnp.int32)
         grid = even_grid(t0, length, num_steps, self.max_events)
         recording = Recording("none", self.max_events)
-        return Problem(build(system, x0), tableau_of(self.stepper), grid, recording)
+        field = build(system, x0)
+        return Problem(field, tableau_of(self.stepper), grid, recording, self.compact)
 
 
 class Shot(eqx.Module):

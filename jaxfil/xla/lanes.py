@@ -1,0 +1,42 @@
+"""How many lanes a call is a batch of.
+
+Arguments enter; the size of the batch that `jax.vmap` makes of them leaves, as far as Python sees
+it: a `vmap` around the call, under `jit` or not, but not one around a `jit` that the call is in.
+"""
+
+from typing import Any
+
+import jax
+import jax.core
+from jax.custom_batching import custom_vmap
+
+
+def lanes_of(tree: Any) -> int:
+    """The number of lanes of the batch that the arrays of `tree` belong to: 1 outside of `vmap`.
+
+    >>> import jax.numpy as jnp
+    >>> seen = []
+    >>> _ = jax.vmap(lambda x: seen.append(lanes_of(x)) or x)(jnp.zeros(3))
+    >>> seen, lanes_of(jnp.zeros(3))
+    ([3], 1)
+    """
+    lanes = 1
+
+    @custom_vmap
+    def same(v: Any) -> Any:
+        return v
+
+    @same.def_vmap
+    def count(axis_size: int, batched: list, v: Any) -> tuple:
+        nonlocal lanes
+        inner = same(v)  # asks the batches around this one
+        if batched[0]:
+            lanes *= axis_size
+        return inner, batched[0]
+
+    for leaf in jax.tree.leaves(tree):
+        if isinstance(leaf, jax.core.Tracer):
+            before, lanes = lanes, 1
+            same(jax.lax.stop_gradient(leaf))
+            lanes = max(before, lanes)
+    return lanes

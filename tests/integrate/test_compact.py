@@ -1,0 +1,98 @@
+"""Compact programs: the same motion by a smaller program."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+from benchmarks import hlo
+from jaxfil.xla.lanes import lanes_of
+
+X0 = jnp.array([0.1, 0.2])
+
+
+def end(x0, **options):
+    belt = jf.systems.BeltFriction()
+    return jf.solve(belt, x0, 0.0, 6.0, 0.05, throw=False, **options).x_final
+
+
+def text(function, *args):
+    compiled = jax.jit(function).lower(*args).compile().as_text()
+    assert compiled is not None
+    return compiled
+
+
+def test_both_grades_give_one_motion_and_its_derivatives():
+    for function in (end, lambda x, **k: jax.jacfwd(lambda x: end(x, **k))(x)):
+        compact, written = (function(X0, compact=grade) for grade in (True, False))
+        assert_allclose(compact, written, rtol=1e-12, atol=1e-12)
+
+
+class Marked(jf.System):
+    """A field that a program can be searched for."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] * 0.123456789 - side[0]])
+
+    def switching(self, t, x):
+        return x[1]
+
+
+def test_a_compact_program_has_the_field_at_one_stage():
+    def evaluations(grade):
+        def run(x):
+            return jf.solve(Marked(), x, 0.0, 6.0, 0.05, throw=False, compact=grade).x_final
+
+        return text(run, X0).count("0.123456789")
+
+    assert 2 * evaluations(True) < evaluations(False)
+
+
+def test_grade_follows_from_the_lanes():
+    def operations(function, lanes):
+        return hlo.per_turn(text(function, jnp.ones((lanes, 2))), lanes)
+
+    # A few lanes are compact, a batch of many is written out.
+    batch = jax.vmap(end)
+    compact, written = (jax.vmap(lambda x, g=grade: end(x, compact=g)) for grade in (True, False))
+    assert operations(batch, 8) == operations(compact, 8) < operations(written, 8)
+    assert operations(batch, 9) == operations(written, 9)
+
+
+def test_orbits_of_both_grades_agree():
+    belt = jf.systems.BeltFriction()
+    compact, written = (
+        jf.periodic_orbit(belt, X0, transient=100, compact=grade) for grade in (True, False)
+    )
+    assert compact.options.compact and not written.options.compact
+    assert_allclose(compact.x0, written.x0, rtol=1e-11)
+    assert_allclose(compact.multipliers, written.multipliers, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("value", [1, "yes"])
+def test_compact_is_a_flag(value):
+    with pytest.raises(ValueError, match=f"`compact` must be True, False or None, got {value!r}"):
+        end(X0, compact=value)
+
+
+def test_lanes_are_counted_through_transformations():
+    seen = []
+
+    def look(x):
+        seen.append(lanes_of(x))
+        return (x**2).sum()
+
+    one, some = jnp.ones(2), jnp.ones((5, 2))
+    for function, x in (
+        (look, one),
+        (jax.jit(look), one),
+        (jax.jacfwd(jax.jacfwd(look)), one),
+        (jax.grad(look), one),
+        (jax.vmap(look), some),
+        (jax.jit(jax.vmap(jax.jacfwd(look))), some),
+        (jax.vmap(jax.vmap(look)), jnp.ones((3, 5, 2))),
+        (jax.jacfwd(lambda x: jax.vmap(look)(x)), some),
+    ):
+        function(x)
+    assert seen == [1, 1, 1, 1, 5, 5, 15, 5]
