@@ -33,7 +33,7 @@ class Marked(jf.System):
     """A field that a program can be searched for."""
 
     def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -x[0] * 0.123456789 - side[0]])
+        return jnp.stack([x[1], -x[0] * 0.123456789 - side])
 
     def switching(self, t, x):
         return x[1]
