@@ -29,26 +29,6 @@ def test_both_grades_give_one_motion_and_its_derivatives():
         assert_allclose(compact, written, rtol=1e-12, atol=1e-12)
 
 
-class Marked(jf.System):
-    """A field that a program can be searched for."""
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -x[0] * 0.123456789 - side])
-
-    def switching(self, t, x):
-        return x[1]
-
-
-def test_a_compact_program_has_the_field_at_one_stage():
-    def evaluations(grade):
-        def run(x):
-            return jf.solve(Marked(), x, 0.0, 6.0, 0.05, throw=False, compact=grade).x_final
-
-        return text(run, X0).count("0.123456789")
-
-    assert 2 * evaluations(True) < evaluations(False)
-
-
 def test_grade_follows_from_the_lanes():
     def operations(function, lanes):
         return hlo.per_turn(text(function, jnp.ones((lanes, 2))), lanes)
