@@ -36,8 +36,9 @@ _TOLD = 1 / 16
 
 
 def has_turns(system: ComponentSystem) -> bool:
-    """Whether contacts may accumulate by turns: through the sides of coupled surfaces."""
-    return system.slides and system.m > 1 and not system.separate and not system.resets
+    """Whether contacts may accumulate by turns: through the sides of coupled surfaces, or from one
+    wall to another."""
+    return system.m > 1 and (system.resets or (system.slides and not system.separate))
 
 
 def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
@@ -70,10 +71,11 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
     turn, jump, x = problem.system.where_any(
         state.pending, _turned, _as_before, problem, state, length, end
     )
-    upcoming = tuple(turn.completed & met for met in turn.met)
-    return dataclasses.replace(
-        end, x=where(turn.completed, x, end.x), turn=turn, jump=jump, next=upcoming
-    )
+    done = turn.completed
+    upcoming = tuple(done & met for met in turn.met)
+    if end.jump is not None:
+        jump, upcoming = jnp.where(done, jump, end.jump), where(done, upcoming, end.next)
+    return dataclasses.replace(end, x=where(done, x, end.x), turn=turn, jump=jump, next=upcoming)
 
 
 def _as_before(
@@ -91,9 +93,9 @@ def _turned(
     # What follows the limit of turns begins anew.
     switches = state.pending & ~state.graze & ~turn.completed
     kind = _kind(state.hit, end.mode)
-    again = switches & (kind == turn.kind) & (problem.grid.direction > 0)
     time = (end.tau - turn.tau) + stop_gradient(state.rest - turn.rest)
-    shrinks = again & (time > 0) & (time < turn.length)
+    again = switches & (kind == turn.kind) & (time > 0)
+    shrinks = again & (time < turn.length)
     ratio = jnp.where(shrinks, time, 0) / jnp.where(shrinks, turn.length, 1)
     left = jnp.where(shrinks, time * ratio / (1 - ratio), jnp.inf)
     move = tuple(a - b for a, b in zip(end.x, turn.x, strict=True))
@@ -103,6 +105,7 @@ def _turned(
     # At a grid point it may be late by the rounding of its prediction.
     late = jnp.maximum(stop_gradient(left) - length.room, 0)
     completed = shrinks & (agrees & (late <= rounding) | (left <= same) & (late <= same))
+    completed = completed & _clear(problem, state, end, left, limit)
     starts = switches & (again | (turn.contacts >= _LONGEST))
     met = tuple(switches & (m | hit) for m, hit in zip(turn.met, state.hit, strict=True))
     now = Turn(
@@ -122,6 +125,20 @@ def _turned(
     return now, jnp.where(completed, left - late, 0), limit
 
 
+def _clear(
+    problem: Problem, state: LoopState, end: StepEnd, left: Array, limit: Components
+) -> Array:
+    """Whether no surface that the turn has not met is crossed on the way to the limit."""
+    assert state.turn is not None
+    clear = jnp.ones((), bool)
+    if problem.system.m > 2:
+        t = problem.grid.t0 + end.tau + jnp.where(jnp.isfinite(left), left, 0)
+        h = problem.system.switching(t, limit)
+        for v, s, hit, met in zip(h, end.mode, state.hit, state.turn.met, strict=True):
+            clear = clear & (hit | met | (s * v >= 0))
+    return clear
+
+
 def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
     """What is left of a geometric series after two of its terms, their ratio being `most` at most:
     nothing moves more than in proportion to time, but rounding."""
@@ -134,7 +151,7 @@ def _kind(hit: Components, mode: Components) -> Array:
     """The surfaces of a contact and the mode after it, as one number."""
     number = jnp.zeros_like(mode[0])
     for h, s in zip(hit, mode, strict=True):
-        number = 6 * number + 2 * (s + 1) + h.astype(s.dtype)
+        number = 10 * number + 2 * (s + 2) + h.astype(s.dtype)
     return stop_gradient(number)
 
 

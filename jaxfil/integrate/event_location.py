@@ -131,7 +131,8 @@ def first_contact(
     low_value = cubic(cubic.low)
     # The end alone would not do: a dip below zero and back is two contacts, or an impact missed.
     dips = inside & (low_value < -noise)
-    contact = dips | (g1 < -noise)
+    # One that has not been left and rises is leaving, from however little below zero.
+    contact = dips | ((g1 < -noise) & (armed | (d1 < 0)))
     # The first root lies before the minimum, if that is below zero, and after the maximum: between
     # the two the cubic falls, and Halley's iteration cannot leave for another root.
     hi = jnp.where(dips, cubic.low, 1.0)
@@ -352,7 +353,7 @@ def _kind_of_end(
     here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
     hit = falls & (here | ((state.armed[j] | aimed) & reached))
     # H jumps at a known time, as that of a ramp or of a clock: however short the step, it is past.
-    across = aimed & (abs(h) <= same) & (g < -end.touch[j] - 2 * same * abs(rate))
+    across = aimed & (abs(h) <= same) & (g < -end.touch[j] - 2 * same * abs(rate)) & state.armed[j]
     jumped = across & (abs(g) > 2 * same * abs(state.rate[j])) & ~sliding
     # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
     vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.touch[j] * bend)

@@ -12,6 +12,7 @@ points to: thrown back or let through) or, where the rate is zero too, rested on
 acceleration says.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -20,7 +21,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov, unilateral
-from jaxfil.integrate.components import Components, ComponentSystem, any_of, axpy, where
+from jaxfil.integrate.components import Components, ComponentSystem, any_of, where
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState
@@ -55,6 +56,8 @@ class Impact(eqx.Module):
     """Surfaces where the rate is zero too: rested on, or left with a rate of zero."""
     rests: Components
     """Those of them that the motion rests on."""
+    pushed: Components
+    """Surfaces rested on that another one's reset has pushed it away from."""
     consistent: Array
     """Whether these reactions are all that is needed."""
     jump: Array
@@ -124,11 +127,27 @@ def view(
     return system.where_any(engaged, look, nothing, t, x, state.mode, before, surfaces)
 
 
-def held(state: LoopState, reset: Reset, seen: View, x: Components) -> Components:
-    """The state with no rate against the surfaces that it rests on."""
-    rests = tuple(r & ~reset.moved for r in unilateral.rests_of(state.mode))
+def held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
+    """The state with no rate against the surfaces that it rests on, and how they see it then."""
     c = seen.constraints
-    return unilateral.pushed(x, c.directions, unilateral.multipliers(c.gains, c.rate, rests))
+    rests = tuple(r & ~reset.moved for r in unilateral.rests_of(state.mode))
+    # Impacts that have died out by turns have left no rates against the surfaces met.
+    each = zip(rests, at_limit(state), c.throws_back, strict=True)
+    rests = tuple(r | (limit & wall) for r, limit, wall in each)
+    push = unilateral.multipliers(c.gains, c.rate, rests)
+    rate = tuple(
+        v + sum(g * p for g, p in zip(row, push, strict=True))
+        for v, row in zip(c.rate, c.gains, strict=True)
+    )
+    seen = dataclasses.replace(seen, constraints=dataclasses.replace(c, rate=rate))
+    return unilateral.pushed(x, c.directions, push), seen
+
+
+def at_limit(state: LoopState) -> Components:
+    """The surfaces at which the impacts of a lane have just died out by turns."""
+    if state.turn is None:
+        return tuple(jnp.zeros_like(hit) for hit in state.hit)
+    return tuple(state.turn.completed & state.pending & hit for hit in state.hit)
 
 
 def follow(
@@ -145,23 +164,26 @@ def follow(
     assert state.settled is not None
     switching = state.pending & ~state.graze
     sides, resting = unilateral.sides_of(state.mode), unilateral.rests_of(state.mode)
-    still, owed = [], []
+    still, owed, away, limit = [], [], [], at_limit(state)
     for j in range(system.m):
         there = (abs(stop_gradient(h[j])) <= touch[j]) | (state.settled & state.hit[j])
         on = switching & c.throws_back[j] & there
         rate, noise = stop_gradient(c.rate[j]), seen.noise[j]
-        leaves = state.hit[j] & resting[j] & ~reset.moved
-        still.append(on & (abs(rate) <= noise) & ~leaves)
+        leaves = state.hit[j] & resting[j] & ~reset.moved & ~limit[j]
+        still.append(on & ((abs(rate) <= noise) | limit[j]) & ~leaves)
         inward = direction * sides[j] * rate < -noise
-        owed.append(reset.waits[j] | (reset.moved & on & inward & ~reset.acted[j]))
+        away.append(reset.moved & resting[j] & (direction * sides[j] * rate > noise))
+        acts = (reset.moved | state.settled) & on & inward & ~reset.acted[j]
+        owed.append(reset.waits[j] | acts)
     rests, consistent = unilateral.pressed(c.gains, seen.a, sides, tuple(still))
     more = any_of(tuple(owed))
-    jump, kick = _chattering(problem, state, length, reset, seen, rests, more)
+    jump, kick = _chattering(problem, state, length, reset, seen, h, touch, rests, more)
     upcoming = tuple(
         jnp.where(jump > 0, acted, o | (more & hit & ~acted))
         for acted, o, hit in zip(reset.acted, owed, state.hit, strict=True)
     )
-    return Impact(upcoming, tuple(still), rests, consistent | ~switching, jump, kick)
+    fine = consistent | ~switching
+    return Impact(upcoming, tuple(still), rests, tuple(away), fine, jump, kick)
 
 
 def _chattering(
@@ -170,11 +192,14 @@ def _chattering(
     length: Length,
     reset: Reset,
     seen: View,
+    h: Components,
+    touch: Components,
     rests: Components,
     more: Array,
 ) -> tuple[Array, Components]:
     """The time in which impacts on the surface just reset die out, if that is so short that the
-    field does not change, and how far they carry the state besides the field."""
+    field does not change, or their height within rounding of H, and how far they carry the state
+    besides the field."""
     system, grid, c = problem.system, problem.grid, seen.constraints
     sides = unilateral.sides_of(state.mode)
     same = grid.same_time(state.tau)
@@ -182,18 +207,28 @@ def _chattering(
     longest = jnp.maximum(same, system.eps**0.5 * abs(grid.dt))
     push = unilateral.multipliers(c.gains, seen.a, rests)
     total, kick = jnp.zeros_like(state.tau), tuple(jnp.zeros_like(v) for v in state.x)
-    for j in range(system.m):
+    held = tuple(
+        a + sum(g * p for g, p in zip(row, push, strict=True))
+        for a, row in zip(seen.a, c.gains, strict=True)
+    )
+    for j, a in enumerate(held):
         gain = c.gains[j][j]
-        a = seen.a[j] + sum(g * p for g, p in zip(c.gains[j], push, strict=True))
         away, fall = sides[j] * c.rate[j], -sides[j] * a * (2 - gain)  # 2 − gain = 1 − e
         bounces = reset.acted[j] & c.throws_back[j] & (away > seen.noise[j]) & (fall > 0) & ~more
         time = 2 * away / jnp.where(bounces, fall, 1)
-        ends = bounces & (time <= longest) & (time <= abs(length.room) + same)
+        low = away * away <= 2 * abs(a) * touch[j]
+        ends = bounces & (low | (time <= longest)) & (time <= abs(length.room) + same)
         ends = ends & (grid.direction > 0)
+        for i, s in enumerate(sides):  # unless another surface is met before
+            ahead = s * (h[i] + time * (c.rate[i] + 0.5 * time * held[i]))
+            ends = ends & ((ahead >= -touch[i]) | rests[i] | (i == j))
         time = jnp.where(ends, time, 0.0)
-        # All impacts together take away the rate that is left: ψ + T a + p ∇ψ·d = 0.
-        impulse = jnp.where(ends, -(c.rate[j] + time * a) / jnp.where(ends, gain, 1), 0.0)
-        total, kick = total + time, axpy(kick, impulse, c.directions[j])
+        # All impacts together take away the rate that is left, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0,
+        # with those by which the surfaces that are rested on answer them.
+        ending = tuple(ends & (rest | (i == j)) for i, rest in enumerate(rests))
+        left = tuple(r + time * v for r, v in zip(c.rate, held, strict=True))
+        impulses = unilateral.multipliers(c.gains, left, ending)
+        total, kick = total + time, unilateral.pushed(kick, c.directions, impulses)
     return total, kick
 
 
@@ -243,10 +278,10 @@ def begin(
         side = jnp.where(led < 0, -1.0, 1.0).astype(system.dtype)
         back = on[j] & ~c.throws_back[j] & far & (direction * side * rates[j] < 0) & ~flat
         owed.append((wall & inward & ~flat) | back)
-        still.append(wall & flat & inward)
+        still.append(wall & flat)
         known.append(wall | back)
         start.append(jnp.where(wall, 1.0, jnp.where(back, side, sides[j])).astype(system.dtype))
         # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
-        lean.append(jnp.where(a[j] < 0, a[j], jnp.where(still[j], rates[j], a[j])))
+        lean.append(jnp.where(a[j] * rates[j] > 0, a[j], jnp.where(flat, rates[j], a[j])))
     rests, consistent = unilateral.pressed(c.gains, tuple(lean), above, tuple(still))
     return Beginning(tuple(start), tuple(known), tuple(owed), rests, consistent)

@@ -158,6 +158,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         pending=any_of(start.owed),
         hit=start.owed if system.resets else (false,) * system.m,
         graze=false,
+        jumped=false,
         settled=false if system.resets else None,
         turn=accumulation.no_turn(system, x),
         index=zero,

@@ -51,9 +51,9 @@ from jaxfil.xla.kernel import kernel_if_it_fits
 # This many contacts in a row, each at the time of the last, are an accumulation: more than surfaces
 # that are met together, one after the other, need to settle.
 _FROZEN = 12
-# Resets of surfaces that are met together follow one another at one time, so many at most: where
-# each takes half of what the last one has left, fifty are none.
-_CHAIN = 192
+# Resets of surfaces that are met together follow one another at one time, so many at most: three
+# balls on each other come to rest in some hundreds, each of which takes a few percent.
+_CHAIN = 4096
 # What an iteration does with its trial step.
 _IDLE, _REJECT, _ACCEPT, _LAND, _TOUCH, _SWITCH, _FAIL = map(float, range(7))
 # What can go wrong in it, in the order in which it is told.
@@ -233,6 +233,7 @@ def _carried_out(
         pending=pending,
         hit=where(lands, landing.surfaces, hit),
         graze=jnp.where(lands, action == _TOUCH, state.graze),
+        jumped=jnp.where(lands, landing.jumped, state.jumped & ~switched),
         settled=settled,
         turn=_chosen(switched, end.turn, state.turn),
         index=state.index + gridded.astype(jnp.int32),

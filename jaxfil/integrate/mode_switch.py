@@ -7,6 +7,7 @@ correction, they left the state right and its derivative wrong in the fourth dig
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +29,7 @@ from jaxfil.integrate.impact import Impact
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
+from jaxfil.xla.small_linear import solve_small
 
 # At a graze a rate is told from zero above this multiple of what is left of the motion's own.
 _TANGENT = 64
@@ -36,13 +38,34 @@ _TANGENT = 64
 _BACKWARD = 1024.0
 
 
-def _project(x: Components, h: Components, normals: tuple, on: Components) -> Components:
-    """x moved along the normals onto the surfaces marked `on`, one after the other."""
-    for h_j, normal, on_j in zip(h, normals, on, strict=True):
-        size = sum(v * v for v in normal)
-        push = jnp.where(on_j, h_j / jnp.where(size == 0, 1, size), 0.0)
+def _project(
+    system: ComponentSystem, x: Components, h: Components, normals: tuple, on: Components
+) -> Components:
+    """x moved along the normals onto the surfaces marked `on`.
+
+    Where surfaces are coupled, all at once: what is taken from one moves the state off another.
+    """
+    for push, normal in zip(_pushes(system, h, normals, on), normals, strict=True):
         x = axpy(x, -push, normal)
     return x
+
+
+def _pushes(
+    system: ComponentSystem, h: Components, normals: tuple, on: Components
+) -> Sequence[Array]:
+    """How far along each normal: the solution of Σ_k (∇H_j·∇H_k) μ_k = H_j."""
+    if system.m == 1 or (system.separate and not system.resets):
+        sizes = [sum(v * v for v in normal) for normal in normals]
+        return [
+            jnp.where(on_j, h_j / jnp.where(size == 0, 1, size), 0.0)
+            for h_j, size, on_j in zip(h, sizes, on, strict=True)
+        ]
+    pairs = [[sum(u * v for u, v in zip(a, b, strict=True)) for b in normals] for a in normals]
+    matrix = [
+        [jnp.where(a & b, pairs[j][k], float(j == k)) for k, b in enumerate(on)]
+        for j, a in enumerate(on)
+    ]
+    return solve_small(matrix, [jnp.where(a, v, 0.0) for a, v in zip(on, h, strict=True)])
 
 
 def evaluate_step_end(
@@ -63,6 +86,7 @@ def evaluate_step_end(
     if system.m == 0:
         return _smooth_end(system, state, tau, x, system.field(t, x, (), forcing=forcing))
     reset = impact.make_reset(system, state, t, x) if system.resets else None
+    before = () if reset is None else system.switching(t, x)
     x = x if reset is None else reset.x
     # Everything from here on is taken after the reset: sides, rates and modes are those of the
     # state that goes on.
@@ -78,14 +102,21 @@ def evaluate_step_end(
     if system.slides:
         wider = jnp.where(problem.grid.direction < 0, _BACKWARD, 1.0)
         touch = tuple(wider * v for v in touch)
-    x = _held(system, state, x, h, normals, moved)
+    jumped = _jumped(problem, state, h, touch)
+    # Whose H the reset has changed: rounding of one that it has not is no way off its surface.
+    carried = tuple(
+        moved & (abs(v) > least) & (abs(v - u) > least)
+        for u, v, least in zip(before, h, touch, strict=bool(before))
+    )
+    off = tuple(a | b for a, b in zip(jumped, carried or (moved,) * system.m, strict=True))
+    x = _held(system, state, x, h, normals, off)
     led = None
     if reset is not None:
         seen = impact.view(problem, state, t, x, (h_t, normals))
+        x, seen = impact.held(state, reset, seen, x)
         led = impact.follow(problem, state, length, reset, seen, h, touch)
-        x = impact.held(state, reset, seen, x)
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
-    mode, num_modes = _switch(problem, state, rates, h, touch, moved, led)
+    mode, num_modes = _switch(problem, state, rates, h, touch, carried, jumped, led)
     shares, determinant = mode, None
     if system.slides:
         shares, determinant = sliding_weights.weights_and_determinant(mode, rates)
@@ -123,9 +154,9 @@ def evaluate_step_end(
         still=(),
         turn=None,
     )
-    if reset is None or led is None:
-        return accumulation.follow_turns(problem, state, length, end)
-    return _led_on(state, end, reset, led)
+    if reset is not None and led is not None:
+        end = _led_on(state, end, reset, led)
+    return accumulation.follow_turns(problem, state, length, end)
 
 
 def _led_on(state: LoopState, end: StepEnd, reset: impact.Reset, led: Impact) -> StepEnd:
@@ -178,16 +209,16 @@ def _held(
     x: Components,
     h: Components,
     normals: tuple,
-    moved: Array,
+    off: Components,
 ) -> Components:
     """The state on the surfaces that it slides or rests on or has just met: a slide is exact in its
-    surface, however long it lasts."""
+    surface, however long it lasts. Surfaces that are `off` have jumped, or were left by a reset."""
     if not system.slides and not system.resets:
         return x
-    landed = state.pending & ~state.graze & ~moved
-    each = zip(stays_on(system, state.mode), state.hit, strict=True)
-    on = tuple((stays & ~moved) | (landed & hit) for stays, hit in each)
-    return system.hold(*_project(x, h, normals, on))
+    landed = state.pending & ~state.graze
+    each = zip(stays_on(system, state.mode), state.hit, off, strict=True)
+    on = tuple((stays | (landed & hit)) & ~far for stays, hit, far in each)
+    return system.hold(*_project(system, x, h, normals, on))
 
 
 def _switch(
@@ -196,12 +227,13 @@ def _switch(
     rates: list[Components],
     h: Components,
     touch: Components,
-    moved: Array,
+    carried: Components,
+    jumped: Components,
     led: Impact | None,
 ) -> tuple[Components, Array]:
     """`_chosen`, computed once."""
     system = problem.system
-    mode, count = _chosen(problem, state, rates, h, touch, moved, led)
+    mode, count = _chosen(problem, state, rates, h, touch, carried, jumped, led)
     # Where there is one surface, both are one number: mode + 8 count, and the mode is at most 2.
     number = mode[0] + 8 * count.astype(system.dtype)
     number, *others = system.hold(number, *mode[1:])
@@ -215,14 +247,15 @@ def _chosen(
     rates: list[Components],
     h: Components,
     touch: Components,
-    moved: Array,
+    carried: Components,
+    jumped: Components,
     led: Impact | None,
 ) -> tuple[Components, Array]:
     """The mode after a landing and the number of admissible ones; elsewhere the old mode, and of a
     slide the number of modes on its surfaces, at least 1.
 
-    A slide that has reached the end of its weight leaves to that side. A reset that has `moved` the
-    state may have carried it off a surface, or across another one; what it has `led` to on others
+    A slide that has reached the end of its weight leaves to that side. A reset may have
+    `carried` the state off a surface, or across another one; what it has `led` to on others
     is known. Everything else is chosen among all modes on the surfaces the state is on: those hit,
     those slid on, and those met or left at the same time.
     """
@@ -246,9 +279,14 @@ def _chosen(
         for go, side, s in zip(leaving, sides, state.mode, strict=True)
     )
     met = tuple(hit & ~go for hit, go in zip(state.hit, leaving, strict=True))
-    left, met = _jumped(problem, state, left, met, h, touch)
+    # A surface that has jumped across the state is left behind.
+    across = tuple(
+        far & on & (s * v < 0) for far, on, s, v in zip(jumped, met, left, h, strict=True)
+    )
+    left = tuple(jnp.where(over, -s, s) for over, s in zip(across, left, strict=True))
+    met = tuple(on & ~over for on, over in zip(met, across, strict=True))
     if led is not None:
-        left, met = _left_by_reset(state, left, met, h, touch, moved, led)
+        left, met = _left_by_reset(state, left, met, h, carried, led)
     # A surface that will be met within the rounding of times is met now: its contact could not be
     # told from this one, and would follow it at once.
     same = grid.same_time(state.tau)
@@ -275,25 +313,13 @@ def _chosen(
     return mode, jnp.where(led.consistent, count, 0)
 
 
-def _jumped(
-    problem: Problem,
-    state: LoopState,
-    left: Components,
-    met: Components,
-    h: Components,
-    touch: Components,
-) -> tuple[Components, Components]:
-    """The mode on surfaces whose H has jumped across zero, by more than rounding of times explains,
-    and the surfaces met on which a mode is still to be chosen."""
-    same, modes, open_ = problem.grid.same_time(state.tau), [], []
-    for s, on, v, least, rate in zip(left, met, h, touch, state.rate, strict=True):
-        across = on & (s * v < -(least + 2 * same * abs(stop_gradient(rate))))
-        across = across & state.pending & ~state.graze
-        if state.turn is not None:
-            across = across & ~state.turn.completed
-        modes.append(jnp.where(across, -s, s))
-        open_.append(on & ~across)
-    return tuple(modes), tuple(open_)
+def _jumped(problem: Problem, state: LoopState, h: Components, touch: Components) -> Components:
+    """The surfaces whose H has jumped away from zero, by more than rounding of times explains."""
+    same = problem.grid.same_time(state.tau)
+    return tuple(
+        state.pending & state.jumped & (abs(v) > least + 2 * same * abs(stop_gradient(rate)))
+        for v, least, rate in zip(h, touch, state.rate, strict=True)
+    )
 
 
 def _left_by_reset(
@@ -301,23 +327,21 @@ def _left_by_reset(
     left: Components,
     met: Components,
     h: Components,
-    touch: Components,
-    moved: Array,
+    carried: Components,
     led: Impact,
 ) -> tuple[Components, Components]:
     """The mode on surfaces that a reset has carried the state off, that it rests on and that wait
     for another switch, and the surfaces met on which a mode is still to be chosen."""
     switching = state.pending & ~state.graze
     modes, open_ = [], []
-    each = zip(left, unilateral.sides_of(left), h, touch, strict=True)
-    for j, (s, beside, v, least) in enumerate(each):
+    each = zip(left, unilateral.sides_of(left), h, carried, impact.at_limit(state), strict=True)
+    for j, (s, beside, v, off, limit) in enumerate(each):
         one = jnp.ones_like(s)
-        off = moved & (abs(v) > least)
         rested = jnp.where(led.rests[j], 2 * beside, beside)
         # What ends a rest, and what asks for a reset, leaves to its side.
-        ends = (state.hit[j] & (abs(s) == 2)) | led.next[j]
+        ends = (state.hit[j] & (abs(s) == 2) & ~limit) | led.next[j]
         mode = jnp.where(off & switching, jnp.where(v > 0, one, -one), s)
-        mode = jnp.where(ends & switching, beside, mode)
+        mode = jnp.where((ends | led.pushed[j]) & switching, beside, mode)
         modes.append(jnp.where(led.still[j], rested, mode))
         open_.append(met[j] & ~off & ~ends & ~led.still[j])
     return tuple(modes), tuple(open_)

@@ -111,6 +111,8 @@ class LoopState(eqx.Module):
     """The surfaces of that landing."""
     graze: Array
     """Whether that landing only touches."""
+    jumped: Array
+    """Whether one of them has jumped there."""
     settled: Array | None
     """Whether its resets have been made already; None without resets."""
     turn: Turn | None

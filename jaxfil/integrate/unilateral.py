@@ -123,9 +123,11 @@ def rate_noise(
     out = []
     for h_t, normal, gradient, a_j in zip(*surfaces, c.gradients, a, strict=True):
         by_time = a_j - sum(u * v for u, v in zip(gradient, f, strict=True))
+        # Of bodies that fall side by side ψ stays zero, and its terms do not.
+        gained = sum(abs(u * v) for u, v in zip(gradient, f, strict=True))
         terms = abs(h_t) + sum(abs(u * v) for u, v in zip(normal, f, strict=True))
         terms = terms + sum(abs(u) * v for u, v in zip(gradient, x, strict=True))
-        terms = terms + abs(by_time * t) + abs(a_j * dt)
+        terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
         out.append(stop_gradient(_NOISE * jnp.finfo(t.dtype).eps * terms))
     return tuple(out)
 
@@ -197,7 +199,8 @@ def pressed(
     """Which of the surfaces at rest stay so, and whether that is consistent: λ_j pushes away from
     each surface that holds, and a_j leads away from each that does not.
 
-    Surfaces that would have to pull let go, all of them at once, until none would.
+    Surfaces that would have to pull, or need not push, let go, all of them at once, until none
+    would.
     """
     gains, a, sides = jax.tree.map(stop_gradient, (gains, a, sides))
     m = len(a)
@@ -205,7 +208,7 @@ def pressed(
     def let_go(_: Array | int, on: Components) -> Components:
         force = multipliers(gains, a, on)
         each = zip(on, sides, force, strict=True)
-        return tuple(o & (s * v >= 0) for o, s, v in each)
+        return tuple(o & (s * v > 0) for o, s, v in each)
 
     on = let_go(0, candidates) if m == 1 else jax.lax.fori_loop(0, m, let_go, candidates)
     force = multipliers(gains, a, on)
