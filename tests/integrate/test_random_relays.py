@@ -1,4 +1,4 @@
-"""Random relay systems with one and two surfaces against their exact motions (tests/exact.py).
+"""Random relay systems with one and two surfaces against their exact motions (relay_motion.py).
 
 Every system is compared in all that a solution tells: outcome, kinds, surfaces and times of the
 contacts, states before them, the state and mode at the end, and the derivative of states and times
@@ -19,8 +19,8 @@ from numpy.testing import assert_allclose
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
-from tests import exact
-from tests.exact import Relays
+from benchmarks.reliability import relay_motion as exact
+from benchmarks.reliability.relay_modes import Relays
 
 T1, MOST, LANES = 4.0, 24, 32
 DECIDED = 1e-7
