@@ -25,6 +25,7 @@ def in_chunks(solve, problems, dts, lanes=LANES):
         chosen = order[first : first + lanes]
         filled = np.resize(chosen, lanes)  # the last chunk is filled with its own
         out = solve(*stacked([tuple(problems[i]) for i in filled]), jnp.asarray(dts[filled]))
-        chunks.append(jax.tree.map(lambda v, k=len(chosen): np.asarray(v)[:k], out))
+        count = len(chosen)
+        chunks.append(jax.tree.map(lambda v, k=count: np.asarray(v)[:k], out))
     back = np.argsort(order, kind="stable")
     return jax.tree.map(lambda *v: np.concatenate(v)[back], *chunks)

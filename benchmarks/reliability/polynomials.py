@@ -58,14 +58,35 @@ def bisected(p, lo, hi):
 
 
 class Margin:
-    """The least of what was asked of it."""
+    """The least of what was asked of it: of rates, and of distances piece by piece."""
 
     def __init__(self):
-        self.least = np.inf
+        self.rates, self.distances = np.inf, [np.inf]
 
     def __call__(self, value, scale):
-        self.least = min(self.least, float(abs(value) / scale) if scale > 0 else 0.0)
+        self.rates = min(self.rates, self._relative(value, scale))
         return value
+
+    def near(self, value, scale):
+        """How far from a surface that the motion does not meet."""
+        self.distances[-1] = min(self.distances[-1], self._relative(value, scale))
+
+    def next_piece(self):
+        """A contact has been met."""
+        self.distances.append(np.inf)
+
+    def forget(self, first):
+        """Distances that shrink to nothing since contact number `first`."""
+        self.distances[first + 1 :] = [np.inf] * (len(self.distances) - first - 1)
+
+    @property
+    def least(self):
+        """The margin of the motion."""
+        return min(self.rates, *self.distances)
+
+    @staticmethod
+    def _relative(value, scale):
+        return float(abs(value) / scale) if scale > 0 else 0.0
 
 
 def first_fall(p, length, scale, margin: Margin):
@@ -77,7 +98,7 @@ def first_fall(p, length, scale, margin: Margin):
     values = [np.polyval(p[::-1], at) for at in points]
     for i in range(1, len(points)):
         if i < len(points) - 1:
-            margin(values[i], scale)
+            margin.near(values[i], scale)
         if values[i] < 0:
             return bisected(p, points[i - 1], points[i]) if values[i - 1] > 0 else points[i - 1]
     return None

@@ -30,6 +30,7 @@ class Degenerate(Exception):
 
 
 def real(system: Relays) -> Relays:
+    """The same in extended precision."""
     return Relays(*(np.asarray(v, REAL) for v in system))
 
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.reliability.accumulation import accumulation
 from benchmarks.reliability.polynomials import REAL, TERMS, Margin, first_fall, series
 from benchmarks.reliability.relay_modes import Degenerate, Relays, mode_field, real
 from benchmarks.reliability.rivals import appearance, others
@@ -28,7 +29,8 @@ LEFT = (-1, 0)
 
 class Motion(NamedTuple):
     """`ts`, `surfaces`, `kinds`, `before`: the contacts. `x`, `mode`: where it ended, at `t`.
-    `rate` is the largest norm of the fields' matrices on the way: what a step must resolve."""
+    `rate` is the largest norm of the fields' matrices on the way: what a step must resolve.
+    `spans`: first and last time of each accumulation of contacts."""
 
     outcome: str
     t: float
@@ -40,6 +42,7 @@ class Motion(NamedTuple):
     before: list[np.ndarray]
     margin: float
     rate: float
+    spans: list
 
 
 def modes_after(system: Relays, x, mode, on, margin: Margin):
@@ -69,56 +72,81 @@ def modes_after(system: Relays, x, mode, on, margin: Margin):
 
 
 def speed(f):
+    """The length of a vector, and not zero."""
     return np.sqrt((f * f).sum()) + REAL(1e-300)
 
 
-def propagate(system: Relays, x0, t1, most=40) -> Motion:
-    """The motion from x0 at t = 0 to t1. Outcomes: "successful"; "nonunique", where
-    several modes go on after a contact, or another one can leave an intersection slid on;
-    "undecided", where none goes on; "many", after `most` contacts; "degenerate"."""
+def propagate(system: Relays, x0, t1, most=40, through=False) -> Motion:
+    """The motion from x0 at t = 0 to t1, `through` accumulations of contacts or not. Outcomes:
+    "successful"; "nonunique", where several modes go on after a contact, or another one can leave
+    an intersection slid on; "undecided", where none goes on; "many", after `most` contacts;
+    "degenerate"."""
     system = real(system)
     x, t, t1 = np.asarray(x0, REAL), REAL(0), REAL(t1)
     margin = Margin()
-    h = system.n @ x - system.d
-    for j, value in enumerate(h):
-        margin(value, np.linalg.norm(system.n[j]) * (speed(x) + 1))
-    mode = tuple(1 if v > 0 else -1 for v in h)
+    mode = starting_mode(system, x, margin)
     events: tuple[list, list, list, list] = ([], [], [], [])
     zeros = [0] * len(mode)  # the order of the zero that each guard starts from
-    outcome, rate = "successful", 0.0
+    outcome, rate, spans = "successful", 0.0, []
     try:
-        while True:
+        while outcome == "successful":
             rate = max(rate, float(np.sqrt((mode_field(system, mode)[0] ** 2).sum())))
             t, x, hit = piece(system, x, t, t1, mode, zeros, margin)
             if hit is None:
                 break
-            if hit is LEFT:
-                outcome = "nonunique"
+            if hit is LEFT or len(events[0]) == most:
+                outcome = "nonunique" if hit is LEFT else "many"
                 break
-            if len(events[0]) == most:
-                outcome = "many"
+            after, zeros, kind = switched(system, x, mode, hit, margin)
+            if after is None:
+                outcome = kind
                 break
-            before = mode
-            zeros = [0] * len(mode)
-            if mode[hit[0]] == 0:
-                mode = tuple(hit[1] if j == hit[0] else s for j, s in enumerate(mode))
-                zeros[hit[0]], kind = 2, "slip"
-            else:
-                on = [j for j, s in enumerate(mode) if s == 0 or j == hit[0]]
+            mode = after
+            margin.next_piece()
+            for column, value in zip(events, (t, hit[0], kind, x), strict=True):
+                column.append(value)
+            since = [t > end for _, end in spans[-1:]]
+            limit = accumulation(system, *events) if through and all(since) else None
+            if limit is not None and limit[1] < t1:
+                on, t, x, first = limit
+                margin.forget(first)
+                spans.append((events[0][first], t))
                 after = modes_after(system, x, mode, on, margin)
                 if len(after) != 1:
                     outcome = "nonunique" if after else "undecided"
-                    break
-                (mode,) = after
-                for j in on:
-                    zeros[j] = int(mode[j] != 0)
-                now, then = mode[hit[0]], before[hit[0]]
-                kind = "stick" if now == 0 else "crossing" if now != then else "graze"
-            for column, value in zip(events, (t, hit[0], kind, x), strict=True):
-                column.append(value)
+                else:
+                    (mode,) = after
+                    zeros = [int(j in on and s != 0) for j, s in enumerate(mode)]
     except Degenerate:
-        outcome, margin.least = "degenerate", 0.0
-    return Motion(outcome, t, x, mode, *events, margin.least, rate)
+        outcome = "degenerate"
+    least = 0.0 if outcome == "degenerate" else margin.least
+    return Motion(outcome, t, x, mode, *events, least, rate, spans)
+
+
+def starting_mode(system: Relays, x, margin: Margin):
+    """The sides that a motion starts on."""
+    h = system.n @ x - system.d
+    for normal, value in zip(system.n, h, strict=True):
+        margin.near(value, np.linalg.norm(normal) * (speed(x) + 1))
+    return tuple(1 if v > 0 else -1 for v in h)
+
+
+def switched(system: Relays, x, mode, hit, margin: Margin):
+    """(mode, orders of the zeros that its guards start from, kind) after a contact; no mode and
+    the outcome where none or several go on."""
+    j, side = hit
+    zeros = [0] * len(mode)
+    if mode[j] == 0:
+        zeros[j] = 2
+        return tuple(side if i == j else s for i, s in enumerate(mode)), zeros, "slip"
+    on = [i for i, s in enumerate(mode) if s == 0 or i == j]
+    after = modes_after(system, x, mode, on, margin)
+    if len(after) != 1:
+        return None, zeros, "nonunique" if after else "undecided"
+    for i in on:
+        zeros[i] = int(after[0][i] != 0)
+    now, then = after[0][j], mode[j]
+    return after[0], zeros, "stick" if now == 0 else "crossing" if now != then else "graze"
 
 
 def piece(system: Relays, x, t, t1, mode, zeros, margin: Margin):
@@ -168,7 +196,7 @@ def piece(system: Relays, x, t, t1, mode, zeros, margin: Margin):
                 if (k, other) == (j, side):
                     margin(row @ f, np.linalg.norm(row) * np.linalg.norm(f))
                 elif not (first and zeros[k]) or at > 1e-6:
-                    margin(row @ z_at, np.linalg.norm(row) * np.linalg.norm(z_at))
+                    margin.near(row @ z_at, np.linalg.norm(row) * np.linalg.norm(z_at))
             return t + at, z_at[:-1], (j, side)
         z = (terms * (length ** np.arange(TERMS))[:, None]).sum(axis=0)
         t, first = t + length, False

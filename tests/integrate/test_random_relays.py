@@ -18,9 +18,9 @@ from hypothesis.extra import numpy as arrays
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil import RESULTS, EventKind
 from benchmarks.reliability import relay_motion as exact
 from benchmarks.reliability.relay_modes import Relays
+from jaxfil import RESULTS, EventKind
 
 T1, MOST, LANES = 4.0, 24, 32
 DECIDED = 1e-7
