@@ -12,11 +12,11 @@ import time
 import jax
 
 from benchmarks import RESULTS
-from benchmarks.reliability import relays
+from benchmarks.reliability import relays, walls
 from benchmarks.reliability.verdict import COLUMNS, totals
 from benchmarks.table import table
 
-FAMILIES = {"relays": relays.groups}
+FAMILIES = {"relays": relays.groups, "impacts": walls.groups}
 
 
 def report(groups, seed):
