@@ -12,11 +12,16 @@ import time
 import jax
 
 from benchmarks import RESULTS
-from benchmarks.reliability import relays, walls
+from benchmarks.reliability import derivatives, relays, smooth, walls
 from benchmarks.reliability.verdict import COLUMNS, totals
 from benchmarks.table import table
 
-FAMILIES = {"relays": relays.groups, "impacts": walls.groups}
+FAMILIES = {
+    "relays": relays.groups,
+    "impacts": walls.groups,
+    "smooth": smooth.groups,
+    "derivatives": derivatives.groups,
+}
 
 
 def report(groups, seed):
