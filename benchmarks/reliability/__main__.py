@@ -12,7 +12,7 @@ import time
 import jax
 
 from benchmarks import RESULTS
-from benchmarks.reliability import derivatives, relays, smooth, walls
+from benchmarks.reliability import cases, derivatives, relays, smooth, walls
 from benchmarks.reliability.verdict import COLUMNS, totals
 from benchmarks.table import table
 
@@ -21,6 +21,7 @@ FAMILIES = {
     "impacts": walls.groups,
     "smooth": smooth.groups,
     "derivatives": derivatives.groups,
+    "cases": cases.groups,
 }
 
 
