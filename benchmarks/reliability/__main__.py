@@ -12,7 +12,7 @@ import time
 import jax
 
 from benchmarks import RESULTS
-from benchmarks.reliability import cases, derivatives, relays, smooth, walls
+from benchmarks.reliability import cases, derivatives, faults, relays, smooth, walls
 from benchmarks.reliability.verdict import COLUMNS, totals
 from benchmarks.table import table
 
@@ -22,6 +22,7 @@ FAMILIES = {
     "smooth": smooth.groups,
     "derivatives": derivatives.groups,
     "cases": cases.groups,
+    "faults": faults.groups,
 }
 
 
