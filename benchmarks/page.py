@@ -22,6 +22,11 @@ SECTIONS = (
         ("work_precision", *(f"work_precision_{name}" for name in PROBLEMS)),
     ),
     ("What a scene costs", "python -m benchmarks.cost", ("cost",)),
+    (
+        "Thousands of random problems against independent answers",
+        "python -m benchmarks.reliability",
+        ("reliability",),
+    ),
     ("Far outside the usual", "python -m benchmarks.extremes", ("extremes",)),
     ("Stiff scenes", "python -m benchmarks.stiff", ("stiff", "stability")),
     ("Lyapunov exponents: what smoothing does", "python -m benchmarks.lyapunov", ("lyapunov",)),

@@ -6,8 +6,8 @@ after the file or the noun that it tests. `tests/project` holds what is about th
 folder, `python -m pytest tests/orbits`, the quick tests of it by `-m "not slow"` besides.
 
 What several rooms use is here: `problems`, a bank of problems with known answers, by name and by
-tag; `results`, what is done with a solution; `exact`, relay systems in extended precision;
-`pictures`, a picture of each kind, and their references.
+tag; `results`, what is done with a solution; `pictures`, a picture of each
+kind, and their references. Exact motions of random systems are in `benchmarks.reliability`.
 """
 
 import signal

@@ -13,7 +13,7 @@ import numpy as np
 import jaxfil as jf
 from benchmarks.reliability import comparison, relays, walls
 from benchmarks.reliability.comparison import Lane, counted, structure, values
-from benchmarks.reliability.lanes import in_chunks
+from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.verdict import DECIDED, Group, Verdict
 from jaxfil.model.outcomes import outcome_names
 
@@ -113,6 +113,5 @@ def group(kind, n, m, count, seed):
 
 def groups(systems, seed):
     """All kinds of systems."""
-    for (kind, n, m), part in SHAPES.items():
-        if count := round(part * systems):
-            yield group(kind, n, m, count, seed)
+    for (kind, n, m), count in counts(SHAPES, systems).items():
+        yield group(kind, n, m, count, seed)

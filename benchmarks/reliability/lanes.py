@@ -2,6 +2,7 @@
 
 Pytrees of numbers and a step for each enter; what a compiled function of a batch makes of them, in
 their order, leaves. Lanes of like steps go together: a batch lasts as long as its longest lane.
+`counts` says how many problems there are of each shape.
 """
 
 import jax
@@ -29,3 +30,11 @@ def in_chunks(solve, problems, dts, lanes=LANES):
         chunks.append(jax.tree.map(lambda v, k=count: np.asarray(v)[:k], out))
     back = np.argsort(order, kind="stable")
     return jax.tree.map(lambda *v: np.concatenate(v)[back], *chunks)
+
+
+def counts(parts, systems, least=5):
+    """How many systems of each shape, given its part of all; of few systems all are of the first
+    shape, for each is compiled."""
+    found = {shape: round(part * systems) for shape, part in parts.items()}
+    large = {shape: count for shape, count in found.items() if count >= least}
+    return large or {next(iter(parts)): min(systems, least)}

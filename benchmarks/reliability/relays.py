@@ -11,7 +11,7 @@ import numpy as np
 
 import jaxfil as jf
 from benchmarks.reliability import comparison
-from benchmarks.reliability.lanes import in_chunks
+from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.relay_modes import Relays
 from benchmarks.reliability.relay_motion import propagate
 from benchmarks.reliability.verdict import Group
@@ -89,6 +89,5 @@ def group(n, m, count, seed):
 
 def groups(systems, seed):
     """All shapes."""
-    for (n, m), part in SHAPES.items():
-        if count := round(part * systems):
-            yield group(n, m, count, seed)
+    for (n, m), count in counts(SHAPES, systems).items():
+        yield group(n, m, count, seed)

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 import jaxfil as jf
 from benchmarks.reliability.comparison import random_direction
-from benchmarks.reliability.lanes import in_chunks
+from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.verdict import Group, Verdict
 from jaxfil.model.outcomes import outcome_names
 
@@ -100,13 +100,17 @@ def judge(number, waves, x0, outcome, x):
     return Verdict(number, "wrong", f"error {error:.1e}", error)
 
 
+def group(n, count, seed):
+    """The verdicts on `count` fields of n states."""
+    problems = [random_system([seed, n, i], n) for i in range(count)]
+    dts = np.asarray([RESOLVED / waves.rate() for waves, _ in problems])
+    results, xs = in_chunks(solve, problems, dts)
+    everything = zip(problems, outcome_names(results), xs, strict=True)
+    verdicts = [judge(i, *p, str(o), x) for i, (p, o, x) in enumerate(everything)]
+    return Group("smooth", f"{n} state{'s' * (n > 1)}", verdicts)
+
+
 def groups(systems, seed):
     """All shapes."""
-    for n, part in SHAPES.items():
-        if count := round(part * systems):
-            problems = [random_system([seed, n, i], n) for i in range(count)]
-            dts = np.asarray([RESOLVED / waves.rate() for waves, _ in problems])
-            results, xs = in_chunks(solve, problems, dts)
-            everything = zip(problems, outcome_names(results), xs, strict=True)
-            verdicts = [judge(i, *p, str(o), x) for i, (p, o, x) in enumerate(everything)]
-            yield Group("smooth", f"{n} state{'s' * (n > 1)}", verdicts)
+    for n, count in counts(SHAPES, systems).items():
+        yield group(n, count, seed)

@@ -10,7 +10,7 @@ import numpy as np
 
 import jaxfil as jf
 from benchmarks.reliability import comparison
-from benchmarks.reliability.lanes import in_chunks
+from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.verdict import Group
 from benchmarks.reliability.wall_motion import Walls, propagate
 from jaxfil.model.outcomes import outcome_names
@@ -87,6 +87,5 @@ def group(dof, m, count, seed):
 
 def groups(systems, seed):
     """All shapes."""
-    for (dof, m), part in SHAPES.items():
-        if count := round(part * systems):
-            yield group(dof, m, count, seed)
+    for (dof, m), count in counts(SHAPES, systems).items():
+        yield group(dof, m, count, seed)

@@ -1,4 +1,4 @@
-"""Random relay systems with one and two surfaces against their exact motions (relay_motion.py).
+"""Random relay systems with one and two surfaces against their exact motions (`relay_motion`).
 
 Every system is compared in all that a solution tells: outcome, kinds, surfaces and times of the
 contacts, states before them, the state and mode at the end, and the derivative of states and times
@@ -19,7 +19,9 @@ from numpy.testing import assert_allclose
 
 import jaxfil as jf
 from benchmarks.reliability import relay_motion as exact
+from benchmarks.reliability.comparison import random_direction
 from benchmarks.reliability.relay_modes import Relays
+from benchmarks.reliability.relays import RelaySystem, random_system
 from jaxfil import RESULTS, EventKind
 
 T1, MOST, LANES = 4.0, 24, 32
@@ -39,24 +41,6 @@ OUTCOMES = {
 ENDED = ("nonunique", "undecided")
 
 
-class RelaySystem(jf.System):
-    """x' = A x + b + Σ_j side_j (c_j + g_j H_j), H = N x - d."""
-
-    a: jax.Array
-    b: jax.Array
-    c: jax.Array
-    g: jax.Array
-    n: jax.Array
-    d: jax.Array
-
-    def vector_field(self, t, x, side):
-        relays = self.c + self.g * self.switching(t, x)[:, None]
-        return self.a @ x + self.b + side @ relays
-
-    def switching(self, t, x):
-        return self.n @ x - self.d
-
-
 @eqx.filter_jit
 def run(inputs, tangents, dts):
     """Solutions of a batch, and their derivatives in the directions `tangents`."""
@@ -69,24 +53,6 @@ def run(inputs, tangents, dts):
         return jax.jvp(lambda s, x0: solved(dt, s, x0), inputs, tangents, has_aux=True)
 
     return jax.vmap(one)(inputs, tangents, dts)
-
-
-def random_system(seed, m, n=3):
-    """A system of order one that turns, with surfaces near its state and mostly attracting."""
-    rng = np.random.default_rng(seed)
-    a = rng.normal(size=(n, n))
-    a = 1.5 * (a - a.T) + 0.4 * rng.normal(size=(n, n)) - 0.3 * np.eye(n)
-    normals, c = rng.normal(size=(m, n)), 1.5 * rng.normal(size=(m, n))
-    attracts = rng.random(m) < 0.8
-    c = np.where((attracts & ((normals * c).sum(axis=1) > 0))[:, None], -c, c)
-    g = rng.normal(size=(m, n)) * (rng.random((m, 1)) < 0.5)
-    d = 0.5 * rng.normal(size=m)
-    return Relays(a, rng.normal(size=n), c, g, normals, d), rng.normal(size=n)
-
-
-def random_direction(system, x0, seed):
-    rng = np.random.default_rng([seed, 1])
-    return Relays(*(rng.normal(size=np.shape(v)) for v in system)), rng.normal(size=x0.shape)
 
 
 def moved(system, x0, direction, step):
