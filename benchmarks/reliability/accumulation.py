@@ -27,7 +27,8 @@ def accumulation(system: Relays, ts, surfaces, kinds, states):
             steps = [ts[-1 - i * p] - ts[-1 - (i + 1) * p] for i in (0, 1)]
             moves = [states[-1 - i * p] - states[-1 - (i + 1) * p] for i in (0, 1)]
             ratio = steps[0] / max(steps[1], TINY)
-            shrinks = np.sqrt((moves[0] ** 2).sum() / max((moves[1] ** 2).sum(), TINY**2))
+            # Half a turn of a symmetric spiral turns round: that is no round.
+            shrinks = (moves[0] @ moves[1]) / max(moves[1] @ moves[1], TINY)
             if ratio < 0.99 and abs(shrinks - ratio) < 1e-3:
                 rest = ratio / (1 - ratio)
                 first = near_from(system, states, close, normals, size)
