@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.reliability.relay_motion import Motion
 from benchmarks.reliability.verdict import DECIDED, Verdict
+from benchmarks.reliability.wall_motion import Walls
 from jaxfil import EventKind
 
 # Errors allowed, relative to the size of the motion: outright, or times what a change of the
@@ -57,9 +58,13 @@ def values(motion: Motion):
 
 
 def random_direction(system, x0, seed):
-    """A change of everything, of order one."""
+    """A change of everything, of order one; what is zero of a system with walls stays so: that
+    coordinates change by their velocities alone, and that a wall throws nothing back."""
     rng = np.random.default_rng([seed, 1])
-    return type(system)(*(rng.normal(size=np.shape(v)) for v in system)), rng.normal(size=x0.shape)
+    by = [rng.normal(size=np.shape(v)) for v in system]
+    if isinstance(system, Walls):
+        by = [np.where(np.asarray(v) == 0, 0.0, u) for u, v in zip(by, system, strict=True)]
+    return type(system)(*by), rng.normal(size=x0.shape)
 
 
 def moved(exact, problem, direction, step):
