@@ -19,6 +19,8 @@ from jaxfil import EventKind
 ALLOWED, OF_GROWTH = 1e-9, 1e-12
 # Rounding, as a change of the problem.
 ROUNDED = 1e-14
+# After an accumulation: a height of rounding is fallen through in a time of its root.
+SLACK = 1e-5
 
 
 class Lane(NamedTuple):
@@ -35,7 +37,7 @@ class Lane(NamedTuple):
 def counted(ts, motion: Motion):
     """Which of these times are outside of the accumulations of a motion."""
     spans = [(float(begin), float(end)) for begin, end in motion.spans]
-    inside = [(ts > begin - 1e-9) & (ts < end + 1e-7) for begin, end in spans]
+    inside = [(ts > begin - 1e-9) & (ts < end + SLACK) for begin, end in spans]
     return ~np.any([np.zeros(len(ts), bool), *inside], axis=0)
 
 
