@@ -107,8 +107,9 @@ def group(kind, n, m, count, seed):
         slope, lane = jax.tree.map(lambda v, k=k: v[k], (slopes, rest[1:]))
         lane = Lane(str(names[k]), *lane)
         verdicts.append(judge(i, exact, problem, directions[k], motion, slope, lane))
-    plural = "surface" if kind == "relays" else "wall"
-    return Group("derivatives", f"{kind}, {n} and {m} {plural}{'s' * (m > 1)}", verdicts)
+    nouns = ("state", "surface") if kind == "relays" else ("coordinate", "wall")
+    sizes = [f"{k} {noun}{'s' * (k > 1)}" for k, noun in zip((n, m), nouns, strict=True)]
+    return Group("derivatives", ", ".join([kind, *sizes]), verdicts)
 
 
 def groups(systems, seed):
