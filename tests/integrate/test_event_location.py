@@ -182,10 +182,17 @@ class Comparator(jf.System):
         return jnp.mod(t, self.period_) - x[0]
 
 
+class SlidingComparator(Comparator):
+    """The same, where sliding is looked for: the state is not projected to where H has been."""
+
+    slides = True
+
+
+@pytest.mark.parametrize("kind", [Comparator, SlidingComparator])
 @pytest.mark.parametrize("dt", [0.07, 0.1, 0.25])
-def test_a_jump_of_h_at_a_known_time_is_a_contact(dt):
+def test_a_jump_of_h_at_a_known_time_is_a_contact(kind, dt):
     # Below the ramp from x = r at t = r on; at t = 1, 2, 3 the ramp falls to zero.
-    system = Comparator(jnp.asarray(1.0))
+    system = kind(jnp.asarray(1.0))
     sol = jf.solve(system, jnp.array([0.5]), 0.0, 3.0 - 1e-9, dt)
     r, want = brentq(lambda t: t - 0.5 * np.exp(-t), 0, 1, xtol=1e-15), []
     x = 0.5 * np.exp(-r)

@@ -299,6 +299,91 @@ def test_two_balls_come_to_rest_on_each_other():
     assert_array_equal(sol.mode_final, [2, 2])
 
 
+class Column(jf.System):
+    """Beads of radius 0.1, one above the other, above a floor (Siconos, BeadsColumn): equal masses
+    that part at e times the speed at which they meet."""
+
+    e: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        q, v = jnp.split(x, 2)
+        return jnp.concatenate([v, jnp.full_like(q, -9.81)])
+
+    def switching(self, t, x):
+        q, _ = jnp.split(x, 2)
+        return jnp.concatenate([q[:1] - 0.1, q[1:] - q[:-1] - 0.2])
+
+    def reset(self, t, x, surface):
+        q, v = jnp.split(x, 2)
+        upper = jnp.maximum(surface, 1)
+        push = 0.5 * (1 + self.e) * (v[upper] - v[upper - 1])
+        pair = v.at[upper].add(-push).at[upper - 1].add(push)
+        return jnp.concatenate([q, jnp.where(surface == 0, v.at[0].multiply(-self.e), pair)])
+
+
+def fall(q, e, count):
+    """The first impacts of a column that falls from rest: times and surfaces, parabola by
+    parabola in extended precision."""
+    q, g, t, last = np.array(q, np.longdouble), np.longdouble(9.81), np.longdouble(0), None
+    v, ts, surfaces = np.zeros_like(q), [], []
+    while len(ts) < count:
+        gaps, closing = np.diff(q) - np.longdouble(0.2), -np.diff(v)
+        height = max(q[0] - np.longdouble(0.1), 0)
+        waits = [(v[0] + np.sqrt(v[0] ** 2 + 2 * g * height)) / g]
+        waits += [gap / c if c > 0 else np.inf for gap, c in zip(gaps, closing, strict=True)]
+        waits = [np.inf if k == last and k else wait for k, wait in enumerate(waits)]
+        j = int(np.argmin(waits))
+        h = waits[j]
+        q, v, t, last = q + h * v - g * h * h / 2, v - g * h, t + h, j
+        if j == 0:
+            v[0] = -e * v[0]
+        else:
+            push = (1 + np.longdouble(e)) / 2 * (v[j] - v[j - 1])
+            v[j], v[j - 1] = v[j] - push, v[j - 1] + push
+        ts.append(float(t))
+        surfaces.append(j)
+    return np.array(ts), np.array(surfaces)
+
+
+def column(e, q):
+    x0 = jnp.concatenate([q, jnp.zeros_like(q)])
+    options = dict(throw=False, max_events=3000, stepper=diffrax.Bosh3())
+    return jf.solve(Column(e), x0, 0.0, 4.0, 0.02, **options)
+
+
+def test_a_column_of_beads_meets_as_its_parabolas_do():
+    q, e, count = np.array([0.5, 0.95, 1.3]), 0.9, 40
+    ts, surfaces = fall(q, e, count)
+    sol = column(jnp.asarray(e), jnp.asarray(q))
+    assert_array_equal(sol.events.surfaces[:count], surfaces)
+    assert_allclose(sol.events.ts[:count], ts, atol=1e-11)
+
+
+def test_columns_of_beads_come_to_rest_and_not_through_the_floor():
+    rng = np.random.default_rng(0)
+    es, q = rng.uniform(0.0, 0.75, 64), np.cumsum(rng.uniform(0.21, 0.5, (64, 3)), axis=1)
+    sol = jax.jit(jax.vmap(column))(jnp.asarray(es), jnp.asarray(q))
+    told = np.asarray(sol.result == RESULTS.max_events_reached)
+    assert np.asarray(told | (sol.result == RESULTS.successful)).all() and told.sum() <= 3
+    assert_allclose(
+        sol.x_final[~told, :3], np.tile([0.1, 0.3, 0.5], (64 - told.sum(), 1)), atol=1e-15
+    )
+    assert_array_equal(np.asarray(sol.mode_final)[~told], 2)
+    # On the way no bead was in another or in the floor.
+    happened = np.arange(3000)[None] < np.asarray(sol.num_events)[:, None]
+    heights = np.asarray(sol.events.xs[..., :3])[happened]
+    gaps = np.diff(heights, axis=-1, prepend=-0.1) - 0.2
+    assert gaps.min() > -1e-13
+
+
+def test_beads_that_lie_on_each_other_stay():
+    sol = column(jnp.asarray(0.5), jnp.array([0.1, 0.3, 0.5]))
+    assert_array_equal(sol.mode_final, [2, 2, 2])
+    assert int(sol.num_events) == 0
+    assert_allclose(sol.x_final, [0.1, 0.3, 0.5, 0, 0, 0], atol=1e-15)
+
+
 def test_a_batch_of_balls_is_what_each_is_alone():
     es = jnp.array([0.0, 0.3, 0.9, 1.0])
     run = lambda e: solve(ball(e), (1, 0), 3.0).x_final  # noqa: E731
