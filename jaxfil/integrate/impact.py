@@ -135,11 +135,8 @@ def held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Com
     each = zip(rests, at_limit(state), c.throws_back, strict=True)
     rests = tuple(r | (limit & wall) for r, limit, wall in each)
     push = unilateral.multipliers(c.gains, c.rate, rests)
-    rate = tuple(
-        v + sum(g * p for g, p in zip(row, push, strict=True))
-        for v, row in zip(c.rate, c.gains, strict=True)
-    )
-    seen = dataclasses.replace(seen, constraints=dataclasses.replace(c, rate=rate))
+    c = dataclasses.replace(c, rate=_answered(c, c.rate, push))
+    seen = dataclasses.replace(seen, constraints=c)
     return unilateral.pushed(x, c.directions, push), seen
 
 
@@ -205,31 +202,35 @@ def _chattering(
     same = grid.same_time(state.tau)
     # What is left out is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * abs(grid.dt))
-    push = unilateral.multipliers(c.gains, seen.a, rests)
-    total, kick = jnp.zeros_like(state.tau), tuple(jnp.zeros_like(v) for v in state.x)
-    held = tuple(
-        a + sum(g * p for g, p in zip(row, push, strict=True))
-        for a, row in zip(seen.a, c.gains, strict=True)
-    )
+    held = _answered(c, seen.a, unilateral.multipliers(c.gains, seen.a, rests))
+    total, found, ending = jnp.zeros_like(state.tau), jnp.zeros((), bool), []
     for j, a in enumerate(held):
-        gain = c.gains[j][j]
-        away, fall = sides[j] * c.rate[j], -sides[j] * a * (2 - gain)  # 2 − gain = 1 − e
+        away, fall = sides[j] * c.rate[j], -sides[j] * a * (2 - c.gains[j][j])  # 2 − gain = 1 − e
         bounces = reset.acted[j] & c.throws_back[j] & (away > seen.noise[j]) & (fall > 0) & ~more
         time = 2 * away / jnp.where(bounces, fall, 1)
         low = away * away <= 2 * abs(a) * touch[j]
         ends = bounces & (low | (time <= longest)) & (time <= abs(length.room) + same)
-        ends = ends & (grid.direction > 0)
+        ends = ends & (grid.direction > 0) & ~found
         for i, s in enumerate(sides):  # unless another surface is met before
             ahead = s * (h[i] + time * (c.rate[i] + 0.5 * time * held[i]))
             ends = ends & ((ahead >= -touch[i]) | rests[i] | (i == j))
-        time = jnp.where(ends, time, 0.0)
-        # All impacts together take away the rate that is left, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0,
-        # with those by which the surfaces that are rested on answer them.
-        ending = tuple(ends & (rest | (i == j)) for i, rest in enumerate(rests))
-        left = tuple(r + time * v for r, v in zip(c.rate, held, strict=True))
-        impulses = unilateral.multipliers(c.gains, left, ending)
-        total, kick = total + time, unilateral.pushed(kick, c.directions, impulses)
-    return total, kick
+        total, found = jnp.where(ends, time, total), found | ends
+        ending.append(ends)
+    # All impacts together take away the rate that is left, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0,
+    # with those by which the surfaces that are rested on answer them.
+    taken = tuple(found & (rest | ends) for rest, ends in zip(rests, ending, strict=True))
+    left = tuple(rate + total * a for rate, a in zip(c.rate, held, strict=True))
+    impulses = unilateral.multipliers(c.gains, left, taken)
+    still = tuple(jnp.zeros_like(v) for v in state.x)
+    return total, unilateral.pushed(still, c.directions, impulses)
+
+
+def _answered(c: Constraints, rates: Components, push: Components) -> Components:
+    """Rates, or accelerations, of the surfaces with what pushes along their directions add."""
+    return tuple(
+        v + sum(g * p for g, p in zip(row, push, strict=True))
+        for v, row in zip(rates, c.gains, strict=True)
+    )
 
 
 class Beginning(eqx.Module):
