@@ -223,7 +223,7 @@ def test_batches():
         saveat = diffrax.SaveAt(ts=jnp.asarray([1.0, 10.0]))
         return jf.solve(ball, x0, 0.0, 12.0, 0.1, saveat=saveat, max_events=60, throw=False)
 
-    es = jnp.asarray([0.9, 0.5, 0.8, 0.92, 0.7])
+    es = jnp.asarray([0.9, 0.5, 0.8, 0.92, 0.75])
     heights = jnp.asarray([10.0, 10.0, jnp.nan, 0.005, 7.0])
     batch = eqx.filter_jit(jax.vmap(lane))(es, heights)
     alone = [eqx.filter_jit(lane)(e, h) for e, h in zip(es, heights, strict=True)]
