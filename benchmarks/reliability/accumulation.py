@@ -31,8 +31,10 @@ def accumulation(system: Relays, ts, surfaces, kinds, states):
             shrinks = (moves[0] @ moves[1]) / max(moves[1] @ moves[1], TINY)
             if ratio < 0.99 and abs(shrinks - ratio) < 1e-3:
                 rest = ratio / (1 - ratio)
-                first = near_from(system, states, close, normals, size)
-                return close, ts[-1] + rest * steps[0], x + rest * moves[0], first
+                # A surface that the round meets may not be near yet.
+                on = sorted({*close.tolist(), *surfaces[-p:]})
+                first = near_from(system, states, on, normals, size)
+                return on, ts[-1] + rest * steps[0], x + rest * moves[0], first
     return None
 
 
