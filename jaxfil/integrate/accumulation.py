@@ -106,6 +106,9 @@ def _turned(
     late = jnp.maximum(stop_gradient(left) - length.room, 0)
     completed = shrinks & (agrees & (late <= rounding) | (left <= same) & (late <= same))
     completed = completed & _clear(problem, state, end, left, limit)
+    if problem.system.resets:
+        # Of one wall `impact` knows more; of several, speeds are soon as small as rounding leaves.
+        completed = completed & (left <= problem.system.eps**0.5 * abs(problem.grid.dt))
     starts = switches & (again | (turn.contacts >= _LONGEST))
     met = tuple(switches & (m | hit) for m, hit in zip(turn.met, state.hit, strict=True))
     now = Turn(
