@@ -213,19 +213,19 @@ def compact_step(
     times, rows = np.zeros(stages), np.zeros((stages, stages))
     for k, (c, row) in enumerate(zip(tableau.c, tableau.a, strict=True), start=1):
         times[k], rows[k, : len(row)] = c, row
-    times, rows = jnp.asarray(times, h.dtype), jnp.asarray(rows, h.dtype)
+    times, rows = times.astype(h.dtype), rows.astype(h.dtype)
     number = jnp.arange(stages)
 
     def stage(k: Array, slopes: Components) -> Components:
-        row = rows[k]
+        row, time = (jax.lax.dynamic_index_in_dim(v, k, keepdims=False) for v in (rows, times))
         inner = tuple(v + h * jnp.sum(row * s) for v, s in zip(x, slopes, strict=True))
-        new = field(t + times[k] * h, inner)
+        new = field(t + time * h, inner)
         return tuple(jnp.where(number == k, v, s) for v, s in zip(new, slopes, strict=True))
 
     first = tuple(jnp.where(number == 0, v, 0.0) for v in f)
     slopes = jax.lax.fori_loop(1, stages, stage, first)
-    b = jnp.asarray(tableau.b, h.dtype)
+    b = np.asarray(tableau.b, h.dtype)
     end = tuple(v + h * jnp.sum(b * s) for v, s in zip(x, slopes, strict=True))
-    d = jnp.asarray(tableau.d[:-1], h.dtype)
+    d = np.asarray(tableau.d[:-1], h.dtype)
     error = tuple(stop_gradient(jnp.sum(d * s)) for s in slopes) if tableau.d else ()
     return Trial(end, error, forcing)
