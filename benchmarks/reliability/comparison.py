@@ -7,12 +7,14 @@ accumulation: of infinitely many each program sees some.
 
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from benchmarks.reliability.relay_motion import Motion
 from benchmarks.reliability.verdict import DECIDED, Verdict
 from benchmarks.reliability.wall_motion import Walls
 from jaxfil import EventKind
+from jaxfil.model.outcomes import outcome_names
 
 # Errors allowed, relative to the size of the motion: outright, or times what a change of the
 # problem by 1 does to the motion.
@@ -32,6 +34,20 @@ class Lane(NamedTuple):
     mode: np.ndarray
     count: np.ndarray
     events: Any
+
+
+def compared(sol):
+    """What is compared of a solution, in the order of `Lane`."""
+    return sol.result, sol.t_final, sol.x_final, sol.mode_final, sol.num_events, sol.events
+
+
+def verdicts(exact, problems, motions, sols, room):
+    """The verdict on each of a batch of solutions, as `compared`."""
+    found = []
+    for i, name in enumerate(outcome_names(sols[0])):
+        lane = Lane(str(name), *jax.tree.map(lambda v, i=i: v[i], sols[1:]))
+        found.append(judge(i, exact, problems[i], motions[i], lane, room))
+    return found
 
 
 def counted(ts, motion: Motion):

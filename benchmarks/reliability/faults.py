@@ -42,23 +42,24 @@ def wait_for(folder, pattern, count, process):
         time.sleep(0.0005)
 
 
-def killed(folder):
-    """Killed while the third piece is written."""
+def kill_after(folder, *files):
+    """Killed as soon as there are so many files of each name, one name after the other."""
     process = begin(folder)
-    wait_for(folder, "lanes-*", 2, process)
-    wait_for(folder, ".*-lanes-*", 1, process)
+    for pattern, count in files:
+        wait_for(folder, pattern, count, process)
     process.send_signal(signal.SIGKILL)
     code, *_ = finish(process)
     return "" if code == -signal.SIGKILL else f"ended with {code} before it was killed"
+
+
+def killed(folder):
+    """Killed while the third piece is written."""
+    return kill_after(folder, ("lanes-*", 2), (".*-lanes-*", 1))
 
 
 def killed_at_once(folder):
     """Killed while the record of the sweep is written."""
-    process = begin(folder)
-    wait_for(folder, ".*-sweep*", 1, process)
-    process.send_signal(signal.SIGKILL)
-    code, *_ = finish(process)
-    return "" if code == -signal.SIGKILL else f"ended with {code} before it was killed"
+    return kill_after(folder, (".*-sweep*", 1))
 
 
 def full_disk(folder):

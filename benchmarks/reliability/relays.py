@@ -15,7 +15,6 @@ from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.relay_modes import Relays
 from benchmarks.reliability.relay_motion import propagate
 from benchmarks.reliability.verdict import Group
-from jaxfil.model.outcomes import outcome_names
 
 T1 = 4.0
 # Contacts that a solution keeps, and that an exact motion may have.
@@ -66,7 +65,7 @@ def random_system(seed, m, n=3):
 def solve(system, x0, dt):
     """What is compared of a chunk of solutions."""
     sol = jf.solve(RelaySystem(*system), x0, 0.0, T1, dt, max_events=ROOM, throw=False)
-    return sol.result, sol.t_final, sol.x_final, sol.mode_final, sol.num_events, sol.events
+    return comparison.compared(sol)
 
 
 def exact(system, x0):
@@ -80,10 +79,7 @@ def group(n, m, count, seed):
     motions = [exact(*problem) for problem in problems]
     dts = np.clip([RESOLVED / (motion.rate + 1e-3) for motion in motions], SHORTEST, LONGEST)
     sols = in_chunks(solve, problems, dts)
-    verdicts = []
-    for i, name in enumerate(outcome_names(sols[0])):
-        lane = comparison.Lane(str(name), *jax.tree.map(lambda v, i=i: v[i], sols[1:]))
-        verdicts.append(comparison.judge(i, exact, problems[i], motions[i], lane, ROOM))
+    verdicts = comparison.verdicts(exact, problems, motions, sols, ROOM)
     return Group("relays", f"{n} states, {m} surface{'s' * (m > 1)}", verdicts)
 
 

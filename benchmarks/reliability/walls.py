@@ -13,7 +13,6 @@ from benchmarks.reliability import comparison
 from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.verdict import Group
 from benchmarks.reliability.wall_motion import Walls, propagate
-from jaxfil.model.outcomes import outcome_names
 
 T1 = 6.0
 ROOM, MOST = 512, 2000
@@ -63,7 +62,7 @@ def random_system(seed, dof, m):
 def solve(system, x0, dt):
     """What is compared of a chunk of solutions."""
     sol = jf.solve(WallSystem(*system), x0, 0.0, T1, dt, max_events=ROOM, throw=False)
-    return sol.result, sol.t_final, sol.x_final, sol.mode_final, sol.num_events, sol.events
+    return comparison.compared(sol)
 
 
 def exact(system, x0):
@@ -77,10 +76,7 @@ def group(dof, m, count, seed):
     motions = [exact(*problem) for problem in problems]
     dts = np.asarray([RESOLVED / motion.rate for motion in motions])
     sols = in_chunks(solve, problems, dts)
-    verdicts = []
-    for i, name in enumerate(outcome_names(sols[0])):
-        lane = comparison.Lane(str(name), *jax.tree.map(lambda v, i=i: v[i], sols[1:]))
-        verdicts.append(comparison.judge(i, exact, problems[i], motions[i], lane, ROOM))
+    verdicts = comparison.verdicts(exact, problems, motions, sols, ROOM)
     what = f"{dof} coordinate{'s' * (dof > 1)}, {m} wall{'s' * (m > 1)}"
     return Group("impacts", what, verdicts)
 
