@@ -9,11 +9,12 @@ import time
 
 import jax
 
-from benchmarks import RESULTS, cost_calls, cost_ladder, cost_memory, cost_single
+from benchmarks import RESULTS, cost_calls, cost_first, cost_ladder, cost_memory, cost_single
 
 SECTIONS = {
     "ladder": cost_ladder,
     "calls": cost_calls,
+    "first": cost_first,
     "single": cost_single,
     "memory": cost_memory,
 }

@@ -162,7 +162,7 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
 
     def one(t: Array, x: Array) -> tuple[Array, Array]:
         on_components = components.build(system, x)
-        blocks, modes = components.unpack(x), components.unpack(mode)
+        blocks, modes = components.unpack(x), components.scalars(mode)
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:
             _, rates = filippov.corners(on_components, t, blocks)

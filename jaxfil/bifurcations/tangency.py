@@ -23,7 +23,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import ComponentSystem, build, pack, unpack
+from jaxfil.integrate.components import ComponentSystem, build, pack, scalars, unpack
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.problem import NOTHING, Problem, even_grid
 from jaxfil.integrate.stepper import tableau_of
@@ -105,7 +105,7 @@ class _Rates:
         mode = jnp.where(self.number == self.tangency.surface, side, self.tangency.mode)
 
         def derivative(t: Array, x: Array) -> Array:
-            blocks = filippov.field(self.system, t, unpack(x), unpack(mode))
+            blocks = filippov.field(self.system, t, unpack(x), scalars(mode))
             field = pack(blocks, x.dtype)
             return jax.jvp(function, (t, x), (jnp.ones_like(t), field))[1]
 
@@ -181,7 +181,7 @@ def close(
 ) -> Closing:
     """Once round the orbit from the start of the flight."""
     on_components = build(system, tangency.x)
-    frozen = filippov.without_surfaces(on_components, unpack(tangency.mode))
+    frozen = filippov.without_surfaces(on_components, scalars(tangency.mode))
     start, at = tangency.start * period, tangency.phase * period
     stop = at if family == "arrival" else tangency.stop * period
     # One program for all pieces of the flight, whose ends are looked at on the way.
@@ -218,7 +218,7 @@ def _divided(start: Array, stop: Array) -> Array:
 
 def _holds(on_components: ComponentSystem, mode: Array, ts: Array, xs: Array) -> Array:
     """Whether all guards are positive but for rounding."""
-    modes = unpack(mode)
+    modes = scalars(mode)
     guards = lambda t, x: jnp.stack(filippov.guard(on_components, t, unpack(x), modes))  # noqa: E731
     values = jax.vmap(guards)(ts, xs)
     return jnp.all(values >= -_ROUNDING * jnp.max(abs(values), axis=0))

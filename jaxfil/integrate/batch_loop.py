@@ -73,7 +73,7 @@ def _count(flag: Array) -> Array:
 
 def _integrate_together(problem: Problem, x0: Components) -> LoopState:
     """One lane of a batch, which asks after the others by `_count`."""
-    if problem.system.m == 0:  # there is nothing to meet
+    if problem.system.m == 0 or problem.compact:  # nothing to meet; one loop is less than three
         return integrate(problem, x0)
     few_stopped, few_near = _SLIDING if problem.system.slides else _CROSSING
 
@@ -110,7 +110,8 @@ def _each_of_the_batch(x0: Components, state: LoopState) -> LoopState:
     JAX batches the body of a loop anew until it knows which of its numbers differ between lanes,
     and these loops are nested: it took a fifth of the time to the first sweep.
     """
-    never = x0[0] != x0[0]
+    first = jnp.ravel(x0[0])[0]
+    never = first != first
     return jax.tree.map(lambda v: jnp.where(never, v, v), state)
 
 

@@ -21,7 +21,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov, unilateral
-from jaxfil.integrate.components import Components, ComponentSystem, any_of, where
+from jaxfil.integrate.components import Components, ComponentSystem, any_of, dot, where
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState
@@ -29,6 +29,8 @@ from jaxfil.integrate.unilateral import Constraints
 
 # Rounding of H, in eps of its terms.
 _NOISE = 64
+# How far a field carries the state at once, in sqrt(eps) steps: what it changes by is their square.
+_LEAP = 64
 
 
 class Reset(eqx.Module):
@@ -40,6 +42,8 @@ class Reset(eqx.Module):
     """The surface that it was of; none: nothing has moved."""
     waits: Components
     """Surfaces met with it that wait for theirs."""
+    h: Components
+    """H before it, where something was due."""
 
     @property
     def moved(self) -> Array:
@@ -79,55 +83,80 @@ def make_reset(system: ComponentSystem, state: LoopState, t: Array, x: Component
     """The reset of the first surface met on which it moves the state."""
     assert state.settled is not None
     due = state.pending & ~state.graze & ~state.settled
-    acted, waits, after, found = [], [], x, jnp.zeros((), bool)
     # What ends a rest is no impact.
     resting = unilateral.rests_of(state.mode)
-    for j, (hit, rests) in enumerate(zip(state.hit, resting, strict=True)):
-        y = system.reset(t, x, jnp.int32(j))
-        moves = due & hit & ~rests & any_of(tuple(a != b for a, b in zip(y, x, strict=True)))
-        first = moves & ~found
-        after = where(first, y, after)
-        acted.append(first)
-        waits.append(moves & found)
-        found = found | moves
-    return Reset(after, tuple(acted), tuple(waits))
+    asked = tuple(due & hit & ~rests for hit, rests in zip(state.hit, resting, strict=True))
+
+    def made(t: Array, x: Components, asked: Components) -> Reset:
+        acted, waits, after, found = [], [], x, jnp.zeros((), bool)
+        for j, ask in enumerate(asked):
+            y = system.reset(t, x, jnp.int32(j))
+            moves = ask & any_of(tuple(a != b for a, b in zip(y, x, strict=True)))
+            first = moves & ~found
+            after = where(first, y, after)
+            acted.append(first)
+            waits.append(moves & found)
+            found = found | moves
+        return Reset(after, tuple(acted), tuple(waits), system.switching(t, x))
+
+    def none(t: Array, x: Components, asked: Components) -> Reset:
+        no = (jnp.zeros((), bool),) * system.m
+        return Reset(x, no, no, (jnp.zeros_like(t),) * system.m)
+
+    return system.where_any(any_of(asked), made, none, t, x, asked)
 
 
-def view(
+def lead(
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    reset: Reset,
+    t: Array,
+    x: Components,
+    surfaces: tuple[Components, tuple[Components, ...]],
+    h: Components,
+    touch: Components,
+) -> tuple[Components, Impact]:
+    """The state with no rate against the surfaces that it rests on, and what follows from a reset;
+    nothing of a lane that neither rests nor waits for its switch. `surfaces` are ∂H/∂t and ∂H/∂x,
+    `touch` is what rounding does to H."""
+    system = problem.system
+
+    def led(t: Array, x: Components, *given: Any) -> tuple[Components, Impact]:
+        state, length, reset, surfaces, h, touch = given
+        seen = _view(problem, state, t, x, surfaces)
+        x, seen = _held(state, reset, seen, x)
+        return x, _follow(problem, state, length, reset, seen, h, touch)
+
+    def nothing(t: Array, x: Components, *_: Any) -> tuple[Components, Impact]:
+        zero, no = jnp.zeros_like(t), (jnp.zeros((), bool),) * system.m
+        return x, Impact(no, no, no, no, jnp.ones((), bool), zero, tuple(map(jnp.zeros_like, x)))
+
+    engaged = state.pending | any_of(unilateral.rests_of(state.mode))
+    given = state, length, reset, surfaces, h, touch
+    return system.where_any(engaged, led, nothing, t, x, *given)
+
+
+def _view(
     problem: Problem,
     state: LoopState,
     t: Array,
     x: Components,
     surfaces: tuple[Components, tuple[Components, ...]],
 ) -> View:
-    """The surfaces as constraints, of a lane that rests or waits for its switch; zeros elsewhere.
-    `surfaces` are ∂H/∂t and ∂H/∂x."""
-    system = problem.system
-
-    def look(t: Array, x: Components, mode: Components, before: tuple, surfaces: tuple) -> View:
-        sides = unilateral.sides_of(mode)
-        c = unilateral.constraints(system, t, x, sides)
-        f = filippov.free_field(system, t, x, mode)
-        a = unilateral.accelerations(system, t, x, sides, f)
-        size, fast = (
-            tuple(jnp.maximum(abs(u), abs(v)) for u, v in zip(now, old, strict=True))
-            for now, old in zip((x, f), before, strict=True)
-        )
-        noise = unilateral.rate_noise(t, size, problem.grid.dt, fast, c, a, surfaces)
-        return View(c, a, noise)
-
-    def nothing(t: Array, *_: Any) -> View:
-        zero = jnp.zeros_like(t)
-        row, vector = (zero,) * system.m, (zero,) * system.n
-        c = Constraints(row, (vector,) * system.m, (vector,) * system.m, (row,) * system.m)
-        return View(c, row, row)
-
-    engaged = state.pending | any_of(unilateral.rests_of(state.mode))
-    before = state.x, state.f
-    return system.where_any(engaged, look, nothing, t, x, state.mode, before, surfaces)
+    """The surfaces as constraints."""
+    system, sides = problem.system, unilateral.sides_of(state.mode)
+    c = unilateral.constraints(system, t, x, sides)
+    f = filippov.free_field(system, t, x, state.mode)
+    a = unilateral.accelerations(system, t, x, sides, f)
+    size, fast = (
+        tuple(jnp.maximum(abs(u), abs(v)) for u, v in zip(now, old, strict=True))
+        for now, old in ((x, state.x), (f, state.f))
+    )
+    return View(c, a, unilateral.rate_noise(t, size, problem.grid.dt, fast, c, a, surfaces))
 
 
-def held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
+def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
     """The state with no rate against the surfaces that it rests on, and how they see it then."""
     c = seen.constraints
     rests = tuple(r & ~reset.moved for r in unilateral.rests_of(state.mode))
@@ -135,7 +164,7 @@ def held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Com
     each = zip(rests, at_limit(state), c.throws_back, strict=True)
     rests = tuple(r | (limit & wall) for r, limit, wall in each)
     push = unilateral.multipliers(c.gains, c.rate, rests)
-    c = dataclasses.replace(c, rate=_answered(c, c.rate, push))
+    c = dataclasses.replace(c, rate=unilateral.answered(c.gains, c.rate, push))
     seen = dataclasses.replace(seen, constraints=c)
     return unilateral.pushed(x, c.directions, push), seen
 
@@ -147,7 +176,7 @@ def at_limit(state: LoopState) -> Components:
     return tuple(state.turn.completed & state.pending & hit for hit in state.hit)
 
 
-def follow(
+def _follow(
     problem: Problem,
     state: LoopState,
     length: Length,
@@ -202,7 +231,7 @@ def _chattering(
     same = grid.same_time(state.tau)
     # What is left out is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * abs(grid.dt))
-    held = _answered(c, seen.a, unilateral.multipliers(c.gains, seen.a, rests))
+    held = unilateral.answered(c.gains, seen.a, unilateral.multipliers(c.gains, seen.a, rests))
     total, found, ending = jnp.zeros_like(state.tau), jnp.zeros((), bool), []
     for j, a in enumerate(held):
         away, fall = sides[j] * c.rate[j], -sides[j] * a * (2 - c.gains[j][j])  # 2 − gain = 1 − e
@@ -210,6 +239,10 @@ def _chattering(
         time = 2 * away / jnp.where(bounces, fall, 1)
         low = away * away <= 2 * abs(a) * touch[j]
         ends = bounces & (low | (time <= longest)) & (time <= abs(length.room) + same)
+        # Bounces that are low for longer are left out: rest begins earlier, by a time that
+        # nothing but these could tell, and the field carries the state no further than it is
+        # constant to rounding.
+        time = jnp.minimum(time, _LEAP * longest)
         ends = ends & (grid.direction > 0) & ~found
         for i, s in enumerate(sides):  # unless another surface is met before
             ahead = s * (h[i] + time * (c.rate[i] + 0.5 * time * held[i]))
@@ -223,14 +256,6 @@ def _chattering(
     impulses = unilateral.multipliers(c.gains, left, taken)
     still = tuple(jnp.zeros_like(v) for v in state.x)
     return total, unilateral.pushed(still, c.directions, impulses)
-
-
-def _answered(c: Constraints, rates: Components, push: Components) -> Components:
-    """Rates, or accelerations, of the surfaces with what pushes along their directions add."""
-    return tuple(
-        v + sum(g * p for g, p in zip(row, push, strict=True))
-        for v, row in zip(rates, c.gains, strict=True)
-    )
 
 
 class Beginning(eqx.Module):
@@ -273,9 +298,8 @@ def begin(
         wall = on[j] & c.throws_back[j]
         after = system.reset(t, x, jnp.int32(j))
         led = system.switching(t, after)[j]
-        far = stop_gradient(abs(led)) > _NOISE * system.eps * sum(
-            abs(u * v) for u, v in zip(normals[j], x, strict=True)
-        )
+        terms = dot(tuple(map(abs, normals[j])), size)
+        far = stop_gradient(abs(led)) > _NOISE * system.eps * terms
         side = jnp.where(led < 0, -1.0, 1.0).astype(system.dtype)
         back = on[j] & ~c.throws_back[j] & far & (direction * side * rates[j] < 0) & ~flat
         owed.append((wall & inward & ~flat) | back)

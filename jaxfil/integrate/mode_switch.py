@@ -7,7 +7,6 @@ correction, they left the state right and its derivative wrong in the fourth dig
 """
 
 import dataclasses
-from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +21,7 @@ from jaxfil.integrate.components import (
     all_finite,
     any_of,
     axpy,
+    dot,
     where,
 )
 from jaxfil.integrate.guards import NOISE, guards, larger, stays_on, surface_noise
@@ -29,7 +29,6 @@ from jaxfil.integrate.impact import Impact
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
-from jaxfil.xla.small_linear import solve_small
 
 # At a graze a rate is told from zero above this multiple of what is left of the motion's own.
 _TANGENT = 64
@@ -43,29 +42,22 @@ def _project(
 ) -> Components:
     """x moved along the normals onto the surfaces marked `on`.
 
-    Where surfaces are coupled, all at once: what is taken from one moves the state off another.
+    Where surfaces are coupled, all at once, by the solution of Σ_k (∇H_j·∇H_k) μ_k = −H_j: what is
+    taken from one moves the state off another.
     """
-    for push, normal in zip(_pushes(system, h, normals, on), normals, strict=True):
-        x = axpy(x, -push, normal)
-    return x
-
-
-def _pushes(
-    system: ComponentSystem, h: Components, normals: tuple, on: Components
-) -> Sequence[Array]:
-    """How far along each normal: the solution of Σ_k (∇H_j·∇H_k) μ_k = H_j."""
     if system.m == 1 or (system.separate and not system.resets):
-        sizes = [sum(v * v for v in normal) for normal in normals]
-        return [
-            jnp.where(on_j, h_j / jnp.where(size == 0, 1, size), 0.0)
-            for h_j, size, on_j in zip(h, sizes, on, strict=True)
-        ]
-    pairs = [[sum(u * v for u, v in zip(a, b, strict=True)) for b in normals] for a in normals]
-    matrix = [
-        [jnp.where(a & b, pairs[j][k], float(j == k)) for k, b in enumerate(on)]
-        for j, a in enumerate(on)
-    ]
-    return solve_small(matrix, [jnp.where(a, v, 0.0) for a, v in zip(on, h, strict=True)])
+        for h_j, normal, on_j in zip(h, normals, on, strict=True):
+            size = dot(normal, normal)
+            push = jnp.where(on_j, h_j / jnp.where(size == 0, 1, size), 0.0)
+            x = axpy(x, -push, normal)
+        return x
+
+    def project(x: Components, h: Components, normals: tuple, on: Components) -> Components:
+        zero = jnp.zeros_like(h[0])
+        pairs = tuple(tuple(zero + dot(a, b) for b in normals) for a in normals)
+        return unilateral.pushed(x, normals, unilateral.multipliers(pairs, h, on))
+
+    return system.where_any(any_of(on), project, lambda x, *_: x, x, h, normals, on)
 
 
 def evaluate_step_end(
@@ -86,7 +78,6 @@ def evaluate_step_end(
     if system.m == 0:
         return _smooth_end(system, state, tau, x, system.field(t, x, (), forcing=forcing))
     reset = impact.make_reset(system, state, t, x) if system.resets else None
-    before = () if reset is None else system.switching(t, x)
     x = x if reset is None else reset.x
     # Everything from here on is taken after the reset: sides, rates and modes are those of the
     # state that goes on.
@@ -104,17 +95,13 @@ def evaluate_step_end(
         touch = tuple(wider * v for v in touch)
     jumped = _jumped(problem, state, h, touch)
     # Whose H the reset has changed: rounding of one that it has not is no way off its surface.
-    carried = tuple(
-        moved & (abs(v) > least) & (abs(v - u) > least)
-        for u, v, least in zip(before, h, touch, strict=bool(before))
-    )
+    each = () if reset is None else zip(reset.h, h, touch, strict=True)
+    carried = tuple(moved & (abs(v) > least) & (abs(v - u) > least) for u, v, least in each)
     off = tuple(a | b for a, b in zip(jumped, carried or (moved,) * system.m, strict=True))
     x = _held(system, state, x, h, normals, off)
     led = None
     if reset is not None:
-        seen = impact.view(problem, state, t, x, (h_t, normals))
-        x, seen = impact.held(state, reset, seen, x)
-        led = impact.follow(problem, state, length, reset, seen, h, touch)
+        x, led = impact.lead(problem, state, length, reset, t, x, (h_t, normals), h, touch)
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
     mode, num_modes = _switch(problem, state, rates, h, touch, carried, jumped, led)
     shares, determinant = mode, None
@@ -128,7 +115,7 @@ def evaluate_step_end(
     # Of a switch the modes are counted, and of a slide between its contacts.
     repels = (num_modes > 1) & ~state.pending
     f = with_reactions(system, t, x, mode, f)
-    g, rate, noise = guards(system, t, x, f, mode, noise)
+    g, rate, noise = guards(system, t, x, f, mode, noise, forcing)
     if free is not None:
         stays = ~state.pending & ~state.held
         f, g, rate = where(stays, free.f, f), where(stays, free.g, g), where(stays, free.rate, rate)

@@ -10,10 +10,11 @@ since what it misses is rounding.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem
+from jaxfil.integrate.components import Components, ComponentSystem, any_of, is_array
 from jaxfil.integrate.rosenbrock import RosenbrockTableau
 from jaxfil.integrate.stepper import Tableau, Trial
 
@@ -39,10 +40,8 @@ class Step(eqx.Module):
 def may_be_too_long(tableau: Tableau, step: Step) -> Array:
     """Whether a step should be looked at by `is_too_long`: cheap, and never False in error, as the
     state at its end is part of what the error is compared with."""
-    suspect = jnp.zeros((), bool)
-    for missed, x in zip(_missed(tableau, step), step.trial.x, strict=True):
-        suspect = suspect | (missed > _GROSS * stop_gradient(abs(x)))
-    return suspect
+    each = zip(_missed(tableau, step), step.trial.x, strict=True)
+    return any_of(tuple(missed > _GROSS * stop_gradient(abs(x)) for missed, x in each))
 
 
 def is_too_long(system: ComponentSystem, tableau: Tableau, step: Step, sides: Components) -> Array:
@@ -67,13 +66,14 @@ def _is_gross(system: ComponentSystem, tableau: Tableau, step: Step, sides: Comp
     t, x = step.t + 0.5 * h, tuple(0.5 * (a + b) for a, b in zip(step.x0, x1, strict=True))
     middle = system.field(t, x, sides)
     rounded = _terms(system, t, x, h, sides, middle)
-    total = jnp.zeros((), bool)
+    gross = []
     ends = zip(step.x0, x1, step.f0, step.f1, strict=True)
     each = zip(_missed(tableau, step), ends, rounded, strict=True)
     for missed, (a, b, f0, f1), size in each:
         rounding = _ROUNDING * system.eps * (size + jnp.maximum(abs(a), abs(b)))
-        total = total | (missed > jnp.maximum(_GROSS * _measure(h, a, b, f0, f1), rounding))
-    return total
+        allowed = jnp.maximum(_GROSS * _measure(h, a, b, f0, f1), rounding)
+        gross.append(missed > allowed)
+    return any_of(tuple(gross))
 
 
 def _measure(h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
@@ -96,12 +96,20 @@ def _terms(
     """
 
     def passed_on(size: Components) -> Components:
-        generic = tuple((1 + (0.618 * i) % 1) * v for i, v in enumerate(size))
+        generic = _generic(size)
         _, change = jax.jvp(lambda t, x: system.field(t, x, sides), (t, x), (abs(t), generic))
         return tuple(v + abs(h * c) for v, c in zip(size, change, strict=True))
 
     size = tuple(abs(v) + abs(h * g) for v, g in zip(x, f, strict=True))
     return jax.lax.fori_loop(0, min(system.n, _DEEP), lambda _, size: passed_on(size), size)
+
+
+def _generic(size: Components) -> Components:
+    """Numbers of these sizes of which no two are alike."""
+    if is_array(size):
+        (v,) = size
+        return (jnp.asarray(1 + (0.618 * np.arange(v.shape[0])) % 1, v.dtype) * v,)
+    return tuple((1 + (0.618 * i) % 1) * v for i, v in enumerate(size))
 
 
 def _estimates(tableau: Tableau) -> bool:
@@ -112,6 +120,6 @@ def _estimates(tableau: Tableau) -> bool:
 def _missed(tableau: Tableau, step: Step) -> list[Array]:
     """The estimated errors of a step; zeros of a method that estimates none."""
     if isinstance(tableau, RosenbrockTableau) or not tableau.d:
-        return [jnp.zeros_like(step.h)] * len(step.x0)
+        return list(map(jnp.zeros_like, step.x0))
     each = zip(step.trial.error, step.f1, strict=True)
     return [abs(step.h * (e + tableau.d[-1] * stop_gradient(f))) for e, f in each]

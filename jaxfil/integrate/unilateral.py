@@ -29,7 +29,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, any_of, axpy, where
+from jaxfil.integrate.components import Components, ComponentSystem, any_of, axpy, dot, where
 from jaxfil.xla.small_linear import solve_small
 
 # Rounding of a rate or of an acceleration, in eps of its terms.
@@ -72,11 +72,13 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
         gradients.append(gradient)
         directions.append(_direction(system, t, x, sides, rate, gradient, j))
     zero = jnp.zeros_like(t)
-    gains = tuple(
-        tuple(sum((a * b for a, b in zip(row, d, strict=True)), start=zero) for d in directions)
-        for row in gradients
-    )
+    gains = tuple(tuple(zero + dot(row, d) for d in directions) for row in gradients)
     return Constraints(rate, tuple(gradients), tuple(directions), gains)
+
+
+def _terms(a: Components, b: Components) -> Array:
+    """Σ |a b|."""
+    return dot(tuple(map(abs, a)), tuple(map(abs, b)))
 
 
 def _direction(
@@ -89,11 +91,11 @@ def _direction(
     j: int,
 ) -> Components:
     """d_j, from the derivative of the reset along y = ∇ψ_j at a state that comes in."""
-    size = sum(v * v for v in gradient)
+    size = dot(gradient, gradient)
     inverse = jnp.where(size > 0, 1 / jnp.where(size > 0, size, 1), 0.0)
     # A reset may be written for motions that come in only: its derivative is that at such a state,
     # by so little that nothing else is told of it.
-    terms = sum(abs(a * b) for a, b in zip(gradient, x, strict=True))
+    terms = _terms(gradient, x)
     least = float(np.finfo(system.dtype).tiny) ** 0.5
     depth = stop_gradient(_NOISE * system.eps * terms + least + sides[j] * rate[j])
     moving = axpy(x, -sides[j] * depth * stop_gradient(inverse), stop_gradient(gradient))
@@ -122,11 +124,11 @@ def rate_noise(
     which the state has come here. `surfaces` are ∂H/∂t and ∂H/∂x."""
     out = []
     for h_t, normal, gradient, a_j in zip(*surfaces, c.gradients, a, strict=True):
-        by_time = a_j - sum(u * v for u, v in zip(gradient, f, strict=True))
+        by_time = a_j - dot(gradient, f)
         # Of bodies that fall side by side ψ stays zero, and its terms do not.
-        gained = sum(abs(u * v) for u, v in zip(gradient, f, strict=True))
-        terms = abs(h_t) + sum(abs(u * v) for u, v in zip(normal, f, strict=True))
-        terms = terms + sum(abs(u) * v for u, v in zip(gradient, x, strict=True))
+        gained = _terms(gradient, f)
+        terms = abs(h_t) + _terms(normal, f)
+        terms = terms + dot(tuple(map(abs, gradient)), x)
         terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
         out.append(stop_gradient(_NOISE * jnp.finfo(t.dtype).eps * terms))
     return tuple(out)
@@ -144,6 +146,14 @@ def multipliers(gains: tuple[Components, ...], a: Components, rests: Components)
     ]
     right = [jnp.where(on, -v, 0.0) for on, v in zip(rests, a, strict=True)]
     return tuple(solve_small(matrix, right))
+
+
+def answered(gains: tuple[Components, ...], a: Components, force: Components) -> Components:
+    """Rates or accelerations a, with what pushes along the directions add: a + Σ_k λ_k ∇ψ·d_k."""
+    return tuple(
+        v + sum(g * p for g, p in zip(row, force, strict=True))
+        for v, row in zip(a, gains, strict=True)
+    )
 
 
 def pushed(f: Components, directions: tuple[Components, ...], force: Components) -> Components:
@@ -173,7 +183,7 @@ def reaction_scale(
     f = system.field(t, x, sides_of(mode))
     sizes = []
     for j, (gradient, row) in enumerate(zip(c.gradients, c.gains, strict=True)):
-        terms = sum(abs(a * b) for a, b in zip(gradient, f, strict=True))
+        terms = _terms(gradient, f)
         sizes.append(terms / jnp.where(row[j] > 0, row[j], 1))
     return tuple(sizes)
 
@@ -212,8 +222,7 @@ def pressed(
 
     on = let_go(0, candidates) if m == 1 else jax.lax.fori_loop(0, m, let_go, candidates)
     force = multipliers(gains, a, on)
-    fine = jnp.ones((), bool)
+    fine, left = jnp.ones((), bool), answered(gains, a, force)
     for i, (candidate, o) in enumerate(zip(candidates, on, strict=True)):
-        left = a[i] + sum(gains[i][j] * force[j] for j in range(m))
-        fine = fine & (~candidate | o | (sides[i] * left >= 0))
+        fine = fine & (~candidate | o | (sides[i] * left[i] >= 0))
     return on, fine

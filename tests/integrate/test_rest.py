@@ -218,6 +218,30 @@ def test_the_time_of_rest_has_its_derivative():
     assert_allclose(by_height, 3 * first / 20, rtol=1e-7)
 
 
+class Hovering(jf.System):
+    """q'' = −1e-6 above a wall at 0.9, beside x'' = −25 x."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.full((), -1e-6), x[3], -25 * x[2]])
+
+    def switching(self, t, x):
+        return x[0] - 0.9
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-0.5)
+
+
+def test_bounces_too_low_to_be_told_leave_the_rest_of_the_state_its_time():
+    # Of a height of rounding, they last for 1e-4: carried by their field at once, the oscillator
+    # would end up 1e-6 from its circle.
+    sol = solve(Hovering(), (0.9 + 1e-9, 0.0, 1.0, 0.0), 2.0, 0.02)
+    assert sol.result == RESULTS.successful
+    assert sol.mode_final[0] == 2
+    assert_allclose(sol.x_final[2:], [np.cos(10), -5 * np.sin(10)], rtol=1e-11)
+
+
 def test_a_ball_lies_on_a_table_until_it_shakes():
     # Contact is lost where −a sin t = −1; until then x = a sin t, then a parabola.
     a = 1.5
@@ -365,7 +389,9 @@ def test_columns_of_beads_come_to_rest_and_not_through_the_floor():
     es, q = rng.uniform(0.0, 0.75, 64), np.cumsum(rng.uniform(0.21, 0.5, (64, 3)), axis=1)
     sol = jax.jit(jax.vmap(column))(jnp.asarray(es), jnp.asarray(q))
     told = np.asarray(sol.result == RESULTS.max_events_reached)
-    assert np.asarray(told | (sol.result == RESULTS.successful)).all() and told.sum() <= 3
+    assert np.asarray(told | (sol.result == RESULTS.successful)).all()
+    # Columns that bounce for longest, 7 in 100, fill the table; all of them have e above 0.62.
+    assert not told[es < 0.6].any() and told.sum() <= 4
     assert_allclose(
         sol.x_final[~told, :3], np.tile([0.1, 0.3, 0.5], (64 - told.sum(), 1)), atol=1e-15
     )
