@@ -8,8 +8,14 @@ The words of this room:
   one for each of their parts, which would have to be started one by one (`kernel`).
 - block: so many lanes that share a kernel, few enough for their numbers to stay in the first-level
   cache.
+- element: one number of a small array; fields written with arrays are compiled number by number
+  (`elements`).
 - fence: what keeps XLA from computing a value again in each loop that uses it (`trace`).
 - ahead: what a function takes of time alone, computed for all stages of a step at once (`trace`).
+- forward Jacobian: the derivatives of all results by all arguments, a column for each number that
+  moves; transposed, it is the reverse mode of loops (`forward_jacobian`).
+- pushforward: results together with their tangents, in one run (`pushforward`).
 - masked write: an entry of a table, written by those lanes that have one (`masked_write`).
+- disk cache: compiled programs kept for later processes (`disk_cache`).
 - range reduction: what brings the argument of a sine within a quarter of a turn (`fast_trig`).
 """

@@ -19,7 +19,7 @@ abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh bitcast
 broadcast_in_dim cbrt ceil clamp concatenate cond convert_element_type copy copy_p cos cosh
 custom_jvp_call div dynamic_slice empty2 eq erf erf_inv erfc exp exp2 expm1 floor gather ge gt
 integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg nextafter not
-optimization_barrier or pad pjit pow psum reduce_and reduce_max reduce_min reduce_or
+optimization_barrier or pad pjit pow psum pushforward reduce_and reduce_max reduce_min reduce_or
 reduce_precision reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign
 sin sinh slice split sqrt square squeeze stack stop_gradient sub tan tanh transpose unstack
 unvmap_any vanishing_map while xor

@@ -7,21 +7,19 @@ its numbers stay in the first-level cache.
 """
 
 import functools as ft
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.extend.core as jexc
 import jax.numpy as jnp
-import numpy as np
 from jax.custom_batching import custom_vmap
-from jax.custom_derivatives import SymbolicZero
 from jax.experimental.xla_metadata import set_xla_metadata
 from jaxtyping import Array
 
 from jaxfil.xla.compiler import WHOLE, makes_whole_kernels
 from jaxfil.xla.fits import LARGE, fits
+from jaxfil.xla.forward_jacobian import all_or_none, opened, plainly, with_derivatives
 
 
 class DoesNotFitError(Exception):
@@ -33,25 +31,12 @@ def one_kernel(function: Callable) -> Callable:
     see `kernel_if_it_fits`."""
 
     def call(*args: Any) -> Any:
-        program, values, tree = _opened(function, args)
+        program, values, tree = opened(function, args)
         if not fits(program.jaxpr):
             raise DoesNotFitError
         return jax.tree.unflatten(tree, _kernel_of(program)(*values))
 
     return call
-
-
-def _opened(function: Callable, args: tuple) -> tuple[Any, list, Any]:
-    """The program of a function, which takes what the function has closed over as arguments; the
-    values that it takes, and the structure of what its results stand for."""
-    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-    # A constant inside of a kernel would be written out in its code, and a tracer that the function
-    # has closed over would be taken for one lane's number in a batch: both become arguments.
-    inner = closed.jaxpr
-    program = jexc.ClosedJaxpr(
-        inner.replace(constvars=(), invars=[*inner.constvars, *inner.invars]), ()
-    )
-    return program, [*closed.consts, *jax.tree.leaves(args)], jax.tree.structure(shapes)
 
 
 def _kernel_of(program: Any) -> Callable:
@@ -116,22 +101,17 @@ def kernel_if_it_fits(function: Callable) -> Callable:
     """`function` of arrays as a single kernel on a CPU, if all of it fits into one.
 
     That is known from its operations, before it is compiled, so that this also serves inside of a
-    transformation that somebody else compiles. So are its forward derivatives, and the blocks of a
-    batch of either.
+    transformation that somebody else compiles. So are its derivatives, of both modes: see
+    `forward_jacobian`; and the blocks of a batch of either.
     """
 
     def call(*args: Any) -> Any:
-        if jax.default_backend() != "cpu":
-            return function(*args)
         # What the function has closed over becomes an argument: it may come as a batch.
-        program, values, tree = _opened(function, args)
-        if not fits(program.jaxpr):
-            return function(*args)
-
-        def spread(batched: Sequence[bool]) -> list[bool]:
-            return [any(batched)] * len(program.out_avals)
-
-        return jax.tree.unflatten(tree, _whole(program, spread, 1)(*values))
+        program, values, tree = opened(function, args)
+        whole = jax.default_backend() == "cpu" and fits(program.jaxpr)
+        make = ft.partial(_whole, lanes=1) if whole else plainly
+        run = with_derivatives(program, all_or_none(program), make)
+        return jax.tree.unflatten(tree, run(*values))
 
     return call
 
@@ -142,10 +122,9 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
     run, outs = jexc.jaxpr_as_fun(program), program.out_avals
     # A kernel under `vmap` or `jvp` would be taken apart by JAX's own rules, and its parts put
     # together again by XLA as it likes. Here the batch, and the tangents, are a kernel again.
-    together = custom_vmap(_kernel_of(program))
-    whole = jax.custom_jvp(together)
+    whole = custom_vmap(_kernel_of(program))
 
-    @together.def_vmap
+    @whole.def_vmap
     def batch(axis_size: int, batched: Any, *values: Any) -> tuple:
         spreads = spread(batched)
         if axis_size == 0:  # there is no lane to run, and none to take a result's shape from
@@ -166,43 +145,7 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
         block = _whole(together, spread, lanes * rows)
         return in_turns(block, batched, spreads, axis_size, rows)(*values), spreads
 
-    def push(values: tuple, tangents: tuple) -> tuple:
-        # What does not move adds nothing to the program: a Jacobian by x0 alone carries no rates of
-        # the parameters.
-        moving = [k for k, v in enumerate(tangents) if not isinstance(v, SymbolicZero)]
-        rates = [tangents[k] for k in moving]
-        pushed = jax.make_jaxpr(ft.partial(_pushed, run, moving))(values, rates)
-        real = [jnp.issubdtype(v.dtype, jnp.inexact) for v in program.out_avals]
-
-        def spread_of_rates(batched: Any) -> list:
-            either = list(batched[: len(values)])
-            for k, flag in zip(moving, batched[len(values) :], strict=True):
-                either[k] = either[k] or flag
-            return list(itertools.compress(spread(either), real))
-
-        # The results come from a kernel of their own: a linearisation needs them before the rates.
-        out = iter(_whole(pushed, spread_of_rates, lanes)(*values, *rates))
-        still = [np.zeros(v.shape, jax.dtypes.float0) for v in program.out_avals]
-        return whole(*values), [
-            next(out) if moves else v for moves, v in zip(real, still, strict=True)
-        ]
-
-    whole.defjvp(push, symbolic_zeros=True)
     return whole
-
-
-def _pushed(run: Callable, moving: list[int], values: Any, rates: list) -> list:
-    """The tangents of those results of `run` that are real numbers, as the values numbered `moving`
-    move at `rates`."""
-
-    def moved(*moves: Any) -> list:
-        here = list(values)
-        for k, v in zip(moving, moves, strict=True):
-            here[k] = v
-        return run(*here)
-
-    _, tangents = jax.jvp(moved, [values[k] for k in moving], rates)
-    return [v for v in tangents if v.dtype != jax.dtypes.float0]
 
 
 def in_blocks(function: Callable, size: int) -> Callable:

@@ -1,0 +1,333 @@
+"""The primitive `pushforward`: results and their tangents.
+
+What computes them of values and rates enters, a `Push`; the primitive has the rules that JAX's
+transformations ask for: the derivative of one is another, so is its batch, and of known values and
+rates that are not known yet it finds results and the Jacobian first, tangents later.
+"""
+
+import abc
+import dataclasses
+import functools as ft
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.core
+import jax.extend.core as jexc
+import jax.numpy as jnp
+import numpy as np
+from jax.interpreters import ad, batching, mlir, partial_eval as pe
+from jaxtyping import Array
+
+# In jax.core until JAX 0.8.
+_traces: Any = jexc if hasattr(jexc, "set_current_trace") else jax.core
+
+Spread = Callable[[Sequence[bool]], list[bool]]
+"""Which results of a program are those of a batch, given which of its arguments are."""
+Make = Callable[[Any, Spread], Callable]
+"""What makes a function of a program: a kernel, or nothing in particular."""
+
+
+def is_real(value: Any) -> bool:
+    """Whether a value, or what has its shape, has tangents."""
+    return jnp.issubdtype(value.dtype, jnp.inexact)
+
+
+class Push(abc.ABC):
+    """Results and their tangents, as a function of values and of the rates at which some move."""
+
+    @property
+    @abc.abstractmethod
+    def count(self) -> int:
+        """How many values."""
+
+    @abc.abstractmethod
+    def spread(self, batched: Sequence[bool]) -> list[bool]:
+        """Which results are those of a batch, given which values are."""
+
+    @abc.abstractmethod
+    def spread_of_both(self, batched: Sequence[bool]) -> list[bool]:
+        """Which results and tangents are, given which values and rates are."""
+
+    @property
+    @abc.abstractmethod
+    def program(self) -> Any:
+        """That of one lane."""
+
+    @property
+    @abc.abstractmethod
+    def outs(self) -> tuple[list, list]:
+        """Shapes of results and of tangents."""
+
+    @abc.abstractmethod
+    def forward(self, values: Sequence[Array], rates: Sequence[Array]) -> tuple[list, list]:
+        """Results and tangents."""
+
+    @abc.abstractmethod
+    def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
+        """Results, and of each real one its derivatives by all numbers that move, the first axis
+        (of each lane)."""
+
+    @abc.abstractmethod
+    def applied(self, columns: Sequence[Array], rates: Sequence[Array]) -> list:
+        """The tangents by these derivatives."""
+
+    @abc.abstractmethod
+    def still(self) -> "Push":
+        """Results alone."""
+
+    @abc.abstractmethod
+    def derived(self, moving: tuple[int, ...]) -> "Push":
+        """The derivative of this one, whose values are the values and rates of this one, as those
+        numbered `moving` move."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Lane(Push):
+    """Those of a program whose values numbered `moving` move."""
+
+    base: Any
+    moving: tuple[int, ...]
+    batches: Spread
+    """Those of its results."""
+    make: Make
+    joint: Any
+    """The program of results and tangents."""
+
+    @staticmethod
+    def of(base: Any, moving: tuple[int, ...], batches: Spread, make: Make) -> "Lane":
+        """The lane of a program, its joint program made."""
+        return Lane(base, moving, batches, make, _joint(base, moving) if moving else base)
+
+    @property
+    def count(self) -> int:
+        return len(self.base.in_avals)
+
+    @property
+    def program(self) -> Any:
+        return self.joint
+
+    def spread(self, batched: Sequence[bool]) -> list[bool]:
+        return self.batches(batched)
+
+    @property
+    def outs(self) -> tuple[list, list]:
+        avals = self.base.out_avals
+        return avals, [v for v in avals if is_real(v) and self.moving]
+
+    def spread_of_both(self, batched: Sequence[bool]) -> list[bool]:
+        if not self.moving:
+            return self.spread(batched)
+        of_values, of_rates = batched[: self.count], batched[self.count :]
+        either = list(of_values)
+        for k, flag in zip(self.moving, of_rates, strict=True):
+            either[k] = either[k] or flag
+        real = map(is_real, self.base.out_avals)
+        return [*self.spread(of_values), *itertools.compress(self.spread(either), real)]
+
+    def forward(self, values: Sequence[Array], rates: Sequence[Array]) -> tuple[list, list]:
+        out = self.make(self.joint, self.spread_of_both)(*values, *rates)
+        split = len(self.base.out_avals)
+        return list(out[:split]), list(out[split:])
+
+    def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
+        shapes = _shapes(self.base, self.moving)
+        ends = np.cumsum([int(np.prod(v.shape)) for v in shapes])
+        # Row k of the unit matrix moves number k of all rates.
+        parts = np.split(np.eye(ends[-1]), ends[:-1], axis=1)
+        rows = [
+            jnp.asarray(part.reshape(-1, *v.shape), v.dtype)
+            for part, v in zip(parts, shapes, strict=True)
+        ]
+        axes = (None,) * self.count + (0,) * len(rows)
+        return bind(Batch(self, axes, int(ends[-1])), values, rows)
+
+    def applied(self, columns: Sequence[Array], rates: Sequence[Array]) -> list:
+        def product(column: Array) -> Array:
+            flat = jnp.concatenate([jnp.ravel(v).astype(column.dtype) for v in rates])
+            return jnp.tensordot(flat, column, 1)
+
+        return list(map(product, columns))
+
+    def still(self) -> Push:
+        return Lane.of(self.base, (), self.batches, self.make)
+
+    def derived(self, moving: tuple[int, ...]) -> Push:
+        return Lane.of(self.joint, moving, self.spread_of_both, self.make)
+
+
+def _shapes(base: Any, moving: Sequence[int]) -> list[jax.ShapeDtypeStruct]:
+    """Those of the rates at which some values of a program move."""
+    avals = base.in_avals
+    return [jax.ShapeDtypeStruct(avals[k].shape, avals[k].dtype) for k in moving]
+
+
+def _joint(base: Any, moving: tuple[int, ...]) -> Any:
+    """The program of results and tangents, as the values numbered `moving` move."""
+    run, count = jexc.jaxpr_as_fun(base), len(base.in_avals)
+
+    def both(*given: Any) -> list:
+        values, rates = given[:count], given[count:]
+
+        def moved(*moves: Any) -> list:
+            here = list(values)
+            for k, v in zip(moving, moves, strict=True):
+                here[k] = v
+            return run(*here)
+
+        out, tangents = jax.jvp(moved, [values[k] for k in moving], list(rates))
+        return [*out, *(v for v in tangents if v.dtype != jax.dtypes.float0)]
+
+    return jax.make_jaxpr(both)(*_shapes(base, range(count)), *_shapes(base, moving))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Batch(Push):
+    """Those of a batch of lanes; of its values and rates those are batches whose axis is 0, not
+    None."""
+
+    lane: Push
+    axes: tuple[int | None, ...]
+    size: int
+
+    @property
+    def count(self) -> int:
+        return self.lane.count
+
+    @property
+    def program(self) -> Any:
+        return self.lane.program
+
+    def spread(self, batched: Sequence[bool]) -> list[bool]:
+        return self.lane.spread(batched)
+
+    def spread_of_both(self, batched: Sequence[bool]) -> list[bool]:
+        return self.lane.spread_of_both(batched)
+
+    @property
+    def out_axes(self) -> tuple[list, list]:
+        """Those of results and of tangents."""
+        flags = self.spread_of_both([axis == 0 for axis in self.axes])
+        axes, split = [0 if flag else None for flag in flags], len(self.lane.outs[0])
+        return axes[:split], axes[split:]
+
+    @property
+    def outs(self) -> tuple[list, list]:
+        def wide(shapes: list, axes: list) -> list:
+            return [
+                v if axis is None else jax.ShapeDtypeStruct((self.size, *v.shape), v.dtype)
+                for v, axis in zip(shapes, axes, strict=True)
+            ]
+
+        (out, tangents), (of_out, of_tangents) = self.lane.outs, self.out_axes
+        return wide(out, of_out), wide(tangents, of_tangents)
+
+    def forward(self, values: Sequence[Array], rates: Sequence[Array]) -> tuple[list, list]:
+        run = jax.vmap(self.lane.forward, self._split_axes(), self.out_axes)
+        return run(list(values), list(rates))
+
+    def _split_axes(self) -> tuple[list, list]:
+        """Those of values and of rates."""
+        return list(self.axes[: self.count]), list(self.axes[self.count :])
+
+    def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
+        axes, _ = self._split_axes()
+        if 0 not in axes:
+            return self.lane.jacobian(values)
+        out_axes = [0 if flag else None for flag in self.spread([axis == 0 for axis in axes])]
+        return jax.vmap(self.lane.jacobian, (axes,), (out_axes, 0))(list(values))
+
+    def applied(self, columns: Sequence[Array], rates: Sequence[Array]) -> list:
+        of_values, of_rates = self._split_axes()
+        axis = 0 if 0 in of_values else None
+        found = jax.vmap(self.lane.applied, (axis, of_rates), axis_size=self.size)(
+            list(columns), list(rates)
+        )
+        return [
+            v[0] if axis is None else v for v, axis in zip(found, self.out_axes[1], strict=True)
+        ]
+
+    def still(self) -> Push:
+        return Batch(self.lane.still(), self.axes[: self.count], self.size)
+
+    def derived(self, moving: tuple[int, ...]) -> Push:
+        axes = self.axes + tuple(self.axes[k] for k in moving)
+        return Batch(self.lane.derived(moving), axes, self.size)
+
+
+pushforward_p = jexc.Primitive("pushforward")
+pushforward_p.multiple_results = True
+
+
+def bind(push: Push, values: Sequence[Any], rates: Sequence[Any]) -> tuple[list, list]:
+    """Results and tangents, by the primitive."""
+    # The program is there to be looked at: see `fits`.
+    out = pushforward_p.bind(*values, *rates, push=push, program=push.program)
+    split = len(push.outs[0])
+    return out[:split], out[split:]
+
+
+def _forward(*args: Any, push: Push, **_: Any) -> list:
+    return [*itertools.chain(*push.forward(args[: push.count], args[push.count :]))]
+
+
+def _abstract(*args: Any, push: Push, **_: Any) -> list:
+    return [jax.core.ShapedArray(v.shape, v.dtype) for v in itertools.chain(*push.outs)]
+
+
+def _jvp(primals: Any, tangents: Any, *, push: Push, **_: Any) -> tuple[list, list]:
+    moving = tuple(
+        k
+        for k, v in enumerate(tangents)
+        if not isinstance(v, ad.Zero) and v.dtype != jax.dtypes.float0
+    )
+    out, found = bind(push.derived(moving), primals, [tangents[k] for k in moving])
+    rates = iter(found)
+    return out, [
+        next(rates) if is_real(v) else ad.Zero(jax.typeof(v).to_tangent_aval()) for v in out
+    ]
+
+
+def _batch(args: Any, dims: Any, *, push: Push, **_: Any) -> tuple[list, list]:
+    (size,) = {v.shape[d] for v, d in zip(args, dims, strict=True) if d is not None}
+    rows = [v if d is None else jnp.moveaxis(v, d, 0) for v, d in zip(args, dims, strict=True)]
+    several = Batch(push, tuple(None if d is None else 0 for d in dims), size)
+    out, tangents = bind(several, rows[: push.count], rows[push.count :])
+    return [*out, *tangents], [*itertools.chain(*several.out_axes)]
+
+
+def _partial_eval(trace: Any, *tracers: Any, push: Push, **params: Any) -> list:
+    """Of known values and unknown rates, results and derivatives are found now, tangents later."""
+    values, rates = tracers[: push.count], tracers[push.count :]
+    if not all(v.is_known() for v in values):
+        return trace.default_process_primitive(pushforward_p, tracers, {"push": push, **params})
+    out, columns = push.jacobian([jnp.asarray(v.pval.get_known()) for v in values])
+    with _traces.set_current_trace(trace):
+        return [*out, *push.applied(columns, rates)]
+
+
+def _partial_eval_of_eqn(_: Any, unknown: Sequence[bool], made: Sequence[bool], eqn: Any) -> tuple:
+    """The same in a program whose residuals are computed again, as `jax.checkpoint` has them."""
+    push, still = eqn.params["push"], eqn.params["push"].still()
+    split = len(push.outs[0])
+    needed = [v for v, there in zip(eqn.invars, made, strict=True) if not there]
+    if any(unknown[: push.count]):
+        every = [True] * len(eqn.outvars)
+        return None, eqn, every, every, needed
+    known = eqn.replace(
+        invars=eqn.invars[: push.count],
+        outvars=eqn.outvars[:split],
+        params={**eqn.params, "push": still, "program": still.program},
+    )
+    late = [k >= split for k in range(len(eqn.outvars))]
+    return known, eqn, late, [True] * len(late), needed
+
+
+pushforward_p.def_impl(lambda *args, **params: jax.jit(ft.partial(_forward, **params))(*args))
+pushforward_p.def_abstract_eval(_abstract)
+ad.primitive_jvps[pushforward_p] = _jvp
+batching.primitive_batchers[pushforward_p] = _batch
+mlir.register_lowering(pushforward_p, mlir.lower_fun(_forward, multiple_results=True))
+pe.custom_partial_eval_rules[pushforward_p] = _partial_eval
+pe.partial_eval_jaxpr_custom_rules[pushforward_p] = _partial_eval_of_eqn
