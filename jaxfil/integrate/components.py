@@ -2,7 +2,9 @@
 
 A `System` and an initial state enter; a `ComponentSystem` leaves, with static sizes (n states, m
 surfaces) and functions on tuples of scalars. In a batch each scalar is one contiguous array of
-lanes, which XLA turns into vector instructions; an (n,) state in the loop would be strided.
+lanes, which XLA turns into vector instructions; an (n,) state in the loop would be strided. A state
+of many numbers is one array all the same: written out, its program would grow with n, and the
+array's own numbers fill the vectors.
 """
 
 import abc
@@ -15,6 +17,7 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxfil.model import check
@@ -22,7 +25,8 @@ from jaxfil.model.system import System, has_resets
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 
 Components = tuple[Array, ...]
-"""The components of a vector: n (state) or m (surface) scalars."""
+"""The components of a vector: n (state) or m (surface) scalars; of a state of many numbers one
+array of all of them, (n,)."""
 Forcing = list[Array]
 """What a field takes of time alone, at one time: see `ComponentSystem.forcing`."""
 
@@ -39,14 +43,54 @@ class SmoothField(eqx.Module):
         """As `ComponentSystem.once`."""
 
 
+# Numbers of a state that are components one by one, at most.
+_FEW = 12
+
+
 def unpack(x: Array) -> Components:
-    """The components of an (n,) array."""
+    """The components of a state, shape (n,)."""
+    return _split(x)
+
+
+def _split(numbers: Any) -> tuple:
+    """Numbers in an (n,) array as the components of a state are held: see `_FEW`."""
+    return (numbers,) if len(numbers) > _FEW else tuple(numbers[i] for i in range(len(numbers)))
+
+
+def scalars(x: Array) -> Components:
+    """The numbers of an (n,) array, of the modes of m surfaces say."""
     return tuple(x[i] for i in range(x.shape[0]))
+
+
+def constant(numbers: np.ndarray, dtype: Any) -> Components:
+    """The components of a state of known numbers, shape (n,)."""
+    return tuple(jnp.asarray(v, dtype) for v in _split(numbers))
 
 
 def pack(components: Components, dtype: Any) -> Array:
     """The (n,) array of components; of shape (0,) and the given dtype if there are none."""
-    return jnp.stack(components) if components else jnp.zeros((0,), dtype)
+    if not components:
+        return jnp.zeros((0,), dtype)
+    return components[0] if is_array(components) else jnp.stack(components)
+
+
+def is_array(x: Components) -> bool:
+    """Whether a state is one array."""
+    return len(x) == 1 and x[0].ndim > 0
+
+
+def number(x: Components, i: int) -> Array:
+    """Number i of a state."""
+    return x[0][i] if is_array(x) else x[i]
+
+
+def dot(a: Components, b: Components) -> Any:
+    """Σ a·b, over all numbers of two states."""
+    return sum(_total(u * v) for u, v in zip(a, b, strict=True))
+
+
+def _total(v: Array) -> Array:
+    return v if v.ndim == 0 else jnp.sum(v)
 
 
 def axpy(x: Components, h: Array, f: Components) -> Components:
@@ -63,7 +107,7 @@ def any_of(flags: Components) -> Array:
     """Whether any of the flags is set; False if there are none."""
     total = jnp.zeros((), bool)
     for flag in flags:
-        total = total | flag
+        total = total | (flag if flag.ndim == 0 else jnp.any(flag))
     return total
 
 
@@ -71,7 +115,7 @@ def all_finite(*vectors: Components) -> Array:
     """Whether all components of all vectors are finite."""
     total: Any = 0.0
     for component in itertools.chain(*vectors):
-        total = total + component * 0  # NaN and inf both give NaN: one test for all
+        total = total + _total(component * 0)  # NaN and inf both give NaN: one test for all
     return jnp.asarray(total == 0)
 
 
@@ -224,9 +268,12 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
     traced_switching = traced(switching, leaves, t0, x)
     _check_derivatives(vector_field=traced_field, switching=traced_switching)
     nothing = jax.tree.map(lambda _: False, (leaves, t0, x))
-    seen = [traced_field.depends(*nothing, _only(j, m)) for j in range(m)]
+    seen = [_flat(traced_field.depends(*nothing, _only(j, m))) for j in range(m)]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
-    steers = [traced_switching.depends(*nothing[:2], _only(i, n)) for i in range(n)]
+    steers = []
+    if m > 1:
+        of_number = (_split(row) for row in np.eye(n, dtype=bool))
+        steers = [_flat(traced_switching.depends(*nothing[:2], each)) for each in of_number]
     opaque_one, fence = _fences(leaves, x0)
     traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
     return ComponentSystem(
@@ -236,7 +283,7 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
         resets=resets,
         dtype=dtype,
         switched=switched,
-        separate=m > 0 and _separate(switched, steers),
+        separate=m == 1 or (m > 0 and _separate(switched, steers)),
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
         _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
@@ -278,7 +325,7 @@ def _on_components(
 
     def switching(leaves: System, t: Array, x: Components) -> Components:
         h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
-        return unpack(jnp.reshape(h, (m,)))
+        return scalars(jnp.reshape(h, (m,)))
 
     def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
         return unpack(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface))
@@ -290,7 +337,12 @@ def _only(i: int, size: int) -> tuple[bool, ...]:
     return tuple(k == i for k in range(size))
 
 
-def _separate(switched: Sequence[tuple[int, ...]], steers: Sequence[tuple[bool, ...]]) -> bool:
+def _flat(flags: tuple[np.ndarray, ...]) -> list[bool]:
+    """The flags of all numbers of a vector."""
+    return [bool(flag) for v in flags for flag in np.ravel(v)]
+
+
+def _separate(switched: Sequence[tuple[int, ...]], steers: Sequence[list[bool]]) -> bool:
     """Whether each surface is switched by its own side alone, given which sides the components of
     the field depend on, and which surfaces depend on those components of the state."""
     single = all(len(seen) <= 1 for seen in switched)

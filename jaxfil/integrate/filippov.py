@@ -32,6 +32,7 @@ from jaxfil.integrate.components import (
     Forcing,
     SmoothField,
     any_of,
+    is_array,
     where,
 )
 from jaxfil.integrate.sliding_weights import blend, mix, weights
@@ -43,14 +44,27 @@ def blend_fields(
     """`blend` of the corner fields; components that no side enters are taken as they are."""
     if system.separate:
         above, below = fields
+        if is_array(above):
+            return _blend_arrays(system, above[0], below[0], mode, weights)
         return tuple(
             mix(mode[seen[0]], weights[seen[0]], (a,), (b,))[0] if seen else a
             for seen, a, b in zip(system.switched, above, below, strict=True)
         )
+    if is_array(fields[0]):
+        return blend(fields, mode, weights)
     switched = [i for i, seen in enumerate(system.switched) if seen]
     parts = blend([tuple(f[i] for i in switched) for f in fields], mode, weights)
     mixed = dict(zip(switched, parts, strict=True))
     return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
+
+
+def _blend_arrays(
+    system: ComponentSystem, above: Array, below: Array, mode: Components, weights: Components
+) -> Components:
+    """The same of fields that are arrays. A number that no side enters is that of both fields."""
+    seen = np.array([surfaces[0] if surfaces else 0 for surfaces in system.switched])
+    s, w = (v[0] if system.m == 1 else jnp.stack(v)[seen] for v in (mode, weights))
+    return mix(s, w, (above,), (below,))
 
 
 def corners(
@@ -155,13 +169,19 @@ def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) ->
     return tuple(jnp.where(r, v, g) for r, v, g in zip(rests, force, off, strict=True))
 
 
-def free_guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:
-    """`guard` of a mode that does not rest."""
+def free_guard(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    mode: Components,
+    forcing: Forcing | None = None,
+) -> Components:
+    """`guard` of a mode that does not rest; `forcing` as in `ComponentSystem.field`."""
     h = system.switching(t, x)
     off = tuple(s * v for s, v in zip(mode, h, strict=True))
     if not system.slides:
         return off
-    _, rates = corners(system, t, x)
+    _, rates = corners(system, t, x, forcing=forcing)
     w = weights(mode, rates)
     return tuple(
         jnp.where(s == 0, (1 - v) * (1 + v), g) for s, v, g in zip(mode, w, off, strict=True)

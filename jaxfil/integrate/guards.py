@@ -10,7 +10,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov, unilateral
-from jaxfil.integrate.components import Components, ComponentSystem, any_of
+from jaxfil.integrate.components import Components, ComponentSystem, Forcing, any_of, dot
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState, StepEnd
 
@@ -30,7 +30,7 @@ def surface_noise(
     size of x."""
     out = []
     for j in range(system.m):
-        terms = sum(abs(v) * s for v, s in zip(normals[j], size, strict=True))
+        terms = dot(tuple(map(abs, normals[j])), size)
         out.append(stop_gradient(NOISE * system.eps * (terms + abs(h_t[j] * t))))
     return tuple(out)
 
@@ -58,10 +58,19 @@ def guards(
     f: Components,
     mode: Components,
     noise: Components,
+    forcing: Forcing,
 ) -> tuple[Components, Components, Components]:
-    """The guards of a mode, their rates along its field f, and their noise, given that of H."""
+    """The guards of a mode, their rates along its field f, and their noise, given that of H.
+    `forcing` is that of t: see `ComponentSystem.forcing`."""
+    one = jnp.ones_like(t)
+    # Found once for the fields of all sides, as forcing is.
+    change = (
+        system.once(lambda t: jax.jvp(system.forcing_at, (t,), (one,))[1], t) if forcing else []
+    )
     g, rate = jax.jvp(
-        lambda t, x: filippov.free_guard(system, t, x, mode), (t, x), (jnp.ones_like(t), f)
+        lambda t, x, forcing: filippov.free_guard(system, t, x, mode, forcing),
+        (t, x, forcing),
+        (one, f, change),
     )
     # The guard of a slide, 1 - w², is of order one.
     slide = NOISE * system.eps

@@ -122,7 +122,7 @@ def _start(problem: Problem, x: Components) -> _Start:
     moving = mode if system.slides else unilateral.sides_of(mode)
     f = filippov.free_field(system, t, x, moving)
     f = with_reactions(system, t, x, mode, f)
-    g, rate, noise = guards(system, t, x, f, mode, noise)
+    g, rate, noise = guards(system, t, x, f, mode, noise, system.forcing_at(t))
     stays = stays_on(system, mode)
     armed = tuple(s | ~on_j for s, on_j in zip(stays, on, strict=True))
     g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
@@ -187,7 +187,9 @@ def _varied(state: LoopState) -> LoopState:
         records = [record for record in (state.table, state.saves) if record is not None]
         return [state.tau, *state.x, *(v for record in records for v in (record.ts, record.xs))]
 
-    return eqx.tree_at(kept, state, [_with_rate_of(state.f[0], v) for v in kept(state)])
+    return eqx.tree_at(
+        kept, state, [_with_rate_of(jnp.ravel(state.f[0])[0], v) for v in kept(state)]
+    )
 
 
 @jax.custom_jvp

@@ -131,7 +131,7 @@ def keep_sample(
     assert state.saves is not None and recording.first is not None and recording.every is not None
     # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
     save = gridded & (after.index == recording.first + state.num_saved * recording.every)
-    xs = masked_write(state.saves.xs, state.num_saved, jnp.stack(x), save)
+    xs = masked_write(state.saves.xs, state.num_saved, pack(x, problem.system.dtype), save)
     return dataclasses.replace(
         after,
         saves=dataclasses.replace(state.saves, xs=xs),

@@ -24,7 +24,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, SmoothField, axpy
+from jaxfil.integrate.components import (
+    Components,
+    SmoothField,
+    axpy,
+    is_array,
+)
 from jaxfil.xla.small_linear import Factors, factored
 
 
@@ -131,6 +136,17 @@ RODAS5P = _table(
 # fmt: on
 
 
+class _LargeFactors(eqx.Module):
+    """L and U of a large regular matrix, by LAPACK. No kernel holds that: n³ operations take longer
+    than to start some."""
+
+    lu: tuple[Array, Array]
+
+    def solve(self, right: Sequence[Array]) -> list[Array]:
+        """x of A x = b."""
+        return [jax.scipy.linalg.lu_solve(self.lu, right[0])]
+
+
 class _Linearised(eqx.Module):
     """A step's start, with what all its stages share."""
 
@@ -139,7 +155,7 @@ class _Linearised(eqx.Module):
     f: Components
     """The field there."""
     h: Array
-    factors: Factors
+    factors: Factors | _LargeFactors
     """Of I − γhJ."""
     drift: Components
     """h ∂F/∂t."""
@@ -163,7 +179,12 @@ def _linearised(
     _, push = jax.linearize(field, t, x)
     one, zero = jnp.ones_like(t), jnp.zeros_like(t)
     n = len(x)
-    drift = push(one, (zero,) * n)
+    drift = push(one, tuple(map(jnp.zeros_like, x)))
+    if is_array(x):
+        eye = jnp.eye(x[0].shape[0], dtype=t.dtype)
+        columns = jax.vmap(lambda v: push(zero, (v,))[0], out_axes=1)(eye)
+        factors = _LargeFactors(jax.scipy.linalg.lu_factor(eye - gamma * h * columns))
+        return _Linearised(t, x, f, h, factors, tuple(h * v for v in drift))
     columns = [push(zero, tuple(one if i == k else zero for i in range(n))) for k in range(n)]
     matrix = [
         [float(i == k) - gamma * h * column[i] for k, column in enumerate(columns)]

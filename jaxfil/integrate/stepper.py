@@ -17,7 +17,6 @@ from jaxtyping import Array
 
 from jaxfil.integrate.components import Components, Forcing, SmoothField
 from jaxfil.integrate.rosenbrock import RODAS5P, Rodas5P, RosenbrockTableau, rosenbrock_step
-from jaxfil.xla.lanes import lanes_of
 
 
 class RK4(eqx.Module):
@@ -82,8 +81,6 @@ class Trial(eqx.Module):
     """The forcing at the times within the step, its end last."""
 
 
-# Lanes for which a step is compact by default, at most.
-_FEW = 8
 # Order of a method from which on its estimate of an error says something of a single step: one of
 # lower order is as large as what a step does to a state that starts to move from rest.
 _TRUSTED = 5
@@ -188,12 +185,14 @@ def step(
     return Trial(held[:n], held[n:], forcing)
 
 
-def is_compact(asked: bool | None, arguments: Any) -> bool:
-    """Whether a program takes `compact_step`: as asked for, and by default if its arguments are of
-    so few lanes that compiling costs more than running."""
-    if asked is not None and not isinstance(asked, bool):
-        raise ValueError(f"`compact` must be True, False or None, got {asked!r}.")
-    return lanes_of(arguments) <= _FEW if asked is None else asked
+def _column(v: Any, rows: Array) -> Any:
+    """A number for each of some rows, as wide as they are."""
+    return v.reshape(-1, *(1,) * (rows.ndim - 1))
+
+
+def _weighted(weights: Any, rows: Array) -> Array:
+    """Σ weights·rows. Not a product of matrices, which would end the kernel."""
+    return jnp.sum(_column(weights, rows) * rows, axis=0)
 
 
 def compact_step(
@@ -218,14 +217,15 @@ def compact_step(
 
     def stage(k: Array, slopes: Components) -> Components:
         row, time = (jax.lax.dynamic_index_in_dim(v, k, keepdims=False) for v in (rows, times))
-        inner = tuple(v + h * jnp.sum(row * s) for v, s in zip(x, slopes, strict=True))
+        inner = tuple(v + h * _weighted(row, s) for v, s in zip(x, slopes, strict=True))
         new = field(t + time * h, inner)
-        return tuple(jnp.where(number == k, v, s) for v, s in zip(new, slopes, strict=True))
+        each = zip(new, slopes, strict=True)
+        return tuple(jnp.where(_column(number == k, s), v, s) for v, s in each)
 
-    first = tuple(jnp.where(number == 0, v, 0.0) for v in f)
+    first = tuple(jnp.where(_column(number == 0, v[None]), v, 0.0) for v in f)
     slopes = jax.lax.fori_loop(1, stages, stage, first)
     b = np.asarray(tableau.b, h.dtype)
-    end = tuple(v + h * jnp.sum(b * s) for v, s in zip(x, slopes, strict=True))
+    end = tuple(v + h * _weighted(b, s) for v, s in zip(x, slopes, strict=True))
     d = np.asarray(tableau.d[:-1], h.dtype)
-    error = tuple(stop_gradient(jnp.sum(d * s)) for s in slopes) if tableau.d else ()
+    error = tuple(stop_gradient(_weighted(d, s)) for s in slopes) if tableau.d else ()
     return Trial(end, error, forcing)

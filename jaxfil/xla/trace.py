@@ -6,6 +6,7 @@ replaced by ones that vectorise; able to compute what needs only some of its arg
 others, and to say which of its results depend on which of its arguments.
 """
 
+import functools as ft
 import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.xla import fast_trig
+from jaxfil.xla import elements, fast_trig
 from jaxfil.xla.fits import programs
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
 
@@ -34,8 +35,9 @@ def _arctan2(y: Array, x: Array) -> Array:
 _SAFE = {"atan2": _arctan2}
 # What takes longer than a few multiplications.
 _DEAR = (*_FAST, *_SAFE, "exp", "log", "pow", "tan", "tanh")
-# Multiplications of a product of matrices at most that are written out one by one.
-_SMALL = 64
+# Multiplications of a product of matrices at most that are written out one by one, and at most that
+# are sums of an elementwise product: a kernel holds no call of a library.
+_SMALL, _MIDDLE = 64, 1 << 16
 _CALLS = ("jit", "pjit", "closed_call")
 # What has no forward derivatives, unless a rule of the user's own stands around it.
 _NO_DERIVATIVES = {
@@ -44,19 +46,6 @@ _NO_DERIVATIVES = {
     "pure_callback": "jax.pure_callback",
     "io_callback": "jax.experimental.io_callback",
 }
-# Primitives that only move elements about: they move the dependencies the same way.
-_MOVES = (
-    "broadcast_in_dim",
-    "concatenate",
-    "reshape",
-    "rev",
-    "slice",
-    "squeeze",
-    "stack",
-    "transpose",
-)
-
-
 # When an argument is known: from the start, with the time, or with the state.
 FIRST, EARLY, LATE = range(3)
 
@@ -128,14 +117,15 @@ class Traced:
         return _without_derivatives(self._closed.jaxpr)
 
     def depends(self, *args: Any) -> Any:
-        """Which results depend on the flagged arguments: pytrees of flags in, of flags out."""
+        """Which results depend on the flagged arguments, number by number: pytrees of flags in, of
+        flags out."""
         jaxpr = self._closed.jaxpr
         flags = [
-            np.full(v.aval.shape, flag)
+            np.broadcast_to(flag, v.aval.shape)
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
         out = _dependencies(jaxpr, self._no_consts(), flags)
-        return jax.tree.unflatten(self._tree, [bool(np.any(flag)) for flag in out])
+        return jax.tree.unflatten(self._tree, list(map(np.asarray, out)))
 
 
 def _without_derivatives(jaxpr: Any) -> str | None:
@@ -166,7 +156,8 @@ class _Evaluation:
         self.found = []
 
     def __call__(self, closed: Any, args: Sequence[Any], when: Sequence[int]) -> list[Any]:
-        return [v for v, _ in self._run(closed, list(zip(args, when, strict=True)))]
+        out = self._run(closed, list(zip(args, when, strict=True)))
+        return [elements.array_of(v) for v, _ in out]
 
     def _run(self, closed: Any, args: Sequence[tuple]) -> list[tuple]:
         """Values with when they are known, in and out."""
@@ -192,17 +183,34 @@ class _Evaluation:
         """What one equation gives."""
         if any(v is None for v in inputs):
             return [None] * len(eqn.outvars)
-        ahead = when == EARLY and eqn.primitive.name in _DEAR
-        if ahead and self._known is not None:
+        if not self._masks and elements.in_elements(eqn, inputs):
+            make = ft.partial(self._of_scalars, eqn)
+            return [elements.evaluate(eqn, inputs, lambda *v: self._ahead(eqn, when, make, v)[0])]
+        make = ft.partial(self._of_arrays, jaxpr, eqn)
+        return self._ahead(eqn, when, make, [elements.array_of(v) for v in inputs])
+
+    def _ahead(self, eqn: Any, when: int, make: Callable, inputs: Sequence[Any]) -> Sequence[Any]:
+        """What one equation gives, unless it is known ahead."""
+        if when != EARLY or eqn.primitive.name not in _DEAR:
+            return make(*inputs)
+        if self._known is not None:
             return [next(self._known)]
-        if self._masks and eqn.primitive.name in ELEMENTWISE:
-            out = masked(lambda *v: _evaluate(jaxpr, eqn, v, _same)[0])(*inputs)
-            outputs = [self._hold(out) if eqn.primitive.name in _FAST else out]
-        else:
-            outputs = _evaluate(jaxpr, eqn, inputs, self._hold)
-        if ahead:
-            self.found.extend(outputs)
+        outputs = make(*inputs)
+        self.found.extend(outputs)
         return outputs
+
+    def _of_arrays(self, jaxpr: Any, eqn: Any, *inputs: Any) -> Sequence[Any]:
+        name = eqn.primitive.name
+        if self._masks and name in ELEMENTWISE:
+            out = masked(lambda *v: _evaluate(jaxpr, eqn, v, _same)[0])(*inputs)
+            return [self._hold(out) if name in _FAST else out]
+        return _evaluate(jaxpr, eqn, inputs, self._hold)
+
+    def _of_scalars(self, eqn: Any, *inputs: Any) -> Sequence[Any]:
+        name = eqn.primitive.name
+        if name in _FAST and eqn.invars[0].aval.dtype in _FLOATS:
+            return [self._hold(_FAST[name](*inputs))]
+        return [_SAFE.get(name, ft.partial(eqn.primitive.bind, **eqn.params))(*inputs)]
 
 
 def _evaluate(jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable) -> Sequence[Any]:
@@ -212,8 +220,9 @@ def _evaluate(jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable) -> Se
         return [hold(_FAST[name](jnp.asarray(inputs[0])))]
     if name in _SAFE:
         return [_SAFE[name](*map(jnp.asarray, inputs))]
-    if name == "dot_general" and _is_small(eqn):
-        return [_product(eqn, *map(jnp.asarray, inputs))]
+    if name == "dot_general" and _multiplications(eqn) <= _MIDDLE:
+        product = _product if _multiplications(eqn) <= _SMALL else _summed
+        return [product(eqn, *map(jnp.asarray, inputs))]
     return evaluate_one(jaxpr, eqn, inputs)
 
 
@@ -223,13 +232,13 @@ def _names(jaxpr: Any) -> set[str]:
     return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(_names, inner))
 
 
-def _is_small(eqn: Any) -> bool:
-    """Whether a product of matrices is few multiplications of real numbers."""
+def _multiplications(eqn: Any) -> float:
+    """How many a product of matrices of real numbers takes; inf of another product."""
     (contracted, _), (batch, _) = eqn.params["dimension_numbers"]
     a, out = eqn.invars[0].aval, eqn.outvars[0].aval
     count = out.size * np.prod([a.shape[k] for k in contracted])
     kinds = {v.aval.dtype for v in (*eqn.invars, *eqn.outvars)}
-    return not batch and count <= _SMALL and kinds == {out.dtype} and out.dtype.kind == "f"
+    return float("inf") if batch or kinds != {out.dtype} or out.dtype.kind != "f" else float(count)
 
 
 def _product(eqn: Any, a: Array, b: Array) -> Array:
@@ -243,6 +252,17 @@ def _product(eqn: Any, a: Array, b: Array) -> Array:
         [sum(u * v for u, v in zip(row, column, strict=True)) for column in columns] for row in rows
     ]
     return jnp.array(terms, a.dtype).reshape(eqn.outvars[0].aval.shape)
+
+
+def _summed(eqn: Any, a: Array, b: Array) -> Array:
+    """A product of matrices as sums of an elementwise product."""
+    (of_a, of_b), _ = eqn.params["dimension_numbers"]
+    rows = jnp.moveaxis(a, of_a, range(a.ndim - len(of_a), a.ndim))
+    columns = jnp.moveaxis(b, of_b, range(b.ndim - len(of_b), b.ndim))
+    free, summed = rows.ndim - len(of_a), tuple(range(-len(of_a), 0))
+    columns = jnp.expand_dims(columns, tuple(range(free)))
+    rows = jnp.expand_dims(rows, tuple(range(free, free + b.ndim - len(of_b))))
+    return jnp.sum(rows * columns, axis=summed)
 
 
 def _dependencies(
@@ -266,10 +286,8 @@ def _dependencies(
             inner = eqn.params["jaxpr"]
             none = [np.zeros(np.shape(c), bool) for c in inner.consts]
             outputs = _dependencies(inner.jaxpr, none, inputs, sources)
-        elif name in _MOVES:
-            with jax.ensure_compile_time_eval():
-                moved = eqn.primitive.bind(*map(jnp.asarray, inputs), **eqn.params)
-            outputs = [np.asarray(moved)]
+        elif name in elements.MOVES:
+            outputs = [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shapes[0])]
         elif len(shapes) == 1 and all(x.shape in ((), shapes[0]) for x in inputs):
             flag = np.zeros(shapes[0], bool)
             for x in inputs:

@@ -1,0 +1,130 @@
+"""Small arrays as their elements.
+
+Operations on arrays of a few numbers enter, made of scalars by `jnp.stack` and its like; the same
+operations on each number leave. XLA would compute a small array again for each element that is
+taken out of it, and keep it in memory: a field written with arrays compiles like one written with
+scalars.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.extend.core as jexc
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+# Numbers of an array at most.
+_MOST = 32
+
+MOVES = (
+    "broadcast_in_dim",
+    "concatenate",
+    "reshape",
+    "rev",
+    "slice",
+    "squeeze",
+    "stack",
+    "transpose",
+)
+"""Operations that only move elements about."""
+_NAMES = """
+abs acos acosh add add_any and asin asinh atan atan2 atanh ceil convert_element_type cos cosh div eq
+erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not
+or pow rem round rsqrt select_n sign sin sinh sqrt square sub tan tanh xor
+"""
+_ON_EACH = frozenset(_NAMES.split())
+
+
+class Elements:
+    """An array as its elements: a NumPy array of scalars."""
+
+    def __init__(self, values: np.ndarray, dtype: Any):
+        self.values = values
+        self.dtype = dtype
+
+    def array(self) -> Array:
+        """The array."""
+        flat = [jnp.asarray(v, self.dtype) for v in self.values.ravel()]
+        return jnp.stack(flat).reshape(self.values.shape)
+
+
+def array_of(value: Any) -> Any:
+    """A value that may be in elements, as an array."""
+    return value.array() if isinstance(value, Elements) else value
+
+
+def in_elements(eqn: Any, inputs: Sequence[Any]) -> bool:
+    """Whether an operation is done element by element."""
+    (out, *more), name = eqn.outvars, eqn.primitive.name
+    shapes = [v.aval.shape for v in eqn.invars]
+    if more or not all(0 < v.aval.size <= _MOST for v in (out, *eqn.invars)):
+        return False
+    if not any(isinstance(v, Elements) for v in inputs):
+        # Where a scalar enters, an array of scalars begins.
+        numbers = [v for v in eqn.invars if not isinstance(v, jexc.Literal)]
+        if out.aval.shape == () or all(v.aval.shape != () for v in numbers):
+            return False
+    if name == "dot_general":
+        return not any(eqn.params["dimension_numbers"][1])
+    if name in _ON_EACH:
+        return np.broadcast_shapes(*shapes) == out.aval.shape
+    return name in MOVES or name == "reduce_sum"
+
+
+def evaluate(eqn: Any, inputs: Sequence[Any], one: Callable) -> Any:
+    """An operation in elements; `one` does it on scalars."""
+    parts = [_split(v, x) for v, x in zip(eqn.invars, inputs, strict=True)]
+    name, out = eqn.primitive.name, eqn.outvars[0].aval
+    if name in MOVES:
+        values = moved(name, eqn.params, parts, out.shape)
+    elif name == "reduce_sum":
+        values = np.add.reduce(parts[0], axis=tuple(eqn.params["axes"]))
+    elif name == "dot_general":
+        values = np.tensordot(*parts, axes=eqn.params["dimension_numbers"][0])
+    else:
+        wide = (np.broadcast_to(p, out.shape).ravel() for p in parts)
+        values = _objects([one(*each) for each in zip(*wide, strict=True)], out.shape)
+    if out.shape:
+        return Elements(values, out.dtype)
+    return values[()] if isinstance(values, np.ndarray) else values
+
+
+def _split(atom: Any, value: Any) -> np.ndarray:
+    """The elements of an operand."""
+    if isinstance(value, Elements):
+        return value.values
+    value = jnp.asarray(value, atom.aval.dtype)
+    return _objects([value[k] for k in np.ndindex(value.shape)], value.shape)
+
+
+def _objects(scalars: list, shape: tuple[int, ...]) -> np.ndarray:
+    """An array of scalars, which NumPy must not look into."""
+    values = np.empty(len(scalars), object)
+    for k, scalar in enumerate(scalars):
+        values[k] = scalar
+    return values.reshape(shape)
+
+
+def moved(name: str, params: dict, parts: Sequence[np.ndarray], shape: tuple) -> np.ndarray:
+    """What an operation of `MOVES` makes of NumPy arrays, whatever their elements are."""
+    first = parts[0]
+    if name == "concatenate":
+        return np.concatenate(parts, params["dimension"])
+    if name == "stack":
+        return np.stack(parts, params["axis"])
+    if name == "broadcast_in_dim":
+        where = params["broadcast_dimensions"]
+        wide = [first.shape[where.index(k)] if k in where else 1 for k in range(len(shape))]
+        return np.broadcast_to(first.reshape(wide), shape)
+    if name == "slice":
+        steps = params["strides"] or (1,) * first.ndim
+        cuts = zip(params["start_indices"], params["limit_indices"], steps, strict=True)
+        return first[tuple(slice(*cut) for cut in cuts)]
+    if name == "rev":
+        return np.flip(first, params["dimensions"])
+    if name == "transpose":
+        return np.transpose(first, params["permutation"])
+    if name == "reshape" and params["dimensions"] is not None:
+        first = np.transpose(first, params["dimensions"])
+    return first.reshape(shape)  # as does squeeze
