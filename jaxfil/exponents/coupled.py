@@ -49,6 +49,8 @@ class Synchronization(eqx.Module):
     """The drive's state before the transient."""
     results: RESULTS
     """An outcome for each coupling, shape (c,)."""
+    compact: bool = eqx.field(static=True, default=False)
+    """Whether the stages of a step were a loop in the program: see `solve`."""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the distances against the couplings; returns the matplotlib axes."""
@@ -102,6 +104,8 @@ class TransverseExponent(eqx.Module):
     """False if the growth changed for good on the way: take a longer transient."""
     result: RESULTS
     """The lane's outcome."""
+    compact: bool = eqx.field(static=True, default=False)
+    """Whether the stages of a step were a loop in the program: see `solve`."""
 
     @property
     def exponents(self) -> Float[Array, " 1"]:

@@ -14,6 +14,7 @@ from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.card import average_card
 from jaxfil.exponents.intervals import Counts, counts_of, interval_of
 from jaxfil.exponents.variational import Variation, propagate, vary
+from jaxfil.integrate.compact import is_compact_sweep
 from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish
@@ -27,6 +28,7 @@ from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.lanes import lanes_of
 
 
 class LyapunovSpectrum(eqx.Module):
@@ -60,6 +62,8 @@ class LyapunovSpectrum(eqx.Module):
     transient ends. The exponents are then those of no motion: take a longer transient."""
     result: RESULTS
     """The lane's outcome."""
+    compact: bool = eqx.field(static=True, default=False)
+    """Whether the stages of a step were a loop in the program: see `solve`."""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the running estimates of one orbit's exponents; returns the matplotlib axes."""
@@ -79,6 +83,7 @@ def lyapunov_spectrum(
     steps: int = 40,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
+    compact: bool | None = None,
 ) -> LyapunovSpectrum:
     """All n Lyapunov exponents of the orbit from `x0` at t = 0.
 
@@ -102,6 +107,7 @@ def lyapunov_spectrum(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one. Within an interval the ratio of two directions' growths must stay far from 1/eps.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
+    - `compact`: as in `solve`; by default so for up to a million steps of all lanes together.
 
     **Returns** a `LyapunovSpectrum`.
 
@@ -127,16 +133,23 @@ def lyapunov_spectrum(
     duration = interval_of(system, interval, x.dtype)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
-    return _spectrum(system, x, duration, counts, stepper, min(BATCHES, periods))
+    compact = is_compact_sweep(compact, lanes_of((system, x)), (transient + periods) * steps)
+    return _spectrum(system, x, duration, counts, stepper, min(BATCHES, periods), compact)
 
 
 @eqx.filter_jit
 def _spectrum(
-    system: System, x0: Array, duration: Array, counts: Counts, stepper: Stepper, batches: int
+    system: System,
+    x0: Array,
+    duration: Array,
+    counts: Counts,
+    stepper: Stepper,
+    batches: int,
+    compact: bool,
 ) -> LyapunovSpectrum:
     periods, transient, steps = counts
     grid = grid_of_periods(duration, transient + periods, steps)
-    problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING)
+    problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING, compact)
     # The frame costs n times the orbit: it joins when most of the transient is over.
     alone = (transient - transient // 4) * steps
     ends = batch_ends(periods, batches)
@@ -170,4 +183,5 @@ def _spectrum(
         x_final=pack(state.x, x0.dtype),
         settled=settled,
         result=period_outcome(duration, state.result),
+        compact=compact,
     )

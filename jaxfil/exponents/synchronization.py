@@ -18,7 +18,8 @@ from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Counts, counts_of, interval_of
-from jaxfil.integrate.components import Components, build, pack, unpack
+from jaxfil.integrate.compact import is_compact_sweep
+from jaxfil.integrate.components import Components, build, is_array, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish, integrate_in_kernel
 from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods, period_outcome
@@ -30,6 +31,7 @@ from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.lanes import lanes_of
 
 # A distance of fewer eps of the size of the state is rounding: a few bits of it are right.
 _RESOLVED = 64
@@ -46,6 +48,7 @@ def synchronization_exponent(
     tolerance: Scalar = 1e-10,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
+    compact: bool | None = None,
 ) -> Synchronization:
     """The largest Lyapunov exponent as the smallest coupling that synchronises two copies.
 
@@ -72,6 +75,7 @@ def synchronization_exponent(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
+    - `compact`: as in `solve`; by default so for up to a million steps of all lanes together.
 
     **Returns** a `Synchronization`. `transverse_exponent` is sharper by an order of magnitude.
 
@@ -105,21 +109,25 @@ def synchronization_exponent(
     within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
-    return _threshold(system, x, grid, within, duration, counts, stepper)
+    lanes = lanes_of((system, x, grid)) * grid.shape[0]
+    compact = is_compact_sweep(compact, lanes, (transient + periods) * steps)
+    return _threshold(system, x, grid, within, duration, counts, stepper, compact)
 
 
 def _distance(z: Components) -> Array:
+    if is_array(z):
+        return jnp.sqrt(jnp.sum(jnp.square(jnp.subtract(*jnp.split(z[0], 2)))))
     n = len(z) // 2
     return jnp.sqrt(sum((a - b) ** 2 for a, b in zip(z[:n], z[n:], strict=True)))
 
 
 def _settle(
-    system: System, x0: Array, duration: Array, counts: Counts, stepper: Stepper
+    system: System, x0: Array, duration: Array, counts: Counts, stepper: Stepper, compact: bool
 ) -> tuple[Array, RESULTS]:
     """The drive alone, after its transient."""
     _, transient, steps = counts
     grid = grid_of_periods(duration, jnp.maximum(transient, 1), steps)
-    problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING)
+    problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING, compact)
     state = integrate_in_kernel(problem, unpack(x0))
     # A grid needs a step: without a transient one period is run, and forgotten.
     moved = transient > 0
@@ -146,16 +154,17 @@ def _threshold(
     duration: Array,
     counts: Counts,
     stepper: Stepper,
+    compact: bool,
 ) -> Synchronization:
     periods, transient, steps = counts
-    x, settled = _settle(system, x0, duration, counts, stepper)
+    x, settled = _settle(system, x0, duration, counts, stepper, compact)
     y, distance = _away(x, 0.01)
     z = jnp.concatenate([x, y])
     grid = grid_of_periods(duration, periods, steps, transient)
 
     def lane(coupling: Array) -> tuple[Array, RESULTS]:
         pair = build(drive_response(system, coupling), z)
-        problem = Problem(pair, tableau_of(stepper), grid, NOTHING)
+        problem = Problem(pair, tableau_of(stepper), grid, NOTHING, compact)
 
         def on(carry: tuple) -> Array:
             state, nearest, _ = carry
@@ -192,6 +201,7 @@ def _threshold(
         bias=spacing / 2 + jnp.log(distance / tolerance) / time,
         x0=x0,
         results=results,
+        compact=compact,
     )
 
 
@@ -205,6 +215,7 @@ def transverse_exponent(
     steps: int = 40,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
+    compact: bool | None = None,
 ) -> TransverseExponent:
     """The largest Lyapunov exponent from the rate at which drive and response part.
 
@@ -224,6 +235,7 @@ def transverse_exponent(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
+    - `compact`: as in `solve`; by default so for up to a million steps of all lanes together.
 
     **Returns** a `TransverseExponent`.
 
@@ -249,7 +261,10 @@ def transverse_exponent(
     duration = interval_of(system, interval, x.dtype)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
-    return _transverse(system, x, strength, duration, counts, stepper, min(BATCHES, periods))
+    lanes = lanes_of((system, x, strength))
+    compact = is_compact_sweep(compact, lanes, (transient + periods) * steps)
+    batches = min(BATCHES, periods)
+    return _transverse(system, x, strength, duration, counts, stepper, batches, compact)
 
 
 @eqx.filter_jit
@@ -261,9 +276,10 @@ def _transverse(
     counts: Counts,
     stepper: Stepper,
     batches: int,
+    compact: bool,
 ) -> TransverseExponent:
     periods, transient, steps = counts
-    x, settled = _settle(system, x0, duration, counts, stepper)
+    x, settled = _settle(system, x0, duration, counts, stepper, compact)
     eps = float(jnp.finfo(x0.dtype).eps)
     # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
     # √eps, and a little more leaves room to shrink within an interval.
@@ -274,7 +290,9 @@ def _transverse(
     def period(carry: tuple) -> tuple:
         k, z, growth, _ = carry
         grid = grid_of_periods(duration, jnp.ones_like(steps), steps, transient + k)
-        state = integrate_in_kernel(Problem(pair, tableau_of(stepper), grid, NOTHING), unpack(z))
+        state = integrate_in_kernel(
+            Problem(pair, tableau_of(stepper), grid, NOTHING, compact), unpack(z)
+        )
         end = pack(state.x, x0.dtype)
         distance = _distance(state.x)
         # Below this nothing of the distance is known, and a wrong rate would look like any other.
@@ -309,4 +327,5 @@ def _transverse(
         x_final=z[:n],
         settled=steady,
         result=period_outcome(duration, result),
+        compact=compact,
     )

@@ -20,7 +20,15 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import Components, ComponentSystem, axpy, where
+from jaxfil.integrate.components import (
+    Components,
+    ComponentSystem,
+    axpy,
+    constant,
+    dot,
+    number,
+    where,
+)
 from jaxfil.integrate.guards import stays_on
 from jaxfil.integrate.loop import advance
 from jaxfil.integrate.problem import Problem
@@ -50,14 +58,13 @@ def generic_frame(system: ComponentSystem) -> tuple[Components, ...]:
     """n orthonormal vectors, none of which is likely to be special to the system."""
     # The axes would be special: where a slide loses x', the axis of x' is lost at once.
     q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(system.n, system.n)))
-    return tuple(tuple(jnp.asarray(v, system.dtype) for v in column) for column in q.T)
+    return tuple(constant(column, system.dtype) for column in q.T)
 
 
 def vary(system: ComponentSystem, state: LoopState, every: Array) -> Variation:
     """A lane with a generic frame, to be orthonormalised every `every` steps."""
-    zero = jnp.zeros((), system.dtype)
     dropped = jnp.zeros((), bool)
-    zeros = (zero,) * system.n
+    zeros = (jnp.zeros((), system.dtype),) * system.n
     return Variation(state, generic_frame(system), zeros, every, dropped, zeros)
 
 
@@ -119,8 +126,7 @@ def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Arra
     if system.slides or system.resets:
         _, _, normals = system.gradients(t, after.x)
         for normal, on in zip(normals, stays_on(system, after.mode), strict=True):
-            size = sum(a * a for a in normal)
-            out = sum(a * b for a, b in zip(v, normal, strict=True))
+            size, out = dot(normal, normal), dot(v, normal)
             # On a surface a tangent has no component across it: two motions that slide there
             # differ along it alone. What is removed is the direction that sticking takes away.
             share = jnp.where(on, out / jnp.where(size == 0, 1, size), 0.0)
@@ -166,7 +172,7 @@ def gram_schmidt(
         rest = v
         for _ in range(2):  # the second time removes what rounding left
             for q in done:
-                rest = axpy(rest, -_dot(q, rest), q)
+                rest = axpy(rest, -dot(q, rest), q)
         length = _norm(rest)
         lost = length <= _LOST * system.eps * size
         length = jnp.where(lost, 1.0, length)
@@ -177,24 +183,20 @@ def gram_schmidt(
     return tuple(done), tuple(logs)
 
 
-def _dot(a: Components, b: Components) -> Array:
-    return jnp.asarray(sum(u * v for u, v in zip(a, b, strict=True)))
-
-
 def _norm(v: Components) -> Array:
-    square = _dot(v, v)
+    square = jnp.asarray(dot(v, v))
     zero = square == 0  # the square root has no derivative there
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
 
 
 def _complement(system: ComponentSystem, done: list[Components]) -> Components:
     """A unit vector orthogonal to orthonormal ones: what they leave of the axis they leave most."""
-    best = tuple(jnp.zeros((), system.dtype) for _ in range(system.n))
-    most = jnp.zeros((), system.dtype)
+    eye = np.eye(system.n)
+    best, most = constant(0 * eye[0], system.dtype), jnp.zeros((), system.dtype)
     for j in range(system.n):
-        axis = tuple(jnp.asarray(float(i == j), system.dtype) for i in range(system.n))
+        axis = constant(eye[j], system.dtype)
         for q in done:
-            axis = axpy(axis, -q[j], q)
-        square = axis[j]  # a projection's diagonal is the square of its column
+            axis = axpy(axis, -number(q, j), q)
+        square = number(axis, j)  # a projection's diagonal is the square of its column
         best, most = where(square > most, axis, best), jnp.maximum(most, square)
     return tuple(v / jnp.sqrt(most) for v in best)

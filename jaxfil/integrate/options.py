@@ -20,12 +20,8 @@ from jaxfil.model import check
 from jaxfil.model.types import Scalar
 
 Adjoint: TypeAlias = diffrax.ForwardMode | diffrax.RecursiveCheckpointAdjoint
-"""Which derivatives a solve has: forward mode, or reverse mode from a loop with checkpoints."""
+"""How reverse mode works: by the forward Jacobian, or by a loop with checkpoints."""
 
-FORWARD_ONLY = (
-    "`adjoint` must be diffrax.RecursiveCheckpointAdjoint() for derivatives in reverse "
-    "mode (jax.grad, jax.vjp), got diffrax.ForwardMode(), for those in forward mode (jax.jacfwd)."
-)
 # diffrax's own function of what is saved: the state.
 _SAVE_STATE = diffrax.SubSaveAt(t1=True).fn
 # Contacts that a default budget leaves room for where their number has no limit.

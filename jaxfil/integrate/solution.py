@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.components import Components, ComponentSystem, build, pack, scalars, unpack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.state import EventTable
-from jaxfil.integrate.stepper import Stepper, step, tableau_of
+from jaxfil.integrate.stepper import Stepper, compact_step, step, tableau_of
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
@@ -96,6 +96,8 @@ class Solution(eqx.Module):
     """Every step's start, for `evaluate`."""
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call its quantities."""
+    compact: bool = eqx.field(static=True, default=False)
+    """Whether the stages of a step were a loop in the program: see `solve`."""
 
     # Not a method: one of an equinox module is hashed with all arrays, and `jax.jit` refuses it.
     @property
@@ -146,6 +148,8 @@ class Dense(eqx.Module):
     xs: Array
     modes: Array
     stepper: Stepper
+    compact: bool = eqx.field(static=True)
+    """Whether steps are taken as `compact_step` takes them."""
 
 
 def _evaluate(sol: Solution, t: Times) -> Float[Array, "*shape n"]:
@@ -170,14 +174,21 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     sign = jnp.where(forward, 1.0, -1.0).astype(dtype)
     keys = jnp.where(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
     i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
-    system, tableau = build(dense.system, dense.xs[i]), tableau_of(dense.stepper)
-    field = ModeField(system, unpack(dense.modes[i].astype(dtype)))
+    system = build(dense.system, dense.xs[i])
+    field = ModeField(system, scalars(dense.modes[i].astype(dtype)))
     start, x = dense.ts[i], unpack(dense.xs[i])
-    h = t - start
-    forcing = system.forcing(start, h, tableau.times)
-    end = step(tableau, field, start, x, field(start, x), h, forcing)
+    end = step_again(dense, system, field, start, x, t - start)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
-    return jnp.where(reached, pack(end.x, dtype), jnp.nan)
+    return jnp.where(reached, pack(end, dtype), jnp.nan)
+
+
+def step_again(
+    dense: Dense, system: ComponentSystem, field: ModeField, t: Array, x: Components, h: Array
+) -> Components:
+    """The end of a step from (t, x), or of a part of one, taken as it was."""
+    tableau = tableau_of(dense.stepper)
+    take, times = (compact_step, [1.0]) if dense.compact else (step, tableau.times)
+    return take(tableau, field, t, x, field(t, x), h, system.forcing(t, h, times)).x
 
 
 def card(sol: Solution) -> str:

@@ -8,15 +8,14 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxfil.integrate.compact import is_compact_run
 from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.loop import integrate, integrate_with_checkpoints
 from jaxfil.integrate.options import (
-    FORWARD_ONLY,
     Adjoint,
     Options,
     options_of,
@@ -27,7 +26,7 @@ from jaxfil.integrate.problem import Problem, Recording, TimeGrid, iteration_bud
 from jaxfil.integrate.recording import mode_codes
 from jaxfil.integrate.solution import Dense, Solution, errors, events_of
 from jaxfil.integrate.state import LoopState, SavedStates
-from jaxfil.integrate.stepper import Stepper, checked_stepper, is_compact, tableau_of
+from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.stopped import raise_unless_successful
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
@@ -78,9 +77,11 @@ def solve(
     - `max_events`: length of the event table; None keeps no table and sets no limit.
     - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
       of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
-    - `adjoint`: `diffrax.ForwardMode()`, or `diffrax.RecursiveCheckpointAdjoint()` for reverse
-      mode. First and second derivatives with respect to x0, t0, t1 and every float leaf of the
-      system are exact through crossings, slides and resets; third ones raise.
+    - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` take the forward
+      derivative by each number that moves, transposed; for hundreds of parameters,
+      `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward. First and second derivatives
+      with respect to x0, t0, t1 and every float leaf of the system are exact through crossings,
+      slides and resets; third ones raise.
     - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it. The
       error says t, x and the surface where it stopped, but not from within `jit`.
     - `estimate_error`: also run at half the step, and give the distance between the two as
@@ -117,7 +118,7 @@ def solve(
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
     length = check.scalar("dt", dt, dtype, positive=True)
     stepper = checked_stepper(stepper)
-    compact = is_compact(compact, (system, x, start, stop, length))
+    compact = is_compact_run(compact, (system, x, start, stop, length))
     options = options_of(saveat, max_events, max_steps, adjoint, compact, (t0, t1, dt), dtype)
     if estimate_error and options.save not in ("t1", "ts"):
         raise ValueError(
@@ -169,8 +170,7 @@ def _solve(
     # In the kernel with what the outcome makes of the end: its derivatives then need no values from
     # elsewhere, and a Jacobian compiles and runs one kernel, not two.
     run = kernel_if_it_fits(lambda x: _ended(problem, integrate(problem, x)))
-    sol = _solution(problem, run(unpack(x0)), options, system, x0, stepper)
-    return eqxi.nondifferentiable_backward(sol, msg=FORWARD_ONLY)
+    return _solution(problem, run(unpack(x0)), options, system, x0, stepper)
 
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
@@ -223,7 +223,7 @@ def _solution(
         ts, xs = jnp.append(t0[None], ts), jnp.append(x0[None], xs, axis=0)
         modes = jnp.append(mode_codes(state.first_mode)[None], modes, axis=0)
     if options.save == "dense":
-        dense = Dense(system, t0, t_final, ts, xs, modes, stepper)
+        dense = Dense(system, t0, t_final, ts, xs, modes, stepper, problem.compact)
         ts = xs = modes = None
     return Solution(
         ts=ts,
@@ -240,5 +240,6 @@ def _solution(
         t_final=t_final,
         x_final=x_final,
         mode_final=mode_codes(state.mode),
+        compact=problem.compact,
         _dense=dense,
     )

@@ -161,7 +161,8 @@ def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
     problem = curve.problem
     orbits = [orbit_of(problem, point) for point in path.points]
     dynamic = [eqx.filter(orbit, eqx.is_array) for orbit in orbits]
-    stacked = jax.tree.map(lambda *v: jnp.stack(v), *dynamic)
+    # By NumPy: there is another number of points each time.
+    stacked = jax.device_put(jax.tree.map(lambda *v: np.stack(v), *dynamic))
     return Branch(
         parameter=problem.parameter,
         values=np.array([curve.value(point) for point in path.points]),

@@ -6,7 +6,6 @@ and the point of the branch that it is.
 """
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -107,20 +106,31 @@ def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> 
 
 def orbit_of(problem: OrbitProblem, point: OrbitPoint) -> Orbit:
     """A point as the `Orbit` it is."""
-    starts, q = problem.split(jnp.asarray(point.u))
+    # Put there as they are: `jnp.asarray` would compile a program for each shape.
+    u, shot, residual, num_steps = jax.device_put(
+        (point.u, point.shot, np.asarray(point.residual), np.asarray(point.num_steps))
+    )
+    return _orbit_of(problem, u, shot, residual, num_steps)
+
+
+@eqx.filter_jit
+def _orbit_of(
+    problem: OrbitProblem, u: Array, shot: Shot, residual: Array, num_steps: Array
+) -> Orbit:
+    """`orbit_of`, as one program."""
+    starts, q = problem.split(u)
     system, period = problem.setting(q)
-    shot: Any = jax.tree.map(jnp.asarray, point.shot)
     return Orbit(
         x0=starts[0],
         period=period,
-        monodromy=shot.monodromy,
-        residual=jnp.asarray(point.residual),
+        monodromy=jnp.asarray(shot.monodromy),
+        residual=residual,
         events=shot.events,
         num_events=shot.num_events,
         first_mode=shot.first_mode,
         result=RESULTS.successful,
         system=system,
         starts=starts,
-        num_steps=jnp.asarray(point.num_steps),
+        num_steps=num_steps,
         options=problem.options,
     )

@@ -12,10 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.components import build, pack, scalars, unpack
 from jaxfil.integrate.filippov import ModeField
-from jaxfil.integrate.solution import Dense
-from jaxfil.integrate.stepper import step, tableau_of
+from jaxfil.integrate.solution import Dense, step_again
 from jaxfil.orbits.regula_falsi import zero_between
 
 # Steps on which it is located, those with the largest estimates: of two that are as large to the
@@ -44,15 +43,14 @@ class _Start(eqx.Module):
 def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum:
     """The largest value of `function(t, x)` over all steps of a trajectory."""
     dtype = dense.xs.dtype
-    system, tableau = build(dense.system, dense.xs[0]), tableau_of(dense.stepper)
+    system = build(dense.system, dense.xs[0])
 
     def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
         """State, value and rate of change after a part h of a step."""
-        field = ModeField(system, unpack(start.mode.astype(dtype)))
-        x0, forcing = unpack(start.x), system.forcing(start.t, h, tableau.times)
-        end = step(tableau, field, start.t, x0, field(start.t, x0), h, forcing)
-        t, f = start.t + h, pack(field(start.t + h, end.x), dtype)
-        x = pack(end.x, dtype)
+        field = ModeField(system, scalars(start.mode.astype(dtype)))
+        end = step_again(dense, system, field, start.t, unpack(start.x), h)
+        t, f = start.t + h, pack(field(start.t + h, end), dtype)
+        x = pack(end, dtype)
         value, rate = jax.jvp(function, (t, x), (jnp.ones_like(t), f))
         return x, value, rate
 

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.stepper import Stepper, checked_stepper, is_compact
+from jaxfil.integrate.compact import is_compact_run
+from jaxfil.integrate.stepper import Stepper, checked_stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
@@ -122,7 +123,7 @@ def periodic_orbit(
         arcs=check.count("segments", segments),
         stepper=stepper,
         max_events=check.count("max_events", max_events),
-        compact=is_compact(compact, (system, x)),
+        compact=is_compact_run(compact, (system, x)),
     )
     # Traced: another number compiles nothing.
     budget = jnp.asarray(check.count("newton_steps", newton_steps), jnp.int32)

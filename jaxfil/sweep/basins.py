@@ -108,7 +108,8 @@ def basins_of_attraction(
     - `transient`: forcing periods before the first sample. Near a bifurcation transients are long.
     - `samples`: forcing periods looked at; periods of up to half their number are found.
     - `tolerance`: how near a motion must come to where it was, relative to its size.
-    - `options`: `steps`, `stepper`, `progress` and `checkpoint` of `bifurcation_diagram`.
+    - `options`: `steps`, `stepper`, `progress`, `checkpoint` and `compact` of
+      `bifurcation_diagram`.
 
     **Returns** `Basins`.
 

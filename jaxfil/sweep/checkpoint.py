@@ -184,6 +184,7 @@ def record_of(
         "stepper": given.stepper,
         "coefficients": hashlib.sha256(table).hexdigest()[:16],
         "follow": str(given.follow),
+        "compact": str(given.compact),
         "jaxfil": given.version,
         # Other versions and other machines give other last bits, and a diagram of two halves that
         # differ in them is equal to neither.

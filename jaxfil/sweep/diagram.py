@@ -29,6 +29,7 @@ ATTRIBUTES = {
     "stepper",
     "follow",
     "jaxfil_version",
+    "compact",
 }
 
 
@@ -49,6 +50,8 @@ class Conditions(eqx.Module):
     """"up" or "down" if each value began where the last one ended; None if all began at `x0`."""
     version: str = eqx.field(static=True)
     """The version of jaxfil that computed it."""
+    compact: bool = eqx.field(static=True, default=False)
+    """Whether the stages of a step were a loop in the program: see `solve`."""
 
 
 # Components below this many eps of the largest one are rounding.
@@ -206,6 +209,7 @@ class BifurcationDiagram(eqx.Module):
             "steps": given.steps,
             "stepper": given.stepper,
             "jaxfil_version": given.version,
+            "compact": int(given.compact),
         }
         if given.follow is not None:
             attributes["follow"] = given.follow

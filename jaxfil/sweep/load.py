@@ -47,7 +47,8 @@ def load(path: PathLike) -> BifurcationDiagram:
     (True, 'RK4')
     """
     data = dataset_io.load(path)
-    missing = (ATTRIBUTES - {"follow", "x0"}) - {*data.attrs} | {"x", "outcome"} - {*data}
+    needed = ATTRIBUTES - {"follow", "x0", "compact"}
+    missing = needed - {*data.attrs} | {"x", "outcome"} - {*data}
     if missing:
         raise ValueError(
             f"`path` must be a diagram that `save` has written; {os.fspath(path)!r} has no "
@@ -75,6 +76,7 @@ def load(path: PathLike) -> BifurcationDiagram:
             stepper=data.attrs["stepper"],
             follow=data.attrs.get("follow"),
             version=data.attrs["jaxfil_version"],
+            compact=bool(data.attrs.get("compact", False)),
         ),
         labels=_labels(data, swept),
         errors=data["error"].values if "error" in data else None,

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.batch_loop import integrate_batch
+from jaxfil.integrate.compact import is_compact_sweep
 from jaxfil.integrate.components import build, unpack
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.problem import Problem, Recording, grid_of_periods, period_outcome
@@ -57,6 +58,7 @@ def bifurcation_diagram(
     checkpoint: PathLike | None = None,
     progress: bool = True,
     estimate_error: bool = False,
+    compact: bool | None = None,
 ) -> BifurcationDiagram:
     """Sweep a parameter of a forced system, or several, and sample the motion at each value.
 
@@ -96,6 +98,7 @@ def bifurcation_diagram(
     - `progress`: show a progress bar.
     - `estimate_error`: sweep a second time at half the step, and give the largest distance between
       the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
+    - `compact`: as in `solve`; by default so for up to a million steps of all lanes together.
 
     **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
     n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for.
@@ -149,6 +152,9 @@ def bifurcation_diagram(
         version=__version__,
     )
     samples = check.count("samples", samples)
+    each = (conditions.transient + samples) * conditions.steps
+    compact = is_compact_sweep(compact, len(grid.rows), each)
+    conditions = dataclasses.replace(conditions, compact=compact)
     check.number_of_steps(
         conditions.steps,
         runs=2 if estimate_error else 1,
@@ -198,6 +204,7 @@ def _swept(
         samples=samples,
         steps=jnp.asarray(given.steps, jnp.int32),
         stepper=stepper,
+        compact=given.compact,
     )
     job = ft.partial(compiled(_run), system, grid.names, sampling)
     if given.follow is None:
@@ -275,6 +282,7 @@ class _Sampling(eqx.Module):
     samples: int = eqx.field(static=True)
     steps: Array
     stepper: Stepper
+    compact: bool = eqx.field(static=True)
 
     def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
         """That of one point in parameter space."""
@@ -287,7 +295,8 @@ class _Sampling(eqx.Module):
             first=(self.transient + 1) * self.steps,
             every=self.steps,
         )
-        return Problem(build(system, x0), tableau_of(self.stepper), grid, recording)
+        field, tableau = build(system, x0), tableau_of(self.stepper)
+        return Problem(field, tableau, grid, recording, self.compact)
 
 
 def _at(system: System, names: tuple[str, ...], row: Array) -> tuple[System, Array]:
@@ -301,7 +310,9 @@ def _outcome(state: LoopState) -> tuple[Array, RESULTS, Array]:
     """Samples (samples, n), outcome, and the last state (n,) of a lane, or of many."""
     assert state.saves is not None
     xs = jnp.where(jnp.isfinite(state.saves.xs), state.saves.xs, jnp.nan)
-    return xs, state.result, jnp.stack(state.x, axis=-1)
+    # Components are numbers, or one array of them.
+    rows = [v.reshape(*xs.shape[:-2], -1) for v in state.x]
+    return xs, state.result, jnp.concatenate(rows, axis=-1)
 
 
 def _run(

@@ -50,6 +50,7 @@ def test_the_dataset_says_what_it_is():
         "stepper": "RK4",
         "follow": "up",
         "jaxfil_version": jf.__version__,
+        "compact": 1,
     }
 
 
