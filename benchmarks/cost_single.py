@@ -34,6 +34,7 @@ def run(scene, omegas, setting, dtype):
         steps=setting["steps"],
         stepper=jaxfil_sweep.stepper(setting["stepper"]),
         progress=False,
+        compact=False,
     )
     return diagram, time.process_time() - start
 

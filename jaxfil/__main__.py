@@ -39,7 +39,9 @@ from jaxfil.sweep.diagram import BifurcationDiagram
 from jaxfil.sweep.interrupt import Interrupts, counted
 from jaxfil.sweep.sweep import bifurcation_diagram
 from jaxfil.systems import TEXTBOOK
+from jaxfil.xla.disk_cache import keep_compiled_programs
 
+_NO_CACHE = "compile anew, and keep nothing compiled on disk"
 PICTURES = (".png", ".pdf", ".svg")
 STEPPERS = {
     "RK4": RK4(),
@@ -79,6 +81,8 @@ def _done(argv: list[str] | None, interrupts: _EndsTheProcess) -> int:
             return 0
         if args.command is None:
             raise _Misuse("what to do is missing: diagram, work-precision, or --list")
+        if not args.no_cache:
+            keep_compiled_programs("jaxfil")
         if args.command == "work-precision":
             return _work_precision(args)
         return _diagram(args, interrupts)
@@ -120,6 +124,7 @@ def _parser() -> _Parser:
     add("--set", metavar="P=VALUE", type=_setting, help="other parameters", **several)
     add("--component", metavar="I", type=whole, default=0, help="of the state: %(default)s")
     add("--quiet", action="store_true", help="no progress bar and no summary")
+    add("--no-cache", action="store_true", help=_NO_CACHE)
     return top
 
 
@@ -138,6 +143,7 @@ def _work_precision_parser(commands: "argparse._SubParsersAction[_Parser]") -> N
     add("--x0", metavar="A,B", type=_state, help="initial state: the one that --list shows")
     add("--lanes", metavar="N", type=positive, default=1, help="timed at once: %(default)s")
     add("--out", metavar="FILE", type=_picture, help="a picture, FILE.png say: none")
+    add("--no-cache", action="store_true", help=_NO_CACHE)
 
 
 def _work_precision(args: argparse.Namespace) -> int:

@@ -10,12 +10,20 @@ tag; `results`, what is done with a solution; `pictures`, a picture of each
 kind, and their references. Exact motions of random systems are in `benchmarks.reliability`.
 """
 
+import os
 import signal
+from pathlib import Path
 
 import equinox as eqx
 import jax
 import pytest
 
+# Files compile much that others have compiled, and so do the processes that tests start.
+_PROGRAMS = Path(__file__).resolve().parent.parent / ".pytest_cache" / "compiled"
+_KEPT = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_PROGRAMS))
+_LEAST = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+jax.config.update("jax_compilation_cache_dir", _KEPT)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", float(_LEAST))
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 pytest.register_assert_rewrite("tests.results")

@@ -122,6 +122,17 @@ def test_quiet_prints_nothing(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize(("words", "keeps"), [([], True), (["--no-cache"], False)])
+def test_what_is_compiled_is_kept_in_the_folder_that_the_platform_names(tmp_path, words, keeps):
+    kept, out = tmp_path / "kept", str(tmp_path / "a.png")
+    named = {"XDG_CACHE_HOME": str(kept), "LOCALAPPDATA": str(kept), "HOME": str(kept)}
+    env = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | named
+    command = ["diagram", "sd-oscillator", "--parameter", "omega", *SMALL, "--out", out, "--quiet"]
+    done = subprocess.run([sys.executable, "-m", "jaxfil", *command, *words], env=env)
+    assert done.returncode == 0
+    assert any("jaxfil" in str(path) for path in kept.rglob("*-cache")) == keeps
+
+
 def test_a_lane_that_ends_early_is_counted_and_the_rest_are_drawn(tmp_path, capsys):
     code, saved = diagram(tmp_path, "--x0", "0,0")
     assert code == 1, "from (0, 0) no lane has a unique solution"

@@ -75,5 +75,6 @@ def sample(scene, omegas, transient, samples, setting, cores=1):
         steps=setting["steps"],
         stepper=stepper(setting["stepper"]),
         progress=False,
+        compact=False,
     )
     return np.asarray(diagram.xs)
