@@ -190,5 +190,5 @@ def _agrees(
     for now, before, x, f, f0 in each:
         size, speed = jnp.maximum(abs(now), abs(x)), jnp.maximum(abs(f), abs(f0))
         apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
-        agrees = agrees & (abs(now - before) <= apart)
+        agrees = agrees & jnp.all(abs(now - before) <= apart)
     return agrees, rounding

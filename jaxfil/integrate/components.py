@@ -156,6 +156,8 @@ class ComponentSystem(eqx.Module):
     separate: bool = eqx.field(static=True)
     """Whether no component depends on more than one side, and no dH_j/dt on a side other than its
     own: the surfaces then switch independently of each other."""
+    affine: bool = eqx.field(static=True)
+    """Whether the field is affine in its sides, of which there are several."""
     _field: Any
     _switching: Any
     _reset: Any
@@ -243,13 +245,6 @@ class ComponentSystem(eqx.Module):
             rows.append(pull(pick))
         return h, tuple(r[0] for r in rows), tuple(r[1] for r in rows)
 
-    def corner_sides(self) -> list[Components]:
-        """All 2^m combinations of sides, the first surface varying slowest, + before −; of
-        separate surfaces the first and the last, which hold the same numbers as all."""
-        all_sides = [[1.0] * self.m, [-1.0] * self.m]
-        corners = all_sides if self.separate else itertools.product((1.0, -1.0), repeat=self.m)
-        return [tuple(jnp.asarray(s, self.dtype) for s in corner) for corner in corners]
-
 
 def build(system: System, x0: Array, transposed: bool = False) -> ComponentSystem:
     """The components of a system whose float leaves have the dtype of `x0`, shape (n,); to be
@@ -284,6 +279,7 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
         dtype=dtype,
         switched=switched,
         separate=m == 1 or (m > 0 and _separate(switched, steers)),
+        affine=m > 1 and traced_field.is_affine(*nothing, (True,) * m),
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
         _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),

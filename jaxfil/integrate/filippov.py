@@ -11,12 +11,13 @@ Filippov's convex combination with λ = (1 + w)/2.
 
 Where surfaces are separate (`ComponentSystem.separate`: each is switched by its own side alone, as
 those of two oscillators that do not touch each other's switches), so are their weights and modes:
-each is that of one surface, and two corners, all sides + and all −, say everything.
+each is that of one surface, and two corners, all sides + and all −, say everything. Where the field
+is affine in its sides (`ComponentSystem.affine`) m + 1 do: see `sliding_weights.Corners`.
 """
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -33,15 +34,30 @@ from jaxfil.integrate.components import (
     SmoothField,
     any_of,
     is_array,
+    scalars,
     where,
 )
-from jaxfil.integrate.sliding_weights import blend, mix, weights
+from jaxfil.integrate.sliding_weights import (
+    Corners,
+    CornerTable,
+    blend,
+    every_side,
+    mix,
+    size_of,
+    weights,
+)
+
+# Combinations of sides at most that are written out; more are a table, which compiles no faster
+# than five.
+_WRITTEN_OUT = 5
 
 
 def blend_fields(
-    system: ComponentSystem, fields: Sequence[Components], mode: Components, weights: Components
+    system: ComponentSystem, fields: Corners, mode: Components, weights: Components
 ) -> Components:
     """`blend` of the corner fields; components that no side enters are taken as they are."""
+    if isinstance(fields, CornerTable):
+        return blend(fields, mode, weights)
     if system.separate:
         above, below = fields
         if is_array(above):
@@ -73,11 +89,30 @@ def corners(
     x: Components,
     alone: bool = False,
     forcing: Forcing | None = None,
-) -> tuple[list[Components], list[Components]]:
-    """The field on the combinations of sides of `ComponentSystem.corner_sides`, and dH/dt along
-    each; `alone` and `forcing` as in `ComponentSystem.field`."""
-    fields = [system.field(t, x, sides, alone, forcing) for sides in system.corner_sides()]
-    return fields, [system.rate(t, x, f) for f in fields]
+) -> tuple[Corners, Corners]:
+    """The field on the combinations of sides that say everything of it, and dH/dt along each;
+    `alone` and `forcing` as in `ComponentSystem.field`."""
+
+    def fields_on(*sides: Array) -> Components:
+        return system.field(t, x, sides, alone, forcing)
+
+    sides = corner_sides(system)
+    if len(sides) > _WRITTEN_OUT:
+        fields = jax.vmap(fields_on)(*sides.T.astype(system.dtype))
+        rates = jax.vmap(lambda *f: system.rate(t, x, f))(*fields)
+        return CornerTable(fields), CornerTable(rates)
+    each = [fields_on(*(jnp.asarray(s, system.dtype) for s in row)) for row in sides]
+    return each, [system.rate(t, x, f) for f in each]
+
+
+def corner_sides(system: ComponentSystem) -> np.ndarray:
+    """The combinations of sides of `sliding_weights.Corners`, a row for each."""
+    m = system.m
+    if system.separate:
+        return np.array([[1.0] * m, [-1.0] * m])
+    if system.affine:
+        return np.concatenate([np.ones((1, m)), 1 - 2 * np.eye(m)])
+    return every_side(m)
 
 
 def field(
@@ -153,6 +188,7 @@ def without_surfaces(system: ComponentSystem, mode: Components) -> ComponentSyst
         resets=False,
         switched=((),) * system.n,
         separate=False,
+        affine=False,
         _field=_SingleField(system, mode),
     )
 
@@ -190,7 +226,7 @@ def free_guard(
 
 def _admissible(
     candidate: Components,
-    rates: Sequence[Components],
+    rates: Corners,
     mode: Components,
     on: Components,
     direction: Array,
@@ -206,7 +242,7 @@ def _admissible(
     # Where no side moves the state off a surface, nothing but a slide on all of them stays there.
     stays = ~any_of(tuple(o & (c != 0) for o, c in zip(on, candidate, strict=True)))
     for j, c in enumerate(candidate):
-        scale = sum(abs(r[j]) for r in rates)
+        scale = size_of(rates, j)
         solved = (abs(rate[j]) <= 64 * eps * scale) & ((scale > 0) | stays)
         slides = (abs(w[j]) <= 1) & solved
         leaves = c * direction * rate[j] > least * scale
@@ -216,7 +252,7 @@ def _admissible(
 
 def choose(
     m: int,
-    rates: Sequence[Components],
+    rates: Corners,
     mode: Components,
     on: Components,
     direction: Array,
@@ -228,7 +264,7 @@ def choose(
     tangency that first derivatives do not decide. An intersection is left at a rate of more than
     `least`, relative to all rates there.
     """
-    if len(rates) == 2:
+    if not isinstance(rates, CornerTable) and len(rates) == 2:
         each = [
             _choose_on_one(above, below, s, on_j, direction)
             for above, below, s, on_j in zip(*rates, mode, on, strict=True)
@@ -237,13 +273,19 @@ def choose(
         for _, count_j in each:
             count = count * count_j
         return tuple(s for s, _ in each), count
-    candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)))
-    columns = tuple(jnp.asarray(column, direction.dtype) for column in candidates.T)
-    ok = jax.vmap(lambda *c: _admissible(c, rates, mode, on, direction, least))(*columns)
-    first = jnp.argmax(ok)
-    any_ok = jnp.any(ok)
-    chosen = tuple(jnp.where(any_ok, c[first], s) for c, s in zip(columns, mode, strict=True))
-    return chosen, jnp.sum(ok, dtype=jnp.int32)
+    # One after the other: side by side they would be arrays of 3^m numbers in the loop's body.
+    candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)), direction.dtype)
+
+    def test(found: tuple[Components, Array], row: Array) -> tuple[tuple[Components, Array], None]:
+        chosen, count = found
+        candidate = scalars(row)
+        ok = _admissible(candidate, rates, mode, on, direction, least)
+        chosen = where(ok & (count == 0), candidate, chosen)
+        return (chosen, count + ok.astype(jnp.int32)), None
+
+    start = (mode, jnp.zeros((), jnp.int32))
+    found, _ = jax.lax.scan(test, start, jnp.asarray(candidates))
+    return found
 
 
 def _choose_on_one(

@@ -19,6 +19,7 @@ from jaxfil.integrate.guards import guards, stays_on, surface_noise
 from jaxfil.integrate.mode_switch import with_reactions
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.recording import empty_saves, empty_table
+from jaxfil.integrate.sliding_weights import Corners, CornerTable, every_side
 from jaxfil.integrate.state import LoopState
 from jaxfil.model.outcomes import RESULTS
 
@@ -26,25 +27,34 @@ from jaxfil.model.outcomes import RESULTS
 _RATE_NOISE = 64
 
 
-def _resolved_rates(
-    system: ComponentSystem, t: Array, x: Components, direction: Array
-) -> list[Components]:
+def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction: Array) -> Corners:
     """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
     the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
-    rates, seconds, thirds = zip(
-        *(_three_rates(system, t, x, sides) for sides in system.corner_sides()), strict=True
-    )
-    resolved = []
-    for rate, second_, third in zip(rates, seconds, thirds, strict=True):
-        row = []
-        for j in range(system.m):
-            scale = sum(abs(r[j]) for r in rates)
-            tiny = jnp.where(scale > 0, system.eps * scale, 1.0)
-            sign = jnp.where(second_[j] != 0, direction * jnp.sign(second_[j]), jnp.sign(third[j]))
-            flat = abs(rate[j]) <= _RATE_NOISE * system.eps * scale
-            row.append(jnp.where(flat, tiny * sign, rate[j]))
-        resolved.append(tuple(row))
-    return resolved
+    rates, seconds, thirds = _all_rates(system, t, x)
+    scales = [sliding_weights.size_of(rates, j) for j in range(system.m)]
+
+    def resolved(j: int, rate: Array, second_: Array, third: Array) -> Array:
+        tiny = jnp.where(scales[j] > 0, system.eps * scales[j], 1.0)
+        sign = jnp.where(second_ != 0, direction * jnp.sign(second_), jnp.sign(third))
+        flat = abs(rate) <= _RATE_NOISE * system.eps * scales[j]
+        return jnp.where(flat, tiny * sign, rate)
+
+    return sliding_weights.map_components(resolved, rates, seconds, thirds)
+
+
+def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corners, ...]:
+    """The first three derivatives of H on every combination of sides. The higher ones are not
+    affine in the sides, be the field or not."""
+    if system.separate:
+        rows = [tuple(jnp.asarray(s, system.dtype) for s in row) for row in ([1.0], [-1.0])]
+        each = [_three_rates(system, t, x, system.m * row) for row in rows]
+        return tuple(map(list, zip(*each, strict=True)))
+    columns = every_side(system.m).T.astype(system.dtype)
+    # One program for all of them, be they few: it holds third derivatives of the field.
+    three = jax.vmap(lambda *sides: _three_rates(system, t, x, sides))(*columns)
+    if system.m > 2:
+        return tuple(map(CornerTable, three))
+    return tuple([tuple(v[k] for v in rates) for k in range(4)] for rates in three)
 
 
 def _three_rates(
@@ -74,7 +84,7 @@ def _first_mode(
     rates = jax.tree.map(stop_gradient, rates)
     owed: Components = ()
     if system.resets:
-        start = impact.begin(problem, x, on, sides, rates[0])
+        start = impact.begin(problem, x, on, sides, sliding_weights.first_corner(rates))
         free = tuple(o & ~known for o, known in zip(on, start.known, strict=True))
         mode, count = filippov.choose(system.m, rates, start.sides, free, grid.direction)
         mode = tuple(jnp.where(r, 2 * s, s) for r, s in zip(start.rests, mode, strict=True))

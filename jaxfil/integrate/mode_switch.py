@@ -28,6 +28,7 @@ from jaxfil.integrate.guards import NOISE, guards, larger, stays_on, surface_noi
 from jaxfil.integrate.impact import Impact
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
+from jaxfil.integrate.sliding_weights import Corners
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
 
 # At a graze a rate is told from zero above this multiple of what is left of the motion's own.
@@ -110,7 +111,7 @@ def evaluate_step_end(
         (determinant,) = system.hold(stop_gradient(determinant))
     f = filippov.blend_fields(system, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
-    blind = (num_modes == 0) & ~all_finite(*rates)
+    blind = (num_modes == 0) & ~all_finite(tuple(jax.tree.leaves(rates)))
     f = system.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
     # Of a switch the modes are counted, and of a slide between its contacts.
     repels = (num_modes > 1) & ~state.pending
@@ -211,7 +212,7 @@ def _held(
 def _switch(
     problem: Problem,
     state: LoopState,
-    rates: list[Components],
+    rates: Corners,
     h: Components,
     touch: Components,
     carried: Components,
@@ -231,7 +232,7 @@ def _switch(
 def _chosen(
     problem: Problem,
     state: LoopState,
-    rates: list[Components],
+    rates: Corners,
     h: Components,
     touch: Components,
     carried: Components,
@@ -288,7 +289,7 @@ def _chosen(
     # Where a slide on an intersection ends, another mode begins: rounding must not show both.
     least = jnp.where(state.pending, 0.0, NOISE * system.eps)
     beside = unilateral.beside(left) if system.resets else left
-    chosen, count = filippov.choose(system.m, rates, beside, tuple(on), grid.direction, least)
+    chosen, count = _chosen_on(system, rates, beside, tuple(on), grid.direction, least)
     count = jnp.where(decide, count, jnp.maximum(count, 1))
     if led is None:
         return where(decide, chosen, left), count
@@ -334,9 +335,30 @@ def _left_by_reset(
     return tuple(modes), tuple(open_)
 
 
+def _chosen_on(
+    system: ComponentSystem,
+    rates: Corners,
+    mode: Components,
+    on: Components,
+    direction: Array,
+    least: Array,
+) -> tuple[Components, Array]:
+    """`filippov.choose`, whose many candidates are tried only where the state is on a surface."""
+
+    def choose(rates: Corners, mode: Components, on: Components, *rest: Array) -> tuple:
+        return filippov.choose(system.m, rates, mode, on, *rest)
+
+    def same(rates: Corners, mode: Components, on: Components, *rest: Array) -> tuple:
+        return mode, jnp.ones((), jnp.int32)
+
+    if system.separate:
+        return choose(rates, mode, on, direction, least)
+    return system.where_any(any_of(on), choose, same, rates, mode, on, direction, least)
+
+
 def _rates_at_graze(
-    problem: Problem, state: LoopState, rates: list[Components], touch: Components, grazes: Array
-) -> list[Components]:
+    problem: Problem, state: LoopState, rates: Corners, touch: Components, grazes: Array
+) -> Corners:
     """dH/dt along the fields of all sides, those of a surface that is grazed told from rounding.
 
     They vanish on the side of the motion, which stays there: what is no larger than that leads to
@@ -344,10 +366,9 @@ def _rates_at_graze(
     """
     direction, dt = problem.grid.direction, abs(problem.grid.dt)
     noise = [_TANGENT * abs(r) + v / dt for r, v in zip(state.rate, touch, strict=True)]
-    return [
-        tuple(
-            jnp.where(grazes & hit & (abs(r) <= least), s * direction * least, r)
-            for r, s, hit, least in zip(row, state.mode, state.hit, noise, strict=True)
-        )
-        for row in rates
-    ]
+
+    def told(j: int, r: Array) -> Array:
+        small = grazes & state.hit[j] & (abs(r) <= noise[j])
+        return jnp.where(small, state.mode[j] * direction * noise[j], r)
+
+    return sliding_weights.map_components(told, rates)

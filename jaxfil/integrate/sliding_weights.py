@@ -1,21 +1,87 @@
 """Sliding weights: where on a surface, or on several, the blend of the fields is tangent to it.
 
 The rates dH/dt along the fields of all sides enter, with the mode of motion; the weights
-w in [−1, 1] of the surfaces slid on leave, at which the rate of the blend vanishes.
+w in [−1, 1] of the surfaces slid on leave, at which the rate of the blend vanishes. In which form
+the fields of all sides are, `Corners` says.
 """
 
 import functools as ft
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.components import Components, where
 from jaxfil.xla import small_linear
 
-# Newton iterations for the weights of an intersection at most, from one start. The system is
-# multi-affine: affine (one iteration) when each term of the field sees one side.
+
+class CornerTable(eqx.Module):
+    """Vectors on combinations of sides, as arrays: a program that does not grow with their
+    number."""
+
+    vectors: Components
+    """Each component with a leading axis of the combinations."""
+
+    @property
+    def rows(self) -> int:
+        """How many combinations."""
+        return self.vectors[0].shape[0]
+
+
+Corners: TypeAlias = Sequence[Components] | CornerTable
+"""Vectors (fields, or rates dH/dt along them) on combinations of the sides of m surfaces.
+
+- Two, on all sides + and on all sides −, where surfaces are separate.
+- m + 1, on all sides + and on those with the side of one surface after the other −, where the field
+  is affine in the sides, F = F_0 − Σ_j (1 − s_j)/2 (F_0 − F_j): all others follow.
+- All 2^m of others, in the order of `every_side`.
+
+Where they are many, a `CornerTable`.
+"""
+
+
+def every_side(m: int) -> np.ndarray:
+    """All combinations of the sides of m surfaces, shape (2^m, m), the first surface varying
+    slowest, + before −."""
+    return np.array(list(itertools.product((1.0, -1.0), repeat=m)))
+
+
+def first_corner(corners: Corners) -> Components:
+    """The vector on all sides +."""
+    if isinstance(corners, CornerTable):
+        return tuple(v[0] for v in corners.vectors)
+    return corners[0]
+
+
+def size_of(corners: Corners, j: int) -> Array:
+    """Σ |component j| over the combinations."""
+    if isinstance(corners, CornerTable):
+        return jnp.sum(abs(corners.vectors[j]), axis=0)
+    return sum((abs(v[j]) for v in corners), start=jnp.zeros_like(corners[0][j]))
+
+
+def map_components(function: Callable[..., Array], *corners: Corners) -> Corners:
+    """`function(j, *v)` of component number j of each vector, of one or more at the same corner."""
+    first = corners[0]
+    if isinstance(first, CornerTable):
+        columns = zip(*(c.vectors for c in corners if isinstance(c, CornerTable)), strict=True)
+        return CornerTable(tuple(function(j, *v) for j, v in enumerate(columns)))
+    return [
+        tuple(function(j, *v) for j, v in enumerate(zip(*vectors, strict=True)))
+        for vectors in zip(*(c for c in corners if not isinstance(c, CornerTable)), strict=True)
+    ]
+
+
+def _are_affine(corners: Corners, m: int) -> bool:
+    return (corners.rows if isinstance(corners, CornerTable) else len(corners)) == m + 1
+
+
+# Newton iterations for the weights of an intersection at most, from one start.
 _NEWTON = 20
 # The weights from which Newton's method starts if it has not found a root inside from 0.
 _START = 0.6
@@ -33,19 +99,61 @@ def mix(s: Array, w: Array, above: Components, below: Components) -> Components:
     )
 
 
-def blend(corners: Sequence[Components], mode: Components, weights: Components) -> Components:
-    """Σ_s corners[s] Π_j (1 + s_j w_j)/2, for 2^m corners in the order of
-    `ComponentSystem.corner_sides`."""
+def blend(corners: Corners, mode: Components, weights: Components) -> Components:
+    """Σ_s corners[s] Π_j (1 + s_j w_j)/2 over all combinations s of sides; not of separate
+    surfaces."""
+    if isinstance(corners, CornerTable):
+        return _weighted(corners, _shares(corners, mode, weights))
+    if _are_affine(corners, len(mode)):
+        total = corners[0]
+        for part, other in zip(map(_below, mode, weights), corners[1:], strict=True):
+            each = zip(total, corners[0], other, strict=True)
+            total = tuple(t - part * (a - b) for t, a, b in each)
+        return total
     for s, w in zip(mode, weights, strict=True):
         half = len(corners) // 2
         corners = [mix(s, w, corners[i], corners[half + i]) for i in range(half)]
     return corners[0]
 
 
-def _slope(
-    corners: Sequence[Components], mode: Components, weights: Components, j: int
-) -> Components:
+def _below(s: Array, w: Array) -> Array:
+    """The share of side − in the mode s of a surface with weight w."""
+    return jnp.where(s > 0, 0.0, jnp.where(s < 0, 1.0, 0.5 * (1 - w)))
+
+
+def _shares(
+    table: CornerTable, mode: Components, weights: Components, derivative: int | None = None
+) -> Array:
+    """The share of each row of a table in a mode with weights, or its derivative by one weight."""
+    below = jnp.stack(list(map(_below, mode, weights)))
+    m, dtype = len(mode), mode[0].dtype
+    if _are_affine(table, m):
+        if derivative is not None:
+            return jnp.asarray(0.5 * (np.eye(m + 1)[0] - np.eye(m + 1)[1 + derivative]), dtype)
+        return jnp.concatenate([1 - jnp.sum(below, keepdims=True), below])
+    minus = every_side(m) < 0
+    factors = jnp.where(minus, below, 1 - below)
+    if derivative is not None:
+        slope = jnp.asarray(0.5 * every_side(m)[:, derivative], dtype)[:, None]
+        factors = jnp.where(np.arange(m) == derivative, slope, factors)
+    return jnp.prod(factors, axis=1)
+
+
+def _weighted(table: CornerTable, share: Array) -> Components:
+    """Σ_s share_s table[s]; what has no share may be no number."""
+    shares = [share.reshape(-1, *(1,) * (v.ndim - 1)) for v in table.vectors]
+    return tuple(
+        jnp.sum(jnp.where(p == 0, 0.0, p * v), axis=0)
+        for p, v in zip(shares, table.vectors, strict=True)
+    )
+
+
+def _slope(corners: Corners, mode: Components, weights: Components, j: int) -> Components:
     """∂ blend/∂w_j."""
+    if isinstance(corners, CornerTable):
+        return _weighted(corners, _shares(corners, mode, weights, j))
+    if _are_affine(corners, len(mode)):
+        return tuple(0.5 * (a - b) for a, b in zip(corners[0], corners[1 + j], strict=True))
     for i, (s, w) in enumerate(zip(mode, weights, strict=True)):
         half = len(corners) // 2
         pairs = [(corners[k], corners[half + k]) for k in range(half)]
@@ -74,21 +182,19 @@ def _single_weight_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     return w, jnp.where(slides, change, 0.0)
 
 
-def weights(mode: Components, rates: Sequence[Components]) -> Components:
+def weights(mode: Components, rates: Corners) -> Components:
     """The weights of a mode: ±1 off a surface, the solution of dH/dt(w) = 0 on it.
 
-    `rates[s][j]` is dH_j/dt along the field of corner s. The solution may lie outside [−1, 1]:
+    `rates` are dH_j/dt along the fields of the corners. The solution may lie outside [−1, 1]:
     beyond the end of a slide it is the smooth continuation that root finding needs.
     """
     return weights_and_determinant(mode, rates)[0]
 
 
-def weights_and_determinant(
-    mode: Components, rates: Sequence[Components]
-) -> tuple[Components, Array]:
+def weights_and_determinant(mode: Components, rates: Corners) -> tuple[Components, Array]:
     """`weights`, and |det ∂(dH/dt)/∂w| of the surfaces slid on, 1 where there is none. Where that
     vanishes the weights are undetermined: at a two-fold, or where two roots meet."""
-    if len(rates) == 2:
+    if not isinstance(rates, CornerTable) and len(rates) == 2:
         each = list(zip(mode, *rates, strict=True))
         w = tuple(_single_weight(s, above, below) for s, above, below in each)
         sizes = [jnp.where(s == 0, 0.5 * abs(below - above), 1) for s, above, below in each]
@@ -98,9 +204,11 @@ def weights_and_determinant(
 
 
 @jax.custom_jvp
-def _implicit_weights(mode: Components, rates: Sequence[Components]) -> Components:
+def _implicit_weights(mode: Components, rates: Corners) -> Components:
     """`weights` on several surfaces. Their derivative is the implicit one, made of the weights
     themselves: derivatives of every order are exact."""
+    if _are_affine(rates, len(mode)):
+        return _newton(mode, rates, mode)
     root = _root_of_two(mode, rates) if len(mode) == 2 else _root_of_many(mode, rates)
     return _newton(mode, rates, root)
 
@@ -113,7 +221,7 @@ def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, 
     return w, tuple(jnp.where(s == 0, -v, 0.0) for s, v in zip(mode, change, strict=True))
 
 
-def _root_of_two(mode: Components, rates: Sequence[Components]) -> Components:
+def _root_of_two(mode: Components, rates: Any) -> Components:
     """A point from which one Newton iteration leads to the weights of a mode of two surfaces.
 
     Where both are slid on, dH_j/dt = a_j + b_j w_1 + c_j w_2 + d_j w_1 w_2 = 0 leave a quadratic
@@ -147,7 +255,7 @@ def _near(a: Array, b: Array) -> Array:
     return jnp.where(abs(a) < _FAR * abs(b), a / jnp.where(b == 0, 1, b), 0)
 
 
-def _root_of_many(mode: Components, rates: Sequence[Components]) -> Components:
+def _root_of_many(mode: Components, rates: Corners) -> Components:
     """The weights of a mode of three surfaces or more by Newton's method, from 0 and, until a root
     inside is found, from a point in each corner; if none is inside, that from 0."""
     m, eps = len(mode), jnp.finfo(mode[0].dtype).eps
@@ -169,7 +277,7 @@ def _root_of_many(mode: Components, rates: Sequence[Components]) -> Components:
         attempt = k // _NEWTON
         again = (k % _NEWTON == 0) & ~done
         size = jnp.where(attempt == last, 0.0, _START)
-        corner = [jnp.where((attempt >> j) & 1 == 0, size, -size) for j in range(m)]
+        corner = [jnp.where(attempt % 2 ** (j + 1) < 2**j, size, -size) for j in range(m)]
         start = tuple(jnp.where(s == 0, v, s) for s, v in zip(mode, corner, strict=True))
         return where(again, start, better), ~done, k
 
@@ -178,21 +286,21 @@ def _root_of_many(mode: Components, rates: Sequence[Components]) -> Components:
     return w
 
 
-def _newton(mode: Components, rates: Sequence[Components], w: Components) -> Components:
+def _newton(mode: Components, rates: Corners, w: Components) -> Components:
     """One Newton iteration for the weights of the surfaces slid on."""
     update = _correction(mode, rates, w, blend(rates, mode, w))
     return tuple(a - b for a, b in zip(w, update, strict=True))
 
 
 def _correction(
-    mode: Components, rates: Sequence[Components], w: Components, residual: Components
+    mode: Components, rates: Corners, w: Components, residual: Components
 ) -> list[Array]:
     """What Newton's method takes from the weights of the surfaces slid on, given dH/dt."""
     right = [jnp.where(s == 0, v, 0.0) for s, v in zip(mode, residual, strict=True)]
     return small_linear.solve_small(_matrix(mode, rates, w), right)
 
 
-def _matrix(mode: Components, rates: Sequence[Components], w: Components) -> list[list[Array]]:
+def _matrix(mode: Components, rates: Corners, w: Components) -> list[list[Array]]:
     """∂(dH_j/dt)/∂w_i of the surfaces slid on, with rows of the identity for the others."""
     slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
     matrix = []

@@ -1,14 +1,16 @@
-"""Small dense linear systems, unrolled.
+"""Small dense linear systems.
 
 A k×k matrix as lists of scalars enters; its solution leaves, by elimination with partial pivoting
 in plain arithmetic: in a batch each scalar is an array of lanes, where a LAPACK call a lane would
-cost microseconds.
+cost microseconds. Two unknowns are written out; of more, a loop over the columns is a program that
+does not grow with their number.
 """
 
 from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -17,6 +19,9 @@ def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> li
     """x of A x = b. A column without a usable pivot leaves its unknown at 0: a consistent singular
     system (the same surface listed twice) then still gets a solution."""
     k = len(right)
+    if k > _WRITTEN_OUT:
+        found = _substituted(_eliminated_array(_equilibrated_array(matrix, right)))
+        return [found[i] for i in range(k)]
     rows = [_equilibrated([*row, b]) for row, b in zip(matrix, right, strict=True)]
     rows = _eliminated(rows, k)
     x: list[Array] = [rows[0][k]] * k
@@ -31,13 +36,62 @@ def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> li
 def size_of_determinant(matrix: Sequence[Sequence[Array]]) -> Array:
     """|det A|, and 0 where a pivot is nothing but rounding."""
     k = len(matrix)
-    rows = _eliminated([_equilibrated([*row, row[0]])[:k] for row in matrix], k)
+    scales = [_scale(row) for row in matrix]
+    if k > _WRITTEN_OUT:
+        upper = _eliminated_array(_equilibrated_array(matrix, scales))
+        pivots = [upper[i, i] for i in range(k)]
+    else:
+        rows = _eliminated([_equilibrated([*row, row[0]])[:k] for row in matrix], k)
+        pivots = [row[i] for i, row in enumerate(rows)]
     size: Any = 1.0
-    for i, row in enumerate(matrix):
-        pivot = abs(rows[i][i])
+    for pivot, scale in zip(map(abs, pivots), scales, strict=True):
         rounding = pivot <= 64 * jnp.finfo(pivot.dtype).eps
-        size = size * jnp.where(rounding, 0, pivot) * _scale(row)
+        size = size * jnp.where(rounding, 0, pivot) * scale
     return size
+
+
+# Unknowns of a system at most that is written out.
+_WRITTEN_OUT = 2
+
+
+def _equilibrated_array(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> Array:
+    """`_equilibrated` of all rows, shape (k, k + 1)."""
+    rows = jnp.stack([jnp.stack([*row, b]) for row, b in zip(matrix, right, strict=True)])
+    scale = jnp.sum(abs(rows[:, :-1]), axis=1, keepdims=True)
+    return rows / jnp.where(scale == 0, 1, scale)
+
+
+def _eliminated_array(rows: Array) -> Array:
+    """`_eliminated` of an array, column by column. Rows are chosen by sums of ones and zeros, not
+    by their number: lanes that choose others then run side by side."""
+    number = jnp.arange(len(rows))
+
+    def column(i: Array, rows: Array) -> Array:
+        entries = jnp.sum(jnp.where(jnp.arange(rows.shape[1]) == i, rows, 0), axis=1)
+        best = jnp.argmax(jnp.where(number >= i, abs(entries), -1))
+        here, there = ((number == k)[:, None] for k in (i, best))
+        upper, lower = (jnp.sum(jnp.where(flag, rows, 0), axis=0) for flag in (there, here))
+        rows = jnp.where(here, upper, jnp.where(there, lower, rows))
+        entries = jnp.sum(jnp.where(jnp.arange(rows.shape[1]) == i, rows, 0), axis=1)
+        pivot = jnp.sum(jnp.where(number == i, entries, 0))
+        factor = jnp.where(number > i, _quotient(entries, pivot), 0)
+        return rows - factor[:, None] * upper
+
+    return jax.lax.fori_loop(0, len(rows), column, rows)
+
+
+def _substituted(rows: Array) -> Array:
+    """x of the upper triangular system with its right-hand side in the last column."""
+    number, k = jnp.arange(len(rows)), len(rows)
+
+    def unknown(count: Array, x: Array) -> Array:
+        i = k - 1 - count
+        row = jnp.sum(jnp.where((number == i)[:, None], rows, 0), axis=0)
+        pivot = jnp.sum(jnp.where(number == i, row[:-1], 0))
+        rest = row[-1] - jnp.sum(jnp.where(number > i, row[:-1] * x, 0))
+        return jnp.where(number == i, _quotient(rest, pivot), x)
+
+    return jax.lax.fori_loop(0, k, unknown, jnp.zeros_like(rows[:, -1]))
 
 
 def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:

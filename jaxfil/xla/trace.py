@@ -127,6 +127,16 @@ class Traced:
         out = _dependencies(jaxpr, self._no_consts(), flags)
         return jax.tree.unflatten(self._tree, list(map(np.asarray, out)))
 
+    def is_affine(self, *args: Any) -> bool:
+        """Whether all results are affine in the flagged arguments, as far as the operations say."""
+        jaxpr = self._closed.jaxpr
+        degrees = [
+            np.full(v.aval.shape, int(flag))
+            for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
+        ]
+        consts = [np.zeros(np.shape(c), int) for c in self._closed.consts]
+        return all(np.all(d <= 1) for d in _degrees(jaxpr, consts, degrees))
+
 
 def _without_derivatives(jaxpr: Any) -> str | None:
     for eqn in jaxpr.eqns:
@@ -298,3 +308,64 @@ def _dependencies(
             outputs = [np.full(shape, some) for shape in shapes]
         values.update(zip(eqn.outvars, outputs, strict=True))
     return [read(v) for v in jaxpr.outvars]
+
+
+# More than affine.
+_CURVED = 2
+# Operations that are linear in their operands of these numbers, given all others.
+_LINEAR = {
+    "cumsum": (0,),
+    "dynamic_slice": (0,),
+    "dynamic_update_slice": (0, 1),
+    "gather": (0,),
+    "pad": (0, 1),
+    "scatter": (0, 2),
+    "scatter-add": (0, 2),
+    "scatter_add": (0, 2),
+}
+
+
+def _degrees(jaxpr: Any, consts: Sequence[np.ndarray], args: Sequence[np.ndarray]) -> list:
+    """The degree of each number in the arguments of degree 1, through a jaxpr: 0, 1, or `_CURVED`
+    for whatever else."""
+    values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
+    values.update(zip(jaxpr.invars, args, strict=True))
+
+    def read(atom: Any) -> np.ndarray:
+        shape = atom.aval.shape
+        return np.zeros(shape, int) if isinstance(atom, jexc.Literal) else np.asarray(values[atom])
+
+    for eqn in jaxpr.eqns:
+        inputs = [read(v) for v in eqn.invars]
+        if eqn.primitive.name in _CALLS:
+            inner = eqn.params["jaxpr"]
+            none = [np.zeros(np.shape(c), int) for c in inner.consts]
+            outputs = _degrees(inner.jaxpr, none, inputs)
+        elif eqn.primitive.name in elements.MOVES:
+            shape = eqn.outvars[0].aval.shape
+            outputs = [elements.moved(eqn.primitive.name, eqn.params, inputs, shape)]
+        else:
+            outputs = [np.broadcast_to(_degree(eqn, inputs), v.aval.shape) for v in eqn.outvars]
+        values.update(zip(eqn.outvars, outputs, strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
+def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:
+    """The degree of what one operation gives, number by number where that is easily told."""
+    name, highest = eqn.primitive.name, [int(np.max(d, initial=0)) for d in inputs]
+    if name in ("add", "add_any", "sub", "neg", "convert_element_type", "copy"):
+        return ft.reduce(np.maximum, inputs)
+    if name == "mul":
+        return np.minimum(inputs[0] + inputs[1], _CURVED)
+    if name == "div" and highest[1] == 0:
+        return inputs[0]
+    if name == "select_n" and highest[0] == 0:
+        return ft.reduce(np.maximum, inputs[1:])
+    if name == "reduce_sum":
+        return np.max(inputs[0], axis=tuple(eqn.params["axes"]), initial=0)
+    if name == "dot_general":
+        return min(sum(highest), _CURVED)
+    numbers = _LINEAR.get(name, ())
+    if numbers and not any(d for k, d in enumerate(highest) if k not in numbers):
+        return max(highest[k] for k in numbers)
+    return _CURVED if any(highest) else 0
