@@ -47,8 +47,8 @@ from jaxfil.integrate.sliding_weights import (
     weights,
 )
 
-# Combinations of sides at most that are written out; more are a table, which compiles no faster
-# than five.
+# Combinations of sides at most that are written out; more are a table. One of five or fewer would
+# take longer to compile.
 _WRITTEN_OUT = 5
 
 

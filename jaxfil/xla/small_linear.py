@@ -14,6 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+# Unknowns of a system at most that is written out.
+_WRITTEN_OUT = 2
+
 
 def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> list[Array]:
     """x of A x = b. A column without a usable pivot leaves its unknown at 0: a consistent singular
@@ -48,10 +51,6 @@ def size_of_determinant(matrix: Sequence[Sequence[Array]]) -> Array:
         rounding = pivot <= 64 * jnp.finfo(pivot.dtype).eps
         size = size * jnp.where(rounding, 0, pivot) * scale
     return size
-
-
-# Unknowns of a system at most that is written out.
-_WRITTEN_OUT = 2
 
 
 def _equilibrated_array(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> Array:

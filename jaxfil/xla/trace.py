@@ -275,39 +275,54 @@ def _summed(eqn: Any, a: Array, b: Array) -> Array:
     return jnp.sum(rows * columns, axis=summed)
 
 
+def _through(
+    jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], rule: Callable, kind: type
+) -> list[Any]:
+    """What is known of each number, as arrays of a kind that is False or 0 of a constant, through a
+    jaxpr: what only moves numbers about moves it too, and `rule(eqn, inputs)` is that of any other
+    operation."""
+    values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
+    values.update(zip(jaxpr.invars, args, strict=True))
+
+    def read(atom: Any) -> Any:
+        shape = atom.aval.shape
+        return np.zeros(shape, kind) if isinstance(atom, jexc.Literal) else values[atom]
+
+    for eqn in jaxpr.eqns:
+        inputs = [read(v) for v in eqn.invars]
+        name = eqn.primitive.name
+        if name in _CALLS:
+            inner = eqn.params["jaxpr"]
+            none = [np.zeros(np.shape(c), kind) for c in inner.consts]
+            outputs = _through(inner.jaxpr, none, inputs, rule, kind)
+        elif name in elements.MOVES:
+            shape = eqn.outvars[0].aval.shape
+            outputs = [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
+        else:
+            outputs = rule(eqn, inputs)
+        values.update(zip(eqn.outvars, outputs, strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
 def _dependencies(
     jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], sources: Collection[str] = ()
 ) -> list[_Flags]:
     """Element-wise dependency flags through a jaxpr; what the primitives `sources` give is
     flagged."""
-    values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
-    values.update(zip(jaxpr.invars, args, strict=True))
 
-    def read(atom: Any) -> _Flags:
-        shape = atom.aval.shape
-        return np.zeros(shape, bool) if isinstance(atom, jexc.Literal) else values[atom]
-
-    for eqn in jaxpr.eqns:
-        inputs = [read(v) for v in eqn.invars]
-        name, shapes = eqn.primitive.name, [v.aval.shape for v in eqn.outvars]
-        if name in sources:
-            outputs = [np.ones(shape, bool) for shape in shapes]
-        elif name in _CALLS:
-            inner = eqn.params["jaxpr"]
-            none = [np.zeros(np.shape(c), bool) for c in inner.consts]
-            outputs = _dependencies(inner.jaxpr, none, inputs, sources)
-        elif name in elements.MOVES:
-            outputs = [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shapes[0])]
-        elif len(shapes) == 1 and all(x.shape in ((), shapes[0]) for x in inputs):
+    def flags(eqn: Any, inputs: Sequence[_Flags]) -> list[_Flags]:
+        shapes = [v.aval.shape for v in eqn.outvars]
+        if eqn.primitive.name in sources:
+            return [np.ones(shape, bool) for shape in shapes]
+        if len(shapes) == 1 and all(x.shape in ((), shapes[0]) for x in inputs):
             flag = np.zeros(shapes[0], bool)
             for x in inputs:
                 flag = flag | x
-            outputs = [flag]
-        else:
-            some = any(bool(np.any(x)) for x in inputs)
-            outputs = [np.full(shape, some) for shape in shapes]
-        values.update(zip(eqn.outvars, outputs, strict=True))
-    return [read(v) for v in jaxpr.outvars]
+            return [flag]
+        some = any(bool(np.any(x)) for x in inputs)
+        return [np.full(shape, some) for shape in shapes]
+
+    return _through(jaxpr, consts, args, flags, bool)
 
 
 # More than affine.
@@ -328,26 +343,11 @@ _LINEAR = {
 def _degrees(jaxpr: Any, consts: Sequence[np.ndarray], args: Sequence[np.ndarray]) -> list:
     """The degree of each number in the arguments of degree 1, through a jaxpr: 0, 1, or `_CURVED`
     for whatever else."""
-    values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
-    values.update(zip(jaxpr.invars, args, strict=True))
 
-    def read(atom: Any) -> np.ndarray:
-        shape = atom.aval.shape
-        return np.zeros(shape, int) if isinstance(atom, jexc.Literal) else np.asarray(values[atom])
+    def degrees(eqn: Any, inputs: Sequence[np.ndarray]) -> list:
+        return [np.broadcast_to(_degree(eqn, inputs), v.aval.shape) for v in eqn.outvars]
 
-    for eqn in jaxpr.eqns:
-        inputs = [read(v) for v in eqn.invars]
-        if eqn.primitive.name in _CALLS:
-            inner = eqn.params["jaxpr"]
-            none = [np.zeros(np.shape(c), int) for c in inner.consts]
-            outputs = _degrees(inner.jaxpr, none, inputs)
-        elif eqn.primitive.name in elements.MOVES:
-            shape = eqn.outvars[0].aval.shape
-            outputs = [elements.moved(eqn.primitive.name, eqn.params, inputs, shape)]
-        else:
-            outputs = [np.broadcast_to(_degree(eqn, inputs), v.aval.shape) for v in eqn.outvars]
-        values.update(zip(eqn.outvars, outputs, strict=True))
-    return [read(v) for v in jaxpr.outvars]
+    return _through(jaxpr, consts, args, degrees, int)
 
 
 def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:
