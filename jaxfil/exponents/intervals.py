@@ -20,7 +20,6 @@ def counts_of(periods: int, transient: int, steps: int) -> Counts:
     """Whole numbers as traced values, so that new ones compile nothing."""
     periods = check.count("periods", periods)
     transient = check.count("transient", transient, least=0)
-    steps = check.count("steps", steps)
     check.number_of_steps(steps, periods=periods, transient=transient)
     whole = jnp.int32
     return jnp.asarray(periods, whole), jnp.asarray(transient, whole), jnp.asarray(steps, whole)

@@ -20,6 +20,7 @@ from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish
 from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods, period_outcome
 from jaxfil.integrate.state import LoopState, is_running
+from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.drawing import draw
@@ -80,7 +81,7 @@ def lyapunov_spectrum(
     *,
     periods: int = 1000,
     transient: int = 200,
-    steps: int = 40,
+    steps: int | StepChoice = 40,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
     compact: bool | None = None,
@@ -103,7 +104,7 @@ def lyapunov_spectrum(
     - `system`: any `System`.
     - `x0`: initial state, shape (n,).
     - `periods`, `transient`: forcing periods averaged over, and run before.
-    - `steps`: steps per forcing period.
+    - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`.
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one. Within an interval the ratio of two directions' growths must stay far from 1/eps.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
@@ -131,6 +132,7 @@ def lyapunov_spectrum(
     check.system("system", system)
     system = cast(system, x.dtype)
     duration = interval_of(system, interval, x.dtype)
+    steps, stepper = steps_and_stepper(steps, stepper, system)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
     compact = is_compact_sweep(compact, lanes_of((system, x)), (transient + periods) * steps)

@@ -24,6 +24,7 @@ from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish, integrate_in_kernel
 from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods, period_outcome
 from jaxfil.integrate.state import is_running
+from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
@@ -44,7 +45,7 @@ def synchronization_exponent(
     *,
     periods: int = 1500,
     transient: int = 200,
-    steps: int = 40,
+    steps: int | StepChoice = 40,
     tolerance: Scalar = 1e-10,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
@@ -68,7 +69,7 @@ def synchronization_exponent(
     - `periods`: forcing periods that drive and response are given; short runs find too large an
       exponent, as `Synchronization.bias` tells.
     - `transient`: forcing periods that the drive runs before.
-    - `steps`: steps per forcing period.
+    - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`.
     - `tolerance`: the distance that counts as synchronised, positive, in units of the state. Too
       large a one is met by chance in the middle of chaos: 1e-3 finds almost any coupling to
       synchronise.
@@ -107,6 +108,7 @@ def synchronization_exponent(
         raise ValueError(f"`couplings` must be ascending, got {values}.")
     duration = interval_of(system, interval, x.dtype)
     within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
+    steps, stepper = steps_and_stepper(steps, stepper, system)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
     lanes = lanes_of((system, x, grid)) * grid.shape[0]
@@ -212,7 +214,7 @@ def transverse_exponent(
     coupling: Scalar = 0.0,
     periods: int = 2000,
     transient: int = 200,
-    steps: int = 40,
+    steps: int | StepChoice = 40,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
     compact: bool | None = None,
@@ -231,7 +233,7 @@ def transverse_exponent(
     - `x0`: initial state of the drive, shape (n,).
     - `coupling`: ε, per unit of time.
     - `periods`, `transient`: forcing periods averaged over, and run before by the drive alone.
-    - `steps`: steps per forcing period.
+    - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`.
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
@@ -259,6 +261,7 @@ def transverse_exponent(
     system = cast(system, x.dtype)
     strength = check.scalar("coupling", coupling, x.dtype)
     duration = interval_of(system, interval, x.dtype)
+    steps, stepper = steps_and_stepper(steps, stepper, system)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
     lanes = lanes_of((system, x, strength))

@@ -161,13 +161,29 @@ class ComponentSystem(eqx.Module):
     _field: Any
     _switching: Any
     _reset: Any
+    clocks: tuple[tuple[Array, Array], ...]
+    """Periods and phases of the clocks."""
     _opaque_one: Array | None
     """1, as a number that the compiler does not know."""
+    window: tuple[Array, Array] | None = None
+    """The times that functions are held between: see `clocks`."""
+
+    def held(self, t: Array) -> Array:
+        """A time as the functions of the system are given it."""
+        if self.window is None:
+            return t
+        low, high = self.window
+        return t + jax.lax.stop_gradient(jnp.clip(t, low, high) - t)
 
     @property
     def eps(self) -> float:
         """Machine epsilon of the precision."""
         return float(jnp.finfo(self.dtype).eps)
+
+    @property
+    def fence(self) -> Array | None:
+        """That of the functions of a lane: see `ParametrizedFunction`."""
+        return self._switching.fence
 
     def once(self, function: Callable, *args: Any) -> Any:
         """`function(*args)`, each argument and each result computed once.
@@ -207,7 +223,7 @@ class ComponentSystem(eqx.Module):
 
     def forcing_at(self, t: Array) -> Forcing:
         """What the field takes of time alone and is dear, at one time."""
-        return self._field.ahead(t)
+        return self._field.ahead(self.held(t))
 
     def field(
         self,
@@ -219,15 +235,15 @@ class ComponentSystem(eqx.Module):
     ) -> Components:
         """F(t, x, sides), sides exactly ±1, with what `forcing` has found for t, if it is given.
         `alone`: all that is made of it is one vector, blended or not."""
-        return self._field(t, x, sides, alone=alone, known=forcing)
+        return self._field(self.held(t), x, sides, alone=alone, known=forcing)
 
     def switching(self, t: Array, x: Components) -> Components:
         """H(t, x)."""
-        return self._switching(t, x)
+        return self._switching(self.held(t), x)
 
     def reset(self, t: Array, x: Components, surface: Array) -> Components:
         """The state after an impact on `surface`."""
-        return self._reset(t, x, jnp.asarray(surface, jnp.int32))
+        return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
 
     def rate(self, t: Array, x: Components, f: Components) -> Components:
         """dH/dt along the direction (1, f)."""
@@ -283,8 +299,15 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
         _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
+        clocks=_clocks(system, dtype),
         _opaque_one=opaque_one,
     )
+
+
+def _clocks(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
+    """Periods and phases of a system's clocks."""
+    pairs = [(clock.period, clock.phase) for clock in check.clocks(system)]
+    return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)
 
 
 def _check_sharding(x0: Array) -> None:

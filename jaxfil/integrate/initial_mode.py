@@ -13,7 +13,15 @@ from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate import accumulation, filippov, impact, sliding_weights, unilateral
+from jaxfil.integrate import (
+    accumulation,
+    clocks,
+    crossing,
+    filippov,
+    impact,
+    sliding_weights,
+    unilateral,
+)
 from jaxfil.integrate.components import Components, ComponentSystem, all_finite, any_of
 from jaxfil.integrate.guards import guards, stays_on, surface_noise
 from jaxfil.integrate.mode_switch import with_reactions
@@ -146,6 +154,8 @@ def _start(problem: Problem, x: Components) -> _Start:
 
 def initial_state(problem: Problem, x: Components) -> LoopState:
     """The lane at t0."""
+    ticks = clocks.first_ticks(problem) if problem.system.clocks else None
+    problem = clocks.between_ticks(problem, ticks)
     system, recording = problem.system, problem.recording
     start = _start(problem, x)
     tau = jnp.zeros((), system.dtype)
@@ -182,7 +192,10 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         result=_first_result(problem, x, start),
         table=empty_table(system, recording.max_events),
         saves=empty_saves(system, recording),
+        ticks=ticks,
+        left=() if ticks is None or system.m == 0 else tuple(map(jnp.zeros_like, x)),
     )
+    state = crossing.begin(problem, state)
     return state if system.m == 0 else _varied(state)
 
 
@@ -194,7 +207,8 @@ def _varied(state: LoopState) -> LoopState:
     """
 
     def kept(state: LoopState) -> list:
-        records = [record for record in (state.table, state.saves) if record is not None]
+        kept = (state.table, state.saves, state.crossings)
+        records = [record for record in kept if record is not None]
         return [state.tau, *state.x, *(v for record in records for v in (record.ts, record.xs))]
 
     return eqx.tree_at(

@@ -3,10 +3,14 @@
 A `Problem` and the `LoopState` of a lane enter; the `Length` of the next trial step leaves.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.clocks import next_tick
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState
 
@@ -26,6 +30,8 @@ class Length(eqx.Module):
     """a grid point,"""
     saving: Array
     """or a time to be saved."""
+    ticking: Array | None = None
+    """Whether a clock ticks there; None without clocks."""
 
 
 def choose_length(problem: Problem, state: LoopState) -> Length:
@@ -41,12 +47,42 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
         saving = (state.num_saved < count) & (ahead <= same)
         gridded = ~saving | (ahead >= -same)
         target = jnp.where(gridded, target, at)
+    ticking = None
+    if state.ticks is not None:
+        tick = next_tick(problem, state.ticks)
+        ahead = stop_gradient(tick - target) * grid.direction
+        same = grid.same_time(target)
+        ticking, before = ahead <= same, ahead < -same
+        target = jnp.where(before, tick, target)
+        gridded, saving = gridded & ~before, saving & ~before
     full = target - state.tau
     if problem.system.m == 0:
-        return Length(full, target, full * 0, saving & False, (saving & False) | gridded, saving)
+        gridded = (saving & False) | gridded
+        return _to_crossing(
+            state, Length(full, target, full * 0, saving & False, gridded, saving, ticking)
+        )
     full = full - state.rest
     cutting = (state.cut != 0) & (abs(state.cut) < abs(full)) & ~state.pending
     whole = ~state.pending & ~cutting
     h = jnp.where(cutting, state.cut, jnp.where(state.pending, 0.0, full))
     end = jnp.where(whole, target, state.tau + h)
-    return Length(h, end, full - h, cutting, gridded & whole, saving & whole)
+    length = Length(h, end, full - h, cutting, gridded & whole, saving & whole)
+    if ticking is not None:
+        length = dataclasses.replace(length, ticking=ticking & whole)
+    return _to_crossing(state, length)
+
+
+def _to_crossing(state: LoopState, length: Length) -> Length:
+    """The length of a trial step that only looks for a crossing, where one is sought."""
+    if state.watch is None:
+        return length
+    seeking, h = state.watch.seeking, state.watch.length
+    return Length(
+        h=jnp.where(seeking, h, length.h),
+        end=jnp.where(seeking, state.tau + h, length.end),
+        room=jnp.where(seeking, length.h + length.room - h, length.room),
+        cutting=length.cutting & ~seeking,
+        gridded=length.gridded & ~seeking,
+        saving=length.saving & ~seeking,
+        ticking=None if length.ticking is None else length.ticking & ~seeking,
+    )

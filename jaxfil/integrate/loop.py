@@ -32,6 +32,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate import clocks, crossing
 from jaxfil.integrate.components import Components, Forcing, all_finite, any_of, where
 from jaxfil.integrate.event_location import Contact, Landing, find_contact, land, missing_time
 from jaxfil.integrate.filippov import ModeField
@@ -55,7 +56,7 @@ _FROZEN = 12
 # balls on each other come to rest in some hundreds, each of which takes a few percent.
 _CHAIN = 4096
 # What an iteration does with its trial step.
-_IDLE, _REJECT, _ACCEPT, _LAND, _TOUCH, _SWITCH, _FAIL = map(float, range(7))
+_IDLE, _REJECT, _ACCEPT, _LAND, _TOUCH, _SWITCH, _SEEK, _FAIL = map(float, range(8))
 # What can go wrong in it, in the order in which it is told.
 _FAILURES = (
     RESULTS.nonfinite,
@@ -89,6 +90,7 @@ class _Judgement(eqx.Module):
 
 def advance(problem: Problem, state: LoopState) -> LoopState:
     """One iteration. A lane that has come to its end stays as it is."""
+    problem = clocks.between_ticks(problem, state.ticks)
     length = choose_length(problem, state)
     times = problem.tableau.times
     times = times[-1:] if problem.compact else times
@@ -138,8 +140,16 @@ def judge(
         tries=jnp.where(contact.found, state.tries + 1, 0),
         frozen=frozen,
     )
-    action = _action(problem, state, judgement)
-    return _carried_out(problem, state, length, judgement, action)
+    action, seen = _action(problem, state, judgement), None
+    if problem.watched is not None:
+        on = is_running(problem.grid, state)
+        lands = (action == _LAND) | (action == _TOUCH)
+        h = length.h + jnp.where(lands, judgement.landing.delta, 0.0)
+        seen = crossing.look(problem, state, end, h, lands | (action == _ACCEPT))
+        seen = dataclasses.replace(seen, seeks=on & seen.seeks)
+        action = jnp.where(seen.seeks, _SEEK, action)
+        action = jnp.where(on & ~all_finite(seen.sight.value), _FAIL, action)
+    return _carried_out(problem, state, length, judgement, action, seen)
 
 
 def _too_long(
@@ -166,7 +176,11 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     action = jnp.where(state.pending, _SWITCH, action)
     failures = [~all_finite(end.x, end.f, end.g, (judged.contact.theta,))]
     most = problem.recording.max_events
-    full = jnp.zeros((), bool) if most is None else state.pending & (state.num_events >= most)
+    full = (
+        jnp.zeros((), bool)
+        if most is None
+        else clocks.is_contact(state) & (state.num_events >= most)
+    )
     failures.append(full)
     failures.append((end.num_modes > 1) & (~found | state.pending))
     slid = jnp.zeros((), bool) if system.slides else any_of(tuple(s == 0 for s in end.mode))
@@ -194,9 +208,15 @@ def _outcome(action: Array, result: RESULTS) -> RESULTS:
 
 
 def _carried_out(
-    problem: Problem, state: LoopState, length: Length, judged: _Judgement, action: Array
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    judged: _Judgement,
+    action: Array,
+    seen: crossing.Seen | None,
 ) -> LoopState:
-    """The lane after what `action` says: accepted, rejected, landed or switched."""
+    """The lane after what `action` says: accepted, rejected, landed or switched, or taken back to
+    look for what is `seen` of its sections."""
     grid, end, landing = problem.grid, judged.end, judged.landing
     lands, rejected = (action == _LAND) | (action == _TOUCH), action == _REJECT
     accepted, switched = action == _ACCEPT, action == _SWITCH
@@ -214,7 +234,9 @@ def _carried_out(
         hit = where(switched, end.next, hit)
         settled = None if settled is None else switched & (end.jump > 0)
     tau, rest = later(state.tau, state.rest, h)
-    exact = gridded | (lands & landing.jumped)
+    ticking = None if length.ticking is None else length.ticking & accepted & moved
+    exact = gridded | (lands & landing.jumped) | (ticking if ticking is not None else False)
+    made = switched & clocks.is_contact(state)
     after = dataclasses.replace(
         state,
         tau=jnp.where(exact, end.tau, tau),
@@ -242,11 +264,15 @@ def _carried_out(
         contact_tau=jnp.where(switched, stop_gradient(end.tau), state.contact_tau),
         num_iterations=state.num_iterations + is_running(grid, state).astype(jnp.int32),
         num_accepted=state.num_accepted + (moved & accepted).astype(jnp.int32),
-        num_events=state.num_events + switched.astype(jnp.int32),
+        num_events=state.num_events + made.astype(jnp.int32),
         result=_outcome(action, state.result),
-        table=record_event(problem, state, end, switched),
+        table=record_event(problem, state, end, made),
     )
-    return _keep(problem, state, after, end, moved, gridded, saving)
+    if ticking is not None:
+        after = clocks.follow(problem, state, after, end, (ticking, switched))
+    after = _keep(problem, state, after, end, moved, gridded, saving)
+    went = moved, lands, switched, landing.delta
+    return crossing.follow(problem, state, after, end, seen, went)
 
 
 def _chosen(flag: Array, new: Any, old: Any) -> Any:
@@ -279,21 +305,31 @@ def _accept_smooth(problem: Problem, state: LoopState, length: Length, trial: Tr
     on = is_running(problem.grid, state)
     finite = all_finite(end.x, end.f)
     ok = finite & ~_too_long(problem, state, length, trial, end) & on
+    seen = None
+    if problem.watched is not None:
+        seen = crossing.look(problem, state, end, length.h, ok)
+        seen = dataclasses.replace(seen, seeks=seen.seeks & on)
+        finite = finite & all_finite(seen.sight.value)
+        ok = ok & ~seen.seeks & finite
     saving, gridded = length.saving & ok, length.gridded & ok
-    moved = ok & ~(saving & ~gridded)
+    moved, false = ok & ~(saving & ~gridded), jnp.zeros((), bool)
+    fine = ok if seen is None else ok | seen.seeks
     failure = RESULTS.where(finite, RESULTS.step_too_long, RESULTS.nonfinite)
+    ticks, x, f = clocks.tick(problem, state, end, length.ticking, moved)
     after = dataclasses.replace(
         state,
         tau=jnp.where(moved, end.tau, state.tau),
-        x=where(moved, end.x, state.x),
-        f=where(moved, end.f, state.f),
+        x=where(moved, x, state.x),
+        f=where(moved, f, state.f),
+        ticks=ticks,
         size=where(moved, end.size, state.size),
         index=state.index + gridded.astype(jnp.int32),
         num_iterations=state.num_iterations + on.astype(jnp.int32),
         num_accepted=state.num_accepted + moved.astype(jnp.int32),
-        result=RESULTS.where(ok | ~on, state.result, failure),
+        result=RESULTS.where(fine | ~on, state.result, failure),
     )
-    return _keep(problem, state, after, end, moved, gridded, saving)
+    after = _keep(problem, state, after, end, moved, gridded, saving)
+    return crossing.follow(problem, state, after, end, seen, (moved, false, false, 0 * length.h))
 
 
 def _keep(
@@ -331,7 +367,7 @@ def integrate_with_checkpoints(
     """`integrate`, for derivatives in reverse mode, in at most `max_iterations` iterations of which
     so many are kept: by default Equinox's own choice."""
     first = initial_state(problem, x0)
-    records = [name for name in ("table", "saves") if getattr(first, name) is not None]
+    records = [name for name in ("table", "saves", "crossings") if getattr(first, name) is not None]
 
     def buffers(state: LoopState) -> list:
         return [v for name in records for v in vars(getattr(state, name)).values()]

@@ -262,6 +262,10 @@ def _chosen(
     limit = jnp.zeros((), bool) if state.turn is None else state.turn.completed
     leaving = tuple(hit & (s == 0) & ~limit for hit, s in zip(state.hit, state.mode, strict=True))
     sides = tuple(jnp.where(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
+    if state.ticks is not None:  # a surface that has jumped away from a slide leaves it on its side
+        sides = tuple(
+            jnp.where(far, jnp.sign(v), s) for far, v, s in zip(jumped, h, sides, strict=True)
+        )
     left = tuple(
         jnp.where(go & switching, side, s)
         for go, side, s in zip(leaving, sides, state.mode, strict=True)

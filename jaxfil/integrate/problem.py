@@ -10,6 +10,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.components import ComponentSystem
+from jaxfil.integrate.section_values import WatchedSections
 from jaxfil.integrate.stepper import Tableau
 from jaxfil.model.outcomes import RESULTS
 
@@ -90,13 +91,14 @@ class Recording(eqx.Module):
 
     `save` is "none", "ts" (the elapsed times `ts`, sorted along the direction of time), "steps"
     (every state between two iterations) or "samples" (every `every`-th grid point from `first`
-    on), and there is space for `num_saves` of them. `max_events` is the length of the event table;
-    None keeps none and sets no limit.
+    on), and there is space for `num_saves` of them. `max_events` is the length of the event table,
+    and `num_crossings` that of the table of crossings; None keeps none and sets no limit.
     """
 
     save: str = eqx.field(static=True)
     max_events: int | None = eqx.field(static=True)
     num_saves: int = eqx.field(static=True, default=0)
+    num_crossings: int | None = eqx.field(static=True, default=None)
     ts: Array | None = None
     first: Array | None = None
     every: Array | None = None
@@ -115,3 +117,5 @@ class Problem(eqx.Module):
     recording: Recording
     compact: bool = eqx.field(static=True, default=False)
     """Whether the stages of a step are in a loop: see `compact_step`."""
+    watched: WatchedSections | None = None
+    """Sections whose crossings are located; None: nothing that does is compiled."""

@@ -20,7 +20,7 @@ from jaxfil.model.outcomes import EventKind
 from jaxfil.xla.masked_write import masked_write
 
 
-def _entered(record: Any, i: Array, yes: Array, entry: Any) -> Any:
+def entered(record: Any, i: Array, yes: Array, entry: Any) -> Any:
     """`record`, of arrays of k entries, with `entry`, of one each, as number i where `yes`."""
     if all(isinstance(v, jax.Array) for v in vars(record).values()):
         return masked_write(record, i, entry, yes)
@@ -119,7 +119,7 @@ def record_event(
         modes=mode_codes(end.mode),
     )
     i = jnp.minimum(state.num_events, size - 1)
-    return _entered(table, i, made & (state.num_events < size), entry)
+    return entered(table, i, made & (state.num_events < size), entry)
 
 
 def keep_sample(
@@ -208,6 +208,6 @@ def save_state(
     i = jnp.minimum(state.num_saved, size - 1)
     return dataclasses.replace(
         after,
-        saves=_entered(saves, i, save & (state.num_saved < size), entry),
+        saves=entered(saves, i, save & (state.num_saved < size), entry),
         num_saved=state.num_saved + save.astype(jnp.int32),
     )

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.components import Components, ComponentSystem, build, pack, scalars, unpack
 from jaxfil.integrate.filippov import ModeField
-from jaxfil.integrate.state import EventTable
+from jaxfil.integrate.state import CrossingTable, EventTable
 from jaxfil.integrate.stepper import Stepper, compact_step, step, tableau_of
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
@@ -52,6 +52,22 @@ def events_of(table: EventTable | None) -> Events | None:
     first = jnp.argmax(table.members, axis=-1).astype(jnp.int32)
     surfaces = jnp.where(jnp.any(table.members, axis=-1), first, -1)
     return Events(table.ts, table.xs, surfaces, table.members, table.kinds, table.modes)
+
+
+class Crossings(eqx.Module):
+    """The crossings of sections in order, padded with inf and −1."""
+
+    ts: Float[Array, " k"]
+    """Times."""
+    xs: Float[Array, "k n"]
+    """States; where S jumps across zero, just after the jump."""
+    sections: Int[Array, " k"]
+    """Numbers of the sections, in the order in which they were given."""
+
+
+def crossings_of(table: CrossingTable | None) -> Crossings | None:
+    """The crossings of a lane, as the user sees them."""
+    return None if table is None else Crossings(table.ts, table.xs, table.sections)
 
 
 def switches(events: Events | None) -> np.ndarray:
@@ -92,6 +108,10 @@ class Solution(eqx.Module):
     """The mode there."""
     errors: Float[Array, "k n"] | None = None
     """Estimated |xs − exact|, component by component, if asked for; inf where unknown."""
+    crossings: Crossings | None = None
+    """The crossings of `sections`; None where none are given, or no table is kept."""
+    num_crossings: Int[Array, ""] | None = None
+    """How many crossings there were, in the table or not."""
     _dense: "Dense | None" = None
     """Every step's start, for `evaluate`."""
     labels: Labels = eqx.field(static=True, default=Labels())
@@ -205,6 +225,8 @@ def card(sol: Solution) -> str:
         saved = int(np.isfinite(sol.ts).sum())
         lines.append(f"  {saved} states saved (room for {sol.ts.shape[0]})")
     lines.append(f"  {int(sol.stats['num_steps'])} steps, {_events_line(sol)}")
+    if sol.num_crossings is not None:
+        lines.append(f"  {int(sol.num_crossings)} crossings of sections")
     if sol.errors is not None:
         lines.append(f"  error about {float(np.max(sol.errors)):.1e}, from a run at half the step")
     return "\n".join(lines)

@@ -24,14 +24,17 @@ from jaxfil.integrate.options import (
 )
 from jaxfil.integrate.problem import Problem, Recording, TimeGrid, iteration_budget
 from jaxfil.integrate.recording import mode_codes
-from jaxfil.integrate.solution import Dense, Solution, errors, events_of
+from jaxfil.integrate.section_values import watch_sections
+from jaxfil.integrate.solution import Dense, Solution, crossings_of, errors, events_of
 from jaxfil.integrate.state import LoopState, SavedStates
+from jaxfil.integrate.step_choice import StepChoice, dt_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.stopped import raise_unless_successful
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import is_good
 from jaxfil.model.parameter import cast
+from jaxfil.model.section import Section, Sections, sections_of
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
@@ -47,7 +50,7 @@ def solve(
     x0: State,
     t0: Scalar,
     t1: Scalar,
-    dt: Scalar,
+    dt: Scalar | StepChoice,
     *,
     stepper: Stepper | None = None,
     saveat: diffrax.SaveAt = diffrax.SaveAt(t1=True),  # noqa: B008
@@ -57,6 +60,7 @@ def solve(
     throw: bool = True,
     estimate_error: bool = False,
     compact: bool | None = None,
+    sections: Sections | None = None,
 ) -> Solution:
     r"""Integrate a nonsmooth system from `x0` at `t0` to `t1`.
 
@@ -69,7 +73,8 @@ def solve(
     - `system`: a `System`; its float leaves are cast to the dtype of `x0`.
     - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
     - `t0`, `t1`: the span of time; backward if t1 < t0.
-    - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|).
+    - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|); or what
+      `choose_step` gives, which has its own `stepper`.
     - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`, or for
       stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
@@ -91,10 +96,13 @@ def solve(
       compiles in two thirds of the time, and runs half as fast again for one lane and three or
       four times as long for many. By default so for up to 8 lanes of a `jax.vmap` around the call
       (one around a `jax.jit` that the call is in is not seen).
+    - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
+      nothing of the motion. The table of them has `max_events` rows too.
 
     **Returns** a `Solution`, valid up to where it stopped.
 
-    **Outcomes**: `successful`; `max_steps_reached`, `max_events_reached`, `nonfinite` and
+    **Outcomes**: `successful`; `section_reached`, which is a success, and `out_of_bounds` for a run
+    that a section has ended; `max_steps_reached`, `max_events_reached`, `nonfinite` and
     `step_too_long` for a run that cannot go on; `nonunique`, `mode_undecided`,
     `undeclared_sliding` and `zeno` for a solution that does not; `reset_undecided` and, in
     backward time, `irreversible_reset` for a reset that nothing follows from.
@@ -116,18 +124,25 @@ def solve(
     system = cast(system, dtype)
     labels = labels_of(system, x.shape[0])
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
-    length = check.scalar("dt", dt, dtype, positive=True)
+    step, stepper = dt_and_stepper(dt, stepper)
+    length = check.scalar("dt", step, dtype, positive=True)
     stepper = checked_stepper(stepper)
     compact = is_compact_run(compact, (system, x, start, stop, length))
-    options = options_of(saveat, max_events, max_steps, adjoint, compact, (t0, t1, dt), dtype)
+    options = options_of(saveat, max_events, max_steps, adjoint, compact, (t0, t1, step), dtype)
     if estimate_error and options.save not in ("t1", "ts"):
         raise ValueError(
             f"`estimate_error` must be False with a `saveat` of {options.save}: errors are "
             "estimated at times that do not depend on the step, t1 or ts; got True."
         )
+    watched = sections_of("sections", sections, x)
+    if estimate_error and any(s.terminal is not None for s in watched):
+        raise ValueError(
+            "`estimate_error` must be False with a section that ends the run: errors are estimated "
+            "at times that do not depend on the step; got True."
+        )
     if throw:
         check.finite("x0", x)
-    sol = _solve(system, x, start, stop, length, stepper, options)
+    sol = _solve(system, x, start, stop, length, stepper, options, watched)
     if estimate_error:
         half = options.at_half_the_step()
         still, x, start, stop, half = _constant((system, x, start, stop, half))
@@ -152,6 +167,7 @@ def _solve(
     dt: Array,
     stepper: Stepper,
     options: Options,
+    sections: tuple[Section, ...] = (),
 ) -> Solution:
     grid = _time_grid(t0, t1, dt, options)
     saved = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
@@ -159,10 +175,12 @@ def _solve(
         save=saved,
         max_events=options.max_events,
         num_saves=options.num_saves,
+        num_crossings=options.max_events,
         ts=None if options.ts is None else options.ts - t0,
     )
     field = build(system, x0, options.reverse)
-    problem = Problem(field, tableau_of(stepper), grid, recording, options.compact)
+    watched = watch_sections(sections, field, x0, options.reverse)
+    problem = Problem(field, tableau_of(stepper), grid, recording, options.compact, watched)
     if options.reverse:
         assert options.budget is not None
         state = integrate_with_checkpoints(problem, unpack(x0), options.budget, options.checkpoints)
@@ -195,7 +213,7 @@ def _ended(problem: Problem, state: LoopState) -> LoopState:
     for."""
     if state.saves is not None:
         return state
-    done = state.result == RESULTS.successful
+    done = is_good(state.result)
     t, x = problem.grid.t0 + state.tau, pack(state.x, problem.system.dtype)
     end = SavedStates(
         jnp.where(done, t, jnp.inf)[None],
@@ -241,5 +259,7 @@ def _solution(
         x_final=x_final,
         mode_final=mode_codes(state.mode),
         compact=problem.compact,
+        crossings=crossings_of(state.crossings),
+        num_crossings=None if state.watch is None else state.watch.total,
         _dense=dense,
     )

@@ -14,6 +14,7 @@ from jaxtyping import Array
 from jaxfil.integrate.components import Components, any_of
 from jaxfil.integrate.problem import TimeGrid
 from jaxfil.integrate.stepper import Trial
+from jaxfil.model.clock import Ticks
 from jaxfil.model.outcomes import RESULTS
 
 Rows: TypeAlias = Any
@@ -71,6 +72,51 @@ class Turn(eqx.Module):
     """How many contacts there have been since."""
     completed: Array
     """Whether the next switch is the one at the limit."""
+
+
+class CrossingTable(eqx.Module):
+    """Crossings of sections in order."""
+
+    ts: Rows
+    """Times (k,)."""
+    xs: Rows
+    """States (k, n)."""
+    sections: Rows
+    """Numbers of sections, (k,)."""
+
+
+class Watch(eqx.Module):
+    """How far a lane has been watched for crossings of k sections: see `crossing`. Lengths are
+    signed times from the lane's state."""
+
+    side: Components
+    """The last sign of S, beyond rounding; 0: there has been none. k components."""
+    value: Components
+    """S where it has been watched up to,"""
+    rate: Components
+    """dS/dt there along the motion,"""
+    away: Components
+    """whether S is more than rounding there,"""
+    owed: Components
+    """and whether it has jumped across zero there. k components each."""
+    start: Array
+    """The length up to there."""
+    seeking: Array
+    """Whether the next trial step is one to a crossing, looked at and taken back:"""
+    length: Array
+    """its length,"""
+    aim: Components
+    """the section, none for a minimum of |S| to be looked at,"""
+    low: Array
+    """a length before the crossing,"""
+    high: Array
+    """and one after it."""
+    tries: Array
+    """Trial steps that this crossing has taken."""
+    counts: Components
+    """Crossings so far of each of k sections, in its direction."""
+    total: Array
+    """Crossings of all of them."""
 
 
 class LoopState(eqx.Module):
@@ -132,6 +178,13 @@ class LoopState(eqx.Module):
     result: RESULTS
     table: EventTable | None
     saves: SavedStates | None
+    ticks: Ticks | None = None
+    """The next tick of each clock, of a system with clocks."""
+    left: Components = ()
+    """The field with which a tick was reached that waits for its switch, n components."""
+    watch: Watch | None = None
+    """Of a lane with sections."""
+    crossings: CrossingTable | None = None
 
     @property
     def held(self) -> Array:

@@ -13,14 +13,14 @@ from equinox import EquinoxRuntimeError
 from jaxtyping import Array
 
 from jaxfil.integrate.solution import Solution
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, is_good
 from jaxfil.model.system import System
 
 
 def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solution:
     """The same solution, or an error with the sentence of its outcome; where all values are known
     it says too where the run from x0 stopped."""
-    failed = sol.result != RESULTS.successful
+    failed = ~is_good(sol.result)
     if any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((failed, sol, system, x0))):
         members = [getattr(RESULTS, name) for name in RESULTS._name_to_item]
         # Not `RESULTS.error_if`, which takes the largest number of a batch: an empty one has none.

@@ -20,7 +20,7 @@ from jaxfil.integrate.solution import Solution
 from jaxfil.integrate.solve import solve
 from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model import check
-from jaxfil.model.card import precision
+from jaxfil.model.card import duration, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
@@ -77,7 +77,7 @@ class WorkPrecision(eqx.Module):
         told = f"{self.steppers[i]}, {self._step(float(self.dts[k]))}: {self.errors[i, k]:.1e} at "
         return (
             told
-            + f"{_duration(float(self.seconds[i, k]))}{'' if good.any() else ' (the best here)'}"
+            + f"{duration(float(self.seconds[i, k]))}{'' if good.any() else ' (the best here)'}"
         )
 
     def plot(self, ax: Axes = None) -> Axes:
@@ -90,7 +90,7 @@ class WorkPrecision(eqx.Module):
             for k, dt in enumerate(self.dts):
                 reached = self.reached[i, k]
                 error = f"{self.errors[i, k]:.1e}" if reached else str(self.outcomes[i, k])
-                told = _duration(float(self.seconds[i, k]))
+                told = duration(float(self.seconds[i, k]))
                 contacts = self.num_events[i, k]
                 lines.append(f"{name:<12} {dt:>10.4g} {error:>9} {told:>9} {contacts:>9}")
         return "\n".join([*lines, self._reference_line(), self.recommendation()])
@@ -248,11 +248,3 @@ def _reference(fines: list[list[_Run]]) -> tuple[int, float, float]:
         if i != best and finest.reached
     ]
     return best, changes[best], min(others, default=np.nan)
-
-
-def _duration(seconds: float) -> str:
-    """A time with its unit: three digits of s, ms or µs."""
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 1e-6:.3g} µs"

@@ -16,7 +16,22 @@ def precision(numbers: Array | np.ndarray) -> str:
     return "" if numbers.dtype == np.float64 else f" in {numbers.dtype}"
 
 
+def counted(results: RESULTS) -> dict[str, int]:
+    """How many lanes have ended in which way; the good ones come first, then what is frequent."""
+    names, counts = np.unique(outcome_names(results), return_counts=True)
+    told = dict(zip(names.tolist(), counts.tolist(), strict=True))
+    return {n: told[n] for n in sorted(told, key=lambda n: (n != "successful", -told[n]))}
+
+
 def outcome(result: RESULTS) -> str:
     """The name of one outcome and its sentence."""
     name, sentence = str(outcome_names(result)), RESULTS[result]
     return f"{name}: {sentence}" if sentence else name
+
+
+def duration(seconds: float) -> str:
+    """A time with its unit: three digits of s, ms or µs."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-6:.3g} µs"

@@ -15,6 +15,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
+from jaxfil.model.clock import Clock, Clocks
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System, has_resets
 
@@ -75,6 +76,18 @@ def period(of: System, dtype: DTypeLike) -> Array:
     if known is not None and known <= 0:
         raise ValueError(f"{told} must be a positive number, got {known}.")
     return number
+
+
+def clocks(of: System) -> Clocks:
+    """The clocks of a system, with positive periods as far as they are known."""
+    told = f"`clocks` of {type(of).__name__}"
+    for clock in (several := tuple(of.clocks)):
+        if not isinstance(clock, Clock):
+            raise ValueError(f"{told} must be a tuple of jaxfil.Clock, got {several!r}.")
+        known = concrete(clock.period)
+        if known is not None and not known > 0:
+            raise ValueError(f"{told} must have positive periods, got {known}.")
+    return several
 
 
 def _number(told: str, value: Any, dtype: DTypeLike, positive: bool) -> Array:

@@ -6,9 +6,10 @@ has drawn on. Results are made in rooms that `jaxfil.plot` imports, so they cann
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from jaxfil.model.types import Axes
+if TYPE_CHECKING:  # each name there needs JAX, which `jaxfil` connects pictures without
+    from jaxfil.model.types import Axes
 
 _Drawer = TypeVar("_Drawer", bound=Callable[..., Any])
 _DRAWERS: dict[type, Callable[..., Any]] = {}
@@ -30,7 +31,7 @@ def draws(*kinds: type) -> Callable[[_Drawer], _Drawer]:
     return register
 
 
-def draw(result: object, **options: Any) -> Axes:
+def draw(result: object, **options: Any) -> "Axes":
     """Draw a result; returns the matplotlib axes."""
     # An importer runs before every picture and not once: it is cheap (a module that is imported
     # comes from `sys.modules`), and a second one may have been added since.

@@ -15,7 +15,10 @@ from jaxfil.model.deprecation import warn_renamed
 
 
 class _Outcomes(type(eqx.Enumeration)):
-    """The enumeration's own kind, which also knows the old name of a member."""
+    """The enumeration's own kind, which lists its members and knows the old name of one."""
+
+    def __dir__(cls) -> list[str]:
+        return [*super().__dir__(), *cls._name_to_item]
 
     def __getattr__(cls, item: str):
         if item == "nothing_to_touch":
@@ -25,17 +28,22 @@ class _Outcomes(type(eqx.Enumeration)):
 
 
 class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
-    """How a lane ended. `successful` is the only good outcome.
+    """How a lane ended. `successful` is the only good outcome, besides `section_reached` of a run
+    that was asked to end at a section.
 
     A result has its outcome in `result`, one for each lane in `results`. The value of a member is
     the sentence that the user reads: `jf.RESULTS[sol.result]`.
 
     - Of every integration: `successful`, `max_steps_reached`, `max_events_reached`, `zeno`,
       `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`;
-      with resets `irreversible_reset`, `reset_undecided`.
+      with resets `irreversible_reset`, `reset_undecided`; with sections `section_reached`,
+      `out_of_bounds`, and of sweeps with one `section_not_reached`.
     - Of Newton's method, in orbits, branches and bifurcations: `newton_stalled`,
       `newton_singular`, `newton_max_steps_reached`.
-    - Of the search for a bifurcation: `no_tangency_found`, `other_kind`, `orbit_lost`.
+    - Of the search for a bifurcation: `no_tangency_found`, `other_kind`, `orbit_lost`,
+      `not_nearest`.
+    - Of the choice of a step: `tolerance_not_met`.
+    - Of a fit: `fit_not_converged`.
     - Of a sweep that Ctrl-C ended: `interrupted`.
     - Of sweeps, orbits and exponents, which count forcing periods: `invalid_period`.
     """
@@ -45,7 +53,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "The budget of steps was used up before the end of the time span. Try a larger `max_steps`."
     )
     max_events_reached = (
-        "The event table is full. Try a larger `max_events`, or `max_events=None` to keep no table."
+        "The event table, or that of crossings of sections, is full. Try a larger `max_events`, or "
+        "`max_events=None` to keep no table."
     )
     mode_undecided = (
         "No mode of motion continues the solution at a contact: neither side nor sliding is "
@@ -82,6 +91,19 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "Newton's method has reached a point that is no orbit of the system: it meets a surface "
         "where it is not meant to, so that the orbit ends or changes before the bifurcation."
     )
+    not_nearest = (
+        "The place found is on the grazing set, but the distance to it is no minimum there: places "
+        "next to it on the set are nearer. Start from an orbit closer to the set."
+    )
+    tolerance_not_met = (
+        "No number of steps that was tried meets the tolerance: it is below what rounding, or a "
+        "motion that is sensitive to the smallest changes, allows. Try a larger `tolerance` or a "
+        "shorter span."
+    )
+    fit_not_converged = (
+        "The fit has not converged in its number of steps, or cannot be improved where its "
+        "derivatives jump. Try other `guesses` or a larger `max_steps`."
+    )
     nonfinite = (
         "The state, the vector field, the switching function or a reset is not finite (NaN or "
         "inf), or the switching function is too large to be squared."
@@ -104,6 +126,17 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "The forcing period is negative, zero or infinite, so that there is nothing to sample once "
         "in each."
     )
+    section_reached = "The run has ended at a section, as it was asked to."
+    out_of_bounds = "The motion has left the region that a bound allows."
+    section_not_reached = (
+        "The motion has not come back to its section as often as asked within the time given: it "
+        "has come to rest, or keeps to one side of it. Try a larger `max_return`."
+    )
+
+
+def is_good(result: RESULTS) -> jax.Array:
+    """Whether a run has come to the end that it was asked for."""
+    return (result == RESULTS.successful) | (result == RESULTS.section_reached)
 
 
 def outcome_names(results: RESULTS) -> np.ndarray:

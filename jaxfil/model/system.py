@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxfil.model.clock import Clocks
 from jaxfil.model.fields import check_numbers
 from jaxfil.xla import fast_trig
 
@@ -25,7 +26,8 @@ class System(eqx.Module):
     $$\dot x = F(t, x, \mathrm{side}), \qquad \mathrm{side}_j = \mathrm{sgn}\, H_j(t, x)$$
 
     Write a subclass with `vector_field`, and `switching` unless the system is smooth. Every float
-    leaf is a parameter: it may be swept, differentiated, batched, and new values never recompile.
+    leaf is a parameter, arrays included, whose entries are named as "a[0,1]": it may be swept,
+    differentiated, batched, and new values never recompile.
 
     `reset` is there for impacts: without it none are compiled. `period` is that of the forcing.
 
@@ -96,6 +98,11 @@ class System(eqx.Module):
     def period(self) -> Array | float | None:
         """Period of the forcing in units of t; None if the system is autonomous."""
         return None
+
+    @property
+    def clocks(self) -> Clocks:
+        """The `Clock`s at whose ticks the field or H jumps; none by default."""
+        return ()
 
 
 def has_resets(system: System) -> bool:
@@ -197,6 +204,10 @@ class _Smoothed(System):
     @property
     def period(self) -> Array | float | None:
         return self.system.period
+
+    @property
+    def clocks(self) -> Clocks:
+        return self.system.clocks
 
     # Properties in place of the class variables: what things are called is the system's affair.
     @property

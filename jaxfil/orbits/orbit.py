@@ -19,6 +19,7 @@ from jaxfil.integrate.solution import Dense, Events, Solution
 from jaxfil.integrate.solve import solve
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_attribute
+from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
@@ -112,8 +113,9 @@ class Orbit(eqx.Module):
         return self._solved(periods, diffrax.SaveAt(ts=ts))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the orbit in the plane of its first two components; returns the matplotlib axes."""
-        return self.trajectory().plot(ax)
+        """Draw the orbit in the plane of its first two components, with the surfaces of its system;
+        returns the matplotlib axes."""
+        return draw(self, ax=ax)
 
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is kept where every step is.

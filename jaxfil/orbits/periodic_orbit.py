@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.compact import is_compact_run
+from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
@@ -32,7 +33,7 @@ def periodic_orbit(
     periods: int = 1,
     period: Scalar | None = None,
     t0: Scalar = 0.0,
-    steps: int = 40,
+    steps: int | StepChoice = 40,
     stepper: Stepper | None = None,
     segments: int = 1,
     transient: int = 0,
@@ -56,7 +57,8 @@ def periodic_orbit(
     - `periods`: forcing periods after which the orbit closes.
     - `period`: a guess of the period of an autonomous system; None for a forced one.
     - `t0`: the time, and so the phase of the forcing, at which the orbit is looked at.
-    - `steps`: steps per forcing period, or per period of an autonomous system.
+    - `steps`: steps per forcing period, or per period of an autonomous system; or what
+      `choose_step` gives for a forced one, which has its own `stepper`.
     - `stepper`: as in `solve`; None is `diffrax.Dopri8()`.
     - `segments`: arcs of multiple shooting: more than one for orbits that are very unstable.
     - `transient`: forcing periods integrated from `x0` before Newton's method starts, for a poor
@@ -114,7 +116,7 @@ def periodic_orbit(
     guess = jnp.ones((), dtype)
     if autonomous:
         guess = check.scalar("period", period, dtype, positive=True)
-    steps = check.count("steps", steps)
+    steps, stepper = steps_and_stepper(steps, stepper, system)
     check.number_of_steps(steps, periods=periods, transient=transient)
     stepper = checked_stepper(stepper)
     options = ShootingOptions(

@@ -18,23 +18,22 @@ def _fold(point: OrbitPoint) -> float:
     return float(point.tangent[-1])
 
 
-def _period_doubling(point: OrbitPoint) -> float:
-    # Π (μ + 1): smooth, where a single multiplier would have to be told from the others.
-    monodromy = np.asarray(point.shot.monodromy)
+def period_doubling(monodromy: np.ndarray) -> float:
+    """Π (μ + 1): smooth, where a single multiplier would have to be told from the others."""
     return float(np.linalg.det(monodromy + np.eye(len(monodromy))))
 
 
-def _neimark_sacker(point: OrbitPoint) -> float:
+def neimark_sacker(monodromy: np.ndarray) -> float:
     """The modulus of a complex pair of multipliers less one; NaN where there is no such pair."""
-    values = np.linalg.eigvals(np.asarray(point.shot.monodromy))
+    values = np.linalg.eigvals(monodromy)
     pair = values[values.imag > 0]
     return float(np.max(abs(pair)) - 1) if pair.size else np.nan
 
 
 _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
     "fold": _fold,
-    "period-doubling": _period_doubling,
-    "neimark-sacker": _neimark_sacker,
+    "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
+    "neimark-sacker": lambda point: neimark_sacker(np.asarray(point.shot.monodromy)),
 }
 
 

@@ -47,7 +47,7 @@ class SDOscillator(System):
 
     slides: ClassVar[bool] = False
     state_names: ClassVar = ("x", "x'")
-    symbols: ClassVar = {"zeta": "ζ", "omega": "Ω", "alpha": "α"}
+    symbols: ClassVar = {"f0": "f₀", "zeta": "ζ", "omega": "Ω", "alpha": "α"}
 
     def vector_field(self, t: Array, x: Array, side: Array) -> Array:
         snap = side if self.alpha is None else x[0] / jnp.sqrt(x[0] ** 2 + self.alpha**2)
@@ -109,9 +109,23 @@ class BeltFriction(System):
         "mu": "μ",
         "alpha": "α",
         "beta": "β",
-        "gamma1": "γ1",
-        "gamma2": "γ2",
+        "f0": "f₀",
+        "gamma1": "γ₁",
+        "gamma2": "γ₂",
         "omega": "ω",
+    }
+    units: ClassVar = {
+        "x": "m",
+        "x'": "m/s",
+        "t": "s",
+        "f0": "m/s²",
+        "g": "m/s²",
+        "alpha": "s/m",
+        "beta": "s³/m³",
+        "gamma1": "1/s²",
+        "gamma2": "1/(m² s²)",
+        "v": "m/s",
+        "omega": "rad/s",
     }
 
     def vector_field(self, t: Array, x: Array, side: Array) -> Array:

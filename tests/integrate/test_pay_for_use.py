@@ -9,6 +9,7 @@ that it would be seen, and must not be in that of the same scene without it.
 from typing import ClassVar
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,6 +55,13 @@ PROGRAMS = {
     "events": (Crossing, {"max_events": 3}),
     "ts": (Crossing, {"saveat": TS}),
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def nothing_is_compiled_yet():
+    """What other files have compiled is not compiled again, and is not seen to be."""
+    jax.clear_caches()
+    eqx.clear_caches()
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,14 @@
 
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxfil as jf
+from jaxfil.model.outcomes import outcome_codes, outcomes
 from tests import pictures
 from tests.pictures import made
 from tests.results import in_float32
@@ -75,3 +77,16 @@ def test_a_card_of_many_lanes_says_so_too():
     batch = jax.tree.map(lambda a: jnp.stack([a, a]), in_float32(MOTION))
     cards.append(repr(batch))
     assert all(card.startswith("Solution in float32: a batch of shape (") for card in cards)
+
+
+def test_a_diagram_counts_its_outcomes_by_name():
+    swept = pictures.period_doublings()
+    assert "  59 of 60 lanes successful, 1 nonfinite" in repr(swept).splitlines()
+    for ended, told in (
+        ([], "60 of 60 lanes successful"),
+        (["zeno", "nonunique", "zeno"], "57 of 60 lanes successful, 2 zeno, 1 nonunique"),
+        (["interrupted"] * 60, "0 of 60 lanes successful, 60 interrupted"),
+    ):
+        names = np.asarray([*ended, *["successful"] * (60 - len(ended))])
+        counted = eqx.tree_at(lambda d: d.results, swept, outcomes(outcome_codes(names)))
+        assert f"  {told}" in repr(counted).splitlines()

@@ -459,9 +459,11 @@ CALLS = {
     ),
     "component is a name": (
         lambda: jf.plot.time_history(
-            solve(saveat=diffrax.SaveAt(steps=True)), jf.plot.page().add_subplot(), component="v"
+            solve(saveat=diffrax.SaveAt(steps=True)),
+            jf.plot.page().add_subplot(),
+            components=(0, "v"),
         ),
-        "`component` must be an integer from 0 to 1",
+        "`components[1]` must be an integer from 0 to 1",
         "'v'",
     ),
     "components are names": (
@@ -471,8 +473,8 @@ CALLS = {
     ),
     "section of names": (
         lambda: jf.plot.poincare_section(np.zeros((3, 2)), components=("x", "v")),
-        "`components` must be two integers",
-        "('x', 'v')",
+        "`components[0]` must be an integer from 0 to 1",
+        "'x'",
     ),
     "diagram of a matrix": (
         lambda: diagram(values=np.ones((2, 3))),

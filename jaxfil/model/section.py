@@ -1,0 +1,175 @@
+"""What is watched without being part of the system: sections, extrema and bounds.
+
+Functions of time and state enter; `Section`s leave, which a run locates as it does contacts, and
+which change nothing of its motion.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+_DIRECTIONS = (-1, 0, 1)
+
+
+class Section(eqx.Module):
+    r"""A Poincaré section: the zeros of a function of time and state.
+
+    $$\Sigma = \{(t, x) : S(t, x) = 0\}$$
+
+    A crossing is a change of sign of S along the motion, beyond rounding: a start on the section is
+    none, nor is a touch, nor an impact that throws back. Where S jumps across zero, by an impact or
+    a change of the field, that is one too, at this time.
+
+    **Arguments**
+
+    - `function`: S, a function of the time, shape (), and the state, shape (n,), that returns a
+      scalar. It may be an equinox module, whose float leaves then have derivatives and may change
+      without a new program.
+    - `direction`: +1 for crossings where S grows with time, −1 where it falls, 0 for both.
+    - `terminal`: the number of the crossing of this section at which the run ends, with the outcome
+      `section_reached`; None if it goes on to the end.
+
+    **Raises** `ValueError` for another direction, and for a `terminal` that is no positive integer.
+
+    **Source**: M. Hénon, On the numerical computation of Poincaré maps, Physica D 5 (1982) 412–414.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> oscillator = jf.piecewise(
+    ...     lambda t, x: jnp.stack([x[1], -x[0]]), lambda t, x: jnp.stack([x[1], -4 * x[0]]),
+    ...     lambda t, x: x[0])
+    >>> upward = jf.Section(lambda t, x: x[0], direction=1)
+    >>> sol = jf.solve(oscillator, jnp.array([0.0, 1.0]), 0.0, 10.0, 0.1, sections=upward)
+    >>> [round(float(t), 4) for t in sol.crossings.ts[:2]]  # multiples of π + π/2
+    [4.7124, 9.4248]
+    """
+
+    function: Callable[[Array, Array], Array]
+    """S."""
+    direction: int = eqx.field(static=True, default=0)
+    """+1, −1, or 0 for both."""
+    terminal: int | None = eqx.field(static=True, default=None)
+    """The crossing at which a run ends."""
+    of_rate: bool = eqx.field(static=True, default=False, kw_only=True)
+    """Whether the rate of the function along the motion is S, as of `maxima`."""
+    is_bound: bool = eqx.field(static=True, default=False, kw_only=True)
+    """Whether to cross it is a failure, as of `bound`."""
+
+    def __check_init__(self):
+        if not callable(self.function):
+            raise ValueError(f"`function` must be a callable of (t, x), got {self.function!r}.")
+        if self.direction not in _DIRECTIONS:
+            raise ValueError(f"`direction` must be +1, −1 or 0, got {self.direction!r}.")
+        if self.terminal is not None:
+            whole = isinstance(self.terminal, int) and not isinstance(self.terminal, bool)
+            if not whole or self.terminal < 1:
+                raise ValueError(
+                    f"`terminal` must be an integer of at least 1 or None, got {self.terminal!r}."
+                )
+
+
+Sections = Section | Sequence[Section]
+"""One section, or several."""
+
+
+def maxima(function: Callable[[Array, Array], Array], terminal: int | None = None) -> Section:
+    """The section at which a function of time and state has a maximum along the motion.
+
+        d/dt f(t, x(t)) = ∂f/∂t + ∇f·F = 0, falling
+
+    Where the field or the state jumps the rate may change its sign at once: a corner of f is a
+    maximum too.
+
+    **Arguments**
+
+    - `function`: f, as that of a `Section`.
+    - `terminal`: as in `Section`.
+
+    **Returns** a `Section`.
+
+    **Source**: M. Hénon, On the numerical computation of Poincaré maps, Physica D 5 (1982) 412–414.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> sol = jf.solve(
+    ...     jf.systems.CoulombOscillator(), jnp.array([-3.0, 0.0]), 0.0, 9.0, 0.1,
+    ...     sections=jf.maxima(lambda t, x: x[0]))
+    >>> round(float(sol.crossings.xs[0, 0]), 6)  # an amplitude less by 2F, F = 0.4
+    2.2
+    """
+    return Section(function, -1, terminal, of_rate=True)
+
+
+def minima(function: Callable[[Array, Array], Array], terminal: int | None = None) -> Section:
+    """The section at which a function of time and state has a minimum along the motion.
+
+        d/dt f(t, x(t)) = ∂f/∂t + ∇f·F = 0, growing
+
+    **Arguments**
+
+    - `function`, `terminal`: as in `maxima`.
+
+    **Returns** a `Section`.
+
+    **Source**: M. Hénon, On the numerical computation of Poincaré maps, Physica D 5 (1982) 412–414.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> sol = jf.solve(
+    ...     jf.systems.CoulombOscillator(), jnp.array([3.0, 0.0]), 0.0, 9.0, 0.1,
+    ...     sections=jf.minima(lambda t, x: x[0]))
+    >>> round(float(sol.crossings.xs[0, 0]), 6)
+    -2.2
+    """
+    return Section(function, 1, terminal, of_rate=True)
+
+
+def bound(function: Callable[[Array, Array], Array]) -> Section:
+    """A bound of the region f(t, x) ≥ 0: a run that leaves it, or starts outside, ends there.
+
+    Its outcome is `out_of_bounds`, which is no success: an overturned block or a voltage that has
+    run away is told from a motion that has come to its end.
+
+    **Arguments**
+
+    - `function`: f, as that of a `Section`.
+
+    **Returns** a `Section`.
+
+    **Source**: L. F. Shampine and S. Thompson, Event location for ordinary differential equations,
+    Computers & Mathematics with Applications 39 (2000) 43–54.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> growth = jf.piecewise(lambda t, x: x, lambda t, x: x, lambda t, x: x[0] - 1e9)
+    >>> inside = jf.bound(lambda t, x: 8 - x[0])
+    >>> sol = jf.solve(growth, jnp.ones(1), 0.0, 9.0, 0.1, sections=inside, throw=False)
+    >>> sol.result == jf.RESULTS.out_of_bounds, round(float(sol.t_final), 6)  # ln 8
+    (Array(True, dtype=bool), 2.079442)
+    """
+    return Section(function, -1, 1, is_bound=True)
+
+
+def sections_of(name: str, sections: Sections | None, x0: Array) -> tuple[Section, ...]:
+    """The sections that an argument asks for, none for None, each with a scalar function."""
+    if sections is None:
+        return ()
+    several = (sections,) if isinstance(sections, Section) else tuple(sections)
+    for number, section in enumerate(several):
+        if not isinstance(section, Section):
+            raise ValueError(
+                f"`{name}` must be a jaxfil.Section or a sequence of them, got {section!r}."
+            )
+        _check_scalar(f"{name}[{number}].function", section, x0)
+    return several
+
+
+def _check_scalar(told: str, section: Section, x0: Array) -> None:
+    out: Any = jax.eval_shape(section.function, jnp.zeros((), x0.dtype), x0)
+    if getattr(out, "shape", None) != () or not jnp.issubdtype(out.dtype, jnp.floating):
+        was = f"shape {out.shape}, dtype {out.dtype}" if hasattr(out, "shape") else repr(out)
+        raise ValueError(f"`{told}` must return a real scalar, got {was}.")

@@ -1,0 +1,168 @@
+"""Clocks: jumps of a field or of H at known times are met exactly, with their derivatives.
+
+Against closed forms, and for a voltage-mode buck converter against matrix exponentials.
+"""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+import jaxfil as jf
+
+EPS = np.finfo(float).eps
+
+
+class Sawtooth(jf.System):
+    """x' = t mod T."""
+
+    tooth: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.mod(t, self.tooth)[None]
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.tooth),)
+
+
+class Modulator(Sawtooth):
+    """x falls at a rate of 1 above the ramp t mod T, and grows at 1/2 below it."""
+
+    slides: ClassVar[bool] = False
+
+    def switching(self, t, x):
+        return x[0] - jnp.mod(t, self.tooth)
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, -1.0, 0.5)[None]
+
+
+def with_slope(system, x0, t1, dt):
+    """The end of a run of a system with T = 0.3, its derivative by T, and the run."""
+
+    def end(tooth):
+        sol = jf.solve(system(tooth), jnp.array([x0]), 0.0, t1, dt, stepper=jf.RK4())
+        return sol.xs[0, 0], sol
+
+    return jax.jacfwd(end, has_aux=True)(jnp.array(0.3))
+
+
+@pytest.mark.parametrize("dt, steps", [(0.25, 7), (0.1, 10)])
+def test_a_field_that_jumps_is_integrated_as_the_pieces_that_it_has(dt, steps):
+    """Three teeth of area T²/2, and a part of 1 − 3T; ticks that are no grid points, and ticks that
+    are."""
+    slope, sol = with_slope(Sawtooth, 0.0, 1.0, dt)
+    np.testing.assert_allclose(sol.xs[0, 0], 3 * 0.045 + 0.005, rtol=8 * EPS)
+    # Terms that sum to 3; a tick is told from what is before it by 8 eps of its time.
+    np.testing.assert_allclose(slope, 3 * 0.3 - 3 * 0.1, rtol=0, atol=3 * 32 * EPS)
+    assert sol.num_events == 0 and sol.stats["num_steps"] == steps
+
+
+@pytest.mark.parametrize("dt", [0.25, 0.1])
+def test_a_surface_that_jumps_across_the_state_switches_it_at_the_tick(dt):
+    """From x at a tick the ramp is met at x/2, after a time x/2; with the next tick the motion is
+    at x/2 + (T − x/2)/2, and above the ramp again."""
+    slope, sol = with_slope(Modulator, 0.2, 0.8, dt)
+    np.testing.assert_allclose(sol.events.ts[:5], [0.1, 0.3, 0.4, 0.6, 0.7], rtol=8 * EPS)
+    np.testing.assert_allclose(sol.xs[0, 0], 0.15, rtol=8 * EPS)
+    # x₁ = T/2 + x₀/4, x₂ = T/2 + x₁/4, and x₂/2 + (0.8 − 2T − x₂/2)/2 at the end.
+    np.testing.assert_allclose(slope, 0.25 * (0.5 + 0.125) - 1, rtol=64 * EPS)
+    assert sol.num_events == 5
+
+
+# The buck converter of Fossas and Olivar (IEEE Transactions on Circuits and Systems I 43 (1996)
+# 13–25) and of di Bernardo et al.: state (v, i), the source connected where the ramp is above
+# gain·(v − v_ref).
+T, LOW, HIGH = 400e-6, 3.8, 8.2
+GAIN, V_REF, R, L, C = 8.4, 11.3, 22.0, 20e-3, 47e-6
+MATRIX = np.array([[-1 / (R * C), 1 / C], [-1 / L, 0.0]])
+
+
+class Buck(jf.System):
+    """In units of T, so that steps and rates are of order one."""
+
+    source: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        on = jnp.where(side > 0, 0.0, self.source)
+        return T * jnp.stack([-x[0] / (R * C) + x[1] / C, (on - x[0]) / L])
+
+    def switching(self, t, x):
+        return GAIN * (x[0] - V_REF) - (LOW + (HIGH - LOW) * jnp.mod(t, 1.0))
+
+    @property
+    def period(self):
+        return 1.0
+
+    @property
+    def clocks(self):
+        return (jf.Clock(1.0),)
+
+
+def exact(x, source, periods):
+    """The states at ends of periods, by matrix exponentials and roots of the control voltage."""
+    states = []
+    for _ in range(periods):
+        t = 0.0
+        while t < 1:
+
+            def ahead(s, t=t, x=x, on=None):
+                on = gap(t, x) < 0 if on is None else on
+                rest = np.linalg.solve(MATRIX, [0.0, -source / L]) * on
+                return expm(MATRIX * T * (s - t)) @ (x - rest) + rest
+
+            side = gap(t + 1e-12, ahead(t + 1e-12)) < 0
+            path = lambda s, side=side: gap(s, ahead(s, on=side))  # noqa: E731
+            grid = np.linspace(t + 1e-9, 1, 41)
+            values = np.array([path(s) for s in grid])
+            turns = np.flatnonzero((values < 0) != side)
+            if not turns.size:
+                x, t = ahead(1.0, on=side), 1.0
+                break
+            s = brentq(path, grid[turns[0] - 1], grid[turns[0]], xtol=1e-15, rtol=4 * EPS)
+            x, t = ahead(s, on=side), s
+        states.append(x)
+    return np.array(states)
+
+
+def gap(s, x):
+    return GAIN * (x[0] - V_REF) - (LOW + (HIGH - LOW) * s)
+
+
+@pytest.fixture(scope="module")
+def diagram():
+    """Settled, or not, at five voltages of the source: orbits of period one and two before and
+    after the doubling near 24.5 V, four, and chaos above 32.3 V."""
+    return jf.bifurcation_diagram(
+        Buck(jnp.array(20.0)),
+        "source",
+        jnp.array([24.0, 25.0, 31.5, 33.0]),
+        jnp.array([12.0, 0.55]),
+        transient=300,
+        samples=64,
+        steps=16,
+        stepper=jf.RK4(),
+        compact=True,
+        progress=False,
+    )
+
+
+def test_a_buck_converter_doubles_its_period_and_comes_to_large_chaos(diagram):
+    assert diagram.successful.all()
+    assert diagram.periods()[:3].tolist() == [1, 2, 4]
+    assert diagram.periods()[3] == 0
+    spread = np.ptp(diagram.xs[..., 0], axis=-1)
+    assert spread[3] > 3 * spread[2], "chaos is large at once"
+
+
+def test_a_buck_converter_moves_as_its_matrix_exponentials_say(diagram):
+    """Its orbits of period one and two are those of the maps over whole ramps."""
+    for row, period in ((0, 1), (1, 2)):
+        x, source = diagram.xs[row, -1], float(diagram.values[row])
+        np.testing.assert_allclose(exact(x, source, period)[-1], x, rtol=1e-7)
