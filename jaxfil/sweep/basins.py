@@ -89,7 +89,7 @@ def basins_of_attraction(
     tolerance: float = 1e-4,
     **options: Any,
 ) -> Basins:
-    """The long-term motion of a forced system from every initial state of a grid.
+    """The long-term motion of a system from every initial state of a grid.
 
     Each state runs `transient` forcing periods T from t = 0, then `samples` more. A motion has the
     period m if
@@ -101,22 +101,24 @@ def basins_of_attraction(
 
     **Arguments**
 
-    - `system`: a `System` with a `period`.
+    - `system`: a `System` with a `period`, or with a `section` any.
     - `axes`: the values of the two components in the grid, shapes (a,) and (b,).
     - `x0`: the other components of every initial state, shape (n,); by default zeros (2,).
     - `components`: which two of the state the grid is of.
-    - `transient`: forcing periods before the first sample. Near a bifurcation transients are long.
-    - `samples`: forcing periods looked at; periods of up to half their number are found.
+    - `transient`: forcing periods, or crossings, before the first sample. Near a bifurcation
+      transients are long.
+    - `samples`: forcing periods, or crossings, looked at; periods of up to half their
+      number are found.
     - `tolerance`: how near a motion must come to where it was, relative to its size.
-    - `options`: `steps`, `stepper`, `progress`, `checkpoint` and `compact` of
-      `bifurcation_diagram`.
+    - `options`: `steps`, `stepper`, `progress`, `checkpoint`, `compact`, `section` and `max_return`
+      of `bifurcation_diagram`.
 
     **Returns** `Basins`.
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite`,
-    `step_too_long`, `invalid_period`, and after Ctrl-C `interrupted`. A lane that did not succeed
-    has the label −1.
+    `step_too_long`, `invalid_period`, `section_not_reached`, and after Ctrl-C `interrupted`. A lane
+    that did not succeed has the label −1.
 
     **Source**: textbook; H. E. Nusse and J. A. Yorke, Dynamics: Numerical Explorations, Springer
     (1998), chapter 7.
@@ -129,12 +131,13 @@ def basins_of_attraction(
     [1, 2]
     """
     check.system("system", system)
-    if system.period is None:
-        raise ValueError(
-            "`system` must be forced: motions are looked at once a forcing period, and the period "
-            f"of {type(system).__name__} is None."
-        )
-    check.period(system, jnp.result_type(float))
+    if options.get("section") is None:
+        if system.period is None:
+            raise ValueError(
+                "`system` must be forced: motions are looked at once a forcing period, and the "
+                f"period of {type(system).__name__} is None. Give a `section` to look at them at."
+            )
+        check.period(system, jnp.result_type(float))
     if len(axes) != 2:
         raise ValueError(f"`axes` must be a pair, the values of two components, got {axes!r}.")
     values = tuple(_axis(i, axis) for i, axis in enumerate(axes))

@@ -28,6 +28,7 @@ from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
 from jaxfil.model.parameter import is_parameter
+from jaxfil.model.section import Section
 from jaxfil.model.system import System, has_resets
 from jaxfil.model.types import Dataset, PathLike
 from jaxfil.model.warning import warn
@@ -185,6 +186,7 @@ def record_of(
         "coefficients": hashlib.sha256(table).hexdigest()[:16],
         "follow": str(given.follow),
         "compact": str(given.compact),
+        "section": f"{given.section}, {given.max_return}",
         "jaxfil": given.version,
         # Other versions and other machines give other last bits, and a diagram of two halves that
         # differ in them is equal to neither.
@@ -217,10 +219,25 @@ def equations(system: System, x: np.ndarray) -> str:
         s = eqx.combine(leaves, static)
         field = s.vector_field(t, x, jnp.ones(h, x.dtype))
         after = s.reset(t, x, jnp.zeros((), jnp.int32)) if has_resets(s) else None
-        return field, s.switching(t, x), after, s.period
+        return field, s.switching(t, x), after, s.period, s.clocks
 
     text = jax.jit(everything).lower(leaves, jnp.zeros((), state.dtype), state).as_text()
     return hashlib.sha256(f"{text} {system.slides}".encode()).hexdigest()[:16]
+
+
+def identity(section: Section, x: np.ndarray) -> str:
+    """A section in words, and a hash of its function and that function's numbers."""
+    leaves, static = eqx.partition(section.function, is_parameter)
+
+    def function(leaves: Any, t: Array, x: Array) -> Array:
+        return eqx.combine(leaves, static)(t, x)
+
+    state = jnp.asarray(x)
+    text = jax.jit(function).lower(leaves, jnp.zeros((), state.dtype), state).as_text()
+    numbers = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(leaves)]
+    sha = hashlib.sha256(f"{text} {numbers}".encode()).hexdigest()[:16]
+    rate = ", of its rate" if section.of_rate else ""
+    return f"function {sha}{rate}, direction {section.direction}"
 
 
 def _name(start: int, stop: int) -> str:

@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jaxfil.model.card import precision
+from jaxfil.model.card import counted, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS, outcome_names
@@ -30,6 +30,8 @@ ATTRIBUTES = {
     "follow",
     "jaxfil_version",
     "compact",
+    "section",
+    "max_return",
 }
 
 
@@ -41,9 +43,9 @@ class Conditions(eqx.Module):
     x0: Float[np.ndarray, "*lanes n"]
     """The initial state, shape (n,), or one for each lane."""
     transient: int = eqx.field(static=True)
-    """Forcing periods before the first sample."""
+    """Forcing periods, or crossings of the section, before the first sample."""
     steps: int = eqx.field(static=True)
-    """Steps per forcing period."""
+    """Steps per forcing period; of an autonomous system per unit of time."""
     stepper: str = eqx.field(static=True)
     """The stepper's name."""
     follow: str | None = eqx.field(static=True)
@@ -52,6 +54,10 @@ class Conditions(eqx.Module):
     """The version of jaxfil that computed it."""
     compact: bool = eqx.field(static=True, default=False)
     """Whether the stages of a step were a loop in the program: see `solve`."""
+    section: str | None = eqx.field(static=True, default=None)
+    """The section that was sampled at; None: once a forcing period."""
+    max_return: float | None = eqx.field(static=True, default=None)
+    """The time that a return to it was given."""
 
 
 # Components below this many eps of the largest one are rounding.
@@ -84,8 +90,8 @@ class BifurcationDiagram(eqx.Module):
     """The values swept, shape (p,); for a grid one array for each of its parameters, `xs[i, j]`
     belonging to `values[0][i]` and `values[1][j]`; for points one by one shape (p, k)."""
     xs: Float[np.ndarray, "*shape samples n"]
-    """`xs[i, k]` is the state of lane i at its k-th sampled time, a multiple of the forcing period;
-    NaN from where the lane failed."""
+    """`xs[i, k]` is the state of lane i at its k-th sampled time, a multiple of the forcing period
+    or a crossing of the section; NaN from where the lane failed."""
     results: RESULTS
     """The outcome of each lane."""
     parameter: str | tuple[str, ...] = eqx.field(static=True)
@@ -113,8 +119,8 @@ class BifurcationDiagram(eqx.Module):
         return draw(self, ax=ax, component=component)
 
     def periods(self, tolerance: float = 1e-4) -> np.ndarray:
-        r"""The period of each lane's motion in forcing periods, integers of shape (p,) or the
-        grid's.
+        r"""The period of each lane's motion in forcing periods, or in returns to the section,
+        integers of shape (p,) or the grid's.
 
         It is the least m with max_k |x[k + m] − x[k]| ≤ `tolerance` · max_k |x[k]| in every
         component, over all samples and for m up to half their number; 0 where there is none
@@ -211,6 +217,8 @@ class BifurcationDiagram(eqx.Module):
             "jaxfil_version": given.version,
             "compact": int(given.compact),
         }
+        if given.section is not None and given.max_return is not None:
+            attributes |= {"section": given.section, "max_return": given.max_return}
         if given.follow is not None:
             attributes["follow"] = given.follow
         if given.x0.ndim == 1:
@@ -235,11 +243,13 @@ class BifurcationDiagram(eqx.Module):
             swept = [_range(self.parameter, self.values)]
         else:
             swept = [f"  {', '.join(self.parameter)}: {shape[0]} points"]
+        ended = counted(self.results)
+        good = f"{ended.pop('successful', 0)} of {math.prod(shape)} lanes successful"
         lines = [
             f"BifurcationDiagram of {self.system}{precision(self.xs)}",
             *swept,
             f"  {samples} samples of {n} components each",
-            f"  {int(self.successful.sum())} of {math.prod(shape)} lanes successful",
+            f"  {', '.join([good, *(f'{count} {name}' for name, count in ended.items())])}",
         ]
         if self.errors is not None:
             lines.append(_errors_line(self.errors))

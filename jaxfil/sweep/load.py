@@ -47,7 +47,7 @@ def load(path: PathLike) -> BifurcationDiagram:
     (True, 'RK4')
     """
     data = dataset_io.load(path)
-    needed = ATTRIBUTES - {"follow", "x0", "compact"}
+    needed = ATTRIBUTES - {"follow", "x0", "compact", "section", "max_return"}
     missing = needed - {*data.attrs} | {"x", "outcome"} - {*data}
     if missing:
         raise ValueError(
@@ -62,6 +62,7 @@ def load(path: PathLike) -> BifurcationDiagram:
         values = axes[0] if len(swept) == 1 else tuple(axes)
     # An attribute of one number comes back as a number, and one of float32 as float64.
     x0 = data["x0"].values if "x0" in data else np.reshape(data.attrs["x0"], (-1,)).astype(dtype)
+    longest = data.attrs.get("max_return")
     return BifurcationDiagram(
         values=values,
         xs=data["x"].values,
@@ -77,6 +78,8 @@ def load(path: PathLike) -> BifurcationDiagram:
             follow=data.attrs.get("follow"),
             version=data.attrs["jaxfil_version"],
             compact=bool(data.attrs.get("compact", False)),
+            section=data.attrs.get("section"),
+            max_return=None if longest is None else float(longest),
         ),
         labels=_labels(data, swept),
         errors=data["error"].values if "error" in data else None,

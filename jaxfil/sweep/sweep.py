@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,25 +18,27 @@ from jaxtyping import Array
 
 from jaxfil.integrate.batch_loop import integrate_batch
 from jaxfil.integrate.compact import is_compact_sweep
-from jaxfil.integrate.components import build, unpack
+from jaxfil.integrate.components import unpack
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.problem import Problem, Recording, grid_of_periods, period_outcome
-from jaxfil.integrate.state import LoopState
+from jaxfil.integrate.problem import period_outcome
+from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import RESULTS, code, outcomes
-from jaxfil.model.parameter import cast, get_parameter, parameters, replace_parameter
+from jaxfil.model.parameter import cast, get_parameter, parameters
+from jaxfil.model.section import Section, sections_of
 from jaxfil.model.system import System
-from jaxfil.model.types import PathLike, States, SweptValues
+from jaxfil.model.types import PathLike, Scalar, States, SweptValues
 from jaxfil.model.warning import warn
 from jaxfil.sweep import multiprocess, step_halving
-from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, record_of
+from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, identity, record_of
 from jaxfil.sweep.diagram import BifurcationDiagram, Conditions
 from jaxfil.sweep.execution import BLOCK, compiled, one_after_another, side_by_side
 from jaxfil.sweep.interrupt import counted
 from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
+from jaxfil.sweep.sampling import Sampling, at_point
 from jaxfil.version import __version__
 from jaxfil.xla.kernel import in_blocks, one_kernel
 
@@ -52,20 +53,25 @@ def bifurcation_diagram(
     *,
     transient: int = 200,
     samples: int = 100,
-    steps: int = 40,
+    steps: int | StepChoice = 40,
     stepper: Stepper | None = None,
     follow: Literal["up", "down"] | None = None,
     checkpoint: PathLike | None = None,
     progress: bool = True,
     estimate_error: bool = False,
     compact: bool | None = None,
+    section: Section | None = None,
+    max_return: Scalar | None = None,
 ) -> BifurcationDiagram:
-    """Sweep a parameter of a forced system, or several, and sample the motion at each value.
+    """Sweep a parameter of a system, or several, and sample the motion at each value.
 
     For each value the system runs `transient` forcing periods T from t = 0 unseen, then `samples`
     periods, and its state is kept at the end of each: a stroboscopic Poincaré section,
 
         xs[i, k] = x((transient + k + 1) T; values[i])
+
+    With a `section` it is sampled at its crossings instead, of forced and of autonomous systems:
+    xs[i, k] is the state at crossing number transient + k + 1.
 
     Ctrl-C ends the sweep after the chunks under way, or once it is compiled, with a warning, and
     returns what is done; a second one does not wait for chunks. The numbers do not depend on how
@@ -80,15 +86,17 @@ def bifurcation_diagram(
 
     **Arguments**
 
-    - `system`: a `System` with a `period`.
-    - `parameter`: a float leaf of the system; a dotted path for nested modules. Or k such names.
+    - `system`: a `System` with a `period`, or with a `section` any.
+    - `parameter`: a float leaf of the system; a dotted path for nested modules, and "a[0,1]" for
+      an entry of an array. Or k such names.
     - `values`: shape (p,). New values never recompile. For k names, a tuple of k arrays, whose
       product grid is swept, or one array of shape (p, k), a point in parameter space a row.
     - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n); on a grid
       (p1, p2, …, n).
-    - `transient`: forcing periods before the first sample, 0 or more.
-    - `samples`: forcing periods sampled, 1 or more.
-    - `steps`: steps per forcing period.
+    - `transient`: forcing periods, or crossings, before the first sample, 0 or more.
+    - `samples`: forcing periods, or crossings, sampled, 1 or more.
+    - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`;
+      of an autonomous system per unit of time.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `follow`: "up" or "down" starts each value, in ascending or descending order, from the last
       one's end, which follows an attractor; by default each starts from `x0`.
@@ -99,14 +107,18 @@ def bifurcation_diagram(
     - `estimate_error`: sweep a second time at half the step, and give the largest distance between
       the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
     - `compact`: as in `solve`; by default so for up to a million steps of all lanes together.
+    - `section`: a `Section` whose crossings are sampled, such as `jf.maxima(…)`; its `terminal`
+      does not matter here.
+    - `max_return`: with a `section`, a time that is longer than the mean one from a crossing to the
+      next: a lane is given up after transient + samples times that.
 
     **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
     n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for.
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite`,
-    `step_too_long`, `invalid_period`, and after Ctrl-C `interrupted`. A lane that fails harms no
-    other.
+    `step_too_long`, `invalid_period`, `section_not_reached`, and after Ctrl-C `interrupted`. A lane
+    that fails harms no other.
 
     **Source**: textbook; S. H. Strogatz, Nonlinear Dynamics and Chaos, Perseus (1994), section 10.2
     for diagrams and 12.5 for stroboscopic sections.
@@ -134,24 +146,33 @@ def bifurcation_diagram(
     grid = parameter_grid(parameter, values, dtype)
     for each in grid.names:
         get_parameter(system, each)
-    if system.period is None:
+    if section is not None:
+        section, max_return = _checked_section(section, max_return, np.asarray(x0), dtype)
+    elif system.period is None:
         raise ValueError(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
-            f"{type(system).__name__} is None."
+            f"{type(system).__name__} is None. Give a `section` to sample at."
         )
     labels = labels_of(system, np.shape(x0)[-1]).of(grid.names)
     _check_follow(follow, grid)
+    steps, stepper = steps_and_stepper(steps, stepper, system)
     stepper = checked_stepper(stepper)
     conditions = Conditions(
         parameters=_others(system, grid.names),
         x0=_initial_states(x0, grid.shape, follow is not None).astype(dtype),
         transient=check.count("transient", transient, least=0),
-        steps=check.count("steps", steps),
+        steps=steps,
         stepper=tableau_of(stepper).name,
         follow=follow,
         version=__version__,
     )
     samples = check.count("samples", samples)
+    if section is not None:
+        conditions = dataclasses.replace(
+            conditions,
+            section=identity(section, np.zeros(np.shape(x0)[-1:], dtype)),
+            max_return=float(np.asarray(max_return)),
+        )
     each = (conditions.transient + samples) * conditions.steps
     compact = is_compact_sweep(compact, len(grid.rows), each)
     conditions = dataclasses.replace(conditions, compact=compact)
@@ -162,7 +183,8 @@ def bifurcation_diagram(
         samples=samples,
     )
     record = ft.partial(record_of, system, grid, samples=samples, stepper=stepper)
-    run = ft.partial(_swept, system, grid, samples=samples, stepper=stepper, progress=progress)
+    how = dict(samples=samples, stepper=stepper, section=section, progress=progress)
+    run = ft.partial(_swept, system, grid, **how)
     kept = _begun(checkpoint, ft.partial(record, conditions), estimate_error)
     xs, codes = run(conditions, kept)
     finished = _all_finished("sweep", "samples", codes, checkpoint)
@@ -195,16 +217,20 @@ def _swept(
     *,
     samples: int,
     stepper: Stepper,
+    section: Section | None,
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
     # Counts are traced, so that new ones compile nothing; `samples` is the shape of the result.
-    sampling = _Sampling(
+    longest = given.max_return
+    sampling = Sampling(
         transient=jnp.asarray(given.transient, jnp.int32),
         samples=samples,
         steps=jnp.asarray(given.steps, jnp.int32),
         stepper=stepper,
         compact=given.compact,
+        section=section,
+        max_return=None if longest is None else jnp.asarray(longest, grid.rows.dtype),
     )
     job = ft.partial(compiled(_run), system, grid.names, sampling)
     if given.follow is None:
@@ -216,6 +242,20 @@ def _swept(
     xs, codes = one_after_another(job, grid.rows[order], given.x0, samples, kept, progress)
     back = np.argsort(order, kind="stable")
     return xs[back], codes[back]
+
+
+def _checked_section(
+    section: object, max_return: Scalar | None, x0: np.ndarray, dtype: np.dtype
+) -> tuple[Section, Array]:
+    """A section to sample at, its numbers in the precision of the run, and the time that a return
+    may take."""
+    if not isinstance(section, Section):
+        raise ValueError(f"`section` must be a jaxfil.Section, got {section!r}.")
+    sections_of("section", section, jnp.zeros(x0.shape[-1:], dtype))
+    if section.is_bound:
+        raise ValueError("`section` must be one that motions cross, got a bound.")
+    longest = check.scalar("max_return", max_return, dtype, positive=True)
+    return dataclasses.replace(section, function=cast(section.function, dtype)), longest
 
 
 def _check_follow(follow: object, grid: ParameterGrid) -> None:
@@ -274,51 +314,10 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike 
     return not missing.any()
 
 
-class _Sampling(eqx.Module):
-    """What every lane of a sweep does: `transient` periods unseen, then `samples` periods whose
-    ends are kept, `steps` steps each."""
-
-    transient: Array
-    samples: int = eqx.field(static=True)
-    steps: Array
-    stepper: Stepper
-    compact: bool = eqx.field(static=True)
-
-    def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
-        """That of one point in parameter space."""
-        system, period = _at(system, names, row)
-        grid = grid_of_periods(period, self.transient + self.samples, self.steps)
-        recording = Recording(
-            save="samples",
-            max_events=None,
-            num_saves=self.samples,
-            first=(self.transient + 1) * self.steps,
-            every=self.steps,
-        )
-        field, tableau = build(system, x0), tableau_of(self.stepper)
-        return Problem(field, tableau, grid, recording, self.compact)
-
-
-def _at(system: System, names: tuple[str, ...], row: Array) -> tuple[System, Array]:
-    """The system at a point in parameter space, and its period."""
-    for i, name in enumerate(names):
-        system = replace_parameter(system, name, row[i])
-    return system, jnp.asarray(system.period, row.dtype)
-
-
-def _outcome(state: LoopState) -> tuple[Array, RESULTS, Array]:
-    """Samples (samples, n), outcome, and the last state (n,) of a lane, or of many."""
-    assert state.saves is not None
-    xs = jnp.where(jnp.isfinite(state.saves.xs), state.saves.xs, jnp.nan)
-    # Components are numbers, or one array of them.
-    rows = [v.reshape(*xs.shape[:-2], -1) for v in state.x]
-    return xs, state.result, jnp.concatenate(rows, axis=-1)
-
-
 def _run(
     system: System,
     names: tuple[str, ...],
-    sampling: _Sampling,
+    sampling: Sampling,
     rows: Array,
     states: Array,
     lanes: Array,
@@ -329,13 +328,13 @@ def _run(
     """A chunk of lanes side by side, or one after the other each from the last one's end; of the
     first so many."""
     problem = ft.partial(sampling.problem, system, names)
-    periods = jax.vmap(lambda row: _at(system, names, row)[1])(rows)
+    periods = jax.vmap(lambda row: at_point(system, names, row)[1])(rows)
 
     def lane(row: Array, x0: Array) -> tuple[Array, RESULTS, Array]:
-        return _outcome(integrate(problem(row, x0), unpack(x0)))
+        return sampling.outcome(integrate(problem(row, x0), unpack(x0)))
 
     def block(rows: Array, states: Array) -> tuple[Array, RESULTS, Array]:
-        return _outcome(integrate_batch(problem, rows, states))
+        return sampling.outcome(integrate_batch(problem, rows, states))
 
     if not followed:
         run = in_blocks(block, BLOCK) if whole else jax.vmap(lane)

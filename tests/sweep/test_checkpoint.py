@@ -203,6 +203,31 @@ def test_equations_are_told_apart_by_what_they_compute():
     assert len({same, equations(1.0, 4, 0.1), equations(1.0, 3, 0.1 + 1e-16)}) == 3
 
 
+class Geared(System):
+    """An integer table of many entries, a Python integer, and a field that is no leaf."""
+
+    table: jnp.ndarray
+    count: int
+    rule: str = eqx.field(static=True)
+
+    period = 1.0
+
+    def vector_field(self, t, x, side):
+        pick = self.table[jnp.clip(jnp.floor(x[:1]).astype(int), 0, self.table.size - 1)]
+        sign = {"pull": -1.0, "push": 1.0}[self.rule]
+        return sign * (pick + self.count).astype(x.dtype) * x
+
+
+def test_integers_and_static_fields_are_part_of_the_equations():
+    def equations(entry=3, count=2, rule="pull"):
+        table = jnp.arange(5000).at[2500].set(entry)
+        return checkpoint.equations(Geared(table, count, rule), X0)
+
+    same = equations()
+    assert equations() == same
+    assert len({same, equations(entry=4), equations(count=3), equations(rule="push")}) == 4
+
+
 def test_a_checkpoint_of_another_version_is_refused(begun, monkeypatch):
     monkeypatch.setattr("jaxfil.sweep.sweep.__version__", "9.9")
     with pytest.raises(ValueError, match=rf"jaxfil was {jf.__version__} and is 9\.9"):

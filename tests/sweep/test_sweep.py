@@ -172,12 +172,13 @@ class Sorted(System):
 
 def test_a_field_with_a_sort_is_swept_as_it_is_solved(in_parts):
     values, x0 = np.array([0.9, 1.1]), jnp.array([0.3, 0.1])
+    stepper, options = jf.RK4(), {"transient": 1, "samples": 2, "progress": False}
     d = jf.bifurcation_diagram(
-        Sorted(jnp.asarray(1.0)), "omega", values, x0, transient=1, samples=2, progress=False
+        Sorted(jnp.asarray(1.0)), "omega", values, x0, stepper=stepper, **options
     )
     for value, xs in zip(values, d.xs, strict=True):
         system = Sorted(jnp.asarray(value))
-        sol = jf.solve(system, x0, 0.0, 3 * system.period, system.period / 40)
+        sol = jf.solve(system, x0, 0.0, 3 * system.period, system.period / 40, stepper=stepper)
         np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
     assert in_parts
 
@@ -193,13 +194,14 @@ def test_an_arctangent_is_in_its_quadrant(in_parts):
     # XLA's own is in wrong quadrants in 512-bit vectors, when there are lanes enough: a field's is
     # replaced.
     values, x0 = np.linspace(0.9, 1.1, 256), jnp.array([0.3, 0.1])
+    stepper, options = jf.RK4(), {"transient": 1, "samples": 1, "progress": False}
     d = jf.bifurcation_diagram(
-        Bent(jnp.asarray(1.0)), "omega", values, x0, transient=1, samples=1, progress=False
+        Bent(jnp.asarray(1.0)), "omega", values, x0, stepper=stepper, **options
     )
     assert in_parts
     for value, xs in zip(values[::85], d.xs[::85], strict=True):
         system = Bent(jnp.asarray(value))
-        sol = jf.solve(system, x0, 0.0, 2 * system.period, system.period / 40)
+        sol = jf.solve(system, x0, 0.0, 2 * system.period, system.period / 40, stepper=stepper)
         np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
 
 

@@ -1,0 +1,143 @@
+"""Diagrams sampled at a section: of autonomous systems, and whatever else is made of diagrams.
+
+Against `scipy.integrate.solve_ivp`, and for Chua's circuit against what is known of it.
+"""
+
+from typing import ClassVar
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import jaxfil as jf
+
+TOPS = jf.maxima(lambda t, x: x[0])
+MUS = np.array([0.5, 1.0])
+
+
+class VanDerPol(jf.System):
+    mu: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], self.mu * (1 - x[0] ** 2) * x[1] - x[0]])
+
+
+def sweep(mus=MUS, section=TOPS, **options):
+    given = {"transient": 12, "samples": 6, "steps": 16, "max_return": 12.0, "progress": False}
+    return jf.bifurcation_diagram(
+        VanDerPol(jnp.array(0.0)),
+        "mu",
+        mus,
+        jnp.array([1.0, 0.0]),
+        stepper=jf.RK4(),
+        section=section,
+        compact=True,
+        **given | options,
+    )
+
+
+def amplitude(mu):
+    """The maximum of x on the limit cycle, by another program."""
+
+    def top(t, x):
+        return x[1]
+
+    top.direction = -1
+    run = solve_ivp(
+        lambda t, x: [x[1], mu * (1 - x[0] ** 2) * x[1] - x[0]],
+        (0, 100),
+        [1.0, 0.0],
+        "DOP853",
+        events=top,
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    return run.y_events[0][-1][0]
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return sweep()
+
+
+def test_the_limit_cycle_of_an_autonomous_system_is_sampled_at_its_maxima(plain):
+    assert plain.successful.all() and plain.periods().tolist() == [1, 1]
+    exact = [amplitude(mu) for mu in MUS]
+    # Of the fourth order, at a step of 1/16.
+    np.testing.assert_allclose(plain.xs[:, -1, 0], exact, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(plain.xs[..., 1], 0, atol=1e-12)
+
+
+def test_a_diagram_at_a_section_is_kept_drawn_and_told_as_any_other(plain, tmp_path):
+    plain.save(tmp_path / "diagram.nc")
+    back = jf.load(tmp_path / "diagram.nc")
+    assert np.array_equal(back.xs, plain.xs) and back.conditions.max_return == 12.0
+    assert back.conditions.section == plain.conditions.section
+    assert plain.to_xarray().attrs["section"].endswith("of its rate, direction -1")
+    assert plain.plot().get_ylabel() == "x[0] at the section"
+
+
+def test_a_checkpoint_knows_its_section(plain, tmp_path):
+    kept = sweep(checkpoint=tmp_path / "kept")
+    again = sweep(checkpoint=tmp_path / "kept")
+    assert np.array_equal(kept.xs, plain.xs) and np.array_equal(again.xs, plain.xs)
+    with pytest.raises(ValueError, match="section"):
+        sweep(checkpoint=tmp_path / "kept", section=jf.minima(lambda t, x: x[0]))
+
+
+def test_a_lane_that_does_not_come_back_says_so():
+    lost = sweep(max_return=1.0)
+    assert (lost.results == jf.RESULTS.section_not_reached).all()
+    # A span of 18 units of time has three maxima, all of them within the transient.
+    assert np.isnan(lost.xs).all()
+
+
+def test_what_a_diagram_at_a_section_needs_is_asked_for_by_name():
+    with pytest.raises(ValueError, match="`max_return` must be a positive number, got None"):
+        sweep(max_return=None)
+    with pytest.raises(ValueError, match="`section` must be a jaxfil"):
+        sweep(section=3)
+    with pytest.raises(ValueError, match="Give a `section` to sample at"):
+        sweep(section=None, max_return=None)
+
+
+class Chua(jf.System):
+    """Chua's circuit in Matsumoto's numbers, β = 100/7, m₀ = −8/7, m₁ = −5/7."""
+
+    alpha: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        bend = 0.5 * (side[1] * (x[0] + 1) - side[0] * (x[0] - 1))
+        diode = (-5 * x[0] - 3 * bend) / 7
+        flow = self.alpha * (x[1] - x[0] - diode)
+        return jnp.stack([flow, x[0] - x[1] + x[2], -100 / 7 * x[1]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - 1, x[0] + 1])
+
+
+def test_chuas_circuit_doubles_its_period_and_comes_to_the_double_scroll():
+    """Matsumoto, Chua and Komuro, IEEE Transactions on Circuits and Systems 32 (1985) 798–818: the
+    double scroll at α = 9."""
+    d = jf.bifurcation_diagram(
+        Chua(jnp.array(9.0)),
+        "alpha",
+        jnp.array([8.0, 8.3, 9.0]),
+        jnp.array([0.7, 0.1, -0.1]),
+        transient=100,
+        samples=60,
+        steps=20,
+        stepper=diffrax.Tsit5(),
+        section=jf.maxima(lambda t, x: x[2]),
+        max_return=5.0,
+        compact=True,
+        progress=False,
+    )
+    assert d.successful.all() and d.periods().tolist() == [1, 2, 0]
+    # Before it the motion keeps to one side of the origin, on the double scroll it visits both.
+    assert (d.xs[:2, :, 0] > 0).all()
+    assert d.xs[2, :, 0].min() < -1 and d.xs[2, :, 0].max() > 1
