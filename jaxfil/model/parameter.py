@@ -1,9 +1,12 @@
 """A parameter by its name.
 
-A system and the name of a float leaf (a dotted path for nested modules) enter; the leaf, or the
-system with another value in its place, leaves.
+A system and the name of a float leaf (a dotted path for nested modules), or of an entry of one that
+is an array, "a[0,1]", enter; the leaf or entry, or the system with another value in its place,
+leaves.
 """
 
+import re
+from collections.abc import Iterable
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -13,9 +16,10 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import PyTree
 
-from jaxfil.model.system import System
-
 _Tree = TypeVar("_Tree")
+
+# A name, and the indices of an entry after it.
+_ENTRY = re.compile(r"(.+)\[(\s*-?\d+\s*(?:,\s*-?\d+\s*)*)\]")
 
 
 def parameters(system: PyTree) -> dict[str, Any]:
@@ -29,28 +33,72 @@ def _name(path: tuple[Any, ...]) -> str:
 
 
 def get_parameter(system: PyTree, name: str) -> Any:
-    """The leaf called `name`."""
+    """The leaf called `name`, or the entry of one."""
+    leaf, entry = _found(system, name)
+    return leaf if entry is None else jnp.asarray(leaf).reshape(-1)[entry]
+
+
+def _found(system: PyTree, name: str) -> tuple[Any, int | None]:
+    """The leaf that a name speaks of, and which of its entries, in the order of C, or None."""
     known = parameters(system)
-    if name not in known:
-        fields = vars(system) if isinstance(name, str) else {}
-        hint = f", which is {fields[name]!r} and no float" if name in fields else ""
-        raise ValueError(
-            f"`parameter` must be a parameter of {type(system).__name__}, one of "
-            f"{', '.join(known) or '(it has none)'}; got {name!r}{hint}."
-        )
-    return known[name]
+    if name in known:
+        return known[name], None
+    base, index = _split(str(name))
+    shape = np.shape(known[base]) if base in known else ()
+    if len(index) == len(shape) > 0 and all(-n <= i < n for i, n in zip(index, shape, strict=True)):
+        return known[base], int(np.arange(np.prod(shape)).reshape(shape)[index])
+    fields = vars(system) if isinstance(name, str) else {}
+    hint = f", which is {fields[name]!r} and no float" if name in fields else ""
+    hint = f", and `{base}` is of shape {shape}" if index and base in known else hint
+    raise ValueError(
+        f"`parameter` must be a parameter of {type(system).__name__}, one of "
+        f"{', '.join(known) or '(it has none)'}; got {name!r}{hint}."
+    )
+
+
+def _split(name: str) -> tuple[str, tuple[int, ...]]:
+    """The name of the leaf and the indices of the entry; () for a leaf."""
+    match = _ENTRY.fullmatch(name)
+    if match is None:
+        return name, ()
+    return match[1], tuple(int(i) for i in match[2].split(","))
+
+
+def scalar_parameters(system: PyTree, names: Any) -> tuple[str, ...]:
+    """The names of several parameters, each different and a scalar: an argument `parameters`."""
+    several = isinstance(names, (tuple, list)) and len(names) > 0
+    if not several or len({*names}) != len(names):
+        raise ValueError(f"`parameters` must be the names of different parameters, got {names!r}.")
+    for name in names:
+        if jnp.ndim(get_parameter(system, name)):
+            raise ValueError(f"`parameters` must be scalars, got {name!r}, which is an array.")
+    return tuple(names)
+
+
+def replace_parameters(system: _Tree, names: Iterable[str], values: Iterable[ArrayLike]) -> _Tree:
+    """`system` with each of these replaced: see `replace_parameter`."""
+    for name, value in zip(names, values, strict=True):
+        system = replace_parameter(system, name, value)
+    return system
 
 
 def replace_parameter(system: _Tree, name: str, value: ArrayLike) -> _Tree:
-    """`system` with the leaf called `name` replaced, shape and dtype kept."""
-    get_parameter(system, name)
+    """`system` with the leaf or entry called `name` replaced, shape and dtype kept."""
+    _, entry = _found(system, name)
+    base = name if entry is None else _split(name)[0]
 
     def swap(path: tuple[Any, ...], leaf: Any) -> Any:
-        if _name(path) != name:
+        if _name(path) != base:
             return leaf
         # A program is compiled for the shapes and dtypes of its leaves: a value that kept its own
         # would compile another one.
-        return jnp.broadcast_to(jnp.asarray(value, jnp.asarray(leaf).dtype), jnp.shape(leaf))
+        dtype, shape = jnp.asarray(leaf).dtype, jnp.shape(leaf)
+        if entry is None:
+            return jnp.broadcast_to(jnp.asarray(value, dtype), shape)
+        # Not by `.at`, which is a scatter: no kernel holds one.
+        flat, one = jnp.reshape(leaf, -1), jnp.reshape(jnp.asarray(value, dtype), 1)
+        parts = flat[:entry], one, flat[entry + 1 :]
+        return jnp.concatenate([v for v in parts if v.size]).reshape(shape)
 
     return jax.tree_util.tree_map_with_path(swap, system)
 
@@ -61,8 +109,9 @@ def is_parameter(leaf: object) -> bool:
     return isinstance(leaf, (float, np.floating)) or eqx.is_inexact_array(leaf)
 
 
-def cast(system: System, dtype: DTypeLike) -> System:
-    """`system` with every float leaf an array of the given dtype, so that none is static."""
+def cast(system: _Tree, dtype: DTypeLike) -> _Tree:
+    """`system`, or another pytree, with every float leaf an array of the given dtype, so that none
+    is static."""
     # A Python float would be a constant of the compiled program, and a new value another program.
     return jax.tree.map(
         lambda leaf: jnp.asarray(leaf, dtype) if is_parameter(leaf) else leaf, system
