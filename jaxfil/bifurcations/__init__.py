@@ -15,5 +15,8 @@ The words of this room:
 - family: kinds of bifurcation with the same two equations at the tangency.
 - defining system: closing of the orbit and these two equations, for the orbit and the parameter.
 - margin: the smallest guard of a flight, zero where the orbit grazes.
-- codimension two: where the kind changes along a curve in two parameters.
+- nearest: of the parameters with a grazing orbit those at the smallest distance from given ones,
+  in a metric; multipliers are those of Lagrange there.
+- codimension two: of a point on a curve in two parameters where the tangency degenerates (a cusp, a
+  two-fold) or a multiplier of the orbit is on the unit circle.
 """

@@ -6,6 +6,8 @@ contacts, or where there is none yet, a guard with a minimum or a contact with n
 """
 
 import dataclasses
+import itertools
+from collections.abc import Iterator
 
 import equinox as eqx
 import jax
@@ -14,14 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.bifurcations.tangency import FAMILIES, Tangency, conditions
+from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, conditions
 from jaxfil.integrate import components, filippov, sliding_weights
 from jaxfil.integrate.solution import Dense, evaluate, switches
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
 
-# Tangencies of an orbit that are told, the nearest first.
+# Tangencies of an orbit that are told for each surface.
 _CANDIDATES = 3
 
 
@@ -53,21 +55,32 @@ def _flights(orbit: Orbit) -> list[_Flight]:
     return [_Flight(ts[i], stops[i], modes[i], members[(i + 1) % count]) for i in range(count)]
 
 
-def guesses(orbit: Orbit, kind: str) -> list[list[tuple[Tangency, Array]]]:
-    """For every lane the nearest tangencies, each with whether it is none: a lane that has none, or
-    whose orbit was not found, gets one that is NaN."""
+def guesses(orbit: Orbit, *kinds: str) -> list[list[tuple[Tangency, Array]]]:
+    """For every lane the nearest tangencies from which a bifurcation of one of these kinds could
+    come, each with whether it is none: a lane that has none, or whose orbit was not found, gets one
+    that is NaN."""
     if isinstance(orbit.x0, jax.core.Tracer):
         raise ValueError("`orbit` must be known numbers, got a traced Orbit: find it outside.")
     # They are looked at, also while the system is being traced.
     with jax.core.eval_context():
         if orbit.x0.ndim == 1:
-            return [_guesses(orbit, kind)]
+            return [_guesses(orbit, kinds)]
         lanes = [jax.tree.map(lambda v, i=i: v[i], orbit) for i in range(orbit.x0.shape[0])]
-        return [_guesses(lane, kind) for lane in lanes]
+        return [_guesses(lane, kinds) for lane in lanes]
 
 
-def _guesses(orbit: Orbit, kind: str) -> list[tuple[Tangency, Array]]:
-    found = tangency_candidates(orbit, kind) if orbit.result == RESULTS.successful else []
+def attempts(
+    orbit: Orbit, lanes: list[list[tuple[Tangency, Array]]]
+) -> Iterator[tuple[Tangency, Array]]:
+    """What `guesses` tells of all lanes, one tangency of each at a time, as the orbit is batched.
+    Lanes that have fewer of them try their last one again."""
+    for i in range(max(len(lane) for lane in lanes)):
+        tried = [lane[min(i, len(lane) - 1)] for lane in lanes]
+        yield tried[0] if orbit.x0.ndim == 1 else jax.tree.map(lambda *v: jnp.stack(v), *tried)
+
+
+def _guesses(orbit: Orbit, kinds: tuple[str, ...]) -> list[tuple[Tangency, Array]]:
+    found = tangency_candidates(orbit, *kinds) if orbit.result == RESULTS.successful else []
     if found:
         return [(tangency, jnp.asarray(False)) for _, tangency in found]
     nan, mode = jnp.full_like(orbit.period, jnp.nan), orbit.first_mode.astype(orbit.period.dtype)
@@ -75,27 +88,33 @@ def _guesses(orbit: Orbit, kind: str) -> list[tuple[Tangency, Array]]:
     return [(nowhere, jnp.asarray(True))]
 
 
-def tangency_candidates(orbit: Orbit, kind: str) -> list[tuple[float, Tangency]]:
-    """The nearest tangencies from which a bifurcation of this kind could come, each with the time
-    by which the orbit misses it (or is past it)."""
+def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency]]:
+    """The tangencies of each surface from which a bifurcation of one of these kinds could come, the
+    nearest first, each with the time by which the orbit misses it (or is past it)."""
     flights = _flights(orbit)
     dense = orbit.dense()
     ts, xs = np.asarray(dense.ts), np.asarray(dense.xs)
     real = np.isfinite(ts)
     ts, xs = ts[real], xs[real]
     found = []
-    for i, flight in enumerate(flights):
+    for kind, (i, flight) in itertools.product(kinds, enumerate(flights)):
         before, after = flights[i - 1], flights[(i + 1) % len(flights)]
         for j in range(flight.mode.size):
             found += _short(flight, before, after, j, kind, len(flights))
-            if FAMILIES[kind] == "arrival":
+            if FAMILIES[kind] == ARRIVAL:
                 found += _arrivals(orbit, flight, after, j, kind, ts, xs)
             else:
                 found += _impacts(orbit, flight, after, j, kind, ts, xs)
                 found += _minima(orbit, flight, j, kind, ts, xs)
     found.sort(key=lambda entry: entry[0])
-    nearest = found[:_CANDIDATES]
-    return [(entry[0], _tangency(orbit, dense, *entry[1:])) for entry in nearest]
+    # Two kinds have the same minima.
+    entries = {(j, middle): entry for entry in reversed(found) for _, j, *_, middle, _ in [entry]}
+    nearest, told = [], dict.fromkeys(range(flights[0].mode.size), 0)
+    for reach, j, *rest in reversed(entries.values()):
+        told[j] += 1
+        if told[j] <= _CANDIDATES:
+            nearest.append((reach, _tangency(orbit, dense, j, *rest)))
+    return nearest
 
 
 def _short(
@@ -118,7 +137,7 @@ def _short(
     length = flight.stop - flight.start
     left = flight.start - 0.5 * (before.stop - before.start)
     right = flight.stop + 0.5 * (after.stop - after.start)
-    middle = flight.start if FAMILIES[kind] == "arrival" else flight.start + 0.5 * length
+    middle = flight.start if FAMILIES[kind] == ARRIVAL else flight.start + 0.5 * length
     return [(length, j, side, before.mode, left, middle, right)]
 
 
@@ -126,7 +145,7 @@ def _minima(
     orbit: Orbit, flight: _Flight, j: int, kind: str, ts: np.ndarray, xs: np.ndarray
 ) -> list[tuple]:
     """Where the guard of a flight has a minimum: the time in which it would reach zero."""
-    sliding = FAMILIES[kind] == "slide"
+    sliding = FAMILIES[kind] == SLIDE
     if (flight.mode[j] == 0) != sliding:
         return []
     period = float(orbit.period)

@@ -13,10 +13,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from jaxfil.bifurcations.tangency import Closing, Tangency, close, defining
-from jaxfil.model.parameter import replace_parameter
+from jaxfil.bifurcations.tangency import SLIDE, Closing, Tangency, close, defining
+from jaxfil.model.parameter import replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import Equations, SystemOf
 from jaxfil.orbits.newton import Evaluation, Root, newton
@@ -33,14 +33,13 @@ class DefiningSystem(Equations):
     options: ShootingOptions
     periods: int | Array
     newton_steps: int | Array
-    family: str = eqx.field(static=True)
+    family: Int[Array, ""]
     free: tuple[str, ...] = eqx.field(static=True)
 
     def placed(self, system: System, z: Array) -> tuple[System, Array, Tangency]:
         """System, period and tangency for unknowns z."""
         n = self.tangency.x.shape[0]
-        for name, value in zip(self.free, z[n + 1 :], strict=True):
-            system = replace_parameter(system, name, value)
+        system = replace_parameters(system, self.free, z[n + 1 :])
         if system.period is None:
             return system, z[n], dataclasses.replace(self.tangency, x=z[:n])
         period = jnp.asarray(system.period) * self.periods
@@ -61,10 +60,10 @@ class DefiningSystem(Equations):
             return value, (value, closing)
 
         jacobian, (value, closing) = kernel_if_it_fits(jax.jacfwd(residual, has_aux=True))(z)
-        equations, unknowns = self._scales(system, z, closing)
+        equations, unknowns = self.scales(system, z, closing)
         return Evaluation(value, jacobian, equations, unknowns, closing.result, closing)
 
-    def _scales(self, system: System, z: Array, closing: Closing) -> tuple[Array, Array]:
+    def scales(self, system: System, z: Array, closing: Closing) -> tuple[Array, Array]:
         """Of the equations and of the unknowns."""
         n = self.tangency.x.shape[0]
         system, period, _ = self.placed(system, z)
@@ -75,7 +74,7 @@ class DefiningSystem(Equations):
         height = jnp.where(height == 0, 1, height)
         pace = 2 * jnp.pi / period
         pair = jnp.stack([height * pace, height * pace**2])
-        pair = pair if self.family == "slide" else pair / pace
+        pair = jnp.where(self.family == SLIDE, pair, pair / pace)
         q = abs(z[n:])
         return jnp.append(size, pair), jnp.append(size, jnp.where(q == 0, 1, q))
 
@@ -94,7 +93,7 @@ def defining_system(
     system: System,
     orbit: Orbit,
     tangency: Tangency,
-    family: str,
+    family: int | Int[Array, ""],
     free: tuple[str, ...],
     newton_steps: int | Array,
 ) -> DefiningSystem:
@@ -104,4 +103,5 @@ def defining_system(
     if system.period is not None:
         periods = jnp.round(stop_gradient(orbit.period / jnp.asarray(orbit.system.period)))
     options = dataclasses.replace(orbit.options, arcs=1)
+    family = jnp.asarray(family, jnp.int32)
     return DefiningSystem(stop_gradient(tangency), options, periods, newton_steps, family, free)

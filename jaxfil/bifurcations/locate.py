@@ -12,6 +12,7 @@ Dynamical Systems (2008), chapter 8, with time as a state.
 import dataclasses
 import functools as ft
 from collections.abc import Callable
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -20,10 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxfil.bifurcations.candidates import guesses
-from jaxfil.bifurcations.defining_system import defining_system
+from jaxfil.bifurcations.candidates import attempts, guesses
+from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
 from jaxfil.bifurcations.tangency import (
     FAMILIES,
+    FAMILY_NAMES,
     Conditions,
     Tangency,
     conditions,
@@ -36,7 +38,10 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast, get_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
+from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
+
+_Result = TypeVar("_Result", bound=eqx.Module)
 
 BIFURCATION_KINDS = tuple(FAMILIES)
 """The kinds of bifurcation that `find_bifurcation` locates, in the order of `Bifurcation.code`.
@@ -160,10 +165,15 @@ def find_bifurcation(
     if not isinstance(orbit, Orbit):
         raise ValueError(f"`orbit` must be an Orbit, got {type(orbit).__name__}.")
     system = cast(system, orbit.x0.dtype)
-    newton_steps = check.count("newton_steps", newton_steps)
-    one = ft.partial(
-        _find, system, parameter, FAMILIES[kind], BIFURCATION_KINDS.index(kind), newton_steps
-    )
+    most = jnp.asarray(check.count("newton_steps", newton_steps))
+    family, code = FAMILIES[kind], BIFURCATION_KINDS.index(kind)
+
+    def one(orbit: Orbit, tangency: Tangency, missing: Array) -> Bifurcation:
+        # Numbers, not names: one program for all kinds.
+        asked = jnp.asarray(family), jnp.asarray(code)
+        found = _find(system, parameter, *asked, most, orbit, tangency, missing)
+        return Bifurcation(**found, parameter=parameter, family=FAMILY_NAMES[family])
+
     search = one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
     found = _first_found(search, orbit, guesses(orbit, kind))
     if not throw:
@@ -177,11 +187,8 @@ def _first_found(
     """The bifurcation at the first tangency of each lane from which one is found. The tangency that
     is nearest now need not be the first to happen."""
     found = None
-    for i in range(max(len(lane) for lane in lanes)):
-        tried = [lane[min(i, len(lane) - 1)] for lane in lanes]
-        single = orbit.x0.ndim == 1
-        arrays = tried[0] if single else jax.tree.map(lambda *v: jnp.stack(v), *tried)
-        now = search(orbit, *arrays)
+    for attempt in attempts(orbit, lanes):
+        now = search(orbit, *attempt)
         found = now if found is None else _better(found, now)
         try:
             if bool(jnp.all(found.result == RESULTS.successful)):
@@ -199,10 +206,14 @@ def _better(a: Bifurcation, b: Bifurcation) -> Bifurcation:
         named = (found.result == RESULTS.other_kind).astype(jnp.int32)
         return 2 * (found.result == RESULTS.successful).astype(jnp.int32) + named
 
-    take = rank(b) > rank(a)
+    return lane_by_lane(rank(b) > rank(a), b, a)
+
+
+def lane_by_lane(take: Array, a: _Result, b: _Result) -> _Result:
+    """The lanes of a result where `take` is true, those of another one elsewhere."""
 
     def pick(u: Array, v: Array) -> Array:
-        return jnp.where(jnp.reshape(take, take.shape + (1,) * (v.ndim - take.ndim)), v, u)
+        return jnp.where(jnp.reshape(take, take.shape + (1,) * (v.ndim - take.ndim)), u, v)
 
     arrays, rest = eqx.partition(a, eqx.is_array)
     return eqx.combine(jax.tree.map(pick, arrays, eqx.filter(b, eqx.is_array)), rest)
@@ -212,40 +223,50 @@ def _better(a: Bifurcation, b: Bifurcation) -> Bifurcation:
 def _find(
     system: System,
     parameter: str,
-    family: str,
-    code: int,
-    newton_steps: int,
+    family: Array,
+    code: Array,
+    newton_steps: Array,
     orbit: Orbit,
     tangency: Tangency,
     missing: Array,
-) -> Bifurcation:
+) -> dict[str, Any]:
+    """The fields of a `Bifurcation`, but for names."""
     equations = defining_system(system, orbit, tangency, family, (parameter,), newton_steps)
     value = jnp.asarray(get_parameter(orbit.system, parameter), tangency.x.dtype)
     phase = orbit.period if system.period is None else tangency.phase
     z = jnp.concatenate([tangency.x, jnp.stack([phase, value])])
     z, root = solve_implicit(equations, system, z)
+    found = bifurcation_at(equations, system, orbit, z, root)
+    # What is told, last to first: no guess at all, what `bifurcation_at` tells, another kind.
+    other = RESULTS.where(found["code"] == code, RESULTS.successful, RESULTS.other_kind)
+    result = RESULTS.where(found["result"] == RESULTS.successful, other, found["result"])
+    result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
+    value = jnp.where(missing, jnp.full_like(z[-1], jnp.nan), found["value"])
+    return found | {"value": value, "result": result}
+
+
+def bifurcation_at(
+    equations: DefiningSystem, system: System, near: Orbit, z: Array, root: Root
+) -> dict[str, Any]:
+    """The fields, but for names, of the bifurcation at a root of a defining system, of whatever
+    kind, reached from an orbit near it. Its parameter is the first of those that are free."""
     system, period, tangency = equations.placed(system, z)
     closing = root.at.aux
     found = conditions(system, closing.t, closing.x, tangency)
-    # What is told, last to first: no guess at all, Newton's own failure, an orbit that is none, a
-    # tangency of another kind.
-    located = kind_of(family, found)
-    result = RESULTS.where(located == code, RESULTS.successful, RESULTS.other_kind)
-    result = RESULTS.where(closing.holds, result, RESULTS.orbit_lost)
+    located = kind_of(equations.family, found)
+    result = RESULTS.where(closing.holds, RESULTS.successful, RESULTS.orbit_lost)
     result = RESULTS.where(root.result == RESULTS.successful, result, root.result)
-    result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
     n = tangency.x.shape[0]
-    nan = jnp.full_like(root.at.size, jnp.nan)
-    return Bifurcation(
-        value=jnp.where(missing, nan, z[-1]),
+    return dict(
+        value=z[n + 1],
         orbit=Orbit(
             x0=tangency.x,
             period=period,
             # The closing's derivative is that of the flow map less one, through the tangency.
             monodromy=root.at.jacobian[:n, :n] + jnp.eye(n, dtype=z.dtype),
             residual=root.at.size,
-            events=orbit.events,
-            num_events=orbit.num_events,
+            events=near.events,
+            num_events=near.num_events,
             first_mode=tangency.mode.astype(jnp.int8),
             result=root.result,
             system=system,
@@ -260,6 +281,4 @@ def _find(
         residual=root.at.size,
         result=result,
         tangency=tangency,
-        parameter=parameter,
-        family=family,
     )

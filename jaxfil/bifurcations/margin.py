@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxfil.bifurcations.candidates import guesses
 from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
+from jaxfil.bifurcations.tangency import FLIGHT
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.outcomes import RESULTS
@@ -93,7 +94,7 @@ def grazing_margin(
         raise ValueError(f"`orbit` must be a single Orbit, got {orbit!r}.")
     tangency, missing = guesses(orbit, "grazing")[0][0]
     system = cast(system, orbit.x0.dtype)
-    equations = _Margin(defining_system(system, orbit, tangency, "flight", (), _NEWTON_STEPS))
+    equations = _Margin(defining_system(system, orbit, tangency, FLIGHT, (), _NEWTON_STEPS))
     phase = orbit.period if system.period is None else tangency.phase
     z, root = solve_implicit(equations, system, jnp.append(tangency.x, phase))
     result = RESULTS.where(missing, RESULTS.no_tangency_found, root.result)

@@ -13,9 +13,11 @@ from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation, find_bifurcation
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument
+from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
+from jaxfil.model.types import Axes
 from jaxfil.orbits.branch import Branch, SpecialPoint
 from jaxfil.orbits.continue_orbit import continue_orbit
 from jaxfil.orbits.orbit import Orbit
@@ -41,6 +43,11 @@ class BifurcationSequence(eqx.Module):
 
     def __len__(self) -> int:
         return len(self.bifurcations)
+
+    def plot(self, ax: Axes | None = None, component: int = 0, extremes: bool = False) -> Axes:
+        """Draw the branch as `Branch.plot` does, with every bifurcation marked by its kind,
+        numbered and named; returns the matplotlib axes."""
+        return draw(self, ax=ax, component=component, extremes=extremes)
 
     def __repr__(self) -> str:
         name = self.branch.parameter

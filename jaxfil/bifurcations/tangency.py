@@ -12,6 +12,8 @@ conditions that tell the kind. Three families cover all kinds:
 Ḣ_s = ∂H/∂t + ⟨∇H, F_s⟩: time counts as a state. Around the tangency the orbit is followed in one
 mode as if Σ were not there, from phase `start` to phase `stop`, and by the full flow elsewhere:
 near the bifurcation, on either side of it, everything is then smooth.
+
+In a program a family is a number, its place in `FAMILY_NAMES`: one program serves all kinds.
 """
 
 from collections.abc import Callable
@@ -31,13 +33,15 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.shooting import ShootingOptions
 
+FAMILY_NAMES = ("flight", "slide", "arrival")
+FLIGHT, SLIDE, ARRIVAL = range(len(FAMILY_NAMES))
 # Which family a kind belongs to.
 FAMILIES = {
-    "grazing": "flight",
-    "grazing-sliding": "flight",
-    "adding-sliding": "slide",
-    "crossing-sliding": "arrival",
-    "switching-sliding": "arrival",
+    "grazing": FLIGHT,
+    "grazing-sliding": FLIGHT,
+    "adding-sliding": SLIDE,
+    "crossing-sliding": ARRIVAL,
+    "switching-sliding": ARRIVAL,
 }
 
 # Pieces of the flight on either side of the tangency.
@@ -118,13 +122,15 @@ class _Rates:
 
 
 def defining(
-    system: System, family: str, t: Array, x: Float[Array, " n"], tangency: Tangency
+    system: System, family: Int[Array, ""], t: Array, x: Float[Array, " n"], tangency: Tangency
 ) -> Float[Array, "2"]:
     """The two equations of a family at (t, x)."""
     rates = _Rates(system, x, tangency)
-    if family == "slide":
-        return jnp.stack([rates.rate(t, x), rates.along(0 * tangency.side, rates.rate)(t, x)])
-    return jnp.stack([rates.h(t, x), rates.rate(t, x)])
+    h, rate = rates.h(t, x), rates.rate(t, x)
+    if not rates.system.slides:
+        return jnp.stack([h, rate])
+    along_slide = rates.along(0 * tangency.side, rates.rate)(t, x)
+    return jnp.where(family == SLIDE, jnp.stack([rate, along_slide]), jnp.stack([h, rate]))
 
 
 @eqx.filter_jit
@@ -146,20 +152,20 @@ def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangen
     )
 
 
-def kind_of(family: str, found: Conditions) -> Int[Array, ""]:
+def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:
     """The number in `FAMILIES` of the kind whose conditions these are; −1 for none."""
     # Where both rates vanish together there is no sliding region.
     scale, eps = abs(found.other_rate) + abs(found.rate), float(jnp.finfo(found.h.dtype).eps)
     slides = (found.other_rate > 0) & (scale > jnp.sqrt(eps) * abs(found.bend))
     visible, no = found.bend > 0, jnp.zeros((), bool)
     arrives = found.other_rate > 0
-    flags = {
-        "flight": (visible & ~slides, visible & slides, no, no, no),
+    flags = [
+        (visible & ~slides, visible & slides, no, no, no),
         # On a slide Ḣ_s is negative within the sliding region: it reaches zero from below.
-        "slide": (no, no, (found.slide_bend < 0) & arrives, no, no),
-        "arrival": (no, no, no, arrives & visible, arrives & (found.bend < 0)),
-    }
-    kinds = jnp.stack(flags[family])
+        (no, no, (found.slide_bend < 0) & arrives, no, no),
+        (no, no, no, arrives & visible, arrives & (found.bend < 0)),
+    ]
+    kinds = jnp.stack([jnp.stack(row) for row in flags])[family]
     return jnp.where(jnp.any(kinds), jnp.argmax(kinds), -1)
 
 
@@ -177,13 +183,18 @@ class Closing(eqx.Module):
 
 
 def close(
-    system: System, period: Array, options: ShootingOptions, family: str, tangency: Tangency
+    system: System,
+    period: Array,
+    options: ShootingOptions,
+    family: Int[Array, ""],
+    tangency: Tangency,
 ) -> Closing:
     """Once round the orbit from the start of the flight."""
     on_components = build(system, tangency.x)
     frozen = filippov.without_surfaces(on_components, scalars(tangency.mode))
     start, at = tangency.start * period, tangency.phase * period
-    stop = at if family == "arrival" else tangency.stop * period
+    arrival = family == ARRIVAL
+    stop = jnp.where(arrival, at, tangency.stop * period)
     # One program for all pieces of the flight, whose ends are looked at on the way.
     times = jnp.concatenate([_divided(start, at), _divided(at, stop)])
     lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
@@ -194,7 +205,8 @@ def close(
 
     _, (xs, sizes, results) = jax.lax.scan(piece, tangency.x, (times, lengths))
     # The full flow round the rest, or for an arrival, which it meets as it is, all of it.
-    full_from, x_from = (start, tangency.x) if family == "arrival" else (stop, xs[-1])
+    full_from = jnp.where(arrival, start, stop)
+    x_from = jnp.where(arrival, tangency.x, xs[-1])
     end, size, result = _flow(
         on_components, options, full_from, start + period - full_from, period, x_from
     )

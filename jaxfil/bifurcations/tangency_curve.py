@@ -6,7 +6,7 @@ no corners; it ends where the orbit meets a surface elsewhere.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.bifurcations.defining_system import DefiningSystem
-from jaxfil.bifurcations.tangency import conditions, kind_of
+from jaxfil.bifurcations.tangency import SLIDE, Conditions, conditions, kind_of
 from jaxfil.model.system import System
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
@@ -25,19 +25,23 @@ from jaxfil.orbits.curve import (
     StepSizes,
     tangent_of,
 )
-from jaxfil.orbits.locating import change_on_curve
+from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.special_points import neimark_sacker, period_doubling
 
 
 class _Known(eqx.Module):
     """What is known at a root: when and where the orbit is tangent, the largest |x| of each
-    component, the number of the kind, and whether the orbit meets no surface elsewhere."""
+    component, the number of the kind, the conditions, whether the orbit meets no surface elsewhere,
+    and its monodromy matrix, the tangency followed as if the surface were not there."""
 
     t: Float[Array, ""]
     x: Float[Array, " n"]
     size: Float[Array, " n"]
     code: Int[Array, ""]
+    conditions: Conditions
     holds: Bool[Array, ""]
+    monodromy: Float[Array, "n n"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +68,10 @@ def _solve(
     closing = root.at.aux
     found = conditions(there, closing.t, closing.x, tangency)
     code = kind_of(equations.family, found)
-    known = _Known(closing.t, closing.x, closing.size, code, closing.holds)
+    n = closing.x.shape[0]
+    # The closing's derivative is that of the flow map less one.
+    monodromy = root.at.jacobian[:n, :n] + jnp.eye(n, dtype=u.dtype)
+    known = _Known(closing.t, closing.x, closing.size, code, found, closing.holds, monodromy)
     return dataclasses.replace(root, at=dataclasses.replace(root.at, aux=known))
 
 
@@ -110,10 +117,36 @@ class TangencyCurve(Curve[TangencyPoint]):
     def special_points(
         self, a: TangencyPoint, b: TangencyPoint
     ) -> Iterator[Special[TangencyPoint]]:
-        """Where the kind changes: a point of codimension two."""
+        """Points of codimension two, piece by piece: where the kind changes, and where a multiplier
+        of the orbit reaches the unit circle."""
         if a.code != b.code:
-            _, after = change_on_curve(self, a, b, lambda p: p.code == a.code)
-            yield Special("kind", after, a.code, b.code)
+            name, test = _degeneracy(int(self.equations.family), a, b)
+            point = zero_on_curve(self, a, b, test) if test(a) * test(b) < 0 else None
+            # What does not change its sign has changed its character by rounding.
+            point = point or change_on_curve(self, a, b, lambda p: p.code == a.code)[1]
+            yield from self._critical(a, point)
+            yield Special(name, point, a.code, b.code)
+            a = point
+        yield from self._critical(a, b)
+
+    def _critical(self, a: TangencyPoint, b: TangencyPoint) -> Iterator[Special[TangencyPoint]]:
+        """Where a multiplier reaches the unit circle between two points of the same kind."""
+        for kind, test in self._tests().items():
+            if test(a) * test(b) < 0:
+                point = zero_on_curve(self, a, b, test)
+                if point is not None:
+                    yield Special(kind, point, a.code, b.code)
+
+    def _tests(self) -> dict[str, Callable[[TangencyPoint], float]]:
+        """Test functions of the orbit."""
+        tests = {
+            "period-doubling": lambda p: period_doubling(p.known.monodromy),
+            "neimark-sacker": lambda p: neimark_sacker(p.known.monodromy),
+        }
+        # An autonomous orbit has a multiplier 1 wherever it is.
+        if self.system.period is not None:
+            tests["fold"] = lambda p: period_doubling(-p.known.monodromy)
+        return tests
 
     def refusal(self, ahead: TangencyPoint) -> str | None:
         """A tangency of an orbit that is cut by a surface on the way there is none."""
@@ -122,3 +155,18 @@ class TangencyCurve(Curve[TangencyPoint]):
     def told(self, point: TangencyPoint) -> str:
         """Both parameters."""
         return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
+
+
+def _degeneracy(
+    family: int, a: TangencyPoint, b: TangencyPoint
+) -> tuple[str, Callable[[TangencyPoint], float]]:
+    """What the point between two tangencies of different kinds is, and what vanishes there: the
+    bend in a cusp, where the tangency is cubic, the rate of the other side in a two-fold."""
+    name = "slide_bend" if family == SLIDE else "bend"
+
+    def bend(point: TangencyPoint) -> float:
+        return float(getattr(point.known.conditions, name))
+
+    if bend(a) * bend(b) <= 0:
+        return "cusp", bend
+    return "two-fold", lambda point: float(point.known.conditions.other_rate)

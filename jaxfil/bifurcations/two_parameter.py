@@ -1,7 +1,7 @@
 """`continue_bifurcation`: a bifurcation as two parameters vary.
 
 A located bifurcation and the names of two parameters enter; the curve on which it goes on leaves,
-with the points of codimension two at which its kind changes.
+with its points of codimension two, each located and named.
 """
 
 import equinox as eqx
@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from jaxfil.bifurcations.defining_system import defining_system
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation
+from jaxfil.bifurcations.tangency import FAMILY_NAMES
 from jaxfil.bifurcations.tangency_curve import TangencyCurve, TangencyPoint
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
@@ -29,9 +30,22 @@ _NEWTON_STEPS = 12
 _KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
 
 
-class CodimensionTwo(eqx.Module):
-    """A point of codimension two: where the kind changes along a curve."""
+CODIMENSION_TWO_KINDS = ("cusp", "two-fold", "fold", "period-doubling", "neimark-sacker")
+"""The kinds of points of codimension two that `continue_bifurcation` locates.
 
+- `"cusp"`: the tangency is cubic: Ḧ_s = 0 too (on a slide, the second derivative of Ḣ_s along it).
+- `"two-fold"`: the fields of both sides are tangent.
+- `"fold"`, `"period-doubling"`, `"neimark-sacker"`: the orbit is not hyperbolic: a multiplier is 1,
+  −1, or a complex pair is on the unit circle.
+"""
+
+
+class CodimensionTwo(eqx.Module):
+    """A point of codimension two on a curve: the tangency degenerates and its kind changes, or a
+    multiplier of the orbit, the tangency left out, reaches the unit circle."""
+
+    kind: str = eqx.field(static=True)
+    """One of `CODIMENSION_TWO_KINDS`."""
     values: Float[np.ndarray, "2"]
     """The two parameters there."""
     before: str = eqx.field(static=True)
@@ -54,7 +68,7 @@ class BifurcationCurve(eqx.Module):
     kinds: tuple[str, ...] = eqx.field(static=True)
     """The kind at each point, one of `BIFURCATION_KINDS` or "undecided"."""
     points: list[CodimensionTwo]
-    """Where the kind changes."""
+    """Points of codimension two, in the order of the curve."""
     ended: tuple[str, str] = eqx.field(static=True)
     """Why the curve ends where it does, at either side."""
     result: RESULTS
@@ -79,7 +93,8 @@ class BifurcationCurve(eqx.Module):
         ]
         for point in self.points:
             where = f"{a} = {point.values[0]:.10g}, {b} = {point.values[1]:.10g}"
-            lines.append(f"  {point.before} to {point.after} at {where}")
+            change = "" if point.before == point.after else f": {point.before} to {point.after}"
+            lines.append(f"  {point.kind} at {where}{change}")
         return "\n".join(lines)
 
 
@@ -97,7 +112,7 @@ def continue_bifurcation(
     """Follow a bifurcation in two parameters.
 
     Pseudo-arclength continuation of the defining system that `find_bifurcation` solves, with a
-    parameter more. Where the kind changes, a point of codimension two is located.
+    parameter more. Points of codimension two, one of `CODIMENSION_TWO_KINDS`, are located on it.
 
     **Arguments**
 
@@ -160,7 +175,8 @@ def _on_curve(
 ) -> tuple[TangencyCurve, TangencyPoint | None, RESULTS]:
     """The curve; the bifurcation as a point of it, if Newton's method stays; its outcome."""
     at, tangency = bifurcation.orbit, bifurcation.tangency
-    equations = defining_system(at.system, at, tangency, bifurcation.family, free, _NEWTON_STEPS)
+    family = FAMILY_NAMES.index(bifurcation.family)
+    equations = defining_system(at.system, at, tangency, family, free, _NEWTON_STEPS)
     curve = TangencyCurve(at.system, equations)
     # The flight is given in phases: t0 stays that of the orbit's own options.
     phase = at.period if at.system.period is None else tangency.phase
@@ -181,7 +197,7 @@ def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> B
         xs=np.array([p.known.x for p in path.points]),
         kinds=tuple(_KIND_NAMES[p.code] for p in path.points),
         points=[
-            CodimensionTwo(s.point.u[-2:], _KIND_NAMES[s.before], _KIND_NAMES[s.after])
+            CodimensionTwo(s.kind, s.point.u[-2:], _KIND_NAMES[s.before], _KIND_NAMES[s.after])
             for s in path.special
         ],
         ended=path.ended,

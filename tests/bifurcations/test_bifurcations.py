@@ -32,16 +32,15 @@ SD_LOW, SD_HIGH = SD_GRAZES
 BELT = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0)
 
 
-def sd_orbits(values):
+def sd_orbits(values, x1=1.5):
     """One-sided orbits of the SD oscillator, a linear oscillation about 1."""
     system = jf.systems.SDOscillator()
 
-    def one(w):
-        return jf.periodic_orbit(
-            replace_parameter(system, "omega", w), jnp.array([1.5, 0.0]), steps=60, throw=False
-        )
+    def one(w, x):
+        return jf.periodic_orbit(replace_parameter(system, "omega", w), x, steps=60, throw=False)
 
-    return system, eqx.filter_vmap(one)(jnp.asarray(values))
+    x0 = jnp.stack([jnp.broadcast_to(jnp.asarray(x1), len(values)), jnp.zeros(len(values))], axis=1)
+    return system, eqx.filter_vmap(one)(jnp.asarray(values), x0)
 
 
 def belt_orbits(values):
@@ -88,10 +87,19 @@ BELT_CASES = {
 }
 
 
+@pytest.fixture(scope="module")
+def belts():
+    """The orbits of all cases, from one program."""
+    return belt_orbits([value * off for case in BELT_CASES.values() for value, off in case])
+
+
 @pytest.mark.parametrize("kind", BELT_CASES)
-def test_bifurcations_of_the_belt_from_either_side(kind):
-    values = np.array([value for value, _ in BELT_CASES[kind]])
-    orbits = belt_orbits(values * [off for _, off in BELT_CASES[kind]])
+def test_bifurcations_of_the_belt_from_either_side(kind, belts):
+    # Both kinds in six lanes, so that one program finds both.
+    kinds = np.repeat([*BELT_CASES], [len(case) for case in BELT_CASES.values()])
+    lanes = np.resize(np.flatnonzero(kinds == kind), 6)
+    values = np.resize([value for value, _ in BELT_CASES[kind]], 6)
+    orbits = lane(belts, lanes)
     found = jf.find_bifurcation(BELT, "omega", orbits, kind)
     np.testing.assert_allclose(found.value, values, rtol=0, atol=1e-10)
     assert found.kind.tolist() == [kind] * values.size
@@ -138,7 +146,7 @@ def test_the_curve_of_grazing_is_where_the_amplitude_is_one(sd_grazing):
     system = jf.systems.SDOscillator(omega=0.84)
     curve = jf.continue_bifurcation(system, ("omega", "f0"), sd_grazing, stop=(0.75, 0.95))
     ax = curve.plot(jf.plot.page().add_subplot())
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Ω", "f0")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("Ω", "f₀")
     omega, f0 = curve.values.T
     exact = np.sqrt((1 - omega**2) ** 2 + (2 * 0.0141 * omega) ** 2)
     np.testing.assert_allclose(f0, exact, rtol=0, atol=1e-9)
@@ -321,6 +329,7 @@ def test_a_kind_changes_where_the_acceleration_at_the_touch_vanishes():
     assert set(curve.kinds) == {"crossing-sliding", "switching-sliding"}
     (point,) = curve.points
     assert (point.before, point.after) == ("crossing-sliding", "switching-sliding")
+    assert point.kind == "cusp"
     omega, f0 = curve.values.T
     bend = -f0 * omega * np.sin(omega * curve.ts) - 10.0
     visible = np.array(curve.kinds) == "crossing-sliding"
@@ -346,14 +355,8 @@ def test_a_touch_of_another_kind_is_named(sd):
         jf.find_bifurcation(system, "omega", lane(orbits, 0), "grazing-sliding")
 
 
-def test_a_failed_orbit_in_a_batch_harms_no_other(sd):
-    system, _ = sd
-
-    def one(w, x):
-        return jf.periodic_orbit(replace_parameter(system, "omega", w), x, steps=60, throw=False)
-
-    states = jnp.array([[1.5, 0.0], [jnp.nan, 0.0], [1.5, 0.0]])
-    broken = eqx.filter_vmap(one)(jnp.array([0.97 * SD_LOW, 0.8, 1.03 * SD_HIGH]), states)
+def test_a_failed_orbit_in_a_batch_harms_no_other():
+    system, broken = sd_orbits([0.97 * SD_LOW, 0.8, 1.03 * SD_HIGH], [1.5, np.nan, 1.5])
     found = jf.find_bifurcation(system, "omega", broken, "grazing", throw=False)
     assert outcome_names(found.result).tolist() == ["successful", "no_tangency_found", "successful"]
     np.testing.assert_allclose(found.value, [SD_LOW, np.nan, SD_HIGH], atol=1e-11)

@@ -1,0 +1,214 @@
+"""`nearest_grazing`: the grazing parameters that are nearest to those of a system.
+
+A system, the names of parameters, an orbit of it and a metric enter; a `NearestGrazing` leaves: the
+parameters, their distance from the system's own, and the grazing there. Found by Newton's method on
+the orbit, its tangency, the parameters and the multipliers of Lagrange together.
+"""
+
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float, Int
+
+from jaxfil.bifurcations.candidates import attempts, guesses
+from jaxfil.bifurcations.defining_system import defining_system
+from jaxfil.bifurcations.locate import Bifurcation, bifurcation_at, lane_by_lane
+from jaxfil.bifurcations.optimality import Nearest
+from jaxfil.bifurcations.tangency import FAMILY_NAMES, FLIGHT, Tangency
+from jaxfil.model import check
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import cast, get_parameter, scalar_parameters
+from jaxfil.model.system import System
+from jaxfil.orbits.implicit import solve_implicit
+from jaxfil.orbits.orbit import Orbit
+
+_NEWTON_STEPS = 40
+
+
+class NearestGrazing(eqx.Module):
+    """The nearest grazing parameters, or of a batch of orbits those of each."""
+
+    values: Float[Array, " k"]
+    """The parameters; NaN where there was nothing to start from."""
+    distance: Float[Array, ""]
+    """Their distance from those of the system, in the metric."""
+    given: Float[Array, " k"]
+    """The parameters of the system, from which the distance is measured."""
+    bifurcation: Bifurcation
+    """The grazing there: the orbit, where, when and which surface it touches, and its kind. From
+    it `continue_bifurcation` goes on."""
+    num_steps: Int[Array, ""]
+    """Evaluations that Newton's method took."""
+    result: RESULTS
+    """How the search ended."""
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    """The names of the parameters."""
+
+    @property
+    def nearest(self) -> "NearestGrazing":
+        """Of a batch the lane that is nearest of all, of those that succeeded."""
+        if not self.distance.ndim:
+            return self
+        fine = self.result == RESULTS.successful
+        best = int(jnp.argmin(jnp.where(fine, self.distance, jnp.inf)))
+        return jax.tree.map(lambda v: v[best], self)
+
+    def __repr__(self) -> str:
+        told = precision(self.values)
+        if isinstance(self.distance, jax.core.Tracer) or self.distance.ndim:
+            names = ", ".join(self.parameters)
+            return f"NearestGrazing{told}: a batch of shape {self.distance.shape} in {names}"
+        lines = [f"NearestGrazing{told}: distance {float(self.distance):.10g}"]
+        lines[0] += f" after {int(self.num_steps)} Newton steps, {outcome(self.result)}"
+        for name, value, given in zip(self.parameters, self.values, self.given, strict=True):
+            lines.append(f"  {name} = {float(value):.13g}, given {float(given):.10g}")
+        return "\n".join([*lines, *(f"  {line}" for line in repr(self.bifurcation).split("\n"))])
+
+
+def nearest_grazing(
+    system: System,
+    parameters: Sequence[str],
+    orbit: Orbit,
+    *,
+    metric: Any = None,
+    throw: bool = True,
+) -> NearestGrazing:
+    """Find the grazing parameters that are nearest to those of a system.
+
+        minimise (p − p₀)ᵀ G (p − p₀)   subject to   x(t0 + T; x0) = x0,  H = Ḣ_s = 0
+
+    p₀ are the system's own parameters. The equations of Lagrange are solved by Newton's method for
+    the orbit, the phase of its tangency, p and the multipliers together, with derivatives that are
+    exact through every contact: grazing is a constraint that holds to rounding, not a penalty.
+
+    **Arguments**
+
+    - `system`: the `System`.
+    - `parameters`: the names of k scalar parameters, all different, of which the others stay.
+    - `orbit`: a periodic orbit of `system`, with its parameters or others close by: where the
+      search starts. Every approach of it to a surface is tried, and the nearest grazing told; of a
+      batch (as from `equinox.filter_vmap`) that of each orbit. It must not be traced.
+    - `metric`: G, a symmetric positive definite matrix, shape (k, k), or its diagonal, shape (k,);
+      None is diag(1/p₀²), which measures relative changes (a parameter that is zero, by itself).
+    - `throw`: whether to raise an error unless the outcome is `successful`.
+
+    **Returns** a `NearestGrazing`; that of a batch has `nearest`, the lane nearest of all. The
+    derivatives of `values` and `distance` with respect to the float leaves of the system, those of
+    p₀ included, are those of the implicit function, forward and reverse.
+
+    **Outcomes**: `successful`; `no_tangency_found` where the orbit was not found itself or comes
+    near no surface; `orbit_lost` where the orbit meets a surface elsewhere; `not_nearest` where the
+    distance has no minimum; `newton_stalled`, `newton_singular` or `newton_max_steps_reached` where
+    there is perhaps none; and where the flow cannot be followed from the guess, `nonfinite`,
+    `max_steps_reached`, `mode_undecided`, `zeno`, `nonunique`, `reset_undecided`,
+    `undeclared_sliding` or `step_too_long`.
+
+    **Source**: the equations of grazing: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk,
+    Piecewise-smooth Dynamical Systems (2008), chapter 8; the nearest critical point as a closest
+    point of a curve or surface: I. Dobson, Computing a closest bifurcation instability in
+    multidimensional parameter space, J. Nonlinear Science 3 (1993) 307–327.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> system = jf.systems.ImpactOscillator(amplitude=0.3, omega=1.2)
+    >>> orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.5]))
+    >>> found = jf.nearest_grazing(system, ("amplitude", "omega", "wall"), orbit)
+    >>> print(found.bifurcation.kind, round(float(found.distance), 4))
+    grazing 0.0572
+    >>> [round(float(v), 4) for v in found.values]
+    [0.302, 1.1323, 0.9933]
+    """
+    check.system("system", system)
+    names = scalar_parameters(system, parameters)
+    if not isinstance(orbit, Orbit):
+        raise ValueError(f"`orbit` must be an Orbit, got {type(orbit).__name__}.")
+    system = cast(system, orbit.x0.dtype)
+    matrix = _matrix(metric, len(names), orbit.x0.dtype)
+    one = ft.partial(_find, system, names, matrix)
+    search = one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
+    found = _nearest_found(search, orbit, guesses(orbit, "grazing", "grazing-sliding"))
+    if not throw:
+        return found
+    return found.result.error_if(found, found.result != RESULTS.successful)
+
+
+def _nearest_found(
+    search: Callable[..., NearestGrazing],
+    orbit: Orbit,
+    lanes: list[list[tuple[Tangency, Array]]],
+) -> NearestGrazing:
+    """The nearest of what is found from all tangencies of each lane."""
+    found = None
+    for attempt in attempts(orbit, lanes):
+        now = search(orbit, *attempt)
+        found = now if found is None else lane_by_lane(_is_nearer(now, found), now, found)
+    assert found is not None
+    return found
+
+
+def _is_nearer(a: NearestGrazing, b: NearestGrazing) -> Array:
+    fine, other = a.result == RESULTS.successful, b.result == RESULTS.successful
+    return fine & (~other | (a.distance < b.distance))
+
+
+def _matrix(metric: Any, k: int, dtype: DTypeLike) -> Array | None:
+    """G as a matrix, or None."""
+    if metric is None:
+        return None
+    matrix = jnp.asarray(metric, dtype)
+    matrix = jnp.diag(matrix) if matrix.ndim == 1 else matrix
+    known = check.concrete(matrix)
+    sound = matrix.shape == (k, k)
+    if sound and known is not None:
+        symmetric = np.allclose(known, known.T, rtol=float(16 * jnp.finfo(dtype).eps), atol=0)
+        sound = symmetric and np.all(np.linalg.eigvalsh(known) > 0)
+    if not sound:
+        raise ValueError(
+            f"`metric` must be a symmetric positive definite matrix of shape ({k}, {k}), or its "
+            f"diagonal, got {metric!r}."
+        )
+    return matrix
+
+
+@eqx.filter_jit
+def _find(
+    system: System,
+    names: tuple[str, ...],
+    metric: Array | None,
+    orbit: Orbit,
+    tangency: Tangency,
+    missing: Array,
+) -> NearestGrazing:
+    defining = defining_system(system, orbit, tangency, FLIGHT, names, _NEWTON_STEPS)
+    equations = Nearest(defining, metric)
+    dtype, n = tangency.x.dtype, tangency.x.shape[0]
+    start = [jnp.asarray(get_parameter(orbit.system, name), dtype) for name in names]
+    phase = orbit.period if system.period is None else tangency.phase
+    u = jnp.concatenate([tangency.x, jnp.stack([phase, *start])])
+    w, root = solve_implicit(equations, system, jnp.append(u, jnp.zeros(n + 2, dtype)))
+    u, values = w[: u.shape[0]], w[n + 1 : u.shape[0]]
+    there = eqx.tree_at(lambda r: r.at, root, root.at.aux.defining)
+    fields = bifurcation_at(defining, system, orbit, u, there)
+    bifurcation = Bifurcation(**fields, parameter=names[0], family=FAMILY_NAMES[FLIGHT])
+    result = RESULTS.where(root.at.aux.convex, RESULTS.successful, RESULTS.not_nearest)
+    located = bifurcation.result == RESULTS.successful
+    result = RESULTS.where(located, result, bifurcation.result)
+    result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
+    nan = jnp.full_like(values, jnp.nan)
+    return NearestGrazing(
+        values=jnp.where(missing, nan, values),
+        distance=jnp.where(missing, nan[0], equations.distance(system, values)),
+        given=jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names]),
+        bifurcation=bifurcation,
+        num_steps=root.num_steps,
+        result=result,
+        parameters=names,
+    )

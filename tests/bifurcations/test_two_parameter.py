@@ -1,0 +1,116 @@
+"""Points of codimension two on curves of grazing, against roots that SciPy finds from formulas."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.optimize
+
+import jaxfil as jf
+from jaxfil.bifurcations.tangency import FAMILY_NAMES, Conditions
+from jaxfil.bifurcations.tangency_curve import TangencyPoint, _degeneracy
+from tests.pictures import made
+
+
+class Wave(jf.System):
+    """y(t) → cos t up to a threshold d, beyond which it is pushed by 0.3 - k."""
+
+    k: jax.Array
+    d: jax.Array
+
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.cos(t) - jnp.sin(t) - x + jnp.where(side < 0, 0.3 - self.k, 0.0)
+
+    def switching(self, t, x):
+        return self.d - x[0]
+
+
+def test_grazing_becomes_grazing_sliding_in_a_two_fold():
+    """It touches the threshold at d = 1 whatever the field beyond it does, and slides if that leads
+    back."""
+    system = Wave(k=jnp.float64(0.1), d=jnp.float64(1.2))
+    orbit = jf.periodic_orbit(system, jnp.array([1.0]))
+    graze = jf.find_bifurcation(system, "d", orbit, "grazing")
+    curve = jf.continue_bifurcation(system, ("k", "d"), graze, stop=0.6)
+    (point,) = curve.points
+    assert (point.kind, point.before, point.after) == ("two-fold", "grazing", "grazing-sliding")
+    np.testing.assert_allclose(point.values, [0.3, 1.0], rtol=0, atol=1e-12)
+    told = f"  two-fold at k = {point.values[0]:.10g}, d = {point.values[1]:.10g}: grazing to graz"
+    assert told in repr(curve)
+    ax = curve.plot(jf.plot.page().add_subplot())
+    assert ax.lines[-1].get_label() == "two-fold"
+
+
+class Swing(jf.System):
+    """x'' + 0.2x' + (1 + ε cos 2t)x = cos 2t, which passes a threshold d that changes nothing."""
+
+    depth: jax.Array
+    d: jax.Array
+
+    slides = False
+    period = np.pi
+
+    def vector_field(self, t, x, side):
+        drive = jnp.cos(2 * t)
+        return jnp.stack([x[1], drive * (1 - self.depth * x[0]) - 0.2 * x[1] - x[0]])
+
+    def switching(self, t, x):
+        return self.d - x[0]
+
+
+def swing(depth):
+    """The period map x ↦ M x + m by SciPy, and the largest x of its fixed point's motion."""
+
+    def field(t, x):
+        return [x[1], np.cos(2 * t) * (1 - depth * x[0]) - 0.2 * x[1] - x[0]]
+
+    def run(x, **options):
+        return scipy.integrate.solve_ivp(
+            field, (0, np.pi), x, method="DOP853", rtol=1e-13, atol=1e-13, **options
+        )
+
+    origin, *ends = (run(x).y[:, -1] for x in ([0, 0], [1, 0], [0, 1]))
+    matrix = np.stack(ends, axis=1) - origin[:, None]
+    top = lambda t, x: x[1]  # noqa: E731
+    motion = run(np.linalg.solve(np.eye(2) - matrix, origin), events=top)
+    return matrix, max(motion.y_events[0][:, 0])
+
+
+def test_a_multiplier_of_a_grazing_orbit_reaches_minus_one():
+    depth = scipy.optimize.brentq(
+        lambda depth: np.linalg.det(swing(depth)[0] + np.eye(2)), 0.2, 0.8, xtol=1e-13
+    )
+    system = Swing(depth=jnp.float64(0.3), d=jnp.float64(0.5))
+    orbit = jf.periodic_orbit(system, jnp.zeros(2))
+    graze = jf.find_bifurcation(system, "d", orbit, "grazing")
+    curve = jf.continue_bifurcation(system, ("depth", "d"), graze, stop=0.6)
+    (point,) = curve.points
+    assert (point.kind, point.before, point.after) == ("period-doubling", "grazing", "grazing")
+    np.testing.assert_allclose(point.values, [depth, swing(depth)[1]], rtol=0, atol=1e-10)
+
+
+def point(**values):
+    names = "h", "rate", "bend", "other_rate", "slide_rate", "slide_bend"
+    found = Conditions(**{name: jnp.float64(values.get(name, 1.0)) for name in names})
+    return made(TangencyPoint, known=SimpleNamespace(conditions=found))
+
+
+@pytest.mark.parametrize(
+    "family, vanishes, name",
+    [
+        ("flight", "bend", "cusp"),
+        ("flight", "other_rate", "two-fold"),
+        ("arrival", "bend", "cusp"),
+        ("arrival", "other_rate", "two-fold"),
+        ("slide", "slide_bend", "cusp"),
+        ("slide", "other_rate", "two-fold"),
+    ],
+)
+def test_a_change_of_the_kind_has_the_name_of_what_vanishes(family, vanishes, name):
+    told, test = _degeneracy(FAMILY_NAMES.index(family), point(), point(**{vanishes: -1.0}))
+    assert told == name and test(point(**{vanishes: -2.5})) == -2.5
