@@ -5,6 +5,10 @@ is too long leaves. It is if it has missed by a tenth or more of what it does to
 displacement, of |h f| at both ends, as round a turning point, or of the state, whichever is most.
 That depends on no units and on no state that is zero: a step of a motion at rest is not too long,
 since what it misses is rounding.
+
+Of a long chain that is pulled at one end, a mass far away begins to move like a high power of time,
+above the method's order: all of its first steps is missed, and means nothing. Where a state is
+that large, a component is compared with what the others do to it, too (`_reached`).
 """
 
 import equinox as eqx
@@ -22,6 +26,11 @@ from jaxfil.integrate.stepper import Tableau, Trial
 _GROSS = 0.1
 # Rounding of a step, in eps of the terms that it is made of.
 _ROUNDING = 64
+# An error below this part of what other components do to one in a step is none of its own.
+_FAINT = 1e-4
+# A motion begins with a power of time above the order of a method only through many components:
+# at least so many are needed for one above the least order that estimates its error.
+_CHAIN = 4
 # So many components deep rounding is followed from one to the next.
 _DEEP = 4
 
@@ -66,14 +75,37 @@ def _is_gross(system: ComponentSystem, tableau: Tableau, step: Step, sides: Comp
     t, x = step.t + 0.5 * h, tuple(0.5 * (a + b) for a, b in zip(step.x0, x1, strict=True))
     middle = system.field(t, x, sides)
     rounded = _terms(system, t, x, h, sides, middle)
+    ends = list(zip(step.x0, x1, step.f0, step.f1, strict=True))
+    measures = tuple(_measure(h, *end) for end in ends)
+    faint = tuple(jnp.zeros_like(v) for v in measures)
+    if system.n > _CHAIN:
+        faint = _reached(system, t, x, h, sides, measures)
     gross = []
-    ends = zip(step.x0, x1, step.f0, step.f1, strict=True)
-    each = zip(_missed(tableau, step), ends, rounded, strict=True)
-    for missed, (a, b, f0, f1), size in each:
+    each = zip(_missed(tableau, step), ends, measures, rounded, faint, strict=True)
+    for missed, (a, b, *_), measure, size, least in each:
         rounding = _ROUNDING * system.eps * (size + jnp.maximum(abs(a), abs(b)))
-        allowed = jnp.maximum(_GROSS * _measure(h, a, b, f0, f1), rounding)
+        allowed = jnp.maximum(jnp.maximum(_GROSS * measure, rounding), _FAINT * least)
         gross.append(missed > allowed)
     return any_of(tuple(gross))
+
+
+def _reached(
+    system: ComponentSystem, t: Array, x: Components, h: Array, sides: Components, size: Components
+) -> Components:
+    """How far motions of these sizes move each component in a step of length h, through all others:
+    s_i = max(size_i, |h Σ_j ∂f_i/∂x_j s_j|). Zero where that grows without end, as it does where
+    the step is long beside the rates of the field."""
+
+    def passed_on(_: Array | int, now: tuple[Components, Array]) -> tuple[Components, Array]:
+        size, _grows = now
+        _, change = jax.jvp(lambda x: system.field(t, x, sides), (x,), (_generic(size),))
+        after = tuple(jnp.maximum(v, abs(h * c)) for v, c in zip(size, change, strict=True))
+        return after, any_of(tuple(b > a for a, b in zip(size, after, strict=True)))
+
+    # A way through all components is n − 1 long.
+    first = size, jnp.zeros((), bool)
+    size, grows = jax.lax.fori_loop(0, system.n, passed_on, first)
+    return tuple(jnp.where(grows, 0.0, v) for v in size)
 
 
 def _measure(h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:

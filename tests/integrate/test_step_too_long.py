@@ -167,3 +167,38 @@ def test_a_step_is_judged_in_each_components_own_unit(unit, dt, told):
     x0 = jnp.array([unit, 0.0, 1.0, 0.0])
     sol = jf.solve(Beside(jnp.asarray(unit)), x0, 0.0, 12.0, dt, throw=False)
     assert bool(sol.result == jf.RESULTS.step_too_long) == told
+
+
+class Masses(jf.System):
+    """n masses of 1 between springs, the first one's left; the last one is pulled by 1."""
+
+    springs: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        q, v = jnp.split(x, 2)
+        force = jnp.append(self.springs * jnp.diff(q, prepend=0.0), 1.0)
+        return jnp.concatenate([v, jnp.diff(force)])
+
+    def switching(self, t, x):
+        return x[0] + 9.0
+
+
+@pytest.mark.parametrize("stepper", [diffrax.Tsit5(), diffrax.Dopri8()], ids=name)
+@pytest.mark.parametrize("n", [8, 20])
+def test_masses_far_away_begin_to_move_like_a_high_power_of_time(n, stepper):
+    system = Masses(jnp.ones(n))
+    sol = jf.solve(system, jnp.zeros(2 * n), 0.0, 2.0, 0.05, stepper=stepper, compact=True)
+    # About the place of rest q_i = i: cos of the root of the matrix.
+    stiffness = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    stiffness[-1, -1] = 1
+    squares, shapes = np.linalg.eigh(stiffness)
+    rest = np.arange(1.0, n + 1)
+    exact = rest - shapes @ (np.cos(2.0 * np.sqrt(squares)) * (shapes.T @ rest))
+    np.testing.assert_allclose(sol.x_final[:n], exact, rtol=0, atol=1e-8)
+
+
+def test_a_long_chain_with_a_stiff_spring_is_told():
+    system = Masses(jnp.ones(20).at[17].set(1e4))
+    sol = jf.solve(system, jnp.zeros(40), 0.0, 2.0, 0.1, compact=True, throw=False)
+    assert sol.result == jf.RESULTS.step_too_long
