@@ -10,6 +10,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax.numpy as jnp
 import matplotlib.style
 import numpy as np
@@ -88,6 +89,13 @@ def motion():
         _dense=None,
         labels=NAMES,
     )
+
+
+def moved(ax):
+    """One moment of a moving picture."""
+    moving = jf.plot.animation(motion(), ax, BELT)
+    moving._draw_frame(5.0)
+    moving._draw_was_started = True  # or matplotlib warns that it was never shown
 
 
 def section():
@@ -188,11 +196,57 @@ def branch():
     )
 
 
+class Ellipses(eqx.Module):
+    """Orbits about (1, 0), of which `trajectory` is one turn."""
+
+    x0: np.ndarray
+
+    @property
+    def system(self):
+        return SD
+
+    def trajectory(self):
+        angles = np.linspace(0.0, 2 * np.pi, 61)
+        xs = self.x0 * np.stack([1 + np.cos(angles), 0.5 * np.sin(angles)], axis=1)
+        modes = np.ones((61, 1), int)
+        ends = {"x_final": xs[-1], "mode_final": modes[-1]}
+        return unchecked(jf.Solution, ts=angles, xs=xs, modes=modes, events=None, **ends)
+
+
+def widening():
+    """A branch of orbits that widen."""
+    values = np.linspace(0.7, 0.9, 9)
+    orbits = Ellipses(np.stack([values, values], axis=1))
+    return made(jf.Branch, parameter="omega", values=values, orbits=orbits)
+
+
+def sequence():
+    """The same branch, its change of contacts named."""
+    followed = branch()
+    named = SimpleNamespace(kind="adding-sliding", value=0.78)
+    return unchecked(
+        jf.BifurcationSequence, branch=followed, bifurcations=[followed.points[0], named]
+    )
+
+
+def over_two():
+    """Exponents over a grid: chaos in the middle, one lost and one that failed."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 7), indexing="ij")
+    first = 0.2 - x**2 - y**2
+    first[0, 0], first[-1, -1] = -np.inf, np.nan
+    return unchecked(
+        jf.LyapunovSpectrum,
+        exponents=np.stack([first, first - 1], axis=-1),
+        result=jf.RESULTS.successful,
+    )
+
+
 def curve():
     """A curve of grazing that becomes one of crossing-sliding."""
     values = np.stack([np.linspace(0.6, 1.3, 30), np.linspace(-1, 1, 30) ** 2 + 0.1], axis=1)
     kinds = ("grazing-sliding",) * 12 + ("crossing-sliding",) * 18
-    change = SimpleNamespace(values=values[12], before=kinds[0], after=kinds[-1])
+    sides = {"before": kinds[0], "after": kinds[-1]}
+    change = SimpleNamespace(kind="two-fold", values=values[12], **sides)
     return unchecked(
         jf.BifurcationCurve,
         parameters=("omega", "f0"),
@@ -246,20 +300,65 @@ def errors():
     )
 
 
+def choice():
+    """Two steppers of orders four and eight, whose steps were doubled and then looked for between
+    two of them."""
+    counts = np.array([[4, 8, 16, 32, 64, 48], [4, 8, 12, 16, 0, 0]])
+    with np.errstate(divide="ignore"):
+        errors = np.stack([2e2 / counts[0] ** 4.0, 1e2 / counts[1] ** 8.0])
+    order = np.argsort(np.where(counts == 0, 999, counts), axis=1)
+    counts, errors = (np.take_along_axis(v, order, axis=1) for v in (counts, errors))
+    errors = np.where(counts == 0, np.nan, errors)
+    return unchecked(
+        jf.StepChoice,
+        stepper=jf.RK4(),
+        steps=12,
+        dt=0.1,
+        error=errors[1, 2],
+        seconds=36e-6,
+        tolerance=1e-6,
+        result=jf.RESULTS.successful,
+        forced=True,
+        steppers=("RK4", "Dopri8"),
+        counts=counts,
+        errors=errors,
+        times=counts * np.array([[1e-6], [3e-6]]),
+        reference=np.ones((1, 2)),
+        reference_error=1e-12,
+    )
+
+
 VALUES = np.linspace(0.0, 1.2, 25)
+FILIPPOV = jf.piecewise(
+    lambda t, x: jnp.stack([1.0 + 0.0 * x[0], x[0] * (x[0] - 1)]),
+    lambda t, x: jnp.stack([1.0 + 0.0 * x[0], 0.5 - x[0]]),
+    lambda t, x: x[1],
+)
 PICTURES = {
+    "animation": moved,
     "basins": lambda ax: jf.plot.basins(basins(), ax),
     "bifurcation_curve": lambda ax: jf.plot.bifurcation_curve(curve(), ax),
+    "bifurcation_sequence": lambda ax: jf.plot.bifurcation_sequence(sequence(), ax),
     "bifurcation_diagram": lambda ax: jf.plot.bifurcation_diagram(period_doublings(), ax),
     "branch": lambda ax: jf.plot.branch(branch(), ax),
+    "branch_orbits": lambda ax: jf.plot.branch_orbits(widening(), ax),
+    "event_timeline": lambda ax: jf.plot.event_timeline(motion(), ax),
+    "exponent_map": lambda ax: jf.plot.exponent_map(
+        (np.linspace(0, 1, 9), np.linspace(0, 1, 7)), over_two(), ax, ("a", "b")
+    ),
     "lyapunov_convergence": lambda ax: jf.plot.lyapunov_convergence(spectrum(), ax),
     "lyapunov_exponents": lambda ax: jf.plot.lyapunov_exponents(VALUES, spectrum(VALUES), ax, "Ω"),
     "multipliers": lambda ax: jf.plot.multipliers(
         made(jf.Orbit, multipliers=np.array([0.5 + 0.5j, 0.5 - 0.5j, -1.2]), system=SD), ax
     ),
     "parameter_map": lambda ax: jf.plot.parameter_map(periods(), ax),
+    "path_in_time": lambda ax: jf.plot.path_in_time(motion(), ax),
     "phase_portrait": lambda ax: jf.plot.phase_portrait(motion(), ax, BELT),
     "poincare_section": lambda ax: jf.plot.poincare_section(section(), ax, system=SD),
+    "return_map": lambda ax: jf.plot.return_map(section(), ax, system=SD),
+    "section_density": lambda ax: jf.plot.section_density(section(), ax, system=SD, bins=20),
+    "sliding_region": lambda ax: jf.plot.sliding_region(FILIPPOV, ((-1, 2), (-1, 1)), ax),
+    "step_choice": lambda ax: jf.plot.step_choice(choice(), ax),
     "synchronization": lambda ax: jf.plot.synchronization(synchronized(), ax),
     "time_history": lambda ax: jf.plot.time_history(motion(), ax),
     "work_precision": lambda ax: jf.plot.work_precision(errors(), ax),

@@ -6,23 +6,26 @@ Basins enter; the axes they were drawn on leave.
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.patheffects import withStroke
 
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, COLORS, WHITE, own_axes
+from jaxfil.plot.canvas import BLACK, WHITE, color_bar, own_axes, shades
 from jaxfil.sweep.basins import Basins
 
 
 @draws(Basins)
-def basins(found: Basins, ax: Axes | None = None) -> Axes:
+def basins(found: Basins, ax: Axes | None = None, colorbar: bool | Axes = True) -> Axes:
     """Draw each initial state in the colour of the attractor that it leads to.
 
-    The section points of the attractors are drawn on top. Black found no period, white failed.
+    The section points of the attractors are drawn on top, each with its attractor's number. Black
+    found no period, white failed.
 
     **Arguments**
 
     - `found`: `Basins` over two values or more of each component.
     - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 
     **Returns** the matplotlib axes.
 
@@ -46,25 +49,31 @@ def basins(found: Basins, ax: Axes | None = None) -> Axes:
     labels = found.labels[np.ix_(*order)].T
     seen = np.unique(labels)
     colors = {-1: WHITE, 0: BLACK}
-    shades = [colors.get(int(k), COLORS[(int(k) - 1) % len(COLORS)]) for k in seen]
+    colors |= dict(enumerate(shades(len(found.attractors)), start=1))
     picture = ax.pcolormesh(
         *(axis[o] for axis, o in zip(found.axes, order, strict=True)),
         np.searchsorted(seen, labels),
-        cmap=ListedColormap(shades),
+        cmap=ListedColormap([colors[int(k)] for k in seen]),
         vmin=-0.5,
         vmax=len(seen) - 0.5,
         shading="nearest",
         rasterized=True,
     )
-    bar = ax.figure.colorbar(picture, ax=ax, ticks=range(len(seen)))
     told = {-1: "failed", 0: "no period"}
     told |= {k: f"{k}: period {len(points)}" for k, points in enumerate(found.attractors, start=1)}
-    bar.ax.set_yticklabels([told[int(k)] for k in seen])
-    bar.ax.tick_params(length=0)
+    bar = color_bar(ax, picture, colorbar, ticks=range(len(seen)))
+    if bar is not None:
+        bar.set_ticklabels([told[int(k)] for k in seen])
+        bar.ax.tick_params(length=0)
     limits = ax.get_xlim(), ax.get_ylim()  # attractors may lie outside the grid
-    for points in found.attractors:
+    for k, points in enumerate(found.attractors, start=1):
         x, y = (points[:, c] for c in found.components)
         ax.plot(x, y, "o", color=WHITE, markeredgecolor=BLACK, markersize=5)
+        for place in zip(x, y, strict=True):
+            number = ax.annotate(
+                str(k), place, (4, 3), textcoords="offset points", annotation_clip=True
+            )
+            number.set_path_effects([withStroke(linewidth=2, foreground=WHITE)])
     ax.set_xlim(limits[0])
     ax.set_ylim(limits[1])
     ax.set_xlabel(found.names.component(found.components[0], "{} at t = 0"))

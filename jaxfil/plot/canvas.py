@@ -4,44 +4,147 @@ Axes, or nothing, enter; axes to draw on leave. The colours are those of M. Okab
 Universal Design (2008), which colour-blind readers tell apart.
 """
 
+from collections.abc import Iterable
+from types import MappingProxyType
+from typing import Any
+
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.cbook import normalize_kwargs
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-BLACK, WHITE, YELLOW, VERMILLION = "#000000", "#FFFFFF", "#F0E442", "#D55E00"
-COLORS = ("#0072B2", VERMILLION, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+BLACK, GREY, WHITE = "#000000", "#999999", "#FFFFFF"
+BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+ORANGE, SKY, YELLOW = "#E69F00", "#56B4E9", "#F0E442"
+COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+
+# For `matplotlib.rc_context`: text of 8 points, lines and marks to match, and fonts that a
+# publisher's programs can read (type 42), for pages of the width at which they are printed.
+PRINT = MappingProxyType(
+    {
+        "font.size": 8.0,
+        "axes.titlesize": "medium",
+        "figure.titlesize": "medium",
+        "legend.fontsize": "medium",
+        "legend.handlelength": 1.5,
+        "legend.borderpad": 0.3,
+        "legend.labelspacing": 0.3,
+        "axes.linewidth": 0.6,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "xtick.minor.width": 0.4,
+        "ytick.minor.width": 0.4,
+        "xtick.major.size": 2.5,
+        "ytick.major.size": 2.5,
+        "xtick.minor.size": 1.5,
+        "ytick.minor.size": 1.5,
+        "lines.linewidth": 1.0,
+        "lines.markersize": 4.0,
+        "pdf.fonttype": 42,
+        "savefig.dpi": 300.0,
+    }
+)
 
 
-def page() -> Figure:
+def page(width: float = 203.2, height: float | None = None) -> Figure:
     """An empty figure that no window shows, for a picture that goes to a file.
 
-    **Returns** a `matplotlib.figure.Figure` of 8 by 5 inches at 200 dots per inch: add axes with
-    `add_subplot`, and write it with `savefig`.
+    Print it as wide as it is: journals have columns of 84 to 90 mm and pages of 174 to 180 mm.
+    Drawn within `matplotlib.rc_context(jaxfil.plot.PRINT)`, its text has 8 points there.
 
+    **Arguments**
+
+    - `width`: in millimetres; by default 8 inches.
+    - `height`: in millimetres; by default 5/8 of the width.
+
+    **Returns** a `matplotlib.figure.Figure` of 200 dots per inch: add axes with `add_subplot`, and
+    write it with `savefig`.
+
+    >>> import matplotlib
     >>> import jaxfil as jf
-    >>> page = jf.plot.page()
-    >>> ax = page.add_subplot()
-    >>> print(page.get_size_inches(), page.axes == [ax])
-    [8. 5.] True
+    >>> with matplotlib.rc_context(jf.plot.PRINT):
+    ...     page = jf.plot.page(84)
+    ...     ax = page.add_subplot()
+    ...     label = ax.set_xlabel("t")
+    >>> page.get_size_inches().round(2).tolist(), label.get_fontsize()
+    ([3.31, 2.07], 8.0)
     """
     # Not of pyplot, which keeps every figure alive until it is closed and may look for a display.
-    return Figure(figsize=(8, 5), dpi=200, layout="constrained")
+    inches = np.array([width, 5 / 8 * width if height is None else height]) / 25.4
+    return Figure(figsize=tuple(inches), dpi=200, layout="constrained")
 
 
-def own_axes(ax: object) -> Axes:
-    """The axes given, or without any those of a figure of their own."""
+def own_axes(ax: object, projection: str | None = None) -> Axes:
+    """The axes given, or without any those of a figure of their own, of a projection if need be."""
     if isinstance(ax, Axes):
+        if projection is not None and ax.name != projection:
+            raise ValueError(f'`ax` must have projection="{projection}", got "{ax.name}".')
         return ax
     if ax is not None:
         raise ValueError(f"`ax` must be matplotlib axes or None, got {type(ax).__name__}.")
     import matplotlib.pyplot as plt  # looks for a display, so only when a window is wanted
 
-    return plt.subplots(layout="constrained")[1]
+    return plt.subplots(layout="constrained", subplot_kw={"projection": projection})[1]
+
+
+def styled(given: dict[str, Any], **ours: Any) -> dict[str, Any]:
+    """Keywords of a line: those given, under one name each (`linewidth` for `lw`), over ours."""
+    return {**ours, **normalize_kwargs(given, Line2D)}
+
+
+def legend(ax: Axes, more: Iterable[Artist] = (), **options: Any) -> None:
+    """A legend with one entry for each label, however often it was drawn, and more entries before
+    them; none without labels."""
+    entries = {handle.get_label(): handle for handle in more}
+    for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+        entries.setdefault(label, handle)
+    if entries:
+        ax.legend(list(entries.values()), [str(label) for label in entries], **options)
+
+
+def color_bar(
+    ax: Axes, picture: ScalarMappable, colorbar: bool | Axes, **options: Any
+) -> Colorbar | None:
+    """The scale of a picture's colours beside it, or in the axes given; none where refused."""
+    if isinstance(colorbar, Axes):
+        return ax.figure.colorbar(picture, cax=colorbar, **options)
+    if not isinstance(colorbar, bool):
+        raise ValueError(
+            "`colorbar` must be True, False or the matplotlib axes to draw it in, got "
+            f"{type(colorbar).__name__}."
+        )
+    return ax.figure.colorbar(picture, ax=ax, **options) if colorbar else None
+
+
+def shades(count: int) -> list[str]:
+    """That many different colours: those of `COLORS`, then lighter, then darker ones; more than
+    three times as many are spread over a spectrum."""
+    if count > 3 * len(COLORS):
+        from matplotlib import colormaps
+
+        return [to_hex(color) for color in colormaps["turbo"](np.linspace(0.05, 0.95, count))]
+    rgb = np.array([to_rgb(color) for color in COLORS])
+    every = np.concatenate([rgb, 0.45 * rgb + 0.55, 0.55 * rgb])
+    return [to_hex(color) for color in every[:count]]
+
+
+def subscript(i: int) -> str:
+    """A number below the line: ₁₂."""
+    return str(i).translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
 
 
 def marker_size(ax: Axes, columns: int) -> float:
-    """The width of a column of samples in points, from half a point up to two."""
-    # Markers as wide as a column leave no gap and hide no neighbour; thinner than half a point they
-    # vanish on paper.
-    width = ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted()).width
-    return float(np.clip(72 * width / columns, 0.5, 2.0))
+    """The width of a column of samples in points, from 0.8 up to three."""
+    # Markers as wide as a column leave no gap and hide no neighbour; thinner ones vanish on paper.
+    return float(np.clip(points_of(ax)[0] / columns, 0.8, 3.0))
+
+
+def points_of(ax: Axes) -> np.ndarray:
+    """The width and the height of axes in points."""
+    box = ax.get_window_extent().transformed(ax.figure.dpi_scale_trans.inverted())
+    return 72 * np.array([box.width, box.height])

@@ -3,6 +3,8 @@
 Spectra, a transverse exponent or a synchronisation enter; the axes they were drawn on leave.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Array, Float
 from matplotlib.axes import Axes
@@ -11,14 +13,15 @@ from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.lyapunov import LyapunovSpectrum
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, COLORS, marker_size, own_axes
+from jaxfil.plot.canvas import BLACK, COLORS, legend, marker_size, own_axes, styled, subscript
 
 
 def lyapunov_exponents(
     values: Float[Array, " p"] | Float[np.ndarray, " p"],
     spectrum: LyapunovSpectrum,
     ax: Axes | None = None,
-    parameter: str = "",
+    parameter: str = "parameter",
+    **style: Any,
 ) -> Axes:
     """Draw all exponents of a batch of spectra, one for each value, against the parameter.
 
@@ -31,6 +34,7 @@ def lyapunov_exponents(
     - `spectrum`: a `LyapunovSpectrum` of p lanes, as from `equinox.filter_vmap`.
     - `ax`: the axes to draw on; by default those of a figure of their own.
     - `parameter`: what to write below the axis.
+    - `style`: matplotlib's keywords of the dots, as `ms` or `alpha`.
 
     **Returns** the matplotlib axes.
 
@@ -45,7 +49,7 @@ def lyapunov_exponents(
     >>> ax = jf.plot.lyapunov_exponents(
     ...     values, eqx.filter_vmap(spectrum)(values), jf.plot.page().add_subplot(), "c")
     >>> ax.get_xlabel(), [text.get_text() for text in ax.get_legend().get_texts()]
-    ('c', ['λ1', 'λ2'])
+    ('c', ['λ₁', 'λ₂'])
     """
     check.instance("spectrum", spectrum, LyapunovSpectrum)
     values, exponents = np.asarray(values), np.asarray(spectrum.exponents)
@@ -57,28 +61,38 @@ def lyapunov_exponents(
     ax = own_axes(ax)
     settled = np.asarray(spectrum.settled)
     ax.axhline(0, color=BLACK, linewidth=0.5)
-    size = max(1.5, 2 * marker_size(ax, values.size))
+    size = float(np.clip(1.5 * marker_size(ax, values.size), 2.0, 3.0))
     for i, column in enumerate(exponents.T):
         color = COLORS[i % len(COLORS)]
-        style = {"linestyle": "none", "marker": "o", "markersize": size, "color": color}
+        # The largest one, of which most is asked, above the others.
+        ours: dict[str, Any] = {
+            "linestyle": "none",
+            "marker": "o",
+            "markersize": size,
+            "color": color,
+        }
+        ours = styled(style, **ours, markeredgewidth=0, zorder=2 + 0.1 * (len(exponents.T) - i))
         lost = np.isneginf(column)  # at no height of the axes
-        ax.plot(values[settled & ~lost], column[settled & ~lost], label=f"λ{i + 1}", **style)
+        named: dict[str, Any] = {"label": f"λ{subscript(i + 1)}"}
+        ax.plot(values[settled & ~lost], column[settled & ~lost], **ours | named)
         passing = np.isfinite(column) & ~settled
-        ax.plot(values[passing], column[passing], fillstyle="none", markeredgewidth=0.5, **style)
+        hollow: dict[str, Any] = {"fillstyle": "none", "markeredgewidth": 0.5}
+        ax.plot(values[passing], column[passing], **ours | hollow)
         if lost.any():
-            edge = {"transform": ax.get_xaxis_transform(), "clip_on": False, "color": color}
+            edge: dict[str, Any] = {"clip_on": False, "color": color}
+            edge["transform"] = ax.get_xaxis_transform()
             height = np.full(lost.sum(), 0.015 + 0.03 * i)
-            ax.plot(values[lost], height, "|", label=f"λ{i + 1} = −∞", **edge)
+            ax.plot(values[lost], height, "|", label=f"{named['label']} = −∞", **edge)
     ax.set_xlim(values.min(), values.max() if values.max() > values.min() else None)
     ax.set_xlabel(parameter)
     ax.set_ylabel("exponents per unit time")
-    ax.legend(fontsize="small", loc="best", markerscale=2)
+    legend(ax, loc="best", markerscale=2)
     return ax
 
 
 @draws(LyapunovSpectrum, TransverseExponent)
 def lyapunov_convergence(
-    spectrum: LyapunovSpectrum | TransverseExponent, ax: Axes | None = None
+    spectrum: LyapunovSpectrum | TransverseExponent, ax: Axes | None = None, **style: Any
 ) -> Axes:
     """Draw the running estimates of one spectrum, or of one transverse exponent, against time.
 
@@ -89,6 +103,7 @@ def lyapunov_convergence(
 
     - `spectrum`: a `LyapunovSpectrum` or a `TransverseExponent` of one lane.
     - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `style`: matplotlib's keywords of the lines, as `lw`.
 
     **Returns** the matplotlib axes.
 
@@ -117,12 +132,12 @@ def lyapunov_convergence(
             continue
         color, band = COLORS[i % len(COLORS)], error * np.sqrt(times[-1] / times)
         ax.fill_between(times, last - band, last + band, color=color, alpha=0.2, linewidth=0)
-        ax.plot(times, column, color=color, label=f"λ{i + 1} = {last:.4g}")
+        told = f"λ{subscript(i + 1)} = {last:.4g}".replace("-", "−")
+        ax.plot(times, column, **styled(style, color=color, label=told))
     ax.set_xlim(0, times[-1])
     ax.set_xlabel("time averaged over")
     ax.set_ylabel("running estimate")
-    if np.isfinite(exponents).any():
-        ax.legend(fontsize="small", loc="best")
+    legend(ax, loc="best")
     return ax
 
 
@@ -147,7 +162,7 @@ def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
     ...     steps=20, stepper=jf.RK4())
     >>> ax = jf.plot.synchronization(found, jf.plot.page().add_subplot())
     >>> ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
-    ('smallest distance', ['synchronised', 'λ1 = -0.3'])
+    ('smallest distance', ['synchronised', 'λ₁ = −0.3'])
     """
     check.instance("found", found, Synchronization)
     couplings, distances = np.asarray(found.couplings), np.asarray(found.distances)
@@ -164,10 +179,10 @@ def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
     ax.plot(couplings[done], shown[done], "o", color=COLORS[0], label="synchronised")
     ax.axhline(float(found.tolerance), color=BLACK, linestyle="--", linewidth=0.8)
     if np.isfinite(found.exponent):
-        label = f"λ1 = {float(found.exponent):.3g}"
+        label = f"λ₁ = {float(found.exponent):.3g}".replace("-", "−")
         ax.axvline(float(found.exponent), color=COLORS[1], linewidth=1, label=label)
     ax.set_yscale("log")
     ax.set_xlabel("coupling")
     ax.set_ylabel("smallest distance")
-    ax.legend(fontsize="small", loc="best")
+    legend(ax, loc="best")
     return ax

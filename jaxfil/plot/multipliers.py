@@ -1,26 +1,40 @@
 """Floquet multipliers in the complex plane.
 
-An orbit enters; the axes its multipliers were drawn on leave.
+An orbit, or a branch, enters; the axes its multipliers were drawn on leave.
 """
+
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 
 from jaxfil.model import check
+from jaxfil.model.labels import labels_of
+from jaxfil.orbits.branch import Branch
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, own_axes
+from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, color_bar, legend, own_axes, styled
+
+# The colours of a branch's parameter.
+_SCALE = "viridis"
 
 
-def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
-    """Draw the Floquet multipliers of an orbit, or of a batch of them, and the unit circle.
+def multipliers(
+    orbit: Orbit | Branch, ax: Axes | None = None, colorbar: bool | Axes = True, **style: Any
+) -> Axes:
+    """Draw the Floquet multipliers of an orbit, of a batch of them or of a branch.
 
-    Those outside it are drawn as crosses: the orbit is unstable. The multiplier 1 that every orbit
-    of an autonomous system has, for a shift in time, is drawn apart and says nothing of stability.
+    Those outside the unit circle are drawn as crosses: the orbit is unstable. The multiplier 1 that
+    every orbit of an autonomous system has, for a shift in time, is drawn apart and says nothing of
+    stability. Those of a `Branch` have the colour of its parameter.
 
     **Arguments**
 
-    - `orbit`: an `Orbit`, of one lane or of many.
+    - `orbit`: an `Orbit`, of one lane or of many, or a `Branch`.
     - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `colorbar`: whether to draw the parameter's scale beside them, or the axes to draw it in.
+    - `style`: matplotlib's keywords of the marks, as `ms` or `alpha`.
 
     **Returns** the matplotlib axes.
 
@@ -31,32 +45,52 @@ def multipliers(orbit: Orbit, ax: Axes | None = None) -> Axes:
     >>> ax.get_xlabel(), [text.get_text() for text in ax.get_legend().get_texts()]
     ('Re μ', ['inside'])
     """
-    check.instance("orbit", orbit, Orbit)
-    values = np.asarray(orbit.multipliers, complex)
-    trivial = np.zeros(values.shape, bool)
-    if orbit.system.period is None:
-        # It is 1 to the error of the orbit only: the nearest one is taken for it.
-        nearest = np.argmin(abs(np.where(np.isfinite(values), values, np.inf) - 1), axis=-1)
-        np.put_along_axis(trivial, nearest[..., None], True, axis=-1)
-    finite = np.isfinite(values)
-    values, trivial = values[finite], trivial[finite]
+    check.instance("orbit", orbit, Orbit, Branch)
+    orbits = orbit.orbits if isinstance(orbit, Branch) else orbit
+    values, trivial = _told_apart(orbits)
     ax = own_axes(ax)
     # Stability is told by the modulus: equal axes, or the circle would be none.
     angle = np.linspace(0, 2 * np.pi, 361)
     ax.plot(np.cos(angle), np.sin(angle), color=BLACK, linewidth=0.8)
     ax.axhline(0, color=BLACK, linewidth=0.3)
     ax.axvline(0, color=BLACK, linewidth=0.3)
+    held = orbit.values if isinstance(orbit, Branch) else np.zeros(len(values))
+    at = np.broadcast_to(np.reshape(held, (-1, *[1] * (values.ndim - 1))), values.shape)
+    norm = Normalize(at.min(), at.max())
     outside = (np.abs(values) > 1) & ~trivial
+    finite = np.isfinite(values)
     for some, marker, color, label in (
-        (~outside & ~trivial, "o", COLORS[0], "inside"),
-        (outside, "x", VERMILLION, "outside"),
-        (trivial, "s", BLACK, "trivial"),
+        (~outside & ~trivial & finite, "o", COLORS[0], "inside"),
+        (outside & finite, "x", VERMILLION, "outside"),
+        (trivial & finite, "s", BLACK, "trivial"),
     ):
-        if some.any():
-            ax.plot(np.real(values[some]), np.imag(values[some]), marker, color=color, label=label)
-    if values.size:
-        ax.legend(fontsize="small", loc="best")
+        if not some.any():
+            continue
+        x, y = np.real(values[some]), np.imag(values[some])
+        ours = styled(style, color=color, marker=marker, label=label, linestyle="none")
+        if not isinstance(orbit, Branch):
+            ax.plot(x, y, **ours)
+        else:
+            size = ours.get("markersize", 3.0) ** 2
+            kept = {key: ours[key] for key in ("marker", "label", "alpha") if key in ours}
+            ax.scatter(x, y, size, at[some], cmap=_SCALE, norm=norm, **kept)
+    if isinstance(orbit, Branch):
+        labels = labels_of(orbits.system, orbits.x0.shape[-1])
+        scale = ScalarMappable(norm, _SCALE)
+        color_bar(ax, scale, colorbar, label=labels.parameter(orbit.parameter))
+    legend(ax, loc="best")
     ax.set_aspect("equal")
     ax.set_xlabel("Re μ")
     ax.set_ylabel("Im μ")
     return ax
+
+
+def _told_apart(orbit: Orbit) -> tuple[np.ndarray, np.ndarray]:
+    """The multipliers, and which of them are the trivial one of an autonomous system."""
+    values = np.asarray(orbit.multipliers, complex)
+    trivial = np.zeros(values.shape, bool)
+    if orbit.system.period is None:
+        # It is 1 to the error of the orbit only: the nearest one is taken for it.
+        nearest = np.argmin(abs(np.where(np.isfinite(values), values, np.inf) - 1), axis=-1)
+        np.put_along_axis(trivial, nearest[..., None], True, axis=-1)
+    return values, trivial

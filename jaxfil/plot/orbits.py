@@ -3,6 +3,8 @@
 A branch or a curve enters; the axes it was drawn on leave.
 """
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -10,29 +12,18 @@ from jaxfil.bifurcations.two_parameter import BifurcationCurve
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.labels import labels_of
-from jaxfil.orbits.branch import Branch, SpecialPoint
-from jaxfil.plot.canvas import BLACK, VERMILLION, own_axes
-
-# The colour of each kind of bifurcation.
-CURVES = {
-    "grazing": "#0072B2",
-    "grazing-sliding": "#D55E00",
-    "adding-sliding": "#009E73",
-    "crossing-sliding": "#CC79A7",
-    "switching-sliding": "#E69F00",
-}
-# Marker and colour of each kind of special point.
-POINTS = {
-    "fold": ("s", "#0072B2"),
-    "period-doubling": ("D", "#009E73"),
-    "neimark-sacker": ("^", "#CC79A7"),
-    "contacts": ("o", "#F0E442"),
-}
+from jaxfil.orbits.branch import Branch
+from jaxfil.plot.canvas import BLACK, VERMILLION, legend, own_axes, styled
+from jaxfil.plot.kinds import KINDS
 
 
 @draws(Branch)
 def branch(
-    branch: Branch, ax: Axes | None = None, component: int = 0, extremes: bool = False
+    branch: Branch,
+    ax: Axes | None = None,
+    component: int = 0,
+    extremes: bool = False,
+    **style: Any,
 ) -> Axes:
     """Draw a branch of orbits against its parameter, unstable parts dashed, special points marked.
 
@@ -42,6 +33,7 @@ def branch(
     - `ax`: the axes to draw on; by default those of a figure of their own.
     - `component`: which one of the state is drawn, from 0.
     - `extremes`: draw its smallest and largest value on the orbit in place of that at t0.
+    - `style`: matplotlib's keywords of the lines, as `color` or `lw`.
 
     **Returns** the matplotlib axes.
 
@@ -55,57 +47,56 @@ def branch(
     ['stable', 'contacts']
     """
     check.instance("branch", branch, Branch)
-    check.component("component", component, branch.orbits.x0.shape[-1])
     ax = own_axes(ax)
-    if extremes:
-        curves = [column[:, component] for column in branch.extremes()]
-        wording = "least and largest {}"
-    else:
-        curves, wording = [np.asarray(branch.orbits.x0)[:, component]], "{} at t0"
-    # A line for each style, NaN where the other one is drawn: matplotlib breaks lines there.
+    curves, wording = curves_of(branch, component, extremes)
     for curve in curves:
-        values, heights, stable = _pieces(branch, curve)
-        for solid, style in ((True, "-"), (False, "--")):
-            keep = np.append(stable == solid, False)
-            if not keep.any():
-                continue
-            keep[1:] |= keep[:-1]
-            ax.plot(
-                values,
-                np.where(keep, heights, np.nan),
-                style,
-                color=BLACK if solid else VERMILLION,
-                linewidth=1.2,
-                label=("stable" if solid else "unstable") if curve is curves[0] else None,
-            )
-        for kind in dict.fromkeys(point.kind for point in branch.points):
-            marker, color = POINTS[kind]
-            shown = [point for point in branch.points if point.kind == kind]
-            ax.plot(
-                [point.value for point in shown],
-                [_height(branch.values, curve, point) for point in shown],
-                marker,
-                color=color,
-                markeredgecolor=BLACK,
-                label=kind if curve is curves[0] else None,
-            )
-    ax.legend(fontsize="small")
+        draw_stability(ax, branch, curve, style)
+        for point in branch.points:
+            marker, color = KINDS[point.kind]
+            at = point.value, height(branch, curve, point.value, point.index)
+            ax.plot(*at, marker, color=color, markeredgecolor=BLACK, label=point.kind)
+    legend(ax)
     labels = labels_of(branch.orbits.system, branch.orbits.x0.shape[-1])
     ax.set_xlabel(labels.parameter(branch.parameter))
     ax.set_ylabel(labels.component(component, wording))
     return ax
 
 
+def curves_of(branch: Branch, component: int, extremes: bool) -> tuple[list[np.ndarray], str]:
+    """What is drawn above the parameter, one curve or two, and how it is called."""
+    check.component("component", component, branch.orbits.x0.shape[-1])
+    if extremes:
+        return [column[:, component] for column in branch.extremes()], "least and largest {}"
+    return [np.asarray(branch.orbits.x0)[:, component]], "{} at t0"
+
+
+def draw_stability(ax: Axes, branch: Branch, curve: np.ndarray, style: dict[str, Any]) -> None:
+    """One curve along a branch, unstable parts dashed."""
+    # A line for each style, NaN where the other one is drawn: matplotlib breaks lines there.
+    values, heights, stable = _pieces(branch, curve)
+    for solid, dash in ((True, "-"), (False, "--")):
+        keep = np.append(stable == solid, False)
+        if not keep.any():
+            continue
+        keep[1:] |= keep[:-1]
+        label = "stable" if solid else "unstable"
+        color = BLACK if solid else VERMILLION
+        told = styled(style, color=color, linewidth=1.2, label=label)
+        told["linestyle"] = dash
+        ax.plot(values, np.where(keep, heights, np.nan), **told)
+
+
 @draws(BifurcationCurve)
-def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
+def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: Any) -> Axes:
     """Draw a curve of bifurcations in the plane of two parameters, each kind in its colour.
 
-    Points of codimension two, where the kind changes, are marked.
+    Points of codimension two are marked.
 
     **Arguments**
 
     - `curve`: a `BifurcationCurve`.
     - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `style`: matplotlib's keywords of the lines, as `color` or `lw`.
 
     **Returns** the matplotlib axes.
 
@@ -117,7 +108,7 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
     >>> curve = jf.continue_bifurcation(system, ("omega", "f0"), graze, stop=(0.84, 0.9))
     >>> ax = jf.plot.bifurcation_curve(curve, jf.plot.page().add_subplot())
     >>> ax.get_xlabel(), ax.get_ylabel()
-    ('Ω', 'f0')
+    ('Ω', 'f₀')
     """
     check.instance("curve", curve, BifurcationCurve)
     ax = own_axes(ax)
@@ -126,10 +117,11 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None) -> Axes:
         keep = kinds == kind
         keep[:-1] |= keep[1:]
         values = np.where(keep[:, None], curve.values, np.nan)
-        ax.plot(*values.T, color=CURVES.get(kind, BLACK), linewidth=1.5, label=kind)
+        color = KINDS.get(kind, ("", BLACK))[1]
+        ax.plot(*values.T, **styled(style, color=color, linewidth=1.5, label=kind))
     for point in curve.points:
-        ax.plot(*point.values, "o", color=BLACK, label=f"{point.before} to {point.after}")
-    ax.legend(fontsize="small")
+        ax.plot(*point.values, "o", color=BLACK, label=point.kind)
+    legend(ax)
     ax.set_xlabel(curve.labels.parameter(curve.parameters[0]))
     ax.set_ylabel(curve.labels.parameter(curve.parameters[1]))
     return ax
@@ -144,7 +136,7 @@ def _pieces(branch: Branch, curve: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
         between = [point for point in branch.points if point.index == i]
         for k, point in enumerate(between):
             values.append(point.value)
-            heights.append(_height(branch.values, curve, point))
+            heights.append(height(branch, curve, point.value, point.index))
             stable.append(branch.stable[i if k else i - 1])
         values.append(branch.values[i])
         heights.append(curve[i])
@@ -152,9 +144,10 @@ def _pieces(branch: Branch, curve: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return np.array(values), np.array(heights), np.array(stable, bool)
 
 
-def _height(values: np.ndarray, curve: np.ndarray, point: SpecialPoint) -> float:
-    """Of a curve at a special point, which lies between the orbits index − 1 and index."""
-    pair = slice(max(point.index - 1, 0), point.index + 1)
+def height(branch: Branch, curve: np.ndarray, value: float, index: int) -> float:
+    """Of a curve at a value of the parameter between the orbits index − 1 and index."""
+    pair = slice(max(index - 1, 0), index + 1)
     # `interp` needs ascending values, and a branch may go either way.
-    order = np.argsort(values[pair])
-    return float(np.interp(point.value, values[pair][order], curve[pair][order]))
+    values = np.asarray(branch.values)[pair]
+    order = np.argsort(values)
+    return float(np.interp(value, values[order], curve[pair][order]))

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
 from jaxfil.model import check
-from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, own_axes
+from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, color_bar, own_axes
 from jaxfil.sweep.diagram import BifurcationDiagram
 
 # From this period on they share a colour.
@@ -17,7 +17,9 @@ _MANY = len(COLORS) + 1
 PERIODS = {**dict(enumerate(COLORS, start=1)), _MANY: YELLOW, 0: BLACK, -1: WHITE}
 
 
-def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
+def parameter_map(
+    diagram: BifurcationDiagram, ax: Axes | None = None, colorbar: bool | Axes = True
+) -> Axes:
     """Draw the period of the motion over a grid of two parameters, a colour for each.
 
     Periods are those of `BifurcationDiagram.periods`, in forcing periods. Black is longer than half
@@ -27,6 +29,7 @@ def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
 
     - `diagram`: a `BifurcationDiagram` over a grid of two parameters, two values or more of each.
     - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 
     **Returns** the matplotlib axes.
 
@@ -38,7 +41,7 @@ def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
     ...     transient=20, samples=8, steps=20, stepper=jf.RK4(), progress=False)
     >>> ax = jf.plot.parameter_map(diagram, jf.plot.page().add_subplot())
     >>> ax.get_xlabel(), ax.get_ylabel()
-    ('Ω', 'f0')
+    ('Ω', 'f₀')
     """
     check.instance("diagram", diagram, BifurcationDiagram)
     values = diagram.values
@@ -64,10 +67,11 @@ def parameter_map(diagram: BifurcationDiagram, ax: Axes | None = None) -> Axes:
         rasterized=True,
     )
     told = {_MANY: f"≥ {_MANY}", 0: f"> {diagram.xs.shape[-2] // 2}", -1: "failed"}
-    bar = ax.figure.colorbar(picture, ax=ax, ticks=range(len(seen)))
-    bar.ax.set_yticklabels([told.get(period, str(period)) for period in seen])
-    bar.ax.tick_params(length=0)
-    bar.ax.set_title("period", fontsize="medium")
+    bar = color_bar(ax, picture, colorbar, ticks=range(len(seen)))
+    if bar is not None:
+        bar.set_ticklabels([told.get(period, str(period)) for period in seen])
+        bar.ax.tick_params(length=0)
+        bar.ax.set_title("period", fontsize="medium")
     ax.set_xlabel(diagram.labels.parameter(diagram.parameter[0]))
     ax.set_ylabel(diagram.labels.parameter(diagram.parameter[1]))
     return ax

@@ -1,17 +1,19 @@
 """Error against run time.
 
-A table of work and precision enters; the axes it was drawn on leave.
+A table of work and precision, or a choice of a step, enters; the axes it was drawn on leave.
 """
 
 import itertools
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
+from jaxfil.integrate.step_choice import StepChoice
 from jaxfil.integrate.work_precision import WorkPrecision
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, COLORS, own_axes
+from jaxfil.plot.canvas import BLACK, COLORS, legend, own_axes
 
 
 @draws(WorkPrecision)
@@ -48,7 +50,57 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
         ax.loglog(seconds[order], told, "o-", color=color, markersize=4, label=name)
     if np.isfinite(floor):
         ax.axhline(floor, color=BLACK, linewidth=0.8, linestyle="--", label="reference")
+    _thin_ticks(ax)
     ax.set_xlabel("run time of a lane, s")
     ax.set_ylabel("error of x(t1)")
-    ax.legend(fontsize="small")
+    legend(ax)
     return ax
+
+
+@draws(StepChoice)
+def step_choice(choice: StepChoice, ax: Axes | None = None) -> Axes:
+    """Draw the error of every run that a choice was made from against its run time.
+
+    A line for each stepper; the tolerance is the dashed line, and what was chosen the ring.
+
+    **Arguments**
+
+    - `choice`: a `StepChoice`.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> scene, x0 = jf.systems.RotatingOscillator(), jnp.array([0.36787944117144233, 0.0])
+    >>> choice = jf.choose_step(scene, x0, 0.0, 2.0, tolerance=1e-4, steppers=[jf.RK4()])
+    >>> ax = jf.plot.step_choice(choice, jf.plot.page().add_subplot())
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['RK4', 'tolerance', 'chosen']
+    """
+    check.instance("choice", choice, StepChoice)
+    ax = own_axes(ax)
+    # Below what the reference knows errors are not resolved, and a logarithm has no zero.
+    floor = max(choice.reference_error, float(np.finfo(choice.reference.dtype).eps))
+    lines = zip(choice.steppers, choice.times, choice.errors, strict=True)
+    for (name, times, errors), color in zip(lines, itertools.cycle(COLORS)):
+        told = np.maximum(errors, floor)
+        ax.loglog(times, told, "o-", color=color, markersize=4, label=name)
+    ax.axhline(choice.tolerance, color=BLACK, linewidth=0.8, linestyle="--", label="tolerance")
+    ring = {"markersize": 10, "markerfacecolor": "none", "markeredgecolor": BLACK}
+    ax.plot(choice.seconds, max(choice.error, floor), "o", label="chosen", **ring)
+    ax.set_xlabel("run time of a lane, s")
+    ax.set_ylabel("error of x(t1), relative")
+    _thin_ticks(ax)
+    legend(ax)
+    return ax
+
+
+def _thin_ticks(ax: Axes) -> None:
+    """Numbers at 1, 2 and 5 of a decade where there are few decades, for those at each of its nine
+    steps run into each other."""
+    low, high = ax.get_xlim()
+    few = np.log10(high / low) < 2
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=8))
+    ax.xaxis.set_major_formatter(LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
+    ax.xaxis.set_minor_formatter(NullFormatter())

@@ -3,14 +3,22 @@
 A diagram enters; the axes it was drawn on leave.
 """
 
+import textwrap
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, VERMILLION, marker_size, own_axes
+from jaxfil.plot.canvas import BLACK, VERMILLION, legend, marker_size, own_axes, points_of, styled
 from jaxfil.plot.periods import parameter_map
 from jaxfil.sweep.diagram import BifurcationDiagram
+
+# Samples further than this many times the spread of most of them have diverged.
+_FAR, _MOST = 100.0, (10.0, 90.0)
+# A point drawn once for each sample of a period-1 motion is this dark; dense chaos at most so dark.
+_DARK, _DENSE = 0.95, 0.6
 
 
 @draws(BifurcationDiagram)
@@ -18,22 +26,29 @@ def _diagram(diagram: BifurcationDiagram, ax: Axes | None = None, component: int
     """The samples against one parameter, or on a grid of two the map of periods."""
     if isinstance(diagram.parameter, str):
         return bifurcation_diagram(diagram, ax, component)
+    if component != 0:
+        raise ValueError(
+            "`component` must be left out for a grid of two parameters, whose map of periods is "
+            f"that of all components, got {component!r}."
+        )
     return parameter_map(diagram, ax)
 
 
 def bifurcation_diagram(
-    diagram: BifurcationDiagram, ax: Axes | None = None, component: int = 0
+    diagram: BifurcationDiagram, ax: Axes | None = None, component: int = 0, **style: Any
 ) -> Axes:
     """Draw one component of every sample against the parameter.
 
-    A million samples take about a second, and a vector file holds them as an image. Values whose
-    lane ended early are ticked along the lower edge.
+    The title says what else was set. A million samples take about a second, and a vector file holds
+    them as an image. Values whose lane ended early are ticked along the lower edge; samples far
+    beyond all others are left outside the axes and counted.
 
     **Arguments**
 
     - `diagram`: a `BifurcationDiagram` of one parameter.
     - `ax`: the axes to draw on; by default those of a figure of their own.
     - `component`: which one of the state, from 0.
+    - `style`: matplotlib's keywords of the dots, as `color`, `ms`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.
 
@@ -46,6 +61,8 @@ def bifurcation_diagram(
     >>> ax = jf.plot.bifurcation_diagram(diagram, jf.plot.page().add_subplot())
     >>> ax.get_xlabel(), ax.get_ylabel(), len(ax.lines[0].get_xdata())
     ('Ω', 'x once a period', 16)
+    >>> print(ax.get_title(loc="left"))
+    SDOscillator: f0 = 0.25, zeta = 0.1; 8 periods after 20
     """
     check.instance("diagram", diagram, BifurcationDiagram)
     if not isinstance(diagram.parameter, str):
@@ -57,36 +74,68 @@ def bifurcation_diagram(
     ax = own_axes(ax)
     column = xs[..., component]
     seen = np.isfinite(column)
+    size = marker_size(ax, values.size)
     # One line of markers and no scatter plot, which draws each of a million by itself.
-    ax.plot(
-        np.broadcast_to(values[:, None], column.shape)[seen],
-        column[seen],
-        color=BLACK,
-        alpha=0.4,
-        linestyle="none",
-        marker="o",
-        markersize=marker_size(ax, values.size),
-        markeredgewidth=0,
-        rasterized=True,
-    )
+    ours = {"color": BLACK, "alpha": _alpha(ax, column.shape[1], size), "markersize": size}
+    ours |= {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "rasterized": True}
+    xy = np.broadcast_to(values[:, None], column.shape)[seen], column[seen]
+    ax.plot(*xy, **styled(style, **ours))
+    _limit(ax, column[seen])
     _tick_failures(ax, values[~diagram.successful])
+    if style.get("label") is not None or (~diagram.successful).any():
+        legend(ax, loc="upper right")
     if values.min() < values.max():
         ax.set_xlim(values.min(), values.max())
     ax.set_xlabel(diagram.labels.parameter(diagram.parameter))
-    ax.set_ylabel(diagram.labels.component(component, "{} once a period"))
+    ax.set_ylabel(diagram.labels.component(component, _sampled(diagram)))
+    width = max(20, int(points_of(ax)[0] / 4.5))  # of letters of 8 points
+    ax.set_title("\n".join(textwrap.wrap(_told(diagram), width)), loc="left", fontsize="medium")
     return ax
+
+
+def _alpha(ax: Axes, samples: int, size: float) -> float:
+    """How opaque a dot is: a point on which all samples fall is dark, and a column in which they
+    are spread over half of the height is not yet black."""
+    overlap = samples * size / (0.5 * points_of(ax)[1])
+    dense = 1 - (1 - _DENSE) ** (1 / max(overlap, 1e-9))
+    return float(np.clip(max(dense, 1 - (1 - _DARK) ** (1 / samples)), 0.1, 1))
+
+
+def _told(diagram: BifurcationDiagram) -> str:
+    """The system, what its other parameters were, and how long it ran."""
+    done = diagram.conditions
+    values = [
+        f"{diagram.labels.symbol(name)} = {float(value):.6g}"
+        for name, value in done.parameters.items()
+        if np.ndim(value) == 0
+    ]
+    start = "" if done.follow is None else f", followed {done.follow}"
+    each = "periods" if done.section is None else "crossings"
+    held = f"{np.shape(diagram.xs)[-2]} {each} after {done.transient}{start}"
+    return f"{diagram.system}: {', '.join(values) + '; ' if values else ''}{held}"
+
+
+def _sampled(diagram: BifurcationDiagram) -> str:
+    """What a component is called where it is sampled."""
+    return "{} once a period" if diagram.conditions.section is None else "{} at the section"
+
+
+def _limit(ax: Axes, samples: np.ndarray) -> None:
+    """Keep samples that are far beyond all others from setting the axis, and count them."""
+    if not samples.size:
+        return
+    low, high = np.percentile(samples, _MOST)
+    margin = _FAR * (high - low)
+    beyond = (samples < low - margin) | (samples > high + margin)
+    if margin > 0 and beyond.any():
+        low, high = samples[~beyond].min(), samples[~beyond].max()
+        ax.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+        told = f"{beyond.sum()} samples beyond the axis, to {abs(samples[beyond]).max():.3g}"
+        ax.annotate(told, (0.99, 0.02), xycoords="axes fraction", ha="right", color=VERMILLION)
 
 
 def _tick_failures(ax: Axes, values: np.ndarray) -> None:
     if values.size:
         label = f"{values.size} ended early"
-        ax.plot(
-            values,
-            np.zeros(values.size),
-            "|",
-            color=VERMILLION,
-            transform=ax.get_xaxis_transform(),
-            clip_on=False,
-            label=label,
-        )
-        ax.legend(fontsize="small", loc="upper right")
+        edge = {"transform": ax.get_xaxis_transform(), "clip_on": False, "label": label}
+        ax.plot(values, np.zeros(values.size), "|", color=VERMILLION, **edge)

@@ -3,21 +3,27 @@
 States enter; the axes they were drawn on leave.
 """
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from jaxfil.model import check
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.system import System
 from jaxfil.model.types import States
-from jaxfil.plot.canvas import BLACK, own_axes
+from jaxfil.plot.canvas import BLACK, own_axes, styled
+from jaxfil.plot.path import chosen
 
 
 def poincare_section(
     xs: States,
     ax: Axes | None = None,
-    components: tuple[int, int] = (0, 1),
+    components: Iterable[int] = (0, 1),
     system: System | None = None,
+    **style: Any,
 ) -> Axes:
     """Draw one component against another at every state of a section.
 
@@ -28,8 +34,9 @@ def poincare_section(
 
     - `xs`: states, shape (k, n) or (…, k, n); those that are not finite are left out.
     - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `components`: the numbers of the two components, that to the right first.
+    - `components`: the numbers of two components, that to the right first, or of three.
     - `system`: the `System` whose names the axes have; by default x[0], x[1], ….
+    - `style`: matplotlib's keywords of the dots, as `color`, `ms`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.
 
@@ -43,25 +50,34 @@ def poincare_section(
     >>> ax.get_xlabel(), ax.get_ylabel(), len(ax.lines[0].get_xdata())
     ('x', "x'", 8)
     """
-    if system is not None:
-        check.system("system", system)
-    pair = tuple(components)
-    if len(pair) != 2 or not all(isinstance(c, (int, np.integer)) for c in pair):
-        raise ValueError(f"`components` must be two integers, got {components!r}.")
-    given, xs = xs, np.asarray(xs)
-    if xs.dtype.kind not in "fiu" or xs.ndim < 2 or xs.shape[-1] <= max(components):
-        got = f"shape {xs.shape}" if xs.dtype.kind in "fiu" else type(given).__name__
-        raise ValueError(
-            f"`xs` must be states of shape (k, n) with n > {max(components)}, got {got}."
-        )
-    ax = own_axes(ax)
-    points = xs.reshape(-1, xs.shape[-1])
-    points = points[np.isfinite(points).all(axis=1)]
+    points, shown = section_points(xs, components, system, (2, 3))
+    ax = own_axes(ax, "3d" if len(shown) == 3 else None)
     # A point of a page covers some thousandth of it: so many that none hides the next.
     size = float(np.clip(60 / np.sqrt(max(len(points), 1)), 1, 4))
-    x, y = (points[:, i] for i in components)
-    ax.plot(x, y, ".", color=BLACK, markersize=size, markeredgewidth=0, rasterized=True)
-    labels = Labels() if system is None else labels_of(system, xs.shape[-1])
-    ax.set_xlabel(labels.component(components[0]))
-    ax.set_ylabel(labels.component(components[1]))
+    ours = {"marker": ".", "color": BLACK, "markersize": size, "markeredgewidth": 0}
+    ours |= {"linestyle": "none", "rasterized": True}
+    ax.plot(*points[:, shown].T, **styled(style, **ours))
+    name_axes(ax, system, points.shape[1], shown)
     return ax
+
+
+def section_points(
+    xs: States, components: Iterable[int], system: System | None, counts: tuple[int, ...]
+) -> tuple[Float[np.ndarray, "k n"], list[int]]:
+    """The finite states of a section, and the components to be drawn."""
+    if system is not None:
+        check.system("system", system)
+    given, xs = xs, np.asarray(xs)
+    if xs.dtype.kind not in "fiu" or xs.ndim < 2 or xs.shape[-1] < 2:
+        got = f"shape {xs.shape}" if xs.dtype.kind in "fiu" else type(given).__name__
+        raise ValueError(f"`xs` must be states of shape (k, n) with n > 1, got {got}.")
+    shown = chosen("components", components, xs.shape[-1], counts)
+    points = xs.reshape(-1, xs.shape[-1])
+    return points[np.isfinite(points).all(axis=1)], shown
+
+
+def name_axes(ax: Axes, system: System | None, n: int, shown: list[int]) -> None:
+    """Write the names of the components below and beside the axes."""
+    labels = Labels() if system is None else labels_of(system, n)
+    for name, c in zip("xyz", shown, strict=False):
+        getattr(ax, f"set_{name}label")(labels.component(c))

@@ -11,26 +11,25 @@ from matplotlib.axes import Axes
 
 from jaxfil.integrate.solution import Solution
 from jaxfil.model.system import System
-from jaxfil.plot.canvas import COLORS
+from jaxfil.plot.canvas import COLORS, subscript
 
 # Points along each edge of the picture at which the switching function is evaluated.
 _GRID = 201
 
 
-def draw_surfaces(ax: Axes, system: System, sol: Solution) -> None:
-    """Dash the zeros of every switching function within what the axes show."""
+def draw_surfaces(ax: Axes, system: System, sol: Solution, shown: list[int]) -> None:
+    """Dash the zeros of every switching function within what the axes show of two components."""
     limits = ax.get_xlim(), ax.get_ylim()
     x, y = (np.linspace(*ends, _GRID) for ends in limits)
     # A surface is a set in n dimensions, and cut by the plane through the last state.
     last = np.broadcast_to(np.asarray(sol.x_final), (_GRID, _GRID, np.size(sol.x_final))).copy()
-    last[..., 0], last[..., 1] = np.meshgrid(x, y)
+    last[..., shown[0]], last[..., shown[1]] = np.meshgrid(x, y)
     heights = jax.vmap(jax.vmap(lambda x: jnp.atleast_1d(system.switching(sol.t_final, x))))
-    style = {"colors": COLORS[0], "linewidths": 1.0, "linestyles": "dashed"}
-    label = "H = 0"
-    for h in np.moveaxis(np.asarray(heights(jnp.asarray(last))), -1, 0):
+    every = np.moveaxis(np.asarray(heights(jnp.asarray(last))), -1, 0)
+    for j, h in enumerate(every):
         if h.min() < 0 < h.max():  # a surface that the last state is on may be all of the plane
-            ax.contour(x, y, h, levels=[0.0], **style)
-            ax.plot([], [], "--", color=COLORS[0], linewidth=1.0, label=label)
-            label = None
+            number, color = subscript(j + 1) * (len(every) > 1), COLORS[j % len(COLORS)]
+            ax.contour(x, y, h, levels=[0.0], colors=color, linewidths=1.0, linestyles="dashed")
+            ax.plot([], [], "--", color=color, linewidth=1.0, label=f"H{number} = 0")
     ax.set_xlim(limits[0])
     ax.set_ylim(limits[1])

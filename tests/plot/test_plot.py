@@ -17,7 +17,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
-from tests.pictures import PICTURES, VALUES, made, unchecked
+from jaxfil.plot.canvas import shades
+from tests.pictures import PICTURES, VALUES, basins, made, periods, unchecked
 from tests.problems import PROBLEMS
 
 matplotlib.use("Agg")
@@ -123,7 +124,7 @@ def test_a_diagram_of_one_value_can_be_seen():
     ax = jf.plot.bifurcation_diagram(swept(points=1))
     low, high = ax.get_xlim()
     assert low < 0.7 < high
-    assert ax.lines[0].get_markersize() == 2
+    assert ax.lines[0].get_markersize() == 3
 
 
 def test_a_million_samples_are_one_image(tmp_path):
@@ -159,8 +160,13 @@ def test_each_surface_has_its_own_band():
     sol = solved(jf.systems.FilippovSpiral(), [0.0, 1.0], 1.0, 0.01)
     ax = jf.plot.time_history(sol)
     spans = [b for mode in (-1, 0, 1) for b in bands(ax, mode)]
-    lower = sorted(b[:2] for b in spans if b[2:] == (0, 0.5))
-    upper = sorted(b[:2] for b in spans if b[2:] == (0.5, 1))
+    heights = sorted({b[2:] for b in spans})
+    assert_allclose(heights, [(0, 0.05), (0.05, 0.1)], atol=1e-12)
+    lower, upper = (sorted(b[:2] for b in spans if b[2:] == h) for h in heights)
+    # Below the curve, and named.
+    low, high = ax.get_ylim()
+    assert low + 0.1 * (high - low) < ax.lines[0].get_ydata().min()
+    assert [text.get_text() for text in ax.texts] == ["H₁", "H₂"]
     assert len(lower) + len(upper) == len(spans)
     for band in (lower, upper):
         assert len(band) > 3
@@ -187,7 +193,7 @@ def test_a_smooth_system_has_a_history_without_bands():
 @pytest.mark.parametrize("component", [0, 1])
 def test_a_history_goes_through_every_saved_state_and_contact(component):
     sol = sticking()
-    x, y = jf.plot.time_history(sol, component=component).lines[0].get_data()
+    x, y = jf.plot.time_history(sol, components=component).lines[0].get_data()
     drawn = set(zip(x.tolist(), y.tolist(), strict=True))
     saved = np.isfinite(sol.ts)
     assert saved.sum() > 400
@@ -202,7 +208,12 @@ def test_every_contact_is_marked_by_its_kind():
     kinds = np.asarray(sol.events.kinds)
     assert_array_equal(marked(ax, EventKind.stick), sol.events.xs[kinds == EventKind.stick])
     assert_array_equal(marked(ax, EventKind.slip), sol.events.xs[kinds == EventKind.slip])
-    assert {t.get_text() for t in ax.get_legend().get_texts()} == {"sliding", "stick", "slip"}
+    assert {t.get_text() for t in ax.get_legend().get_texts()} == {
+        "sliding",
+        "start",
+        "stick",
+        "slip",
+    }
 
 
 def test_slides_are_thick_and_surfaces_dashed():
@@ -231,7 +242,7 @@ def test_a_surface_that_is_the_whole_plane_is_not_in_the_legend():
     pair = Pair()
     ax = jf.plot.phase_portrait(solved(pair, [0.0, 0.2, 0.1, 0.1], 1.0), system=pair)
     assert not ax.collections
-    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["sliding"]
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["sliding", "start"]
 
 
 def test_a_section_shows_every_finite_state():
@@ -239,8 +250,10 @@ def test_a_section_shows_every_finite_state():
     xs[1, 2] = np.nan
     (dots,) = jf.plot.poincare_section(xs).lines
     assert_array_equal(np.array(dots.get_data()).T, xs.reshape(-1, 2)[:5])
-    with pytest.raises(ValueError, match=r"`xs` must be states of shape \(k, n\) with n > 2"):
+    with pytest.raises(ValueError, match=r"`components\[1\]` must be an integer from 0 to 1"):
         jf.plot.poincare_section(xs, components=(0, 2))
+    with pytest.raises(ValueError, match="`components` must be 2 or 3 numbers of components"):
+        jf.plot.poincare_section(xs, components=0)
 
 
 def test_multipliers_inside_and_outside_the_unit_circle():
@@ -307,33 +320,117 @@ def test_exponents_by_synchronisation():
 
 
 def test_a_solution_draws_itself():
-    assert sticking().plot().get_ylabel() == "x'"
+    assert sticking().plot().get_ylabel() == "x', m/s"
     decay = jf.piecewise(lambda t, x: -x, lambda t, x: -x, lambda t, x: x[0])
     assert solved(decay, [1.0], 1.0).plot().get_ylabel() == "x[0]"
 
 
-def test_an_impact_breaks_the_line():
-    sol = solved(jf.systems.BouncingBall(), [10.0, 0.0], 4.5)
+def test_an_impact_breaks_the_line_and_a_dotted_one_leads_to_where_it_goes_on():
+    ball = jf.systems.BouncingBall()
+    sol = solved(ball, [10.0, 0.0], 4.5)
+    for picture, columns in (
+        (jf.plot.phase_portrait(sol, system=ball), (0, 1)),
+        (jf.plot.time_history(sol, components=1, system=ball), (1,)),
+    ):
+        drawn = picture.lines[0].get_xydata()
+        assert np.isnan(drawn[:, -1]).sum() == 2
+        assert np.nanmax(np.diff(drawn[:, -1])) < 1, "no stroke leads through an impact"
+        (jump,) = (line for line in picture.lines if line.get_linestyle() == ":")
+        before, after, gap = np.reshape(jump.get_xydata(), (2, 3, 2)).swapaxes(0, 1)
+        assert_allclose(after[:, 1], -float(ball.restitution) * before[:, 1], rtol=1e-15)
+        assert np.isnan(gap[:, 1]).all()
+        hits = marked(picture, EventKind.impact)
+        at = sol.events.xs[:2, np.array(columns)]
+        assert_array_equal(hits[:, -len(columns) :], at)
+
+
+def test_an_orbit_is_drawn_with_the_wall_it_hits():
+    wall = jf.systems.ImpactOscillator(omega=0.8, amplitude=1.5)
+    motion = solved(wall, [0.0, 2.0], 3.0)
+    orbit = made(jf.Orbit, trajectory=lambda self: motion, system=wall)
+    ax = orbit.plot()
+    assert "H = 0" in {t.get_text() for t in ax.get_legend().get_texts()}
+    vertices = np.concatenate([path.vertices for path in ax.collections[0].get_paths()])
+    assert_allclose(vertices[:, 0], 1.0, atol=1e-9)
+
+
+def test_a_batch_is_drawn_whole_with_one_entry_of_each_kind():
+    sol = sticking()
+    batch = jax.tree.map(lambda a: jnp.stack([a] * 5), sol)
+    for picture in (jf.plot.phase_portrait, jf.plot.time_history):
+        ax = picture(batch, color="C3", lw=0.5, label="five")
+        lines = [line for line in ax.lines if line.get_label() == "five"]
+        assert len(lines) == 5
+        assert {(line.get_color(), line.get_linewidth()) for line in lines} == {("C3", 0.5)}
+        told = [text.get_text() for text in ax.get_legend().get_texts()]
+        assert len(told) == len(set(told)) and "five" in told
     ax = jf.plot.phase_portrait(sol)
-    line, _ = ax.lines
-    impacts = marked(ax, EventKind.impact)
-    assert len(impacts) == 2
-    x, v = line.get_data()
-    assert np.isnan(x).sum() == 2
-    assert np.nanmax(np.diff(v)) < 1, "no stroke leads from before an impact to after it"
+    jf.plot.phase_portrait(sol, ax)
+    told = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert len(told) == len(set(told)), "a second motion on the same axes adds no entry"
+
+
+def test_components_and_three_dimensions():
+    sol = solved(PROBLEMS["belt 1.3"].system, [0.5, 0.2], 2.0)
+    ax = jf.plot.phase_portrait(sol, components=(1, 0))
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x', m/s", "x, m")
+    both = jf.plot.time_history(sol, components=(0, 1))
+    assert [line.get_label() for line in both.lines[:2]] == ["x, m", "x', m/s"]
+    assert_array_equal(both.lines[1].get_ydata(), ax.lines[0].get_xdata())
+    with pytest.warns(DeprecationWarning, match="`component` is now called `components`"):
+        jf.plot.time_history(sol, component=1)
+
+    class Three(jf.System):
+        def vector_field(self, t, x, side):
+            return jnp.stack([x[1], -x[0] - 0.3 * side, x[0]])
+
+        def switching(self, t, x):
+            return x[1]
+
+    space = jf.plot.phase_portrait(solved(Three(), [1.0, 0.0, 0.0], 4.0), components=(0, 1, 2))
+    assert space.name == "3d" and space.get_zlabel() == "x[2]"
+    with pytest.raises(ValueError, match='`ax` must have projection="3d", got "rectilinear"'):
+        jf.plot.poincare_section(np.zeros((3, 3)), ax, components=(0, 1, 2))
+
+
+def test_a_scale_of_colours_is_placed_or_refused():
+    (own,) = plt.figure().subplots(1, 1, squeeze=False)[0]
+    beside = own.figure.add_axes((0.9, 0.1, 0.05, 0.8))
+    jf.plot.basins(basins(), own, colorbar=beside)
+    assert own.figure.axes == [own, beside] and beside.get_yticklabels()
+    alone = jf.plot.basins(basins(), plt.figure().add_subplot(), colorbar=False)
+    assert alone.figure.axes == [alone]
+    with pytest.raises(ValueError, match="`colorbar` must be True, False or the matplotlib axes"):
+        jf.plot.basins(basins(), own, colorbar="left")
+
+
+def test_a_lane_that_diverges_does_not_set_the_axis():
+    diagram = swept(points=40)
+    diagram.xs[7] = 1e78
+    ax = jf.plot.bifurcation_diagram(diagram)
+    assert ax.get_ylim()[1] < 10
+    assert [text.get_text() for text in ax.texts] == ["4 samples beyond the axis, to 1e+78"]
+
+
+def test_a_component_of_a_map_of_periods_is_refused():
+    with pytest.raises(ValueError, match="`component` must be left out for a grid"):
+        periods().plot(component=1)
+
+
+def test_more_attractors_than_colours_are_told_apart():
+    for count in (6, 7, 18, 40):
+        assert len(set(shades(count))) == count
 
 
 def test_what_cannot_be_drawn_is_refused_with_a_reason():
     sol = sticking()
     ball = jf.systems.BouncingBall()
-    with pytest.raises(ValueError, match="`component` must be an integer from 0 to 1, got 2"):
-        jf.plot.time_history(sol, component=2)
+    with pytest.raises(ValueError, match="`components` must be an integer from 0 to 1, got 2"):
+        jf.plot.time_history(sol, components=2)
     with pytest.raises(ValueError, match="`component` must be an integer from 0 to 1, got 5"):
         jf.plot.bifurcation_diagram(swept(), component=5)
     with pytest.raises(ValueError, match="two saved times or more"):
         jf.plot.phase_portrait(jf.solve(ball, jnp.array([10.0, 0.0]), 0.0, 1.0, 0.1))
-    with pytest.raises(ValueError, match=r"one lane, got \(2,\) of them"):
-        jf.plot.phase_portrait(jax.tree.map(lambda a: jnp.stack([a, a]), sol))
     up, down = (lambda t, x: jnp.ones(1)), (lambda t, x: -jnp.ones(1))
     with pytest.raises(ValueError, match="two components or more, got 1"):
         jf.plot.phase_portrait(solved(jf.piecewise(down, up, lambda t, x: x[0]), [1.0], 2.0))
@@ -368,10 +465,10 @@ def test_exponents_against_a_parameter():
     for line in ax.lines[1:]:  # the first is zero
         key = (line.get_label().split("_")[0], line.get_fillstyle(), line.get_marker())
         drawn.setdefault(key, []).append(np.transpose(line.get_data()).tolist())
-    assert drawn["λ1", "full", "o"] == [[[1.0, 0.5], [2.0, 0.4]]]
-    assert drawn["λ2", "full", "o"] == [[[2.0, -1.0]]]
+    assert drawn["λ₁", "full", "o"] == [[[1.0, 0.5], [2.0, 0.4]]]
+    assert drawn["λ₂", "full", "o"] == [[[2.0, -1.0]]]
     assert drawn["", "none", "o"] == [[[3.0, 0.3]], [[3.0, -2.0]]]
-    ((tick,),) = drawn["λ2 = −∞", "full", "|"]
+    ((tick,),) = drawn["λ₂ = −∞", "full", "|"]
     assert tick[0] == 1.0
     assert ax.get_xlabel() == "omega" and ax.get_xlim() == (1.0, 4.0)
 
@@ -380,7 +477,7 @@ def test_the_running_estimate_and_its_band():
     ax = jf.plot.lyapunov_convergence(spectrum([0.5, -np.inf]))
     (line,) = ax.lines
     assert_allclose(np.transpose(line.get_data()), [[10, 0.8], [20, 0.6], [40, 0.5]])
-    assert line.get_label() == "λ1 = 0.5"
+    assert line.get_label() == "λ₁ = 0.5"
     edges = ax.collections[0].get_paths()[0].vertices
     assert_allclose([edges[:, 1].min(), edges[:, 1].max()], [0.48, 0.52])
 
@@ -394,16 +491,25 @@ def test_exponents_that_do_not_fit_are_refused():
 
 # The argument of each picture that is a result, and what it must be.
 DRAWN = {
+    "animation": ("sol", "a jaxfil.Solution"),
+    "bifurcation_sequence": ("found", "a jaxfil.BifurcationSequence"),
+    "event_timeline": ("sol", "a jaxfil.Solution"),
+    "exponent_map": ("spectrum", "a jaxfil.LyapunovSpectrum"),
+    "path_in_time": ("sol", "a jaxfil.Solution"),
+    "return_map": ("xs", "states of shape (k, n) with k > 1"),
+    "section_density": ("xs", "states of shape (k, n) with n > 1"),
+    "step_choice": ("choice", "a jaxfil.StepChoice"),
     "basins": ("found", "a jaxfil.Basins"),
     "bifurcation_curve": ("curve", "a jaxfil.BifurcationCurve"),
     "bifurcation_diagram": ("diagram", "a jaxfil.BifurcationDiagram"),
     "branch": ("branch", "a jaxfil.Branch"),
+    "branch_orbits": ("branch", "a jaxfil.Branch"),
     "lyapunov_convergence": (
         "spectrum",
         "a jaxfil.LyapunovSpectrum or a jaxfil.TransverseExponent",
     ),
     "lyapunov_exponents": ("spectrum", "a jaxfil.LyapunovSpectrum"),
-    "multipliers": ("orbit", "a jaxfil.Orbit"),
+    "multipliers": ("orbit", "a jaxfil.Orbit or a jaxfil.Branch"),
     "parameter_map": ("diagram", "a jaxfil.BifurcationDiagram"),
     "phase_portrait": ("sol", "a jaxfil.Solution"),
     "poincare_section": ("xs", "states of shape (k, n) with n > 1"),
@@ -413,18 +519,19 @@ DRAWN = {
 }
 
 
-@pytest.mark.parametrize("name", PICTURES)
+@pytest.mark.parametrize("name", sorted({*PICTURES} - {"sliding_region"}))
 def test_another_result_is_refused_by_its_name(name):
     argument, must = DRAWN[name]
     draw = getattr(jf.plot, name)
-    before = {"values": VALUES} if name == "lyapunov_exponents" else {}
+    before = {"lyapunov_exponents": VALUES, "exponent_map": (VALUES, VALUES)}
+    before = {"values": before[name]} if name in before else {}
     for wrong in (None, np.zeros(3), jf.systems.SDOscillator(), jf.Bifurcation):
         with pytest.raises(ValueError) as told:
             draw(**before, **{argument: wrong})
         sentence, was = f"`{argument}` must be {must}, got ", type(wrong).__name__
-        if name == "poincare_section" and was == "ndarray":
+        if argument == "xs" and was == "ndarray":
             was = "shape (3,)"
-        elif name != "poincare_section":
+        elif argument != "xs":
             was = "None" if wrong is None else f"an object of type {was}"
         assert str(told.value) == f"{sentence}{was}."
     for public in re.findall(r"jaxfil\.(\w+)", must):

@@ -1,0 +1,137 @@
+"""A motion against time, over bands that show its mode.
+
+A solution enters; the axes it was drawn on leave.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from matplotlib.typing import ColorType
+
+from jaxfil.integrate.solution import Solution
+from jaxfil.model import check
+from jaxfil.model.deprecation import renamed_argument
+from jaxfil.model.outcomes import EventKind
+from jaxfil.model.system import System
+from jaxfil.plot.canvas import BLACK, COLORS, legend, own_axes, styled, subscript
+from jaxfil.plot.path import BANDS, MARKERS, chosen, contacts, jumps, lanes, path, saved, spans
+
+# The height of a surface's strip where there are several, of that of the axes.
+_STRIP = 0.05
+
+
+@renamed_argument("component", "components")
+def time_history(
+    sol: Solution,
+    ax: Axes | None = None,
+    components: int | Iterable[int] = 0,
+    system: System | None = None,
+    **style: Any,
+) -> Axes:
+    """Draw components against time over bands that show the mode.
+
+    Of one surface the bands fill the axes; of several each has a strip below the curves. Impacts
+    are marked, and their jumps dotted. A band changes at the contact between two saved times, and
+    once at most: save often, as `diffrax.SaveAt(t0=True, steps=True)` does. Of a batch every lane
+    is drawn, without bands.
+
+    **Arguments**
+
+    - `sol`: a `Solution` with two saved times or more.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `components`: which ones of the state, from 0; several have a colour each.
+    - `system`: the `System` that says where an impact leads; by default to the next saved state.
+    - `style`: matplotlib's keywords of a line, as `color` or `lw`.
+
+    **Returns** the matplotlib axes.
+
+    >>> import diffrax
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> system, x0 = jf.systems.CoulombOscillator(), jnp.array([3.0, 0.0])
+    >>> saveat = diffrax.SaveAt(t0=True, steps=True)
+    >>> sol = jf.solve(system, x0, 0.0, 14.0, 0.1, stepper=jf.RK4(), saveat=saveat)
+    >>> ax = jf.plot.time_history(sol, jf.plot.page().add_subplot(), components=1, color="C0")
+    >>> ax.get_ylabel(), [text.get_text() for text in ax.get_legend().get_texts()]
+    ("x'", ['H > 0', 'sliding', 'H < 0'])
+    """
+    check.instance("sol", sol, Solution)
+    if system is not None:
+        check.system("system", system)
+    shown = chosen("components", components, sol.x_final.shape[-1], ())
+    motions = lanes(sol)
+    paths = [path(one) for one in motions]
+    ax = own_axes(ax)
+    for i, c in enumerate(shown):
+        ours = {"color": COLORS[i % len(COLORS)] if len(shown) > 1 else BLACK, "linewidth": 1}
+        if len(shown) > 1:
+            ours["label"] = sol.labels.component(c)
+        for one, (ts, xs) in zip(motions, paths, strict=True):
+            (line,) = ax.plot(ts, xs[:, c], **styled(style, **ours))
+            _mark_impacts(ax, one, system, c, line.get_color())
+    every = np.concatenate([ts for ts, _ in paths])
+    ax.set_xlim(np.nanmin(every), np.nanmax(every))
+    legend(ax, _shade_modes(ax, sol) if np.ndim(sol.t_final) == 0 else ())
+    ax.set_xlabel(sol.labels.time)
+    ax.set_ylabel(", ".join(sol.labels.component(c) for c in shown))
+    return ax
+
+
+def _mark_impacts(ax: Axes, sol: Solution, system: System | None, c: int, color: ColorType) -> None:
+    """A mark where each impact begins, and a dotted line to where it leads."""
+    ts, before, after = jumps(sol, system)
+    if not ts.size:
+        return
+    marker, fill = MARKERS[EventKind.impact]
+    pair = np.stack([before[:, c], after[:, c], np.full(ts.size, np.nan)], axis=1)
+    ax.plot(np.repeat(ts, 3), pair.ravel(), ":", color=color, linewidth=0.8)
+    ax.plot(ts, before[:, c], marker, color=fill, markeredgecolor=BLACK, label="impact")
+
+
+def _shade_modes(ax: Axes, sol: Solution) -> list[Patch]:
+    """Fill the bands of each surface, the first lowest, with their modes' colours; the entries of
+    the legend."""
+    ts, _, modes = saved(sol)
+    met = contacts(sol)
+    m = modes.shape[1]
+    height = 1.0 if m == 1 else _STRIP
+    if m > 1:
+        # The strips have a place of their own below the curves.
+        low, high = ax.get_ylim()
+        ax.set_ylim(high - (high - low) / (1 - _STRIP * (m + 1)), high)
+    for j in range(m):
+        starts, widths, held = spans(ts, modes[:, j], met.ts[met.members[:, j]])
+        for mode, (_, color) in BANDS.items():
+            ax.broken_barh(
+                list(zip(starts[held == mode], widths[held == mode], strict=True)),
+                (j * height, height),
+                transform=ax.get_xaxis_transform(),
+                facecolor=color,
+                alpha=0.5 if m == 1 else 1.0,
+                linewidth=0,
+            )
+        if m > 1:
+            ax.axhspan(
+                *ax.transData.inverted().transform(
+                    ax.transAxes.transform([[0, j * height], [0, (j + 1) * height]])
+                )[:, 1],
+                fill=False,
+                linewidth=0.4,
+            )
+            ax.annotate(
+                f"H{subscript(j + 1)}",
+                (1, (j + 0.5) * height),
+                (2, 0),
+                xycoords="axes fraction",
+                textcoords="offset points",
+                verticalalignment="center",
+                fontsize="small",
+            )
+    return [
+        Patch(facecolor=color, alpha=0.5, edgecolor=BLACK, linewidth=0.5, label=label)
+        for mode, (label, color) in BANDS.items()
+        if (modes == mode).any()
+    ]

@@ -1,0 +1,138 @@
+"""What is drawn of a motion: its path, its contacts, its jumps, and the spans of its modes.
+
+A solution enters; arrays of numpy leave, of what was reached alone. `MARKERS` and `BANDS` say how
+each kind of contact and each mode is drawn in every picture.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxfil.integrate.solution import Solution
+from jaxfil.model import check
+from jaxfil.model.outcomes import EventKind
+from jaxfil.model.system import System
+from jaxfil.plot.canvas import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, WHITE, YELLOW
+
+# The colour of each mode, and what the legend calls it.
+BANDS = {1: ("H > 0", SKY), 0: ("sliding", ORANGE), 2: ("at rest", GREY), -1: ("H < 0", WHITE)}
+# The marker of each kind of contact. That at which sliding begins has the colour of sliding.
+MARKERS = {
+    EventKind.crossing: ("o", BLUE),
+    EventKind.stick: ("s", ORANGE),
+    EventKind.slip: ("D", GREEN),
+    EventKind.impact: ("^", PURPLE),
+    EventKind.graze: ("*", YELLOW),
+}
+
+
+class Contacts(NamedTuple):
+    """Time, state just before, kind and surfaces of every contact that the event table holds."""
+
+    ts: np.ndarray
+    xs: np.ndarray
+    kinds: np.ndarray
+    members: np.ndarray
+
+
+def lanes(sol: Solution) -> list[Solution]:
+    """The solutions of a batch, or the one of a single lane."""
+    shape = np.shape(sol.t_final)
+    if not shape:
+        return [sol]
+    return [jax.tree.map(lambda a, i=i: a[i], sol) for i in np.ndindex(*shape)]
+
+
+def one_lane(sol: Solution) -> None:
+    """An error where a solution is of a batch."""
+    if np.ndim(sol.t_final):
+        raise ValueError(f"`sol` must be of one lane, got {len(lanes(sol))} of them.")
+
+
+def chosen(
+    name: str, components: int | Iterable[int], n: int, counts: tuple[int, ...]
+) -> list[int]:
+    """The numbers of the components asked for, as many as `counts` allows; none for any number."""
+    one = isinstance(components, (int, np.integer))
+    several = [components] if one else list(components)
+    for i, c in enumerate(several):
+        check.component(name if one else f"{name}[{i}]", c, n)
+    if counts and len(several) not in counts:
+        must = " or ".join(map(str, counts))
+        raise ValueError(f"`{name}` must be {must} numbers of components, got {components!r}.")
+    return [int(c) for c in several]
+
+
+def saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, states and modes that were saved and reached."""
+    # Times that were not reached are padded with inf.
+    if sol.ts is not None:
+        ts, xs, modes = map(np.asarray, (sol.ts, sol.xs, sol.modes))
+        real = np.isfinite(ts) & np.isfinite(xs).all(axis=1)
+        if real.sum() > 1:
+            # Rest looks the same from either side.
+            return ts[real], xs[real], np.where(modes[real] == -2, 2, modes[real])
+    raise ValueError(
+        "`sol` must hold two saved times or more: "
+        "solve with saveat=diffrax.SaveAt(t0=True, steps=True) or diffrax.SaveAt(ts=...)."
+    )
+
+
+def contacts(sol: Solution) -> Contacts:
+    """Those of the event table."""
+    table = sol.events
+    if table is None:
+        n, m = np.size(sol.x_final), np.size(sol.mode_final)
+        return Contacts(np.zeros(0), np.zeros((0, n)), np.zeros(0, int), np.zeros((0, m), bool))
+    ts, xs, kinds, members = map(np.asarray, (table.ts, table.xs, table.kinds, table.members))
+    real = kinds != EventKind.none
+    return Contacts(ts[real], xs[real], kinds[real], members[real])
+
+
+def path(sol: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states saved, with the contacts among them in order and a gap at each impact."""
+    ts, xs, _ = saved(sol)
+    met = contacts(sol)
+    impacts = met.ts[met.kinds == EventKind.impact]
+    # A state jumps at an impact: a row of NaN keeps its line from being drawn.
+    gaps = np.full((impacts.size, xs.shape[1]), np.nan)
+    every = np.concatenate([met.ts, impacts, ts])  # so at one time: left limit, gap, right limit
+    order = np.argsort(every if ts[0] <= ts[-1] else -every, kind="stable")
+    return every[order], np.concatenate([met.xs, gaps, xs])[order]
+
+
+def jumps(sol: Solution, system: System | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each impact its time, and the states before and after it: by the system's reset, or
+    without a system the first state that was saved after it."""
+    met = contacts(sol)
+    hit = met.kinds == EventKind.impact
+    times, before = met.ts[hit], met.xs[hit]
+    ts, xs, _ = saved(sol)
+    forward = ts[0] <= ts[-1]
+    after = np.full(before.shape, np.nan)
+    for i, t in enumerate(times):
+        if system is not None:
+            surface = jnp.argmax(met.members[hit][i])
+            after[i] = system.reset(jnp.asarray(t), jnp.asarray(before[i]), surface)
+        elif (later := np.flatnonzero(ts >= t if forward else ts <= t)).size:
+            after[i] = xs[later[0]]
+    return times, before, after
+
+
+def spans(
+    ts: np.ndarray, modes: np.ndarray, met: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start, width and mode of each span of time over which the mode stays the same."""
+    # The mode is known at saved times, the time of its change from the contact between two of them:
+    # the last one, if there are several, for it is after that one that the new mode holds.
+    changes = np.flatnonzero(np.diff(modes))
+    edges = [ts[0]]
+    for before, after in zip(ts[changes], ts[changes + 1], strict=True):
+        low, high = min(before, after), max(before, after)
+        between = met[(low <= met) & (met <= high)]
+        edges.append(between[-1] if between.size else after)
+    edges.append(ts[-1])
+    return np.array(edges[:-1]), np.diff(edges), modes[np.append(changes, len(modes) - 1)]

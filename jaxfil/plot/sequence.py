@@ -1,0 +1,71 @@
+"""A branch of orbits with every bifurcation on it, each named and numbered.
+
+A sequence of bifurcations enters; the axes it was drawn on leave.
+"""
+
+from typing import Any
+
+from matplotlib.axes import Axes
+
+from jaxfil.bifurcations.sequence import BifurcationSequence
+from jaxfil.model import check
+from jaxfil.model.drawing import draws
+from jaxfil.model.labels import labels_of
+from jaxfil.plot.canvas import BLACK, legend, own_axes
+from jaxfil.plot.kinds import KINDS
+from jaxfil.plot.orbits import curves_of, draw_stability, height
+
+
+@draws(BifurcationSequence)
+def bifurcation_sequence(
+    found: BifurcationSequence,
+    ax: Axes | None = None,
+    component: int = 0,
+    extremes: bool = False,
+    **style: Any,
+) -> Axes:
+    """Draw a branch of orbits and its bifurcations, a mark for each kind and a number for each one.
+
+    The legend says which is which, and where.
+
+    **Arguments**
+
+    - `found`: a `BifurcationSequence`.
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `component`: which one of the state is drawn, from 0.
+    - `extremes`: draw its smallest and largest value on the orbit in place of that at t0.
+    - `style`: matplotlib's keywords of the branch's lines, as `color` or `lw`.
+
+    **Returns** the matplotlib axes.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=11.5)
+    >>> orbit = jf.periodic_orbit(belt, jnp.array([0.1, 0.0]))
+    >>> found = jf.find_bifurcations(belt, "omega", orbit, stop=10.5)
+    >>> ax = jf.plot.bifurcation_sequence(found, jf.plot.page().add_subplot())
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['stable', '1: grazing-sliding, 10.905']
+    """
+    check.instance("found", found, BifurcationSequence)
+    branch = found.branch
+    ax = own_axes(ax)
+    curves, wording = curves_of(branch, component, extremes)
+    for curve in curves:
+        draw_stability(ax, branch, curve, style)
+        # Each was located from the special point of the branch in the same place of its list.
+        for i, (b, point) in enumerate(zip(found, branch.points, strict=True), start=1):
+            marker, color = KINDS.get(str(b.kind), KINDS["undecided"])
+            value = float(b.value)
+            at = value, height(branch, curve, value, point.index)
+            label = f"{i}: {b.kind}, {value:.6g}"
+            ax.plot(*at, marker, color=color, markeredgecolor=BLACK, label=label)
+            # Neighbours are written above and below in turn.
+            side = 1 if i % 2 else -1
+            va = "bottom" if side > 0 else "top"
+            ax.annotate(str(i), at, (0, 4 * side), textcoords="offset points", ha="center", va=va)
+    legend(ax, loc="best")
+    labels = labels_of(branch.orbits.system, branch.orbits.x0.shape[-1])
+    ax.set_xlabel(labels.parameter(branch.parameter))
+    ax.set_ylabel(labels.component(component, wording))
+    return ax

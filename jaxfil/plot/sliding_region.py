@@ -1,0 +1,188 @@
+"""A surface in the plane: where it attracts, where it repels and where it is crossed.
+
+A system enters; the axes on which its fields and its surface were drawn leave.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+from matplotlib.axes import Axes
+
+from jaxfil.model import check
+from jaxfil.model.labels import labels_of
+from jaxfil.model.system import System
+from jaxfil.plot.canvas import BLACK, BLUE, GREY, ORANGE, PURPLE, legend, own_axes, styled
+from jaxfil.plot.path import chosen
+
+# What each part of a surface is drawn with.
+_PARTS = {
+    "crossing": {"color": BLACK, "linewidth": 1.0},
+    "attracting sliding": {"color": ORANGE, "linewidth": 3.5},
+    "repelling sliding": {"color": PURPLE, "linewidth": 3.5},
+}
+# Points along each edge at which H is evaluated, and arrows along each edge.
+_GRID, _ARROWS = 201, 16
+
+
+def sliding_region(
+    system: System,
+    limits: tuple[tuple[float, float], tuple[float, float]],
+    ax: Axes | None = None,
+    t: float = 0.0,
+    at: Float[ArrayLike, " n"] | tuple[float, ...] = (0.0, 0.0),
+    components: Iterable[int] = (0, 1),
+    surface: int = 0,
+    **style: Any,
+) -> Axes:
+    r"""Draw the two fields of a surface, and the parts into which they divide it.
+
+    With $\dot H_\pm = \partial_t H + \nabla H \cdot F_\pm$ the surface is crossed where both have
+    one sign, attracts where $\dot H_+ < 0 < \dot H_-$ and repels where $\dot H_- < 0 < \dot H_+$.
+    Arrows are the directions of the field that holds on their side, of one length. A dot is a
+    tangency, where a part ends.
+
+    **Arguments**
+
+    - `system`: the `System`.
+    - `limits`: of the axes, ((left, right), (bottom, top)).
+    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `t`: the time at which fields and surface are taken.
+    - `at`: the state through which the plane is laid, shape (n,).
+    - `components`: the numbers of the two components of the plane, that to the right first.
+    - `surface`: which surface, from 0. The sides of others are those of the state.
+    - `style`: matplotlib's keywords of the surface's lines, as `lw`.
+
+    **Returns** the matplotlib axes.
+
+    **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides (1988),
+    §4.
+
+    >>> import jaxfil as jf
+    >>> belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0)
+    >>> ax = jf.plot.sliding_region(belt, ((-3, 3), (-1, 3)), jf.plot.page().add_subplot())
+    >>> sorted(text.get_text() for text in ax.get_legend().get_texts())
+    ['attracting sliding', 'crossing', 'tangency']
+    """
+    check.system("system", system)
+    state = jnp.asarray(at, float)
+    shown = chosen("components", components, state.size, (2,))
+    where = _Plane(system, jnp.asarray(t, float), state, shown, surface)
+    ax = own_axes(ax)
+    x, y = (np.linspace(*ends, _GRID) for ends in limits)
+    heights = where.height(np.stack(np.meshgrid(x, y), axis=-1))
+    _arrows(ax, where, limits)
+    # Only its path is wanted: what is drawn are the parts of it.
+    line = ax.contour(x, y, heights, levels=[0.0], linewidths=0)
+    for piece in (path for path in line.get_paths()[0].to_polygons(closed_only=False)):
+        _draw_parts(ax, where, np.asarray(piece), style)
+    line.remove()
+    legend(ax, loc="upper right")
+    ax.set_xlim(*limits[0])
+    ax.set_ylim(*limits[1])
+    labels = labels_of(system, state.size)
+    ax.set_xlabel(labels.component(shown[0]))
+    ax.set_ylabel(labels.component(shown[1]))
+    return ax
+
+
+class _Plane:
+    """A plane of two components through a state, and one surface's H and fields on it."""
+
+    def __init__(
+        self, system: System, t: Array, state: Array, shown: list[int], surface: int
+    ) -> None:
+        self.system, self.t, self.state, self.shown = system, t, state, shown
+        m = jnp.atleast_1d(system.switching(t, state)).size
+        check.component("surface", surface, m)
+        self.surface = surface
+
+    def _all(self, t: Array, x: Array) -> Array:
+        return jnp.atleast_1d(self.system.switching(t, x))
+
+    def _field(self, x: Array, side: Array) -> Array:
+        """F on that side of the surface, (n,)."""
+        sides = jnp.where(self._all(self.t, x) < 0, -1.0, 1.0).at[self.surface].set(side)
+        scalar = jnp.ndim(self.system.switching(self.t, x)) == 0
+        return self.system.vector_field(self.t, x, sides[0] if scalar else sides)
+
+    def _at(self, points: np.ndarray) -> Array:
+        """States of points (…, 2) of the plane."""
+        states = jnp.broadcast_to(self.state, (*points.shape[:-1], self.state.size))
+        return states.at[..., jnp.array(self.shown)].set(points)
+
+    def _mapped(self, function: Any, points: np.ndarray) -> Any:
+        flat = self._at(points).reshape(-1, self.state.size)
+        out = jax.vmap(function)(flat)
+        return jax.tree.map(lambda a: np.asarray(a).reshape(*points.shape[:-1], *a.shape[1:]), out)
+
+    def height(self, points: np.ndarray) -> np.ndarray:
+        """H at points (…, 2)."""
+        return self._mapped(lambda x: self._all(self.t, x)[self.surface], points)
+
+    def field(self, points: np.ndarray) -> np.ndarray:
+        """The two components of the field that holds at points (…, 2)."""
+
+        def own(x: Array) -> Array:
+            side = jnp.where(self._all(self.t, x)[self.surface] < 0, -1.0, 1.0)
+            return self._field(x, side)[jnp.array(self.shown)]
+
+        return self._mapped(own, points)
+
+    def rates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """dH/dt along the fields of the positive and of the negative side."""
+
+        def both(x: Array) -> tuple[Array, ...]:
+            h = lambda t, x: self._all(t, x)[self.surface]  # noqa: E731
+            return tuple(
+                jax.jvp(h, (self.t, x), (jnp.ones_like(self.t), self._field(x, jnp.array(side))))[1]
+                for side in (1.0, -1.0)
+            )
+
+        return self._mapped(both, points)
+
+
+def _arrows(ax: Axes, where: _Plane, limits: tuple[tuple[float, float], ...]) -> None:
+    """The directions of the fields, each on its own side."""
+    middles = [np.linspace(*ends, 2 * _ARROWS + 1)[1::2] for ends in limits]
+    points = np.stack(np.meshgrid(*middles), axis=-1)
+    # Of one length on the page, whose axes have units of their own.
+    size = np.array([ends[1] - ends[0] for ends in limits])
+    field = where.field(points) / size
+    field /= np.maximum(np.linalg.norm(field, axis=-1, keepdims=True), 1e-300)
+    sides = where.height(points) >= 0
+    for side, color in ((True, BLUE), (False, GREY)):
+        keep = sides == side
+        ax.quiver(
+            *points[keep].T,
+            *field[keep].T,
+            color=color,
+            angles="uv",
+            scale=1.4 * _ARROWS,
+            width=0.0025,
+            pivot="mid",
+        )
+
+
+def _draw_parts(ax: Axes, where: _Plane, piece: np.ndarray, style: dict[str, Any]) -> None:
+    """One connected piece of the surface, (k, 2), cut at its tangencies."""
+    fine = _refined(piece)
+    plus, minus = where.rates(fine)
+    kind = np.where(plus * minus > 0, 0, np.where(plus < minus, 1, 2))
+    edges = np.flatnonzero(np.diff(kind)) + 1
+    for start, end in zip([0, *edges], [*edges, len(kind)], strict=True):
+        name = list(_PARTS)[kind[start]]
+        x, y = fine[start : end + 1].T
+        ax.plot(x, y, **styled(style, label=name, solid_capstyle="butt", **_PARTS[name]))
+    if edges.size:
+        ax.plot(*fine[edges].T, "o", color=BLACK, zorder=3, label="tangency")
+
+
+def _refined(piece: np.ndarray, points: int = 2001) -> np.ndarray:
+    """Points (points, 2) evenly spaced along a polygon."""
+    length = np.append(0, np.cumsum(np.linalg.norm(np.diff(piece, axis=0), axis=1)))
+    s = np.linspace(0, length[-1], points)
+    return np.stack([np.interp(s, length, column) for column in piece.T], axis=1)
