@@ -158,7 +158,10 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
         (["diagram"], "NAME"),
         (["--name", "duffing"], "sd-oscillator, belt-friction, den-hartog, impact-oscillator;"),
         (["--name", "bouncing-ball"], "no forcing to sample at; sd-oscillator"),
+        (["--name", "SD_oscilator"], "it was 'SD_oscilator'; did you mean 'sd-oscillator'?"),
         (["--parameter", "Omega"], "f0, zeta, omega, alpha"),
+        (["--parameter", "Omega"], "it was 'Omega'; did you mean 'omega'?"),
+        (["--set", "zetta=1"], "it was 'zetta'; did you mean 'zeta'?"),
         (["--set", "mass=1"], "f0, zeta, alpha"),
         (["--set", "omega=1"], "f0, zeta, alpha"),
         (["--set", "f0"], "P=VALUE"),
@@ -178,6 +181,7 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
         (["--out", "picture.jpeg"], ".png, .pdf, .svg"),
         (["--out", "no/such/folder/picture.png"], "folder"),
         (["--speed", "9"], "--speed"),
+        (["--dpi", "0"], "whole number of 1 or more"),
     ],
     ids=" ".join,
 )
@@ -187,7 +191,7 @@ def test_a_mistake_is_answered_by_one_line_that_says_what_is_allowed(
     def computes(*args, **kwargs):
         raise AssertionError("a mistake must be found before computing starts")
 
-    monkeypatch.setattr("jaxfil.__main__.bifurcation_diagram", computes)
+    monkeypatch.setattr("jaxfil.command.diagram.bifurcation_diagram", computes)
     monkeypatch.chdir(tmp_path)
     if words[:1] == ["--name"]:
         command = ["diagram", words[1], "--parameter", "omega", *SMALL, "--out", "a.png"]
@@ -198,6 +202,51 @@ def test_a_mistake_is_answered_by_one_line_that_says_what_is_allowed(
         command = words
     assert answer in refused(capsys, *command)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words, code, told",
+    [
+        (["--version"], 0, rf"jaxfil {re.escape(jf.__version__)}\n"),
+        (["--help"], 0, r"usage: (.*\n)+examples:\n  python -m jaxfil --list\n(.*\n)+"),
+        (["diagram", "--help"], 0, r"(.*\n)+.* --title .* --dpi 300 (.*\n)+"),
+        (["work-precision", "--help"], 0, r"(.*\n)+examples:\n(.*\n)+"),
+        (["diagram", "sd-oscillator", "--points", "0"], 2, "jaxfil: .*must be a whole number.*\n"),
+    ],
+)
+def test_what_needs_no_jax_is_answered_before_it_is_imported(words, code, told):
+    program = "import runpy, sys; sys.argv[0] = '-m'; sys.modules['jax'] = None\n"
+    program += "runpy.run_module('jaxfil', run_name='__main__')"
+    command = [sys.executable, "-W", "error", "-c", program, *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == code and re.fullmatch(told, done.stdout + done.stderr), done
+
+
+@pytest.mark.parametrize(
+    "words, compact", [([], None), (["--compact"], True), (["--no-compact"], False)]
+)
+def test_the_grade_of_the_program_reaches_the_sweep(tmp_path, monkeypatch, words, compact):
+    class Asked(Exception):
+        pass
+
+    def asked(*args, **options):
+        raise Asked(options["compact"])
+
+    monkeypatch.setattr("jaxfil.command.diagram.bifurcation_diagram", asked)
+    with pytest.raises(Asked, match=str(compact)):
+        diagram(tmp_path, *words)
+
+
+def test_a_picture_has_the_title_and_the_dots_asked_for(tmp_path, monkeypatch):
+    pages, page = [], jf.plot.page
+    monkeypatch.setattr("jaxfil.plot.page", lambda: pages.append(page()) or pages[-1])
+    diagram(tmp_path, "--title", "Snap-through", "--dpi", "50")
+    assert matplotlib.image.imread(tmp_path / "picture.png").shape == (250, 400, 4)
+    diagram(tmp_path, "--set", "f0=0.3")
+    assert matplotlib.image.imread(tmp_path / "picture.png").shape == (1000, 1600, 4)
+    titles = [page.axes[0].get_title(loc="left") for page in pages]
+    assert titles[0] == "Snap-through"
+    assert titles[1].startswith("sd-oscillator, f0 = 0.3, from (1.995, 0.085), 2 + 4 periods")
 
 
 LONG = ["diagram", "sd-oscillator", "--parameter", "omega", "--from", "0.6", "--to", "0.9"]

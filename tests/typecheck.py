@@ -22,7 +22,7 @@ DOORS = (
     "jaxfil.sweep.diagram",
     "jaxfil.sweep.parameter_grid",
 )
-_NAMES = (Path(__file__).parent.parent / "jaxfil" / "__init__.py").read_text()
+_NAMES = (Path(__file__).parent.parent / "jaxfil" / "__init__.pyi").read_text()
 
 
 def inner(function: Callable) -> Any:
