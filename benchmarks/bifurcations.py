@@ -22,13 +22,13 @@ from benchmarks.table import Column, table
 # What the paper prints (Procedia IUTAM 19, 219–227) where it differs, by the value near it.
 PRINTED = {
     0.8667: ("0.86672, once 0.86667", "the second is a misprint"),
-    1.1171: ("1.1172", ""),
-    0.9170: ("0.917", ""),
+    1.1171: ("", "not in the paper"),
+    0.9170: ("0.92", "rounded"),
     1.3983: ("", "not in the paper"),
     1.4027: ("", "not in the paper"),
     1.5489: ("1.55", "rounded"),
-    1.9138: ("1.95", "read off a diagram, past the bifurcation"),
-    2.4376: ("2.44", "rounded"),
+    1.9138: ("", "not in the paper, which draws the motion at 1.95"),
+    2.4376: ("", "not in the paper, which draws the motion at 2.44"),
     4.2172: ("", "not in the paper"),
     7.9524: ("7.85", "there the orbit is already past it"),
     10.905: ("10.9", "rounded"),

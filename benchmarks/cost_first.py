@@ -141,6 +141,23 @@ class Blocks(jf.System):
         return x[x.size // 2 :] - 0.1
 
 
+class Stack(jf.System):
+    """Masses on each other, the lowest one on a belt, each pulled at by a spring and a force of its
+    own: the friction between two of them is in the rates of three surfaces."""
+
+    mu: jax.Array
+
+    def vector_field(self, t, x, side):
+        q, v = jnp.split(x, 2)
+        below = self.mu * side
+        above = jnp.append(below[1:], 0.0)
+        return jnp.concatenate([v, jnp.cos(t + jnp.arange(q.size)) - q - below + above])
+
+    def switching(self, t, x):
+        v = x[x.size // 2 :]
+        return v - jnp.append(0.1, v[:-1])
+
+
 def textbook(name):
     """A run of a scene of `jaxfil.systems.TEXTBOOK`."""
     kind, x0 = jf.systems.TEXTBOOK[name]
@@ -156,6 +173,12 @@ def blocks(n):
     """A run of n blocks from rest."""
     friction = jnp.linspace(0.3, 0.4, n)
     return end(np.linspace(0.1, 0.2, 2 * n), Blocks(friction))
+
+
+def stack(m):
+    """A run of m masses on each other, from rest."""
+    friction = jnp.linspace(0.4, 0.2, m)
+    return end(np.linspace(0.1, 0.2, 2 * m), Stack(friction))
 
 
 def dense(n):
@@ -191,11 +214,13 @@ CALLS = {
     ),
     "all verbs, once each": (NOTHING, lambda _: everything()),
     "Filippov's spiral": (NOTHING, lambda _: textbook("filippov-spiral")),
-    "two coupled surfaces": (NOTHING, lambda _: textbook("two-relays")),
+    "two separate relays": (NOTHING, lambda _: textbook("two-relays")),
+    "two masses on each other": (NOTHING, lambda _: stack(2)),
+    "three masses on each other": (NOTHING, lambda _: stack(3)),
 }
 GROWTH = {
     "a chain of masses": (chain, (2, 10, 50)),
-    "blocks with a friction each": (blocks, (2, 5, 20)),
+    "blocks with a friction each": (blocks, (5, 20, 50)),
     "a dense field of n states": (dense, (4, 16, 64)),
     "a diagram with m surfaces": (surfaces, (1, 3, 5)),
 }

@@ -32,7 +32,7 @@ def portrait(ax, n):
 
 def history(ax, n):
     """The velocity over bands that show the mode."""
-    jf.plot.time_history(carried(), ax, component=1)
+    jf.plot.time_history(carried(), ax, components=1)
     ax.set_ylim(-3.3, 4.0)  # room for the legend
     return "the same in time"
 

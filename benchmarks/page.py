@@ -1,13 +1,20 @@
-"""`python -m benchmarks.page`: the results page, `benchmarks/results/README.md`, written anew.
+"""`python -m benchmarks.page`: the results pages in `benchmarks/results`, written anew.
 
-The tables and pictures that the other commands left in `benchmarks/results` enter; one page that
-shows them all, each under the command that makes it, leaves.
+The tables and pictures that the other commands left in `benchmarks/results` enter; a page that
+shows them all, each under the command that makes it, leaves as `README.md`, and for each figure of
+the paper a page that puts the paper's panels beside ours, as `fig4.md`. A table longer
+than a screen is folded.
 """
 
+import re
+
 from benchmarks import RESULTS
+from benchmarks.paper.captions import CAPTIONS
 from benchmarks.work_precision.problems import PROBLEMS
 
 PAGE = RESULTS / "README.md"
+# Lines that a screen shows.
+SCREEN = 40
 # Title, command, and the names of its results: NAME.txt is shown as it is, NAME.png as a picture.
 SECTIONS = (
     ("What it draws", "python -m benchmarks.gallery", ("gallery",)),
@@ -20,6 +27,16 @@ SECTIONS = (
         "Work against precision on eight problems, beside other programs",
         "python -m benchmarks.work_precision",
         ("work_precision", *(f"work_precision_{name}" for name in PROBLEMS)),
+    ),
+    (
+        "A tolerance instead of a step: what is chosen, and its true error",
+        "python -m benchmarks.step_choice",
+        ("step_choice",),
+    ),
+    (
+        "Friction and restitution from noisy measurements, beside SciPy",
+        "python -m benchmarks.fit",
+        ("fit",),
     ),
     ("What a scene costs", "python -m benchmarks.cost", ("cost",)),
     (
@@ -51,18 +68,56 @@ def section(title, command, names):
         if not table.exists() and not picture.exists():
             raise FileNotFoundError(f"neither {table} nor {picture}: run `{command}` first")
         if table.exists():
-            yield from ("```text", table.read_text().rstrip(), "```", "")
+            yield from folded(name, table.read_text().rstrip())
         if picture.exists():
             yield from (f"![{title}: {name}]({picture.name})", "")
+        if name in CAPTIONS:
+            yield from (f"[Panel by panel]({name}.md), [PDF]({name}.pdf)", "")
+
+
+def folded(name, text):
+    """A table, to be opened by a click if it is long."""
+    block = ("```text", text, "```", "")
+    if (length := text.count("\n")) < SCREEN:
+        yield from block
+    else:
+        summary = f"<summary>{name}.txt, {length + 1} lines</summary>"
+        yield from ('<details markdown="1">', summary, "", *block, "</details>", "")
+
+
+def index():
+    """A line for each section, with a link."""
+    for title, command, _ in SECTIONS:
+        anchor = re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-")
+        yield f"- [{title}](#{anchor}): `{command}`"
 
 
 def page():
     """The whole page as text."""
     lines = ["# What was measured", "", "`python -m benchmarks.page` writes this page.", ""]
+    lines += [*index(), ""]
     for one in SECTIONS:
         lines += section(*one)
     return "\n".join(lines)
 
 
+def figure_page(name):
+    """The page of one figure of the paper as text."""
+    about, panels = CAPTIONS[name]
+    title = name.replace("fig", "Fig. ").replace("section", "Section ")
+    lines = [f"# {title} of Santhosh, Narayanan and Padmanabhan (2016): {about}", ""]
+    lines += [f"`python -m benchmarks.paper {name}` makes it; also as [PDF]({name}.pdf).", ""]
+    lines += [f"![{title}]({name}.png)", "", "| panel | in the paper | here |", "|---|---|---|"]
+    lines += [f"| {' | '.join(row)} |" for row in panels]
+    table = (RESULTS / f"{name}.txt").read_text().rstrip()
+    return "\n".join([*lines, "", "```text", table, "```", ""])
+
+
+def pages():
+    """Every page by its file."""
+    return {PAGE: page()} | {RESULTS / f"{name}.md": figure_page(name) for name in CAPTIONS}
+
+
 if __name__ == "__main__":
-    PAGE.write_text(page())
+    for path, text in pages().items():
+        path.write_text(text)

@@ -4,11 +4,14 @@ In: rows as `throughput.row` makes them. Out: text on standard output, and two f
 """
 
 import json
+import math
 import platform
 
 import numpy as np
 
 from benchmarks import RESULTS
+from benchmarks.paper import canvas as paper
+from benchmarks.programs import style_of
 from benchmarks.table import Column, table
 
 LEVELS = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
@@ -115,44 +118,38 @@ def relative(rows):
 
 
 def picture(rows, path):
-    """Error against rate, both logarithmic: a panel a scene, a colour an integrator."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    scenes = list(dict.fromkeys(r["scene"] for r in rows))
+    """Error against rate on one core, both logarithmic: a panel a scene, and a curve a program, the
+    best of its methods at each error."""
     names = sorted({r["who"] for r in rows}, key=lambda who: (who != OURS, who))
-    size = (6 * len(scenes), 5.4)
-    figure, axes = plt.subplots(1, len(scenes), figsize=size, squeeze=False, layout="constrained")
-    for ax, scene in zip(axes[0], scenes, strict=True):
-        for i, who in enumerate(names):
-            _curves(ax, [r for r in rows if r["scene"] == scene and r["who"] == who], f"C{i}")
-        ax.set(
-            xscale="log",
-            yscale="log",
-            title=scene,
-            xlabel="error of the section points (smaller to the right)",
-        )
-        ax.set_ylabel("lane-periods per second")
-        ax.invert_xaxis()
-        ax.grid(alpha=0.3)
-    lines = axes[0][0].get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", ncols=3 * len(scenes), fontsize=8)
-    figure.suptitle("Rate against error: filled on one core, open on all")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    scenes = list(dict.fromkeys(r["scene"] for r in rows))
+    with paper.style():
+        figure = paper.canvas(paper.PAGE, 92)
+        axes = figure.subplots(1, len(scenes), squeeze=False)[0]
+        for ax, scene in zip(axes, scenes, strict=True):
+            for who in names:
+                some = [r for r in rows if r["scene"] == scene and r["who"] == who]
+                color, marker = style_of(who)
+                style = {"color": color, "marker": marker, "ms": 4, "label": who}
+                ax.plot(
+                    *np.reshape(front(_points(some, min(core_counts(rows)))), (-1, 2)).T, **style
+                )
+            ax.set(xscale="log", yscale="log", xlabel="error (smaller to the right)")
+            ax.set_xlim(1e-3, 1e-14)
+            ax.grid(alpha=0.3)
+            paper.entitle(ax, {"belt": "belt friction", "sd": "SD oscillator"}.get(scene, scene))
+        axes[0].set_ylabel("lane-periods per second")
+        paper.below(figure, axes[0].get_legend_handles_labels()[0], 4)
+        paper.save(figure, path)
 
 
-def _curves(ax, rows, color):
-    """An integrator's methods, a line and a marker each; the markers open for all cores."""
-    for method, marker in zip(dict.fromkeys(r["method"] for r in rows), "os^Dv", strict=False):
-        mine = [r for r in rows if r["method"] == method]
-        for i, cores in enumerate(core_counts(rows)):
-            style = dict(color=color, marker=marker, ms=5, lw=1.2 if i == 0 else 0.6)
-            style |= dict(mfc=color if i == 0 else "none")
-            label = f"{rows[0]['who']}, {method}" if i == 0 else None
-            ax.plot(*np.reshape(_points(mine, cores), (-1, 2)).T, label=label, **style)
+def front(points):
+    """Of (error, rate) those that no other one beats in both, by falling error."""
+    kept, best = [], -math.inf
+    for error, rate in sorted(points):
+        if rate > best:
+            kept.append((error, rate))
+            best = rate
+    return kept[::-1]
 
 
 def write(rows, skipped, about):

@@ -9,15 +9,17 @@ import functools as ft
 
 import numpy as np
 from matplotlib.colors import ListedColormap
+from matplotlib.lines import Line2D
 
 import jaxfil as jf
 from benchmarks.bifurcations import cubic_grazing
-from benchmarks.paper.canvas import BLACK, BLUE, ORANGE, SKY, VERMILLION, canvas, dots, entitle
+from benchmarks.paper import canvas as paper
 from benchmarks.paper.sweeps import sweep_of
 from benchmarks.paper.table import Row
 
-TITLE = "Fig. 10: bifurcation diagram of the belt, case 2, γ1 = 0, γ2 = 10000"
+TITLE = "Fig. 10: bifurcation diagram of the belt, case 2, γ₁ = 0, γ₂ = 10000"
 REST = np.zeros(2)
+PRINTED = 4.565
 ON_ORBIT = np.array([0.1483395597, 0.35818994986])  # at 4.56
 ENDS, CLOSE = (4.2, 4.7), (4.45, 4.7)
 JUMP, GRAZING = 4.56382205, 4.652570419201206
@@ -69,52 +71,65 @@ def make(points=600, close=250, side=90, lanes=64, held=400, settle=1500):
     down = sweep(near, last, 150, 30, follow="down")
     bracket = jump(lanes, settle)
     basins = {omega: basin(omega, side, 120) for omega in (4.55, 4.58)}
-    figure = canvas(10, 8)
-    upper, lower = figure.subfigures(2, 1)
-    diagrams(upper.subplots(1, 2), values, rest, near, up, down)
-    for ax, (omega, inside) in zip(lower.subplots(1, 2), basins.items(), strict=True):
-        draw_basin(ax, omega, inside)
-    figure.suptitle(
-        "Belt friction, case 2: a diagram shows the attractor its initial state leads to"
-    )
+    figure = paper.canvas(paper.PAGE, 160)
+    axes = figure.subplots(2, 2)
+    diagrams(axes[0], values, rest, near, up, down)
+    for ax, (omega, inside), letter in zip(axes[1], basins.items(), "cd", strict=True):
+        draw_basin(ax, omega, inside, letter)
+    paper.below(figure, handles(), 3)
     return figure, table(near, rest, values, up, down, bracket)
 
 
 def diagrams(axes, values, rest, near, up, down):
     """The diagram from rest, and beside it each attractor followed."""
     ax, zoom = axes
-    dots(ax, values, rest[..., 0])
-    entitle(ax, "every ω from (0, 0)")
-    dots(zoom, near, down[..., 0], color=ORANGE, label="the other one followed down from 4.7")
-    dots(zoom, near, up[..., 0], color=BLUE, label="orbit followed up from 4.45")
-    entitle(zoom, "each attractor followed: they coexist")
+    kept = on_orbit(rest)
+    paper.dots(ax, values[kept], rest[kept, :, 0], color=paper.BLUE)
+    paper.dots(ax, values[~kept], rest[~kept, :, 0], color=paper.ORANGE)
+    paper.entitle(ax, "(a) every ω from (0, 0)")
+    kept = on_orbit(up)  # where it ends the motion jumps to the other one
+    paper.dots(zoom, near, down[..., 0], color=paper.ORANGE)
+    paper.dots(zoom, near[kept], up[kept, :, 0], color=paper.BLUE)
+    paper.entitle(zoom, "(b) added: each motion followed")
     for each, ends in ((ax, ENDS), (zoom, CLOSE)):
-        each.axvline(JUMP, color=VERMILLION, lw=0.9, ls="--", label="jump from (0, 0), 4.5638")
-        each.axvline(GRAZING, color=BLACK, lw=0.9, ls=":", label="the orbit grazes, 4.6526")
-        each.set(xlim=ends, xlabel="forcing frequency ω", ylabel="x once a period")
-        each.set_ylim(0.06, 0.21)
-        each.legend(fontsize="small", loc="upper left", markerscale=8, framealpha=1)
+        each.axvline(PRINTED, **paper.PAPER)
+        each.axvline(JUMP, color=paper.BLACK, lw=0.8)
+        each.axvline(GRAZING, color=paper.BLACK, lw=0.8, ls=":")
+        each.set(xlim=ends, xlabel="ω, rad/s", ylabel="x once a period, m", ylim=(0.06, 0.18))
 
 
-def draw_basin(ax, omega, inside):
+def handles():
+    """The entries of the legend."""
+    dot = {"ls": "none", "marker": "o", "ms": 4, "mew": 0}
+    white = {"mfc": paper.WHITE, "mec": paper.BLACK, "mew": 0.8, "ls": "none"}
+    return [
+        Line2D([], [], color=paper.BLUE, label="the orbit, and what leads to it", **dot),
+        Line2D([], [], color=paper.ORANGE, label="sticking motion, mostly chaos", **dot),
+        Line2D([], [], label="the paper's 4.565", **paper.PAPER),
+        Line2D([], [], color=paper.BLACK, lw=0.8, label="jump from (0, 0), 4.5638"),
+        Line2D([], [], color=paper.BLACK, lw=0.8, ls=":", label="the orbit grazes, 4.6526"),
+        Line2D([], [], marker="*", ms=8, label="(0, 0)", **white),
+        Line2D([], [], marker="o", ms=4, label="the orbit at t = 0", **white),
+    ]
+
+
+def draw_basin(ax, omega, inside, letter):
     """Which initial states lead to which attractor, at one frequency."""
     ax.imshow(
         inside,
         origin="lower",
         extent=(*WINDOW[0], *WINDOW[1]),
         aspect="auto",
-        cmap=ListedColormap([ORANGE, SKY]),
+        cmap=ListedColormap([paper.ORANGE, paper.BLUE]),
         interpolation="nearest",
         vmin=0,
         vmax=1,
     )
-    ax.plot(0, 0, "*", color="white", mec=BLACK, mew=0.8, ms=11, label="(0, 0)")
-    ax.plot(*ON_ORBIT, "o", color="white", mec=BLACK, ms=6, label="the orbit")
-    ax.plot([], [], "s", color=SKY, label="leads to the orbit")
-    ax.plot([], [], "s", color=ORANGE, label="leads to chaos")
-    ax.set(xlabel="initial displacement x", ylabel="initial velocity ẋ")
-    ax.legend(fontsize="small", loc="lower right", framealpha=1)
-    entitle(ax, f"ω = {omega}: (0, 0) is {'in' if omega < JUMP else 'out'}side the orbit's basin")
+    ax.plot(0, 0, "*", color=paper.WHITE, mec=paper.BLACK, mew=0.8, ms=8)
+    ax.plot(*ON_ORBIT, "o", color=paper.WHITE, mec=paper.BLACK, mew=0.8, ms=4)
+    ax.set(xlabel="x at t = 0, m", ylabel="ẋ at t = 0, m/s")
+    side = "in" if omega < JUMP else "out"
+    paper.entitle(ax, f"({letter}) added: ω = {omega}, (0, 0) {side}side the basin")
 
 
 def table(near, rest, values, up, down, found):

@@ -1,7 +1,8 @@
-"""Fig. 4: one-sided orbits of the SD oscillator, harmonic balance against integration.
+"""Fig. 4: bifurcation diagram of the SD oscillator with its harmonic balance.
 
-Frequencies enter; phase portraits leave, on either side of the gap between the two values at which
-the orbit grazes x = 0. Between them there is no one-sided orbit.
+Frequencies enter; the diagram leaves, with harmonic balance as circles on the period-1 branch, and
+below it phase portraits of the one-sided orbit on either side of the gap between the two values at
+which it grazes x = 0. Between them there is no one-sided orbit.
 """
 
 import diffrax
@@ -9,20 +10,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.lines import Line2D
 
 import jaxfil as jf
 from benchmarks.bifurcations import sd
-from benchmarks.paper.canvas import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION, canvas, entitle
+from benchmarks.paper import canvas as paper
+from benchmarks.paper.sweeps import sweep_of
 from benchmarks.paper.table import Row
 
-TITLE = "Fig. 4: one-sided period-1 orbits of the SD oscillator, α = 0, f0 = 0.25, ζ = 0.0141"
+TITLE = "Fig. 4: bifurcation diagram of the SD oscillator, α = 0, f₀ = 0.25, ζ = 0.0141"
+ENDS, STARTS = (0.6, 1.3), ((0.3, 0.1), (1.4, 0.0))
 # The last of the lower and the first of the upper ones are six digits short of grazing.
 LOWER, UPPER = (0.6, 0.7, 0.8, 0.866716), (1.117143, 1.15, 1.2, 1.3)
-# Exact: the amplitude f0/√((1−Ω²)² + (2ζΩ)²) is 1.
-GRAZING = {0.84: ("0.86672", 0.866716581971234), 1.15: ("1.1172", 1.117142393133526)}
-TITLES = ("up to grazing at Ω = 0.866717", "down to grazing at Ω = 1.117142")
+# Exact: the amplitude f₀/√((1−Ω²)² + (2ζΩ)²) is 1.
+GRAZING = {0.84: ("0.86672", 0.866716581971234), 1.15: ("", 1.117142393133526)}
+CRISIS_IN_PAPER = 1.145
+TITLES = ("(b) up to grazing at Ω = 0.866717", "(c) from grazing at Ω = 1.117142")
 HARMONICS, CIRCLES = 3, 24
-COLORS = (BLUE, GREEN, ORANGE, VERMILLION, PURPLE)
+COLORS = (paper.BLUE, paper.GREEN, paper.ORANGE, paper.VERMILLION)
 
 
 def response(omega, f0=0.25, zeta=0.0141):
@@ -57,47 +62,77 @@ def orbits(omega, amplitude):
     return circles[:-1:8], sol.xs, distance, series.amplitudes[1, 0], series.result
 
 
-def make():
+def diagrams(points, transient=300, followed_transient=100, samples=60):
+    """Frequencies, and x once a period from the first of `STARTS` at each, and followed up."""
+    values = np.linspace(*ENDS, points)
+    free, one_sided = map(np.array, STARTS)
+    system = jf.systems.SDOscillator
+    settled = sweep_of(system, values, free, transient, samples)
+    followed = sweep_of(system, values, one_sided, followed_transient, samples, follow="up")
+    return values, settled[..., 0], followed[..., 0]
+
+
+def make(points=1000, circles=17):
     """The figure and the rows of its table."""
     values = np.array(LOWER + UPPER)
-    size = response(values).real  # in phase below resonance, against it above
-    circles, lines, distance, amplitude, result = orbits(jnp.asarray(values), jnp.asarray(size))
+    # Circles of the diagram: evenly spaced, and short of grazing.
+    grazing = [v for _, v in GRAZING.values()]
+    even = np.concatenate([np.linspace(ENDS[0], grazing[0] - 1e-6, circles),
+                           np.linspace(grazing[1] + 1e-6, ENDS[1], circles)])  # fmt: skip
+    both = np.concatenate([values, even])
+    size = response(both).real  # in phase below resonance, against it above
+    rings, lines, distance, amplitude, result = orbits(jnp.asarray(both), jnp.asarray(size))
     assert np.all(result == jf.RESULTS.successful)
-    figure = canvas(9, 4.6)
-    axes = figure.subplots(1, 2, sharey=True)
+    figure = paper.canvas(paper.PAGE, 150)
+    axes = figure.subplot_mosaic("aa;bc", height_ratios=(1.15, 1))
+    diagram(axes["a"], *diagrams(points), even, np.asarray(rings[len(values) :, 0, 0]))
     for i, omega in enumerate(values):
-        ax, color = axes[int(i >= len(LOWER))], COLORS[i % len(LOWER)]
-        ax.plot(*lines[i].T, color=color, lw=1.2, label=f"Ω = {omega:.7g}")
-        ax.plot(*circles[i].T, "o", ms=4.5, mfc="none", color=color)
-    for ax, text in zip(axes, TITLES, strict=True):
-        ax.axvline(0, color=BLACK, lw=0.8, ls="--")
-        ax.legend(fontsize="small", loc="upper right")
-        ax.set(xlabel="displacement x", xlim=(-0.1, 2.75), ylim=(-1.2, 1.7))
-        entitle(ax, text)
-    axes[0].set_ylabel("velocity dx/dτ")
-    figure.suptitle("SD oscillator about x = 1: harmonic balance (circles) on integration (lines)")
-    return figure, table(values, amplitude, distance)
+        ax, color = axes["bc"[int(i >= len(LOWER))]], COLORS[i % len(LOWER)]
+        ax.plot(*lines[i].T, color=color, label=f"Ω = {omega:.7g}")
+        ax.plot(*rings[i].T, "o", ms=3, mfc="none", mew=0.7, color=color)
+    for name, text in zip("bc", TITLES, strict=True):
+        ax = axes[name]
+        ax.axvline(0, color=paper.BLACK, lw=0.8, ls=":")
+        ax.legend(loc="center right", frameon=False)
+        ax.set(xlabel="x", ylabel="dx/dτ", xlim=(-0.1, 3.7), ylim=(-1.2, 1.2))
+        paper.entitle(ax, text)
+    return figure, table(values, amplitude[: len(values)], distance)
+
+
+def diagram(ax, values, settled, followed, even, heights):
+    """The diagram from one state, that of the one-sided orbit followed up, and the circles."""
+    before = values < GRAZING[0.84][1]
+    paper.dots(ax, values[before], settled[before], color=paper.SKY)
+    paper.dots(ax, values, followed)
+    ax.plot(even, heights, "o", ms=4, mfc="none", mec=paper.BLUE, mew=0.8)
+    for _, value in GRAZING.values():
+        ax.axvline(value, color=paper.BLACK, lw=0.8, ls=":")
+    ax.axvline(CRISIS_IN_PAPER, **paper.PAPER)
+    ax.set(xlim=ENDS, xlabel="Ω", ylabel="x once a period")
+    dot = {"ls": "none", "marker": "o", "ms": 3, "mew": 0}
+    ax.legend(
+        handles=[
+            Line2D([], [], color=paper.BLACK, label="one-sided orbit followed up", **dot),
+            Line2D([], [], color=paper.SKY, label="from (0.3, 0.1) at every Ω", **dot),
+            Line2D([], [], ls="none", marker="o", ms=4, mfc="none", mec=paper.BLUE,
+                   label="harmonic balance"),
+            Line2D([], [], color=paper.BLACK, lw=0.8, ls=":", label="the orbit grazes x = 0"),
+            Line2D([], [], label="the paper's end of chaos", **paper.PAPER),
+        ],
+        loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3, frameon=False,
+    )  # fmt: skip
+    paper.entitle(ax, "(a) the diagram of the paper")
 
 
 def table(values, amplitude, distance):
     """The rows of its table."""
     rows = []
-    for near, (paper, exact) in GRAZING.items():
+    for near, (printed, exact) in GRAZING.items():
         why = "the paper also prints 0.8667 and 0.86667; the last is a misprint" * (near < 1)
         found = float(sd(near).value)
-        rows.append(Row("grazing Ω", paper, found, exact, why, 15))
+        rows.append(Row("grazing Ω", printed, found, exact, why or "not in the paper", 15))
     for omega, found in zip(values, np.asarray(amplitude), strict=True):
         exact = float(abs(response(omega)))
         rows.append(Row(f"amplitude in harmonic balance, Ω = {omega:.7g}", "", found, exact))
-    what = "harmonic balance to integration"
-    rows.append(
-        Row(
-            what,
-            "",
-            float(distance.max()),
-            0.0,
-            "largest distance; rounding, as the series is exact",
-            1,
-        )
-    )
-    return rows
+    what, why = "harmonic balance to integration", "largest distance; rounding: the series is exact"
+    return [*rows, Row(what, "", float(distance.max()), 0.0, why, 1)]

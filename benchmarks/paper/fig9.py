@@ -1,20 +1,23 @@
-"""Fig. 9: phase portraits of the belt's orbit, case 1, where its sliding changes.
+"""Fig. 9: phase portraits of the belt's orbit, case 1, at nine frequencies.
 
-Frequencies enter; the orbits there leave, with the parts that stick to the belt.
+Frequencies enter; the orbits there leave, with the parts that stick to the belt, the point at which
+a period begins, and two enlargements where the orbit only just passes the belt.
 """
 
 import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.lines import Line2D
 
 import jaxfil as jf
-from benchmarks.paper.canvas import BLACK, BLUE, ORANGE, VERMILLION, canvas, entitle
+from benchmarks.paper import canvas as paper
 from benchmarks.paper.table import Row
 
-TITLE = "Fig. 9: orbits of the belt, case 1, γ1 = 10, γ2 = 0, between their bifurcations"
-# One between any two bifurcations of Fig. 8 where the portrait changes: a, b, c, d, f, h and i.
-VALUES = (0.8, 1.3, 1.4, 1.6, 2.44, 7.9, 9.1, 17.0)
+TITLE = "Fig. 9: period-1 orbits of the belt, case 1, γ₁ = 10, γ₂ = 0, where their sliding changes"
+VALUES = (0.92, 1.3, 1.55, 1.95, 2.44, 7.85, 9.1, 10.9, 17.0)
+# Where the motion passes the belt by less than can be seen.
+ENLARGED = (1.55, 7.85)
 # ω: x(0), max ẋ, largest multiplier, from closed forms per piece.
 REFERENCE = {
     1.3: ((1.562680507274925516, 1.0), 1.0, -0.199459730884038),
@@ -41,7 +44,7 @@ def orbits(omega):
     orbit = jf.periodic_orbit(
         belt, jnp.array([0.6, 0.02]), transient=200, steps=60, max_events=12, throw=False
     )
-    ts = jnp.linspace(0, belt.period, 1201)
+    ts = jnp.linspace(0, belt.period, 4801)
     saveat = diffrax.SaveAt(ts=ts)
     dt = belt.period / 60
     sol = jf.solve(belt, orbit.x0, 0.0, belt.period, dt, saveat=saveat, max_events=12, throw=False)
@@ -53,34 +56,56 @@ def make():
     values = np.array(VALUES)
     orbit, tops, multipliers, sol = orbits(jnp.asarray(values))
     assert np.all(orbit.result == jf.RESULTS.successful)
-    figure = canvas(11, 5.6)
-    axes = figure.subplots(2, 4)
+    figure = paper.canvas(paper.PAGE, 165)
+    axes = figure.subplots(3, 3)
     for i, (ax, omega) in enumerate(zip(axes.flat, values, strict=True)):
-        portrait(ax, np.asarray(sol.xs[i]), np.asarray(sol.modes[i, :, 0]))
-        entitle(ax, f"ω = {omega:g}: {described(orbit, i)}")
-        ax.title.set_fontsize("small")
-    for ax in axes[1]:
-        ax.set_xlabel("displacement x")
+        xs, modes = np.asarray(sol.xs[i]), np.asarray(sol.modes[i, :, 0])
+        portrait(ax, xs, modes)
+        ax.plot(*xs[0], "o", ms=4, mfc=paper.WHITE, mec=paper.BLACK, mew=0.9, zorder=5)
+        if omega in ENLARGED:
+            enlarge(ax, xs, modes)
+        paper.entitle(ax, f"({'abcdefghi'[i]}) ω = {omega:g}: {described(orbit, i)}")
+    for ax in axes[-1]:
+        ax.set_xlabel("x, m")
     for ax in axes[:, 0]:
-        ax.set_ylabel("velocity ẋ")
-    handles, labels = axes[0, 1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize="small")
-    figure.suptitle("Belt friction, case 1: period-1 orbits")
+        ax.set_ylabel("ẋ, m/s")
+    paper.below(figure, list(handles()), 5)
     return figure, table(values, orbit, np.asarray(tops), np.asarray(multipliers))
 
 
 def portrait(ax, xs, modes):
     """One orbit, coloured by its modes."""
-    ax.axhline(1, color=BLACK, lw=0.7, ls=":", label="belt, ẋ = v")
-    for mode, color, width, label in (
-        (-1, BLUE, 1.2, "slips, ẋ < v"),
-        (1, VERMILLION, 1.2, "slips, ẋ > v"),
-        (0, ORANGE, 4, "sticks"),
-    ):
+    ax.axhline(1, color=paper.BLACK, lw=0.8, ls=":")
+    for mode, color in paper.SLIPS.items():
         held = modes == mode
         held[:-1] |= held[1:]  # up to the contact with the next piece
         part = np.where(held[:, None], xs, np.nan)
-        ax.plot(*part.T, color=color, lw=width, solid_capstyle="butt", label=label)
+        ax.plot(*part.T, color=color, lw=3 if mode == 0 else 1.0, solid_capstyle="butt")
+
+
+def enlarge(ax, xs, modes):
+    """The excursion beyond the belt, in a window within the orbit."""
+    beyond = xs[modes == 1]
+    (left, _), (right, top) = beyond.min(axis=0), beyond.max(axis=0)
+    margin, rise = 0.6 * (right - left), top - 1
+    inset = ax.inset_axes((0.28, 0.28, 0.5, 0.32))
+    portrait(inset, xs, modes)
+    inset.set(xlim=(left - margin, right + margin), ylim=(1 - 1.2 * rise, 1 + 1.8 * rise))
+    inset.set_xticks([round(float(x), 3) for x in (left, right)])
+    inset.set_yticks([])  # 1.003 beside 1.000 would need more room than there is
+    inset.set_title(f"{1e3 * rise:.2f} mm/s above")
+    ax.indicate_inset_zoom(inset, edgecolor=paper.GREY, lw=0.8)
+
+
+def handles():
+    """The entries of the legend."""
+    styles = paper.SLIPS
+    yield Line2D([], [], color=paper.BLACK, lw=0.8, ls=":", label="belt, ẋ = v")
+    yield Line2D([], [], color=styles[-1], label="slips, ẋ < v")
+    yield Line2D([], [], color=styles[1], label="slips, ẋ > v")
+    yield Line2D([], [], color=styles[0], lw=3, label="sticks")
+    yield Line2D([], [], ls="none", marker="o", mfc=paper.WHITE, mec=paper.BLACK,
+                 label="once a period")  # fmt: skip
 
 
 def described(orbit, i):

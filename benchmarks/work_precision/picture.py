@@ -8,12 +8,12 @@ import math
 
 from matplotlib.lines import Line2D
 
-from benchmarks.paper.canvas import BLACK, BLUE, GREEN, ORANGE, PURPLE, canvas
+from benchmarks.paper import canvas as paper
+from benchmarks.programs import PROGRAMS
 from benchmarks.work_precision.front import curves
 from benchmarks.work_precision.program import LANES
 from benchmarks.work_precision.whole_loop import NOTE
 
-COLORS = {"jaxfil": BLUE, "diffrax": ORANGE, "heyoka": BLACK, "SciPy": GREEN, "smoothed": PURPLE}
 MARKS = {
     "Dopri8": "o",
     "DOP853": "o",
@@ -34,8 +34,14 @@ LINES = {
 
 def draw(problem, rows, path):
     """Both panels, or the left one alone where nothing was smoothed."""
+    with paper.style():
+        paper.save(_figure(problem, rows), path)
+
+
+def _figure(problem, rows):
+    """The figure of `draw`."""
     smooth = any(r.program == "smoothed" for r in rows)
-    figure = canvas(7.6, 6.2)
+    figure = paper.canvas(paper.PAGE, 140)
     axes = figure.subplots(1, 1 + smooth, sharex=True, sharey=True, squeeze=False)[0]
     for key, some in curves([r for r in rows if r.lanes == 1]).items():
         _curve(axes[-1 if key[0] == "smoothed" else 0], *key, some)
@@ -47,22 +53,22 @@ def draw(problem, rows, path):
     titles = ("contacts located", "sgn H smoothed to tanh(H/width)")
     for ax, title in zip(axes, titles, strict=False):
         ax.set(xlabel="error at t1 (smaller to the right)")
-        ax.set_title(title, fontsize="medium", loc="left")
+        paper.entitle(ax, title)
         ax.grid(alpha=0.25)
     if smooth:
         _name_widths(axes[1], [r for r in rows if r.program == "smoothed"])
         _beside(axes[1], rows)
-    figure.suptitle(problem.title, fontsize="large")
+    figure.suptitle(problem.title)
     figure.get_layout_engine().set(wspace=0.06)  # the last tick of one panel, the first of the next
-    figure.legend(handles=list(_handles(rows)), loc="outside lower center", ncols=4, fontsize=8)
-    figure.savefig(path)
+    figure.legend(handles=list(_handles(rows)), loc="outside lower center", ncols=3, frameon=False)
+    return figure
 
 
 def _curve(ax, program, method, rows):
     """Points in the order of settings; a run that failed has none."""
     name = method.split(",")[0]
     kind = 2 if rows[0].lanes > 1 else 1 if NOTE in method else 0
-    style = {"color": COLORS[program], "marker": MARKS[name], "ms": 5, "lw": 1.1}
+    style = {"color": PROGRAMS[program][0], "marker": MARKS[name], "ms": 3.5, "lw": 0.9}
     points = [(r.error, 1e3 * r.seconds) for r in rows if 0 < r.error < math.inf]
     ax.plot(*zip(*points, strict=True), **{**style, **list(LINES.values())[kind]})
 
@@ -84,7 +90,6 @@ def _name_widths(ax, rows):
                 xytext=(apart * (2 * i + 1 - len(ends)), 6),
                 ha="center",
                 rotation="vertical",
-                fontsize=8,
             )
 
 
@@ -97,11 +102,11 @@ def _beside(ax, rows):
 def _handles(rows):
     """The entries of the legend."""
     shown = {(r.program, r.method.split(",")[0]) for r in rows}
-    for program, color in COLORS.items():
+    for program, (color, _) in PROGRAMS.items():
         for method, mark in MARKS.items():
             if (program, method) in shown:
                 label = f"{program} {method}"
-                yield Line2D([], [], color=color, marker=mark, ms=5, lw=1.1, label=label)
+                yield Line2D([], [], color=color, marker=mark, ms=3.5, lw=0.9, label=label)
     for label, style in LINES.items():
-        style = {"color": "0.4", "marker": "o", "ms": 5, "lw": 1.1, **style}
+        style = {"color": "0.4", "marker": "o", "ms": 3.5, "lw": 0.9, **style}
         yield Line2D([], [], **style, label=label)

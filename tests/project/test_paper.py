@@ -10,11 +10,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from benchmarks.page import PAGE, page
-from benchmarks.paper import fig4, fig5, fig6, fig8, fig9, fig10, fig11, section5
+from benchmarks.page import pages
+from benchmarks.paper import canvas, fig4, fig5, fig6, fig8, fig9, fig10, fig11, section5
 from benchmarks.paper.__main__ import RESULTS
+from benchmarks.paper.captions import CAPTIONS
 from benchmarks.paper.figure import FIGURES
 from benchmarks.paper.spectra import change_on_doubling, spectra
+from benchmarks.paper.sweeps import sweep_of
 from benchmarks.paper.table import WIDTHS, Row, layout
 from tests.problems.values import BELT_DAMPING, CUBIC_JUMPS, CUBIC_LYAPUNOV
 
@@ -43,6 +45,7 @@ def test_fig4_harmonic_balance_is_the_closed_form():
     assert circles[..., 0].min() > 0 and lines.shape[1] == 8 * fig4.CIRCLES + 1
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_fig5_smoothed_lanes_are_what_they_are_alone():
     # XLA's own arctangent is wrong for 50 lanes and more (jax-ml/jax issue 39352).
@@ -55,10 +58,17 @@ def test_fig5_smoothed_lanes_are_what_they_are_alone():
     assert change_on_doubling(fig5.smooth, values[::16], jnp.asarray(fig5.X0), 300) < 1e-6
 
 
+def test_fig5_starts_on_the_orbit():
+    values = np.array([0.6, 0.8, 0.866])
+    size = fig5.response(values)
+    assert_allclose(fig5.on_orbit(values)[:, 0], 1 + size.real, rtol=1e-15)
+    back = sweep_of(jf.systems.SDOscillator, values, fig5.on_orbit(values), 7, 2)
+    assert_allclose(back, np.stack([fig5.on_orbit(values)] * 2, axis=1), atol=1e-9)
+
+
 def test_fig5_finds_where_chaos_is():
     exponents = np.array([[-0.01, 0.0], [0.09, 0.0], [0.05, 0.0], [-0.01, 0.0]])
-    found = type("Found", (), {"exponents": exponents})
-    assert fig5.edges(np.array([0.8, 0.87, 1.1, 1.2]), found) == "0.8700 to 1.1000"
+    assert fig5.edges(np.array([0.8, 0.87, 1.1, 1.2]), exponents[:, 0]) == "0.8700 to 1.1000"
 
 
 def test_fig6_tells_chaos_from_periodic_motion_and_knows_how_long_it_lives():
@@ -84,6 +94,7 @@ def test_fig10_finds_the_jump_and_the_two_attractors():
     assert_array_equal(fig10.chaotic(rest), [False, True])
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_fig11_exponents():
     _, sharp, orbit = fig11.batch(
@@ -130,8 +141,17 @@ def test_every_figure_has_its_title_and_its_maker():
     modules = (fig4, fig5, fig6, fig8, fig9, fig10, fig11, section5)
     assert [module.__name__.rpartition(".")[2] for module in modules] == list(FIGURES)
     assert all(callable(module.make) and module.TITLE for module in modules)
-    assert [mark for mark, _ in fig8.MARKS.values()] == [*"os^D"]
+    letters = {name for name in fig8.NAMES.values() if name in "abcd"}
+    assert letters == {*"abcd"} and len(fig8.NAMES) == 9
 
 
-def test_the_results_page_is_what_its_command_writes():
-    assert PAGE.read_text() == page()
+def test_the_results_pages_are_what_their_command_writes():
+    assert {path: path.read_text() for path in pages()} == pages()
+
+
+def test_every_figure_is_put_beside_the_papers_and_printed_without_loss():
+    assert list(CAPTIONS) == list(FIGURES)
+    for name in FIGURES:
+        assert (RESULTS / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+        width = int.from_bytes((RESULTS / f"{name}.png").read_bytes()[16:20])
+        assert abs(width / canvas.PIXELS * 25.4 - canvas.PAGE) < 0.2  # millimetres

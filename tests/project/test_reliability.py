@@ -56,6 +56,7 @@ def test_an_exact_mass_leaves_its_wall_when_it_is_pulled():
     assert_allclose(float(motion.x[0]), np.cos(3.0) + (3.0 - np.pi / 2), rtol=1e-13)
 
 
+@pytest.mark.release
 @pytest.mark.slow
 @pytest.mark.parametrize("family", ["relays", "impacts", "smooth"])
 def test_few_systems_come_out_right(family):
@@ -63,6 +64,7 @@ def test_few_systems_come_out_right(family):
     assert {v.kind for v in group.verdicts} == {"right"} and len(group.verdicts) == 5
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_derivatives_of_few_systems_come_out_right():
     (group,) = main(["--systems", "20", "--only", "derivatives"])
@@ -76,6 +78,7 @@ def test_a_case_is_right_and_another_is_told():
     assert cases.judge(two_fold._replace(outcome="successful")).kind == "refused"
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_a_killed_sweep_is_taken_up_again():
     assert faults.judge(faults.killed, faults.uninterrupted()).kind == "right"
