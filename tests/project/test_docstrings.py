@@ -30,7 +30,7 @@ HEADING = re.compile(r"^\*\*(\w[\w ]*)\*\*", re.M)
 
 def offered(module: ModuleType) -> dict[str, object]:
     """What a module offers that jaxfil defines, by the name that a user writes."""
-    names = {name: value for name, value in vars(module).items() if not name.startswith("_")}
+    names = {name: getattr(module, name) for name in module.__all__ if not name.startswith("_")}
     own = {n: v for n, v in names.items() if getattr(v, "__module__", "").startswith("jaxfil.")}
     return {f"{module.__name__}.{name}": value for name, value in own.items()}
 

@@ -1,6 +1,7 @@
 """The house is in order: what imports what, how long files are, what is declared."""
 
 import ast
+import pydoc
 import re
 import subprocess
 import sys
@@ -26,7 +27,8 @@ ROOMS = {
     "exponents": {"integrate"},
     "bifurcations": {"orbits"},
     "plot": {"sweep", "bifurcations", "exponents"},
-    "__main__": {"plot", "systems"},
+    "command": {"plot", "systems"},
+    "__main__": {"command"},
     "__init__": {"__main__"},
 }
 
@@ -89,10 +91,15 @@ def circle(arrows):
     return {*left}
 
 
+# Distributions that are not called as their module is.
+DISTRIBUTIONS = {"PIL": "pillow", "mpl_toolkits": "matplotlib"}
+
+
 def third_party(tree):
     """Distributions that a syntax tree imports, by the name of their top module."""
     for name in imported(tree):
         top = name.split(".")[0]
+        top = DISTRIBUTIONS.get(top, top)
         if top and top not in sys.stdlib_module_names | {"jaxfil", "tests", "benchmarks"}:
             yield top
 
@@ -146,11 +153,41 @@ def test_a_file_can_be_read_at_one_sitting(file):
     assert len(file.read_text().splitlines()) <= 400
 
 
-def test_importing_jaxfil_never_imports_matplotlib():
-    code = "import sys, jaxfil; sys.exit('matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-    code = "import sys, jaxfil; jaxfil.plot.page(); sys.exit('matplotlib' not in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+@pytest.mark.parametrize(
+    "code, loaded",
+    [
+        ("import jaxfil, jaxfil.__main__; dir(jaxfil)", []),
+        ("import jaxfil; jaxfil.RESULTS", ["jax"]),
+        ("from jaxfil import *; solve, systems.SDOscillator, __version__", ["jax", "matplotlib"]),
+        ("import jaxfil; jaxfil.solve, jaxfil.find_bifurcations, jaxfil.systems", ["jax"]),
+        ("import jaxfil; jaxfil.plot.page()", ["jax", "matplotlib"]),
+    ],
+)
+def test_a_name_is_imported_with_what_it_takes_when_it_is_first_used(code, loaded):
+    code += "; import sys; print([name for name in ('jax', 'matplotlib') if name in sys.modules])"
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout == f"{loaded}\n", done.stderr
+
+
+def test_what_is_listed_of_jaxfil_is_what_is_public():
+    (_, *imports) = ast.parse((PACKAGE / "__init__.pyi").read_text()).body
+    names = {alias.asname for node in imports for alias in node.names}
+    assert {*dir(jf)} == {*jf.__all__} == names
+    assert {"solve", "plot", "systems", "__version__"} < names
+    assert all(hasattr(jf, name) for name in names)
+    with pytest.raises(AttributeError, match="module 'jaxfil' has no attribute 'solvee'"):
+        _ = jf.solvee
+
+
+def test_help_lists_pictures_and_outcomes():
+    pictures = pydoc.render_doc(jf.plot, renderer=pydoc.plaintext)
+    assert [name for name in jf.plot.__all__ if f"    {name}" not in pictures] == []
+    offered = {n for n, v in vars(jf.plot).items() if callable(v) and not n.startswith("_")}
+    assert offered <= {*jf.plot.__all__}
+    outcomes = pydoc.render_doc(jf.RESULTS, renderer=pydoc.plaintext)
+    assert "zeno = " in outcomes and "zeno" in dir(jf.RESULTS)
+    assert {*jf.RESULTS._name_to_item} < {*dir(jf.RESULTS)}
 
 
 def test_declared_dependencies_are_those_imported_by_the_package_and_the_scripts_in_readme():

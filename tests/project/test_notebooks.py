@@ -76,6 +76,7 @@ def test_a_notebook_is_stored_as_it_ran(file):
     assert [trouble for cell in cells for trouble in troubles(cell)] == []
 
 
+@pytest.mark.release
 @pytest.mark.slow
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=name_of)
 def test_a_notebook_runs(file):
