@@ -3,15 +3,19 @@
 The folders mirror those of the package: `tests/orbits` tests `jaxfil/orbits`, and a file is called
 after the file or the noun that it tests. `tests/project` holds what is about the project as a whole
 (layout, README, notebooks, gallery, paper, programs of the benchmarks). One room is run by its
-folder, `python -m pytest tests/orbits`, the quick tests of it by `-m "not slow"` besides.
+folder, `python -m pytest tests/orbits`, the quick tests of it by `-m "not slow"` besides. What only
+a release must pass (notebooks, figures, long comparisons with exact motions) is marked `release`.
 
 What several rooms use is here: `problems`, a bank of problems with known answers, by name and by
 tag; `results`, what is done with a solution; `pictures`, a picture of each
 kind, and their references. Exact motions of random systems are in `benchmarks.reliability`.
 """
 
+import gc
 import os
+import resource
 import signal
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -29,12 +33,22 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 pytest.register_assert_rewrite("tests.results")
 
 
+# Tracing makes objects by the million, and few of them are garbage in circles: looking for these
+# as often as Python does by itself takes a tenth of it.
+gc.set_threshold(100_000, 50, 50)
+
+_MOST = 3 * 2**30
+_UNIT = 1 if sys.platform == "darwin" else 1024
+
+
 @pytest.fixture(autouse=True, scope="module")
-def compiled_programs_end_with_their_file():
-    """Hundreds of compiled programs would otherwise take gigabytes by the end."""
+def compiled_programs_end_before_memory_does():
+    """Files share what is compiled until it takes gigabytes, and from then on no more."""
     yield
-    jax.clear_caches()
-    eqx.clear_caches()
+    if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _UNIT > _MOST:
+        jax.clear_caches()
+        eqx.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture
