@@ -4,16 +4,30 @@ Counts and the length of an interval, as a user gives them, enter; traced number
 steps over some of the intervals leave.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
+from jaxfil.integrate.problem import TimeGrid, grid_of_periods
 from jaxfil.model import check
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar
 
 Counts = tuple[Array, Array, Array]
 """Periods averaged over, periods before, and steps of a period."""
+
+
+class Interval(eqx.Module):
+    """The time between two orthonormalisations."""
+
+    length: Array
+    forced: bool = eqx.field(static=True)
+    """Whether it is the period of the forcing, at whose end the clock may start anew."""
+
+    def grid(self, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:
+        """The grid of `count` of them after the first `start`."""
+        return grid_of_periods(self.length, count, steps, start, forced=self.forced)
 
 
 def counts_of(periods: int, transient: int, steps: int) -> Counts:
@@ -25,13 +39,13 @@ def counts_of(periods: int, transient: int, steps: int) -> Counts:
     return jnp.asarray(periods, whole), jnp.asarray(transient, whole), jnp.asarray(steps, whole)
 
 
-def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> Array:
-    """The time between two orthonormalisations."""
+def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> Interval:
+    """The interval that was asked for, by default the period of the forcing."""
     if interval is not None:
-        return check.scalar("interval", interval, dtype, positive=True)
+        return Interval(check.scalar("interval", interval, dtype, positive=True), False)
     if system.period is None:
         raise ValueError(
             f"`interval` must be a positive number: {type(system).__name__} has no forcing period "
             "to take its place; got None."
         )
-    return check.period(system, dtype)
+    return Interval(check.period(system, dtype), not system.clocks)

@@ -12,13 +12,13 @@ from jaxtyping import Array, Bool, Float
 
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.card import average_card
-from jaxfil.exponents.intervals import Counts, counts_of, interval_of
+from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
 from jaxfil.exponents.variational import Variation, propagate, vary
 from jaxfil.integrate.compact import is_compact_sweep
 from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish
-from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods, period_outcome
+from jaxfil.integrate.problem import NOTHING, Problem, period_outcome
 from jaxfil.integrate.state import LoopState, is_running
 from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
@@ -131,26 +131,26 @@ def lyapunov_spectrum(
     x = check.state("x0", x0)
     check.system("system", system)
     system = cast(system, x.dtype)
-    duration = interval_of(system, interval, x.dtype)
+    between = interval_of(system, interval, x.dtype)
     steps, stepper = steps_and_stepper(steps, stepper, system)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
     compact = is_compact_sweep(compact, lanes_of((system, x)), (transient + periods) * steps)
-    return _spectrum(system, x, duration, counts, stepper, min(BATCHES, periods), compact)
+    return _spectrum(system, x, between, counts, stepper, min(BATCHES, periods), compact)
 
 
 @eqx.filter_jit
 def _spectrum(
     system: System,
     x0: Array,
-    duration: Array,
+    interval: Interval,
     counts: Counts,
     stepper: Stepper,
     batches: int,
     compact: bool,
 ) -> LyapunovSpectrum:
     periods, transient, steps = counts
-    grid = grid_of_periods(duration, transient + periods, steps)
+    grid = interval.grid(transient + periods, steps)
     problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING, compact)
     # The frame costs n times the orbit: it joins when most of the transient is over.
     alone = (transient - transient // 4) * steps
@@ -172,7 +172,7 @@ def _spectrum(
         return finish(grid, last.state), growth
 
     state, growth = kernel_if_it_fits(run)(x0)
-    times = ends.astype(x0.dtype) * duration
+    times = ends.astype(x0.dtype) * interval.length
     done = state.index >= grid.num_steps
     growth = jnp.where(done, growth[1:], jnp.nan)  # the first only turned the frame
     exponents, running, error, settled = averages(growth, times)
@@ -184,6 +184,6 @@ def _spectrum(
         x0=x0,
         x_final=pack(state.x, x0.dtype),
         settled=settled,
-        result=period_outcome(duration, state.result),
+        result=period_outcome(interval.length, state.result),
         compact=compact,
     )

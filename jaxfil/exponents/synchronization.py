@@ -17,12 +17,12 @@ from jaxtyping import Array, Float
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.drive_response import drive_response
-from jaxfil.exponents.intervals import Counts, counts_of, interval_of
+from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
 from jaxfil.integrate.compact import is_compact_sweep
 from jaxfil.integrate.components import Components, build, is_array, pack, unpack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish, integrate_in_kernel
-from jaxfil.integrate.problem import NOTHING, Problem, grid_of_periods, period_outcome
+from jaxfil.integrate.problem import NOTHING, Problem, period_outcome
 from jaxfil.integrate.state import is_running
 from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
@@ -106,14 +106,14 @@ def synchronization_exponent(
     values = check.concrete(grid)
     if values is not None and not np.all(np.diff(values) > 0):
         raise ValueError(f"`couplings` must be ascending, got {values}.")
-    duration = interval_of(system, interval, x.dtype)
+    between = interval_of(system, interval, x.dtype)
     within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
     steps, stepper = steps_and_stepper(steps, stepper, system)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
     lanes = lanes_of((system, x, grid)) * grid.shape[0]
     compact = is_compact_sweep(compact, lanes, (transient + periods) * steps)
-    return _threshold(system, x, grid, within, duration, counts, stepper, compact)
+    return _threshold(system, x, grid, within, between, counts, stepper, compact)
 
 
 def _distance(z: Components) -> Array:
@@ -124,11 +124,11 @@ def _distance(z: Components) -> Array:
 
 
 def _settle(
-    system: System, x0: Array, duration: Array, counts: Counts, stepper: Stepper, compact: bool
+    system: System, x0: Array, interval: Interval, counts: Counts, stepper: Stepper, compact: bool
 ) -> tuple[Array, RESULTS]:
     """The drive alone, after its transient."""
     _, transient, steps = counts
-    grid = grid_of_periods(duration, jnp.maximum(transient, 1), steps)
+    grid = interval.grid(jnp.maximum(transient, 1), steps)
     problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING, compact)
     state = integrate_in_kernel(problem, unpack(x0))
     # A grid needs a step: without a transient one period is run, and forgotten.
@@ -153,16 +153,16 @@ def _threshold(
     x0: Array,
     couplings: Array,
     tolerance: Array,
-    duration: Array,
+    interval: Interval,
     counts: Counts,
     stepper: Stepper,
     compact: bool,
 ) -> Synchronization:
     periods, transient, steps = counts
-    x, settled = _settle(system, x0, duration, counts, stepper, compact)
+    x, settled = _settle(system, x0, interval, counts, stepper, compact)
     y, distance = _away(x, 0.01)
     z = jnp.concatenate([x, y])
-    grid = grid_of_periods(duration, periods, steps, transient)
+    grid = interval.grid(periods, steps, transient)
 
     def lane(coupling: Array) -> tuple[Array, RESULTS]:
         pair = build(drive_response(system, coupling), z)
@@ -187,10 +187,10 @@ def _threshold(
 
     nearest, results = jax.vmap(kernel_if_it_fits(lane))(couplings)
     results = RESULTS.where(settled == RESULTS.successful, results, settled)
-    results = jax.vmap(ft.partial(period_outcome, duration))(results)
+    results = jax.vmap(ft.partial(period_outcome, interval.length))(results)
     nearest = jnp.where(results == RESULTS.successful, nearest, jnp.nan)
     met = nearest <= tolerance
-    time = periods.astype(x0.dtype) * duration
+    time = periods.astype(x0.dtype) * interval.length
     # Somewhere in the last step of the grid: its middle is half a step below its end.
     spacing = jnp.diff(couplings)[jnp.argmax(met) - 1] if couplings.shape[0] > 1 else 0.0
     return Synchronization(
@@ -260,14 +260,14 @@ def transverse_exponent(
     check.system("system", system)
     system = cast(system, x.dtype)
     strength = check.scalar("coupling", coupling, x.dtype)
-    duration = interval_of(system, interval, x.dtype)
+    between = interval_of(system, interval, x.dtype)
     steps, stepper = steps_and_stepper(steps, stepper, system)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
     lanes = lanes_of((system, x, strength))
     compact = is_compact_sweep(compact, lanes, (transient + periods) * steps)
     batches = min(BATCHES, periods)
-    return _transverse(system, x, strength, duration, counts, stepper, batches, compact)
+    return _transverse(system, x, strength, between, counts, stepper, batches, compact)
 
 
 @eqx.filter_jit
@@ -275,14 +275,14 @@ def _transverse(
     system: System,
     x0: Array,
     coupling: Array,
-    duration: Array,
+    interval: Interval,
     counts: Counts,
     stepper: Stepper,
     batches: int,
     compact: bool,
 ) -> TransverseExponent:
     periods, transient, steps = counts
-    x, settled = _settle(system, x0, duration, counts, stepper, compact)
+    x, settled = _settle(system, x0, interval, counts, stepper, compact)
     eps = float(jnp.finfo(x0.dtype).eps)
     # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
     # √eps, and a little more leaves room to shrink within an interval.
@@ -292,7 +292,7 @@ def _transverse(
 
     def period(carry: tuple) -> tuple:
         k, z, growth, _ = carry
-        grid = grid_of_periods(duration, jnp.ones_like(steps), steps, transient + k)
+        grid = interval.grid(jnp.ones_like(steps), steps, transient + k)
         state = integrate_in_kernel(
             Problem(pair, tableau_of(stepper), grid, NOTHING, compact), unpack(z)
         )
@@ -309,13 +309,13 @@ def _transverse(
         k, z, growth, result = jax.lax.while_loop(
             lambda s: (s[0] < stop) & (s[3] == RESULTS.successful),
             period,
-            (k, z, jnp.zeros_like(duration), result),
+            (k, z, jnp.zeros_like(interval.length), result),
         )
         return (k, z, result), growth
 
     ends = batch_ends(periods, batches)
     (_, z, result), growth = jax.lax.scan(batch, (jnp.zeros_like(periods), z, settled), ends)
-    times = ends.astype(x0.dtype) * duration
+    times = ends.astype(x0.dtype) * interval.length
     growth = jnp.where(result == RESULTS.successful, growth, jnp.nan)
     # The pull shrinks every distance at the rate of the coupling, which is added back.
     growth = growth + coupling * jnp.diff(times, prepend=0.0)
@@ -329,6 +329,6 @@ def _transverse(
         x0=x0,
         x_final=z[:n],
         settled=steady,
-        result=period_outcome(duration, result),
+        result=period_outcome(interval.length, result),
         compact=compact,
     )

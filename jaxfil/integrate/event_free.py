@@ -18,6 +18,7 @@ from jaxfil.integrate.event_location import stays_off
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.guards import larger, surface_noise
 from jaxfil.integrate.length import Length
+from jaxfil.integrate.phase import next_period
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.recording import keep_sample
 from jaxfil.integrate.state import FreeStep, LoopState
@@ -82,4 +83,4 @@ def accept_free_step(
         num_iterations=state.num_iterations + one,
         num_accepted=state.num_accepted + one,
     )
-    return keep_sample(problem, state, after, x, clear)
+    return next_period(problem.grid, keep_sample(problem, state, after, x, clear))

@@ -192,6 +192,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         result=_first_result(problem, x, start),
         table=empty_table(system, recording.max_events),
         saves=empty_saves(system, recording),
+        period_start=None if problem.grid.forcing is None else zero,
         ticks=ticks,
         left=() if ticks is None or system.m == 0 else tuple(map(jnp.zeros_like, x)),
     )

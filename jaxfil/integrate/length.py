@@ -11,6 +11,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.clocks import next_tick
+from jaxfil.integrate.phase import steps_in_period
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState
 
@@ -37,7 +38,7 @@ class Length(eqx.Module):
 def choose_length(problem: Problem, state: LoopState) -> Length:
     """To the next grid point or saving time, or to the contact expected before it."""
     grid, recording = problem.grid, problem.recording
-    target, gridded, saving = grid.grid_point(state.index + 1), True, jnp.zeros((), bool)
+    target, gridded, saving = grid.grid_point(steps_in_period(state) + 1), True, jnp.zeros((), bool)
     if recording.save == "ts":
         assert recording.ts is not None
         count = recording.ts.shape[0]

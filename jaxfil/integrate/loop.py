@@ -40,6 +40,7 @@ from jaxfil.integrate.guards import rearm_guards
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.length import Length, choose_length
 from jaxfil.integrate.mode_switch import evaluate_step_end
+from jaxfil.integrate.phase import next_period
 from jaxfil.integrate.problem import Problem, TimeGrid
 from jaxfil.integrate.recording import keep_sample, record_event, save_state
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd, is_running, later
@@ -271,6 +272,7 @@ def _carried_out(
     if ticking is not None:
         after = clocks.follow(problem, state, after, end, (ticking, switched))
     after = _keep(problem, state, after, end, moved, gridded, saving)
+    after = next_period(grid, after)
     went = moved, lands, switched, landing.delta
     return crossing.follow(problem, state, after, end, seen, went)
 
@@ -329,6 +331,7 @@ def _accept_smooth(problem: Problem, state: LoopState, length: Length, trial: Tr
         result=RESULTS.where(fine | ~on, state.result, failure),
     )
     after = _keep(problem, state, after, end, moved, gridded, saving)
+    after = next_period(problem.grid, after)
     return crossing.follow(problem, state, after, end, seen, (moved, false, false, 0 * length.h))
 
 

@@ -25,10 +25,18 @@ def iteration_budget(num_steps: Array, max_events: int | None = None) -> Array:
     return 32 * jnp.minimum(num_steps, 2**25) + contacts
 
 
+class ForcingPeriod(eqx.Module):
+    """The period of the forcing, and how many steps of the grid it has."""
+
+    length: Array
+    steps: Array
+
+
 class TimeGrid(eqx.Module):
     """The grid: `num_steps` steps of `dt` (signed) from `t0`, the last one ending at `length`.
 
-    Times in the loop are elapsed times, so that a huge t0 costs the grid no accuracy.
+    Times in the loop are elapsed times, so that a huge t0 costs the grid no accuracy. With a
+    `forcing` they start anew from zero at the end of each of its periods: see `phase`.
     """
 
     t0: Array
@@ -36,6 +44,7 @@ class TimeGrid(eqx.Module):
     dt: Array
     num_steps: Array
     max_iterations: Array
+    forcing: ForcingPeriod | None = None
 
     @property
     def direction(self) -> Array:
@@ -48,9 +57,10 @@ class TimeGrid(eqx.Module):
         return stop_gradient(SAME_TIME * jnp.finfo(self.dt.dtype).eps * size)
 
     def grid_point(self, index: Array) -> Array:
-        """Elapsed time at the end of step number `index` (from 1)."""
-        last = index >= self.num_steps
-        return jnp.where(last, self.length, index.astype(self.dt.dtype) * self.dt)
+        """Elapsed time at the end of step number `index` (from 1), counted as elapsed times are."""
+        whole = self if self.forcing is None else self.forcing
+        count = self.num_steps if self.forcing is None else self.forcing.steps
+        return jnp.where(index >= count, whole.length, index.astype(self.dt.dtype) * self.dt)
 
 
 def even_grid(
@@ -72,17 +82,22 @@ def period_outcome(period: Array, result: RESULTS) -> RESULTS:
     return RESULTS.where(_is_no_period(period), RESULTS.invalid_period, result)
 
 
-def grid_of_periods(period: Array, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:
-    """The grid of `count` periods after the first `start` from t = 0 on, `steps` steps each. It is
-    NaN, and a run over it ends at once, where there is no such period: see `period_outcome`."""
+def grid_of_periods(
+    period: Array, count: Array, steps: Array, start: Array | int = 0, *, forced: bool = False
+) -> TimeGrid:
+    """The grid of `count` periods after the first `start` from t = 0 on, `steps` steps each;
+    `forced`: they are periods of the forcing. It is NaN, and a run over it ends at once, where
+    there is no such period: see `period_outcome`."""
     period = jnp.where(_is_no_period(period), jnp.nan, period)
     num_steps = count * steps
+    before = jnp.asarray(0 if forced else start)
     return TimeGrid(
-        t0=jnp.asarray(start).astype(period.dtype) * period,
+        t0=before.astype(period.dtype) * period,
         length=count.astype(period.dtype) * period,
         dt=period / steps.astype(period.dtype),
         num_steps=num_steps,
         max_iterations=iteration_budget(num_steps),
+        forcing=ForcingPeriod(period, steps) if forced else None,
     )
 
 

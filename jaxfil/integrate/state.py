@@ -178,6 +178,8 @@ class LoopState(eqx.Module):
     result: RESULTS
     table: EventTable | None
     saves: SavedStates | None
+    period_start: Array | None = None
+    """Grid steps completed before this period of the forcing; None where time goes on."""
     ticks: Ticks | None = None
     """The next tick of each clock, of a system with clocks."""
     left: Components = ()

@@ -56,7 +56,8 @@ class Sampling(eqx.Module):
                 is_leaf=lambda v: v is None,
             )
             return Problem(field, tableau, grid, recording, self.compact, watched)
-        grid = grid_of_periods(period, self.transient + self.samples, self.steps)
+        count = self.transient + self.samples
+        grid = grid_of_periods(period, count, self.steps, forced=not system.clocks)
         recording = Recording(
             save="samples",
             max_events=None,

@@ -1,0 +1,78 @@
+"""The clock of a forced system starts anew each period, so that no phase is lost in long runs."""
+
+import diffrax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfil as jf
+
+X0 = np.array([0.1, 0.0], np.float32)
+PERIODS = 5000  # a time of 2e4, which float32 knows to 2e-3
+RUN = {"transient": PERIODS, "steps": 60, "stepper": diffrax.Tsit5()}
+
+
+def linear(dtype):
+    """A wall too far away to be met."""
+    return jf.systems.ImpactOscillator(
+        stiffness=dtype(2.0), damping=dtype(0.1), omega=dtype(1.6), wall=dtype(9.0)
+    )
+
+
+def settled() -> np.ndarray:
+    """(x, x') at whole periods, of x'' + c x' + k x = A cos ωt: Re(z), Re(iωz)."""
+    system = linear(np.float32)
+    names = "stiffness", "damping", "amplitude", "omega"
+    k, c, a, omega = (float(getattr(system, name)) for name in names)
+    z = a / (k - omega**2 + 1j * c * omega)
+    return np.array([z.real, (1j * omega * z).real])
+
+
+def diagram():
+    omega = np.float32([1.6])
+    one = jf.bifurcation_diagram(
+        linear(np.float32), "omega", omega, X0, samples=1, progress=False, **RUN
+    )
+    return one.xs[0, 0], one.results
+
+
+def spectrum():
+    one = jf.lyapunov_spectrum(linear(np.float32), X0, periods=1, **RUN)
+    return one.x_final, one.result
+
+
+def drive():
+    one = jf.transverse_exponent(linear(np.float32), X0, periods=1, **RUN)
+    return one.x_final, one.result
+
+
+@pytest.mark.parametrize("run", [diagram, spectrum, drive])
+def test_a_phase_does_not_age(run):
+    x, result = run()
+    assert x.dtype == np.float32
+    assert bool(jnp.all(result == jf.RESULTS.successful))
+    exact = settled()
+    # A sample is the sum of what a few hundred steps have rounded before damping forgets it.
+    bound = 32 * np.finfo(np.float32).eps * np.linalg.norm(exact)
+    np.testing.assert_allclose(x, exact, rtol=0, atol=bound)
+
+
+def test_contacts_of_a_long_run_are_where_those_of_float64_are():
+    omegas = np.linspace(0.7, 0.9, 8).astype(np.float32)
+    ends = [
+        jf.bifurcation_diagram(
+            jf.systems.DenHartog(),
+            "omega",
+            omegas.astype(dtype),
+            np.zeros(2, dtype),
+            transient=300,
+            samples=1,
+            steps=60,
+            stepper=diffrax.Tsit5(),
+            progress=False,
+        ).xs[:, 0]
+        for dtype in (np.float32, np.float64)
+    ]
+    size = np.linalg.norm(ends[1], axis=-1)
+    apart = np.linalg.norm(ends[0] - ends[1], axis=-1)
+    assert np.all(apart <= 32 * np.finfo(np.float32).eps * size)
