@@ -136,24 +136,40 @@ def _off_branch(
         raise ValueError(f"`orbit` must be a period doubling, got a {doubling.kind}.")
     single, at, result = _on_branch(system, parameter, doubling.orbit)
     problem = single.problem
-    if problem.options.arcs > 1 or problem.autonomous:
-        raise ValueError("`orbit` must be of a forced system and shot in one segment.")
+    if problem.options.arcs > 1:
+        raise ValueError("`orbit` must be shot in one segment.")
     options = dataclasses.replace(problem.options, steps=2 * problem.options.steps)
-    curve = OrbitCurve(OrbitProblem(problem.system, options, parameter, 2 * problem.periods))
+    periods = problem.periods if problem.autonomous else 2 * problem.periods
+    curve = OrbitCurve(OrbitProblem(problem.system, options, parameter, periods))
     if at is None:
         return curve, None, result
-    # At a period doubling both sections of the new orbit lie along the eigenvector of −1, at the
-    # same parameter but for the square of their distance.
-    values, vectors = np.linalg.eig(np.asarray(doubling.orbit.monodromy))
-    scale = single.metric(at)
-    along = np.append(np.real(vectors[:, np.argmin(abs(values + 1))]), 0.0) / scale
-    along /= np.linalg.norm(along)
+    base, scale, along = _doubled(single, at, np.asarray(doubling.orbit.monodromy))
     for ds in _OFF:
-        constraint = constraint_across(at.u, scale, along, ds)
-        point, result = curve.begin(at.u + ds * along * scale, constraint, along)
+        constraint = constraint_across(base, scale, along, ds)
+        point, result = curve.begin(base + ds * along * scale, constraint, along)
         if point is not None:
             return curve, point, result
     return curve, None, result
+
+
+def _doubled(
+    single: OrbitCurve, at: OrbitPoint, monodromy: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The orbit at a period doubling run through twice, as unknowns, their scale, and the direction
+    in which it parts from the branch."""
+    base, scale = at.u.copy(), single.metric(at)
+    values, vectors = np.linalg.eig(monodromy)
+    # Both sections of the new orbit lie along the eigenvector of −1, at the same parameter but for
+    # the square of their distance, and after the same time but for that.
+    away = np.real(vectors[:, np.argmin(abs(values + 1))])
+    if single.problem.autonomous:
+        base[-2] *= 2
+        scale[-2] *= 2
+        # The phase is fixed across the flow, whose direction is that of the multiplier of one.
+        flow = np.real(vectors[:, np.argmin(abs(values - 1))])
+        away = away - (away @ flow) / (flow @ flow) * flow
+    along = np.append(away, np.zeros(at.u.size - away.size)) / scale
+    return base, scale, along / np.linalg.norm(along)
 
 
 def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
