@@ -84,6 +84,5 @@ COLUMNS = (
     Column("float32 / float64", ">.2f"),
 )
 ABOUT = """\
-float32's times are 3e-5 apart after 300 periods of the belt and up to 2.4e-4 after those of the SD
-oscillator, and so is the phase of the forcing. Outcomes of the lanes that failed, all rows of each
-precision together: """
+float32's frequencies are rounded too, to 6e-8 of their size, and what that does to the motion is part
+of its error. Outcomes of the lanes that failed, all rows of each precision together: """
