@@ -61,7 +61,9 @@ def run(args: argparse.Namespace, interrupts: Interrupts) -> int:
 
 def _conditions(args: argparse.Namespace) -> str:
     """What the picture cannot show and a reader needs to make it again."""
-    given = "".join(f", {name} = {value:.10g}" for name, value in dict(args.set).items())
+    symbols = TEXTBOOK[args.system][0].symbols
+    set_to = dict(args.set).items()
+    given = "".join(f", {symbols.get(name, name)} = {value:.10g}" for name, value in set_to)
     follow = f" and on {args.follow}" if args.follow else ""
     periods = f"{args.transient} + {args.samples} periods of {args.steps} steps"
     return f"{args.system}{given}, from {text(state(args))}{follow}, {periods}"

@@ -62,7 +62,7 @@ def bifurcation_diagram(
     >>> ax.get_xlabel(), ax.get_ylabel(), len(ax.lines[0].get_xdata())
     ('Ω', 'x once a period', 16)
     >>> print(ax.get_title(loc="left"))
-    SDOscillator: f0 = 0.25, zeta = 0.1; 8 periods after 20
+    SDOscillator: f₀ = 0.25, ζ = 0.1; 8 periods after 20
     """
     check.instance("diagram", diagram, BifurcationDiagram)
     if not isinstance(diagram.parameter, str):

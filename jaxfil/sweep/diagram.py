@@ -4,6 +4,7 @@ Samples and outcomes of all lanes and the conditions they ran under enter; pictu
 and files leave.
 """
 
+import json
 import math
 
 import equinox as eqx
@@ -32,6 +33,7 @@ ATTRIBUTES = {
     "compact",
     "section",
     "max_return",
+    "symbols",
 }
 
 
@@ -219,6 +221,8 @@ class BifurcationDiagram(eqx.Module):
         }
         if given.section is not None and given.max_return is not None:
             attributes |= {"section": given.section, "max_return": given.max_return}
+        if self.labels.symbols:
+            attributes["symbols"] = json.dumps(dict(self.labels.symbols), ensure_ascii=False)
         if given.follow is not None:
             attributes["follow"] = given.follow
         if given.x0.ndim == 1:

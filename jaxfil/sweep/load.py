@@ -3,6 +3,7 @@
 A path enters; the diagram that was saved there leaves, bit for bit.
 """
 
+import json
 import os
 
 import numpy as np
@@ -47,7 +48,7 @@ def load(path: PathLike) -> BifurcationDiagram:
     (True, 'RK4')
     """
     data = dataset_io.load(path)
-    needed = ATTRIBUTES - {"follow", "x0", "compact", "section", "max_return"}
+    needed = ATTRIBUTES - {"follow", "x0", "compact", "section", "max_return", "symbols"}
     missing = needed - {*data.attrs} | {"x", "outcome"} - {*data}
     if missing:
         raise ValueError(
@@ -94,6 +95,7 @@ def _labels(data: Dataset, swept: tuple[str, ...]) -> Labels:
     told = {name: data[key_of(name)].attrs for name in swept}
     units |= {name: attrs["units"] for name, attrs in told.items() if "units" in attrs}
     symbols = {n: attrs["long_name"] for n, attrs in told.items() if "long_name" in attrs}
+    symbols |= json.loads(data.attrs.get("symbols", "{}"))  # older files have none
     known = {name: unit for name, unit in units.items() if unit}
     return Labels(names, tuple(sorted(symbols.items())), tuple(sorted(known.items())))
 

@@ -153,7 +153,9 @@ def bifurcation_diagram(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
             f"{type(system).__name__} is None. Give a `section` to sample at."
         )
-    labels = labels_of(system, np.shape(x0)[-1]).of(grid.names)
+    named = labels_of(system, np.shape(x0)[-1])
+    # Titles tell the other parameters too, without units.
+    labels = dataclasses.replace(named.of(grid.names), symbols=named.symbols)
     _check_follow(follow, grid)
     steps, stepper = steps_and_stepper(steps, stepper, system)
     stepper = checked_stepper(stepper)

@@ -22,7 +22,7 @@ class Named(jf.System):
     force: jax.Array
 
     state_names = "q", "v"
-    symbols = {"omega": "Ω"}
+    symbols = {"force": "F₀", "omega": "Ω"}
     units = {"q": "m", "v": "m/s", "omega": "rad/s", "t": "s"}
 
     def vector_field(self, t, x, side):
@@ -90,14 +90,15 @@ def test_pictures_of_an_orbit_and_its_branch_say_what_the_system_calls_things(or
 
 def test_pictures_of_sweeps_say_what_the_system_calls_things():
     diagram = swept(NAMED)
-    assert labels(diagram.plot(axes())) == ("Ω, rad/s", "q once a period, m")
+    assert labels(drawn := diagram.plot(axes())) == ("Ω, rad/s", "q once a period, m")
+    assert drawn.get_title(loc="left").startswith("Named: F₀ = 0.5; ")
     plain = swept(Plain(NAMED.omega, NAMED.force))
     assert labels(plain.plot(axes(), component=1)) == ("omega", "x[1] once a period")
     section = jf.plot.poincare_section(diagram.xs, axes(), system=NAMED)
     assert labels(section) == ("q, m", "v, m/s")
     assert labels(jf.plot.poincare_section(diagram.xs, axes())) == ("x[0]", "x[1]")
     plane = swept(NAMED, ("omega", "force"), ([1.2, 1.3], [0.4, 0.5]))
-    assert labels(plane.plot(axes())) == ("Ω, rad/s", "force")
+    assert labels(plane.plot(axes())) == ("Ω, rad/s", "F₀")
     run = {"transient": 2, "samples": 2, "steps": 20, "stepper": jf.RK4(), "progress": False}
     found = jf.basins_of_attraction(NAMED, ([0.0, 0.1], [0.0, 0.1]), **run)
     assert found.attractors == (), "no attractor: the legend has no name of one"
@@ -114,7 +115,9 @@ def test_named_arrays_have_the_names_and_keep_them(tmp_path, suffix):
     diagram.save(tmp_path / f"named{suffix}")
     back = jf.load(tmp_path / f"named{suffix}")
     assert eqx.tree_equal(diagram, back) and back.labels == diagram.labels
-    assert labels(back.plot(axes())) == ("Ω, rad/s", "q once a period, m")
+    drawn = back.plot(axes())
+    assert labels(drawn) == ("Ω, rad/s", "q once a period, m")
+    assert drawn.get_title(loc="left") == diagram.plot(axes()).get_title(loc="left")
 
 
 def test_a_smoothed_system_with_a_field_that_is_no_number():

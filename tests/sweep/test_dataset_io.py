@@ -51,6 +51,7 @@ def test_the_dataset_says_what_it_is():
         "follow": "up",
         "jaxfil_version": jf.__version__,
         "compact": 1,
+        "symbols": '{"alpha": "α", "f0": "f₀", "omega": "Ω", "zeta": "ζ"}',
     }
 
 
