@@ -41,3 +41,6 @@ other rooms know of it."""
 Dataset: TypeAlias = Any
 """`xarray.Dataset`. xarray is an optional package and imported with its first use, so that no
 signature can name it."""
+
+Widget: TypeAlias = Any
+"""`ipywidgets.Widget`, of an optional package too."""

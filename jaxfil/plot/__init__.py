@@ -13,6 +13,7 @@ The words of this room:
 - section: the states at which a motion meets a Poincaré section.
 - band: a strip of the axes in the colour of a mode, one for each surface.
 - map: a colour for each point of a plane, of two parameters or of two components.
+- widget: sliders over a picture in a notebook, which is drawn anew as they move.
 - kinds: the marker and the colour of each kind of bifurcation, contact and mode, in every picture.
 - hook: each picture of a result registers itself (`draws`), and the result's `plot()` finds it.
 """
@@ -22,6 +23,7 @@ from jaxfil.plot.basins import basins as basins
 from jaxfil.plot.branch_orbits import branch_orbits as branch_orbits
 from jaxfil.plot.canvas import PRINT as PRINT, page as page
 from jaxfil.plot.density import section_density as section_density
+from jaxfil.plot.explore import explore as explore
 from jaxfil.plot.exponent_map import exponent_map as exponent_map
 from jaxfil.plot.exponents import (
     lyapunov_convergence as lyapunov_convergence,
@@ -56,6 +58,7 @@ __all__ = [
     "branch",
     "branch_orbits",
     "event_timeline",
+    "explore",
     "exponent_map",
     "lyapunov_convergence",
     "lyapunov_exponents",
