@@ -77,6 +77,8 @@ def lyapunov_exponents(
         ax.plot(values[settled & ~lost], column[settled & ~lost], **ours | named)
         passing = np.isfinite(column) & ~settled
         hollow: dict[str, Any] = {"fillstyle": "none", "markeredgewidth": 0.5}
+        if i == 0 and passing.any():
+            hollow["label"] = "not settled"
         ax.plot(values[passing], column[passing], **ours | hollow)
         if lost.any():
             edge: dict[str, Any] = {"clip_on": False, "color": color}
