@@ -34,6 +34,13 @@ def arrow(ax, x, y, color):
     )
 
 
+def together(ax, x, y, *colors, dash=5):
+    """A path that several take: their colours in turn."""
+    for i, color in enumerate(colors):
+        style = dash * (len(colors) - i), (dash, dash * (len(colors) - 1))
+        ax.plot(x, y, color=color, linewidth=1.8, linestyle=style)
+
+
 def line(a, b, n=41):
     """From one point to another."""
     return np.linspace(a[0], b[0], n), np.linspace(a[1], b[1], n)
@@ -51,13 +58,12 @@ def surface(ax, left, right, title):
 def grazing_sliding(ax):
     """Three flights over a visible fold."""
     surface(ax, -2.3, 0, "grazing-sliding:  $F_+ = (1, x)$")
-    t = np.linspace(0, 4, 81)
-    for low, color in ((0.35, BEFORE), (0.0, AT)):
-        arrow(ax, *fold(t, -2.0, low + 2.0, 1), color)
+    arrow(ax, *fold(np.linspace(0, 4, 81), -2.0, 0.35 + 2.0, 1), BEFORE)
+    arrow(ax, *fold(np.linspace(0, 2, 41), -2.0, 2.0, 1), AT)
     x = -np.sqrt(2 * 0.45)
     arrow(ax, *fold(np.linspace(0, 2 + x, 41), -2.0, -0.45 + 2.0, 1), AFTER)
     arrow(ax, *line((x, 0), (0, 0)), AFTER)
-    arrow(ax, *fold(np.linspace(0, 2, 41), 0.0, 0.0, 1), AFTER)
+    together(ax, *fold(np.linspace(0, 2, 41), 0.0, 0.0, 1), AT, AFTER)
 
 
 def crossing_sliding(ax):
@@ -65,10 +71,9 @@ def crossing_sliding(ax):
     surface(ax, -2.3, 0, "crossing-sliding:  $F_+ = (1, x)$")
     for x, color in ((0.7, BEFORE), (0.0, AT), (-0.9, AFTER)):
         arrow(ax, *line((x - 1, -1), (x, 0)), color)
-        if x < 0:
-            arrow(ax, *line((x, 0), (0, 0)), color)
-        start = max(x, 0.0)
-        arrow(ax, *fold(np.linspace(0, 2.1 - start, 41), start, 0.0, 1), color)
+    arrow(ax, *fold(np.linspace(0, 1.4, 41), 0.7, 0.0, 1), BEFORE)
+    arrow(ax, *line((-0.9, 0), (0, 0)), AFTER)
+    together(ax, *fold(np.linspace(0, 2.1, 41), 0.0, 0.0, 1), AT, AFTER)
 
 
 def switching_sliding(ax):
@@ -76,9 +81,10 @@ def switching_sliding(ax):
     surface(ax, 0, 2.3, "switching-sliding:  $F_+ = (1, -x)$")
     for x, color in ((0.8, BEFORE), (0.0, AT), (-0.95, AFTER)):
         arrow(ax, *line((x - 1, -1), (x, 0)), color)
-        if x < 0:
-            arrow(ax, *fold(np.linspace(0, -2 * x, 41), x, 0.0, -1), color)
-        arrow(ax, *line((abs(x), 0), (2.2, 0)), color)
+    arrow(ax, *fold(np.linspace(0, 1.9, 41), -0.95, 0.0, -1), AFTER)
+    arrow(ax, *line((0, 0), (0.8, 0)), AT)
+    together(ax, *line((0.8, 0), (0.95, 0)), BEFORE, AT)
+    together(ax, *line((0.95, 0), (2.2, 0)), BEFORE, AT, AFTER)
 
 
 def adding_sliding(above, beside):
@@ -93,15 +99,15 @@ def adding_sliding(above, beside):
     x = np.linspace(-2.2, 2.2, 89)
     for c, color in ((-0.6, BEFORE), (0.0, AT)):
         arrow(above, x, c - x**2 / 2, color)
-        beside.plot(x, 0 * x, color=color, linewidth=1.8)
     c, a = 0.45, np.sqrt(2 * 0.45)
     for left, right, style in ((-2.2, -a, "-"), (-a, 2 * a, "--"), (2 * a, 2.2, "-")):
         u = np.linspace(left, right, 61)
         above.plot(u, c - u**2 / 2, style, color=AFTER, linewidth=1.8)
-        height = c * (u + a) - (u**3 + a**3) / 6 if style == "--" else 0 * u
-        beside.plot(u, height, style, color=AFTER, linewidth=1.8)
+        if style == "--":
+            beside.plot(u, c * (u + a) - (u**3 + a**3) / 6, style, color=AFTER, linewidth=1.8)
+        together(beside, u, 0 * u, BEFORE, AT, *[AFTER] * (style == "-"))
     above.set(xlim=(-2.3, 2.3), ylim=(-3.2, 1.2), xticks=[], yticks=[], ylabel="y")
-    above.text(-2.2, -3.0, "sliding region")
+    above.text(0, -3.0, "sliding region", horizontalalignment="center")
     beside.set(xlim=(-2.3, 2.3), xticks=[], yticks=[], xlabel="x", ylabel="H")
 
 
@@ -121,12 +127,14 @@ def theory(folder):
 def gallery(folder):
     """Each panel of the gallery on a page of its own."""
     from benchmarks.gallery import PANELS
+    from benchmarks.paper import canvas as paper
 
     for panel in PANELS:
-        figure = Figure(figsize=(6.4, 4.4), dpi=120, layout="constrained")
-        ax = figure.subplots()
-        ax.set_title(panel(ax, 1), fontsize="medium", loc="left")
-        figure.savefig(folder / f"{panel.__name__}.png")
+        with paper.style():
+            figure = paper.canvas(120, 82)
+            ax = figure.subplots()
+            paper.entitle(ax, panel(ax, 1))
+            figure.savefig(folder / f"{panel.__name__}.png", dpi=200)
 
 
 if __name__ == "__main__":
