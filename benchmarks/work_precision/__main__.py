@@ -2,7 +2,8 @@
 
 jaxfil, SciPy, diffrax and heyoka with located contacts, and diffrax on the smoothed problem.
 Writes `results/work_precision.txt` and a picture for each problem. `--only NAME` measures one
-problem and writes its picture alone; `--quick` measures fewer settings and writes nothing.
+problem and writes its picture alone; `--quick` measures fewer settings and writes nothing; `--draw`
+measures nothing and draws the pictures of the tables that are there.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from benchmarks.work_precision import (
     measure,
     ours,
     picture,
+    saved,
     scipy_events,
     smoothed,
     whole_loop,
@@ -25,6 +27,7 @@ from benchmarks.work_precision import (
 from benchmarks.work_precision.problems import PROBLEMS
 from benchmarks.work_precision.program import LANES
 
+TABLES = RESULTS / "work_precision.txt"
 PROGRAMS = (ours, diffrax_events, heyoka_events, scipy_events, smoothed)
 COLUMNS = (
     Column("program"),
@@ -106,12 +109,28 @@ def overview(measured):
     return table(columns, body, title) + "\n"
 
 
+def draw(names):
+    """The pictures of the tables that were written."""
+    text = TABLES.read_text()
+    for name in names:
+        picture.draw(PROBLEMS[name], saved.rows(text, name), _path(name))
+
+
+def _path(name):
+    """Where the picture of a problem is."""
+    return RESULTS / f"work_precision_{name}.png"
+
+
 def main():
     """Measure the problems asked for; print their tables, and write them unless it is quick."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=PROBLEMS, help="one problem")
     parser.add_argument("--quick", action="store_true", help="fewer settings, no files")
+    parser.add_argument("--draw", action="store_true", help="pictures of the tables there are")
     asked = parser.parse_args()
+    if asked.draw:
+        draw([asked.only] if asked.only else PROBLEMS)
+        return
     names, begun = [asked.only] if asked.only else list(PROBLEMS), time.perf_counter()
     chosen = core()
     whole, texts, found = whole_loop.rows(names, chosen, asked.quick), [], {}
@@ -124,9 +143,9 @@ def main():
         texts.append(text(name, rows, skipped))
         print(texts[-1], f"[{time.perf_counter() - started:.0f} s]\n", sep="\n", flush=True)
         if not asked.quick:
-            picture.draw(PROBLEMS[name], rows, RESULTS / f"work_precision_{name}.png")
+            picture.draw(PROBLEMS[name], rows, _path(name))
     if not asked.quick and not asked.only:
-        (RESULTS / "work_precision.txt").write_text("\n\n".join([ABOUT, overview(found), *texts]))
+        TABLES.write_text("\n\n".join([ABOUT, overview(found), *texts]))
     print(overview(found), f"{time.perf_counter() - begun:.0f} s", sep="\n")
 
 

@@ -16,9 +16,11 @@ from benchmarks.work_precision import (
     heyoka_events,
     ours,
     picture,
+    saved,
     scipy_events,
     smoothed,
 )
+from benchmarks.work_precision.__main__ import text
 from benchmarks.work_precision.measure import Row, rows
 from benchmarks.work_precision.problems import PROBLEMS
 from benchmarks.work_precision.program import spread
@@ -110,6 +112,15 @@ MEASURED = [
     row("smoothed", "Tsit5, width 1e-02", 1.99e-3, 3e-2),
     row("diffrax", "Tsit5", math.nan, 1e-5),
 ]
+
+
+def test_rows_are_read_back_from_their_table():
+    more = [row("SciPy", "Radau", 2.5e-7, 1.234, contacts=4), *MEASURED]
+    written = "\n" + text("slip_stick", more, ["heyoka skipped: not here"])
+    kept = [r._replace(contacts=0) if r.program == "smoothed" else r for r in more]
+    back = saved.rows(written, "slip_stick")
+    assert [r[:5] for r in back] == [r[:5] for r in kept]
+    assert_allclose(np.array([r[5:] for r in back]), np.array([r[5:] for r in kept]), rtol=6e-3)
 
 
 def test_who_is_in_front_is_read_between_the_settings():
