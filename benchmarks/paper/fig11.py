@@ -74,11 +74,12 @@ def exponents(axes, values, found, coarse, blurred):
     for ax, v, one in ((axes[1], values, found), (axes[2], coarse, blurred)):
         jf.plot.lyapunov_exponents(v, one, ax=ax)
         ax.set(xlabel="", ylim=(-1.0, 0.55))
-        ax.legend(loc="lower left", ncols=3, frameon=False, markerscale=2)
+        ax.legend(loc="lower left", ncols=4, frameon=False, markerscale=2)
     titles = (
         "(d) the largest exponent, as the paper has it: from (0, 0)",
         "(e) added: both; λ₂ = −∞ where the motion sticks",
-        f"(f) added: both, with sgn w smoothed to (2/π) arctan(w/{WIDTH}), w = ẋ − v",
+        f"(f) added: both, with sgn w smoothed to (2/π) arctan(w/{WIDTH}), w = ẋ − v; "
+        "λ₂ of chaos is below",
     )
     for ax, text in zip(axes, titles, strict=True):
         ax.set_ylabel("exponent, 1/s")

@@ -25,9 +25,10 @@ LOWER, UPPER = (0.6, 0.7, 0.8, 0.866716), (1.117143, 1.15, 1.2, 1.3)
 # Exact: the amplitude f₀/√((1−Ω²)² + (2ζΩ)²) is 1.
 GRAZING = {0.84: ("0.86672", 0.866716581971234), 1.15: ("", 1.117142393133526)}
 CRISIS_IN_PAPER = 1.145
-TITLES = ("(b) up to grazing at Ω = 0.866717", "(c) from grazing at Ω = 1.117142")
+TITLES = ("(b) added: up to grazing at Ω = 0.866717", "(c) added: from grazing at Ω = 1.117142")
 HARMONICS, CIRCLES = 3, 24
-COLORS = (paper.BLUE, paper.GREEN, paper.ORANGE, paper.VERMILLION)
+# From far away to grazing, which is black here and there.
+COLORS = (paper.PURPLE, paper.GREEN, paper.ORANGE, paper.BLACK)
 
 
 def response(omega, f0=0.25, zeta=0.0141):
@@ -87,7 +88,7 @@ def make(points=1000, circles=17):
     axes = figure.subplot_mosaic("aa;bc", height_ratios=(1.15, 1))
     diagram(axes["a"], *diagrams(points), even, np.asarray(rings[len(values) :, 0, 0]))
     for i, omega in enumerate(values):
-        ax, color = axes["bc"[int(i >= len(LOWER))]], COLORS[i % len(LOWER)]
+        ax, color = axes["bc"[int(i >= len(LOWER))]], (COLORS + COLORS[::-1])[i]
         ax.plot(*lines[i].T, color=color, label=f"Ω = {omega:.7g}")
         ax.plot(*rings[i].T, "o", ms=3, mfc="none", mew=0.7, color=color)
     for name, text in zip("bc", TITLES, strict=True):
@@ -104,7 +105,7 @@ def diagram(ax, values, settled, followed, even, heights):
     before = values < GRAZING[0.84][1]
     paper.dots(ax, values[before], settled[before], color=paper.SKY)
     paper.dots(ax, values, followed)
-    ax.plot(even, heights, "o", ms=4, mfc="none", mec=paper.BLUE, mew=0.8)
+    ax.plot(even, heights, "o", ms=4, mfc="none", mec=paper.BLUE, mew=0.8, clip_on=False)
     for _, value in GRAZING.values():
         ax.axvline(value, color=paper.BLACK, lw=0.8, ls=":")
     ax.axvline(CRISIS_IN_PAPER, **paper.PAPER)

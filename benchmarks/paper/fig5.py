@@ -79,14 +79,14 @@ def make(points=500, blurred_points=350, chaotic=76, long=LONG, short=SHORT):
     for ax, v, one in ((axes[1], values, found), (axes[2], coarse, blurred[0])):
         jf.plot.lyapunov_exponents(v, one, ax=ax)
         ax.set(xlabel="", ylim=(-0.16, 0.13))
-        ax.legend(loc="lower left", ncols=2, frameon=False, markerscale=2)
-    paper.entitle(axes[1], "(b) both from (0.3, 0.1) at every Ω")
-    paper.entitle(axes[2], f"(c) both, with sgn x smoothed to (2/π) arctan(x/{WIDTH})")
+        ax.legend(loc="lower left", ncols=3, frameon=False, markerscale=2)
+    paper.entitle(axes[1], "(b) added: both from (0.3, 0.1) at every Ω")
+    paper.entitle(axes[2], f"(c) added: both, with sgn x smoothed to (2/π) arctan(x/{WIDTH})")
     for ax in axes:
         ax.axvline(GRAZING, color=paper.BLACK, lw=0.8, ls=":")
         ax.axvline(GRAZING_ABOVE, color=paper.BLACK, lw=0.8, ls=":")
         ax.set_ylabel("exponent per unit of τ")
-    axes[-1].set_xlabel("Ω; dotted: the one-sided orbit grazes x = 0")
+    axes[-1].set_xlabel("Ω")
     rows = table(values, largest, found, chaos, (coarse, *blurred[:2]), change, short["steps"])
     return figure, rows
 
@@ -103,6 +103,7 @@ def largest_panel(ax, values, largest, free, below):
         handles=[
             Line2D([], [], color=paper.BLUE, label="one-sided orbit followed", **dot),
             Line2D([], [], color=paper.ORANGE, mfc="none", label="from (0.3, 0.1)", **dot),
+            Line2D([], [], color=paper.BLACK, lw=0.8, ls=":", label="the orbit grazes x = 0"),
         ],
         loc="upper left", frameon=False,
     )  # fmt: skip

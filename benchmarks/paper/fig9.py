@@ -93,7 +93,9 @@ def enlarge(ax, xs, modes):
     inset.set(xlim=(left - margin, right + margin), ylim=(1 - 1.2 * rise, 1 + 1.8 * rise))
     inset.set_xticks([round(float(x), 3) for x in (left, right)])
     inset.set_yticks([])  # 1.003 beside 1.000 would need more room than there is
-    inset.set_title(f"{1e3 * rise:.2f} mm/s above")
+    # On white, for the lines to the enlargement pass behind it.
+    text = {"facecolor": paper.WHITE, "edgecolor": "none", "pad": 1}
+    inset.set_title(f"{1e3 * rise:.2f} mm/s above", bbox=text)
     ax.indicate_inset_zoom(inset, edgecolor=paper.GREY, lw=0.8)
 
 

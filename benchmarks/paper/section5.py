@@ -58,8 +58,10 @@ def make(couplings=None, periods=1500, lanes=16, rate_periods=1000):
     ):
         marked = {"ls": "none", "color": paper.BLUE, **style}
         left.semilogy(couplings[keep], distances[keep], label=label, **marked)
-    left.axhline(float(by_threshold.tolerance), color=paper.BLACK, lw=0.8, ls=":")
-    left.axvline(REFERENCE, color=paper.GREEN, label=f"λ₁ = {REFERENCE}({round(ERROR * 1e4)})")
+    met_at = float(by_threshold.tolerance)
+    left.axhline(met_at, color=paper.BLACK, lw=0.8, ls=":", zorder=1, label="taken for none")
+    known = f"λ₁ = {REFERENCE}({round(ERROR * 1e4)})"
+    left.axvline(REFERENCE, color=paper.GREEN, zorder=1, label=known)
     left.set(xlabel="coupling ε, 1/s", ylabel="smallest distance")
     left.set_xticks([0.3, 0.35, 0.4, 0.45, 0.5])
     left.legend(loc="upper right", frameon=False)
