@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.model import check
+from jaxfil.model.clock import Clocks
 from jaxfil.model.system import System, has_resets
 from jaxfil.model.types import Scalar
 
@@ -43,6 +44,10 @@ class _DriveResponse(System):
     def period(self) -> Array | float | None:
         return self.system.period
 
+    @property
+    def clocks(self) -> Clocks:
+        return self.system.clocks
+
 
 # A class of its own: that a class defines `reset` is what has the code for impacts compiled.
 class _ImpactingDriveResponse(_DriveResponse):
@@ -72,7 +77,7 @@ def drive_response(system: System, coupling: Scalar) -> System:
     - `system`: any `System`; its parameters are called `system.name` in the new one.
     - `coupling`: the rate of the pull, per unit of time; a parameter of the new system.
 
-    **Returns** a `System` with the period of `system`.
+    **Returns** a `System` with the period and the clocks of `system`.
 
     **Source**: A. Stefański and T. Kapitaniak, Using chaos synchronization to estimate the largest
     Lyapunov exponent of nonsmooth systems, Discrete Dynamics in Nature and Society 4 (2000)

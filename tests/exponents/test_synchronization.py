@@ -41,6 +41,23 @@ class Brakes(jf.System):
         return x
 
 
+class Sawtooth(jf.System):
+    """x' = (τ - c) x, τ the time since a tick: λ1 is its mean, T/2 - c."""
+
+    tooth: jax.Array
+
+    def vector_field(self, t, x, side):
+        return (jnp.mod(t - 0.1, self.tooth) - 0.25) * x
+
+    @property
+    def period(self):
+        return 3 * self.tooth
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.tooth, 0.1),)
+
+
 @jax.jit
 @jax.vmap
 def pair_end(z, coupling, t0, t1, dt):
@@ -256,3 +273,12 @@ def test_bad_calls(change, message):
         jf.synchronization_exponent(*first, **call)
     with pytest.raises(ValueError, match="`system` must be an instance"):
         jf.drive_response(BELT.omega, 0.3)
+
+
+def test_a_pair_has_the_clocks_of_its_system():
+    """Steps end on ticks, which are no grid points: the rate then has the order of the stepper."""
+    saw = Sawtooth(jnp.array(0.3))
+    options = {"periods": 10, "transient": 1, "steps": 7, "stepper": jf.RK4(), "compact": True}
+    found = jf.transverse_exponent(saw, jnp.ones(1), coupling=0.2, **options)
+    assert_allclose(found.exponent, 0.15 - 0.25, rtol=0, atol=1e-7)
+    assert jf.drive_response(saw, 0.2).clocks == saw.clocks
