@@ -4,24 +4,20 @@ A system and a function of time, state and sides enter; the mean of the function
 of the order of the stepper and exact through contacts.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from jaxfil.integrate.observed import Observe, checked_observable, with_rate
 from jaxfil.integrate.options import Adjoint
 from jaxfil.integrate.solve import solve
 from jaxfil.integrate.step_choice import StepChoice
 from jaxfil.integrate.stepper import Stepper
 from jaxfil.model import check
-from jaxfil.model.clock import Clocks
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import cast
-from jaxfil.model.system import System, has_resets
+from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 
 
@@ -38,41 +34,9 @@ class Average(eqx.Module):
     """The state there, for another run to go on from."""
 
 
-class _WithIntegral(System):
-    """A system with the integral of a function behind its state, which no surface sees."""
-
-    system: System
-    function: Callable[[Array, Array, Array], Array]
-    n: int = eqx.field(static=True)
-
-    def vector_field(self, t: Array, x: Array, side: Array) -> Array:
-        state = x[: self.n]
-        rate = jnp.ravel(jnp.asarray(self.function(t, state, side), x.dtype))
-        return jnp.concatenate([self.system.vector_field(t, state, side), rate])
-
-    def switching(self, t: Array, x: Array) -> Array:
-        return self.system.switching(t, x[: self.n])
-
-    @property
-    def slides(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.system.slides
-
-    @property
-    def clocks(self) -> Clocks:
-        return self.system.clocks
-
-
-class _WithImpacts(_WithIntegral):
-    """The same of a system with impacts, which do not change an integral."""
-
-    def reset(self, t: Array, x: Array, surface: Array) -> Array:
-        after = self.system.reset(t, x[: self.n], surface)
-        return jnp.concatenate([after, x[self.n :]])
-
-
 def average(
     system: System,
-    function: Callable[[Array, Array, Array], Array],
+    function: Observe,
     x0: State,
     t0: Scalar,
     t1: Scalar,
@@ -119,27 +83,11 @@ def average(
     """
     x = check.state("x0", x0)
     check.system("system", system)
-    h = check.shapes(system, x)
-    shape = _shape(function, x, h)
-    size = 1
-    for k in shape:
-        size *= k
-    make = _WithImpacts if has_resets(system) else _WithIntegral
-    wider = make(system, cast(function, x.dtype), x.shape[0])
-    start = jnp.concatenate([x, jnp.zeros((size,), x.dtype)])
+    observable = checked_observable("function", function, system, x)
+    wider, start = with_rate(system, observable, x)
     sol = solve(
         wider, start, t0, t1, dt, stepper=stepper, max_events=None, adjoint=adjoint, throw=throw
     )
     n, elapsed = x.shape[0], sol.t_final - jnp.asarray(t0, x.dtype)
-    mean = sol.x_final[n:].reshape(shape) / elapsed
+    mean = sol.x_final[n:].reshape(observable.shape) / elapsed
     return Average(mean, sol.result, sol.t_final, sol.x_final[:n])
-
-
-def _shape(function: Callable, x: Array, h: tuple[int, ...]) -> tuple[int, ...]:
-    """That of what a function returns."""
-    if not callable(function):
-        raise ValueError(f"`function` must be a callable of (t, x, side), got {function!r}.")
-    out: Any = jax.eval_shape(function, jnp.zeros((), x.dtype), x, jnp.ones(h, x.dtype))
-    if not hasattr(out, "shape"):
-        raise ValueError(f"`function` must return an array, got {out!r}.")
-    return tuple(out.shape)

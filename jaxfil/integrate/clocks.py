@@ -113,6 +113,15 @@ def between_ticks(problem: Problem, ticks: Ticks | None) -> Problem:
     return dataclasses.replace(problem, system=dataclasses.replace(problem.system, window=window))
 
 
+def just_after(problem: Problem, t: Array) -> Problem:
+    """The problem as it is from a time on, to the next ticks."""
+    if not problem.system.clocks:
+        return problem
+    grid = dataclasses.replace(problem.grid, t0=stop_gradient(t))
+    here = dataclasses.replace(problem, grid=grid)
+    return between_ticks(here, first_ticks(here))
+
+
 def _margin(grid: TimeGrid, t: Array) -> Array:
     return grid.same_time(t - grid.t0)
 

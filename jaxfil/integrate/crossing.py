@@ -32,7 +32,7 @@ from jaxfil.integrate.components import Components, all_finite, any_of, axpy, pa
 from jaxfil.integrate.event_location import NEVER, first_contact, stays_off
 from jaxfil.integrate.guards import NOISE
 from jaxfil.integrate.problem import Problem
-from jaxfil.integrate.recording import entered
+from jaxfil.integrate.recording import entered, mode_codes
 from jaxfil.integrate.section_values import Sight, WatchedSections, beyond_newton, see
 from jaxfil.integrate.state import CrossingTable, LoopState, StepEnd, Watch, later
 from jaxfil.model.outcomes import RESULTS
@@ -102,6 +102,7 @@ def begin(problem: Problem, state: LoopState) -> LoopState:
             ts=jnp.full((size,), jnp.inf, problem.system.dtype),
             xs=jnp.full((size, problem.system.n), jnp.inf, problem.system.dtype),
             sections=jnp.full((size,), -1, jnp.int32),
+            modes=jnp.zeros((size, problem.system.m), jnp.int8),
         )
     return dataclasses.replace(state, watch=watch, crossings=table, result=result)
 
@@ -378,9 +379,8 @@ def follow(
         assert problem.watched is not None and problem.recording.num_crossings is not None
         size, unseen = problem.recording.num_crossings, problem.watched.unseen
         i = total if unseen is None else total - unseen
-        entry = CrossingTable(
-            ts=problem.grid.t0 + seen.tau, xs=pack(seen.x, system.dtype), sections=seen.number
-        )
+        t, x = problem.grid.t0 + seen.tau, pack(seen.x, system.dtype)
+        entry = CrossingTable(ts=t, xs=x, sections=seen.number, modes=mode_codes(end.mode))
         table = entered(table, jnp.clip(i, 0, size - 1), recorded & (i >= 0) & (i < size), entry)
         full = recorded & (i >= size)
         result = RESULTS.where(full, RESULTS.max_events_reached, result)

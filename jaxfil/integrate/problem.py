@@ -106,14 +106,16 @@ class Recording(eqx.Module):
 
     `save` is "none", "ts" (the elapsed times `ts`, sorted along the direction of time), "steps"
     (every state between two iterations) or "samples" (every `every`-th grid point from `first`
-    on), and there is space for `num_saves` of them. `max_events` is the length of the event table,
-    and `num_crossings` that of the table of crossings; None keeps none and sets no limit.
+    on, with the modes if `modes`), and there is space for `num_saves` of them. `max_events` is the
+    length of the event table, and `num_crossings` that of the table of crossings; None keeps none
+    and sets no limit.
     """
 
     save: str = eqx.field(static=True)
     max_events: int | None = eqx.field(static=True)
     num_saves: int = eqx.field(static=True, default=0)
     num_crossings: int | None = eqx.field(static=True, default=None)
+    modes: bool = eqx.field(static=True, default=False)
     ts: Array | None = None
     first: Array | None = None
     every: Array | None = None

@@ -49,11 +49,11 @@ def empty_saves(system: ComponentSystem, recording: Recording) -> SavedStates | 
     if recording.save == "none":
         return None
     size = recording.num_saves
-    told = 0 if recording.save == "samples" else size
+    sampled = recording.save == "samples"
     return SavedStates(
-        ts=jnp.full((told,), jnp.inf, system.dtype),
+        ts=jnp.full((0 if sampled else size,), jnp.inf, system.dtype),
         xs=jnp.full((size, system.n), jnp.inf, system.dtype),
-        modes=jnp.zeros((told, system.m), jnp.int8),
+        modes=jnp.zeros((0 if sampled and not recording.modes else size, system.m), jnp.int8),
     )
 
 
@@ -131,10 +131,13 @@ def keep_sample(
     assert state.saves is not None and recording.first is not None and recording.every is not None
     # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
     save = gridded & (after.index == recording.first + state.num_saved * recording.every)
-    xs = masked_write(state.saves.xs, state.num_saved, pack(x, problem.system.dtype), save)
+    saves = {"xs": state.saves.xs}, {"xs": pack(x, problem.system.dtype)}
+    if recording.modes:
+        saves[0]["modes"], saves[1]["modes"] = state.saves.modes, mode_codes(after.mode)
+    kept = masked_write(saves[0], state.num_saved, saves[1], save)
     return dataclasses.replace(
         after,
-        saves=dataclasses.replace(state.saves, xs=xs),
+        saves=dataclasses.replace(state.saves, **kept),
         num_saved=state.num_saved + save.astype(jnp.int32),
     )
 

@@ -112,6 +112,8 @@ class Solution(eqx.Module):
     """The crossings of `sections`; None where none are given, or no table is kept."""
     num_crossings: Int[Array, ""] | None = None
     """How many crossings there were, in the table or not."""
+    observed: Float[Array, "k *shape"] | None = None
+    """What `observe` is at the saved times; None where nothing is observed."""
     _dense: "Dense | None" = None
     """Every step's start, for `evaluate`."""
     labels: Labels = eqx.field(static=True, default=Labels())

@@ -4,6 +4,7 @@ A system, an initial state, a time span and a step enter; a `Solution` leaves.
 """
 
 import dataclasses
+import functools as ft
 from typing import Any
 
 import diffrax
@@ -15,6 +16,7 @@ from jaxtyping import Array
 from jaxfil.integrate.compact import is_compact_run
 from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.loop import integrate, integrate_with_checkpoints
+from jaxfil.integrate.observed import Observable, Observe, checked_observable, observed
 from jaxfil.integrate.options import (
     Adjoint,
     Options,
@@ -61,6 +63,7 @@ def solve(
     estimate_error: bool = False,
     compact: bool | None = None,
     sections: Sections | None = None,
+    observe: Observe | None = None,
 ) -> Solution:
     r"""Integrate a nonsmooth system from `x0` at `t0` to `t1`.
 
@@ -98,6 +101,12 @@ def solve(
       (one around a `jax.jit` that the call is in is not seen).
     - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
       nothing of the motion. The table of them has `max_events` rows too.
+    - `observe`: a function of the time, the state, shape (n,), and the sides, as
+      `System.vector_field` is given them, that returns an array of any shape: an energy, a force.
+      Its values at the saved times are `observed`. On a slide they are those of the blend of both
+      sides, as the field is: of a dry friction, −F·side, the force that holds, and of `side` itself
+      the weight, between −1 and 1, which tells a stick from a slip. Needs `saveat` with `t1`, `ts`
+      or `steps`.
 
     **Returns** a `Solution`, valid up to where it stopped.
 
@@ -134,6 +143,14 @@ def solve(
             f"`estimate_error` must be False with a `saveat` of {options.save}: errors are "
             "estimated at times that do not depend on the step, t1 or ts; got True."
         )
+    observable = None
+    if observe is not None:
+        observable = checked_observable("observe", observe, system, x)
+        if options.save == "dense":
+            raise ValueError(
+                "`observe` must be None with a `saveat` of dense, which saves no times; got "
+                f"{observe!r}."
+            )
     watched = sections_of("sections", sections, x)
     if estimate_error and any(s.terminal is not None for s in watched):
         raise ValueError(
@@ -142,7 +159,7 @@ def solve(
         )
     if throw:
         check.finite("x0", x)
-    sol = _solve(system, x, start, stop, length, stepper, options, watched)
+    sol = _solve(system, x, start, stop, length, stepper, options, watched, observable)
     if estimate_error:
         half = options.at_half_the_step()
         still, x, start, stop, half = _constant((system, x, start, stop, half))
@@ -168,6 +185,7 @@ def _solve(
     stepper: Stepper,
     options: Options,
     sections: tuple[Section, ...] = (),
+    observable: Observable | None = None,
 ) -> Solution:
     grid = _time_grid(t0, t1, dt, options)
     saved = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
@@ -181,14 +199,15 @@ def _solve(
     field = build(system, x0, options.reverse)
     watched = watch_sections(sections, field, x0, options.reverse)
     problem = Problem(field, tableau_of(stepper), grid, recording, options.compact, watched)
+    ended = ft.partial(_solution, problem, options, system, x0, stepper, observable)
     if options.reverse:
         assert options.budget is not None
         state = integrate_with_checkpoints(problem, unpack(x0), options.budget, options.checkpoints)
-        return _solution(problem, _ended(problem, state), options, system, x0, stepper)
+        return ended(_ended(problem, state))
     # In the kernel with what the outcome makes of the end: its derivatives then need no values from
     # elsewhere, and a Jacobian compiles and runs one kernel, not two.
     run = kernel_if_it_fits(lambda x: _ended(problem, integrate(problem, x)))
-    return _solution(problem, run(unpack(x0)), options, system, x0, stepper)
+    return ended(run(unpack(x0)))
 
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
@@ -225,11 +244,12 @@ def _ended(problem: Problem, state: LoopState) -> LoopState:
 
 def _solution(
     problem: Problem,
-    state: LoopState,
     options: Options,
     system: System,
     x0: Array,
     stepper: Stepper,
+    observable: Observable | None,
+    state: LoopState,
 ) -> Solution:
     """The result of a finished lane, as the user sees it."""
     t0 = problem.grid.t0
@@ -240,6 +260,9 @@ def _solution(
     if options.with_t0 or options.save == "dense":
         ts, xs = jnp.append(t0[None], ts), jnp.append(x0[None], xs, axis=0)
         modes = jnp.append(mode_codes(state.first_mode)[None], modes, axis=0)
+    seen = None
+    if observable is not None:
+        seen = observed(observable, problem, system, x0, SavedStates(ts, xs, modes))
     if options.save == "dense":
         dense = Dense(system, t0, t_final, ts, xs, modes, stepper, problem.compact)
         ts = xs = modes = None
@@ -261,5 +284,6 @@ def _solution(
         compact=problem.compact,
         crossings=crossings_of(state.crossings),
         num_crossings=None if state.watch is None else state.watch.total,
+        observed=seen,
         _dense=dense,
     )

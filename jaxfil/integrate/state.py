@@ -37,7 +37,8 @@ class EventTable(eqx.Module):
 
 
 class SavedStates(eqx.Module):
-    """Saved times (k,), states (k, n) and modes (k, m); of samples the states alone."""
+    """Saved times (k,), states (k, n) and modes (k, m); of samples no times, and
+    modes only if they are recorded."""
 
     ts: Rows
     xs: Rows
@@ -83,6 +84,8 @@ class CrossingTable(eqx.Module):
     """States (k, n)."""
     sections: Rows
     """Numbers of sections, (k,)."""
+    modes: Rows
+    """Modes just after, (k, m)."""
 
 
 class Watch(eqx.Module):

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil.integrate.observed import Observable
 from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
@@ -49,7 +50,7 @@ class FinishedChunk:
     """Lanes of a chunk that have run to their end."""
 
     xs: np.ndarray
-    """Samples, shape (lanes, samples, n)."""
+    """Samples, shape (lanes, samples, k)."""
     codes: np.ndarray
     """Codes of their outcomes, shape (lanes,)."""
     end: np.ndarray
@@ -104,7 +105,7 @@ class Checkpoint:
         """Keep finished lanes."""
         name = _name(start, stop)
         # A dimension of its own: a chunk that is filled up has more last states than lanes.
-        end = ("end_lane", "component")[-chunk.end.ndim :]
+        end = ("end_lane", "end_component")[-chunk.end.ndim :]
         variables: dict[str, Variable] = {
             "x": (("lane", "sample", "component"), chunk.xs),
             "outcome": (("lane",), _names(chunk)),
@@ -187,6 +188,7 @@ def record_of(
         "follow": str(given.follow),
         "compact": str(given.compact),
         "section": f"{given.section}, {given.max_return}",
+        "observe": str(given.observe),
         "jaxfil": given.version,
         # Other versions and other machines give other last bits, and a diagram of two halves that
         # differ in them is equal to neither.
@@ -227,17 +229,29 @@ def equations(system: System, x: np.ndarray) -> str:
 
 def identity(section: Section, x: np.ndarray) -> str:
     """A section in words, and a hash of its function and that function's numbers."""
-    leaves, static = eqx.partition(section.function, is_parameter)
-
-    def function(leaves: Any, t: Array, x: Array) -> Array:
-        return eqx.combine(leaves, static)(t, x)
-
-    state = jnp.asarray(x)
-    text = jax.jit(function).lower(leaves, jnp.zeros((), state.dtype), state).as_text()
-    numbers = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(leaves)]
-    sha = hashlib.sha256(f"{text} {numbers}".encode()).hexdigest()[:16]
+    sha = _fingerprint(section.function, jnp.zeros((), x.dtype), jnp.asarray(x))
     rate = ", of its rate" if section.of_rate else ""
     return f"function {sha}{rate}, direction {section.direction}"
+
+
+def observed_identity(observable: Observable, system: System, x: np.ndarray) -> str:
+    """The name of what is observed, and the same of its function."""
+    state = jnp.asarray(x)
+    side = jnp.ones(check.shapes(system, state), x.dtype)
+    sha = _fingerprint(observable.function, jnp.zeros((), x.dtype), state, side)
+    return f"{observable.name}, function {sha}"
+
+
+def _fingerprint(function: Any, *example: Array) -> str:
+    """A hash of a function of arrays like these, and of its numbers."""
+    leaves, static = eqx.partition(function, is_parameter)
+
+    def call(leaves: Any, *args: Array) -> Any:
+        return eqx.combine(leaves, static)(*args)
+
+    text = jax.jit(call).lower(leaves, *example).as_text()
+    numbers = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(leaves)]
+    return hashlib.sha256(f"{text} {numbers}".encode()).hexdigest()[:16]
 
 
 def _name(start: int, stop: int) -> str:

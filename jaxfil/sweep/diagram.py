@@ -34,6 +34,7 @@ ATTRIBUTES = {
     "section",
     "max_return",
     "symbols",
+    "observe",
 }
 
 
@@ -60,6 +61,8 @@ class Conditions(eqx.Module):
     """The section that was sampled at; None: once a forcing period."""
     max_return: float | None = eqx.field(static=True, default=None)
     """The time that a return to it was given."""
+    observe: str | None = eqx.field(static=True, default=None)
+    """The function that was kept of the samples; None: the states themselves."""
 
 
 # Components below this many eps of the largest one are rounding.
@@ -93,7 +96,7 @@ class BifurcationDiagram(eqx.Module):
     belonging to `values[0][i]` and `values[1][j]`; for points one by one shape (p, k)."""
     xs: Float[np.ndarray, "*shape samples n"]
     """`xs[i, k]` is the state of lane i at its k-th sampled time, a multiple of the forcing period
-    or a crossing of the section; NaN from where the lane failed."""
+    or a crossing of the section, or what is observed of it; NaN from where the lane failed."""
     results: RESULTS
     """The outcome of each lane."""
     parameter: str | tuple[str, ...] = eqx.field(static=True)
@@ -163,7 +166,8 @@ class BifurcationDiagram(eqx.Module):
         if self.errors is not None:
             variables["error"] = (*dims, "component"), self.errors
         if self.conditions.x0.ndim > 1:
-            variables["x0"] = (*dims, "component"), self.conditions.x0
+            last = "component" if self.conditions.observe is None else "x0_component"
+            variables["x0"] = (*dims, last), self.conditions.x0
         for name, value in self.conditions.parameters.items():
             if value.ndim:  # a file's attributes are numbers, or rows of them
                 key = key_of(name)
@@ -223,6 +227,8 @@ class BifurcationDiagram(eqx.Module):
             attributes |= {"section": given.section, "max_return": given.max_return}
         if self.labels.symbols:
             attributes["symbols"] = json.dumps(dict(self.labels.symbols), ensure_ascii=False)
+        if given.observe is not None:
+            attributes["observe"] = given.observe
         if given.follow is not None:
             attributes["follow"] = given.follow
         if given.x0.ndim == 1:

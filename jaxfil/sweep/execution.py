@@ -96,9 +96,9 @@ class _Lanes:
     """All lanes of a sweep, unfinished at first, and the progress bar that counts them."""
 
     def __init__(
-        self, p: int, samples: int, n: int, dtype: np.dtype, checkpoint: Checkpoint | None
+        self, p: int, shape: tuple[int, int], dtype: np.dtype, checkpoint: Checkpoint | None
     ):
-        self.xs = np.full((p, samples, n), np.nan, dtype)
+        self.xs = np.full((p, *shape), np.nan, dtype)
         self.codes = np.full((p,), _UNFINISHED, np.int32)
         self.checkpoint = checkpoint
 
@@ -166,17 +166,18 @@ def side_by_side(
     job: ft.partial,
     rows: np.ndarray,
     states: np.ndarray,
-    samples: int,
+    shape: tuple[int, int],
     checkpoint: Checkpoint | None,
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples and outcomes of all lanes, a chunk at a time on each core of each process."""
+    """Samples, of this shape (samples, k), and outcomes of all lanes, a chunk at a time on each
+    core of each process."""
     (p, _), n = rows.shape, states.shape[1]
     with counted() as interrupts, _Bar(p, progress) as bar:
         call, size = _compiled_job(job, rows, n, False)
         interrupts.keeps = True
         rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
-        lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
+        lanes = _Lanes(p, shape, rows.dtype, checkpoint)
 
         def chunk(start: int) -> tuple[int, bool]:
             if interrupts.count:  # before this chunk has begun
@@ -208,16 +209,16 @@ def one_after_another(
     job: ft.partial,
     rows: np.ndarray,
     state: np.ndarray,
-    samples: int,
+    shape: tuple[int, int],
     checkpoint: Checkpoint | None,
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples and outcomes of all lanes, each from the last one's end.
+    """Samples, of this shape (samples, k), and outcomes of all lanes, each from the last one's end.
 
     Every process computes all of them, for none could help another, and then takes the first one's.
     """
     p, n = len(rows), len(state)
-    lanes = _Lanes(p, samples, n, rows.dtype, checkpoint)
+    lanes = _Lanes(p, shape, rows.dtype, checkpoint)
     with counted() as interrupts, _Bar(p, progress) as bar:
         call, size = _compiled_job(job, rows, n, True)
         interrupts.keeps = True

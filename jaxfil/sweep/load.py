@@ -48,7 +48,8 @@ def load(path: PathLike) -> BifurcationDiagram:
     (True, 'RK4')
     """
     data = dataset_io.load(path)
-    needed = ATTRIBUTES - {"follow", "x0", "compact", "section", "max_return", "symbols"}
+    optional = {"follow", "x0", "compact", "section", "max_return", "symbols", "observe"}
+    needed = ATTRIBUTES - optional
     missing = needed - {*data.attrs} | {"x", "outcome"} - {*data}
     if missing:
         raise ValueError(
@@ -81,6 +82,7 @@ def load(path: PathLike) -> BifurcationDiagram:
             compact=bool(data.attrs.get("compact", False)),
             section=data.attrs.get("section"),
             max_return=None if longest is None else float(longest),
+            observe=data.attrs.get("observe"),
         ),
         labels=_labels(data, swept),
         errors=data["error"].values if "error" in data else None,

@@ -4,12 +4,16 @@ A point in parameter space and an initial state enter; the problem to be integra
 is made of the lane at its end.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.components import build
+from jaxfil.integrate.observed import Observable, checked_observable, observed
 from jaxfil.integrate.problem import (
     Problem,
     Recording,
@@ -18,12 +22,14 @@ from jaxfil.integrate.problem import (
     iteration_budget,
 )
 from jaxfil.integrate.section_values import watch_sections
-from jaxfil.integrate.state import LoopState
+from jaxfil.integrate.state import LoopState, SavedStates
 from jaxfil.integrate.stepper import Stepper, tableau_of
+from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import replace_parameter
-from jaxfil.model.section import Section
+from jaxfil.model.parameter import cast, replace_parameter
+from jaxfil.model.section import Section, sections_of
 from jaxfil.model.system import System
+from jaxfil.model.types import Scalar
 
 
 class Sampling(eqx.Module):
@@ -38,6 +44,8 @@ class Sampling(eqx.Module):
     section: Section | None = None
     max_return: Array | None = None
     """The longest time from one crossing to the next, on average."""
+    observable: Observable | None = None
+    """What is kept of each sample; None: the state."""
 
     def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
         """That of one point in parameter space."""
@@ -64,6 +72,7 @@ class Sampling(eqx.Module):
             num_saves=self.samples,
             first=(self.transient + 1) * self.steps,
             every=self.steps,
+            modes=self.observable is not None,
         )
         return Problem(field, tableau, grid, recording, self.compact)
 
@@ -77,17 +86,34 @@ class Sampling(eqx.Module):
         length = num_steps.astype(unit.dtype) * dt
         return TimeGrid(jnp.zeros_like(unit), length, dt, num_steps, iteration_budget(num_steps))
 
-    def outcome(self, state: LoopState) -> tuple[Array, RESULTS, Array]:
-        """Samples (samples, n), outcome, and the last state (n,) of a lane, or of many."""
+    def outcome(self, state: LoopState) -> tuple[SavedStates, RESULTS, Array]:
+        """What is sampled of a lane, or of many, outcome, and the last state (n,): of the samples
+        the states alone, unless there is something to be observed."""
         kept = state.saves if self.section is None else state.crossings
         assert kept is not None
         xs = jnp.where(jnp.isfinite(kept.xs), kept.xs, jnp.nan)
+        seen = self.observable is not None
+        samples = SavedStates(kept.ts if seen else None, xs, kept.modes if seen else None)
         # Components are numbers, or one array of them.
         rows = [v.reshape(*xs.shape[:-2], -1) for v in state.x]
         result = state.result
         if self.section is not None:
             result = (jax.vmap(_at_section) if state.tau.ndim else _at_section)(result)
-        return xs, result, jnp.concatenate(rows, axis=-1)
+        return samples, result, jnp.concatenate(rows, axis=-1)
+
+    def seen(
+        self, system: System, names: tuple[str, ...], row: Array, x0: Array, samples: SavedStates
+    ) -> Array:
+        """What is kept of a lane's samples, shape (samples, k)."""
+        if self.observable is None:
+            return samples.xs
+        problem = self.problem(system, names, row, x0)
+        system, period = at_point(system, names, row)
+        if self.section is None:
+            periods = self.transient + jnp.arange(1, self.samples + 1, dtype=jnp.int32)
+            samples = dataclasses.replace(samples, ts=periods.astype(row.dtype) * period)
+        values = observed(self.observable, problem, system, x0, samples)
+        return jnp.where(jnp.isfinite(values), values, jnp.nan).reshape(self.samples, -1)
 
 
 def _at_section(result: RESULTS) -> RESULTS:
@@ -103,3 +129,28 @@ def at_point(system: System, names: tuple[str, ...], row: Array) -> tuple[System
         system = replace_parameter(system, name, row[i])
     period = 1.0 if system.period is None else system.period
     return system, jnp.asarray(period, row.dtype)
+
+
+def checked_section(
+    section: object, max_return: Scalar | None, x0: np.ndarray, dtype: np.dtype
+) -> tuple[Section, Array]:
+    """A section to sample at, its numbers in the precision of the run, and the time that a return
+    may take."""
+    if not isinstance(section, Section):
+        raise ValueError(f"`section` must be a jaxfil.Section, got {section!r}.")
+    sections_of("section", section, jnp.zeros(x0.shape[-1:], dtype))
+    if section.is_bound:
+        raise ValueError("`section` must be one that motions cross, got a bound.")
+    longest = check.scalar("max_return", max_return, dtype, positive=True)
+    return dataclasses.replace(section, function=cast(section.function, dtype)), longest
+
+
+def checked_observe(observe: object, system: System, x0: np.ndarray, dtype: np.dtype) -> Observable:
+    """What is to be kept of the samples."""
+    state = jnp.zeros(x0.shape[-1:], dtype)
+    observable = checked_observable("observe", observe, system, state)
+    if len(observable.shape) > 1:
+        raise ValueError(
+            f"`observe` must return a number, or k of them in a row, got shape {observable.shape}."
+        )
+    return observable

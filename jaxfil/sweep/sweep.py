@@ -20,25 +20,34 @@ from jaxfil.integrate.batch_loop import integrate_batch
 from jaxfil.integrate.compact import is_compact_sweep
 from jaxfil.integrate.components import unpack
 from jaxfil.integrate.loop import integrate
+from jaxfil.integrate.observed import Observable, Observe
 from jaxfil.integrate.problem import period_outcome
+from jaxfil.integrate.state import SavedStates
 from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
-from jaxfil.model.labels import labels_of
+from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS, code, outcomes
 from jaxfil.model.parameter import cast, get_parameter, parameters
-from jaxfil.model.section import Section, sections_of
+from jaxfil.model.section import Section
 from jaxfil.model.system import System
 from jaxfil.model.types import PathLike, Scalar, States, SweptValues
 from jaxfil.model.warning import warn
 from jaxfil.sweep import multiprocess, step_halving
-from jaxfil.sweep.checkpoint import Checkpoint, Record, digest, identity, record_of
+from jaxfil.sweep.checkpoint import (
+    Checkpoint,
+    Record,
+    digest,
+    identity,
+    observed_identity,
+    record_of,
+)
 from jaxfil.sweep.diagram import BifurcationDiagram, Conditions
 from jaxfil.sweep.execution import BLOCK, compiled, one_after_another, side_by_side
 from jaxfil.sweep.interrupt import counted
 from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
-from jaxfil.sweep.sampling import Sampling, at_point
+from jaxfil.sweep.sampling import Sampling, at_point, checked_observe, checked_section
 from jaxfil.version import __version__
 from jaxfil.xla.kernel import in_blocks, one_kernel
 
@@ -62,6 +71,7 @@ def bifurcation_diagram(
     compact: bool | None = None,
     section: Section | None = None,
     max_return: Scalar | None = None,
+    observe: Observe | None = None,
 ) -> BifurcationDiagram:
     """Sweep a parameter of a system, or several, and sample the motion at each value.
 
@@ -111,9 +121,12 @@ def bifurcation_diagram(
       does not matter here.
     - `max_return`: with a `section`, a time that is longer than the mean one from a crossing to the
       next: a lane is given up after transient + samples times that.
+    - `observe`: as in `solve`, a function that returns a number or k of them, shape () or (k,):
+      they are kept in place of the states, and called as the function is.
 
     **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
-    n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for.
+    n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for; of what is observed the last
+    dimension is 1 or k.
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite`,
@@ -147,7 +160,7 @@ def bifurcation_diagram(
     for each in grid.names:
         get_parameter(system, each)
     if section is not None:
-        section, max_return = _checked_section(section, max_return, np.asarray(x0), dtype)
+        section, max_return = checked_section(section, max_return, np.asarray(x0), dtype)
     elif system.period is None:
         raise ValueError(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
@@ -156,6 +169,11 @@ def bifurcation_diagram(
     named = labels_of(system, np.shape(x0)[-1])
     # Titles tell the other parameters too, without units.
     labels = dataclasses.replace(named.of(grid.names), symbols=named.symbols)
+    observable = None
+    if observe is not None:
+        observable = checked_observe(observe, system, np.asarray(x0), dtype)
+        units = tuple(pair for pair in labels.units if pair[0] in grid.names)
+        labels = Labels(observable.names, labels.symbols, units)
     _check_follow(follow, grid)
     steps, stepper = steps_and_stepper(steps, stepper, system)
     stepper = checked_stepper(stepper)
@@ -175,6 +193,9 @@ def bifurcation_diagram(
             section=identity(section, np.zeros(np.shape(x0)[-1:], dtype)),
             max_return=float(np.asarray(max_return)),
         )
+    if observable is not None:
+        identified = observed_identity(observable, system, np.zeros(np.shape(x0)[-1:], dtype))
+        conditions = dataclasses.replace(conditions, observe=identified)
     each = (conditions.transient + samples) * conditions.steps
     compact = is_compact_sweep(compact, len(grid.rows), each)
     conditions = dataclasses.replace(conditions, compact=compact)
@@ -185,7 +206,13 @@ def bifurcation_diagram(
         samples=samples,
     )
     record = ft.partial(record_of, system, grid, samples=samples, stepper=stepper)
-    how = dict(samples=samples, stepper=stepper, section=section, progress=progress)
+    how = dict(
+        samples=samples,
+        stepper=stepper,
+        section=section,
+        observable=observable,
+        progress=progress,
+    )
     run = ft.partial(_swept, system, grid, **how)
     kept = _begun(checkpoint, ft.partial(record, conditions), estimate_error)
     xs, codes = run(conditions, kept)
@@ -220,9 +247,10 @@ def _swept(
     samples: int,
     stepper: Stepper,
     section: Section | None,
+    observable: Observable | None,
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples, shape (p, samples, n), and outcomes (p,) at all points."""
+    """Samples, shape (p, samples, k), and outcomes (p,) at all points."""
     # Counts are traced, so that new ones compile nothing; `samples` is the shape of the result.
     longest = given.max_return
     sampling = Sampling(
@@ -233,31 +261,19 @@ def _swept(
         compact=given.compact,
         section=section,
         max_return=None if longest is None else jnp.asarray(longest, grid.rows.dtype),
+        observable=observable,
     )
+    shape = samples, given.x0.shape[-1] if observable is None else observable.size
     job = ft.partial(compiled(_run), system, grid.names, sampling)
     if given.follow is None:
         states = given.x0.reshape(-1, given.x0.shape[-1])
-        return side_by_side(job, grid.rows, states, samples, kept, progress)
+        return side_by_side(job, grid.rows, states, shape, kept, progress)
     # Stable, so that equal values keep their order and a repeated call gives the same diagram.
     order = np.argsort(grid.rows[:, 0], kind="stable")
     order = order if given.follow == "up" else order[::-1]
-    xs, codes = one_after_another(job, grid.rows[order], given.x0, samples, kept, progress)
+    xs, codes = one_after_another(job, grid.rows[order], given.x0, shape, kept, progress)
     back = np.argsort(order, kind="stable")
     return xs[back], codes[back]
-
-
-def _checked_section(
-    section: object, max_return: Scalar | None, x0: np.ndarray, dtype: np.dtype
-) -> tuple[Section, Array]:
-    """A section to sample at, its numbers in the precision of the run, and the time that a return
-    may take."""
-    if not isinstance(section, Section):
-        raise ValueError(f"`section` must be a jaxfil.Section, got {section!r}.")
-    sections_of("section", section, jnp.zeros(x0.shape[-1:], dtype))
-    if section.is_bound:
-        raise ValueError("`section` must be one that motions cross, got a bound.")
-    longest = check.scalar("max_return", max_return, dtype, positive=True)
-    return dataclasses.replace(section, function=cast(section.function, dtype)), longest
 
 
 def _check_follow(follow: object, grid: ParameterGrid) -> None:
@@ -330,29 +346,32 @@ def _run(
     """A chunk of lanes side by side, or one after the other each from the last one's end; of the
     first so many."""
     problem = ft.partial(sampling.problem, system, names)
+    seen = ft.partial(sampling.seen, system, names)
     periods = jax.vmap(lambda row: at_point(system, names, row)[1])(rows)
 
-    def lane(row: Array, x0: Array) -> tuple[Array, RESULTS, Array]:
+    def lane(row: Array, x0: Array) -> tuple[SavedStates, RESULTS, Array]:
         return sampling.outcome(integrate(problem(row, x0), unpack(x0)))
 
-    def block(rows: Array, states: Array) -> tuple[Array, RESULTS, Array]:
+    def block(rows: Array, states: Array) -> tuple[SavedStates, RESULTS, Array]:
         return sampling.outcome(integrate_batch(problem, rows, states))
 
     if not followed:
         run = in_blocks(block, BLOCK) if whole else jax.vmap(lane)
-        xs, results, end = _if(lanes > 0, run, rows, states)
+        samples, results, end = _if(lanes > 0, run, rows, states)
+        xs = jax.vmap(seen)(rows, states, samples)
         return xs, jax.vmap(period_outcome)(periods, results), end
 
     single = one_kernel(lane) if whole else lane
 
-    def next_point(x: Array, point: tuple[Array, Array]) -> tuple[Array, tuple[Array, RESULTS]]:
+    def next_point(x: Array, point: tuple[Array, Array]) -> tuple[Array, tuple]:
         # A value whose lane failed leaves the next one the last good state to start from.
         row, i = point
-        xs, result, end = _if(i < lanes, single, row, x)
-        return jnp.where((result == RESULTS.successful) & (i < lanes), end, x), (xs, result)
+        samples, result, end = _if(i < lanes, single, row, x)
+        return jnp.where((result == RESULTS.successful) & (i < lanes), end, x), (samples, result)
 
     numbers = jnp.arange(len(rows), dtype=jnp.int32)
-    end, (xs, results) = jax.lax.scan(next_point, states, (rows, numbers))
+    end, (samples, results) = jax.lax.scan(next_point, states, (rows, numbers))
+    xs = jax.vmap(seen, in_axes=(0, None, 0))(rows, states, samples)
     return xs, jax.vmap(period_outcome)(periods, results), end
 
 

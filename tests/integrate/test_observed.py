@@ -1,0 +1,134 @@
+"""What is observed of a motion, against closed forms: energies, forces and weights."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfil as jf
+
+EPS = np.finfo(float).eps
+BALL = jf.systems.BouncingBall(g=1.0, restitution=0.5)
+
+
+class Belt(jf.System):
+    """A mass on a belt of speed 1: x'' = -x - F sgn(x' - 1)."""
+
+    force: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - self.force * side])
+
+    def switching(self, t, x):
+        return x[1] - 1
+
+
+class Friction(eqx.Module):
+    """The force of friction, and the side."""
+
+    force: jax.Array
+
+    def __call__(self, t, x, side):
+        return jnp.stack([-self.force * side, side])
+
+
+class Sampled(jf.System):
+    """x' = k in the k-th tenth of a unit of time."""
+
+    tick: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.floor(t / self.tick)[None]
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.tick),)
+
+
+def energy(t, x, side):
+    return x[0] + 0.5 * x[1] ** 2
+
+
+def test_the_energy_of_a_ball_is_that_of_its_flights():
+    """From 1/2 it meets the floor at 1 and 2; of the energy the restitution r leaves r² each time,
+    and the run is given up on the way to 4 for want of room."""
+    ts = jnp.array([0.5, 1.0, 1.5, 2.0, 2.2, 3.5])
+
+    def seen(restitution, ts):
+        ball = eqx.tree_at(lambda b: b.restitution, BALL, restitution)
+        values = jf.solve(
+            ball,
+            jnp.array([0.5, 0.0]),
+            0.0,
+            4.0,
+            0.3,
+            stepper=jf.RK4(),
+            saveat=diffrax.SaveAt(ts=ts),
+            max_events=2,
+            throw=False,
+            observe=lambda t, x, side: jnp.stack([energy(t, x, side), t * x[0]]),
+        ).observed
+        return values, values
+
+    slopes, found = jax.jacrev(seen, (0, 1), has_aux=True)(jnp.array(0.5), ts)
+    np.testing.assert_allclose(found[:5, 0], [1 / 2, 1 / 8, 1 / 8, 1 / 32, 1 / 32], rtol=64 * EPS)
+    np.testing.assert_allclose(slopes[0][:5, 0], [0, 1 / 2, 1 / 2, 1 / 4, 1 / 4], rtol=64 * EPS)
+    # By the saving time: (t x)' = x + t v in the first two flights, with their ends.
+    at, x, v = np.array([[0.5, 1.0, 1.5], [3 / 8, 0, 1 / 8], [-1 / 2, 1 / 2, 0]])
+    np.testing.assert_allclose(found[:3, 1], at * x, rtol=0, atol=64 * EPS)
+    by_time = slopes[1][jnp.arange(3), 1, jnp.arange(3)]
+    np.testing.assert_allclose(by_time, x + at * v, rtol=0, atol=64 * EPS)
+    assert np.isinf(found[5]).all() and not slopes[0][5].any() and not slopes[1][5].any()
+
+
+def test_the_force_of_a_stick_is_that_of_the_spring():
+    """It sticks from the start until the spring, x = t - 1/2, is as strong as friction, at
+    t = F + 1/2, and slips. On the stick the side is a weight, by which it is told."""
+    run = dict(stepper=jf.RK4(), max_steps=64, max_events=4)
+    run |= dict(saveat=diffrax.SaveAt(ts=jnp.array([0.25, 1.0, 2.0])))
+
+    def seen(force):
+        adjoint, x0 = diffrax.RecursiveCheckpointAdjoint(), jnp.array([-0.5, 1.0])
+        options = run | dict(adjoint=adjoint, observe=Friction(force))
+        values = jf.solve(Belt(force), x0, 0.0, 2.0, 0.2, **options).observed
+        return values, values
+
+    slopes, found = jax.jacrev(seen, has_aux=True)(jnp.array(1.25))
+    forces, sides = found.T
+    np.testing.assert_allclose(forces, [-0.25, 0.5, 1.25], rtol=64 * EPS)
+    np.testing.assert_allclose(sides, [0.2, -0.4, -1.0], rtol=64 * EPS)
+    assert (abs(sides) < 1).tolist() == [True, True, False]
+    # By F: a force on the stick does not depend on it, its part of F does.
+    exact = [[0, -0.2 / 1.25], [0, 0.4 / 1.25], [1, 0]]
+    np.testing.assert_allclose(slopes, exact, rtol=0, atol=64 * EPS)
+
+
+def test_a_sampled_signal_is_observed_just_after_its_tick():
+    """Of the times k/10 the floor of t/0.1 is k - 1 for some."""
+    tick, ts = jnp.array(0.1), jnp.linspace(0, 1, 11)
+    sol = jf.solve(
+        Sampled(tick),
+        jnp.zeros(1),
+        0.0,
+        1.0,
+        0.25,
+        stepper=jf.RK4(),
+        saveat=diffrax.SaveAt(ts=ts),
+        observe=lambda t, x, side: jnp.floor(t / tick),
+    )
+    assert sol.observed.tolist() == list(range(11))
+
+
+@pytest.mark.parametrize(
+    "observe, saveat, message",
+    [
+        (3, diffrax.SaveAt(t1=True), "`observe` must be a callable of .t, x, side., got 3"),
+        (lambda t, x, side: None, diffrax.SaveAt(t1=True), "`observe` must return an array"),
+        (energy, diffrax.SaveAt(dense=True), "`observe` must be None with a `saveat` of dense"),
+    ],
+)
+def test_what_cannot_be_observed_is_refused_by_name(observe, saveat, message):
+    with pytest.raises(ValueError, match=message):
+        jf.solve(BALL, jnp.ones(2), 0.0, 1.0, 0.1, saveat=saveat, observe=observe)
