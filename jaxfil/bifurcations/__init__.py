@@ -18,5 +18,5 @@ The words of this room:
 - nearest: of the parameters with a grazing orbit those at the smallest distance from given ones,
   in a metric; multipliers are those of Lagrange there.
 - codimension two: of a point on a curve in two parameters where the tangency degenerates (a cusp, a
-  two-fold) or a multiplier of the orbit is on the unit circle.
+  two-fold), the orbit has a second one, or a multiplier of the orbit is on the unit circle.
 """

@@ -172,13 +172,14 @@ def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:
 class Closing(eqx.Module):
     """How far an orbit through a tangency is from closing, and what is met on the way. `holds`
     tells whether the flight that was followed as if Σ were not there is one: its guards stay
-    positive, but for the tangency."""
+    positive, but for the tangency. `contacts` are those of the orbit elsewhere."""
 
     gap: Float[Array, " n"]
     t: Array
     x: Float[Array, " n"]
     size: Float[Array, " n"]
     holds: Array
+    contacts: Int[Array, ""]
     result: RESULTS
 
 
@@ -200,14 +201,14 @@ def close(
     lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
 
     def piece(x: Array, now: tuple[Array, Array]) -> tuple:
-        x, size, result = _flow(frozen, options, now[0], now[1], period, x)
+        x, size, _, result = _flow(frozen, options, now[0], now[1], period, x)
         return x, (x, size, result)
 
     _, (xs, sizes, results) = jax.lax.scan(piece, tangency.x, (times, lengths))
     # The full flow round the rest, or for an arrival, which it meets as it is, all of it.
     full_from = jnp.where(arrival, start, stop)
     x_from = jnp.where(arrival, tangency.x, xs[-1])
-    end, size, result = _flow(
+    end, size, contacts, result = _flow(
         on_components, options, full_from, start + period - full_from, period, x_from
     )
     for i in reversed(range(2 * _PIECES)):
@@ -219,6 +220,7 @@ def close(
         x=xs[_PIECES - 1],
         size=jnp.maximum(size, jnp.max(sizes, axis=0)),
         holds=_holds(on_components, tangency.mode, *stop_gradient((times + lengths, xs))),
+        contacts=contacts,
         result=result,
     )
 
@@ -243,8 +245,8 @@ def _flow(
     length: Array,
     period: Array,
     x: Array,
-) -> tuple[Array, Array, RESULTS]:
-    """End, sizes and outcome of one stretch of time."""
+) -> tuple[Array, Array, Array, RESULTS]:
+    """End, sizes, the number of contacts and the outcome of one stretch of time."""
     count = jnp.ceil(options.steps * abs(stop_gradient(length / period)))
     num_steps = jnp.clip(jnp.nan_to_num(count), 1, 8 * options.steps).astype(jnp.int32)
     problem = Problem(
@@ -256,4 +258,4 @@ def _flow(
     )
     state = integrate(problem, unpack(x))
     size = jnp.maximum(pack(state.size, x.dtype), abs(x))
-    return pack(state.x, x.dtype), stop_gradient(size), state.result
+    return pack(state.x, x.dtype), stop_gradient(size), state.num_events, state.result

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.bifurcations.defining_system import DefiningSystem
-from jaxfil.bifurcations.tangency import SLIDE, Conditions, conditions, kind_of
+from jaxfil.bifurcations.tangency import ARRIVAL, SLIDE, Conditions, conditions, kind_of
 from jaxfil.model.system import System
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
@@ -32,8 +32,9 @@ from jaxfil.orbits.special_points import neimark_sacker, period_doubling
 
 class _Known(eqx.Module):
     """What is known at a root: when and where the orbit is tangent, the largest |x| of each
-    component, the number of the kind, the conditions, whether the orbit meets no surface elsewhere,
-    and its monodromy matrix, the tangency followed as if the surface were not there."""
+    component, the number of the kind, the conditions, whether the flight meets no surface
+    elsewhere, the contacts of the orbit outside of it, and its monodromy matrix, the tangency
+    followed as if the surface were not there."""
 
     t: Float[Array, ""]
     x: Float[Array, " n"]
@@ -41,6 +42,7 @@ class _Known(eqx.Module):
     code: Int[Array, ""]
     conditions: Conditions
     holds: Bool[Array, ""]
+    contacts: Int[Array, ""]
     monodromy: Float[Array, "n n"]
 
 
@@ -54,6 +56,11 @@ class TangencyPoint(CurvePoint):
     def code(self) -> int:
         """The number of its kind, −1 where the conditions are those of none."""
         return int(self.known.code)
+
+    @property
+    def contacts(self) -> int:
+        """How many contacts the orbit has besides."""
+        return int(self.known.contacts)
 
 
 @eqx.filter_jit
@@ -71,7 +78,16 @@ def _solve(
     n = closing.x.shape[0]
     # The closing's derivative is that of the flow map less one.
     monodromy = root.at.jacobian[:n, :n] + jnp.eye(n, dtype=u.dtype)
-    known = _Known(closing.t, closing.x, closing.size, code, found, closing.holds, monodromy)
+    known = _Known(
+        t=closing.t,
+        x=closing.x,
+        size=closing.size,
+        code=code,
+        conditions=found,
+        holds=closing.holds,
+        contacts=closing.contacts,
+        monodromy=monodromy,
+    )
     return dataclasses.replace(root, at=dataclasses.replace(root.at, aux=known))
 
 
@@ -117,16 +133,28 @@ class TangencyCurve(Curve[TangencyPoint]):
     def special_points(
         self, a: TangencyPoint, b: TangencyPoint
     ) -> Iterator[Special[TangencyPoint]]:
-        """Points of codimension two, piece by piece: where the kind changes, and where a multiplier
-        of the orbit reaches the unit circle."""
+        """Points of codimension two, piece by piece: where the kind changes, where the orbit has a
+        second tangency, and where a multiplier of it reaches the unit circle."""
         if a.code != b.code:
             name, test = _degeneracy(int(self.equations.family), a, b)
             point = zero_on_curve(self, a, b, test) if test(a) * test(b) < 0 else None
             # What does not change its sign has changed its character by rounding.
             point = point or change_on_curve(self, a, b, lambda p: p.code == a.code)[1]
-            yield from self._critical(a, point)
+            yield from self._of_one_kind(a, point)
             yield Special(name, point, a.code, b.code)
             a = point
+        yield from self._of_one_kind(a, b)
+
+    def _of_one_kind(self, a: TangencyPoint, b: TangencyPoint) -> Iterator[Special[TangencyPoint]]:
+        """Those between two points of the same kind."""
+        # An arrival at the tangency itself is one contact or two, by rounding.
+        if a.contacts != b.contacts and int(self.equations.family) != ARRIVAL:
+            before, after = change_on_curve(self, a, b, lambda p: p.contacts == a.contacts)
+            # The multipliers of an orbit jump there.
+            yield from self._critical(a, before)
+            point = before if a.contacts < b.contacts else after
+            yield Special("double-tangency", point, a.code, b.code)
+            a = after
         yield from self._critical(a, b)
 
     def _critical(self, a: TangencyPoint, b: TangencyPoint) -> Iterator[Special[TangencyPoint]]:

@@ -30,19 +30,29 @@ _NEWTON_STEPS = 12
 _KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
 
 
-CODIMENSION_TWO_KINDS = ("cusp", "two-fold", "fold", "period-doubling", "neimark-sacker")
+CODIMENSION_TWO_KINDS = (
+    "cusp",
+    "two-fold",
+    "double-tangency",
+    "fold",
+    "period-doubling",
+    "neimark-sacker",
+)
 """The kinds of points of codimension two that `continue_bifurcation` locates.
 
 - `"cusp"`: the tangency is cubic: Ḧ_s = 0 too (on a slide, the second derivative of Ḣ_s along it).
 - `"two-fold"`: the fields of both sides are tangent.
+- `"double-tangency"`: the orbit is tangent to a surface, this one or another, a second time, as in
+  a double grazing: contacts come or go elsewhere on it.
 - `"fold"`, `"period-doubling"`, `"neimark-sacker"`: the orbit is not hyperbolic: a multiplier is 1,
   −1, or a complex pair is on the unit circle.
 """
 
 
 class CodimensionTwo(eqx.Module):
-    """A point of codimension two on a curve: the tangency degenerates and its kind changes, or a
-    multiplier of the orbit, the tangency left out, reaches the unit circle."""
+    """A point of codimension two on a curve: the tangency degenerates and its kind changes, the
+    orbit has another one besides, or a multiplier of the orbit, the tangency left out, reaches the
+    unit circle."""
 
     kind: str = eqx.field(static=True)
     """One of `CODIMENSION_TWO_KINDS`."""

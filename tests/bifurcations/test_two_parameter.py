@@ -94,6 +94,38 @@ def test_a_multiplier_of_a_grazing_orbit_reaches_minus_one():
     np.testing.assert_allclose(point.values, [depth, swing(depth)[1]], rtol=0, atol=1e-10)
 
 
+class Gates(jf.System):
+    """x'' + 0.2x' + x = A cos 2t, passing gates at x = high and x = -low that change nothing."""
+
+    amplitude: jax.Array
+    high: jax.Array
+    low: jax.Array
+
+    slides = False
+    period = np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], self.amplitude * jnp.cos(2 * t) - 0.2 * x[1] - x[0]])
+
+    def switching(self, t, x):
+        return jnp.stack([self.high - x[0], x[0] + self.low])
+
+
+def test_an_orbit_grazes_two_gates_at_once_where_they_are_equally_far():
+    """It reaches A/|1 - 4 + 0.4i| to either side, and touches the upper gate where that is its
+    height; beyond the point it also passes the lower one, there and back."""
+    reach = 1 / np.hypot(3, 0.4)
+    system = Gates(amplitude=jnp.array(1.0), high=jnp.array(0.4), low=jnp.array(0.7 * np.pi / 6))
+    orbit = jf.periodic_orbit(system, jnp.zeros(2))
+    graze = jf.find_bifurcation(system, "high", orbit, "grazing")
+    curve = jf.continue_bifurcation(system, ("amplitude", "high"), graze, stop=1.3)
+    np.testing.assert_allclose(curve.values[:, 1], reach * curve.values[:, 0], rtol=1e-10)
+    low = 0.7 * np.pi / 6
+    (point,) = curve.points
+    assert (point.kind, point.before, point.after) == ("double-tangency", "grazing", "grazing")
+    np.testing.assert_allclose(point.values, [low / reach, low], rtol=0, atol=1e-10)
+
+
 def point(**values):
     names = "h", "rate", "bend", "other_rate", "slide_rate", "slide_bend"
     found = Conditions(**{name: jnp.float64(values.get(name, 1.0)) for name in names})
