@@ -29,6 +29,7 @@ SMALL = {
     "08_basins_and_maps": {"GRID": 6, "COARSE": 3, "VALUES": 2, "POINTS": 6, "PERIODS": 20},
     "09_fit_friction": {"REPEATS": 2},
     "10_autonomous": {"POINTS": 8, "SAMPLES": 6, "TRANSIENT": 5},
+    "10_converter": {"POINTS": 8, "SAMPLES": 6, "TRANSIENT": 5},
     "11_impacts_with_rest": {"POINTS": 8, "SAMPLES": 5, "TRANSIENT": 5},
     "12_sweep_with_checkpoint": {"POINTS": 130, "SAMPLES": 5, "TRANSIENT": 10},
 }
