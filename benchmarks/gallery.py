@@ -1,7 +1,8 @@
 """`python -m benchmarks.gallery [--quick]`: what the library draws, on one page.
 
-Nothing enters; nine pictures of textbook systems leave as `benchmarks/results/gallery.png`, each
-drawn by one call of `jaxfil.plot`. `--quick` computes coarse ones, to see that all is well.
+Nothing enters; nine pictures of textbook systems leave as `benchmarks/results/gallery.png`, and
+`.pdf`, each drawn by one call of `jaxfil.plot`. `--quick` computes coarse ones, to see that all is
+well.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import numpy as np
 
 import jaxfil as jf
 from benchmarks import RESULTS
+from benchmarks.paper import canvas as paper
 
 PATH = RESULTS / "gallery.png"
 EVERY_STEP = diffrax.SaveAt(t0=True, steps=True)
@@ -114,12 +116,10 @@ PANELS = (portrait, history, section, diagram, plane, basins, branch, multiplier
 
 def page(n):
     """All panels on one figure, grids and runs n times coarser."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13.5, 11), dpi=110, layout="constrained")
+    figure = paper.canvas(260, 215)  # for a screen
     for ax, panel in zip(figure.subplots(3, 3).flat, PANELS, strict=True):
         start = time.perf_counter()
-        ax.set_title(panel(ax, n), fontsize="medium", loc="left")
+        paper.entitle(ax, panel(ax, n))
         print(f"{panel.__name__:<12} {time.perf_counter() - start:5.1f} s", flush=True)
     return figure
 
@@ -130,7 +130,8 @@ def main():
     parser.add_argument("--quick", action="store_true", help="coarse grids, into the folder here")
     quick = parser.parse_args().quick
     path = Path("gallery.png") if quick else PATH
-    page(10 if quick else 1).savefig(path)
+    with paper.style():
+        paper.save(page(10 if quick else 1), path)
     print(f"wrote {path}")
 
 
