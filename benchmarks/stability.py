@@ -7,6 +7,7 @@ import diffrax
 import numpy as np
 
 import jaxfil as jf
+from benchmarks.paper import canvas as paper
 from benchmarks.stiff_scenes import T1, X0, relay_exact, relays, solve
 from jaxfil.model.outcomes import outcome_names
 
@@ -31,32 +32,33 @@ def errors():
 
 
 def picture(found, path):
-    """A panel a method: the error as colour, failures hatched."""
-    import matplotlib
+    """Write the picture, as PNG and PDF."""
+    with paper.style():
+        paper.save(_figure(found), path)
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+
+def _figure(found):
+    """A panel a method: the error as colour, failures hatched."""
     from matplotlib.patches import Patch
     from matplotlib.patheffects import Normal, Stroke
 
-    figure, axes = plt.subplots(1, len(found), figsize=(11, 5.2), sharey=True, layout="constrained")
+    figure = paper.canvas(paper.PAGE, 90)
+    axes = figure.subplots(1, len(found), sharey=True)
     drawn = [_panel(ax, name, *grid) for ax, (name, grid) in zip(axes, found.items(), strict=True)]
-    dts, dampings, *_ = next(iter(found.values()))
+    dts = next(iter(found.values()))[0]
     (limit,) = axes[0].plot(
         dts, STABLE / dts, color="white", lw=2, ls="--", label=f"stability limit d·dt = {STABLE}"
     )
     limit.set_path_effects([Stroke(linewidth=3.5, foreground="black"), Normal()])
-    axes[0].set_ylim(dampings[0] / 1.8, dampings[-1] * 1.8)
     axes[0].set_ylabel("damping d of one side")
     figure.colorbar(drawn[-1], ax=axes, label="error of the state at t = 12")
     marks = [
         Patch(facecolor="0.85", edgecolor="0.3", hatch=hatch, label=label)
         for hatch, label in (("xx", "told: not successful"), ("..", "unstable: error above 1"))
     ]
-    figure.legend(handles=[limit, *marks], loc="outside lower center", ncols=3, fontsize=9)
+    paper.below(figure, [limit, *marks], 3)
     figure.suptitle("A relay with one damped side: error over step and stiffness")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    return figure
 
 
 def _panel(ax, name, dts, dampings, errors, told):
@@ -72,7 +74,8 @@ def _panel(ax, name, dts, dampings, errors, told):
     for where, hatch in ((told, "xx"), (unstable, "..")):
         marked = np.ma.masked_where(~where, np.ones_like(errors))
         ax.pcolor(dts, dampings, marked, hatch=hatch, **grey)
-    ax.set(xscale="log", yscale="log", title=name, xlabel="step dt")
+    ax.set(xscale="log", yscale="log", xlabel="step dt")
+    paper.entitle(ax, name)
     return drawn
 
 
