@@ -84,5 +84,5 @@ COLUMNS = (
     Column("float32 / float64", ">.2f"),
 )
 ABOUT = """\
-float32's frequencies are rounded too, to 6e-8 of their size, and what that does to the motion is part
-of its error. Outcomes of the lanes that failed, all rows of each precision together: """
+float32's frequencies are rounded too, to 6e-8 of their size, and what that does to the motion is
+part of its error. Outcomes of the lanes that failed, all rows of each precision together: """

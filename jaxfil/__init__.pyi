@@ -36,6 +36,7 @@ from .exponents.synchronization import (
     synchronization_exponent as synchronization_exponent,
     transverse_exponent as transverse_exponent,
 )
+from .files.load import load as load
 from .integrate.average import Average as Average, average as average
 from .integrate.choose_step import choose_step as choose_step
 from .integrate.fit import Fit as Fit, fit as fit
@@ -66,6 +67,5 @@ from .orbits.orbit import Orbit as Orbit
 from .orbits.periodic_orbit import periodic_orbit as periodic_orbit
 from .sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
 from .sweep.diagram import BifurcationDiagram as BifurcationDiagram
-from .sweep.load import load as load
 from .sweep.sweep import bifurcation_diagram as bifurcation_diagram
 from .version import __version__ as __version__

@@ -20,7 +20,7 @@ from matplotlib.text import Text
 import jaxfil as jf
 from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import outcome_codes, outcomes
-from jaxfil.sweep.diagram import Conditions
+from jaxfil.sweep.conditions import Conditions
 
 FOLDER = Path(__file__).parent / "references"
 WORDS = FOLDER / "words.json"

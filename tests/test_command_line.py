@@ -85,6 +85,16 @@ def test_the_numbers_beside_the_picture_are_those_of_the_library(tmp_path):
     }
 
 
+def test_the_numbers_beside_the_picture_are_loaded_as_a_diagram(tmp_path):
+    _, saved = diagram(tmp_path, "--follow", "down")
+    back = jf.load(tmp_path / "picture.npz")
+    assert_array_equal(back.xs, saved["xs"])
+    assert (back.system, back.parameter) == ("SDOscillator", "omega")
+    assert back.conditions.follow == saved["follow"] == "down"
+    assert back.conditions.parameters == {"f0": 0.25, "zeta": 0.0141}
+    assert_array_equal(back.conditions.x0, saved["x0"])
+
+
 def test_settings_state_and_direction_reach_the_sweep(tmp_path):
     _, saved = diagram(
         tmp_path, "--x0", "-0.4,0.2", "--set", "f0=0.3", "zeta=2e-2", "--follow", "down"

@@ -33,7 +33,7 @@ examples:
   python -m jaxfil diagram impact-oscillator --parameter amplitude --from 0.3 --to 0.9 \\
       --points 800 --title "A mass and a wall" --dpi 300 --out wall.png
 
-Beside FILE.png its numbers are saved as FILE.npz, for numpy.load.
+Beside FILE.png its numbers are saved as FILE.npz, for jaxfil.load and numpy.load.
 """
 _WORK_PRECISION = """\
 examples:

@@ -12,9 +12,9 @@ import numpy as np
 
 from jaxfil.command.interruption import INTERRUPTED
 from jaxfil.command.textbook import defaults, state, text
+from jaxfil.model import dataset_io
 from jaxfil.model.card import counted
 from jaxfil.model.outcomes import outcome_names
-from jaxfil.sweep import dataset_io
 from jaxfil.sweep.diagram import BifurcationDiagram
 from jaxfil.sweep.interrupt import Interrupts
 from jaxfil.sweep.sweep import bifurcation_diagram
@@ -101,5 +101,7 @@ def _save(diagram: BifurcationDiagram, args: argparse.Namespace) -> None:
         "fixed_values": np.array(list(parameters.values())),
     }
     data = diagram.named_arrays()
-    data = dataclasses.replace(data, attributes={**data.attributes, **asked})
+    # `system` has the name of the command line here, and the class for `jaxfil.load` beside it.
+    names = {**data.npz_names, "system": "system_class"}
+    data = dataclasses.replace(data, npz_names=names, npz_extras=asked)
     dataset_io.save(data, args.out.with_suffix(".npz"))

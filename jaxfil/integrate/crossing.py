@@ -132,7 +132,9 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
     located = tuple(a & ~owed for a, owed in zip(watch.aim, watch.owed, strict=True))
     linear, given = (delta, axpy(end.x, delta, end.f)), (watched, problem.system)
     delta, x = add_second_derivative(beyond_newton, linear, *given, at, end.mode, located)
-    recorded, after = _crossed(watched, problem, closer, sight, done)
+    tau, rest = later(state.tau, state.rest, watch.length + delta)
+    counts = True if watched.since is None else problem.grid.t0 + tau >= watched.since
+    recorded, after = _crossed(problem, closer, sight, done, counts)
     goes_on = dataclasses.replace(
         watch,
         value=sight.value,
@@ -144,7 +146,6 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
     sought = _chosen(done, after, closer)
     sought = _chosen(looks, goes_on, sought)
     finite = all_finite(end.x, sight.value, sight.rate)
-    tau, rest = later(state.tau, state.rest, watch.length + delta)
     return Seen(
         sight=sight,
         seeks=(begins | watch.seeking) & finite,
@@ -278,12 +279,13 @@ def _approach(
 
 
 def _crossed(
-    watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, done: Array
+    problem: Problem, watch: Watch, sight: Sight, done: Array, counts: Array | bool
 ) -> tuple[Array, Watch]:
-    """Whether a crossing that is `done` counts, and the watch behind it."""
+    """Whether a crossing that is `done` counts, if one at this time `counts`, and the watch behind
+    it."""
     assert problem.watched is not None and watch is not None
     wanted, (away, _) = _wanted(problem, watch.side), _told(problem, sight)
-    counted = tuple(a & w & done for a, w in zip(watch.aim, wanted, strict=True))
+    counted = tuple(a & w & done & counts for a, w in zip(watch.aim, wanted, strict=True))
     recorded = any_of(counted)
     zero = jnp.zeros_like(watch.length)
     # What has jumped is on its other side at once.

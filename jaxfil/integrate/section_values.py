@@ -41,6 +41,8 @@ class WatchedSections(eqx.Module):
     """The crossing of each at which a run ends."""
     unseen: Array | None = None
     """Crossings that are counted and not kept; None: none."""
+    since: Array | None = None
+    """The time before which crossings are not even counted; None: all are."""
 
     def value(self, j: int, system: ComponentSystem, mode: Components) -> Callable:
         """S number j, a function of time and state, on a motion of some mode."""

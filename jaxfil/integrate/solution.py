@@ -15,14 +15,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.components import Components, ComponentSystem, build, pack, scalars, unpack
 from jaxfil.integrate.filippov import ModeField
+from jaxfil.integrate.solution_arrays import solution_arrays
 from jaxfil.integrate.state import CrossingTable, EventTable
 from jaxfil.integrate.stepper import Stepper, compact_step, step, tableau_of
+from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes, Scalar, Times
+from jaxfil.model.types import Axes, Dataset, PathLike, Scalar, Times
 
 
 class Events(eqx.Module):
@@ -136,6 +138,23 @@ class Solution(eqx.Module):
         """Draw the phase portrait, or the history of a state of one component; returns the
         matplotlib axes. Needs saved times."""
         return draw(self, ax=ax)
+
+    def to_xarray(self) -> Dataset:
+        """An `xarray.Dataset` of `x` and `mode` (time, …) with the coordinate `t`, of what was met
+        (`event_t`, `event_x`, `event_kind`, …), of `crossing_t` and so on, of the end and of
+        `outcome` in words; of a batch with the dimension `lane` before the others.
+
+        What was not reached is inf and −1, as here. Needs the package xarray.
+        """
+        return dataset_io.to_xarray(solution_arrays(self))
+
+    def save(self, path: PathLike) -> None:
+        """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
+
+        `jaxfil.load(path)` gives the same solution back, bit for bit; of one that `evaluate` can be
+        asked of `jaxfil.load(path, system=…)`. What was there is replaced.
+        """
+        dataset_io.save(solution_arrays(self), path)
 
     def __repr__(self) -> str:
         return card(self)

@@ -6,7 +6,7 @@ leaves.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike, DTypeLike
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
 _Tree = TypeVar("_Tree")
 
@@ -99,6 +99,15 @@ def replace_parameter(system: _Tree, name: str, value: ArrayLike) -> _Tree:
         flat, one = jnp.reshape(leaf, -1), jnp.reshape(jnp.asarray(value, dtype), 1)
         parts = flat[:entry], one, flat[entry + 1 :]
         return jnp.concatenate([v for v in parts if v.size]).reshape(shape)
+
+    return jax.tree_util.tree_map_with_path(swap, system)
+
+
+def replace_leaves(system: _Tree, values: Mapping[str, Array]) -> _Tree:
+    """`system` with each leaf that is named replaced, whatever its shape and dtype."""
+
+    def swap(path: tuple[Any, ...], leaf: Any) -> Any:
+        return values.get(_name(path), leaf)
 
     return jax.tree_util.tree_map_with_path(swap, system)
 

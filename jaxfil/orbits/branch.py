@@ -10,11 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameter
-from jaxfil.model.types import Axes
+from jaxfil.model.types import Axes, Dataset, PathLike
+from jaxfil.orbits.branch_arrays import branch_arrays
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.periodic_orbit import periodic_orbit
 
@@ -102,6 +104,23 @@ class Branch(eqx.Module):
         """Draw one component of x0, or its smallest and largest value on the orbit, against the
         parameter: unstable parts dashed, with the special points. Returns the matplotlib axes."""
         return draw(self, ax=ax, component=component, extremes=extremes)
+
+    def to_xarray(self) -> Dataset:
+        """An `xarray.Dataset` of the arrays of its orbits (see `Orbit.to_xarray`) along `orbit`,
+        where the coordinate of the parameter is, and of its special points along `special`:
+        `special_kind`, `special_value`, `special_x0` and so on.
+
+        Sequences of contacts are JSON. Needs the package xarray.
+        """
+        return dataset_io.to_xarray(branch_arrays(self))
+
+    def save(self, path: PathLike) -> None:
+        """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
+
+        `jaxfil.load(path, system=…)` gives the same branch back, bit for bit. What was there is
+        replaced.
+        """
+        dataset_io.save(branch_arrays(self), path)
 
     def __repr__(self) -> str:
         lines = [

@@ -17,13 +17,15 @@ from jaxtyping import Array, Complex, Float, Int
 from jaxfil.integrate.options import enough_iterations
 from jaxfil.integrate.solution import Dense, Events, Solution
 from jaxfil.integrate.solve import solve
+from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_attribute
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes
+from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.extremum import largest
+from jaxfil.orbits.orbit_arrays import orbit_arrays
 from jaxfil.orbits.shooting import (
     ShootingOptions,
 )
@@ -116,6 +118,24 @@ class Orbit(eqx.Module):
         """Draw the orbit in the plane of its first two components, with the surfaces of its system;
         returns the matplotlib axes."""
         return draw(self, ax=ax)
+
+    def to_xarray(self) -> Dataset:
+        """An `xarray.Dataset` of `x0`, `period`, `monodromy`, the contacts (`event_t`, `event_x`,
+        `event_kind`, …), `multiplier_real` and `multiplier_imag`, `stable` and `outcome` in words;
+        of a batch with the dimension `lane` before the others.
+
+        The attributes give the system, its parameters and how it was integrated. Needs the package
+        xarray.
+        """
+        return dataset_io.to_xarray(orbit_arrays(self))
+
+    def save(self, path: PathLike) -> None:
+        """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
+
+        `jaxfil.load(path, system=…)` gives the same orbit back, bit for bit. What was there is
+        replaced.
+        """
+        dataset_io.save(orbit_arrays(self), path)
 
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is kept where every step is.

@@ -4,6 +4,7 @@ A forced system and a grid of initial states enter; the attractors found and the
 that each state leads to leave.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,16 +15,28 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
-from jaxfil.model import check
+from jaxfil.model import check, dataset_io
 from jaxfil.model.card import precision
+from jaxfil.model.dataset import (
+    component_coordinates,
+    header,
+    label_attributes,
+    outcome_variables,
+)
+from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes, State
+from jaxfil.model.types import Axes, Dataset, PathLike, State
+from jaxfil.sweep.conditions import CONDITIONS, Conditions, condition_entries
 from jaxfil.sweep.diagram import BifurcationDiagram, same_state
 from jaxfil.sweep.sweep import bifurcation_diagram
+
+# Names of its data set that are no parameter's.
+TAKEN = {"label", "outcome", "outcome_code", "attractor", "period", "axis_0", "axis_1", "motion"}
+TAKEN |= {"point", "component", "unit", "components", "symbols", "units"} | CONDITIONS
 
 # Labels of states that lead to no periodic motion.
 APERIODIC, FAILED = 0, -1
@@ -55,12 +68,57 @@ class Basins(eqx.Module):
     """The numbers of the two components of the state."""
     system: str = eqx.field(static=True)
     """The name of the system's class."""
+    conditions: Conditions
+    """What the sweep ran with; `x0` is the state that gives the other components, shape (n,)."""
     names: Labels = eqx.field(static=True, default=Labels())
     """What pictures call the components."""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the basins and the section points of their attractors; returns the axes."""
         return draw(self, ax=ax)
+
+    def to_xarray(self) -> Dataset:
+        """An `xarray.Dataset` of `label` and `outcome` (axis_0, axis_1), whose coordinates are the
+        two components of the initial state, and of the section points `attractor` (motion, point,
+        component), NaN beyond the `period` (motion) of each.
+
+        The attributes give the system, its parameters and what else the sweep ran with. Needs the
+        package xarray.
+        """
+        return dataset_io.to_xarray(self.named_arrays())
+
+    def save(self, path: PathLike) -> None:
+        """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
+
+        `jaxfil.load(path)` gives the same basins back, bit for bit. What was there is replaced.
+        """
+        dataset_io.save(self.named_arrays(), path)
+
+    def named_arrays(self) -> NamedArrays:
+        """What `save` writes, whatever the file."""
+        lanes = ("axis_0", "axis_1")
+        longest = max((len(points) for points in self.attractors), default=0)
+        n = self.conditions.x0.size
+        padded = np.full((len(self.attractors), longest, n), np.nan, self.conditions.x0.dtype)
+        for rows, points in zip(padded, self.attractors, strict=True):
+            rows[: len(points)] = points
+        variables: dict[str, Variable] = {
+            "label": (lanes, self.labels),
+            **outcome_variables(self.results, lanes),
+        }
+        if longest:  # netCDF has no dimension of length zero
+            variables["attractor"] = ("motion", "point", "component"), padded
+            variables["period"] = "motion", np.array([len(points) for points in self.attractors])
+        arrays, given = condition_entries(self.conditions, TAKEN, ())
+        coordinates = component_coordinates(self.names, n)
+        for lane, i, values in zip(lanes, self.components, self.axes, strict=True):
+            name = self.names.state[i] if self.names.state else f"x[{i}]"
+            unit = self.names.unit(name)
+            told = {"long_name": name} | ({"units": unit} if unit else {})
+            coordinates[lane] = lane, values, told
+        attributes = header("Basins") | {"system": self.system, **given}
+        attributes |= label_attributes(self.names) | {"components": np.array(self.components)}
+        return NamedArrays(variables | arrays, coordinates, attributes)
 
     def __repr__(self) -> str:
         a, b = self.labels.shape
@@ -169,6 +227,11 @@ def basins_of_attraction(
         results=jax.tree.map(lambda codes: np.reshape(codes, shape), diagram.results),
         components=(first, second),
         system=type(system).__name__,
+        conditions=dataclasses.replace(
+            diagram.conditions,
+            parameters={k: np.asarray(v, diagram.xs.dtype) for k, v in parameters(system).items()},
+            x0=rest.astype(diagram.xs.dtype),
+        ),
         names=diagram.labels.of(()),
     )
 

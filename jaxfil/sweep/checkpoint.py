@@ -26,16 +26,15 @@ from jaxtyping import Array
 
 from jaxfil.integrate.observed import Observable
 from jaxfil.integrate.stepper import Stepper, tableau_of
-from jaxfil.model import check
+from jaxfil.model import check, dataset_io
+from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.section import Section
 from jaxfil.model.system import System, has_resets
 from jaxfil.model.types import Dataset, PathLike
 from jaxfil.model.warning import warn
-from jaxfil.sweep import dataset_io
-from jaxfil.sweep.dataset_io import NamedArrays, Variable
-from jaxfil.sweep.diagram import Conditions
+from jaxfil.sweep.conditions import Conditions
 from jaxfil.sweep.parameter_grid import ParameterGrid
 
 _RECORD = "sweep.zarr"
@@ -50,7 +49,7 @@ class FinishedChunk:
     """Lanes of a chunk that have run to their end."""
 
     xs: np.ndarray
-    """Samples, shape (lanes, samples, k)."""
+    """Samples, shape (lanes, samples, k); of a section with their times behind, k + 1 columns."""
     codes: np.ndarray
     """Codes of their outcomes, shape (lanes,)."""
     end: np.ndarray
@@ -189,6 +188,7 @@ def record_of(
         "compact": str(given.compact),
         "section": f"{given.section}, {given.max_return}",
         "observe": str(given.observe),
+        "transient_time": str(given.transient_time),
         "jaxfil": given.version,
         # Other versions and other machines give other last bits, and a diagram of two halves that
         # differ in them is equal to neither.

@@ -4,6 +4,7 @@ Samples and outcomes of all lanes and the conditions they ran under enter; pictu
 and files leave.
 """
 
+import functools as ft
 import json
 import math
 
@@ -11,59 +12,25 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from jaxfil.model import dataset_io
 from jaxfil.model.card import counted, precision
+from jaxfil.model.dataset import (
+    axis_of,
+    component_coordinates,
+    header,
+    key_of,
+    outcome_variables,
+)
+from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
-from jaxfil.model.outcomes import RESULTS, outcome_names
+from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.types import Axes, Dataset, PathLike
-from jaxfil.sweep import dataset_io
-from jaxfil.sweep.dataset_io import Attribute, NamedArrays, Variable
+from jaxfil.sweep.conditions import CONDITIONS, Conditions, condition_entries
 
-# Names of a data set that are no parameter's: one that is called so gets an underscore.
-VARIABLES = {"x", "outcome", "error", "sample", "component", "point", "unit"}
-ATTRIBUTES = {
-    "system",
-    "swept",
-    "x0",
-    "transient",
-    "steps",
-    "stepper",
-    "follow",
-    "jaxfil_version",
-    "compact",
-    "section",
-    "max_return",
-    "symbols",
-    "observe",
-}
-
-
-class Conditions(eqx.Module):
-    """What a sweep ran with besides the values swept: all it takes to make it again."""
-
-    parameters: dict[str, np.ndarray]
-    """The system's other parameters, by name."""
-    x0: Float[np.ndarray, "*lanes n"]
-    """The initial state, shape (n,), or one for each lane."""
-    transient: int = eqx.field(static=True)
-    """Forcing periods, or crossings of the section, before the first sample."""
-    steps: int = eqx.field(static=True)
-    """Steps per forcing period; of an autonomous system per unit of time."""
-    stepper: str = eqx.field(static=True)
-    """The stepper's name."""
-    follow: str | None = eqx.field(static=True)
-    """"up" or "down" if each value began where the last one ended; None if all began at `x0`."""
-    version: str = eqx.field(static=True)
-    """The version of jaxfil that computed it."""
-    compact: bool = eqx.field(static=True, default=False)
-    """Whether the stages of a step were a loop in the program: see `solve`."""
-    section: str | None = eqx.field(static=True, default=None)
-    """The section that was sampled at; None: once a forcing period."""
-    max_return: float | None = eqx.field(static=True, default=None)
-    """The time that a return to it was given."""
-    observe: str | None = eqx.field(static=True, default=None)
-    """The function that was kept of the samples; None: the states themselves."""
-
+# Names of its data set that are no parameter's.
+TAKEN = {"x", "t", "outcome", "outcome_code", "error", "sample", "component", "point", "unit"}
+TAKEN |= {"swept", "symbols"} | CONDITIONS
 
 # Components below this many eps of the largest one are rounding.
 _ROUNDING = 1024
@@ -112,6 +79,9 @@ class BifurcationDiagram(eqx.Module):
     largest distance from a run at half the step. NaN where one of the two failed. It is of the size
     of the attractor where a lane is chaotic, whose samples are on the attractor but no longer those
     of the initial state."""
+    times: Float[np.ndarray, "*shape samples"] | None = None
+    """The times of the crossings sampled, of which `numpy.diff` gives the times of return; NaN from
+    where the lane failed. None once a forcing period."""
 
     @property
     def successful(self) -> np.ndarray:
@@ -144,14 +114,15 @@ class BifurcationDiagram(eqx.Module):
         return found
 
     def to_xarray(self) -> Dataset:
-        """An `xarray.Dataset` of `x` (parameters, sample, component) and `outcome` (parameters),
-        and of `error` (parameters, component) if errors were estimated.
+        """An `xarray.Dataset` of `x` (parameters, sample, component), of `outcome` (parameters)
+        in words and `outcome_code`, of `error` (parameters, component) if errors were
+        estimated, and of the times `t` (parameters, sample) of crossings of a section.
 
-        Outcomes are words. Components have the names that the system gives them, and a coordinate
-        `unit` where it gives units; parameters have their symbol as `long_name`. The attributes
-        say what else it takes to make the diagram again: the system, its other parameters, the
-        initial state, steps and stepper. Points in parameter space have the dimension `point` and
-        a coordinate for each parameter. Needs the package xarray.
+        The codes are those of this version. Components have the names that the system gives them,
+        and a coordinate `unit` where it gives units; parameters have their symbol as `long_name`.
+        The attributes say what else it takes to make the diagram again: the system, its other
+        parameters, the initial state, steps and stepper. Points in parameter space have the
+        dimension `point` and a coordinate for each parameter. Needs the package xarray.
         """
         return dataset_io.to_xarray(self.named_arrays())
 
@@ -161,87 +132,49 @@ class BifurcationDiagram(eqx.Module):
         samples, n = self.xs.shape[-2:]
         variables: dict[str, Variable] = {
             "x": ((*dims, "sample", "component"), self.xs),
-            "outcome": (dims, outcome_names(self.results)),
+            **outcome_variables(self.results, dims),
         }
         if self.errors is not None:
             variables["error"] = (*dims, "component"), self.errors
-        if self.conditions.x0.ndim > 1:
-            last = "component" if self.conditions.observe is None else "x0_component"
-            variables["x0"] = (*dims, last), self.conditions.x0
-        for name, value in self.conditions.parameters.items():
-            if value.ndim:  # a file's attributes are numbers, or rows of them
-                key = key_of(name)
-                variables[key] = [f"{key}_{i}" for i in range(value.ndim)], value
+        if self.times is not None:
+            variables["t"] = (*dims, "sample"), self.times
+        arrays, given = condition_entries(self.conditions, TAKEN, dims)
         coordinates["sample"] = "sample", np.arange(samples)
-        coordinates["component"] = "component", self._components(n)
-        units = [self.labels.unit(name) for name in self.labels.state]
-        if any(units):
-            coordinates["unit"] = "component", np.array(units)
-        return NamedArrays(variables, coordinates, self._attributes(), self._npz_names())
+        coordinates |= component_coordinates(self.labels, n)
+        names = (self.parameter,) if isinstance(self.parameter, str) else self.parameter
+        attributes = header("BifurcationDiagram") | {"system": self.system}
+        attributes |= {"swept": ", ".join(names), **given}
+        if self.labels.symbols:
+            attributes["symbols"] = json.dumps(dict(self.labels.symbols), ensure_ascii=False)
+        return NamedArrays(variables | arrays, coordinates, attributes, self._npz_names())
 
     def _npz_names(self) -> dict[str, str]:
         """In an .npz things have the names of the fields here."""
         names = {"x": "xs", "outcome": "results", "error": "errors", "swept": "parameter"}
+        names["t"] = "times"
         if isinstance(self.parameter, str):
-            names[key_of(self.parameter)] = "values"
+            names[key_of(self.parameter, TAKEN)] = "values"
         return names
-
-    def _components(self, n: int) -> np.ndarray:
-        names = self.labels.state
-        return np.array(names) if names else np.arange(n)
-
-    def _axis(self, name: str, dimension: str, values: np.ndarray) -> Variable:
-        """A parameter's values along a dimension, with its symbol and unit as xarray shows them."""
-        told = {"long_name": self.labels.symbol(name), "units": self.labels.unit(name)}
-        # What says no more than the name is left out: xarray shows the name by itself.
-        attributes = {key: word for key, word in told.items() if word not in ("", name)}
-        return dimension, values, attributes
 
     def _coordinates(self) -> tuple[tuple[str, ...], dict[str, Variable]]:
         """The dimensions of a lane, and the values of the parameters along them."""
         if isinstance(self.parameter, str):
-            key = key_of(self.parameter)
-            return (key,), {key: self._axis(self.parameter, key, np.asarray(self.values))}
-        keys = tuple(map(key_of, self.parameter))
+            key = key_of(self.parameter, TAKEN)
+            return (key,), {key: axis_of(self.labels, self.parameter, key, np.asarray(self.values))}
+        keys = tuple(key_of(name, TAKEN) for name in self.parameter)
         if isinstance(self.values, tuple):
             along, columns = keys, self.values
         else:
             along, columns = ("point",) * len(keys), self.values.T
-        axes = map(self._axis, self.parameter, along, columns)
+        axes = map(ft.partial(axis_of, self.labels), self.parameter, along, columns)
         return tuple(dict.fromkeys(along)), dict(zip(keys, axes, strict=True))
-
-    def _attributes(self) -> dict[str, Attribute]:
-        given = self.conditions
-        attributes: dict[str, Attribute] = {
-            "system": self.system,
-            "swept": (
-                self.parameter if isinstance(self.parameter, str) else ", ".join(self.parameter)
-            ),
-            "transient": given.transient,
-            "steps": given.steps,
-            "stepper": given.stepper,
-            "jaxfil_version": given.version,
-            "compact": int(given.compact),
-        }
-        if given.section is not None and given.max_return is not None:
-            attributes |= {"section": given.section, "max_return": given.max_return}
-        if self.labels.symbols:
-            attributes["symbols"] = json.dumps(dict(self.labels.symbols), ensure_ascii=False)
-        if given.observe is not None:
-            attributes["observe"] = given.observe
-        if given.follow is not None:
-            attributes["follow"] = given.follow
-        if given.x0.ndim == 1:
-            attributes["x0"] = given.x0
-        scalars = {name: v for name, v in given.parameters.items() if v.ndim == 0}
-        return attributes | {key_of(name): float(value) for name, value in scalars.items()}
 
     def save(self, path: PathLike) -> None:
         """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
 
-        `jaxfil.load(path)` gives the same diagram back from the first two, bit for bit, and
-        `xarray.open_dataset` opens them; both need `pip install 'jaxfil[xarray]'`. An .npz holds
-        the numbers for `numpy.load`, by the names of the fields here. What was there is replaced.
+        `jaxfil.load(path)` gives the same diagram back, bit for bit. `xarray.open_dataset` opens
+        the first two, which need `pip install 'jaxfil[xarray]'`; `numpy.load` opens the last, where
+        the numbers have the names of the fields here. What was there is replaced.
         """
         dataset_io.save(self.named_arrays(), path)
 
@@ -264,11 +197,6 @@ class BifurcationDiagram(eqx.Module):
         if self.errors is not None:
             lines.append(_errors_line(self.errors))
         return "\n".join(lines)
-
-
-def key_of(name: str) -> str:
-    """The name of a parameter in a data set."""
-    return f"{name}_" if name in VARIABLES | ATTRIBUTES else name
 
 
 def _range(name: str, axis: np.ndarray) -> str:

@@ -46,6 +46,8 @@ class Sampling(eqx.Module):
     """The longest time from one crossing to the next, on average."""
     observable: Observable | None = None
     """What is kept of each sample; None: the state."""
+    transient_time: Array | None = None
+    """The time before which no crossing counts; None: all do."""
 
     def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
         """That of one point in parameter space."""
@@ -58,9 +60,9 @@ class Sampling(eqx.Module):
             assert sections is not None
             last = self.transient + self.samples
             watched = eqx.tree_at(
-                lambda s: (s.terminal, s.unseen),
+                lambda s: (s.terminal, s.unseen, s.since),
                 sections,
-                ((last,), self.transient),
+                ((last,), self.transient, self.transient_time),
                 is_leaf=lambda v: v is None,
             )
             return Problem(field, tableau, grid, recording, self.compact, watched)
@@ -81,19 +83,21 @@ class Sampling(eqx.Module):
         assert self.max_return is not None
         count = (self.transient + self.samples).astype(unit.dtype)
         dt = unit / self.steps.astype(unit.dtype)
-        most = jnp.ceil(count * self.max_return / dt)
+        before = 0.0 if self.transient_time is None else self.transient_time
+        most = jnp.ceil((before + count * self.max_return) / dt)
         num_steps = jnp.minimum(most, 2.0**30).astype(jnp.int32)
         length = num_steps.astype(unit.dtype) * dt
         return TimeGrid(jnp.zeros_like(unit), length, dt, num_steps, iteration_budget(num_steps))
 
     def outcome(self, state: LoopState) -> tuple[SavedStates, RESULTS, Array]:
         """What is sampled of a lane, or of many, outcome, and the last state (n,): of the samples
-        the states alone, unless there is something to be observed."""
+        the states, at a section their times, and the modes if there is something to be observed."""
         kept = state.saves if self.section is None else state.crossings
         assert kept is not None
         xs = jnp.where(jnp.isfinite(kept.xs), kept.xs, jnp.nan)
         seen = self.observable is not None
-        samples = SavedStates(kept.ts if seen else None, xs, kept.modes if seen else None)
+        timed = seen or self.section is not None
+        samples = SavedStates(kept.ts if timed else None, xs, kept.modes if seen else None)
         # Components are numbers, or one array of them.
         rows = [v.reshape(*xs.shape[:-2], -1) for v in state.x]
         result = state.result
@@ -104,14 +108,26 @@ class Sampling(eqx.Module):
     def seen(
         self, system: System, names: tuple[str, ...], row: Array, x0: Array, samples: SavedStates
     ) -> Array:
-        """What is kept of a lane's samples, shape (samples, k)."""
+        """What is kept of a lane's samples, shape (samples, k); of those at a section with their
+        times behind, (samples, k + 1)."""
+        values = self._observed(system, names, row, x0, samples)
+        if self.section is None:
+            return values
+        times = jnp.where(jnp.isfinite(samples.ts), samples.ts, jnp.nan)
+        return jnp.concatenate([values, times[:, None]], axis=-1)
+
+    def _observed(
+        self, system: System, names: tuple[str, ...], row: Array, x0: Array, samples: SavedStates
+    ) -> Array:
+        """The samples' states, or what is observed of them."""
         if self.observable is None:
             return samples.xs
         problem = self.problem(system, names, row, x0)
         system, period = at_point(system, names, row)
         if self.section is None:
             periods = self.transient + jnp.arange(1, self.samples + 1, dtype=jnp.int32)
-            samples = dataclasses.replace(samples, ts=periods.astype(row.dtype) * period)
+            since = periods if problem.grid.forcing is None else jnp.zeros_like(periods)
+            samples = dataclasses.replace(samples, ts=since.astype(row.dtype) * period)
         values = observed(self.observable, problem, system, x0, samples)
         return jnp.where(jnp.isfinite(values), values, jnp.nan).reshape(self.samples, -1)
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxfil.model.outcomes import RESULTS, code
-from jaxfil.sweep.diagram import Conditions
+from jaxfil.sweep.conditions import Conditions
 
 # Where the run at half the step has its checkpoint, in that of its sweep.
 FOLDER = "half_step"

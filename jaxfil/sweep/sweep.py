@@ -43,8 +43,10 @@ from jaxfil.sweep.checkpoint import (
     observed_identity,
     record_of,
 )
-from jaxfil.sweep.diagram import BifurcationDiagram, Conditions
+from jaxfil.sweep.conditions import Conditions
+from jaxfil.sweep.diagram import BifurcationDiagram
 from jaxfil.sweep.execution import BLOCK, compiled, one_after_another, side_by_side
+from jaxfil.sweep.initial_states import initial_states, state_type
 from jaxfil.sweep.interrupt import counted
 from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
 from jaxfil.sweep.sampling import Sampling, at_point, checked_observe, checked_section
@@ -60,7 +62,7 @@ def bifurcation_diagram(
     values: SweptValues,
     x0: States,
     *,
-    transient: int = 200,
+    transient: int | None = None,
     samples: int = 100,
     steps: int | StepChoice = 40,
     stepper: Stepper | None = None,
@@ -71,6 +73,7 @@ def bifurcation_diagram(
     compact: bool | None = None,
     section: Section | None = None,
     max_return: Scalar | None = None,
+    transient_time: Scalar | None = None,
     observe: Observe | None = None,
 ) -> BifurcationDiagram:
     """Sweep a parameter of a system, or several, and sample the motion at each value.
@@ -81,7 +84,8 @@ def bifurcation_diagram(
         xs[i, k] = x((transient + k + 1) T; values[i])
 
     With a `section` it is sampled at its crossings instead, of forced and of autonomous systems:
-    xs[i, k] is the state at crossing number transient + k + 1.
+    xs[i, k] is the state at crossing number transient + k + 1 from `transient_time` on, and
+    times[i, k] its time.
 
     Ctrl-C ends the sweep after the chunks under way, or once it is compiled, with a warning, and
     returns what is done; a second one does not wait for chunks. The numbers do not depend on how
@@ -103,7 +107,8 @@ def bifurcation_diagram(
       product grid is swept, or one array of shape (p, k), a point in parameter space a row.
     - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n); on a grid
       (p1, p2, …, n).
-    - `transient`: forcing periods, or crossings, before the first sample, 0 or more.
+    - `transient`: forcing periods, or crossings, before the first sample, 0 or more; by default
+      200, and with a `transient_time` 0.
     - `samples`: forcing periods, or crossings, sampled, 1 or more.
     - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`;
       of an autonomous system per unit of time.
@@ -121,12 +126,15 @@ def bifurcation_diagram(
       does not matter here.
     - `max_return`: with a `section`, a time that is longer than the mean one from a crossing to the
       next: a lane is given up after transient + samples times that.
+    - `transient_time`: with a `section`, a transient in time and not in crossings: crossings before
+      t = `transient_time` do not count. It is the same for all lanes, however often each returns.
     - `observe`: as in `solve`, a function that returns a number or k of them, shape () or (k,):
-      they are kept in place of the states, and called as the function is.
+      they are kept in place of the states, and called as the function is. Its time is 0 at the ends
+      of forcing periods, as the clock starts anew there, unless the system has `clocks`.
 
     **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
-    n), and `errors`, shape (p, n) or (p1, p2, …, n), if asked for; of what is observed the last
-    dimension is 1 or k.
+    n), their `times` with a `section`, and `errors`, shape (p, n) or (p1, p2, …, n), if asked for;
+    of what is observed the last dimension is 1 or k.
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite`,
@@ -154,18 +162,28 @@ def bifurcation_diagram(
     ((2, 2), True)
     """
     check.system("system", system)
-    dtype = _state_type(x0)
+    dtype = state_type(x0)
     system = cast(system, dtype)
     grid = parameter_grid(parameter, values, dtype)
     for each in grid.names:
         get_parameter(system, each)
     if section is not None:
         section, max_return = checked_section(section, max_return, np.asarray(x0), dtype)
+        if transient_time is not None:
+            longest = check.scalar("transient_time", transient_time, dtype, positive=True)
+            transient_time = float(np.asarray(longest))
     elif system.period is None:
         raise ValueError(
             f"`system` must be forced: a diagram samples once a forcing period, and the period of "
             f"{type(system).__name__} is None. Give a `section` to sample at."
         )
+    if section is None and transient_time is not None:
+        raise ValueError(
+            "`transient_time` must be None without a `section`: forcing periods are counted by "
+            f"`transient`; got {transient_time!r}."
+        )
+    if transient is None:
+        transient = 200 if transient_time is None else 0
     named = labels_of(system, np.shape(x0)[-1])
     # Titles tell the other parameters too, without units.
     labels = dataclasses.replace(named.of(grid.names), symbols=named.symbols)
@@ -179,7 +197,7 @@ def bifurcation_diagram(
     stepper = checked_stepper(stepper)
     conditions = Conditions(
         parameters=_others(system, grid.names),
-        x0=_initial_states(x0, grid.shape, follow is not None).astype(dtype),
+        x0=initial_states(x0, grid.shape, follow is not None).astype(dtype),
         transient=check.count("transient", transient, least=0),
         steps=steps,
         stepper=tableau_of(stepper).name,
@@ -192,6 +210,7 @@ def bifurcation_diagram(
             conditions,
             section=identity(section, np.zeros(np.shape(x0)[-1:], dtype)),
             max_return=float(np.asarray(max_return)),
+            transient_time=transient_time,
         )
     if observable is not None:
         identified = observed_identity(observable, system, np.zeros(np.shape(x0)[-1:], dtype))
@@ -215,7 +234,9 @@ def bifurcation_diagram(
     )
     run = ft.partial(_swept, system, grid, **how)
     kept = _begun(checkpoint, ft.partial(record, conditions), estimate_error)
-    xs, codes = run(conditions, kept)
+    found, codes = run(conditions, kept)
+    k = found.shape[-1] - (section is not None)
+    xs, times = found[..., :k], None if section is None else found[..., k]
     finished = _all_finished("sweep", "samples", codes, checkpoint)
     errors = np.full_like(xs[:, 0], np.nan) if estimate_error else None
     if estimate_error and finished:
@@ -224,7 +245,7 @@ def bifurcation_diagram(
         half = dataclasses.replace(conditions, steps=2 * conditions.steps)
         folder = None if checkpoint is None else Path(checkpoint) / step_halving.FOLDER
         other_xs, other_codes = run(half, folder and Checkpoint(folder, record(half)))
-        errors = step_halving.errors(xs, codes, other_xs, other_codes, half)
+        errors = step_halving.errors(xs, codes, other_xs[..., :k], other_codes, half)
         _all_finished("run at half the step", "errors", other_codes, checkpoint)
     return BifurcationDiagram(
         values=grid.values,
@@ -235,6 +256,7 @@ def bifurcation_diagram(
         conditions=conditions,
         labels=labels,
         errors=None if errors is None else errors.reshape(*grid.shape, -1),
+        times=None if times is None else times.reshape(*grid.shape, -1),
     )
 
 
@@ -250,9 +272,10 @@ def _swept(
     observable: Observable | None,
     progress: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples, shape (p, samples, k), and outcomes (p,) at all points."""
+    """Samples, shape (p, samples, k), and outcomes (p,) at all points; of a section the times of
+    the samples behind them, shape (p, samples, k + 1)."""
     # Counts are traced, so that new ones compile nothing; `samples` is the shape of the result.
-    longest = given.max_return
+    longest, before = given.max_return, given.transient_time
     sampling = Sampling(
         transient=jnp.asarray(given.transient, jnp.int32),
         samples=samples,
@@ -262,9 +285,11 @@ def _swept(
         section=section,
         max_return=None if longest is None else jnp.asarray(longest, grid.rows.dtype),
         observable=observable,
+        transient_time=None if before is None else jnp.asarray(before, grid.rows.dtype),
     )
-    shape = samples, given.x0.shape[-1] if observable is None else observable.size
+    k = given.x0.shape[-1] if observable is None else observable.size
     job = ft.partial(compiled(_run), system, grid.names, sampling)
+    shape = samples, k + (section is not None)
     if given.follow is None:
         states = given.x0.reshape(-1, given.x0.shape[-1])
         return side_by_side(job, grid.rows, states, shape, kept, progress)
@@ -286,27 +311,6 @@ def _check_follow(follow: object, grid: ParameterGrid) -> None:
 def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """The parameters that are not swept."""
     return {key: np.asarray(v) for key, v in parameters(system).items() if key not in names}
-
-
-def _state_type(x0: States) -> np.dtype:
-    """The float precision of initial states."""
-    # One of them is checked for all: an array has one shape and one dtype.
-    several = np.ndim(x0) > 1 and np.size(x0) > 0
-    return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
-
-
-def _initial_states(x0: States, shape: tuple[int, ...], follow: bool) -> np.ndarray:
-    """One initial state, shape (n,), or one for each lane."""
-    states = np.asarray(x0)
-    if follow and states.ndim != 1:
-        raise ValueError(f"`x0` must be of shape (n,) with `follow`, got {states.shape}.")
-    if states.ndim != 1 and states.shape[:-1] != shape:
-        lanes = ", ".join(map(str, shape))
-        raise ValueError(
-            f"`x0` must be of shape (n,), or ({lanes}, n), a state for each lane, got "
-            f"{states.shape}."
-        )
-    return states
 
 
 def _begun(

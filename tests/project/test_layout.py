@@ -19,17 +19,18 @@ PACKAGE = ROOT / "jaxfil"
 ROOMS = {
     "version": set(),
     "xla": set(),
-    "model": {"xla"},
+    "model": {"xla", "version"},
     "systems": {"model"},
     "integrate": {"model"},
-    "sweep": {"integrate", "version"},
+    "sweep": {"integrate"},
     "orbits": {"integrate"},
     "exponents": {"integrate"},
     "bifurcations": {"orbits"},
     "plot": {"sweep", "bifurcations", "exponents"},
+    "files": {"sweep", "orbits"},
     "command": {"plot", "systems"},
     "__main__": {"command"},
-    "__init__": {"__main__"},
+    "__init__": {"__main__", "files"},
 }
 
 

@@ -40,7 +40,9 @@ def test_the_dataset_says_what_it_is():
     assert data["outcome"].values.tolist() == ["successful", "nonfinite"]
     np.testing.assert_array_equal(data["omega"], [0.7, np.nan])
     np.testing.assert_array_equal(data.attrs.pop("x0"), X0)
+    assert data["outcome_code"].dims == data["outcome"].dims == ("omega",)
     assert data.attrs == {
+        "jaxfil_type": "BifurcationDiagram",
         "system": "SDOscillator",
         "swept": "omega",
         "f0": 0.25,
@@ -71,7 +73,7 @@ DIAGRAMS = {
 @pytest.mark.parametrize("make", DIAGRAMS.values(), ids=DIAGRAMS)
 def test_what_is_saved_comes_back(make, tmp_path):
     diagram = make()
-    for path in (tmp_path / "sweep.nc", str(tmp_path / "sweep.zarr")):
+    for path in (tmp_path / "sweep.nc", str(tmp_path / "sweep.zarr"), tmp_path / "sweep.npz"):
         diagram.save(path)
         back = jf.load(path)
         assert eqx.tree_equal(
@@ -99,7 +101,7 @@ def test_every_bit_is_kept(tmp_path):
     strange = np.array([-0.0, np.inf, -np.inf, np.nan, 5e-324, 0.1]).reshape(1, 3, 2)
     diagram = dataclasses.replace(sweep([0.7]), xs=strange)
     zeros = dataclasses.replace(diagram, xs=np.full((1, 3, 2), -0.0))
-    for suffix in (".nc", ".zarr"):
+    for suffix in (".nc", ".zarr", ".npz"):
         for d in (diagram, zeros):
             d.save(tmp_path / f"a{suffix}")
             assert jf.load(tmp_path / f"a{suffix}").xs.tobytes() == d.xs.tobytes()
@@ -121,6 +123,12 @@ def test_bad_paths(tmp_path, monkeypatch):
     xarray.Dataset({"x": ("omega", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
     with pytest.raises(ValueError, match=r"other\.nc' has no jaxfil_version, outcome, stepper"):
         jf.load(tmp_path / "other.nc")
+    xarray.Dataset(attrs={"jaxfil_type": "Ring"}).to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    with pytest.raises(ValueError, match=r"a\.nc' is a Ring"):
+        jf.load(tmp_path / "a.nc")
+    np.savez(tmp_path / "other.npz", x=1.0)
+    with pytest.raises(ValueError, match=r"other\.npz' has no jaxfil_contents"):
+        jf.load(tmp_path / "other.npz")
     monkeypatch.setitem(sys.modules, "zarr", None)
     with pytest.raises(ImportError, match=r"need the package zarr: pip install 'jaxfil\[xarray\]'"):
         d.save(tmp_path / "a.zarr")

@@ -1,5 +1,8 @@
 """Files of all kinds are written from one description of the data."""
 
+import sys
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +10,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import jaxfil as jf
+from jaxfil.model import dataset_io
+from jaxfil.model.dataset_io import NamedArrays
 from jaxfil.model.outcomes import outcome_names
-from jaxfil.sweep import dataset_io
-from jaxfil.sweep.dataset_io import NamedArrays
 
 X0 = jnp.array([0.3, 0.1])
 RUN = {"transient": 2, "samples": 2, "steps": 20, "stepper": jf.RK4(), "progress": False}
@@ -79,15 +82,16 @@ def test_all_kinds_of_files_hold_the_same(tmp_path):
     )
     for suffix in (".nc", ".zarr", ".npz"):
         dataset_io.save(data, tmp_path / f"a{suffix}")
-    with np.load(tmp_path / "a.npz") as flat:
-        flat = dict(flat)
-    for suffix in (".nc", ".zarr"):
+    for suffix in (".nc", ".zarr", ".npz"):
         back = dataset_io.load(tmp_path / f"a{suffix}")
-        assert back["x"].values.tobytes() == flat["x"].tobytes()
-        assert back["component"].values.tolist() == flat["component"].tolist() == ["q", "v"]
-        assert back.attrs["steps"] == flat["steps"] == 20
+        assert back.array("x").tobytes() == data.array("x").tobytes()
+        assert back.array("component").tolist() == ["q", "v"]
+        assert [*back.variables["x"][0]] == ["t", "component"] and back.attributes == {"steps": 20}
 
 
-def test_an_npz_is_not_loaded(tmp_path):
-    with pytest.raises(ValueError, match=r"`path` must end in \.nc or \.zarr, got .*a\.npz'"):
-        jf.load(tmp_path / "a.npz")
+def test_an_npz_is_loaded_without_xarray(tmp_path, monkeypatch):
+    system = Clashing(jnp.array(1.3), jnp.array(0.4), jnp.array(0.1))
+    diagram = jf.bifurcation_diagram(system, "omega", [1.2, 1.3], X0, **RUN)
+    diagram.save(tmp_path / "a.npz")
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    assert eqx.tree_equal(jf.load(tmp_path / "a.npz"), diagram)

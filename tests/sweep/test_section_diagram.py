@@ -6,6 +6,7 @@ Against `scipy.integrate.solve_ivp`, and for Chua's circuit against what is know
 from typing import ClassVar
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -75,6 +76,7 @@ def test_a_diagram_at_a_section_is_kept_drawn_and_told_as_any_other(plain, tmp_p
     plain.save(tmp_path / "diagram.nc")
     back = jf.load(tmp_path / "diagram.nc")
     assert np.array_equal(back.xs, plain.xs) and back.conditions.max_return == 12.0
+    assert np.array_equal(back.times, plain.times) and np.isfinite(back.times).all()
     assert back.conditions.section == plain.conditions.section
     assert plain.to_xarray().attrs["section"].endswith("of its rate, direction -1")
     assert plain.plot().get_ylabel() == "x[0] at the section"
@@ -86,6 +88,65 @@ def test_a_checkpoint_knows_its_section(plain, tmp_path):
     assert np.array_equal(kept.xs, plain.xs) and np.array_equal(again.xs, plain.xs)
     with pytest.raises(ValueError, match="section"):
         sweep(checkpoint=tmp_path / "kept", section=jf.minima(lambda t, x: x[0]))
+
+
+def test_times_of_return_and_a_transient_in_time():
+    """Circles x = (cos ωt, −sin ωt) have their maxima of x at 2πk/ω, k ≥ 1: from t = 20 on the
+    first is number ⌈20 ω/2π⌉, which is another one in each lane."""
+    rates = np.array([1.0, 2.0, 5.0])
+    options = {"section": TOPS, "max_return": 8.0, "samples": 3, "steps": 40, "progress": False}
+    d = jf.bifurcation_diagram(
+        Circles(jnp.array(1.0)),
+        "omega",
+        rates,
+        jnp.array([1.0, 0.0]),
+        transient_time=20.0,
+        stepper=diffrax.Tsit5(),
+        compact=True,
+        **options,
+    )
+    assert d.successful.all() and d.conditions.transient == 0
+    first = np.ceil(20 * rates / (2 * np.pi))
+    exact = 2 * np.pi / rates[:, None] * (first[:, None] + np.arange(3))
+    assert d.times.shape == (3, 3)
+    np.testing.assert_allclose(d.times, exact, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(d.to_xarray()["t"].sel(omega=2.0), d.times[1])
+
+
+class Circles(jf.System):
+    omega: jax.Array
+
+    def vector_field(self, t, x, side):
+        return self.omega * jnp.stack([x[1], -x[0]])
+
+
+def test_following_and_the_estimate_of_errors_work_at_a_section(plain, tmp_path):
+    followed = sweep(follow="up", estimate_error=True, checkpoint=tmp_path / "kept")
+    assert followed.successful.all() and followed.errors.shape == (2, 2)
+    away = abs(followed.xs[:, -1, 0] - [amplitude(mu) for mu in MUS])
+    assert (away < 2 * followed.errors[:, 0]).all() and followed.errors.max() < 1e-3
+    # The second value starts at a maximum, which is no crossing, on the first one's cycle.
+    np.testing.assert_allclose(followed.xs[1, -1], plain.xs[1, -1], rtol=0, atol=1e-6)
+    again = sweep(follow="up", estimate_error=True, checkpoint=tmp_path / "kept")
+    assert eqx.tree_equal(again, followed)
+
+
+def test_the_basin_of_a_limit_cycle_is_that_of_its_section():
+    found = jf.basins_of_attraction(
+        VanDerPol(jnp.array(1.0)),
+        ([0.5, 3.0], [0.0]),
+        transient=12,
+        samples=4,
+        steps=16,
+        stepper=jf.RK4(),
+        section=TOPS,
+        max_return=12.0,
+        compact=True,
+        progress=False,
+    )
+    assert found.labels.ravel().tolist() == [1, 1]
+    np.testing.assert_allclose(found.attractors[0][:, 0], [amplitude(1.0)], rtol=0, atol=1e-4)
+    assert found.conditions.parameters == {"mu": 1.0}
 
 
 def test_a_lane_that_does_not_come_back_says_so():
@@ -100,6 +161,12 @@ def test_what_a_diagram_at_a_section_needs_is_asked_for_by_name():
         sweep(max_return=None)
     with pytest.raises(ValueError, match="`section` must be a jaxfil"):
         sweep(section=3)
+    with pytest.raises(ValueError, match="`transient_time` must be None without a `section`"):
+        jf.bifurcation_diagram(
+            jf.systems.SDOscillator(), "omega", MUS, jnp.zeros(2), transient_time=3.0
+        )
+    with pytest.raises(ValueError, match="`transient_time` must be a positive number, got -1"):
+        sweep(transient_time=-1.0)
     with pytest.raises(ValueError, match="Give a `section` to sample at"):
         sweep(section=None, max_return=None)
 

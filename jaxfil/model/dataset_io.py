@@ -1,12 +1,13 @@
 """Data sets in files: netCDF, Zarr or NumPy's .npz, by the name's end.
 
 One description of the data enters, whatever the file, and the file leaves; or a path enters and the
-data set leaves, every number bit for bit. The only file that knows xarray, which is imported with
-the first use.
+description leaves, every number bit for bit. The only file that knows xarray, which is imported
+with the first use.
 """
 
 import dataclasses
 import importlib
+import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,8 +24,11 @@ Variable: TypeAlias = (
 )
 """The dimensions of an array, the array, and its own attributes."""
 
-Attribute: TypeAlias = str | int | float | np.ndarray
+Attribute: TypeAlias = Any
+"""A text, a number, or an array of one dimension."""
 
+# The entry of an .npz that says which of the others is what.
+_CONTENTS = "jaxfil_contents"
 # What each kind of file needs besides NumPy.
 _PACKAGES = {".nc": ("xarray", "h5netcdf", "h5py"), ".zarr": ("xarray", "zarr"), ".npz": ()}
 
@@ -42,6 +46,20 @@ class NamedArrays:
     npz_names: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """The names that an .npz has for some of them: one without dimensions, coordinates and
     attributes needs other words."""
+    npz_extras: Mapping[str, Attribute] = dataclasses.field(default_factory=dict)
+    """What an .npz has besides, for `numpy.load`; it is not read back."""
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.variables or name in self.coordinates
+
+    def array(self, name: str) -> np.ndarray:
+        """The variable or coordinate called `name`."""
+        return ({**self.variables, **self.coordinates})[name][1]
+
+    def told(self, name: str) -> Mapping[str, str]:
+        """The attributes of a coordinate."""
+        _, _, *attributes = self.coordinates[name]
+        return attributes[0] if attributes else {}
 
 
 def to_xarray(data: NamedArrays) -> Dataset:
@@ -54,7 +72,7 @@ def to_xarray(data: NamedArrays) -> Dataset:
 def save(data: NamedArrays, path: PathLike) -> None:
     """Write to `path`, which ends in .nc, .zarr or .npz; what was there is replaced."""
     path = Path(path)
-    packages = _packages(path, _PACKAGES)
+    packages = _packages(path)
     if path.suffix == ".npz":
         np.savez_compressed(path, **_npz_entries(data))  # pyright: ignore[reportArgumentType]
         return
@@ -77,15 +95,32 @@ def read_zarr(path: Path) -> Dataset:
     return _xarray("xarray", "zarr").load_dataset(path, engine="zarr", consolidated=False)
 
 
-def load(path: PathLike) -> Dataset:
-    """The data set at `path`, in memory."""
+def load(path: PathLike) -> NamedArrays:
+    """What was saved at `path`, in memory."""
     path = Path(path)
-    xarray = _xarray(*_packages(path, [suffix for suffix in _PACKAGES if suffix != ".npz"]))
+    packages = _packages(path)
     if not path.exists():
         raise FileNotFoundError(f"`path` must be a file that `save` has written, got {path}.")
+    if path.suffix == ".npz":
+        return _from_npz(path)
+    xarray = _xarray(*packages)
     if path.suffix == ".nc":
-        return xarray.load_dataset(path, engine="h5netcdf")
-    return read_zarr(path)
+        return _from_xarray(xarray.load_dataset(path, engine="h5netcdf"))
+    return _from_xarray(read_zarr(path))
+
+
+def _from_xarray(data: Dataset) -> NamedArrays:
+    def described(arrays: Mapping[str, Any]) -> dict[str, Variable]:
+        return {
+            name: (each.dims, _without_objects(each.values), each.attrs)
+            for name, each in arrays.items()
+        }
+
+    return NamedArrays(described(data.data_vars), described(data.coords), data.attrs)
+
+
+def _without_objects(array: np.ndarray) -> np.ndarray:
+    return array.astype(str) if array.dtype.kind == "O" else array
 
 
 def _with_objects(variables: Mapping[str, Variable]) -> dict[str, tuple[Any, ...]]:
@@ -100,20 +135,62 @@ def _with_objects(variables: Mapping[str, Variable]) -> dict[str, tuple[Any, ...
 
 
 def _npz_entries(data: NamedArrays) -> dict[str, np.ndarray]:
-    """All arrays and attributes by the names of an .npz."""
-    arrays = {**data.variables, **data.coordinates}
-    entries = {name: variable[1] for name, variable in arrays.items()} | {**data.attributes}
+    """All arrays and attributes by the names of an .npz, and the contents: what each of them is."""
     # A name that was given away is no longer free: a parameter may be called `values`.
-    taken = {*data.npz_names.values()}
-    return {
-        data.npz_names.get(name, f"{name}_" if name in taken else name): np.asarray(value)
-        for name, value in entries.items()
+    taken = {*data.npz_names.values(), _CONTENTS}
+    entries: dict[str, np.ndarray] = {}
+
+    def kept(name: str, value: Any) -> str:
+        entry = data.npz_names.get(name, f"{name}_" if name in taken else name)
+        entries[entry] = np.asarray(value)
+        return entry
+
+    def arrays(described: Mapping[str, Variable]) -> dict[str, list[Any]]:
+        return {
+            name: [kept(name, array), _dims(dims), *map(dict, attributes)]
+            for name, (dims, array, *attributes) in described.items()
+        }
+
+    contents = {
+        "variables": arrays(data.variables),
+        "coordinates": arrays(data.coordinates),
+        "attributes": {name: kept(name, value) for name, value in data.attributes.items()},
     }
+    extras = {name: np.asarray(value) for name, value in data.npz_extras.items()}
+    return entries | extras | {_CONTENTS: np.asarray(json.dumps(contents))}
 
 
-def _packages(path: Path, suffixes: Sequence[str] | Mapping[str, object]) -> tuple[str, ...]:
-    if path.suffix not in suffixes:
-        *most, last = suffixes
+def _dims(dims: str | Sequence[str]) -> list[str]:
+    return [dims] if isinstance(dims, str) else [*dims]
+
+
+def _from_npz(path: Path) -> NamedArrays:
+    with np.load(path) as file:
+        entries = dict(file)
+    if _CONTENTS not in entries:
+        raise ValueError(
+            f"`path` must be a file that `save` has written; {os.fspath(path)!r} has no "
+            f"{_CONTENTS}."
+        )
+    contents = json.loads(entries[_CONTENTS].item())
+
+    def described(told: Mapping[str, list[Any]]) -> dict[str, Variable]:
+        return {
+            name: (dims, entries[entry], *attributes)
+            for name, (entry, dims, *attributes) in told.items()
+        }
+
+    attributes = {name: entries[entry] for name, entry in contents["attributes"].items()}
+    return NamedArrays(
+        described(contents["variables"]),
+        described(contents["coordinates"]),
+        {name: v if v.ndim else v.item() for name, v in attributes.items()},
+    )
+
+
+def _packages(path: Path) -> tuple[str, ...]:
+    if path.suffix not in _PACKAGES:
+        *most, last = _PACKAGES
         must = f"`path` must end in {', '.join(most)} or {last}"
         raise ValueError(f"{must}, got {os.fspath(path)!r}.")
     return _PACKAGES[path.suffix]

@@ -1,0 +1,80 @@
+"""Results read back from their files.
+
+A path enters, and the system where a result goes on with one; the result that was saved there
+leaves, bit for bit.
+"""
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+from jaxfil.files.basins import basins_from
+from jaxfil.files.diagram import diagram_from
+from jaxfil.files.orbit import branch_from, orbit_from
+from jaxfil.files.solution import solution_from
+from jaxfil.integrate.solution import Solution
+from jaxfil.model import dataset_io
+from jaxfil.model.dataset import TYPE
+from jaxfil.model.dataset_io import NamedArrays
+from jaxfil.model.system import System
+from jaxfil.model.types import PathLike
+from jaxfil.orbits.branch import Branch
+from jaxfil.orbits.orbit import Orbit
+from jaxfil.sweep.basins import Basins
+from jaxfil.sweep.diagram import BifurcationDiagram
+
+_Saved = BifurcationDiagram | Basins | Branch | Orbit | Solution
+
+_READERS: dict[str, Callable[[NamedArrays, System | None], _Saved]] = {
+    "BifurcationDiagram": lambda data, system: diagram_from(data),
+    "Basins": lambda data, system: basins_from(data),
+    "Branch": branch_from,
+    "Orbit": orbit_from,
+    "Solution": solution_from,
+}
+# What was saved before there were others does not say what it is.
+_FIRST = "BifurcationDiagram"
+_OF_A_DIAGRAM = {"jaxfil_version", "system", "swept", "transient", "steps", "stepper"}
+
+
+def load(path: PathLike, *, system: System | None = None) -> Any:
+    """The result that `save` wrote, bit for bit: a diagram, basins, a branch, an orbit, a solution.
+
+    **Arguments**
+
+    - `path`: a netCDF file (.nc), a Zarr store (.zarr) or an .npz, of the command line too.
+    - `system`: for an orbit, a branch, and a solution that was saved with
+      `diffrax.SaveAt(dense=True)`, which go on computing: a system of the same class, whose
+      parameters are then those of the file. A file holds names and numbers and no functions. It
+      does not matter for anything else.
+
+    **Returns** a `BifurcationDiagram`, `Basins`, a `Branch`, an `Orbit` or a `Solution`.
+
+    **Raises** `FileNotFoundError` if there is nothing, `ValueError` if there is something else, or
+    another `system` is needed, or JAX does not compute in the float64 of the file, and
+    `ImportError` without the packages of `pip install 'jaxfil[xarray]'`, which an .npz does not
+    need.
+
+    >>> import tempfile
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> d = jf.bifurcation_diagram(
+    ...     jf.systems.SDOscillator(), "omega", jnp.array([0.6, 1.2]), jnp.array([0.3, 0.1]),
+    ...     transient=2, samples=5, steps=20, stepper=jf.RK4(), progress=False)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     d.save(f"{folder}/sd.nc")
+    ...     back = jf.load(f"{folder}/sd.nc")
+    >>> bool((back.xs == d.xs).all()), back.conditions.stepper
+    (True, 'RK4')
+    """
+    data = dataset_io.load(path)
+    kind = data.attributes.get(TYPE, _FIRST)
+    missing = set()
+    if kind == _FIRST:
+        missing = _OF_A_DIAGRAM - {*data.attributes} | {"x", "outcome"} - {*data.variables}
+    if missing or kind not in _READERS:
+        lacks = f"has no {', '.join(sorted(missing))}" if missing else f"is a {kind}"
+        raise ValueError(
+            f"`path` must be a file that `save` has written; {os.fspath(path)!r} {lacks}."
+        )
+    return _READERS[kind](data, system)

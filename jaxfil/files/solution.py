@@ -1,0 +1,70 @@
+"""A solution from its data set.
+
+Named arrays enter, and the system that a dense solution goes on with; the solution leaves.
+"""
+
+import diffrax
+import numpy as np
+
+from jaxfil.integrate.rosenbrock import Rodas5P
+from jaxfil.integrate.solution import Crossings, Dense, Events, Solution
+from jaxfil.integrate.solution_arrays import CROSSINGS, DENSE, EVENTS, SOLUTION, STATS, TAKEN
+from jaxfil.integrate.stepper import RK4, Stepper, checked_stepper
+from jaxfil.model.dataset import (
+    fields_from,
+    labels_from,
+    on_device,
+    outcomes_from,
+    record,
+    system_from,
+)
+from jaxfil.model.dataset_io import NamedArrays
+from jaxfil.model.system import System
+
+_OWN = {"RK4": RK4, "Rodas5P": Rodas5P}
+
+
+def solution_from(data: NamedArrays, system: System | None) -> Solution:
+    """The solution."""
+    compact = bool(data.attributes["compact"])
+    return record(
+        Solution,
+        **fields_from(data, SOLUTION),
+        events=events_from(data),
+        result=outcomes_from(data),
+        stats={name: on_device(data.array(name)) for name in STATS},
+        crossings=record(Crossings, **fields_from(data, CROSSINGS))
+        if "crossing_t" in data
+        else None,
+        _dense=_dense(data, system, compact) if "step_t" in data else None,
+        labels=labels_from(data),
+        compact=compact,
+    )
+
+
+def events_from(data: NamedArrays) -> Events | None:
+    """The contacts, if a table of them was kept."""
+    return record(Events, **fields_from(data, EVENTS)) if "event_t" in data else None
+
+
+def stepper_from(data: NamedArrays) -> Stepper:
+    """The stepper of the name that the data set gives."""
+    name = str(data.attributes["stepper"])
+    cls = _OWN.get(name) or getattr(diffrax, name, None)
+    if cls is None:
+        raise ValueError(
+            "`path` must be of a run by a stepper of jaxfil or diffrax, which alone are known by "
+            f"name, got {name!r}."
+        )
+    return checked_stepper(cls())
+
+
+def _dense(data: NamedArrays, system: System | None, compact: bool) -> Dense:
+    dtype: np.dtype = data.array("step_x").dtype
+    return record(
+        Dense,
+        system=system_from(data, system, dtype, TAKEN),
+        **fields_from(data, DENSE),
+        stepper=stepper_from(data),
+        compact=compact,
+    )

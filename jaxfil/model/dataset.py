@@ -1,0 +1,185 @@
+"""What the data sets of all results have in common.
+
+A result's arrays, outcomes, components and system enter, and leave by their names and dimensions;
+and the other way round. The files themselves are made in `dataset_io`.
+"""
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.model.dataset_io import Attribute, NamedArrays, Variable
+from jaxfil.model.labels import Labels
+from jaxfil.model.outcomes import RESULTS, outcome_codes, outcome_names, outcomes
+from jaxfil.model.parameter import cast, parameters, replace_leaves
+from jaxfil.model.system import System
+from jaxfil.version import __version__
+
+_Record = TypeVar("_Record")
+
+Fields = Mapping[str, tuple[str, str]]
+"""The names of arrays in a data set: for each the field of the record and its dimensions."""
+
+TYPE = "jaxfil_type"
+"""The attribute that says which result a data set is."""
+
+
+def header(kind: str) -> dict[str, Attribute]:
+    """The attributes that every data set opens with."""
+    return {TYPE: kind, "jaxfil_version": __version__}
+
+
+def variables_of(record: Any, fields: Fields, batch: Sequence[str] = ()) -> dict[str, Variable]:
+    """The fields of a record that are not None; `batch` are the dimensions before their own."""
+    given = {name: (getattr(record, field), dims) for name, (field, dims) in fields.items()}
+    return {
+        name: ((*batch, *dims.split()), np.asarray(value))
+        for name, (value, dims) in given.items()
+        if value is not None
+    }
+
+
+def fields_from(data: NamedArrays, fields: Fields) -> dict[str, Any]:
+    """The fields of a record, None for what the data set does not have."""
+    return {
+        field: on_device(data.array(name)) if name in data else None
+        for name, (field, _) in fields.items()
+    }
+
+
+def record(kind: type[_Record], **fields: Any) -> _Record:
+    """A record of one lane, or of a batch, as `jax.vmap` makes it: the dimensions that are declared
+    are those of one lane, and to call the class would check them."""
+    made = object.__new__(kind)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+def on_device(array: np.ndarray) -> Array:
+    """The array as JAX's, every bit of it."""
+    if array.dtype == np.float64 and jnp.result_type(float) != np.float64:
+        raise ValueError(
+            "`path` must hold float32 numbers unless JAX computes in float64, got float64: call "
+            'jax.config.update("jax_enable_x64", True) first.'
+        )
+    return jnp.asarray(array)
+
+
+def outcome_variables(results: RESULTS, dims: Sequence[str]) -> dict[str, Variable]:
+    """Outcomes in words, by which they are read back, and as the numbers of this version."""
+    words = outcome_names(results)
+    return {"outcome": (dims, words), "outcome_code": (dims, outcome_codes(words))}
+
+
+def outcomes_from(data: NamedArrays, name: str = "outcome") -> RESULTS:
+    """The outcomes that words stand for."""
+    return outcomes(outcome_codes(data.array(name)))
+
+
+def component_coordinates(labels: Labels, n: int) -> dict[str, Variable]:
+    """The names of n components, or their numbers, and their units where there are any."""
+    names = np.array(labels.state) if labels.state else np.arange(n)
+    coordinates: dict[str, Variable] = {"component": ("component", names)}
+    units = [labels.unit(name) for name in labels.state]
+    if any(units):
+        coordinates["unit"] = "component", np.array(units)
+    return coordinates
+
+
+def axis_of(labels: Labels, name: str, dimension: str, values: np.ndarray) -> Variable:
+    """A parameter's values along a dimension, with its symbol and unit as xarray shows them."""
+    told = {"long_name": labels.symbol(name), "units": labels.unit(name)}
+    # What says no more than the name is left out: xarray shows the name by itself.
+    attributes = {key: word for key, word in told.items() if word not in ("", name)}
+    return dimension, values, attributes
+
+
+def label_attributes(labels: Labels) -> dict[str, Attribute]:
+    """Labels whole, where coordinates do not say all of them."""
+    told = {"symbols": dict(labels.symbols), "units": dict(labels.units)}
+    return {key: json.dumps(pairs, ensure_ascii=False) for key, pairs in told.items() if pairs}
+
+
+def labels_from(data: NamedArrays) -> Labels:
+    """What `component_coordinates` and `label_attributes` were made of."""
+    pairs = [json.loads(data.attributes.get(key, "{}")) for key in ("symbols", "units")]
+    symbols, units = (tuple(told.items()) for told in pairs)
+    return Labels(component_names(data), symbols, units)
+
+
+def component_names(data: NamedArrays) -> tuple[str, ...]:
+    """The names of the components; none where they have numbers."""
+    names = data.array("component")
+    return () if names.dtype.kind == "i" else tuple(map(str, names))
+
+
+def key_of(name: str, taken: Collection[str]) -> str:
+    """The name of a parameter in a data set, one of whose own names gets an underscore, as one does
+    that has such an underscore already."""
+    return f"{name}_" if name.rstrip("_") in taken else name
+
+
+def name_of(key: str, taken: Collection[str]) -> str:
+    """The name of a parameter, from that in a data set: see `key_of`."""
+    return key[:-1] if key.endswith("_") and key.rstrip("_") in taken else key
+
+
+def parameter_entries(
+    known: Mapping[str, np.ndarray], taken: Collection[str], batch: Sequence[str] = ()
+) -> tuple[dict[str, Variable], dict[str, Attribute]]:
+    """Parameters: arrays of them, and single numbers as attributes."""
+    variables: dict[str, Variable] = {}
+    attributes: dict[str, Attribute] = {}
+    for name, value in known.items():
+        key = key_of(name, taken)
+        if value.ndim:  # a file's attributes are numbers, or rows of them
+            own = [f"{key}_{i}" for i in range(value.ndim - len(batch))]
+            variables[key] = (*batch, *own), value
+        else:
+            attributes[key] = float(value)
+    return variables, attributes
+
+
+def system_entries(
+    system: System, taken: Collection[str], batch: Sequence[str] = (), skip: str = ""
+) -> tuple[dict[str, Variable], dict[str, Attribute]]:
+    """The name of a system and its parameters, all but the one called `skip`."""
+    known = {key: np.asarray(v) for key, v in parameters(system).items() if key != skip}
+    variables, attributes = parameter_entries(known, taken, batch)
+    return variables, {"system": type(system).__name__, **attributes}
+
+
+def system_from(
+    data: NamedArrays,
+    system: System | None,
+    dtype: np.dtype,
+    taken: Collection[str],
+    skip: str = "",
+) -> System:
+    """`system` with the parameters of the data set in the place of its own."""
+    name = str(data.attributes["system"])
+    if system is None or type(system).__name__ != name:
+        told = "None" if system is None else repr(system)
+        raise ValueError(
+            f"`system` must be a {name}, of which `path` holds what was found, got {told}."
+        )
+    keys = {leaf: key_of(leaf, taken) for leaf in parameters(system) if leaf != skip}
+    numbers = {key for key, v in data.attributes.items() if isinstance(v, (float, np.floating))}
+    strange = {*keys.values()} - {*data.variables} - numbers
+    strange |= (numbers | {*data.variables}) - {*keys.values()} - {*taken}
+    if strange:
+        raise ValueError(
+            f"`system` must have the parameters that `path` holds; they differ in "
+            f"{', '.join(sorted(strange))}, got {system!r}."
+        )
+    values = {
+        leaf: data.array(key) if key in data.variables else data.attributes[key]
+        for leaf, key in keys.items()
+    }
+    exact = {k: on_device(np.asarray(v, dtype)) for k, v in values.items()}
+    return replace_leaves(cast(system, dtype), exact)

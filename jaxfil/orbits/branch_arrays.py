@@ -1,0 +1,79 @@
+"""Branches of orbits by name: what their arrays are called in a data set.
+
+A branch enters; named arrays leave, with its orbits along one dimension and its special points
+along another.
+"""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxfil.model.dataset import (
+    axis_of,
+    component_coordinates,
+    header,
+    key_of,
+    outcome_variables,
+    system_entries,
+)
+from jaxfil.model.dataset_io import NamedArrays, Variable
+from jaxfil.model.labels import labels_of
+from jaxfil.orbits.orbit_arrays import TAKEN as ORBIT_TAKEN, option_attributes, orbit_variables
+
+_ALONG, _SPECIAL = "orbit", "special"
+_POINT = ("kind", "value", "index", "before", "after")
+# Names of its data set that are no parameter's.
+TAKEN = {*ORBIT_TAKEN, "sequence", "branch_outcome", "branch_outcome_code", "ended_before"}
+TAKEN |= {"ended_after", "periods", "swept", _ALONG, _SPECIAL}
+TAKEN |= {f"special_{name}" for name in {*_POINT, *ORBIT_TAKEN}}
+
+
+def branch_arrays(branch: Any) -> NamedArrays:
+    """Those of a `Branch`."""
+    orbits, parameter = branch.orbits, branch.parameter
+    first = jax.tree.map(lambda v: v[0], eqx.filter(orbits.system, eqx.is_array))
+    system = eqx.combine(first, orbits.system)
+    n = orbits.x0.shape[-1]
+    labels = labels_of(system, n)
+    arrays, told = system_entries(system, TAKEN, skip=parameter)
+    variables: dict[str, Variable] = {
+        **orbit_variables(orbits, (_ALONG,)),
+        "sequence": (_ALONG, np.array([json.dumps(s) for s in branch.sequences])),
+        **_prefixed("branch_", outcome_variables(branch.result, ())),
+        **_points(branch.points),
+        **arrays,
+    }
+    key = key_of(parameter, TAKEN)
+    coordinates = component_coordinates(labels, n)
+    coordinates[key] = axis_of(labels, parameter, _ALONG, np.asarray(branch.values))
+    attributes = header("Branch") | told | option_attributes(orbits)
+    attributes |= {"swept": parameter, "periods": branch.periods}
+    attributes |= {"ended_before": branch.ended[0], "ended_after": branch.ended[1]}
+    return NamedArrays(variables, coordinates, attributes)
+
+
+def _points(points: list[Any]) -> dict[str, Variable]:
+    """The special points of a branch."""
+    if not points:
+        return {}  # netCDF has no dimension of length zero
+    arrays = [eqx.filter(point.orbit, eqx.is_array) for point in points]
+    stacked = jax.tree.map(lambda *v: np.stack(v), *arrays)
+    orbits = eqx.combine(stacked, points[0].orbit)
+    named: dict[str, Variable] = {
+        name: (_SPECIAL, np.array([_plain(getattr(point, name)) for point in points]))
+        for name in _POINT
+    }
+    return _prefixed("special_", orbit_variables(orbits, (_SPECIAL,)) | named)
+
+
+def _plain(value: Any) -> Any:
+    """Contacts as text; what is a number or a word as it is."""
+    return json.dumps(value) if isinstance(value, tuple) else value
+
+
+def _prefixed(prefix: str, variables: Mapping[str, Variable]) -> dict[str, Variable]:
+    return {prefix + name: variable for name, variable in variables.items()}

@@ -1,0 +1,72 @@
+"""Orbits by name: what their arrays are called in a data set.
+
+An orbit, of one or of a batch, enters; named arrays leave.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxfil.integrate.solution_arrays import EVENTS, batch_dims, event_variables
+from jaxfil.integrate.stepper import tableau_of
+from jaxfil.model.dataset import (
+    Fields,
+    component_coordinates,
+    header,
+    outcome_variables,
+    system_entries,
+    variables_of,
+)
+from jaxfil.model.dataset_io import Attribute, NamedArrays, Variable
+from jaxfil.model.labels import labels_of
+
+ORBIT: Fields = {
+    "x0": ("x0", "component"),
+    "period": ("period", ""),
+    "monodromy": ("monodromy", "component by_component"),
+    "residual": ("residual", ""),
+    "num_events": ("num_events", ""),
+    "first_mode": ("first_mode", "surface"),
+    "start": ("starts", "arc component"),
+    "num_steps": ("num_steps", ""),
+}
+# Static fields of `ShootingOptions` that are numbers.
+OPTIONS = ("steps", "arcs", "max_events", "compact")
+# Names of its data set that are no parameter's.
+TAKEN = {*ORBIT, *EVENTS, *OPTIONS, "t0", "stepper", "outcome", "outcome_code", "event_kind"}
+TAKEN |= {"multiplier_real", "multiplier_imag", "stable", "component", "unit", "system", "lane"}
+TAKEN |= {"jaxfil_type", "jaxfil_version", "by_component", "surface", "arc", "event", "multiplier"}
+
+
+def orbit_variables(orbit: Any, batch: Sequence[str]) -> dict[str, Variable]:
+    """Those of an `Orbit` without its system, with its multipliers and whether it is stable."""
+    dims = (*batch, "multiplier")
+    return {
+        **variables_of(orbit, ORBIT, batch),
+        "t0": (batch, np.asarray(orbit.options.t0)),
+        **outcome_variables(orbit.result, batch),
+        **event_variables(orbit.events, batch),
+        "stable": (batch, np.asarray(orbit.stable)),
+        # No format of files knows complex numbers.
+        "multiplier_real": (dims, np.real(orbit.multipliers)),
+        "multiplier_imag": (dims, np.imag(orbit.multipliers)),
+    }
+
+
+def option_attributes(orbit: Any) -> dict[str, Attribute]:
+    """How an orbit was integrated."""
+    told = {name: int(getattr(orbit.options, name)) for name in OPTIONS}
+    return {**told, "stepper": tableau_of(orbit.options.stepper).name}
+
+
+def orbit_arrays(orbit: Any) -> NamedArrays:
+    """Those of an `Orbit`."""
+    *shape, n = np.shape(orbit.x0)
+    batch = batch_dims(shape)
+    arrays, told = system_entries(orbit.system, TAKEN, batch)
+    return NamedArrays(
+        orbit_variables(orbit, batch) | arrays,
+        component_coordinates(labels_of(orbit.system, n), n),
+        header("Orbit") | told | option_attributes(orbit),
+    )

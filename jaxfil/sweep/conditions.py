@@ -1,0 +1,108 @@
+"""The conditions of a sweep: what it ran with besides the values swept.
+
+They enter and leave a data set as attributes, and as arrays what is none of a few numbers.
+"""
+
+from collections.abc import Collection, Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from jaxfil.model.dataset import name_of, parameter_entries
+from jaxfil.model.dataset_io import Attribute, NamedArrays, Variable
+
+# Names of a data set that are no parameter's.
+CONDITIONS = {
+    "jaxfil_type",
+    "jaxfil_version",
+    "system",
+    "x0",
+    "transient",
+    "steps",
+    "stepper",
+    "follow",
+    "compact",
+    "section",
+    "max_return",
+    "transient_time",
+    "observe",
+}
+
+
+class Conditions(eqx.Module):
+    """What a sweep ran with besides the values swept: all it takes to make it again."""
+
+    parameters: dict[str, np.ndarray]
+    """The system's other parameters, by name."""
+    x0: Float[np.ndarray, "*lanes n"]
+    """The initial state, shape (n,), or one for each lane."""
+    transient: int = eqx.field(static=True)
+    """Forcing periods, or crossings of the section, before the first sample."""
+    steps: int = eqx.field(static=True)
+    """Steps per forcing period; of an autonomous system per unit of time."""
+    stepper: str = eqx.field(static=True)
+    """The stepper's name."""
+    follow: str | None = eqx.field(static=True)
+    """"up" or "down" if each value began where the last one ended; None if all began at `x0`."""
+    version: str = eqx.field(static=True)
+    """The version of jaxfil that computed it."""
+    compact: bool = eqx.field(static=True, default=False)
+    """Whether the stages of a step were a loop in the program: see `solve`."""
+    section: str | None = eqx.field(static=True, default=None)
+    """The section that was sampled at; None: once a forcing period."""
+    max_return: float | None = eqx.field(static=True, default=None)
+    """The time that a return to it was given."""
+    transient_time: float | None = eqx.field(static=True, default=None)
+    """The time before which no crossing of it counted; None: all did."""
+    observe: str | None = eqx.field(static=True, default=None)
+    """The function that was kept of the samples; None: the states themselves."""
+
+
+def condition_entries(
+    given: Conditions, taken: Collection[str], lanes: Sequence[str]
+) -> tuple[dict[str, Variable], dict[str, Attribute]]:
+    """What a data set says of them, whose lanes have these dimensions."""
+    variables, attributes = parameter_entries(given.parameters, taken)
+    if given.x0.ndim > 1:
+        last = "component" if given.observe is None else "x0_component"
+        variables["x0"] = (*lanes, last), given.x0
+    else:
+        attributes["x0"] = given.x0
+    named = ("transient", "steps", "stepper", "follow", "section", "max_return")
+    named += ("transient_time", "observe")
+    told = {name: getattr(given, name) for name in named}
+    attributes |= {name: value for name, value in told.items() if value is not None}
+    attributes |= {"compact": int(given.compact), "jaxfil_version": given.version}
+    return variables, attributes
+
+
+def conditions_from(data: NamedArrays, dtype: np.dtype, taken: Collection[str]) -> Conditions:
+    """What `condition_entries` was given."""
+    told = data.attributes
+    # An attribute of one number comes back as a number, and one of float32 as float64.
+    x0 = data.array("x0") if "x0" in data else np.reshape(told["x0"], (-1,)).astype(dtype)
+    longest, before = told.get("max_return"), told.get("transient_time")
+    return Conditions(
+        parameters=_parameters(data, dtype, taken),
+        x0=x0,
+        transient=int(told["transient"]),
+        steps=int(told["steps"]),
+        stepper=str(told["stepper"]),
+        follow=told.get("follow"),
+        version=str(told["jaxfil_version"]),
+        compact=bool(told.get("compact", False)),
+        section=told.get("section"),
+        max_return=None if longest is None else float(longest),
+        transient_time=None if before is None else float(before),
+        observe=told.get("observe"),
+    )
+
+
+def _parameters(
+    data: NamedArrays, dtype: np.dtype, taken: Collection[str]
+) -> dict[str, np.ndarray]:
+    """The parameters that were not swept, by name."""
+    scalars = {key: np.asarray(v, dtype) for key, v in data.attributes.items() if key not in taken}
+    arrays = {key: v[1] for key, v in data.variables.items() if key not in taken}
+    return {name_of(key, taken): value for key, value in sorted((scalars | arrays).items())}

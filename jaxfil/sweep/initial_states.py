@@ -1,0 +1,30 @@
+"""The initial states of a sweep, one for all lanes or one for each.
+
+What a user gives enters; the precision of the run and the states as an array leave.
+"""
+
+import numpy as np
+
+from jaxfil.model import check
+from jaxfil.model.types import States
+
+
+def state_type(x0: States) -> np.dtype:
+    """The float precision of initial states."""
+    # One of them is checked for all: an array has one shape and one dtype.
+    several = np.ndim(x0) > 1 and np.size(x0) > 0
+    return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
+
+
+def initial_states(x0: States, shape: tuple[int, ...], follow: bool) -> np.ndarray:
+    """One initial state, shape (n,), or one for each lane."""
+    states = np.asarray(x0)
+    if follow and states.ndim != 1:
+        raise ValueError(f"`x0` must be of shape (n,) with `follow`, got {states.shape}.")
+    if states.ndim != 1 and states.shape[:-1] != shape:
+        lanes = ", ".join(map(str, shape))
+        raise ValueError(
+            f"`x0` must be of shape (n,), or ({lanes}, n), a state for each lane, got "
+            f"{states.shape}."
+        )
+    return states
