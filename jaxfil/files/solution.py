@@ -36,6 +36,7 @@ def solution_from(data: NamedArrays, system: System | None) -> Solution:
         crossings=record(Crossings, **fields_from(data, CROSSINGS))
         if "crossing_t" in data
         else None,
+        observed=on_device(data.array("observed")) if "observed" in data else None,
         _dense=_dense(data, system, compact) if "step_t" in data else None,
         labels=labels_from(data),
         compact=compact,

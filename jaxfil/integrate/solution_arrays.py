@@ -57,7 +57,7 @@ STATS = ("num_steps", "num_iterations", "num_saved")
 # Names of its data set that are no parameter's.
 TAKEN = {*SOLUTION, *EVENTS, *CROSSINGS, *DENSE, *STATS, "event_kind", "outcome", "outcome_code"}
 TAKEN |= {"component", "unit", "jaxfil_type", "jaxfil_version", "system", "symbols", "units"}
-TAKEN |= {"stepper", "compact", "time", "event", "surface", "crossing", "step", "lane"}
+TAKEN |= {"stepper", "compact", "observed", "time", "event", "surface", "crossing", "step", "lane"}
 _TIMES = ("t", "event_t", "crossing_t", "step_t")
 
 
@@ -86,6 +86,10 @@ def solution_arrays(sol: Any) -> NamedArrays:
     variables |= event_variables(sol.events, batch)
     if sol.crossings is not None:
         variables |= variables_of(sol.crossings, CROSSINGS, batch)
+    if sol.observed is not None:
+        more = np.ndim(sol.observed) - len(batch) - 1
+        own = (f"observed_{i}" for i in range(more))
+        variables["observed"] = (*batch, "time", *own), np.asarray(sol.observed)
     attributes = header("Solution") | {"compact": int(sol.compact)} | label_attributes(labels)
     if sol._dense is not None:
         variables |= variables_of(sol._dense, DENSE, batch)

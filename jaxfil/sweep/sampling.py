@@ -126,8 +126,7 @@ class Sampling(eqx.Module):
         system, period = at_point(system, names, row)
         if self.section is None:
             periods = self.transient + jnp.arange(1, self.samples + 1, dtype=jnp.int32)
-            since = periods if problem.grid.forcing is None else jnp.zeros_like(periods)
-            samples = dataclasses.replace(samples, ts=since.astype(row.dtype) * period)
+            samples = dataclasses.replace(samples, ts=periods.astype(row.dtype) * period)
         values = observed(self.observable, problem, system, x0, samples)
         return jnp.where(jnp.isfinite(values), values, jnp.nan).reshape(self.samples, -1)
 

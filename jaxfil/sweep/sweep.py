@@ -129,8 +129,7 @@ def bifurcation_diagram(
     - `transient_time`: with a `section`, a transient in time and not in crossings: crossings before
       t = `transient_time` do not count. It is the same for all lanes, however often each returns.
     - `observe`: as in `solve`, a function that returns a number or k of them, shape () or (k,):
-      they are kept in place of the states, and called as the function is. Its time is 0 at the ends
-      of forcing periods, as the clock starts anew there, unless the system has `clocks`.
+      they are kept in place of the states, and called as the function is.
 
     **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
     n), their `times` with a `section`, and `errors`, shape (p, n) or (p1, p2, …, n), if asked for;

@@ -75,11 +75,13 @@ def kept(result, folder, system=None, suffixes=(".npz", ".nc", ".zarr")):
 
 
 def test_a_solution_with_its_events_crossings_and_errors(sol, tmp_path):
-    sol = dataclasses.replace(sol, errors=1e-9 * sol.xs)
+    seen = jnp.stack([sol.xs, 2 * sol.xs], axis=-1)
+    sol = dataclasses.replace(sol, errors=1e-9 * sol.xs, observed=seen)
     assert np.isinf(sol.events.ts[-1]) and np.isinf(sol.crossings.ts[-1]), "there is padding"
     back = kept(sol, tmp_path)
     assert repr(back) == repr(sol) and repr(back.events) == repr(sol.events)
     data = sol.to_xarray()
+    assert data["observed"].dims == ("time", "observed_0", "observed_1")
     assert data["x"].dims == ("time", "component") and data["t"].dims == ("time",)
     np.testing.assert_array_equal(data["x"].sel(component="x'"), sol.xs[:, 1])
     assert data["event_kind"].values.tolist()[:3] == ["crossing", "stick", "slip"]
