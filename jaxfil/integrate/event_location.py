@@ -57,6 +57,9 @@ _FADED, _NEARER, _LEAST_NEARER = 0.25, 0.7, 1e-3
 # It has come to the point when the distance is this multiple of the rounding of times: much nearer
 # the weights are rounding.
 _LAST_LOOK = 64
+# A step to a grid point is brief, of so many times the rounding of times and no more than this part
+# of the grid's.
+_BRIEF, _BRIEF_PART = 4, 1 / 16
 # Contacts closer than this part of the time to the first are one event.
 _TOGETHER = 1e-6
 
@@ -194,6 +197,10 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     A slide that repels at the end of the step is followed to where it ceases to attract.
     """
     system, h = problem.system, length.h
+    # A slide or a rest that ends at a grid point ends beside it, by rounding of times. There the
+    # field may still point back, and the surface is not met again for that.
+    rounding, dt = problem.grid.same_time(end.tau), abs(problem.grid.dt)
+    brief = ~length.cutting & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
     found = []
     for j in range(system.m):
         # A guard just met has its own rounding; one left long ago may have gathered all of t0 to
@@ -202,7 +209,8 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
         noise = jnp.where(state.armed[j], jnp.maximum(end.noise[j], end.touch[j]), fresh)
         ends = state.g[j], h * state.rate[j], stop_gradient(end.g[j]), h * end.rate[j]
         met = ~(state.armed[j] & stays_off(*ends, noise))
-        found.append(system.where_any(met, _found, _nothing, *ends, state.armed[j], noise))
+        number = system.where_any(met, _found, _nothing, *ends, state.armed[j], noise)
+        found.append(jnp.where(brief & ~state.armed[j], NEVER + _LOOK, number))
     # The earliest counts, whichever surface is listed first; contacts beat minima at the same θ.
     contact = minimum = jnp.asarray(NEVER, h.dtype)
     thetas = []
