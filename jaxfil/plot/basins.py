@@ -13,6 +13,9 @@ from jaxfil.model.drawing import draws
 from jaxfil.plot.canvas import BLACK, WHITE, color_bar, own_axes, shades
 from jaxfil.sweep.basins import Basins
 
+# Attractors behind this part of the width have their number to the left.
+_RIGHT = 0.95
+
 
 @draws(Basins)
 def basins(found: Basins, ax: Axes | None = None, colorbar: bool | Axes = True) -> Axes:
@@ -70,8 +73,15 @@ def basins(found: Basins, ax: Axes | None = None, colorbar: bool | Axes = True) 
         x, y = (points[:, c] for c in found.components)
         ax.plot(x, y, "o", color=WHITE, markeredgecolor=BLACK, markersize=5)
         for place in zip(x, y, strict=True):
+            # Beside the right edge there is no room.
+            left = place[0] > _RIGHT * limits[0][1] + (1 - _RIGHT) * limits[0][0]
             number = ax.annotate(
-                str(k), place, (4, 3), textcoords="offset points", annotation_clip=True
+                str(k),
+                place,
+                (-4 if left else 4, 3),
+                textcoords="offset points",
+                ha="right" if left else "left",
+                annotation_clip=True,
             )
             number.set_path_effects([withStroke(linewidth=2, foreground=WHITE)])
     ax.set_xlim(limits[0])
