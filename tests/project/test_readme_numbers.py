@@ -7,9 +7,11 @@ import pytest
 
 from benchmarks import RESULTS
 from benchmarks.report import LEVELS, rate_at, ratios
+from tests import ROOT
 from tests.project.readme import README
 
 WORDS = " ".join(README.split())
+PAGE = " ".join((ROOT / "docs/results/index.md").read_text().split())
 ROWS = json.loads((RESULTS / "throughput.json").read_text())["rows"]
 RK4 = [("belt", "numba vector", "rk4", [1.1e-7]), ("sd", "numba vector", "rk4", [1e-8])]
 
@@ -90,6 +92,7 @@ def said():
 @pytest.mark.parametrize("sentence", tuple(said()))
 def test_readme_says_what_was_measured(sentence):
     assert sentence in WORDS
+    assert sentence in PAGE or "|" not in sentence  # the table stands on the site too
 
 
 def test_none_was_wrong():
