@@ -2,11 +2,13 @@
 
 heyoka 7.13.2 integrates Chua's circuit by Taylor's method at a tolerance of 1e-18, of order 25 and
 more, with the contacts as terminal events that set the side, and the maxima of z as non-terminal
-ones: another method, another way to find an event, another compiler.
+ones: another method, another way to find an event, another compiler. Derivatives are those of its
+variational equations, of first order.
 """
 
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -32,6 +34,17 @@ MAXIMA = [
     (8.45636000695944, -2.0294541205274634, 3.0255089130948307),
     (11.070230654563746, -1.850636851940882, 2.582365708792746),
 ]
+# Of the first and the last maximum, by the initial state: its time, and x there.
+SLOPES = {
+    0: [
+        [0.13619717761494268, -1.207250898916802, 0.44907062917394586],
+        [-2.9515512379982405, 0.48507577167019866, -3.5491780397932087],
+    ],
+    4: [
+        [57.74598925051906, -10.286644999423471, 69.85962070585535],
+        [30.254889985070417, -4.765664675757698, 36.45317874467333],
+    ],
+}
 
 
 class Chua(jf.System):
@@ -49,10 +62,10 @@ class Chua(jf.System):
         return jnp.stack([x[0] - 1, x[0] + 1])
 
 
-def test_the_double_scroll_is_that_of_heyoka():
+def run(x0):
     sol = jf.solve(
         Chua(),
-        jnp.array([0.7, 0.1, -0.1]),
+        x0,
         0.0,
         12.0,
         0.01,
@@ -60,8 +73,15 @@ def test_the_double_scroll_is_that_of_heyoka():
         compact=True,
         sections=jf.maxima(lambda t, x: x[2]),
     )
+    return jnp.stack([sol.crossings.ts, sol.crossings.xs[:, 0]], axis=1), sol
+
+
+def test_the_double_scroll_is_that_of_heyoka():
+    slopes, sol = jax.jacfwd(run, has_aux=True)(jnp.array([0.7, 0.1, -0.1]))
     np.testing.assert_allclose(sol.events.ts[: len(CONTACTS)], CONTACTS, rtol=0, atol=1e-10)
     assert int(sol.num_events) == len(CONTACTS)
     found = np.stack([sol.crossings.ts, sol.crossings.xs[:, 0], sol.crossings.xs[:, 2]], axis=1)
     np.testing.assert_allclose(found[: len(MAXIMA)], MAXIMA, rtol=0, atol=1e-10)
     assert int(sol.num_crossings) == len(MAXIMA)
+    for number, expected in SLOPES.items():
+        np.testing.assert_allclose(slopes[number], expected, rtol=1e-10)
