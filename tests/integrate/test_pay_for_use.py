@@ -44,6 +44,12 @@ class Impact(Crossing):
         return jnp.stack([x[0], -0.9876 * x[1]])
 
 
+class Ticking(Crossing):
+    @property
+    def clocks(self):
+        return (jf.Clock(0.25),)
+
+
 # Frequencies and belt speeds of two runs.
 NEW = ((4.3, 1.0), (4.4, 1.1))
 TS = diffrax.SaveAt(ts=jnp.array([0.3, 0.7]))
@@ -54,6 +60,8 @@ PROGRAMS = {
     "impact": (Impact, {}),
     "events": (Crossing, {"max_events": 3}),
     "ts": (Crossing, {"saveat": TS}),
+    "section": (Crossing, {"sections": jf.Section(lambda t, x: x[0])}),
+    "clock": (Ticking, {}),
 }
 
 
@@ -109,6 +117,11 @@ def text(system, **options):
         ("recording.record_event", "events", "crossing"),
         ("recording._kind", "events", "crossing"),
         ("recording.save_state", "ts", "crossing"),
+        # Sections and clocks.
+        ("crossing.look", "section", "crossing"),
+        ("crossing.follow", "section", "crossing"),
+        ("clocks._met", "clock", "crossing"),
+        ("clocks._moved", "clock", "crossing"),
     ],
 )
 def test_what_is_not_declared_is_not_in_the_program(program, source, declared, other):
