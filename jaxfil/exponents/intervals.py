@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
+from jaxfil.integrate.phase import repeats
 from jaxfil.integrate.problem import TimeGrid, grid_of_periods
 from jaxfil.model import check
 from jaxfil.model.system import System
@@ -23,11 +24,19 @@ class Interval(eqx.Module):
 
     length: Array
     forced: bool = eqx.field(static=True)
-    """Whether it is the period of the forcing, at whose end the clock may start anew."""
+    """Whether it is the period of the forcing."""
+    repeats: Array | None = None
+    """Whether the system is at its end what it was; None where that is not known."""
+
+    def of(self, system: System, x: Array) -> "Interval":
+        """The same, after a look at the system near a state."""
+        return Interval(
+            self.length, self.forced, repeats(system, self.length, x) if self.forced else None
+        )
 
     def grid(self, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:
         """The grid of `count` of them after the first `start`."""
-        return grid_of_periods(self.length, count, steps, start, forced=self.forced)
+        return grid_of_periods(self.length, count, steps, start, repeats=self.repeats)
 
 
 def counts_of(periods: int, transient: int, steps: int) -> Counts:
@@ -48,4 +57,4 @@ def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> In
             f"`interval` must be a positive number: {type(system).__name__} has no forcing period "
             "to take its place; got None."
         )
-    return Interval(check.period(system, dtype), not system.clocks)
+    return Interval(check.period(system, dtype), True)

@@ -150,6 +150,7 @@ def _spectrum(
     compact: bool,
 ) -> LyapunovSpectrum:
     periods, transient, steps = counts
+    interval = interval.of(system, x0)
     grid = interval.grid(transient + periods, steps)
     problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING, compact)
     # The frame costs n times the orbit: it joins when most of the transient is over.

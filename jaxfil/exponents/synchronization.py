@@ -159,6 +159,7 @@ def _threshold(
     compact: bool,
 ) -> Synchronization:
     periods, transient, steps = counts
+    interval = interval.of(system, x0)
     x, settled = _settle(system, x0, interval, counts, stepper, compact)
     y, distance = _away(x, 0.01)
     z = jnp.concatenate([x, y])
@@ -282,6 +283,7 @@ def _transverse(
     compact: bool,
 ) -> TransverseExponent:
     periods, transient, steps = counts
+    interval = interval.of(system, x0)
     x, settled = _settle(system, x0, interval, counts, stepper, compact)
     eps = float(jnp.finfo(x0.dtype).eps)
     # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at

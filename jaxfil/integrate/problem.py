@@ -26,7 +26,8 @@ def iteration_budget(num_steps: Array, max_events: int | None = None) -> Array:
 
 
 class ForcingPeriod(eqx.Module):
-    """The period of the forcing, and how many steps of the grid it has."""
+    """The time after which elapsed times start anew, and how many steps of the grid that is: a
+    period of the forcing, or all of the run."""
 
     length: Array
     steps: Array
@@ -36,7 +37,7 @@ class TimeGrid(eqx.Module):
     """The grid: `num_steps` steps of `dt` (signed) from `t0`, the last one ending at `length`.
 
     Times in the loop are elapsed times, so that a huge t0 costs the grid no accuracy. With a
-    `forcing` they start anew from zero at the end of each of its periods: see `phase`.
+    `forcing` they start anew from zero at the end of each of its lengths: see `phase`.
     """
 
     t0: Array
@@ -83,21 +84,31 @@ def period_outcome(period: Array, result: RESULTS) -> RESULTS:
 
 
 def grid_of_periods(
-    period: Array, count: Array, steps: Array, start: Array | int = 0, *, forced: bool = False
+    period: Array,
+    count: Array,
+    steps: Array,
+    start: Array | int = 0,
+    *,
+    repeats: Array | None = None,
 ) -> TimeGrid:
-    """The grid of `count` periods after the first `start` from t = 0 on, `steps` steps each;
-    `forced`: they are periods of the forcing. It is NaN, and a run over it ends at once, where
-    there is no such period: see `period_outcome`."""
+    """The grid of `count` periods after the first `start` from t = 0 on, `steps` steps each, with a
+    clock that starts anew in each if the system `repeats` after it; None: it is not known to. The
+    grid is NaN, and a run over it ends at once, where there is no such period: see
+    `period_outcome`."""
     period = jnp.where(_is_no_period(period), jnp.nan, period)
     num_steps = count * steps
-    before = jnp.asarray(0 if forced else start)
+    length, forcing = count.astype(period.dtype) * period, None
+    before = jnp.asarray(start, jnp.int32)
+    if repeats is not None:
+        whole = jnp.where(repeats, period, length), jnp.where(repeats, steps, num_steps)
+        before, forcing = jnp.where(repeats, 0, before), ForcingPeriod(*whole)
     return TimeGrid(
         t0=before.astype(period.dtype) * period,
-        length=count.astype(period.dtype) * period,
+        length=length,
         dt=period / steps.astype(period.dtype),
         num_steps=num_steps,
         max_iterations=iteration_budget(num_steps),
-        forcing=ForcingPeriod(period, steps) if forced else None,
+        forcing=forcing,
     )
 
 

@@ -96,7 +96,8 @@ class System(eqx.Module):
 
     @property
     def period(self) -> Array | float | None:
-        """Period of the forcing in units of t; None if the system is autonomous."""
+        """Period of the forcing in units of t; None if the system is autonomous. Of several forces
+        that of the one to sample by."""
         return None
 
     @property

@@ -14,6 +14,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.components import build
 from jaxfil.integrate.observed import Observable, checked_observable, observed
+from jaxfil.integrate.phase import repeats
 from jaxfil.integrate.problem import (
     Problem,
     Recording,
@@ -49,6 +50,22 @@ class Sampling(eqx.Module):
     transient_time: Array | None = None
     """The time before which no crossing counts; None: all do."""
 
+    repeats: Array | None = None
+    """Whether the system is after a period what it was; None where that is not known."""
+
+    def over(
+        self, system: System, names: tuple[str, ...], rows: Array, states: Array
+    ) -> "Sampling":
+        """The same, after a look at the systems of a chunk of lanes."""
+        if self.section is not None:
+            return self
+
+        def same(row: Array, x0: Array) -> Array | None:
+            return repeats(*at_point(system, names, row), x0)
+
+        each = jax.vmap(same, in_axes=(0, 0 if states.ndim > 1 else None))(rows, states)
+        return self if each is None else dataclasses.replace(self, repeats=jnp.all(each))
+
     def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
         """That of one point in parameter space."""
         system, period = at_point(system, names, row)
@@ -67,7 +84,7 @@ class Sampling(eqx.Module):
             )
             return Problem(field, tableau, grid, recording, self.compact, watched)
         count = self.transient + self.samples
-        grid = grid_of_periods(period, count, self.steps, forced=not system.clocks)
+        grid = grid_of_periods(period, count, self.steps, repeats=self.repeats)
         recording = Recording(
             save="samples",
             max_events=None,

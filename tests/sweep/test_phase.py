@@ -1,6 +1,7 @@
 """The clock of a forced system starts anew each period, so that no phase is lost in long runs."""
 
 import diffrax
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -76,3 +77,38 @@ def test_contacts_of_a_long_run_are_where_those_of_float64_are():
     size = np.linalg.norm(ends[1], axis=-1)
     apart = np.linalg.norm(ends[0] - ends[1], axis=-1)
     assert np.all(apart <= 32 * np.finfo(np.float32).eps * size)
+
+
+class TwoForces(jf.System):
+    """x' = −x + cos ωt + a cos νt, sampled by the period of the first force."""
+
+    omega: jax.Array
+    other: jax.Array
+    nu = 0.5 * (5**0.5 - 1)
+
+    def vector_field(self, t, x, side):
+        forces = jnp.cos(self.omega * t) + self.other * jnp.cos(self.nu * t)
+        return jnp.stack([forces - x[0]])
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+@pytest.mark.parametrize("other", [0.0, 0.7])
+def test_a_clock_goes_on_where_forces_of_two_frequencies_never_repeat(other):
+    system, x0 = TwoForces(jnp.asarray(1.0), jnp.asarray(other)), jnp.zeros(1)
+    omegas = np.array([1.0, 1.7])
+    run = {"transient": 40, "steps": 60}
+    found = jf.bifurcation_diagram(
+        system, "omega", omegas, x0, samples=2, progress=False, compact=True, **run
+    )
+    spectrum = jf.lyapunov_spectrum(system, x0, periods=1, **run)
+
+    def settled(omega, t):
+        parts = [(1.0, omega), (other, TwoForces.nu)]
+        return sum(a * (np.cos(w * t) + w * np.sin(w * t)) / (1 + w * w) for a, w in parts)
+
+    ends = 2 * np.pi / omegas[:, None] * np.array([41, 42])
+    np.testing.assert_allclose(found.xs[..., 0], settled(omegas[:, None], ends), atol=1e-12)
+    np.testing.assert_allclose(spectrum.x_final[0], settled(1.0, 82 * np.pi), atol=1e-12)
