@@ -30,8 +30,9 @@ class Interval(eqx.Module):
 
     def of(self, system: System, x: Array) -> "Interval":
         """The same, after a look at the system near a state."""
+        asked = self.forced and not system.clocks
         return Interval(
-            self.length, self.forced, repeats(system, self.length, x) if self.forced else None
+            self.length, self.forced, repeats(system, self.length, x) if asked else None
         )
 
     def grid(self, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:

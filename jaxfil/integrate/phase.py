@@ -27,11 +27,9 @@ _PHASES = (0.29, 0.83)
 _SAME = 1024
 
 
-def repeats(system: System, period: Array, x: Array) -> Array | None:
+def repeats(system: System, period: Array, x: Array) -> Array:
     """Whether field, H and resets at a state x are after a period what they were: not where there
-    are forces of two frequencies, or kicks at times of their own. None of a system with clocks."""
-    if system.clocks:
-        return None
+    are forces of two frequencies, or kicks at times of their own."""
     m = check.shapes(system, x)
     x, period = stop_gradient(x), stop_gradient(period)
 

@@ -50,24 +50,24 @@ class Sampling(eqx.Module):
     transient_time: Array | None = None
     """The time before which no crossing counts; None: all do."""
 
-    repeats: Array | None = None
-    """Whether the system is after a period what it was; None where that is not known."""
+    def rows(self, system: System, names: tuple[str, ...], points: Array, states: Array) -> Array:
+        """Points in parameter space, with one more column: 1 where the system is after a period
+        what it was, so that a clock may start anew."""
+        if self._goes_on(system):
+            return points
 
-    def over(
-        self, system: System, names: tuple[str, ...], rows: Array, states: Array
-    ) -> "Sampling":
-        """The same, after a look at the systems of a chunk of lanes."""
-        if self.section is not None:
-            return self
+        def repeated(point: Array, x0: Array) -> Array:
+            return repeats(*at_point(system, names, point), x0)
 
-        def same(row: Array, x0: Array) -> Array | None:
-            return repeats(*at_point(system, names, row), x0)
+        each = jax.vmap(repeated, in_axes=(0, 0 if states.ndim > 1 else None))(points, states)
+        return jnp.append(points, each[:, None].astype(points.dtype), axis=1)
 
-        each = jax.vmap(same, in_axes=(0, 0 if states.ndim > 1 else None))(rows, states)
-        return self if each is None else dataclasses.replace(self, repeats=jnp.all(each))
+    def _goes_on(self, system: System) -> bool:
+        return self.section is not None or bool(system.clocks)
 
     def problem(self, system: System, names: tuple[str, ...], row: Array, x0: Array) -> Problem:
-        """That of one point in parameter space."""
+        """That of one of the `rows`."""
+        anew = None if self._goes_on(system) else row[len(names)] > 0
         system, period = at_point(system, names, row)
         field, tableau = build(system, x0), tableau_of(self.stepper)
         if self.section is not None:
@@ -84,7 +84,7 @@ class Sampling(eqx.Module):
             )
             return Problem(field, tableau, grid, recording, self.compact, watched)
         count = self.transient + self.samples
-        grid = grid_of_periods(period, count, self.steps, repeats=self.repeats)
+        grid = grid_of_periods(period, count, self.steps, repeats=anew)
         recording = Recording(
             save="samples",
             max_events=None,

@@ -348,7 +348,7 @@ def _run(
 ) -> tuple[Array, RESULTS, Array]:
     """A chunk of lanes side by side, or one after the other each from the last one's end; of the
     first so many."""
-    sampling = sampling.over(system, names, rows, states)
+    rows = sampling.rows(system, names, rows, states)
     problem = ft.partial(sampling.problem, system, names)
     seen = ft.partial(sampling.seen, system, names)
     periods = jax.vmap(lambda row: at_point(system, names, row)[1])(rows)
