@@ -27,7 +27,7 @@ from jaxfil.integrate.state import LoopState, SavedStates
 from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import cast, replace_parameter
+from jaxfil.model.parameter import cast, replace_parameters
 from jaxfil.model.section import Section, sections_of
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar
@@ -157,8 +157,7 @@ def _at_section(result: RESULTS) -> RESULTS:
 def at_point(system: System, names: tuple[str, ...], row: Array) -> tuple[System, Array]:
     """The system at a point in parameter space, and its period; of an autonomous one the unit of
     time."""
-    for i, name in enumerate(names):
-        system = replace_parameter(system, name, row[i])
+    system = replace_parameters(system, names, [row[i] for i in range(len(names))])
     period = 1.0 if system.period is None else system.period
     return system, jnp.asarray(period, row.dtype)
 
