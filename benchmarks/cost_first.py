@@ -271,6 +271,8 @@ its own. diffrax: `diffeqsolve` with an `Event` on one side of the belt, in forw
 def main():
     """Make the call that the command line names, and print its processor seconds."""
     name, _, size = sys.argv[1].partition(":")
+    for verb in dir(jf):
+        getattr(jf, verb)  # imports of jaxfil's are made when a name is asked for, diffrax's above
     jax.config.update("jax_enable_x64", True)
     jax.block_until_ready(jax.jit(jnp.cumsum)(jnp.ones(3)))
     if size:
