@@ -24,6 +24,8 @@ ON_ORBIT = np.array([0.1483395597, 0.35818994986])  # at 4.56
 ENDS, CLOSE = (4.2, 4.7), (4.45, 4.7)
 JUMP, GRAZING = 4.56382205, 4.652570419201206
 WINDOW = ((-0.06, 0.17), (-0.7, 0.7))
+# Of the diagram, and of the search for its jump, which so is the same compiled program.
+SAMPLES = 60
 # Samples (p, samples, 2) of the motion from x0.
 sweep = ft.partial(sweep_of, jf.systems.BeltFriction)
 
@@ -47,7 +49,8 @@ def jump(lanes, transient, low=4.55, high=4.58, rounds=5):
     steps a period would add 2e-8 to it."""
     for _ in range(rounds):
         values = np.linspace(low, high, lanes)
-        first = int(np.argmin(on_orbit(sweep(values, REST, transient, 1, steps=80))))
+        xs = sweep(values, REST, transient - SAMPLES, SAMPLES, steps=80)
+        first = int(np.argmin(on_orbit(xs)))
         assert first > 0
         low, high = values[first - 1], values[first]
     return 0.5 * (low + high), 0.5 * (high - low)
@@ -64,7 +67,7 @@ def basin(omega, side, transient):
 def make(points=600, close=250, side=90, lanes=64, held=400, settle=1500):
     """The figure and the rows of its table."""
     values, near = np.linspace(*ENDS, points), np.linspace(*CLOSE, close)
-    rest = sweep(values, REST, held, 60)
+    rest = sweep(values, REST, held, SAMPLES)
     first = sweep(near[:1], ON_ORBIT, 200, 1)[0, -1]
     up = sweep(near, first, 150, 30, follow="up")
     last = rest[-1, -1]
