@@ -24,7 +24,7 @@ ON_ORBIT = np.array([0.1483395597, 0.35818994986])  # at 4.56
 ENDS, CLOSE = (4.2, 4.7), (4.45, 4.7)
 JUMP, GRAZING = 4.56382205, 4.652570419201206
 WINDOW = ((-0.06, 0.17), (-0.7, 0.7))
-# Of the diagram, and of the search for its jump, which so is the same compiled program.
+# The diagram and the search for its jump keep as many: one compiled program serves both.
 SAMPLES = 60
 # Samples (p, samples, 2) of the motion from x0.
 sweep = ft.partial(sweep_of, jf.systems.BeltFriction)
