@@ -181,12 +181,12 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
 
     def one(t: Array, x: Array) -> tuple[Array, Array]:
         on_components = components.build(system, x)
-        blocks, modes = components.unpack(x), components.scalars(mode)
+        blocks, modes = components.unpack(x), on_components.of_surfaces(mode)
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:
             _, rates = filippov.corners(on_components, t, blocks)
-            weight = sliding_weights.weights(modes, rates)[j]
-        return filippov.guard(on_components, t, blocks, modes)[j], weight
+            weight = components.number(sliding_weights.weights(modes, rates), j)
+        return components.number(filippov.guard(on_components, t, blocks, modes), j), weight
 
     return jax.vmap(one)(ts, xs)
 

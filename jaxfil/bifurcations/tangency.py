@@ -25,7 +25,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import ComponentSystem, build, pack, scalars, unpack
+from jaxfil.integrate.components import ComponentSystem, build, pack, unpack
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.problem import NOTHING, Problem, even_grid
 from jaxfil.integrate.stepper import tableau_of
@@ -97,7 +97,7 @@ class _Rates:
 
     def h(self, t: Array, x: Array) -> Array:
         """s H."""
-        values = jnp.stack(self.system.switching(t, unpack(x)))
+        values = pack(self.system.switching(t, unpack(x)), x.dtype)
         return self.tangency.side * jnp.sum(
             jnp.where(self.number == self.tangency.surface, values, 0)
         )
@@ -109,7 +109,7 @@ class _Rates:
         mode = jnp.where(self.number == self.tangency.surface, side, self.tangency.mode)
 
         def derivative(t: Array, x: Array) -> Array:
-            blocks = filippov.field(self.system, t, unpack(x), scalars(mode))
+            blocks = filippov.field(self.system, t, unpack(x), self.system.of_surfaces(mode))
             field = pack(blocks, x.dtype)
             return jax.jvp(function, (t, x), (jnp.ones_like(t), field))[1]
 
@@ -192,7 +192,7 @@ def close(
 ) -> Closing:
     """Once round the orbit from the start of the flight."""
     on_components = build(system, tangency.x)
-    frozen = filippov.without_surfaces(on_components, scalars(tangency.mode))
+    frozen = filippov.without_surfaces(on_components, on_components.of_surfaces(tangency.mode))
     start, at = tangency.start * period, tangency.phase * period
     arrival = family == ARRIVAL
     stop = jnp.where(arrival, at, tangency.stop * period)
@@ -232,8 +232,11 @@ def _divided(start: Array, stop: Array) -> Array:
 
 def _holds(on_components: ComponentSystem, mode: Array, ts: Array, xs: Array) -> Array:
     """Whether all guards are positive but for rounding."""
-    modes = scalars(mode)
-    guards = lambda t, x: jnp.stack(filippov.guard(on_components, t, unpack(x), modes))  # noqa: E731
+    modes = on_components.of_surfaces(mode)
+
+    def guards(t: Array, x: Array) -> Array:
+        return pack(filippov.guard(on_components, t, unpack(x), modes), x.dtype)
+
     values = jax.vmap(guards)(ts, xs)
     return jnp.all(values >= -_ROUNDING * jnp.max(abs(values), axis=0))
 

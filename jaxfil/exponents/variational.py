@@ -31,6 +31,7 @@ from jaxfil.integrate.components import (
 )
 from jaxfil.integrate.guards import stays_on
 from jaxfil.integrate.loop import advance
+from jaxfil.integrate.normals import products, project
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState, is_running
 
@@ -125,12 +126,10 @@ def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Arra
     v = axpy(v, -dt, after.f)
     if system.slides or system.resets:
         _, _, normals = system.gradients(t, after.x)
-        for normal, on in zip(normals, stays_on(system, after.mode), strict=True):
-            size, out = dot(normal, normal), dot(v, normal)
-            # On a surface a tangent has no component across it: two motions that slide there
-            # differ along it alone. What is removed is the direction that sticking takes away.
-            share = jnp.where(on, out / jnp.where(size == 0, 1, size), 0.0)
-            v = axpy(v, -share, normal)
+        # On a surface a tangent has no component across it: two motions that slide there differ
+        # along it alone. What is removed is the direction that sticking takes away.
+        on = stays_on(system, after.mode)
+        v = project(system, v, products(system, normals, v), normals, on)
     return v
 
 

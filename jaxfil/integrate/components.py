@@ -4,7 +4,8 @@ A `System` and an initial state enter; a `ComponentSystem` leaves, with static s
 surfaces) and functions on tuples of scalars. In a batch each scalar is one contiguous array of
 lanes, which XLA turns into vector instructions; an (n,) state in the loop would be strided. A state
 of many numbers is one array all the same: written out, its program would grow with n, and the
-array's own numbers fill the vectors.
+array's own numbers fill the vectors. So are the numbers of its surfaces, where they are many and
+have nothing to do with each other (`ComponentSystem.packed`).
 """
 
 import abc
@@ -27,6 +28,9 @@ from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 Components = tuple[Array, ...]
 """The components of a vector: n (state) or m (surface) scalars; of a state of many numbers one
 array of all of them, (n,)."""
+Normals = tuple[Components, ...]
+"""The m gradients of H, n components each; of surfaces that are one array their sum, in which each
+number is that of one surface."""
 Forcing = list[Array]
 """What a field takes of time alone, at one time: see `ComponentSystem.forcing`."""
 
@@ -43,8 +47,8 @@ class SmoothField(eqx.Module):
         """As `ComponentSystem.once`."""
 
 
-# Numbers of a state that are components one by one, at most.
-_FEW = 12
+# Numbers of a state, and surfaces of such a state, that are components one by one, at most.
+_FEW, _FEW_SURFACES = 12, 2
 
 
 def unpack(x: Array) -> Components:
@@ -103,6 +107,16 @@ def where(condition: Array, a: Components, b: Components) -> Components:
     return tuple(jnp.where(condition, u, v) for u, v in zip(a, b, strict=True))
 
 
+def least(v: Array) -> Array:
+    """The least number of a component."""
+    return v if v.ndim == 0 else jnp.min(v)
+
+
+def total(components: Components) -> Any:
+    """The sum of all numbers of all components."""
+    return sum(map(_total, components))
+
+
 def any_of(flags: Components) -> Array:
     """Whether any of the flags is set; False if there are none."""
     total = jnp.zeros((), bool)
@@ -158,6 +172,11 @@ class ComponentSystem(eqx.Module):
     own: the surfaces then switch independently of each other."""
     affine: bool = eqx.field(static=True)
     """Whether the field is affine in its sides, of which there are several."""
+    members: tuple[tuple[int, ...], ...] | None = eqx.field(static=True)
+    """The numbers of the state that each of several surfaces is made of; None if one is of two."""
+    packed: bool = eqx.field(static=True)
+    """Whether what there is of each surface is one array, (m,): of many surfaces of a large state
+    that are separate, share no number of it, and have no reset."""
     _field: Any
     _switching: Any
     _reset: Any
@@ -245,17 +264,31 @@ class ComponentSystem(eqx.Module):
         """The state after an impact on `surface`."""
         return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
 
+    @property
+    def surfaces(self) -> range:
+        """The components of what there is of each surface: m of them, or one array."""
+        return range(1 if self.packed else self.m)
+
+    def of_surfaces(self, numbers: Array) -> Components:
+        """Numbers in an (m,) array as components."""
+        return (numbers,) if self.packed else scalars(numbers)
+
+    def for_each_surface(self, number: Array) -> Components:
+        """The same number for each of the surfaces."""
+        return (jnp.full((self.m,), number),) if self.packed else (number,) * self.m
+
     def rate(self, t: Array, x: Components, f: Components) -> Components:
         """dH/dt along the direction (1, f)."""
         _, rate = jax.jvp(self.switching, (t, x), (jnp.ones_like(t), f))
         return rate
 
-    def gradients(
-        self, t: Array, x: Components
-    ) -> tuple[Components, Components, tuple[Components, ...]]:
-        """H, ∂H/∂t and the m gradients ∂H_j/∂x."""
+    def gradients(self, t: Array, x: Components) -> tuple[Components, Components, Normals]:
+        """H, ∂H/∂t and the gradients ∂H_j/∂x."""
         h, pull = jax.vjp(self.switching, t, x)
         rows = []
+        if self.packed:
+            _, h_t = jax.jvp(lambda t: self.switching(t, x), (t,), (jnp.ones_like(t),))
+            return h, h_t, pull((jnp.ones_like(h[0]),))[1:]
         for j in range(self.m):
             pick = tuple(jnp.asarray(float(i == j), self.dtype) for i in range(self.m))
             rows.append(pull(pick))
@@ -266,25 +299,39 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
     """The components of a system whose float leaves have the dtype of `x0`, shape (n,); to be
     `transposed`, its functions must not let a side that is not taken into their derivatives."""
     _check_sharding(x0)
+    h_shape = check.shapes(system, x0)
+    m = 1 if h_shape == () else h_shape[0]
+    if len(x0) > _FEW and m > _FEW_SURFACES and not has_resets(system):
+        packed = _build(system, x0, transposed, h_shape, packed=True)
+        if packed.separate and packed.members is not None:
+            return packed
+    return _build(system, x0, transposed, h_shape, packed=False)
+
+
+def _build(
+    system: System, x0: Array, transposed: bool, h_shape: tuple[int, ...], packed: bool
+) -> ComponentSystem:
+    """`build`, with surfaces as one array, if they are `packed` and that can be."""
     n, dtype = x0.shape[0], x0.dtype
     t0, x = jnp.zeros((), dtype), unpack(x0)
-    h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
     resets = has_resets(system) and m > 0
     leaves, static = eqx.partition(system, eqx.is_array)
-    field, switching, reset = _on_components(static, h_shape, dtype)
-    sides = (jnp.ones((), dtype),) * m
+    field, switching, reset = _on_components(static, h_shape, dtype, packed)
+    sides = (jnp.ones((m,), dtype),) if packed else (jnp.ones((), dtype),) * m
     traced = ft.partial(Traced, transposed=transposed)
     traced_field = traced(field, leaves, t0, x, sides, when=(FIRST, EARLY, LATE, LATE))
     traced_switching = traced(switching, leaves, t0, x)
     _check_derivatives(vector_field=traced_field, switching=traced_switching)
     nothing = jax.tree.map(lambda _: False, (leaves, t0, x))
-    seen = [_flat(traced_field.depends(*nothing, _only(j, m))) for j in range(m)]
+    one_side = [(row,) if packed else tuple(row) for row in np.eye(m, dtype=bool)]
+    seen = [_flat(traced_field.depends(*nothing, one)) for one in one_side]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     steers = []
     if m > 1:
         of_number = (_split(row) for row in np.eye(n, dtype=bool))
         steers = [_flat(traced_switching.depends(*nothing[:2], each)) for each in of_number]
+    all_sides = jax.tree.map(lambda _: True, sides)
     opaque_one, fence = _fences(leaves, x0)
     traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
     return ComponentSystem(
@@ -295,7 +342,9 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
         dtype=dtype,
         switched=switched,
         separate=m == 1 or (m > 0 and _separate(switched, steers)),
-        affine=m > 1 and traced_field.is_affine(*nothing, (True,) * m),
+        affine=m > 1 and traced_field.is_affine(*nothing, all_sides),
+        members=_members(np.array(steers)) if m > 1 else None,
+        packed=packed,
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
         _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
@@ -332,7 +381,7 @@ def _check_derivatives(**functions: Traced) -> None:
 
 
 def _on_components(
-    static: System, h_shape: tuple[int, ...], dtype: Any
+    static: System, h_shape: tuple[int, ...], dtype: Any, packed: bool
 ) -> tuple[Callable, Callable, Callable]:
     """The field, the switching function and the reset of a system as functions of its array leaves
     and of components."""
@@ -344,16 +393,13 @@ def _on_components(
 
     def switching(leaves: System, t: Array, x: Components) -> Components:
         h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
-        return scalars(jnp.reshape(h, (m,)))
+        h = jnp.reshape(h, (m,))
+        return (h,) if packed else scalars(h)
 
     def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
         return unpack(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface))
 
     return field, switching, reset
-
-
-def _only(i: int, size: int) -> tuple[bool, ...]:
-    return tuple(k == i for k in range(size))
 
 
 def _flat(flags: tuple[np.ndarray, ...]) -> list[bool]:
@@ -371,6 +417,13 @@ def _separate(switched: Sequence[tuple[int, ...]], steers: Sequence[list[bool]])
         for j, enters in enumerate(steered)
     )
     return single and not foreign
+
+
+def _members(steers: np.ndarray) -> tuple[tuple[int, ...], ...] | None:
+    """`ComponentSystem.members`, given (n, m) flags of which number is in which surface."""
+    if np.any(steers.sum(axis=1) > 1):
+        return None
+    return tuple(tuple(map(int, np.flatnonzero(of_j))) for of_j in steers.T)
 
 
 def _fences(leaves: Any, x0: Array) -> tuple[Array | None, Array | None]:

@@ -58,10 +58,9 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     start = problem.grid.t0 + state.tau
     taken = Step(t=start, h=h, x0=state.x, f0=state.f, f1=free.f, trial=free.trial)
     clear = clear & ~may_be_too_long(problem.tableau, taken)
-    for j in range(problem.system.m):
-        d0, d1 = h * state.rate[j], h * free.rate[j]
-        clear = clear & stays_off(state.g[j], d0, free.g[j], d1, touch[j])
-    return clear
+    each = zip(state.g, state.rate, free.g, free.rate, touch, strict=True)
+    met = tuple(~stays_off(g0, h * d0, g1, h * d1, noise) for g0, d0, g1, d1, noise in each)
+    return clear & ~any_of(met)
 
 
 def accept_free_step(

@@ -31,7 +31,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, any_of, axpy
+from jaxfil.integrate.components import Components, any_of, axpy, least
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem, TimeGrid
 from jaxfil.integrate.second_order import beyond_newton
@@ -202,7 +202,7 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     rounding, dt = problem.grid.same_time(end.tau), abs(problem.grid.dt)
     brief = ~length.cutting & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
     found = []
-    for j in range(system.m):
+    for j in system.surfaces:
         # A guard just met has its own rounding; one left long ago may have gathered all of t0 to
         # here, in the state that it is made of.
         fresh = jnp.maximum(end.noise[j], state.noise[j])
@@ -216,8 +216,9 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     thetas = []
     for number in system.hold(*found):
         thetas.append(jnp.minimum(number, NEVER))
-        contact = jnp.minimum(contact, number)
-        minimum = jnp.minimum(minimum, jnp.where(number < _LOOK, NEVER, number - _LOOK))
+        contact = jnp.minimum(contact, least(number))
+        dip = jnp.where(number < _LOOK, NEVER, number - _LOOK)
+        minimum = jnp.minimum(minimum, least(dip))
     # One look at a time: a step that was cut short is taken as it is.
     minimum = jnp.where(length.cutting, NEVER, minimum)
     singular = jnp.zeros((), bool)
@@ -285,7 +286,7 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     of order δ g̈/ġ, which is what is kept small here. The second derivative is `beyond_newton`'s.
     """
     system, direction = problem.system, problem.grid.direction
-    told = [_kind_of_end(problem, state, end, length, j) for j in range(system.m)]
+    told = [_kind_of_end(problem, state, end, length, j) for j in system.surfaces]
     # One number a surface, computed once: all that follows is made of it.
     kinds, times = system.hold(*(kind for kind, _ in told)), [missing for _, missing in told]
     hits = tuple(kind >= _HIT for kind in kinds)
@@ -295,14 +296,8 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     times = [_time_of(kind, missing) for kind, missing in zip(kinds, times, strict=True)]
     # Of several surfaces the one met first gives δ, and those within the rounding of times are met
     # with it; a later one is left to a step of its own.
-    delta: Any = jnp.zeros_like(length.h)
-    best: Any = jnp.full_like(length.h, jnp.inf)
-    first: list = []
-    for hit, kind, missing in zip(hits, kinds, times, strict=True):
-        earlier = hit & (direction * stop_gradient(missing) < best)
-        first = [flag & ~earlier for flag in first] + [earlier & (kind != _JUMPED)]
-        delta = jnp.where(earlier, missing, delta)
-        best = jnp.where(earlier, direction * stop_gradient(missing), best)
+    delta, best, first = _first_of(hits, times, direction)
+    first = [flag & (kind != _JUMPED) for flag, kind in zip(first, kinds, strict=True)]
     same = problem.grid.same_time(end.tau)
     hits = tuple(
         hit & ((kind >= _HERE) | (direction * stop_gradient(missing) <= best + same))
@@ -321,6 +316,29 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     )
     jumped = any_of(tuple(hit & (kind == _JUMPED) for hit, kind in zip(hits, kinds, strict=True)))
     return Landing(landed | touched, surfaces, touched, delta, x, jumped)
+
+
+def _first_of(
+    hits: Components, times: Components, direction: Array
+) -> tuple[Array, Array, Components]:
+    """The signed time to the first of several contacts, the same as a number that counts forward
+    (inf: there is none) and has no derivative, and which of the surfaces it is of: one."""
+    zero = jnp.zeros_like(direction)
+    if times[0].ndim:
+        ahead = jnp.where(hits[0], direction * stop_gradient(times[0]), jnp.inf)
+        best = jnp.min(ahead)
+        number = jnp.arange(len(ahead), dtype=jnp.int32)
+        first = (number == jnp.argmin(ahead)) & (best < jnp.inf)
+        return jnp.sum(jnp.where(first, times[0], 0.0)), best, (first,)
+    delta: Any = zero
+    best: Any = zero + jnp.inf
+    flags: list = []
+    for hit, missing in zip(hits, times, strict=True):
+        earlier = hit & (direction * stop_gradient(missing) < best)
+        flags = [flag & ~earlier for flag in flags] + [earlier]
+        delta = jnp.where(earlier, missing, delta)
+        best = jnp.where(earlier, direction * stop_gradient(missing), best)
+    return delta, best, tuple(flags)
 
 
 def _time_of(kind: Array, missing: Array) -> Array:
@@ -348,7 +366,7 @@ def _kind_of_end(
     # Rounding of t hides what is missing to the end of a slide or a rest, whose guard is made of
     # fields. A state knows its surface better: it is there when all that is left of g is rounding.
     g = stop_gradient(end.g[j])
-    sliding = end.mode[j] == 0 if system.slides else jnp.zeros((), bool)
+    sliding = end.mode[j] == 0 if system.slides else jnp.zeros_like(falls)
     if system.resets:
         sliding = sliding | (abs(end.mode[j]) == 2)
     zero = abs(g) <= end.noise[j]
@@ -373,9 +391,9 @@ def _kind_of_end(
 
 def missing_time(grid: TimeGrid, state: LoopState, end: StepEnd) -> Array:
     """The signed time from here to the contact aimed at, by Newton; 0 if it is not ahead."""
-    missing: Any = jnp.zeros_like(end.tau)
+    first: Any = jnp.full_like(end.tau, jnp.inf)
     for aim, g, rate in zip(state.aim, end.g, end.rate, strict=True):
         falls = grid.direction * rate < 0
-        ahead = -g / jnp.where(falls, rate, -grid.direction)
-        missing = jnp.where(aim & falls & (g > 0), stop_gradient(ahead), missing)
-    return missing
+        ahead = stop_gradient(g / abs(jnp.where(falls, rate, 1.0)))
+        first = jnp.minimum(first, least(jnp.where(aim & falls & (g > 0), ahead, jnp.inf)))
+    return jnp.where(first < jnp.inf, grid.direction * first, 0.0)

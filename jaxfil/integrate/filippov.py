@@ -16,6 +16,7 @@ is affine in its sides (`ComponentSystem.affine`) m + 1 do: see `sliding_weights
 """
 
 import dataclasses
+import functools as ft
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -34,6 +35,7 @@ from jaxfil.integrate.components import (
     SmoothField,
     any_of,
     is_array,
+    pack,
     scalars,
     where,
 )
@@ -79,7 +81,7 @@ def _blend_arrays(
 ) -> Components:
     """The same of fields that are arrays. A number that no side enters is that of both fields."""
     seen = np.array([surfaces[0] if surfaces else 0 for surfaces in system.switched])
-    s, w = (v[0] if system.m == 1 else jnp.stack(v)[seen] for v in (mode, weights))
+    s, w = (v[0] if system.m == 1 else pack(v, above.dtype)[seen] for v in (mode, weights))
     return mix(s, w, (above,), (below,))
 
 
@@ -101,7 +103,8 @@ def corners(
         fields = jax.vmap(fields_on)(*sides.T.astype(system.dtype))
         rates = jax.vmap(lambda *f: system.rate(t, x, f))(*fields)
         return CornerTable(fields), CornerTable(rates)
-    each = [fields_on(*(jnp.asarray(s, system.dtype) for s in row)) for row in sides]
+    rows = jnp.asarray(sides, system.dtype)
+    each = [fields_on(*system.of_surfaces(row)) for row in rows]
     return each, [system.rate(t, x, f) for f in each]
 
 
@@ -188,6 +191,8 @@ def without_surfaces(system: ComponentSystem, mode: Components) -> ComponentSyst
         resets=False,
         switched=((),) * system.n,
         separate=False,
+        members=None,
+        packed=False,
         affine=False,
         _field=_SingleField(system, mode),
     )
@@ -269,10 +274,7 @@ def choose(
             _choose_on_one(above, below, s, on_j, direction)
             for above, below, s, on_j in zip(*rates, mode, on, strict=True)
         ]
-        count: Any = jnp.ones((), jnp.int32)
-        for _, count_j in each:
-            count = count * count_j
-        return tuple(s for s, _ in each), count
+        return tuple(s for s, _ in each), _count_of_all([count for _, count in each])
     # One after the other: side by side they would be arrays of 3^m numbers in the loop's body.
     candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)), direction.dtype)
 
@@ -286,6 +288,14 @@ def choose(
     start = (mode, jnp.zeros((), jnp.int32))
     found, _ = jax.lax.scan(test, start, jnp.asarray(candidates))
     return found
+
+
+def _count_of_all(counts: list[Array]) -> Array:
+    """The number of admissible modes, given that of each surface; of surfaces that are one array no
+    more than 1, 0 and more are told apart."""
+    if counts[0].ndim:
+        return jnp.where(jnp.min(counts[0]) > 0, jnp.max(counts[0]), 0)
+    return ft.reduce(jnp.multiply, counts, jnp.ones((), jnp.int32))
 
 
 def _choose_on_one(

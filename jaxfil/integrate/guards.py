@@ -10,7 +10,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov, unilateral
-from jaxfil.integrate.components import Components, ComponentSystem, Forcing, any_of, dot
+from jaxfil.integrate.components import Components, ComponentSystem, Forcing, Normals, any_of
+from jaxfil.integrate.normals import sizes
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState, StepEnd
 
@@ -24,15 +25,12 @@ _FADE_IN_TURN = 1 / 4
 
 
 def surface_noise(
-    system: ComponentSystem, t: Array, size: Components, h_t: Components, normals: tuple
+    system: ComponentSystem, t: Array, size: Components, h_t: Components, normals: Normals
 ) -> Components:
     """What rounding of t and x does to H: a multiple of eps and of the size of its terms, given the
     size of x."""
-    out = []
-    for j in range(system.m):
-        terms = dot(tuple(map(abs, normals[j])), size)
-        out.append(stop_gradient(NOISE * system.eps * (terms + abs(h_t[j] * t))))
-    return tuple(out)
+    each = zip(sizes(system, normals, size), h_t, strict=True)
+    return tuple(stop_gradient(NOISE * system.eps * (terms + abs(r * t))) for terms, r in each)
 
 
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:
@@ -118,7 +116,7 @@ def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Comp
     system, direction = problem.system, problem.grid.direction
     before, after = stays_on(system, state.mode), stays_on(system, end.mode)
     gs, rates, armed, noises = [], [], [], []
-    for j in range(system.m):
+    for j in system.surfaces:
         hit = state.pending & state.hit[j]
         old_slide, sliding = before[j], after[j]
         # The rounding of the landing counts until the surface is left, also where the state has

@@ -39,7 +39,7 @@ def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction:
     """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
     the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
     rates, seconds, thirds = _all_rates(system, t, x)
-    scales = [sliding_weights.size_of(rates, j) for j in range(system.m)]
+    scales = [sliding_weights.size_of(rates, j) for j in system.surfaces]
 
     def resolved(j: int, rate: Array, second_: Array, third: Array) -> Array:
         tiny = jnp.where(scales[j] > 0, system.eps * scales[j], 1.0)
@@ -54,8 +54,8 @@ def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corner
     """The first three derivatives of H on every combination of sides. The higher ones are not
     affine in the sides, be the field or not."""
     if system.separate:
-        rows = [tuple(jnp.asarray(s, system.dtype) for s in row) for row in ([1.0], [-1.0])]
-        each = [_three_rates(system, t, x, system.m * row) for row in rows]
+        rows = [system.for_each_surface(jnp.asarray(s, system.dtype)) for s in (1.0, -1.0)]
+        each = [_three_rates(system, t, x, row) for row in rows]
         return tuple(map(list, zip(*each, strict=True)))
     columns = every_side(system.m).T.astype(system.dtype)
     # One program for all of them, be they few: it holds third derivatives of the field.
@@ -174,9 +174,9 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         armed=start.armed,
         noise=start.noise,
         cut=tau,
-        aim=(false,) * system.m,
+        aim=system.for_each_surface(false),
         pending=any_of(start.owed),
-        hit=start.owed if system.resets else (false,) * system.m,
+        hit=start.owed if system.resets else system.for_each_surface(false),
         graze=false,
         jumped=false,
         settled=false if system.resets else None,
@@ -238,8 +238,7 @@ def _first_result(problem: Problem, x: Components, start: _Start) -> RESULTS:
     result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)
     result = RESULTS.where(count < 1, RESULTS.mode_undecided, result)
     if not problem.system.slides:
-        for s in start.mode:
-            slid = (s == 0) & (count == 1)
-            result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
+        slid = any_of(tuple(s == 0 for s in start.mode)) & (count == 1)
+        result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
     fine = all_finite(x, start.f, (grid.t0, grid.length, grid.dt))
     return RESULTS.where(fine, result, RESULTS.nonfinite)

@@ -18,15 +18,16 @@ from jaxfil.integrate.components import (
     Components,
     ComponentSystem,
     Forcing,
+    Normals,
     all_finite,
     any_of,
     axpy,
-    dot,
     where,
 )
 from jaxfil.integrate.guards import NOISE, guards, larger, stays_on, surface_noise
 from jaxfil.integrate.impact import Impact
 from jaxfil.integrate.length import Length
+from jaxfil.integrate.normals import project
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.sliding_weights import Corners
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
@@ -36,29 +37,6 @@ _TANGENT = 64
 # Backward in time a motion that has left a slide comes to its end with the errors of both ways:
 # this multiple of rounding.
 _BACKWARD = 1024.0
-
-
-def _project(
-    system: ComponentSystem, x: Components, h: Components, normals: tuple, on: Components
-) -> Components:
-    """x moved along the normals onto the surfaces marked `on`.
-
-    Where surfaces are coupled, all at once, by the solution of Σ_k (∇H_j·∇H_k) μ_k = −H_j: what is
-    taken from one moves the state off another.
-    """
-    if system.m == 1 or (system.separate and not system.resets):
-        for h_j, normal, on_j in zip(h, normals, on, strict=True):
-            size = dot(normal, normal)
-            push = jnp.where(on_j, h_j / jnp.where(size == 0, 1, size), 0.0)
-            x = axpy(x, -push, normal)
-        return x
-
-    def project(x: Components, h: Components, normals: tuple, on: Components) -> Components:
-        zero = jnp.zeros_like(h[0])
-        pairs = tuple(tuple(zero + dot(a, b) for b in normals) for a in normals)
-        return unilateral.pushed(x, normals, unilateral.multipliers(pairs, h, on))
-
-    return system.where_any(any_of(on), project, lambda x, *_: x, x, h, normals, on)
 
 
 def evaluate_step_end(
@@ -98,7 +76,7 @@ def evaluate_step_end(
     # Whose H the reset has changed: rounding of one that it has not is no way off its surface.
     each = () if reset is None else zip(reset.h, h, touch, strict=True)
     carried = tuple(moved & (abs(v) > least) & (abs(v - u) > least) for u, v, least in each)
-    off = tuple(a | b for a, b in zip(jumped, carried or (moved,) * system.m, strict=True))
+    off = tuple(map(jnp.logical_or, jumped, carried)) if carried else jumped
     x = _held(system, state, x, h, normals, off)
     led = None
     if reset is not None:
@@ -196,7 +174,7 @@ def _held(
     state: LoopState,
     x: Components,
     h: Components,
-    normals: tuple,
+    normals: Normals,
     off: Components,
 ) -> Components:
     """The state on the surfaces that it slides or rests on or has just met: a slide is exact in its
@@ -206,7 +184,7 @@ def _held(
     landed = state.pending & ~state.graze
     each = zip(stays_on(system, state.mode), state.hit, off, strict=True)
     on = tuple((stays | (landed & hit)) & ~far for stays, hit, far in each)
-    return system.hold(*_project(system, x, h, normals, on))
+    return system.hold(*project(system, x, h, normals, on))
 
 
 def _switch(
@@ -222,6 +200,9 @@ def _switch(
     """`_chosen`, computed once."""
     system = problem.system
     mode, count = _chosen(problem, state, rates, h, touch, carried, jumped, led)
+    if system.packed:
+        (sides, number) = system.hold(*mode, count.astype(system.dtype))
+        return (sides,), number.astype(jnp.int32)
     # Where there is one surface, both are one number: mode + 8 count, and the mode is at most 2.
     number = mode[0] + 8 * count.astype(system.dtype)
     number, *others = system.hold(number, *mode[1:])
@@ -284,11 +265,11 @@ def _chosen(
     same = grid.same_time(state.tau)
     decide = switching & any_of(met)
     on = []
-    for j in range(system.m):
+    for j in system.surfaces:
         close = (state.mode[j] != 0) & (abs(h[j]) < abs(state.rate[j]) * same)
         if led is not None:
             close = close & ~led.next[j] & ~led.still[j] & (abs(left[j]) != 2)
-        slid = (left[j] == 0) if system.slides else jnp.zeros((), bool)
+        slid = (left[j] == 0) if system.slides else jnp.zeros_like(met[j])
         on.append(slid | (decide & (met[j] | close)) | (grazes & met[j]))
     # Where a slide on an intersection ends, another mode begins: rounding must not show both.
     least = jnp.where(state.pending, 0.0, NOISE * system.eps)

@@ -59,7 +59,7 @@ def empty_saves(system: ComponentSystem, recording: Recording) -> SavedStates | 
 
 def mode_codes(mode: Components) -> Array:
     """The modes as an (m,) array of small integers."""
-    return jnp.stack(mode).astype(jnp.int8) if mode else jnp.zeros((0,), jnp.int8)
+    return pack(mode, jnp.int8).astype(jnp.int8)
 
 
 def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
@@ -114,7 +114,7 @@ def record_event(
     entry = EventTable(
         ts=_event_time(problem, state, end),
         xs=pack(state.x, problem.system.dtype),
-        members=jnp.stack(end.members),
+        members=pack(end.members, bool),
         kinds=_kind(problem, state, end),
         modes=mode_codes(end.mode),
     )

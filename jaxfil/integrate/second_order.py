@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem
+from jaxfil.integrate.components import Components, ComponentSystem, total
 from jaxfil.integrate.filippov import ModeField, guard
 
 
@@ -24,7 +24,7 @@ def beyond_newton(
 
     def gap(system: ComponentSystem, t: Array, x: Components) -> Any:
         each = zip(met, guard(system, t, x, mode), strict=True)
-        return sum(jnp.where(is_met, g, 0.0) for is_met, g in each)
+        return total(tuple(jnp.where(is_met, g, 0.0) for is_met, g in each))
 
     return beyond_newton_to(gap, lambda system: system, system, (t, x), mode)
 

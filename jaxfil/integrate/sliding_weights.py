@@ -198,7 +198,7 @@ def weights_and_determinant(mode: Components, rates: Corners) -> tuple[Component
         each = list(zip(mode, *rates, strict=True))
         w = tuple(_single_weight(s, above, below) for s, above, below in each)
         sizes = [jnp.where(s == 0, 0.5 * abs(below - above), 1) for s, above, below in each]
-        return w, ft.reduce(jnp.multiply, sizes)
+        return w, ft.reduce(jnp.multiply, [v if v.ndim == 0 else jnp.prod(v) for v in sizes])
     w = _implicit_weights(mode, rates)
     return w, small_linear.size_of_determinant(_matrix(mode, rates, w))
 

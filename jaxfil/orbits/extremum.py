@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate.components import build, pack, scalars, unpack
+from jaxfil.integrate.components import build, pack, unpack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.solution import Dense, step_again
 from jaxfil.orbits.regula_falsi import zero_between
@@ -47,7 +47,7 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
 
     def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
         """State, value and rate of change after a part h of a step."""
-        field = ModeField(system, scalars(start.mode.astype(dtype)))
+        field = ModeField(system, system.of_surfaces(start.mode.astype(dtype)))
         end = step_again(dense, system, field, start.t, unpack(start.x), h)
         t, f = start.t + h, pack(field(start.t + h, end), dtype)
         x = pack(end, dtype)
