@@ -38,7 +38,7 @@ _TOLD = 1 / 16
 def has_turns(system: ComponentSystem) -> bool:
     """Whether contacts may accumulate by turns: through the sides of coupled surfaces, or from one
     wall to another."""
-    return system.m > 1 and (system.resets or (system.slides and not system.separate))
+    return system.m > 1 and (system.resets or (system.slides and not system.structure.separate))
 
 
 def no_turn(system: ComponentSystem, x: Components) -> Turn | None:

@@ -21,6 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil.integrate import structure
+from jaxfil.integrate.structure import Structure
 from jaxfil.model import check
 from jaxfil.model.system import System, has_resets
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
@@ -165,15 +167,8 @@ class ComponentSystem(eqx.Module):
     resets: bool = eqx.field(static=True)
     """Whether resets are compiled."""
     dtype: Any = eqx.field(static=True)
-    switched: tuple[tuple[int, ...], ...] = eqx.field(static=True)
-    """For each component of the field, the sides that it depends on."""
-    separate: bool = eqx.field(static=True)
-    """Whether no component depends on more than one side, and no dH_j/dt on a side other than its
-    own: the surfaces then switch independently of each other."""
-    affine: bool = eqx.field(static=True)
-    """Whether the field is affine in its sides, of which there are several."""
-    members: tuple[tuple[int, ...], ...] | None = eqx.field(static=True)
-    """The numbers of the state that each of several surfaces is made of; None if one is of two."""
+    structure: Structure = eqx.field(static=True)
+    """Which numbers of the field and of H depend on which side and state."""
     packed: bool = eqx.field(static=True)
     """Whether what there is of each surface is one array, (m,): of many surfaces of a large state
     that are separate, share no number of it, and have no reset."""
@@ -285,13 +280,10 @@ class ComponentSystem(eqx.Module):
     def gradients(self, t: Array, x: Components) -> tuple[Components, Components, Normals]:
         """H, ∂H/∂t and the gradients ∂H_j/∂x."""
         h, pull = jax.vjp(self.switching, t, x)
-        rows = []
         if self.packed:
             _, h_t = jax.jvp(lambda t: self.switching(t, x), (t,), (jnp.ones_like(t),))
             return h, h_t, pull((jnp.ones_like(h[0]),))[1:]
-        for j in range(self.m):
-            pick = tuple(jnp.asarray(float(i == j), self.dtype) for i in range(self.m))
-            rows.append(pull(pick))
+        rows = [pull(tuple(jnp.asarray(v, self.dtype) for v in row)) for row in np.eye(self.m)]
         return h, tuple(r[0] for r in rows), tuple(r[1] for r in rows)
 
 
@@ -303,7 +295,7 @@ def build(system: System, x0: Array, transposed: bool = False) -> ComponentSyste
     m = 1 if h_shape == () else h_shape[0]
     if len(x0) > _FEW and m > _FEW_SURFACES and not has_resets(system):
         packed = _build(system, x0, transposed, h_shape, packed=True)
-        if packed.separate and packed.members is not None:
+        if packed.structure.separate and packed.structure.members is not None:
             return packed
     return _build(system, x0, transposed, h_shape, packed=False)
 
@@ -323,15 +315,12 @@ def _build(
     traced_field = traced(field, leaves, t0, x, sides, when=(FIRST, EARLY, LATE, LATE))
     traced_switching = traced(switching, leaves, t0, x)
     _check_derivatives(vector_field=traced_field, switching=traced_switching)
-    nothing = jax.tree.map(lambda _: False, (leaves, t0, x))
-    one_side = [(row,) if packed else tuple(row) for row in np.eye(m, dtype=bool)]
-    seen = [_flat(traced_field.depends(*nothing, one)) for one in one_side]
-    switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
-    steers = []
-    if m > 1:
-        of_number = (_split(row) for row in np.eye(n, dtype=bool))
-        steers = [_flat(traced_switching.depends(*nothing[:2], each)) for each in of_number]
-    all_sides = jax.tree.map(lambda _: True, sides)
+    found = structure.of(
+        (traced_field, traced_switching),
+        jax.tree.map(lambda _: False, (leaves, t0)),
+        [_split(row) for row in np.eye(n, dtype=bool)],
+        [(row,) if packed else tuple(row) for row in np.eye(m, dtype=bool)],
+    )
     opaque_one, fence = _fences(leaves, x0)
     traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
     return ComponentSystem(
@@ -340,10 +329,7 @@ def _build(
         slides=system.slides and m > 0,
         resets=resets,
         dtype=dtype,
-        switched=switched,
-        separate=m == 1 or (m > 0 and _separate(switched, steers)),
-        affine=m > 1 and traced_field.is_affine(*nothing, all_sides),
-        members=_members(np.array(steers)) if m > 1 else None,
+        structure=found,
         packed=packed,
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
@@ -400,30 +386,6 @@ def _on_components(
         return unpack(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface))
 
     return field, switching, reset
-
-
-def _flat(flags: tuple[np.ndarray, ...]) -> list[bool]:
-    """The flags of all numbers of a vector."""
-    return [bool(flag) for v in flags for flag in np.ravel(v)]
-
-
-def _separate(switched: Sequence[tuple[int, ...]], steers: Sequence[list[bool]]) -> bool:
-    """Whether each surface is switched by its own side alone, given which sides the components of
-    the field depend on, and which surfaces depend on those components of the state."""
-    single = all(len(seen) <= 1 for seen in switched)
-    foreign = any(
-        enters and set(seen) - {j}
-        for seen, steered in zip(switched, steers, strict=True)
-        for j, enters in enumerate(steered)
-    )
-    return single and not foreign
-
-
-def _members(steers: np.ndarray) -> tuple[tuple[int, ...], ...] | None:
-    """`ComponentSystem.members`, given (n, m) flags of which number is in which surface."""
-    if np.any(steers.sum(axis=1) > 1):
-        return None
-    return tuple(tuple(map(int, np.flatnonzero(of_j))) for of_j in steers.T)
 
 
 def _fences(leaves: Any, x0: Array) -> tuple[Array | None, Array | None]:

@@ -293,7 +293,7 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     landed = any_of(hits)
     touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
     # A contact that is `_HERE` has δ = 0, but the derivative of its time.
-    times = [_time_of(kind, missing) for kind, missing in zip(kinds, times, strict=True)]
+    times = tuple(_time_of(kind, missing) for kind, missing in zip(kinds, times, strict=True))
     # Of several surfaces the one met first gives δ, and those within the rounding of times are met
     # with it; a later one is left to a step of its own.
     delta, best, first = _first_of(hits, times, direction)

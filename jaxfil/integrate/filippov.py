@@ -9,10 +9,10 @@ corner fields: with weights w in [−1, 1]^m, F(w) = Σ_s F_s Π_j (1 + s_j w_j)
 the surface and, for the surfaces slid on, w solves dH_j/dt(w) = 0. For one surface this is
 Filippov's convex combination with λ = (1 + w)/2.
 
-Where surfaces are separate (`ComponentSystem.separate`: each is switched by its own side alone, as
+Where surfaces are separate (`Structure.separate`: each is switched by its own side alone, as
 those of two oscillators that do not touch each other's switches), so are their weights and modes:
 each is that of one surface, and two corners, all sides + and all −, say everything. Where the field
-is affine in its sides (`ComponentSystem.affine`) m + 1 do: see `sliding_weights.Corners`.
+is affine in its sides (`Structure.affine`) m + 1 do: see `sliding_weights.Corners`.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate import unilateral
+from jaxfil.integrate import structure, unilateral
 from jaxfil.integrate.components import (
     Components,
     ComponentSystem,
@@ -60,17 +60,17 @@ def blend_fields(
     """`blend` of the corner fields; components that no side enters are taken as they are."""
     if isinstance(fields, CornerTable):
         return blend(fields, mode, weights)
-    if system.separate:
+    if system.structure.separate:
         above, below = fields
         if is_array(above):
             return _blend_arrays(system, above[0], below[0], mode, weights)
         return tuple(
             mix(mode[seen[0]], weights[seen[0]], (a,), (b,))[0] if seen else a
-            for seen, a, b in zip(system.switched, above, below, strict=True)
+            for seen, a, b in zip(system.structure.switched, above, below, strict=True)
         )
     if is_array(fields[0]):
         return blend(fields, mode, weights)
-    switched = [i for i, seen in enumerate(system.switched) if seen]
+    switched = [i for i, seen in enumerate(system.structure.switched) if seen]
     parts = blend([tuple(f[i] for i in switched) for f in fields], mode, weights)
     mixed = dict(zip(switched, parts, strict=True))
     return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
@@ -80,7 +80,7 @@ def _blend_arrays(
     system: ComponentSystem, above: Array, below: Array, mode: Components, weights: Components
 ) -> Components:
     """The same of fields that are arrays. A number that no side enters is that of both fields."""
-    seen = np.array([surfaces[0] if surfaces else 0 for surfaces in system.switched])
+    seen = np.array([surfaces[0] if surfaces else 0 for surfaces in system.structure.switched])
     s, w = (v[0] if system.m == 1 else pack(v, above.dtype)[seen] for v in (mode, weights))
     return mix(s, w, (above,), (below,))
 
@@ -111,9 +111,9 @@ def corners(
 def corner_sides(system: ComponentSystem) -> np.ndarray:
     """The combinations of sides of `sliding_weights.Corners`, a row for each."""
     m = system.m
-    if system.separate:
+    if system.structure.separate:
         return np.array([[1.0] * m, [-1.0] * m])
-    if system.affine:
+    if system.structure.affine:
         return np.concatenate([np.ones((1, m)), 1 - 2 * np.eye(m)])
     return every_side(m)
 
@@ -189,11 +189,8 @@ def without_surfaces(system: ComponentSystem, mode: Components) -> ComponentSyst
         m=0,
         slides=False,
         resets=False,
-        switched=((),) * system.n,
-        separate=False,
-        members=None,
+        structure=structure.none_of(system.n),
         packed=False,
-        affine=False,
         _field=_SingleField(system, mode),
     )
 

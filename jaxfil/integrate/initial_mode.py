@@ -53,7 +53,7 @@ def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction:
 def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corners, ...]:
     """The first three derivatives of H on every combination of sides. The higher ones are not
     affine in the sides, be the field or not."""
-    if system.separate:
+    if system.structure.separate:
         rows = [system.for_each_surface(jnp.asarray(s, system.dtype)) for s in (1.0, -1.0)]
         each = [_three_rates(system, t, x, row) for row in rows]
         return tuple(map(list, zip(*each, strict=True)))

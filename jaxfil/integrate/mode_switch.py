@@ -336,7 +336,7 @@ def _chosen_on(
     def same(rates: Corners, mode: Components, on: Components, *rest: Array) -> tuple:
         return mode, jnp.ones((), jnp.int32)
 
-    if system.separate:
+    if system.structure.separate:
         return choose(rates, mode, on, direction, least)
     return system.where_any(any_of(on), choose, same, rates, mode, on, direction, least)
 

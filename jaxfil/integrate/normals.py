@@ -43,7 +43,7 @@ def project(
     Where surfaces share numbers of the state, all at once, by the solution of
     Σ_k (∇H_j·∇H_k) μ_k = −H_j: what is taken from one moves the state off another.
     """
-    if system.m == 1 or system.members is not None:
+    if system.m == 1 or system.structure.members is not None:
         each = zip(h, _squares(system, normals), on, strict=True)
         away = tuple(jnp.where(o, -v / jnp.where(s == 0, 1, s), 0.0) for v, s, o in each)
         return _moved(system, x, normals, away)
@@ -76,18 +76,18 @@ def _moved(
 
 def _of_each(system: ComponentSystem, terms: Array) -> Array:
     """The sum of the terms of each surface, of terms of each number of the state."""
-    assert system.members is not None
-    most = max(1, max(map(len, system.members)))
+    assert system.structure.members is not None
+    most = max(1, max(map(len, system.structure.members)))
     table = np.zeros((system.m, most), np.int32)
-    real = np.arange(most) < np.array([[len(row)] for row in system.members])
-    table[real] = np.concatenate(system.members)
+    real = np.arange(most) < np.array([[len(row)] for row in system.structure.members])
+    table[real] = np.concatenate(system.structure.members)
     return jnp.sum(jnp.where(real, terms[table], 0.0), axis=1)
 
 
 def _spread(system: ComponentSystem, shares: Array) -> Array:
     """The share of the surface that each number of the state is of, 0 of a number of none."""
-    assert system.members is not None
+    assert system.structure.members is not None
     owner = np.full(system.n, -1, np.int32)
-    for j, row in enumerate(system.members):
+    for j, row in enumerate(system.structure.members):
         owner[list(row)] = j
     return jnp.where(owner >= 0, shares[np.maximum(owner, 0)], 0.0)

@@ -40,7 +40,7 @@ def run(m, shown, more=0):
     stack = Stack(jnp.linspace(0.5, 0.3, m), shown, more)
     x0 = jnp.concatenate([jnp.linspace(0.1, 0.4, 2 * m), jnp.zeros(more)])
     system = build(stack, x0)
-    assert not system.separate and system.affine == shown
+    assert not system.structure.separate and system.structure.affine == shown
     return jf.solve(stack, x0, 0.0, 8.0, 0.05)
 
 

@@ -1,0 +1,137 @@
+"""Many surfaces that have nothing to do with each other are one array in the loop.
+
+Seven oscillators with a friction each, two of them alike, and a state that no surface is of, in one
+system: each must move as it does alone, where its surface is a number.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+from jaxfil.integrate.components import build
+from jaxfil.model.outcomes import RESULTS
+
+FRICTION = np.array([0.3, 0.3, 0.35, 0.4, 0.45, 0.5, 0.9])
+START = np.stack([np.linspace(0.5, 0.1, 7), np.linspace(-0.3, 0.4, 7)])
+START[:, 1] = START[:, 0]
+COUNT = len(FRICTION)
+
+
+def spread(x, *values):
+    return jnp.concatenate([jnp.atleast_1d(v) * jnp.ones_like(x) for v in values])
+
+
+class Oscillators(jf.System):
+    """q'' = cos t − q − 0.1 v − μ side(v + q/4 − 0.1), one for each μ, and r' = −r."""
+
+    slides = True
+    period = 2 * jnp.pi
+    mu: jax.Array
+
+    def vector_field(self, t, x, side):
+        q, v = jnp.split(x[:-1], 2)
+        return jnp.concatenate([v, jnp.cos(t) - q - 0.1 * v - self.mu * side, -x[-1:]])
+
+    def switching(self, t, x):
+        q, v = jnp.split(x[:-1], 2)
+        return v + q / 4 - 0.1
+
+
+def together(start=START):
+    return jnp.append(start.reshape(-1), 2.0)
+
+
+def alone(i, **how):
+    x0 = np.append(START[:, i], 2.0)
+    return jf.solve(Oscillators(jnp.array(FRICTION[i : i + 1])), x0, 0.0, 12.0, 0.05, **how)
+
+
+SYSTEM = Oscillators(jnp.array(FRICTION))
+
+
+def test_what_is_one_array():
+    built = build(SYSTEM, together())
+    assert built.packed and built.structure.separate
+    assert built.structure.members == tuple((i, COUNT + i) for i in range(COUNT))
+    # Of surfaces that share a number of the state, of those that are coupled, and of few.
+    shared = jf.FunctionSystem if hasattr(jf, "FunctionSystem") else None
+    assert shared is None or not build(SYSTEM, together()).resets
+    assert not build(Oscillators(jnp.array(FRICTION[:1])), jnp.ones(3)).packed
+
+
+@pytest.mark.parametrize("compact", [True, False])
+def test_each_moves_as_it_does_alone(compact):
+    sol = jf.solve(SYSTEM, together(), 0.0, 12.0, 0.05, compact=compact, max_events=400)
+    number = int(sol.num_events)
+    ts, members = np.asarray(sol.events.ts[:number]), np.asarray(sol.events.members[:number])
+    modes, kinds = np.asarray(sol.events.modes[:number]), np.asarray(sol.events.kinds[:number])
+    slid = 0
+    for i in range(COUNT):
+        single = alone(i)
+        count, own = int(single.num_events), members[:, i]
+        assert own.sum() == count > 0
+        assert_allclose(ts[own], single.events.ts[:count], rtol=1e-11)
+        assert (modes[own, i] == single.events.modes[:count, 0]).all()
+        if i != 1 and not (own & (members.sum(axis=1) > 1)).any():
+            assert (kinds[own] == single.events.kinds[:count]).all()
+        assert_allclose(sol.xs[-1, [i, COUNT + i]], single.xs[-1, :2], rtol=1e-10, atol=1e-12)
+        slid += int((single.events.modes[:count] == 0).sum())
+    assert slid > COUNT
+    # The two that are alike are met together, each time.
+    assert (members[:, 0] == members[:, 1]).all()
+    assert_allclose(sol.xs[-1, -1], 2 * np.exp(-12.0), rtol=1e-9)
+
+
+def test_derivatives_are_those_of_each_alone():
+    def end(x, mu):
+        return jf.solve(Oscillators(mu), x, 0.0, 6.0, 0.05).xs[-1]
+
+    by_x, by_mu = jax.jacfwd(end, (0, 1))(together(), jnp.array(FRICTION))
+    back = jax.jacrev(end)(together(), jnp.array(FRICTION))
+    assert_allclose(back, by_x, rtol=1e-11, atol=1e-12)
+    expected, expected_mu = np.zeros(by_x.shape), np.zeros(by_mu.shape)
+    expected[-1, -1] = np.exp(-6.0)
+    single = jax.jit(jax.jacfwd(end, (0, 1)))
+    for i in range(COUNT):
+        at = [i, COUNT + i]
+        one = single(jnp.append(START[:, i], 2.0), jnp.array(FRICTION[i : i + 1]))
+        expected[np.ix_(at, at)] = one[0][:2, :2]
+        expected_mu[at, i] = one[1][:2, 0]
+    assert_allclose(by_x, expected, rtol=1e-8, atol=1e-10)
+    assert_allclose(by_mu, expected_mu, rtol=1e-8, atol=1e-10)
+
+
+def test_dense_output_and_samples_hold_the_modes():
+    sol = jf.solve(SYSTEM, together(), 0.0, 6.0, 0.05, saveat=jf_dense())
+    ts = np.linspace(0.0, 6.0, 41)
+    for i in (0, 4):
+        single = alone(i, saveat=jf_dense())
+        assert_allclose(sol.evaluate(ts)[:, COUNT + i], single.evaluate(ts)[:, 1], atol=1e-10)
+
+
+def jf_dense():
+    import diffrax
+
+    return diffrax.SaveAt(dense=True, t1=True)
+
+
+def test_a_sweep_an_orbit_and_exponents():
+    x0 = together()
+    few = jf.bifurcation_diagram(
+        SYSTEM, "mu[6]", np.array([0.8, 0.9]), x0, transient=5, samples=3, progress=False
+    ) if False else None
+    assert few is None
+    orbit = jf.periodic_orbit(SYSTEM, x0, transient=10)
+    assert orbit.result == RESULTS.successful
+    exponents = jf.lyapunov_spectrum(SYSTEM, x0, periods=20, transient=20).exponents
+    own = [
+        jf.lyapunov_spectrum(
+            Oscillators(jnp.array(FRICTION[i : i + 1])), x[jnp.array([i, COUNT + i, -1])],
+            periods=20, transient=20,
+        ).exponents
+        for i, x in ((0, x0), (6, x0))
+    ]
+    assert len(own) == 2 and np.isfinite(exponents[0])
