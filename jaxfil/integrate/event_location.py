@@ -27,6 +27,7 @@ rounding in the state and in its derivative.
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -328,7 +329,7 @@ def _first_of(
         ahead = jnp.where(hits[0], direction * stop_gradient(times[0]), jnp.inf)
         best = jnp.min(ahead)
         number = jnp.arange(len(ahead), dtype=jnp.int32)
-        first = (number == jnp.argmin(ahead)) & (best < jnp.inf)
+        first = (number == jax.lax.argmin(ahead, 0, jnp.int32)) & (best < jnp.inf)
         return jnp.sum(jnp.where(first, times[0], 0.0)), best, (first,)
     delta: Any = zero
     best: Any = zero + jnp.inf

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, pack
+from jaxfil.integrate.components import Components, ComponentSystem, pack, total
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.problem import Problem, Recording
 from jaxfil.integrate.state import EventTable, LoopState, SavedStates, StepEnd
@@ -72,11 +72,19 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
             left, held = left | (abs(old) == 2), held | (abs(new) == 2)
         slip = jnp.where(left, EventKind.slip.value, EventKind.crossing.value)
         change = jnp.where(held, EventKind.stick.value, slip).astype(jnp.int8)
-        kind = jnp.where(hit & (old != new), change, kind)
+        kind = _of_first(hit & (old != new), change, kind)
     if resets:
         impact = jnp.asarray(EventKind.impact.value, jnp.int8)
         kind = jnp.where(end.moved, impact, kind)
     return kind
+
+
+def _of_first(flag: Array, value: Array, otherwise: Array) -> Array:
+    """A value where its flag is set; of arrays that of the first flag that is."""
+    if flag.ndim:
+        here = jnp.arange(len(flag), dtype=jnp.int32) == jax.lax.argmax(flag, 0, jnp.int32)
+        value, flag = jnp.max(jnp.where(here, value, 0)), jnp.any(flag)
+    return jnp.where(flag, value, otherwise)
 
 
 @jax.custom_jvp
@@ -97,10 +105,9 @@ def _infinite_rate_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
 
 def _event_time(problem: Problem, state: LoopState, end: StepEnd) -> Array:
-    t = problem.grid.t0 + state.tau
-    for hit, g in zip(state.hit, end.g, strict=True):
-        t = t + _infinite_rate(g, state.graze & hit)
-    return t
+    each = zip(state.hit, end.g, strict=True)
+    late = tuple(_infinite_rate(g, state.graze & hit) for hit, g in each)
+    return problem.grid.t0 + state.tau + total(late)
 
 
 def record_event(

@@ -298,6 +298,9 @@ def _through(
         elif name in elements.MOVES:
             shape = eqn.outvars[0].aval.shape
             outputs = [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
+        elif name == "split":
+            cuts = np.cumsum(eqn.params["sizes"])[:-1]
+            outputs = np.split(np.asarray(inputs[0]), cuts, eqn.params["axis"])
         else:
             outputs = rule(eqn, inputs)
         values.update(zip(eqn.outvars, outputs, strict=True))

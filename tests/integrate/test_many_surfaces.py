@@ -4,6 +4,7 @@ Seven oscillators with a friction each, two of them alike, and a state that no s
 system: each must move as it does alone, where its surface is a number.
 """
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,10 +19,8 @@ FRICTION = np.array([0.3, 0.3, 0.35, 0.4, 0.45, 0.5, 0.9])
 START = np.stack([np.linspace(0.5, 0.1, 7), np.linspace(-0.3, 0.4, 7)])
 START[:, 1] = START[:, 0]
 COUNT = len(FRICTION)
-
-
-def spread(x, *values):
-    return jnp.concatenate([jnp.atleast_1d(v) * jnp.ones_like(x) for v in values])
+# At a tie there is no derivative.
+APART = np.where(np.arange(COUNT) == 1, 0.32, FRICTION)
 
 
 class Oscillators(jf.System):
@@ -40,6 +39,13 @@ class Oscillators(jf.System):
         return v + q / 4 - 0.1
 
 
+class Shared(Oscillators):
+    """The same, each friction on the motion beside the last state."""
+
+    def switching(self, t, x):
+        return jnp.split(x[:-1], 2)[1] - x[-1]
+
+
 def together(start=START):
     return jnp.append(start.reshape(-1), 2.0)
 
@@ -56,9 +62,8 @@ def test_what_is_one_array():
     built = build(SYSTEM, together())
     assert built.packed and built.structure.separate
     assert built.structure.members == tuple((i, COUNT + i) for i in range(COUNT))
-    # Of surfaces that share a number of the state, of those that are coupled, and of few.
-    shared = jf.FunctionSystem if hasattr(jf, "FunctionSystem") else None
-    assert shared is None or not build(SYSTEM, together()).resets
+    # Not of surfaces that share a number of the state, nor of few.
+    assert not build(Shared(jnp.array(FRICTION)), together()).packed
     assert not build(Oscillators(jnp.array(FRICTION[:1])), jnp.ones(3)).packed
 
 
@@ -89,49 +94,34 @@ def test_derivatives_are_those_of_each_alone():
     def end(x, mu):
         return jf.solve(Oscillators(mu), x, 0.0, 6.0, 0.05).xs[-1]
 
-    by_x, by_mu = jax.jacfwd(end, (0, 1))(together(), jnp.array(FRICTION))
-    back = jax.jacrev(end)(together(), jnp.array(FRICTION))
+    by_x, by_mu = jax.jacfwd(end, (0, 1))(together(), jnp.array(APART))
+    back = jax.jacrev(end)(together(), jnp.array(APART))
     assert_allclose(back, by_x, rtol=1e-11, atol=1e-12)
     expected, expected_mu = np.zeros(by_x.shape), np.zeros(by_mu.shape)
     expected[-1, -1] = np.exp(-6.0)
     single = jax.jit(jax.jacfwd(end, (0, 1)))
     for i in range(COUNT):
         at = [i, COUNT + i]
-        one = single(jnp.append(START[:, i], 2.0), jnp.array(FRICTION[i : i + 1]))
+        one = single(jnp.append(START[:, i], 2.0), jnp.array(APART[i : i + 1]))
         expected[np.ix_(at, at)] = one[0][:2, :2]
         expected_mu[at, i] = one[1][:2, 0]
     assert_allclose(by_x, expected, rtol=1e-8, atol=1e-10)
     assert_allclose(by_mu, expected_mu, rtol=1e-8, atol=1e-10)
 
 
-def test_dense_output_and_samples_hold_the_modes():
-    sol = jf.solve(SYSTEM, together(), 0.0, 6.0, 0.05, saveat=jf_dense())
-    ts = np.linspace(0.0, 6.0, 41)
-    for i in (0, 4):
-        single = alone(i, saveat=jf_dense())
-        assert_allclose(sol.evaluate(ts)[:, COUNT + i], single.evaluate(ts)[:, 1], atol=1e-10)
+def test_dense_output():
+    saveat = diffrax.SaveAt(dense=True)
+    sol = jf.solve(SYSTEM, together(), 0.0, 6.0, 0.05, saveat=saveat)
+    single, ts = alone(4, saveat=saveat), np.linspace(0.0, 6.0, 41)
+    assert_allclose(sol.evaluate(ts)[:, [4, COUNT + 4]], single.evaluate(ts)[:, :2], atol=1e-10)
 
 
-def jf_dense():
-    import diffrax
-
-    return diffrax.SaveAt(dense=True, t1=True)
-
-
-def test_a_sweep_an_orbit_and_exponents():
-    x0 = together()
-    few = jf.bifurcation_diagram(
-        SYSTEM, "mu[6]", np.array([0.8, 0.9]), x0, transient=5, samples=3, progress=False
-    ) if False else None
-    assert few is None
-    orbit = jf.periodic_orbit(SYSTEM, x0, transient=10)
+def test_an_orbit_and_its_exponents():
+    system = Oscillators(jnp.array(APART))
+    orbit = jf.periodic_orbit(system, together(), transient=5)
     assert orbit.result == RESULTS.successful
-    exponents = jf.lyapunov_spectrum(SYSTEM, x0, periods=20, transient=20).exponents
-    own = [
-        jf.lyapunov_spectrum(
-            Oscillators(jnp.array(FRICTION[i : i + 1])), x[jnp.array([i, COUNT + i, -1])],
-            periods=20, transient=20,
-        ).exponents
-        for i, x in ((0, x0), (6, x0))
-    ]
-    assert len(own) == 2 and np.isfinite(exponents[0])
+    exponents = jf.lyapunov_spectrum(system, orbit.x0, periods=20, transient=0).exponents
+    # Of the orbit's multipliers, and of a state that only fades.
+    sizes = np.sort(abs(np.asarray(orbit.multipliers)))[::-1]
+    told = sizes > 1e-6
+    assert_allclose(np.asarray(exponents)[told], np.log(sizes[told]) / (2 * np.pi), atol=1e-5)
