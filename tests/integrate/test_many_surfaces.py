@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import jaxfil as jf
 from jaxfil.integrate.components import build
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.integrate.normals import products, project
 
 FRICTION = np.array([0.3, 0.3, 0.35, 0.4, 0.45, 0.5, 0.9])
 START = np.stack([np.linspace(0.5, 0.1, 7), np.linspace(-0.3, 0.4, 7)])
@@ -24,7 +24,8 @@ APART = np.where(np.arange(COUNT) == 1, 0.32, FRICTION)
 
 
 class Oscillators(jf.System):
-    """q'' = cos t − q − 0.1 v − μ side(v + q/4 − 0.1), one for each μ, and r' = −r."""
+    """q'' = cos t − q − 0.1 v − μ side(v + q/4 − 0.1), one for each μ, and
+    r' = cos t − r."""
 
     slides = True
     period = 2 * jnp.pi
@@ -32,7 +33,7 @@ class Oscillators(jf.System):
 
     def vector_field(self, t, x, side):
         q, v = jnp.split(x[:-1], 2)
-        return jnp.concatenate([v, jnp.cos(t) - q - 0.1 * v - self.mu * side, -x[-1:]])
+        return jnp.concatenate([v, jnp.cos(t) - q - 0.1 * v - self.mu * side, jnp.cos(t) - x[-1:]])
 
     def switching(self, t, x):
         q, v = jnp.split(x[:-1], 2)
@@ -87,7 +88,8 @@ def test_each_moves_as_it_does_alone(compact):
     assert slid > COUNT
     # The two that are alike are met together, each time.
     assert (members[:, 0] == members[:, 1]).all()
-    assert_allclose(sol.xs[-1, -1], 2 * np.exp(-12.0), rtol=1e-9)
+    faded = (np.cos(12.0) + np.sin(12.0)) / 2 + 1.5 * np.exp(-12.0)
+    assert_allclose(sol.xs[-1, -1], faded, rtol=1e-11)
 
 
 def test_derivatives_are_those_of_each_alone():
@@ -116,12 +118,28 @@ def test_dense_output():
     assert_allclose(sol.evaluate(ts)[:, [4, COUNT + 4]], single.evaluate(ts)[:, :2], atol=1e-10)
 
 
-def test_an_orbit_and_its_exponents():
-    system = Oscillators(jnp.array(APART))
-    orbit = jf.periodic_orbit(system, together(), transient=5)
-    assert orbit.result == RESULTS.successful
-    exponents = jf.lyapunov_spectrum(system, orbit.x0, periods=20, transient=0).exponents
-    # Of the orbit's multipliers, and of a state that only fades.
-    sizes = np.sort(abs(np.asarray(orbit.multipliers)))[::-1]
-    told = sizes > 1e-6
-    assert_allclose(np.asarray(exponents)[told], np.log(sizes[told]) / (2 * np.pi), atol=1e-5)
+def test_an_orbit_has_the_multipliers_of_each():
+    def orbit(i):
+        x0 = jnp.append(START[:, i].reshape(-1), 2.0)
+        return jf.periodic_orbit(Oscillators(jnp.array(APART[i])), x0, transient=40)
+
+    found = orbit(np.arange(COUNT))
+    own = [np.sort(abs(orbit(np.array([i])).multipliers)) for i in range(COUNT)]
+    # That of r, e^(-2π), is each one's smallest but of what a slide takes away.
+    each = [v[abs(v - np.exp(-2 * np.pi)) > 1e-9] for v in own]
+    expected = np.sort(np.append(np.concatenate(each), np.exp(-2 * np.pi)))
+    assert_allclose(np.sort(abs(found.multipliers)), expected, atol=1e-8)
+
+
+def test_projection_on_the_surfaces():
+    built, rng = build(SYSTEM, together()), np.random.default_rng(0)
+    x = (jnp.asarray(rng.normal(size=2 * COUNT + 1)),)
+    _, _, normals = built.gradients(jnp.zeros(()), x)
+    rows = np.asarray(jax.jacfwd(lambda x: SYSTEM.switching(0.0, x))(x[0]))
+    assert_allclose(products(built, normals, x)[0], rows @ x[0], rtol=1e-13)
+    on, h = rng.random(COUNT) < 0.6, rng.normal(size=COUNT)
+    (moved,) = project(built, x, (jnp.asarray(h),), normals, (jnp.asarray(on),))
+    gap = np.asarray(moved - x[0])
+    assert_allclose(rows[on] @ gap, -h[on], rtol=1e-12)
+    # At right angles to the surfaces, and of those marked alone.
+    assert_allclose(gap, -np.linalg.pinv(rows[on]) @ h[on], rtol=1e-12, atol=1e-15)
