@@ -81,12 +81,12 @@ def pack(components: Components, dtype: Any) -> Array:
 
 
 def is_array(x: Components) -> bool:
-    """Whether a state is one array."""
+    """Whether a state, or what there is of each surface, is one array."""
     return len(x) == 1 and x[0].ndim > 0
 
 
 def number(x: Components, i: int) -> Array:
-    """Number i of a state."""
+    """Number i of components, of a state or of one for each surface."""
     return x[0][i] if is_array(x) else x[i]
 
 

@@ -72,15 +72,16 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
             left, held = left | (abs(old) == 2), held | (abs(new) == 2)
         slip = jnp.where(left, EventKind.slip.value, EventKind.crossing.value)
         change = jnp.where(held, EventKind.stick.value, slip).astype(jnp.int8)
-        kind = _of_first(hit & (old != new), change, kind)
+        kind = _where_first(hit & (old != new), change, kind)
     if resets:
         impact = jnp.asarray(EventKind.impact.value, jnp.int8)
         kind = jnp.where(end.moved, impact, kind)
     return kind
 
 
-def _of_first(flag: Array, value: Array, otherwise: Array) -> Array:
-    """A value where its flag is set; of arrays that of the first flag that is."""
+def _where_first(flag: Array, value: Array, otherwise: Array) -> Array:
+    """A value where its flag is set, else another one; of arrays the value of the first flag that
+    is."""
     if flag.ndim:
         here = jnp.arange(len(flag), dtype=jnp.int32) == jax.lax.argmax(flag, 0, jnp.int32)
         value, flag = jnp.max(jnp.where(here, value, 0)), jnp.any(flag)

@@ -24,8 +24,7 @@ APART = np.where(np.arange(COUNT) == 1, 0.32, FRICTION)
 
 
 class Oscillators(jf.System):
-    """q'' = cos t − q − 0.1 v − μ side(v + q/4 − 0.1), one for each μ, and
-    r' = cos t − r."""
+    """q'' = cos t − q − 0.1 v − μ side(v + q/4 − 0.1), one for each μ, and r' = cos t − r."""
 
     slides = True
     period = 2 * jnp.pi
@@ -47,8 +46,8 @@ class Shared(Oscillators):
         return jnp.split(x[:-1], 2)[1] - x[-1]
 
 
-def together(start=START):
-    return jnp.append(start.reshape(-1), 2.0)
+def together():
+    return jnp.append(START.reshape(-1), 2.0)
 
 
 def alone(i, **how):
