@@ -13,12 +13,13 @@ from jaxfil.xla.compiler import makes_whole_kernels
 # What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
 # add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
 # scatters, sorts, and calls of libraries, which a product of matrices may become. (A `psum` over
-# the axis of a batch has become a sum over an axis of an array by then.)
+# the axis of a batch has become a sum over an axis of an array by then; a `device_put`, which older
+# versions of JAX make of an array of constants, nothing at all.)
 _NAMES = """
 abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh bitcast_convert_type
 broadcast_in_dim cbrt ceil clamp concatenate cond convert_element_type copy copy_p cos cosh
-custom_jvp_call div dynamic_slice empty2 eq erf erf_inv erfc exp exp2 expm1 floor gather ge gt
-integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg nextafter not
+custom_jvp_call device_put div dynamic_slice empty2 eq erf erf_inv erfc exp exp2 expm1 floor gather
+ge gt integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg nextafter not
 optimization_barrier or pad pjit pow psum pushforward reduce_and reduce_max reduce_min reduce_or
 reduce_precision reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign
 sin sinh slice split sqrt square squeeze stack stop_gradient sub tan tanh transpose unstack

@@ -177,6 +177,7 @@ def everything(x, k):
         lax.cond(k > 1, jnp.sin, jnp.cos, x),
         lax.optimization_barrier(x),
         jnp.array(x, copy=True),
+        jax.device_put(x),
     ]
     out += [lax.iota(np.int32, 3), jax.jit(jnp.sin)(x), jax.nn.relu(x), eqxi.unvmap_any(k > 1)]
     out += [jax.linear_transpose(lambda v: v + v, x)(x)[0]]
