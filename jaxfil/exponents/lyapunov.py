@@ -167,7 +167,7 @@ def _spectrum(
 
         def batch(variation: Variation, stop: Array) -> tuple[Variation, Array]:
             after = propagate(problem, steps, variation, stop)
-            return after, jnp.stack(after.growth)
+            return after, pack(after.growth, x0.dtype)
 
         last, growth = jax.lax.scan(batch, vary(problem.system, state, steps), stops)
         return finish(grid, last.state), growth

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxfil as jf
 from jaxfil import RESULTS
 from jaxfil.exponents import batch_means
-from jaxfil.exponents.variational import generic_frame
+from jaxfil.exponents.frame import generic_frame
 from jaxfil.integrate import components
 from jaxfil.model.outcomes import outcome_names
 from tests.problems import PROBLEMS

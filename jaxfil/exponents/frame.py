@@ -1,0 +1,142 @@
+"""A frame: n tangent vectors, orthonormalised one after the other.
+
+A system, and vectors of n components, enter; orthonormal ones leave, with log R_ii of each. Of a
+state that is one array the frame is one too, (n, n), a row for each vector, so that programs are of
+one size for all n; the vectors of a state of few numbers are written out.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.components import (
+    Components,
+    ComponentSystem,
+    axpy,
+    constant,
+    dot,
+    is_array,
+    number,
+    where,
+)
+
+Frame = tuple[Components, ...] | Array
+"""The vectors, or the array of them."""
+
+# A direction to which those before it leave less than this many eps of its length is lost.
+_LOST = 1e4
+
+
+def generic_frame(system: ComponentSystem) -> Frame:
+    """n orthonormal vectors, none of which is likely to be special to the system."""
+    # The axes would be special: where a slide loses x', the axis of x' is lost at once.
+    q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(system.n, system.n)))
+    if is_array(zeros(system)):
+        return jnp.asarray(q.T, system.dtype)
+    return tuple(constant(column, system.dtype) for column in q.T)
+
+
+def zeros(system: ComponentSystem) -> Components:
+    """A zero for each vector."""
+    return constant(np.zeros(system.n), system.dtype)
+
+
+def for_each(
+    function: Callable[[Components, Array], tuple[Components, Array]],
+    frame: Frame,
+    numbers: Components,
+) -> tuple[Frame, Components]:
+    """`function` of each vector and its number: a vector and a number of each."""
+    if isinstance(frame, tuple):
+        vectors, out = zip(*map(function, frame, numbers), strict=True)
+        return vectors, out
+    (moved,), out = jax.vmap(function)((frame,), numbers[0])
+    return moved, (out,)
+
+
+def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple[Frame, Components]:
+    """An orthonormal frame, and log R_ii of each vector.
+
+    A vector of which the ones before it leave nothing but rounding is replaced by one that is
+    orthogonal to them. Its logarithm is −inf where a slide or a reset may have `dropped` it, which
+    has then no length at all, and NaN elsewhere: it is too small to be told.
+    """
+    # A QR factorisation of LAPACK would end the kernel.
+    if not isinstance(frame, tuple):
+        return _gram_schmidt_of_array(system, frame, dropped)
+    done: list[Components] = []
+    logs = []
+    for v in frame:
+        rest = v
+        for _ in range(2):  # the second time removes what rounding left
+            for q in done:
+                rest = axpy(rest, -dot(q, rest), q)
+        unit, log = _normalised(system, v, rest, lambda: _complement(system, done), dropped)
+        done.append(unit)
+        logs.append(log)
+    return tuple(done), tuple(logs)
+
+
+def _gram_schmidt_of_array(
+    system: ComponentSystem, frame: Array, dropped: Array
+) -> tuple[Array, Components]:
+    rows = jnp.arange(system.n, dtype=jnp.int32)
+
+    def outside(done: Array, v: Array) -> Array:
+        """What the vectors done leave of one."""
+        return v - jnp.sum(jnp.sum(done * v, axis=1)[:, None] * done, axis=0)
+
+    def complement(done: Array) -> Components:
+        """A unit vector orthogonal to those done: what they leave of the axis they leave most."""
+        most = jax.lax.argmin(jnp.sum(done * done, axis=0), 0, jnp.int32)
+        axis = (rows == most).astype(system.dtype)
+        left = outside(done, axis)
+        return (left / jnp.sqrt(jnp.sum(left * left)),)
+
+    def next_vector(done: Array, turn: tuple[Array, Array]) -> tuple[Array, Array]:
+        k, v = turn
+        rest = outside(done, outside(done, v))  # the second time removes what rounding left
+        (unit,), log = _normalised(system, (v,), (rest,), lambda: complement(done), dropped)
+        return jnp.where((rows == k)[:, None], unit, done), log
+
+    done, logs = jax.lax.scan(next_vector, jnp.zeros_like(frame), (rows, frame))
+    return done, (logs,)
+
+
+def _normalised(
+    system: ComponentSystem,
+    v: Components,
+    rest: Components,
+    complement: Callable[[], Components],
+    dropped: Array,
+) -> tuple[Components, Array]:
+    """What was left of a vector, of length one, and the logarithm of its length; or its
+    replacement."""
+    length = _norm(rest)
+    lost = length <= _LOST * system.eps * _norm(v)
+    length = jnp.where(lost, 1.0, length)
+    unit = tuple(a / length for a in rest)
+    nothing = jnp.where(dropped, -jnp.inf, jnp.nan)
+    return where(lost, complement(), unit), jnp.where(lost, nothing, jnp.log(length))
+
+
+def _norm(v: Components) -> Array:
+    square = jnp.asarray(dot(v, v))
+    zero = square == 0  # the square root has no derivative there
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+
+
+def _complement(system: ComponentSystem, done: list[Components]) -> Components:
+    """A unit vector orthogonal to orthonormal ones: what they leave of the axis they leave most."""
+    eye = np.eye(system.n)
+    best, most = constant(0 * eye[0], system.dtype), jnp.zeros((), system.dtype)
+    for j in range(system.n):
+        axis = constant(eye[j], system.dtype)
+        for q in done:
+            axis = axpy(axis, -number(q, j), q)
+        square = number(axis, j)  # a projection's diagonal is the square of its column
+        best, most = where(square > most, axis, best), jnp.maximum(most, square)
+    return tuple(v / jnp.sqrt(most) for v in best)
