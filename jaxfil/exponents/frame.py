@@ -19,7 +19,6 @@ from jaxfil.integrate.components import (
     constant,
     dot,
     is_array,
-    number,
     where,
 )
 
@@ -83,6 +82,7 @@ def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple
 def _gram_schmidt_of_array(
     system: ComponentSystem, frame: Array, dropped: Array
 ) -> tuple[Array, Components]:
+    """The same of the rows of an array."""
     rows = jnp.arange(system.n, dtype=jnp.int32)
 
     def outside(done: Array, v: Array) -> Array:
@@ -136,7 +136,7 @@ def _complement(system: ComponentSystem, done: list[Components]) -> Components:
     for j in range(system.n):
         axis = constant(eye[j], system.dtype)
         for q in done:
-            axis = axpy(axis, -number(q, j), q)
-        square = number(axis, j)  # a projection's diagonal is the square of its column
+            axis = axpy(axis, -q[j], q)
+        square = axis[j]  # a projection's diagonal is the square of its column
         best, most = where(square > most, axis, best), jnp.maximum(most, square)
     return tuple(v / jnp.sqrt(most) for v in best)

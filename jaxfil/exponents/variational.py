@@ -126,9 +126,14 @@ def _orthonormalised(
 ) -> Variation:
     """The same, with its frame orthonormalised where that is due."""
     due = (variation.left <= 0) & (variation.state.index > before.index)
-    # `once`: without it the first vector would be computed again for every number after it.
+
+    def as_it_is(frame: Frame, _: Array) -> tuple[Frame, Components]:
+        return frame, zeros(system)
+
     orthonormal = ft.partial(gram_schmidt, system)
-    frame, lengths = system.once(orthonormal, variation.frame, variation.dropped)
+    frame, lengths = system.where_any(
+        due, orthonormal, as_it_is, variation.frame, variation.dropped
+    )
     growth = tuple(
         g + jnp.where(due, log, 0.0) for g, log in zip(variation.growth, lengths, strict=True)
     )
