@@ -110,7 +110,7 @@ def text(system, **options):
         ("filippov._choose_on_one", "crossing", "smooth"),
         # Sliding: the blend's weights, the return to the surface, whether it draws the state back.
         ("sliding_weights.weights_and_determinant", "sliding", "crossing"),
-        ("mode_switch._project", "sliding", "crossing"),
+        ("normals.project", "sliding", "crossing"),
         ("event_location._to_singular_point", "sliding", "crossing"),
         # Impacts, events, and saved states.
         ("test_pay_for_use.Impact.reset", "impact", "crossing"),
