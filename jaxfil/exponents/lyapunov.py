@@ -108,7 +108,7 @@ def lyapunov_spectrum(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one. Within an interval the ratio of two directions' growths must stay far from 1/eps.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `compact`: as in `solve`; by default so for up to a million steps of all lanes together.
+    - `compact`: as in `solve`; by default so for up to 750,000 steps of all lanes together.
 
     **Returns** a `LyapunovSpectrum`.
 
@@ -172,7 +172,7 @@ def _spectrum(
         last, growth = jax.lax.scan(batch, vary(problem.system, state, steps), stops)
         return finish(grid, last.state), growth
 
-    state, growth = kernel_if_it_fits(run)(x0)
+    state, growth = kernel_if_it_fits(run, problem.compact)(x0)
     times = ends.astype(x0.dtype) * interval.length
     done = state.index >= grid.num_steps
     growth = jnp.where(done, growth[1:], jnp.nan)  # the first only turned the frame

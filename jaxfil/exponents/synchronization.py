@@ -76,7 +76,7 @@ def synchronization_exponent(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `compact`: as in `solve`; by default so for up to a million steps of all lanes together.
+    - `compact`: as in `solve`; by default so for up to 750,000 steps of all lanes together.
 
     **Returns** a `Synchronization`. `transverse_exponent` is sharper by an order of magnitude.
 
@@ -186,7 +186,7 @@ def _threshold(
         met = (nearest <= tolerance) & (state.result == RESULTS.successful)
         return nearest, RESULTS.where(met, state.result, finish(grid, state).result)
 
-    nearest, results = jax.vmap(kernel_if_it_fits(lane))(couplings)
+    nearest, results = jax.vmap(kernel_if_it_fits(lane, compact))(couplings)
     results = RESULTS.where(settled == RESULTS.successful, results, settled)
     results = jax.vmap(ft.partial(period_outcome, interval.length))(results)
     nearest = jnp.where(results == RESULTS.successful, nearest, jnp.nan)
@@ -238,7 +238,7 @@ def transverse_exponent(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `compact`: as in `solve`; by default so for up to a million steps of all lanes together.
+    - `compact`: as in `solve`; by default so for up to 750,000 steps of all lanes together.
 
     **Returns** a `TransverseExponent`.
 

@@ -389,7 +389,7 @@ def integrate_with_checkpoints(
 
 def integrate_in_kernel(problem: Problem, x0: Components) -> LoopState:
     """`integrate`, on a CPU as one kernel if all of it fits into one: see `kernel`."""
-    return kernel_if_it_fits(ft.partial(integrate, problem))(x0)
+    return kernel_if_it_fits(ft.partial(integrate, problem), problem.compact)(x0)
 
 
 def finish(grid: TimeGrid, state: LoopState) -> LoopState:

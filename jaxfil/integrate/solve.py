@@ -206,7 +206,7 @@ def _solve(
         return ended(_ended(problem, state))
     # In the kernel with what the outcome makes of the end: its derivatives then need no values from
     # elsewhere, and a Jacobian compiles and runs one kernel, not two.
-    run = kernel_if_it_fits(lambda x: _ended(problem, integrate(problem, x)))
+    run = kernel_if_it_fits(lambda x: _ended(problem, integrate(problem, x)), problem.compact)
     return ended(run(unpack(x0)))
 
 

@@ -101,7 +101,7 @@ def shoot(
         # One derivative by all that an arc depends on: the directions share the steps, the contacts
         # and the loop.
         z = jnp.concatenate([start, q])
-        return kernel_if_it_fits(jax.jacfwd(end, has_aux=True))(z)
+        return kernel_if_it_fits(jax.jacfwd(end, has_aux=True), options.compact)(z)
 
     numbers = jnp.arange(options.arcs).astype(starts.dtype)
     if options.arcs == 1:  # a batch of one would take as long to trace as a batch

@@ -97,28 +97,33 @@ def _all_used(values: Sequence[Array]) -> Array:
 _BLOCK = 64
 
 
-def kernel_if_it_fits(function: Callable) -> Callable:
+def kernel_if_it_fits(function: Callable, one_by_one: bool = False) -> Callable:
     """`function` of arrays as a single kernel on a CPU, if all of it fits into one.
 
     That is known from its operations, before it is compiled, so that this also serves inside of a
     transformation that somebody else compiles. So are its derivatives, of both modes: see
-    `forward_jacobian`; and the blocks of a batch of either.
+    `forward_jacobian`; and the blocks of a batch of either. Lanes that are run `one_by_one` take
+    the program of one lane, which compiles in half the time of a block's; the directions of a
+    Jacobian share a lane and stay a block.
     """
 
     def call(*args: Any) -> Any:
         # What the function has closed over becomes an argument: it may come as a batch.
         program, values, tree = opened(function, args)
         whole = jax.default_backend() == "cpu" and fits(program.jaxpr)
-        make = ft.partial(_whole, lanes=1) if whole else plainly
+        # What derivatives add to the arguments of a program are rates, the last ones of theirs.
+        alone = len(values) if one_by_one else 0
+        make = ft.partial(_whole, lanes=1, alone=alone) if whole else plainly
         run = with_derivatives(program, all_or_none(program), make)
         return jax.tree.unflatten(tree, run(*values))
 
     return call
 
 
-def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
+def _whole(program: Any, spread: Callable, lanes: int, alone: int) -> Callable:
     """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
-    results are a batch's if some of its arguments are."""
+    results are a batch's if some of its arguments are. A batch of any of the first `alone` ones is
+    run one by one."""
     run, outs = jexc.jaxpr_as_fun(program), program.out_avals
     # A kernel under `vmap` or `jvp` would be taken apart by JAX's own rules, and its parts put
     # together again by XLA as it likes. Here the batch, and the tangents, are a kernel again.
@@ -134,6 +139,8 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
             return [
                 jnp.zeros(shape, v.dtype) for v, shape in zip(outs, shapes, strict=True)
             ], spreads
+        if any(batched[:alone]):
+            return _one_by_one(whole, batched, values), spreads
         axes, out_axes = ([0 if flag else None for flag in flags] for flags in (batched, spreads))
         # A batch of batches counts all its lanes: more than a block does not stay in the cache.
         rows = min(axis_size, max(1, _BLOCK // lanes))
@@ -142,10 +149,23 @@ def _whole(program: Any, spread: Callable, lanes: int) -> Callable:
         together = jax.make_jaxpr(several)(*some)
         if not fits(together.jaxpr):  # sums that are long enough in a batch
             return jax.vmap(run, axes, out_axes, axis_size=axis_size)(*values), spreads
-        block = _whole(together, spread, lanes * rows)
+        block = _whole(together, spread, lanes * rows, alone)
         return in_turns(block, batched, spreads, axis_size, rows)(*values), spreads
 
     return whole
+
+
+def _one_by_one(function: Callable, batched: Sequence[bool], values: Sequence[Any]) -> Any:
+    """A function of the rows of those values that are `batched`, applied to one after the other."""
+    rows = [v for v, flag in zip(values, batched, strict=True) if flag]
+
+    def turn(row: list) -> Any:
+        own = iter(row)
+        return function(
+            *(next(own) if flag else v for v, flag in zip(values, batched, strict=True))
+        )
+
+    return jax.lax.map(turn, rows)
 
 
 def in_blocks(function: Callable, size: int) -> Callable:

@@ -50,6 +50,20 @@ def test_orbits_of_both_grades_agree():
     assert_allclose(compact.multipliers, written.multipliers, rtol=1e-9, atol=1e-11)
 
 
+def test_diagrams_of_both_grades_agree():
+    """More lanes than one chunk has, so that the second one is filled up."""
+    omegas = jnp.linspace(1.0, 2.0, 70)
+    options = {"transient": 2, "samples": 3, "steps": 80, "stepper": jf.RK4(), "progress": False}
+    belt = jf.systems.BeltFriction()
+    compact, written = (
+        jf.bifurcation_diagram(belt, "omega", omegas, X0, compact=grade, **options)
+        for grade in (True, False)
+    )
+    assert compact.xs.shape == (70, 3, 2)
+    assert_allclose(compact.xs, written.xs, rtol=1e-12, atol=1e-12)
+    assert (compact.results == written.results).all()
+
+
 @pytest.mark.parametrize("value", [1, "yes"])
 def test_compact_is_a_flag(value):
     with pytest.raises(ValueError, match=f"`compact` must be True, False or None, got {value!r}"):

@@ -34,8 +34,8 @@ class Coupled(jf.System):
         return x[0] - 0.5
 
 
-def run(a, how, x0=X0):
-    sol = jf.solve(Coupled(a, how), x0, 0.0, 2.0, 0.05, stepper=jf.RK4())
+def run(a, how, x0=X0, compact=None):
+    sol = jf.solve(Coupled(a, how), x0, 0.0, 2.0, 0.05, stepper=jf.RK4(), compact=compact)
     assert sol.events is not None
     return sol.x_final, sol.events.ts[:2], sol.events.kinds[:2]
 
@@ -88,18 +88,20 @@ def test_a_lane_and_its_derivatives_give_what_their_parts_give(in_parts):
         np.testing.assert_allclose(u, v, rtol=1e-13, atol=1e-14)
 
 
-def test_batches_of_all_kinds_give_what_single_lanes_give():
-    """Few lanes are one kernel, many a loop over blocks, and so are their derivatives in any
-    order."""
+@pytest.mark.parametrize("compact", [False, True])
+def test_batches_of_all_kinds_give_what_single_lanes_give(compact):
+    """Few lanes are one kernel, many a loop over blocks, those of a compact program a loop over
+    lanes, and so are their derivatives in any order."""
     some, many = jnp.linspace(0.2, 0.4, 4), jnp.linspace(0.2, 0.4, 100)
 
     def end(a):
-        return run(a, "product")[:2]
+        return run(a, "product", compact=compact)[:2]
 
     def batch(a):
         return jax.vmap(end)(a)
 
-    assert is_whole(batch, some) and not is_whole(batch, many)
+    assert is_whole(end, some[0]) and not is_whole(batch, many)
+    assert is_whole(batch, some) is not compact
     slope = jax.jit(jax.jacfwd(end))
     for a in (some, many):
         ends, slopes = jax.jit(batch)(a), jax.jit(jax.vmap(jax.jacfwd(end)))(a)
@@ -125,11 +127,12 @@ def test_derivatives_of_the_end_need_no_kernel_but_their_own(throw):
         assert entry.count("xla_cpu_small_call") >= entry.count(" call(") == 1
 
 
-def test_a_lane_can_be_linearised():
+@pytest.mark.parametrize("compact", [False, True])
+def test_a_lane_can_be_linearised(compact):
     """As optimistix and lineax do: the state first, its derivative later."""
 
     def end(a):
-        return run(a, "product")[:2]
+        return run(a, "product", compact=compact)[:2]
 
     def batch(a):
         return jax.vmap(end)(a)
