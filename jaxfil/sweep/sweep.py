@@ -359,15 +359,15 @@ def _run(
     def block(rows: Array, states: Array) -> tuple[SavedStates, RESULTS, Array]:
         return sampling.outcome(integrate_batch(problem, rows, states))
 
-    single = one_kernel(lane) if whole else lane
+    alone = one_kernel(lane) if whole else lane
+    numbers = jnp.arange(len(rows), dtype=jnp.int32)
+
+    def single(row: Array, x0: Array, i: Array) -> tuple[SavedStates, RESULTS, Array]:
+        # The lanes that fill up a chunk are not run.
+        return _if(i < lanes, alone, row, x0)
 
     def each(rows: Array, states: Array) -> tuple[SavedStates, RESULTS, Array]:
-        # The lanes that fill up a chunk are not run.
-        def turn(point: tuple[Array, Array, Array]) -> tuple[SavedStates, RESULTS, Array]:
-            row, x, i = point
-            return _if(i < lanes, single, row, x)
-
-        return jax.lax.map(turn, (rows, states, jnp.arange(len(rows), dtype=jnp.int32)))
+        return jax.lax.map(lambda point: single(*point), (rows, states, numbers))
 
     if not followed:
         run = jax.vmap(lane)
@@ -381,10 +381,9 @@ def _run(
     def next_point(x: Array, point: tuple[Array, Array]) -> tuple[Array, tuple]:
         # A value whose lane failed leaves the next one the last good state to start from.
         row, i = point
-        samples, result, end = _if(i < lanes, single, row, x)
+        samples, result, end = single(row, x, i)
         return jnp.where((result == RESULTS.successful) & (i < lanes), end, x), (samples, result)
 
-    numbers = jnp.arange(len(rows), dtype=jnp.int32)
     end, (samples, results) = jax.lax.scan(next_point, states, (rows, numbers))
     xs = jax.vmap(seen, in_axes=(0, None, 0))(rows, states, samples)
     return xs, jax.vmap(period_outcome)(periods, results), end

@@ -157,15 +157,12 @@ def _whole(program: Any, spread: Callable, lanes: int, alone: int) -> Callable:
 
 def _one_by_one(function: Callable, batched: Sequence[bool], values: Sequence[Any]) -> Any:
     """A function of the rows of those values that are `batched`, applied to one after the other."""
-    rows = [v for v, flag in zip(values, batched, strict=True) if flag]
 
     def turn(row: list) -> Any:
-        own = iter(row)
-        return function(
-            *(next(own) if flag else v for v, flag in zip(values, batched, strict=True))
-        )
+        return function(*(v if own is None else own for own, v in zip(row, values, strict=True)))
 
-    return jax.lax.map(turn, rows)
+    # A None is nothing to go along.
+    return jax.lax.map(turn, [v if flag else None for v, flag in zip(values, batched, strict=True)])
 
 
 def in_blocks(function: Callable, size: int) -> Callable:
