@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int
 from jaxfil.integrate import filippov
 from jaxfil.integrate.components import ComponentSystem, build, pack, unpack
 from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.problem import NOTHING, Problem, even_grid
+from jaxfil.integrate.problem import NOTHING, KeptMode, Problem, even_grid
 from jaxfil.integrate.stepper import tableau_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
@@ -192,35 +192,37 @@ def close(
 ) -> Closing:
     """Once round the orbit from the start of the flight."""
     on_components = build(system, tangency.x)
-    frozen = filippov.without_surfaces(on_components, on_components.of_surfaces(tangency.mode))
+    mode = on_components.of_surfaces(tangency.mode)
     start, at = tangency.start * period, tangency.phase * period
     arrival = family == ARRIVAL
     stop = jnp.where(arrival, at, tangency.stop * period)
-    # One program for all pieces of the flight, whose ends are looked at on the way.
-    times = jnp.concatenate([_divided(start, at), _divided(at, stop)])
+    # The full flow goes round the rest, or of an arrival, which it meets as it is, round it all.
+    rest = jnp.where(arrival, start, stop)
+    times = jnp.concatenate([_divided(start, at), _divided(at, stop), rest[None]])
     lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
+    lengths = jnp.append(lengths, start + period - rest)
 
-    def piece(x: Array, now: tuple[Array, Array]) -> tuple:
-        x, size, _, result = _flow(frozen, options, now[0], now[1], period, x)
-        return x, (x, size, result)
+    def stretch(carry: tuple, now: tuple[Array, Array, Array]) -> tuple:
+        x, size, result = carry
+        t, length, keeps = now
+        x = jnp.where(keeps | ~arrival, x, tangency.x)
+        flow = _Flow(on_components, options, KeptMode(mode, keeps), period)
+        x, new_size, contacts, new = flow(t, length, x)
+        result = RESULTS.where(result == RESULTS.successful, new, result)
+        return (x, jnp.maximum(size, new_size), result), (x, contacts)
 
-    _, (xs, sizes, results) = jax.lax.scan(piece, tangency.x, (times, lengths))
-    # The full flow round the rest, or for an arrival, which it meets as it is, all of it.
-    full_from = jnp.where(arrival, start, stop)
-    x_from = jnp.where(arrival, tangency.x, xs[-1])
-    end, size, contacts, result = _flow(
-        on_components, options, full_from, start + period - full_from, period, x_from
-    )
-    for i in reversed(range(2 * _PIECES)):
-        one = jax.tree.map(lambda v, i=i: v[i], results)
-        result = RESULTS.where(one == RESULTS.successful, result, one)
+    # One program for the flight, whose pieces are looked at on the way, and for the rest.
+    keeps = jnp.arange(2 * _PIECES + 1) < 2 * _PIECES
+    first = (tangency.x, abs(stop_gradient(tangency.x)), RESULTS.successful)
+    (end, size, result), (xs, contacts) = jax.lax.scan(stretch, first, (times, lengths, keeps))
+    flight = stop_gradient(((times + lengths)[:-1], xs[:-1]))
     return Closing(
         gap=end - tangency.x,
         t=at,
         x=xs[_PIECES - 1],
-        size=jnp.maximum(size, jnp.max(sizes, axis=0)),
-        holds=_holds(on_components, tangency.mode, *stop_gradient((times + lengths, xs))),
-        contacts=contacts,
+        size=size,
+        holds=_holds(on_components, tangency.mode, *flight),
+        contacts=contacts[-1],
         result=result,
     )
 
@@ -241,24 +243,27 @@ def _holds(on_components: ComponentSystem, mode: Array, ts: Array, xs: Array) ->
     return jnp.all(values >= -_ROUNDING * jnp.max(abs(values), axis=0))
 
 
-def _flow(
-    system: ComponentSystem,
-    options: ShootingOptions,
-    t0: Array,
-    length: Array,
-    period: Array,
-    x: Array,
-) -> tuple[Array, Array, Array, RESULTS]:
-    """End, sizes, the number of contacts and the outcome of one stretch of time."""
-    count = jnp.ceil(options.steps * abs(stop_gradient(length / period)))
-    num_steps = jnp.clip(jnp.nan_to_num(count), 1, 8 * options.steps).astype(jnp.int32)
-    problem = Problem(
-        system,
-        tableau_of(options.stepper),
-        even_grid(t0, length, num_steps, options.max_events),
-        NOTHING,
-        options.compact,
-    )
-    state = integrate(problem, unpack(x))
-    size = jnp.maximum(pack(state.size, x.dtype), abs(x))
-    return pack(state.x, x.dtype), stop_gradient(size), state.num_events, state.result
+class _Flow(eqx.Module):
+    """The flow over stretches of time."""
+
+    system: ComponentSystem
+    options: ShootingOptions
+    kept: KeptMode
+    period: Array
+
+    def __call__(self, t0: Array, length: Array, x: Array) -> tuple[Array, Array, Array, RESULTS]:
+        """End, sizes, the number of contacts and the outcome."""
+        options = self.options
+        count = jnp.ceil(options.steps * abs(stop_gradient(length / self.period)))
+        num_steps = jnp.clip(jnp.nan_to_num(count), 1, 8 * options.steps).astype(jnp.int32)
+        problem = Problem(
+            self.system,
+            tableau_of(options.stepper),
+            even_grid(t0, length, num_steps, options.max_events),
+            NOTHING,
+            options.compact,
+            kept=self.kept,
+        )
+        state = integrate(problem, unpack(x))
+        size = jnp.maximum(pack(state.size, x.dtype), abs(x))
+        return pack(state.x, x.dtype), stop_gradient(size), state.num_events, state.result

@@ -131,8 +131,9 @@ def _met(problem: Problem, state: LoopState, end: StepEnd, ticks: Ticks) -> Comp
     given the ticks that come next."""
     after = between_ticks(problem, ticks)
     h = after.system.switching(problem.grid.t0 + end.tau, end.x)
+    met = jnp.ones((), bool) if problem.kept is None else ~problem.kept.on
     return tuple(
-        (abs(v) > noise) & (s * v <= 0)
+        met & (abs(v) > noise) & (s * v <= 0)
         for v, s, noise in zip(h, state.mode, end.touch, strict=True)
     )
 

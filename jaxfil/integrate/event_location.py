@@ -248,8 +248,9 @@ def _to_singular_point(
     assert state.determinant is not None and end.determinant is not None
     least = _LAST_LOOK * problem.grid.same_time(end.tau)
     fades = end.determinant < _FADED * state.determinant
-    singular = (end.repels | fades) & ~state.pending & (abs(h) > least)
-    then = jnp.where(end.repels, -end.determinant, end.determinant)
+    repels = end.num_modes > 1
+    singular = (repels | fades) & ~state.pending & (abs(h) > least)
+    then = jnp.where(repels, -end.determinant, end.determinant)
     known = state.determinant, then, jnp.maximum(_LEAST_NEARER * abs(h), 0.5 * least), abs(h)
     return singular, problem.system.where_any(singular, _nearer, _not_nearer, *known)
 

@@ -15,7 +15,6 @@ each is that of one surface, and two corners, all sides + and all −, say every
 is affine in its sides (`Structure.affine`) m + 1 do: see `sliding_weights.Corners`.
 """
 
-import dataclasses
 import functools as ft
 import itertools
 from collections.abc import Callable
@@ -27,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate import structure, unilateral
+from jaxfil.integrate import unilateral
 from jaxfil.integrate.components import (
     Components,
     ComponentSystem,
@@ -165,34 +164,6 @@ class ModeField(SmoothField):
     def once(self, function: Callable, *args: Any) -> Any:
         """`ComponentSystem.once`."""
         return self.system.once(function, *args)
-
-
-class _SingleField(eqx.Module):
-    """The field of a mode, in the place of a system's field, which takes sides."""
-
-    system: ComponentSystem
-    mode: Components
-
-    def __call__(
-        self, t: Array, x: Components, sides: Components, alone: bool, known: Forcing | None
-    ) -> Components:
-        return field(self.system, t, x, self.mode, known)
-
-    def ahead(self, t: Array) -> Forcing:
-        return self.system.forcing_at(t)
-
-
-def without_surfaces(system: ComponentSystem, mode: Components) -> ComponentSystem:
-    """The smooth system whose field is that of one mode everywhere."""
-    return dataclasses.replace(
-        system,
-        m=0,
-        slides=False,
-        resets=False,
-        structure=structure.none_of(system.n),
-        packed=False,
-        _field=_SingleField(system, mode),
-    )
 
 
 def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:

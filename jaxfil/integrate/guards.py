@@ -4,6 +4,9 @@ A mode and a state enter; the guards of its surfaces leave, with their rates and
 after a step which of them count as left.
 """
 
+import dataclasses
+from typing import TypeVar
+
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -12,8 +15,10 @@ from jaxtyping import Array
 from jaxfil.integrate import filippov, unilateral
 from jaxfil.integrate.components import Components, ComponentSystem, Forcing, Normals, any_of
 from jaxfil.integrate.normals import sizes
-from jaxfil.integrate.problem import Problem
-from jaxfil.integrate.state import LoopState, StepEnd
+from jaxfil.integrate.problem import KeptMode, Problem
+from jaxfil.integrate.state import LoopState, Start, StepEnd
+
+_At = TypeVar("_At", Start, StepEnd)
 
 # A guard is zero to rounding below this many eps times the size of its terms.
 NOISE = 32
@@ -105,6 +110,19 @@ def _guards_of_rest(
         )
 
     return system.where_any(any_of(rests), reactions, lambda t, x, f, known: known, t, x, f, known)
+
+
+def unguarded(kept: KeptMode | None, at: _At) -> _At:
+    """What is known at a point, with guards that are far from zero where a lane keeps its mode."""
+    if kept is None:
+        return at
+    g = tuple(jnp.where(kept.on, 1.0, v) for v in at.g)
+    rate = tuple(jnp.where(kept.on, 0.0, v) for v in at.rate)
+    determinant = at.determinant
+    if determinant is not None:
+        determinant = jnp.where(kept.on, 1.0, determinant)
+    num_modes = jnp.where(kept.on, 1, at.num_modes)
+    return dataclasses.replace(at, g=g, rate=rate, num_modes=num_modes, determinant=determinant)
 
 
 def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Components, ...]:

@@ -22,13 +22,13 @@ from jaxfil.integrate import (
     sliding_weights,
     unilateral,
 )
-from jaxfil.integrate.components import Components, ComponentSystem, all_finite, any_of
-from jaxfil.integrate.guards import guards, stays_on, surface_noise
+from jaxfil.integrate.components import Components, ComponentSystem, all_finite, any_of, where
+from jaxfil.integrate.guards import guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.mode_switch import with_reactions
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.recording import empty_saves, empty_table
 from jaxfil.integrate.sliding_weights import Corners, CornerTable, every_side
-from jaxfil.integrate.state import LoopState
+from jaxfil.integrate.state import LoopState, Start
 from jaxfil.model.outcomes import RESULTS
 
 # Rounding of a rate at a tangency, in eps of the largest rate there.
@@ -108,26 +108,11 @@ def _first_mode(
     return mode, on, owed, count, determinant
 
 
-class _Start(eqx.Module):
-    """Field, mode and guards at t0, the surfaces whose reset comes first, and the number of modes
-    that could go on from there."""
-
-    f: Components
-    mode: Components
-    g: Components
-    rate: Components
-    armed: Components
-    noise: Components
-    owed: Components
-    num_modes: Array
-    determinant: Array | None
-
-
-def _start(problem: Problem, x: Components) -> _Start:
+def _start(problem: Problem, x: Components) -> Start:
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     if system.m == 0:
         f = system.field(t, x, ())
-        return _Start(f, (), (), (), (), (), (), jnp.ones((), jnp.int32), None)
+        return Start(f, (), (), (), (), (), (), jnp.ones((), jnp.int32), None)
     h, h_t, normals = system.gradients(t, x)
     size = tuple(stop_gradient(abs(v)) for v in x)
     if system.resets:
@@ -137,6 +122,10 @@ def _start(problem: Problem, x: Components) -> _Start:
         size = tuple(s + stop_gradient(abs(dt * v)) for s, v in zip(size, f, strict=True))
     noise = surface_noise(system, t, size, h_t, normals)
     mode, on, owed, count, determinant = _first_mode(problem, x, h, noise)
+    if problem.kept is not None:
+        met = ~problem.kept.on
+        mode = where(met, mode, problem.kept.mode)
+        on, owed = (tuple(v & met for v in flags) for flags in (on, owed))
     moving = mode if system.slides else unilateral.sides_of(mode)
     f = filippov.free_field(system, t, x, moving)
     f = with_reactions(system, t, x, mode, f)
@@ -149,7 +138,8 @@ def _start(problem: Problem, x: Components) -> _Start:
         for a, r in zip(armed, rate, strict=True)
     )
     g = tuple(stop_gradient(v) for v in g)
-    return _Start(f, mode, g, rate, armed, noise, owed, count, determinant)
+    start = Start(f, mode, g, rate, armed, noise, owed, count, determinant)
+    return unguarded(problem.kept, start)
 
 
 def initial_state(problem: Problem, x: Components) -> LoopState:
@@ -232,7 +222,7 @@ def _with_rate_of_jvp(primals: tuple, tangents: tuple) -> tuple:
     return v, rate
 
 
-def _first_result(problem: Problem, x: Components, start: _Start) -> RESULTS:
+def _first_result(problem: Problem, x: Components, start: Start) -> RESULTS:
     """The outcome at t0: bad numbers, or a start that no single solution leaves."""
     grid, count = problem.grid, start.num_modes
     result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)

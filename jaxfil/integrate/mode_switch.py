@@ -24,7 +24,7 @@ from jaxfil.integrate.components import (
     axpy,
     where,
 )
-from jaxfil.integrate.guards import NOISE, guards, larger, stays_on, surface_noise
+from jaxfil.integrate.guards import NOISE, guards, larger, stays_on, surface_noise, unguarded
 from jaxfil.integrate.impact import Impact
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.normals import project
@@ -77,6 +77,8 @@ def evaluate_step_end(
     each = () if reset is None else zip(reset.h, h, touch, strict=True)
     carried = tuple(moved & (abs(v) > least) & (abs(v - u) > least) for u, v, least in each)
     off = tuple(map(jnp.logical_or, jumped, carried)) if carried else jumped
+    if problem.kept is not None:  # a slide that is kept needs not be on its surface
+        off = tuple(far | problem.kept.on for far in off)
     x = _held(system, state, x, h, normals, off)
     led = None
     if reset is not None:
@@ -91,8 +93,6 @@ def evaluate_step_end(
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (num_modes == 0) & ~all_finite(tuple(jax.tree.leaves(rates)))
     f = system.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
-    # Of a switch the modes are counted, and of a slide between its contacts.
-    repels = (num_modes > 1) & ~state.pending
     f = with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, noise, forcing)
     if free is not None:
@@ -100,7 +100,7 @@ def evaluate_step_end(
         f, g, rate = where(stays, free.f, f), where(stays, free.g, g), where(stays, free.rate, rate)
     on = stays_on(system, mode)
     touch = tuple(jnp.where(s, v, w) for s, v, w in zip(on, noise, touch, strict=True))
-    end = StepEnd(
+    at_end = StepEnd(
         tau=tau,
         x=x,
         f=f,
@@ -111,7 +111,6 @@ def evaluate_step_end(
         noise=noise,
         touch=touch,
         num_modes=num_modes,
-        repels=repels,
         determinant=determinant,
         moved=moved,
         members=state.hit,
@@ -120,6 +119,7 @@ def evaluate_step_end(
         still=(),
         turn=None,
     )
+    end = unguarded(problem.kept, at_end)
     if reset is not None and led is not None:
         end = _led_on(state, end, reset, led)
     return accumulation.follow_turns(problem, state, length, end)
@@ -164,9 +164,7 @@ def _smooth_end(
     """The end of a step where there are no surfaces."""
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     size = larger(state.size, x)
-    return StepEnd(
-        tau, x, f, size, (), (), (), (), (), one, false, None, false, (), (), None, (), None
-    )
+    return StepEnd(tau, x, f, size, (), (), (), (), (), one, None, false, (), (), None, (), None)
 
 
 def _held(

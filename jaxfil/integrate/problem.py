@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import ComponentSystem
+from jaxfil.integrate.components import Components, ComponentSystem
 from jaxfil.integrate.section_values import WatchedSections
 from jaxfil.integrate.stepper import Tableau
 from jaxfil.model.outcomes import RESULTS
@@ -136,6 +136,13 @@ NOTHING = Recording("none", None)
 """Neither states nor events are kept: the end alone is of interest."""
 
 
+class KeptMode(eqx.Module):
+    """A mode in which a lane starts and stays, as if there were no surfaces, where it is `on`."""
+
+    mode: Components
+    on: Array
+
+
 class Problem(eqx.Module):
     """A system to be integrated over a grid by a method, and what is to be recorded."""
 
@@ -147,3 +154,5 @@ class Problem(eqx.Module):
     """Whether the stages of a step are in a loop: see `compact_step`."""
     watched: WatchedSections | None = None
     """Sections whose crossings are located; None: nothing that does is compiled."""
+    kept: KeptMode | None = None
+    """A mode to stay in; None: contacts are met."""

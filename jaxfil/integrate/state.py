@@ -210,6 +210,21 @@ class FreeStep(eqx.Module):
     rate: Components
 
 
+class Start(eqx.Module):
+    """Field, mode and guards at t0, the surfaces whose reset comes first, and the number of modes
+    that could go on from there."""
+
+    f: Components
+    mode: Components
+    g: Components
+    rate: Components
+    armed: Components
+    noise: Components
+    owed: Components
+    num_modes: Array
+    determinant: Array | None
+
+
 class StepEnd(eqx.Module):
     """What is known at the end of a trial step. Components are m, unless said otherwise."""
 
@@ -229,8 +244,6 @@ class StepEnd(eqx.Module):
     """All rounding that may have gathered in the guards since t0."""
     num_modes: Array
     """How many modes could go on from a switch made here; 1: all is well."""
-    repels: Array
-    """Whether it slides where another mode could go on too."""
     determinant: Array | None
     """That of a slide's weights; None where nothing slides."""
     moved: Array

@@ -31,11 +31,6 @@ class Structure:
     """The numbers of the state that each of several surfaces is made of; None if one is of two."""
 
 
-def none_of(n: int) -> Structure:
-    """The structure of a smooth system."""
-    return Structure(((),) * n, separate=False, affine=False, members=None)
-
-
 def of(
     functions: tuple[Traced, Traced], nothing: tuple, of_number: Sequence, of_side: Sequence
 ) -> Structure:
