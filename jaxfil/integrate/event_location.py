@@ -247,8 +247,7 @@ def _to_singular_point(
     """
     assert state.determinant is not None and end.determinant is not None
     least = _LAST_LOOK * problem.grid.same_time(end.tau)
-    fades = end.determinant < _FADED * state.determinant
-    repels = end.num_modes > 1
+    repels, fades = end.num_modes > 1, end.determinant < _FADED * state.determinant
     singular = (repels | fades) & ~state.pending & (abs(h) > least)
     then = jnp.where(repels, -end.determinant, end.determinant)
     known = state.determinant, then, jnp.maximum(_LEAST_NEARER * abs(h), 0.5 * least), abs(h)
