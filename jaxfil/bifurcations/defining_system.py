@@ -54,14 +54,23 @@ class DefiningSystem(Equations):
 
     def evaluate(self, system: System, z: Array) -> Evaluation:
         """Residual and Jacobian; what else is known is the `Closing`."""
+        at = self.evaluate_with_slopes(lambda _: system, jnp.zeros((0,), z.dtype), z)
+        return dataclasses.replace(at, aux=at.aux[0])
 
-        def residual(z: Array) -> tuple[Array, tuple]:
-            value, closing = self.residual(system, z)
+    def evaluate_with_slopes(self, system_of: SystemOf, theta: Array, z: Array) -> Evaluation:
+        """Residual and Jacobian; what else is known is the `Closing`, and the derivative by θ."""
+        count = z.shape[0]
+
+        def residual(u: Array) -> tuple[Array, tuple]:
+            value, closing = self.residual(system_of(u[count:]), u[:count])
             return value, (value, closing)
 
-        jacobian, (value, closing) = kernel_if_it_fits(jax.jacfwd(residual, has_aux=True))(z)
-        equations, unknowns = self.scales(system, z, closing)
-        return Evaluation(value, jacobian, equations, unknowns, closing.result, closing)
+        # The directions share the flow: some more of them make the program no larger.
+        u = jnp.concatenate([z, theta])
+        slopes, (value, closing) = kernel_if_it_fits(jax.jacfwd(residual, has_aux=True))(u)
+        by_z, by_theta = slopes[:, :count], slopes[:, count:]
+        scales = self.scales(system_of(theta), z, closing)
+        return Evaluation(value, by_z, *scales, closing.result, (closing, by_theta))
 
     def scales(self, system: System, z: Array, closing: Closing) -> tuple[Array, Array]:
         """Of the equations and of the unknowns."""
@@ -78,10 +87,12 @@ class DefiningSystem(Equations):
         q = abs(z[n:])
         return jnp.append(size, pair), jnp.append(size, jnp.where(q == 0, 1, q))
 
-    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
+    def solve(
+        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
+    ) -> tuple[Array, Array, None, Root]:
         """With one free parameter, by Newton's iteration."""
-        root = newton(ft.partial(self.evaluate, system), guess, self.newton_steps)
-        return root.z, root.at.jacobian, root
+        root = newton(ft.partial(self.evaluate, system_of(theta)), guess, self.newton_steps)
+        return root.z, root.at.jacobian, None, root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
         """By forward mode."""

@@ -109,29 +109,34 @@ class _Margin(Equations):
 
     tangency: DefiningSystem
 
-    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
+    def solve(
+        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
+    ) -> tuple[Array, Array, Array | None, Root]:
         """Newton's iteration on the orbit alone; the margin then is known."""
         n = guess.shape[0] - 1
+        given = theta if slopes else theta[:0]
+        varied = system_of if slopes else lambda _: system_of(theta)
         keep = jnp.array([*range(n), n + 1])
 
         def evaluate(z: Array) -> Evaluation:
             # All rows but that of H, which need not be zero: it is the margin.
-            at = self.tangency.evaluate(system, z)
+            at = self.tangency.evaluate_with_slopes(varied, given, z)
             return Evaluation(
                 at.residual[keep],
                 at.jacobian[keep],
                 at.equation_scale[keep],
                 at.unknown_scale,
                 at.result,
-                (at.residual[n], at.jacobian),
+                (at.residual[n], at.jacobian, at.aux[1]),
             )
 
         root = newton(evaluate, guess, _NEWTON_STEPS)
         # Without an orbit the last guard is that of nothing.
-        margin, jacobian = root.at.aux
+        margin, jacobian, by_theta = root.at.aux
         margin = jnp.where(root.result == RESULTS.successful, margin, jnp.nan)
         by_margin = jnp.zeros((n + 2, 1), guess.dtype).at[n].set(-1)
-        return jnp.append(root.z, margin), jnp.concatenate([jacobian, by_margin], axis=1), root
+        by_z = jnp.concatenate([jacobian, by_margin], axis=1)
+        return jnp.append(root.z, margin), by_z, by_theta if slopes else None, root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
         """The rows of closing, H and Ḣ."""

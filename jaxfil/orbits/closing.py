@@ -95,8 +95,11 @@ class ClosedOrbit(Equations):
     newton_steps: Array
     periods: int = eqx.field(static=True)
 
-    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
+    def solve(
+        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
+    ) -> tuple[Array, Array, None, Root]:
         """Newton's iteration; what else is known is its `Root`, with the `Shot`."""
+        system = system_of(theta)
         setting = ft.partial(setting_of, system, self.periods)
         starts, q = self.split(system, guess)
         phase = None
@@ -107,7 +110,7 @@ class ClosedOrbit(Equations):
             return evaluate_closing(setting, self.options, phase, *self.split(system, z))
 
         root = newton(evaluate, guess, self.newton_steps)
-        return root.z, root.at.jacobian, root
+        return root.z, root.at.jacobian, None, root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
         """By one shot in which the parameters are global unknowns too."""

@@ -14,6 +14,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
@@ -21,6 +22,10 @@ from jaxtyping import Array, Float
 
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System
+
+# Parameters whose slopes a solution may come with: as many directions more in a program, which is
+# none the larger, where a second one would take as long to compile.
+_FEW = 16
 
 SystemOf = Callable[[Array], System]
 """The system for the vector θ of all its float leaves."""
@@ -30,8 +35,11 @@ class Equations(eqx.Module):
     """Equations r(z; θ) = 0 for N unknowns, and how they are solved."""
 
     @abc.abstractmethod
-    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Any]:
-        """The solution z, shape (N,), ∂r/∂z there, shape (N, N), and what else is known there."""
+    def solve(
+        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
+    ) -> tuple[Array, Array, Array | None, Any]:
+        """The solution z, shape (N,), ∂r/∂z there, shape (N, N), ∂r/∂θ if it is found on the way,
+        which it may be if these `slopes` are asked for, and what else is known there."""
 
     @abc.abstractmethod
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
@@ -56,7 +64,7 @@ def solve_implicit(
     theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
     system_of = _SystemOf(eqx.filter(system, is_parameter, inverse=True), unravel)
     equations = jax.tree.map(lambda v: stop_gradient(v) if eqx.is_array(v) else v, equations)
-    z, _, more = _solution(
+    z, _, _, more = _solution(
         theta, equations=equations, system_of=system_of, guess=stop_gradient(guess)
     )
     return z, more
@@ -64,20 +72,30 @@ def solve_implicit(
 
 # Compiled, as is the matrix below: a search by gradient outside of `jit` calls both many times.
 @eqx.filter_jit
-def _solve(theta: Array, equations: Equations, system_of: _SystemOf, guess: Array) -> tuple:
-    return equations.solve(system_of(theta), guess)
+def _solve(
+    theta: Array, equations: Equations, system_of: _SystemOf, guess: Array, slopes: bool
+) -> tuple:
+    return equations.solve(system_of, theta, guess, slopes)
 
 
 @eqx.filter_jit
 def _sensitivity(
     theta: Array, equations: Equations, system_of: _SystemOf, z: Array, by_z: Array
 ) -> Array:
-    return -jnp.linalg.solve(by_z, equations.by_parameters(system_of, theta, z))
+    return _implicit(by_z, equations.by_parameters(system_of, theta, z))
+
+
+@jax.jit
+def _implicit(by_z: Array, by_theta: Array) -> Array:
+    return -jnp.linalg.solve(by_z, by_theta)
 
 
 @eqx.filter_custom_jvp
 def _solution(theta: Array, *, equations: Equations, system_of: _SystemOf, guess: Array) -> tuple:
-    return _solve(theta, equations, system_of, guess)
+    # Within another transformation nobody may want the slopes, or somebody theirs, which would have
+    # to be found by differentiating Newton's iteration.
+    slopes = not isinstance(theta, jax.core.Tracer) and theta.size <= _FEW
+    return _solve(theta, equations, system_of, guess, slopes)
 
 
 @_solution.def_jvp
@@ -85,11 +103,16 @@ def _solution_jvp(
     primals: tuple, tangents: tuple, *, equations: Equations, system_of: _SystemOf, guess: Array
 ) -> tuple[tuple, tuple]:
     (theta,), (direction,) = primals, tangents
-    z, by_z, more = _solution(theta, equations=equations, system_of=system_of, guess=guess)
+    out = _solution(theta, equations=equations, system_of=system_of, guess=guess)
+    z, by_z, by_theta, _ = out
     # A NaN is seen where somebody takes the derivative of what has none; a zero would not be.
     none = jax.tree.map(
-        lambda v: jnp.full_like(v, jnp.nan) if eqx.is_inexact_array(v) else None, (by_z, more)
+        lambda v: jnp.full_like(v, jnp.nan) if eqx.is_inexact_array(v) else None, out[1:]
     )
     if direction is None:
-        return (z, by_z, more), (jnp.zeros_like(z), *none)
-    return (z, by_z, more), (_sensitivity(theta, equations, system_of, z, by_z) @ direction, *none)
+        return out, (jnp.zeros_like(z), *none)
+    if by_theta is None:
+        by_theta = _sensitivity(theta, equations, system_of, z, by_z)
+    else:
+        by_theta = _implicit(by_z, by_theta)
+    return out, (by_theta @ direction, *none)

@@ -16,6 +16,7 @@ from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS
 from jaxfil.model.outcomes import EventKind, outcome_names
 from jaxfil.model.parameter import replace_parameter
+from jaxfil.orbits import implicit
 from tests.problems import closed_forms
 from tests.problems.values import (
     BELT_ADDS,
@@ -186,6 +187,17 @@ def test_the_margin_and_its_gradient_on_both_sides_of_grazing(sd):
         assert abs(float(value - exact)) < 1e-11
         np.testing.assert_allclose([slope.f0, slope.zeta, slope.omega], by, rtol=1e-8)
     assert float(value) < 0
+
+
+def test_the_gradient_of_a_margin_needs_no_flow_of_its_own(sd, monkeypatch):
+    """Outside of `jit` the slopes by few parameters come with the margin itself."""
+    _, orbits = sd
+    system, orbit = jf.systems.SDOscillator(omega=jnp.float64(0.855)), lane(orbits, 1)
+    monkeypatch.delattr(implicit, "_sensitivity")
+    value, slope = jax.value_and_grad(lambda s: jf.grazing_margin(s, orbit))(system)
+    exact, by = jax.value_and_grad(margin_exact, argnums=(0, 1, 2))(0.25, 0.0141, 0.855)
+    assert abs(float(value - exact)) < 1e-11
+    np.testing.assert_allclose([slope.f0, slope.zeta, slope.omega], by, rtol=1e-8)
 
 
 def margins(system, orbit, omegas):
