@@ -180,7 +180,7 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
     """The guard of surface j and the sliding weight at many points of a flight."""
 
     def one(t: Array, x: Array) -> tuple[Array, Array]:
-        on_components = components.build(system, x)
+        on_components = components.build(system, x, compact=True)
         blocks, modes = components.unpack(x), on_components.of_surfaces(mode)
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:

@@ -92,7 +92,7 @@ class _Rates:
     """H of the surface and its derivatives along the fields at the tangency."""
 
     def __init__(self, system: System, x: Float[Array, " n"], tangency: Tangency):
-        self.system, self.tangency = build(system, x), tangency
+        self.system, self.tangency = build(system, x, compact=True), tangency
         self.number = jnp.arange(tangency.mode.shape[0], dtype=jnp.int32)
 
     def h(self, t: Array, x: Array) -> Array:
@@ -191,7 +191,7 @@ def close(
     tangency: Tangency,
 ) -> Closing:
     """Once round the orbit from the start of the flight."""
-    on_components = build(system, tangency.x)
+    on_components = build(system, tangency.x, compact=options.compact)
     mode = on_components.of_surfaces(tangency.mode)
     start, at = tangency.start * period, tangency.phase * period
     arrival = family == ARRIVAL
@@ -261,7 +261,6 @@ class _Flow(eqx.Module):
             tableau_of(options.stepper),
             even_grid(t0, length, num_steps, options.max_events),
             NOTHING,
-            options.compact,
             kept=self.kept,
         )
         state = integrate(problem, unpack(x))

@@ -152,7 +152,7 @@ def _spectrum(
     periods, transient, steps = counts
     interval = interval.of(system, x0)
     grid = interval.grid(transient + periods, steps)
-    problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING, compact)
+    problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
     # The frame costs n times the orbit: it joins when most of the transient is over.
     alone = (transient - transient // 4) * steps
     ends = batch_ends(periods, batches)

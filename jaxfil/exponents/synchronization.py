@@ -129,7 +129,7 @@ def _settle(
     """The drive alone, after its transient."""
     _, transient, steps = counts
     grid = interval.grid(jnp.maximum(transient, 1), steps)
-    problem = Problem(build(system, x0), tableau_of(stepper), grid, NOTHING, compact)
+    problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
     state = integrate_in_kernel(problem, unpack(x0))
     # A grid needs a step: without a transient one period is run, and forgotten.
     moved = transient > 0
@@ -166,8 +166,8 @@ def _threshold(
     grid = interval.grid(periods, steps, transient)
 
     def lane(coupling: Array) -> tuple[Array, RESULTS]:
-        pair = build(drive_response(system, coupling), z)
-        problem = Problem(pair, tableau_of(stepper), grid, NOTHING, compact)
+        pair = build(drive_response(system, coupling), z, compact=compact)
+        problem = Problem(pair, tableau_of(stepper), grid, NOTHING)
 
         def on(carry: tuple) -> Array:
             state, nearest, _ = carry
@@ -290,14 +290,12 @@ def _transverse(
     # √eps, and a little more leaves room to shrink within an interval.
     y, separation = _away(x, eps**0.4)
     n, z = x.shape[0], jnp.concatenate([x, y])
-    pair = build(drive_response(system, coupling), z)
+    pair = build(drive_response(system, coupling), z, compact=compact)
 
     def period(carry: tuple) -> tuple:
         k, z, growth, _ = carry
         grid = interval.grid(jnp.ones_like(steps), steps, transient + k)
-        state = integrate_in_kernel(
-            Problem(pair, tableau_of(stepper), grid, NOTHING, compact), unpack(z)
-        )
+        state = integrate_in_kernel(Problem(pair, tableau_of(stepper), grid, NOTHING), unpack(z))
         end = pack(state.x, x0.dtype)
         distance = _distance(state.x)
         # Below this nothing of the distance is known, and a wrong rate would look like any other.

@@ -169,6 +169,9 @@ class ComponentSystem(eqx.Module):
     dtype: Any = eqx.field(static=True)
     structure: Structure = eqx.field(static=True)
     """Which numbers of the field and of H depend on which side and state."""
+    compact: bool = eqx.field(static=True)
+    """Whether its program is to be small: see `compact`. Sines are then one operation each, and
+    none of them is found ahead."""
     packed: bool = eqx.field(static=True)
     """Whether what there is of each surface is one array, (m,): of many surfaces of a large state
     that are separate, share no number of it, and have no reset."""
@@ -287,21 +290,27 @@ class ComponentSystem(eqx.Module):
         return h, tuple(r[0] for r in rows), tuple(r[1] for r in rows)
 
 
-def build(system: System, x0: Array, transposed: bool = False) -> ComponentSystem:
-    """The components of a system whose float leaves have the dtype of `x0`, shape (n,); to be
-    `transposed`, its functions must not let a side that is not taken into their derivatives."""
+def build(system: System, x0: Array, *, compact: bool, transposed: bool = False) -> ComponentSystem:
+    """The components of a system whose float leaves have the dtype of `x0`, shape (n,), for a
+    program that is `compact` or not; to be `transposed`, its functions must not let a side that is
+    not taken into their derivatives."""
     _check_sharding(x0)
     h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
     if len(x0) > _FEW and m > _FEW_SURFACES and not has_resets(system):
-        packed = _build(system, x0, transposed, h_shape, packed=True)
+        packed = _build(system, x0, compact, transposed, h_shape, packed=True)
         if packed.structure.separate and packed.structure.members is not None:
             return packed
-    return _build(system, x0, transposed, h_shape, packed=False)
+    return _build(system, x0, compact, transposed, h_shape, packed=False)
 
 
 def _build(
-    system: System, x0: Array, transposed: bool, h_shape: tuple[int, ...], packed: bool
+    system: System,
+    x0: Array,
+    compact: bool,
+    transposed: bool,
+    h_shape: tuple[int, ...],
+    packed: bool,
 ) -> ComponentSystem:
     """`build`, with surfaces as one array, if they are `packed` and that can be."""
     n, dtype = x0.shape[0], x0.dtype
@@ -311,8 +320,9 @@ def _build(
     leaves, static = eqx.partition(system, eqx.is_array)
     field, switching, reset = _on_components(static, h_shape, dtype, packed)
     sides = (jnp.ones((m,), dtype),) if packed else (jnp.ones((), dtype),) * m
-    traced = ft.partial(Traced, transposed=transposed)
-    traced_field = traced(field, leaves, t0, x, sides, when=(FIRST, EARLY, LATE, LATE))
+    traced = ft.partial(Traced, transposed=transposed, fast=not compact)
+    when = None if compact else (FIRST, EARLY, LATE, LATE)
+    traced_field = traced(field, leaves, t0, x, sides, when=when)
     traced_switching = traced(switching, leaves, t0, x)
     _check_derivatives(vector_field=traced_field, switching=traced_switching)
     found = structure.of(
@@ -322,6 +332,8 @@ def _build(
         [(row,) if packed else tuple(row) for row in np.eye(m, dtype=bool)],
     )
     opaque_one, fence = _fences(leaves, x0)
+    # XLA does not compute a sine of its own again.
+    fence = None if compact else fence
     traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
     return ComponentSystem(
         n=n,
@@ -330,6 +342,7 @@ def _build(
         resets=resets,
         dtype=dtype,
         structure=found,
+        compact=compact,
         packed=packed,
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),

@@ -111,7 +111,7 @@ def observed(
     wider, start = with_rate(system, observable, x0)
     n, more = x0.shape[0], start[x0.shape[0] :]
     # Values that no one sees may have no derivatives that are NaN.
-    field = build(wider, start, transposed=True)
+    field = build(wider, start, compact=True, transposed=True)
     around = dataclasses.replace(problem, system=field)
 
     def value(t: Array, x: Array, mode: Array) -> Array:

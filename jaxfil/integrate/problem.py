@@ -150,9 +150,12 @@ class Problem(eqx.Module):
     tableau: Tableau
     grid: TimeGrid
     recording: Recording
-    compact: bool = eqx.field(static=True, default=False)
-    """Whether the stages of a step are in a loop: see `compact_step`."""
     watched: WatchedSections | None = None
     """Sections whose crossings are located; None: nothing that does is compiled."""
     kept: KeptMode | None = None
     """A mode to stay in; None: contacts are met."""
+
+    @property
+    def compact(self) -> bool:
+        """Whether the stages of a step are in a loop: see `compact_step`."""
+        return self.system.compact

@@ -75,7 +75,14 @@ def watch_sections(
     functions = []
     for section in sections:
         leaves, static = eqx.partition(cast(section.function, x0.dtype), eqx.is_array)
-        traced = Traced(_on_components(static, x0.dtype), leaves, t0, x, transposed=transposed)
+        traced = Traced(
+            _on_components(static, x0.dtype),
+            leaves,
+            t0,
+            x,
+            transposed=transposed,
+            fast=not system.compact,
+        )
         functions.append(ParametrizedFunction(traced, leaves, system.fence))
     last = [None if s.terminal is None else jnp.asarray(s.terminal, jnp.int32) for s in sections]
     return WatchedSections(

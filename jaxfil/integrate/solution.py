@@ -215,7 +215,7 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     sign = jnp.where(forward, 1.0, -1.0).astype(dtype)
     keys = jnp.where(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
     i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
-    system = build(dense.system, dense.xs[i])
+    system = build(dense.system, dense.xs[i], compact=dense.compact)
     field = ModeField(system, system.of_surfaces(dense.modes[i].astype(dtype)))
     start, x = dense.ts[i], unpack(dense.xs[i])
     end = step_again(dense, system, field, start, x, t - start)

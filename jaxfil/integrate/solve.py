@@ -196,9 +196,9 @@ def _solve(
         num_crossings=options.max_events,
         ts=None if options.ts is None else options.ts - t0,
     )
-    field = build(system, x0, options.reverse)
+    field = build(system, x0, compact=options.compact, transposed=options.reverse)
     watched = watch_sections(sections, field, x0, options.reverse)
-    problem = Problem(field, tableau_of(stepper), grid, recording, options.compact, watched)
+    problem = Problem(field, tableau_of(stepper), grid, recording, watched)
     ended = ft.partial(_solution, problem, options, system, x0, stepper, observable)
     if options.reverse:
         assert options.budget is not None

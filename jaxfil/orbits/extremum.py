@@ -43,7 +43,7 @@ class _Start(eqx.Module):
 def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum:
     """The largest value of `function(t, x)` over all steps of a trajectory."""
     dtype = dense.xs.dtype
-    system = build(dense.system, dense.xs[0])
+    system = build(dense.system, dense.xs[0], compact=dense.compact)
 
     def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
         """State, value and rate of change after a part h of a step."""

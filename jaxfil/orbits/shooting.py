@@ -48,8 +48,8 @@ class ShootingOptions(eqx.Module):
         num_steps = jnp.asarray(-(-self.steps // arcs), jnp.int32)
         grid = even_grid(t0, length, num_steps, self.max_events)
         recording = Recording("none", self.max_events)
-        field = build(system, x0)
-        return Problem(field, tableau_of(self.stepper), grid, recording, self.compact)
+        field = build(system, x0, compact=self.compact)
+        return Problem(field, tableau_of(self.stepper), grid, recording)
 
 
 class Shot(eqx.Module):

@@ -69,7 +69,7 @@ class Sampling(eqx.Module):
         """That of one of the `rows`."""
         anew = None if self._goes_on(system) else row[len(names)] > 0
         system, period = at_point(system, names, row)
-        field, tableau = build(system, x0), tableau_of(self.stepper)
+        field, tableau = build(system, x0, compact=self.compact), tableau_of(self.stepper)
         if self.section is not None:
             grid = self._until_crossed(period)
             recording = Recording("none", None, num_crossings=self.samples)
@@ -82,7 +82,7 @@ class Sampling(eqx.Module):
                 ((last,), self.transient, self.transient_time),
                 is_leaf=lambda v: v is None,
             )
-            return Problem(field, tableau, grid, recording, self.compact, watched)
+            return Problem(field, tableau, grid, recording, watched)
         count = self.transient + self.samples
         grid = grid_of_periods(period, count, self.steps, repeats=anew)
         recording = Recording(
@@ -93,7 +93,7 @@ class Sampling(eqx.Module):
             every=self.steps,
             modes=self.observable is not None,
         )
-        return Problem(field, tableau, grid, recording, self.compact)
+        return Problem(field, tableau, grid, recording)
 
     def _until_crossed(self, unit: Array) -> TimeGrid:
         """The grid of a run to its last crossing."""

@@ -1,14 +1,14 @@
 """A user's function, traced once.
 
 A function of arrays enters; a `Traced` leaves: callable as the original is, under every
-transformation, with its sines, cosines, arctangents and products of small matrices
-replaced by ones that vectorise; able to compute what needs only some of its arguments ahead of the
-others, and to say which of its results depend on which of its arguments.
+transformation, with its arctangents and products of small matrices, and if it is to be fast its
+sines and cosines, replaced by ones that vectorise; able to compute what needs only some of its
+arguments ahead of the others, and to say which of its results depend on which of its arguments.
 """
 
 import functools as ft
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -23,7 +23,9 @@ from jaxfil.xla.fits import programs
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
 
 _FLOATS = (jnp.float32, jnp.float64)
-_FAST = {"sin": fast_trig.sin, "cos": fast_trig.cos, "atan": fast_trig.arctan}
+# What stands in for XLA's functions: for one that is wrong, and for those that do not vectorise.
+_RIGHT = {"atan": fast_trig.arctan}
+_FAST = {"sin": fast_trig.sin, "cos": fast_trig.cos, **_RIGHT}
 
 
 def _arctan2(y: Array, x: Array) -> Array:
@@ -61,7 +63,8 @@ class Traced:
     of the late arguments, a call can be given as `known`. Each sine is divided by the call's
     `fence`, a one that the compiler cannot see through, unless the call says that its result is
     used `alone` and one number in it depends on them: see `ComponentSystem`. With `transposed`, its
-    derivatives are those of `masked_product` where they might not be finite.
+    derivatives are those of `masked_product` where they might not be finite. Unless it is `fast`,
+    sines and cosines are XLA's own, one operation in place of some twenty.
     """
 
     def __init__(
@@ -70,14 +73,18 @@ class Traced:
         *example: Any,
         when: Sequence[int] | None = None,
         transposed: bool = False,
+        fast: bool = True,
     ):
+        self._functions = _FAST if fast else _RIGHT
         self._closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
         self._tree = jax.tree.structure(shape)
         order = when or (LATE,) * len(example)
         each = zip(order, example, strict=True)
         self._when = [k for k, arg in each for _ in jax.tree.leaves(arg)]
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
-        waves = _dependencies(self._closed.jaxpr, self._no_consts(), nothing, sources=_FAST)
+        waves = _dependencies(
+            self._closed.jaxpr, self._no_consts(), nothing, sources=self._functions
+        )
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
         self._masks = transposed and not SINGULAR.isdisjoint(_names(self._closed.jaxpr))
         # As functions of their own they are put through a transformation once, however often they
@@ -86,11 +93,12 @@ class Traced:
 
     def _evaluated(self, leaves: list, known: list | None, fence: Array | None) -> list:
         hold = _same if fence is None else lambda v: v / fence
-        return _Evaluation(hold, known, self._masks)(self._closed, leaves, self._when)
+        evaluation = _Evaluation(self._functions, hold, known, self._masks)
+        return evaluation(self._closed, leaves, self._when)
 
     def _found(self, leaves: list) -> list:
         late = [None] * (len(self._when) - len(leaves))
-        evaluation = _Evaluation(_same)
+        evaluation = _Evaluation(self._functions, _same)
         evaluation(self._closed, [*leaves, *late], self._when)
         return evaluation.found
 
@@ -153,13 +161,20 @@ def _same(v: Array) -> Array:
 
 
 class _Evaluation:
-    """A function equation by equation, with the fast functions in place of XLA's.
+    """A function equation by equation, with `functions` in place of XLA's.
 
     What is dear and early is left in `found`, or taken from `known`, in order. An unknown value is
     None, and what is made of it too.
     """
 
-    def __init__(self, hold: Callable, known: Sequence[Array] | None = None, masks: bool = False):
+    def __init__(
+        self,
+        functions: Mapping[str, Callable],
+        hold: Callable,
+        known: Sequence[Array] | None = None,
+        masks: bool = False,
+    ):
+        self._functions = functions
         self._hold = hold
         self._known = None if known is None else iter(known)
         self._masks = masks
@@ -212,28 +227,29 @@ class _Evaluation:
     def _of_arrays(self, jaxpr: Any, eqn: Any, *inputs: Any) -> Sequence[Any]:
         name = eqn.primitive.name
         if self._masks and name in ELEMENTWISE:
-            out = masked(lambda *v: _evaluate(jaxpr, eqn, v, _same)[0])(*inputs)
-            return [self._hold(out) if name in _FAST else out]
-        return _evaluate(jaxpr, eqn, inputs, self._hold)
+            out = masked(lambda *v: self._evaluate(jaxpr, eqn, v, _same)[0])(*inputs)
+            return [self._hold(out) if name in self._functions else out]
+        return self._evaluate(jaxpr, eqn, inputs, self._hold)
 
     def _of_scalars(self, eqn: Any, *inputs: Any) -> Sequence[Any]:
         name = eqn.primitive.name
-        if name in _FAST and eqn.invars[0].aval.dtype in _FLOATS:
-            return [self._hold(_FAST[name](*inputs))]
+        if name in self._functions and eqn.invars[0].aval.dtype in _FLOATS:
+            return [self._hold(self._functions[name](*inputs))]
         return [_SAFE.get(name, ft.partial(eqn.primitive.bind, **eqn.params))(*inputs)]
 
-
-def _evaluate(jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable) -> Sequence[Any]:
-    """One equation, by a fast function if there is one."""
-    name = eqn.primitive.name
-    if name in _FAST and eqn.invars[0].aval.dtype in _FLOATS:
-        return [hold(_FAST[name](jnp.asarray(inputs[0])))]
-    if name in _SAFE:
-        return [_SAFE[name](*map(jnp.asarray, inputs))]
-    if name == "dot_general" and _multiplications(eqn) <= _MIDDLE:
-        product = _product if _multiplications(eqn) <= _SMALL else _summed
-        return [product(eqn, *map(jnp.asarray, inputs))]
-    return evaluate_one(jaxpr, eqn, inputs)
+    def _evaluate(
+        self, jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable
+    ) -> Sequence[Any]:
+        """One equation, by the function that stands in for its own if there is one."""
+        name = eqn.primitive.name
+        if name in self._functions and eqn.invars[0].aval.dtype in _FLOATS:
+            return [hold(self._functions[name](jnp.asarray(inputs[0])))]
+        if name in _SAFE:
+            return [_SAFE[name](*map(jnp.asarray, inputs))]
+        if name == "dot_general" and _multiplications(eqn) <= _MIDDLE:
+            product = _product if _multiplications(eqn) <= _SMALL else _summed
+            return [product(eqn, *map(jnp.asarray, inputs))]
+        return evaluate_one(jaxpr, eqn, inputs)
 
 
 def _names(jaxpr: Any) -> set[str]:

@@ -18,7 +18,7 @@ FEW, MANY = 4, 20
 def orthonormalised(vectors, dropped=False):
     """The frame and the logarithms that `gram_schmidt` finds for the rows of a matrix."""
     n = len(vectors)
-    system = build(Linear(jnp.eye(n)), jnp.ones(n))
+    system = build(Linear(jnp.eye(n)), jnp.ones(n), compact=False)
     frame = jnp.asarray(vectors)
     if isinstance(generic_frame(system), tuple):
         frame = tuple(constant(row, frame.dtype) for row in np.asarray(vectors))

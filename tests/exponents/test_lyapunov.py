@@ -156,7 +156,7 @@ ONCE = {"periods": 1, "transient": 0, "steps": 400, "stepper": jf.RK4()}
 
 def by_differences(system, x0, t1):
     """(1/t1) log of the diagonal of R in J Q = Q' R, J by central differences."""
-    frame = np.array(generic_frame(components.build(system, x0)))
+    frame = np.array(generic_frame(components.build(system, x0, compact=False)))
     move = 1e-6
 
     @jax.jit

@@ -39,7 +39,7 @@ class Stack(jf.System):
 def run(m, shown, more=0):
     stack = Stack(jnp.linspace(0.5, 0.3, m), shown, more)
     x0 = jnp.concatenate([jnp.linspace(0.1, 0.4, 2 * m), jnp.zeros(more)])
-    system = build(stack, x0)
+    system = build(stack, x0, compact=False)
     assert not system.structure.separate and system.structure.affine == shown
     return jf.solve(stack, x0, 0.0, 8.0, 0.05)
 

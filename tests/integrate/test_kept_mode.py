@@ -48,13 +48,12 @@ class Ball(jf.System):
 
 def run(system, x0, mode, on, compact):
     """The state of the loop at the end."""
-    on_components = build(system, x0)
+    on_components = build(system, x0, compact=compact)
     problem = Problem(
         on_components,
         tableau_of(diffrax.Dopri8()),
         even_grid(jnp.asarray(0.0), jnp.asarray(END), jnp.int32(100)),
         NOTHING,
-        compact,
         kept=KeptMode(on_components.of_surfaces(jnp.asarray([mode])), jnp.asarray(on)),
     )
     return integrate(problem, unpack(x0))

@@ -59,12 +59,12 @@ SYSTEM = Oscillators(jnp.array(FRICTION))
 
 
 def test_what_is_one_array():
-    built = build(SYSTEM, together())
+    built = build(SYSTEM, together(), compact=False)
     assert built.packed and built.structure.separate
     assert built.structure.members == tuple((i, COUNT + i) for i in range(COUNT))
     # Not of surfaces that share a number of the state, nor of few.
-    assert not build(Shared(jnp.array(FRICTION)), together()).packed
-    assert not build(Oscillators(jnp.array(FRICTION[:1])), jnp.ones(3)).packed
+    assert not build(Shared(jnp.array(FRICTION)), together(), compact=False).packed
+    assert not build(Oscillators(jnp.array(FRICTION[:1])), jnp.ones(3), compact=False).packed
 
 
 @pytest.mark.parametrize("compact", [True, False])
@@ -131,7 +131,7 @@ def test_an_orbit_has_the_multipliers_of_each():
 
 
 def test_projection_on_the_surfaces():
-    built, rng = build(SYSTEM, together()), np.random.default_rng(0)
+    built, rng = build(SYSTEM, together(), compact=False), np.random.default_rng(0)
     x = (jnp.asarray(rng.normal(size=2 * COUNT + 1)),)
     _, _, normals = built.gradients(jnp.zeros(()), x)
     rows = np.asarray(jax.jacfwd(lambda x: SYSTEM.switching(0.0, x))(x[0]))
