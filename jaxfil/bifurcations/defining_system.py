@@ -8,21 +8,35 @@ in them has the square root that grazing puts into the period map.
 
 import dataclasses
 import functools as ft
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil.bifurcations.tangency import SLIDE, Closing, Tangency, close, defining
 from jaxfil.model.parameter import replace_parameters
 from jaxfil.model.system import System
+from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.implicit import Equations, SystemOf
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.known import is_known
+
+
+class Placed(eqx.Module):
+    """What unknowns stand for: the system, the period, the state at the start of the flight and the
+    phase of the tangency."""
+
+    system: System
+    period: Array
+    x: Float[Array, " n"]
+    phase: Array
 
 
 class DefiningSystem(Equations):
@@ -36,68 +50,128 @@ class DefiningSystem(Equations):
     family: Int[Array, ""]
     free: tuple[str, ...] = eqx.field(static=True)
 
-    def placed(self, system: System, z: Array) -> tuple[System, Array, Tangency]:
-        """System, period and tangency for unknowns z."""
+    def placed(self, system: System, z: Array) -> Placed:
+        """What z stands for."""
         n = self.tangency.x.shape[0]
         system = replace_parameters(system, self.free, z[n + 1 :])
         if system.period is None:
-            return system, z[n], dataclasses.replace(self.tangency, x=z[:n])
-        period = jnp.asarray(system.period) * self.periods
-        return system, period, dataclasses.replace(self.tangency, x=z[:n], phase=z[n])
+            return Placed(system, z[n], z[:n], self.tangency.phase)
+        return Placed(system, jnp.asarray(system.period) * self.periods, z[:n], z[n])
+
+    @eqx.filter_jit
+    def there(self, system: System, z: Array) -> Placed:
+        """`placed`, as one program."""
+        return self.placed(system, z)
+
+    @property
+    def residual_at(self) -> "Residual":
+        """The equations as a function of what is placed."""
+        return Residual(self.tangency, self.options, self.family)
 
     def residual(self, system: System, z: Array) -> tuple[Float[Array, " M"], Closing]:
         """Closing and the two conditions."""
-        system, period, tangency = self.placed(system, z)
-        closing = close(system, period, self.options, self.family, tangency)
-        pair = defining(system, self.family, closing.t, closing.x, tangency)
-        return jnp.append(closing.gap, pair), stop_gradient(closing)
+        return self.residual_at(self.placed(system, z))
 
     def evaluate(self, system: System, z: Array) -> Evaluation:
         """Residual and Jacobian; what else is known is the `Closing`."""
-        at = self.evaluate_with_slopes(lambda _: system, jnp.zeros((0,), z.dtype), z)
-        return dataclasses.replace(at, aux=at.aux[0])
+        if is_known((self, system, z)):
+            by_z, known = _slopes_along(self.residual_at, self._near(system, z))
+        else:
+            by_z, known = _slopes(lambda z: self.residual(system, z), z)
+        return self._evaluated(system, z, by_z, *known)
 
-    def evaluate_with_slopes(self, system_of: SystemOf, theta: Array, z: Array) -> Evaluation:
-        """Residual and Jacobian; what else is known is the `Closing`, and the derivative by θ."""
-        count = z.shape[0]
+    @property
+    def width(self) -> int:
+        """Directions of a program for all that may vary: two parameters are free at most."""
+        return self.tangency.x.shape[0] + 3
 
-        def residual(u: Array) -> tuple[Array, tuple]:
-            value, closing = self.residual(system_of(u[count:]), u[:count])
-            return value, (value, closing)
+    @eqx.filter_jit
+    def _near(self, system: System, z: Array) -> Affine[Placed]:
+        return affine(ft.partial(self.placed, system), z, self.width)
 
-        # The directions share the flow: some more of them make the program no larger.
-        u = jnp.concatenate([z, theta])
-        slopes, (value, closing) = kernel_if_it_fits(jax.jacfwd(residual, has_aux=True))(u)
-        by_z, by_theta = slopes[:, :count], slopes[:, count:]
-        scales = self.scales(system_of(theta), z, closing)
-        return Evaluation(value, by_z, *scales, closing.result, (closing, by_theta))
+    @eqx.filter_jit
+    def _evaluated(
+        self, system: System, z: Array, by_z: Array, value: Array, closing: Closing
+    ) -> Evaluation:
+        scales = self.scales(system, z, closing)
+        return Evaluation(value, by_z[:, : z.shape[0]], *scales, closing.result, closing)
 
     def scales(self, system: System, z: Array, closing: Closing) -> tuple[Array, Array]:
         """Of the equations and of the unknowns."""
         n = self.tangency.x.shape[0]
-        system, period, _ = self.placed(system, z)
+        at = self.placed(system, z)
         size = jnp.where(closing.size == 0, 1, closing.size)
         # H by how far it reaches across the orbit, its rates by that in a turn of the forcing.
-        normals = jax.jacfwd(system.switching, argnums=1)(closing.t, closing.x)
+        normals = jax.jacfwd(at.system.switching, argnums=1)(closing.t, closing.x)
         height = jnp.max(abs(jnp.atleast_2d(normals)) @ size)
         height = jnp.where(height == 0, 1, height)
-        pace = 2 * jnp.pi / period
+        pace = 2 * jnp.pi / at.period
         pair = jnp.stack([height * pace, height * pace**2])
         pair = jnp.where(self.family == SLIDE, pair, pair / pace)
         q = abs(z[n:])
         return jnp.append(size, pair), jnp.append(size, jnp.where(q == 0, 1, q))
 
-    def solve(
-        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
-    ) -> tuple[Array, Array, None, Root]:
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """With one free parameter, by Newton's iteration."""
-        root = newton(ft.partial(self.evaluate, system_of(theta)), guess, self.newton_steps)
-        return root.z, root.at.jacobian, None, root
+        evaluate, known = ft.partial(self.evaluate, system), is_known((self, system, guess))
+        root = newton(evaluate, guess, self.newton_steps, known=known)
+        return root.z, root.at.jacobian, root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
-        """By forward mode."""
-        residual = lambda theta: self.residual(system_of(theta), z)[0]  # noqa: E731
-        return kernel_if_it_fits(jax.jacfwd(residual))(theta)
+        """By forward mode; where all is known by the program of `evaluate`, for so many parameters
+        at a time."""
+        if not is_known((self, system_of, theta, z)):
+            residual = lambda theta: self.residual(system_of(theta), z)[0]  # noqa: E731
+            return kernel_if_it_fits(jax.jacfwd(residual))(theta)
+        firsts = jax.device_put(list(np.arange(0, theta.shape[0], self.width)))
+        near = [_near_parameters(self, system_of, theta, z, first) for first in firsts]
+        turns = [_slopes_along(self.residual_at, part)[0] for part in near]
+        return jax.device_put(np.concatenate(turns, axis=1)[:, : theta.shape[0]])
+
+
+@eqx.filter_jit
+def _near_parameters(
+    equations: DefiningSystem, system_of: SystemOf, theta: Array, z: Array, first: Array
+) -> Affine[Placed]:
+    placed = lambda theta: equations.placed(system_of(theta), z)  # noqa: E731
+    return affine(placed, theta, equations.width, first)
+
+
+class Residual(eqx.Module):
+    """The equations of a tangency."""
+
+    tangency: Tangency
+    options: ShootingOptions
+    family: Int[Array, ""]
+
+    def tangency_at(self, at: Placed) -> Tangency:
+        """The tangency that is placed."""
+        return dataclasses.replace(self.tangency, x=at.x, phase=at.phase)
+
+    def __call__(self, at: Placed) -> tuple[Float[Array, " M"], Closing]:
+        """Closing and the two conditions."""
+        tangency = self.tangency_at(at)
+        closing = close(at.system, at.period, self.options, self.family, tangency)
+        pair = defining(at.system, self.family, closing.t, closing.x, tangency)
+        return jnp.append(closing.gap, pair), stop_gradient(closing)
+
+
+def _slopes(
+    residual: Callable[[Array], tuple[Array, Closing]], u: Array
+) -> tuple[Array, tuple[Array, Closing]]:
+    """The derivative of a residual, the residual, and what else is known."""
+
+    def both(u: Array) -> tuple[Array, tuple[Array, Closing]]:
+        value, closing = residual(u)
+        return value, (value, closing)
+
+    return kernel_if_it_fits(jax.jacfwd(both, has_aux=True))(u)
+
+
+@eqx.filter_jit
+def _slopes_along(residual: Residual, near: Affine[Placed]) -> tuple[Array, tuple[Array, Closing]]:
+    """`_slopes` along those of what is placed: one program, whatever it is that varies."""
+    return _slopes(lambda s: residual(near(s)), jnp.zeros(near.width, near.value.x.dtype))
 
 
 def defining_system(

@@ -22,10 +22,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxfil.bifurcations.candidates import attempts, guesses
-from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
+from jaxfil.bifurcations.defining_system import DefiningSystem, Placed, defining_system
 from jaxfil.bifurcations.tangency import (
     FAMILIES,
     FAMILY_NAMES,
+    Closing,
     Conditions,
     Tangency,
     conditions,
@@ -40,6 +41,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
+from jaxfil.xla.known import compiled_if_traced
 
 _Result = TypeVar("_Result", bound=eqx.Module)
 
@@ -219,7 +221,7 @@ def lane_by_lane(take: Array, a: _Result, b: _Result) -> _Result:
     return eqx.combine(jax.tree.map(pick, arrays, eqx.filter(b, eqx.is_array)), rest)
 
 
-@eqx.filter_jit
+@compiled_if_traced
 def _find(
     system: System,
     parameter: str,
@@ -231,17 +233,36 @@ def _find(
     missing: Array,
 ) -> dict[str, Any]:
     """The fields of a `Bifurcation`, but for names."""
+    equations, guess = _first_guess(system, parameter, family, newton_steps, orbit, tangency)
+    z, root = solve_implicit(equations, system, guess)
+    found = bifurcation_at(equations, system, orbit, z, root)
+    return _of_kind(found, code, missing)
+
+
+@eqx.filter_jit
+def _first_guess(
+    system: System,
+    parameter: str,
+    family: Array,
+    newton_steps: Array,
+    orbit: Orbit,
+    tangency: Tangency,
+) -> tuple[DefiningSystem, Array]:
+    """The equations and a guess of their unknowns."""
     equations = defining_system(system, orbit, tangency, family, (parameter,), newton_steps)
     value = jnp.asarray(get_parameter(orbit.system, parameter), tangency.x.dtype)
     phase = orbit.period if system.period is None else tangency.phase
-    z = jnp.concatenate([tangency.x, jnp.stack([phase, value])])
-    z, root = solve_implicit(equations, system, z)
-    found = bifurcation_at(equations, system, orbit, z, root)
+    return equations, jnp.concatenate([tangency.x, jnp.stack([phase, value])])
+
+
+@eqx.filter_jit
+def _of_kind(found: dict[str, Any], code: Array, missing: Array) -> dict[str, Any]:
+    """What was found, told from what was asked for."""
     # What is told, last to first: no guess at all, what `bifurcation_at` tells, another kind.
     other = RESULTS.where(found["code"] == code, RESULTS.successful, RESULTS.other_kind)
     result = RESULTS.where(found["result"] == RESULTS.successful, other, found["result"])
     result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
-    value = jnp.where(missing, jnp.full_like(z[-1], jnp.nan), found["value"])
+    value = jnp.where(missing, jnp.nan, found["value"])
     return found | {"value": value, "result": result}
 
 
@@ -250,9 +271,17 @@ def bifurcation_at(
 ) -> dict[str, Any]:
     """The fields, but for names, of the bifurcation at a root of a defining system, of whatever
     kind, reached from an orbit near it. Its parameter is the first of those that are free."""
-    system, period, tangency = equations.placed(system, z)
-    closing = root.at.aux
-    found = conditions(system, closing.t, closing.x, tangency)
+    at, closing = equations.there(system, z), root.at.aux
+    found = conditions(at.system, closing.t, closing.x, equations.tangency)
+    return _fields(equations, at, near, z, root, found)
+
+
+@eqx.filter_jit
+def _fields(
+    equations: DefiningSystem, at: Placed, near: Orbit, z: Array, root: Root, found: Conditions
+) -> dict[str, Any]:
+    closing: Closing = root.at.aux
+    tangency = equations.residual_at.tangency_at(at)
     located = kind_of(equations.family, found)
     result = RESULTS.where(closing.holds, RESULTS.successful, RESULTS.orbit_lost)
     result = RESULTS.where(root.result == RESULTS.successful, result, root.result)
@@ -261,7 +290,7 @@ def bifurcation_at(
         value=z[n + 1],
         orbit=Orbit(
             x0=tangency.x,
-            period=period,
+            period=at.period,
             # The closing's derivative is that of the flow map less one, through the tangency.
             monodromy=root.at.jacobian[:n, :n] + jnp.eye(n, dtype=z.dtype),
             residual=root.at.size,
@@ -269,10 +298,10 @@ def bifurcation_at(
             num_events=near.num_events,
             first_mode=tangency.mode.astype(jnp.int8),
             result=root.result,
-            system=system,
+            system=at.system,
             starts=tangency.x[None],
             num_steps=root.num_steps,
-            options=dataclasses.replace(equations.options, t0=tangency.start * period),
+            options=dataclasses.replace(equations.options, t0=tangency.start * at.period),
         ),
         t=closing.t,
         x=closing.x,

@@ -22,6 +22,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.orbits.orbit import Orbit
+from jaxfil.xla.known import is_known
 
 _NEWTON_STEPS = 40
 
@@ -109,35 +110,42 @@ class _Margin(Equations):
 
     tangency: DefiningSystem
 
-    def solve(
-        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
-    ) -> tuple[Array, Array, Array | None, Root]:
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """Newton's iteration on the orbit alone; the margin then is known."""
-        n = guess.shape[0] - 1
-        given = theta if slopes else theta[:0]
-        varied = system_of if slopes else lambda _: system_of(theta)
-        keep = jnp.array([*range(n), n + 1])
 
         def evaluate(z: Array) -> Evaluation:
-            # All rows but that of H, which need not be zero: it is the margin.
-            at = self.tangency.evaluate_with_slopes(varied, given, z)
-            return Evaluation(
-                at.residual[keep],
-                at.jacobian[keep],
-                at.equation_scale[keep],
-                at.unknown_scale,
-                at.result,
-                (at.residual[n], at.jacobian, at.aux[1]),
-            )
+            return _without_height(self.tangency.evaluate(system, z))
 
-        root = newton(evaluate, guess, _NEWTON_STEPS)
-        # Without an orbit the last guard is that of nothing.
-        margin, jacobian, by_theta = root.at.aux
-        margin = jnp.where(root.result == RESULTS.successful, margin, jnp.nan)
-        by_margin = jnp.zeros((n + 2, 1), guess.dtype).at[n].set(-1)
-        by_z = jnp.concatenate([jacobian, by_margin], axis=1)
-        return jnp.append(root.z, margin), by_z, by_theta if slopes else None, root
+        known = is_known((self, system, guess))
+        root = newton(evaluate, guess, _NEWTON_STEPS, known=known)
+        return *_with_margin(root), root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
         """The rows of closing, H and Ḣ."""
         return self.tangency.by_parameters(system_of, theta, z[:-1])
+
+
+@jax.jit
+def _without_height(at: Evaluation) -> Evaluation:
+    """All rows but that of H, which need not be zero: it is the margin."""
+    n = at.residual.shape[0] - 2
+    keep = jnp.array([*range(n), n + 1])
+    return Evaluation(
+        at.residual[keep],
+        at.jacobian[keep],
+        at.equation_scale[keep],
+        at.unknown_scale,
+        at.result,
+        (at.residual[n], at.jacobian),
+    )
+
+
+@jax.jit
+def _with_margin(root: Root) -> tuple[Array, Array]:
+    """All unknowns at a root, and the derivative of all equations there."""
+    # Without an orbit the last guard is that of nothing.
+    margin, jacobian = root.at.aux
+    margin = jnp.where(root.result == RESULTS.successful, margin, jnp.nan)
+    n = jacobian.shape[0] - 2
+    by_margin = jnp.zeros((n + 2, 1), margin.dtype).at[n].set(-1)
+    return jnp.append(root.z, margin), jnp.concatenate([jacobian, by_margin], axis=1)

@@ -47,13 +47,10 @@ class Nearest(Equations):
         # At zero the root has no derivative; there the distance is a kink, and its slope taken 0.
         return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
 
-    def solve(
-        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
-    ) -> tuple[Array, Array, None, Root]:
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """Newton's iteration; of its `Root`, what else is known is an `AtPoint`."""
-        system = system_of(theta)
         root = newton(lambda w: self.evaluate(system, w), guess, self.defining.newton_steps)
-        return root.z, root.at.jacobian, None, root
+        return root.z, root.at.jacobian, root
 
     def evaluate(self, system: System, w: Array) -> Evaluation:
         """Residual and Jacobian at w = (u, λ)."""

@@ -15,7 +15,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.bifurcations.defining_system import DefiningSystem
-from jaxfil.bifurcations.tangency import ARRIVAL, SLIDE, Conditions, conditions, kind_of
+from jaxfil.bifurcations.tangency import (
+    ARRIVAL,
+    SLIDE,
+    Closing,
+    Conditions,
+    conditions,
+    kind_of,
+)
 from jaxfil.model.system import System
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
@@ -63,26 +70,36 @@ class TangencyPoint(CurvePoint):
         return int(self.known.contacts)
 
 
-@eqx.filter_jit
 def _solve(
     system: System, equations: DefiningSystem, u: Array, constraint: ArclengthConstraint
 ) -> Root:
     def evaluate(u: Array) -> Evaluation:
-        return constraint.appended(equations.evaluate(system, u), u)
+        return _with_constraint(equations.evaluate(system, u), constraint, u)
 
-    root = newton(evaluate, u, equations.newton_steps)
-    there, _, tangency = equations.placed(system, root.z)
+    root = newton(evaluate, u, equations.newton_steps, known=True)
+    at = equations.there(system, root.z)
     closing = root.at.aux
-    found = conditions(there, closing.t, closing.x, tangency)
-    code = kind_of(equations.family, found)
+    found = conditions(at.system, closing.t, closing.x, equations.tangency)
+    return _with_known(equations, root, found)
+
+
+@jax.jit
+def _with_constraint(at: Evaluation, constraint: ArclengthConstraint, u: Array) -> Evaluation:
+    return constraint.appended(at, u)
+
+
+@eqx.filter_jit
+def _with_known(equations: DefiningSystem, root: Root, found: Conditions) -> Root:
+    """A root, with what else is known there."""
+    closing: Closing = root.at.aux
     n = closing.x.shape[0]
     # The closing's derivative is that of the flow map less one.
-    monodromy = root.at.jacobian[:n, :n] + jnp.eye(n, dtype=u.dtype)
+    monodromy = root.at.jacobian[:n, :n] + jnp.eye(n, dtype=root.z.dtype)
     known = _Known(
         t=closing.t,
         x=closing.x,
         size=closing.size,
-        code=code,
+        code=kind_of(equations.family, found),
         conditions=found,
         holds=closing.holds,
         contacts=closing.contacts,

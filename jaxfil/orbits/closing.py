@@ -1,23 +1,58 @@
 """The equations of a periodic orbit: every arc ends where the next one starts.
 
-A system and a guess of (starts of the arcs, period if it is unknown) enter; how far the equations
-are from holding leaves, with all derivatives, as Newton's method wants it.
+A system and a guess of its unknowns (starts of the arcs, period if it is unknown, and a parameter
+if one is free) enter; how far the equations are from holding leaves, with all derivatives, as
+Newton's method wants it.
 """
 
-import functools as ft
+import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
+from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.implicit import Equations, SystemOf
 from jaxfil.orbits.newton import Evaluation, Root, newton
-from jaxfil.orbits.shooting import Setting, ShootingOptions, Shot, shoot, velocity
+from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
+from jaxfil.xla.known import is_known
 
 # An autonomous period below this part of the guess is not looked for.
 _SHORTEST = 1 / 16
+
+
+class OrbitProblem(eqx.Module):
+    """The orbits of a system, as `parameter` varies unless that has no name. Unknowns u are the
+    starts of all arcs and q: the period of an autonomous system, and the parameter."""
+
+    system: System
+    options: ShootingOptions
+    parameter: str = eqx.field(static=True)
+    periods: int = eqx.field(static=True)
+
+    @property
+    def autonomous(self) -> bool:
+        """Whether the period is one of the unknowns."""
+        return self.system.period is None
+
+    def setting(self, q: Array) -> tuple[System, Array]:
+        """The system and the period for q = (period,) parameter."""
+        system = self.system
+        if self.parameter:
+            system = replace_parameter(system, self.parameter, q[-1])
+        if self.autonomous:
+            return system, q[0]
+        return system, jnp.asarray(system.period) * self.periods
+
+    def split(self, u: Array) -> tuple[Array, Array]:
+        """The starts of the arcs, shape (M, n), and q."""
+        count = u.shape[0] - int(self.autonomous) - int(bool(self.parameter))
+        return u[:count].reshape(self.options.arcs, -1), u[count:]
 
 
 class PhaseCondition(eqx.Module):
@@ -29,36 +64,49 @@ class PhaseCondition(eqx.Module):
     period: Float[Array, ""]  # the guess
 
 
-def phase_condition(
-    setting: Setting, options: ShootingOptions, anchor: Float[Array, " n"], q: Array
-) -> PhaseCondition:
-    """The condition at a state of an autonomous system; q opens with the period."""
-    normal = velocity(setting, options, anchor, q)
+@eqx.filter_jit
+def phase_condition(problem: OrbitProblem, u: Array) -> PhaseCondition | None:
+    """The condition at a state of an autonomous system; None of a forced one."""
+    if not problem.autonomous:
+        return None
+    starts, q = problem.split(u)
+    anchor = starts[0]
+    normal = velocity(problem.setting, problem.options, anchor, q)
     size = jnp.sqrt(normal @ normal)
     # At rest there is no direction; a row of zeros then makes the Jacobian singular, and says so.
     return PhaseCondition(anchor, normal / jnp.where(size == 0, 1, size), q[0])
 
 
-def setting_of(system: System, periods: int, q: Array) -> tuple[System, Array]:
-    """The system and the period for q = (period,) of an autonomous system, () of a forced one."""
-    if system.period is None:
-        return system, q[0]
-    return system, jnp.asarray(system.period) * periods
+def evaluate_closing(problem: OrbitProblem, phase: PhaseCondition | None, u: Array) -> Evaluation:
+    """The closing of all arcs and, of an autonomous orbit, its phase, by all unknowns, whose scales
+    are their sizes. What else is known is the `Shot`."""
+    if is_known((problem, phase, u)):
+        near, starts, q = _near(problem, u)
+        shot = _shoot(near, problem.options, starts, jax.device_put(np.zeros(near.width, q.dtype)))
+    else:
+        starts, q = problem.split(u)
+        shot = shoot(problem.setting, problem.options, starts, q)
+    return _evaluated(starts, q, phase, shot)
 
 
-def evaluate_closing(
-    setting: Setting,
-    options: ShootingOptions,
-    phase: PhaseCondition | None,
-    starts: Float[Array, "M n"],
-    q: Float[Array, " k"],
-) -> Evaluation:
-    """The closing of all arcs and, of an autonomous orbit, its phase: by all starts and all of q,
-    whose scales are their sizes. What else is known is the `Shot`."""
-    shot = shoot(setting, options, starts, q)
+# One program for all that varies: see `affine`.
+_shoot = eqx.filter_jit(shoot)
+
+
+@eqx.filter_jit
+def _near(problem: OrbitProblem, u: Array) -> tuple[Affine[tuple[System, Array]], Array, Array]:
+    """The setting near u, starts and q."""
+    starts, q = problem.split(u)
+    return affine(problem.setting, q, 1 + int(problem.autonomous)), starts, q
+
+
+@jax.jit
+def _evaluated(starts: Array, q: Array, phase: PhaseCondition | None, shot: Shot) -> Evaluation:
+    """The equations, given the shot."""
+    shot = dataclasses.replace(shot, by_global=shot.by_global[:, :, : q.shape[0]])
     residual, jacobian = _closing(shot, starts)
     # A component is measured by its largest value on the orbit, as an unknown and as a mismatch.
-    equations = jnp.tile(shot.size, options.arcs)
+    equations = jnp.tile(shot.size, starts.shape[0])
     unknowns = jnp.append(equations, abs(q))
     result = shot.result
     if phase is not None:
@@ -95,37 +143,32 @@ class ClosedOrbit(Equations):
     newton_steps: Array
     periods: int = eqx.field(static=True)
 
-    def solve(
-        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
-    ) -> tuple[Array, Array, None, Root]:
+    def problem(self, system: System) -> OrbitProblem:
+        """That of a system."""
+        return OrbitProblem(system, self.options, "", self.periods)
+
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """Newton's iteration; what else is known is its `Root`, with the `Shot`."""
-        system = system_of(theta)
-        setting = ft.partial(setting_of, system, self.periods)
-        starts, q = self.split(system, guess)
-        phase = None
-        if system.period is None:
-            phase = phase_condition(setting, self.options, starts[0], q)
+        problem = self.problem(system)
+        phase = phase_condition(problem, guess)
 
-        def evaluate(z: Array) -> Evaluation:
-            return evaluate_closing(setting, self.options, phase, *self.split(system, z))
+        def evaluate(u: Array) -> Evaluation:
+            return evaluate_closing(problem, phase, u)
 
-        root = newton(evaluate, guess, self.newton_steps)
-        return root.z, root.at.jacobian, None, root
+        known = is_known((self, system, guess))
+        root = newton(evaluate, guess, self.newton_steps, known=known)
+        return root.z, root.at.jacobian, root
 
+    @eqx.filter_jit
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
         """By one shot in which the parameters are global unknowns too."""
-        starts, period = self.split(system_of(theta), z)
+        starts, period = self.problem(system_of(theta)).split(z)
         k = period.shape[0]
 
         def setting(q: Array) -> tuple[System, Array]:
-            return setting_of(system_of(q[k:]), self.periods, q[:k])
+            return self.problem(system_of(q[k:])).setting(q[:k])
 
         shot = shoot(setting, self.options, starts, jnp.concatenate([period, theta]))
         by_theta = shot.by_global[:, :, k:].reshape(starts.size, -1)
         # The condition on the phase is that of the guess, and does not move.
         return jnp.concatenate([by_theta, jnp.zeros((k, theta.shape[0]), theta.dtype)])
-
-    def split(self, system: System, z: Array) -> tuple[Array, Array]:
-        """The starts of the arcs, shape (M, n), and (period,) or ()."""
-        count = z.shape[0] - int(system.period is None)
-        return z[:count].reshape(self.options.arcs, -1), z[count:]

@@ -15,36 +15,12 @@ from jaxtyping import Array
 
 from jaxfil.integrate.solution import Events, switches
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import replace_parameter
-from jaxfil.model.system import System
-from jaxfil.orbits.closing import evaluate_closing, phase_condition, setting_of
+from jaxfil.orbits.closing import OrbitProblem, evaluate_closing, phase_condition
 from jaxfil.orbits.curve import ArclengthConstraint, CurvePoint, tangent_of
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.orbits.shooting import ShootingOptions, Shot
-
-
-class OrbitProblem(eqx.Module):
-    """The orbits of a system as `parameter` varies."""
-
-    system: System
-    options: ShootingOptions
-    parameter: str = eqx.field(static=True)
-    periods: int = eqx.field(static=True)
-
-    @property
-    def autonomous(self) -> bool:
-        """Whether the period is one of the unknowns."""
-        return self.system.period is None
-
-    def setting(self, q: Array) -> tuple[System, Array]:
-        """The system and the period for q = (period,) parameter."""
-        return setting_of(replace_parameter(self.system, self.parameter, q[-1]), self.periods, q)
-
-    def split(self, u: Array) -> tuple[Array, Array]:
-        """The starts of the arcs, shape (M, n), and q."""
-        k = 1 + int(self.autonomous)
-        return u[:-k].reshape(self.options.arcs, -1), u[-k:]
+from jaxfil.orbits.shooting import Shot
+from jaxfil.xla.known import compiled_if_traced, is_known
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,22 +49,24 @@ def contacts_of(events: Events | None) -> tuple:
     return min((tuple(rows[i:] + rows[:i]) for i in range(len(rows))), default=())
 
 
-@eqx.filter_jit
+@compiled_if_traced
 def solve_across(
     problem: OrbitProblem, u: Array, constraint: ArclengthConstraint, newton_steps: Array
 ) -> Root:
     """Newton's root of the closing equations and a constraint, with the `Shot` there."""
-    phase = None
-    if problem.autonomous:
-        starts, q = problem.split(constraint.base)
-        phase = phase_condition(problem.setting, problem.options, starts[0], q)
+    phase = phase_condition(problem, constraint.base)
 
     def evaluate(u: Array) -> Evaluation:
-        orbit = evaluate_closing(problem.setting, problem.options, phase, *problem.split(u))
-        unknowns = orbit.unknown_scale.at[-1].set(constraint.scale[-1])  # not 0 where it is zero
-        return constraint.appended(dataclasses.replace(orbit, unknown_scale=unknowns), u)
+        return _with_constraint(evaluate_closing(problem, phase, u), constraint, u)
 
-    return newton(evaluate, u, newton_steps)
+    known = is_known((problem, u, constraint))
+    return newton(evaluate, u, newton_steps, known=known)
+
+
+@jax.jit
+def _with_constraint(at: Evaluation, constraint: ArclengthConstraint, u: Array) -> Evaluation:
+    unknowns = at.unknown_scale.at[-1].set(constraint.scale[-1])  # not 0 where it is zero
+    return constraint.appended(dataclasses.replace(at, unknown_scale=unknowns), u)
 
 
 def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:

@@ -14,7 +14,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
@@ -22,24 +21,20 @@ from jaxtyping import Array, Float
 
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System
-
-# Parameters whose slopes a solution may come with: as many directions more in a program, which is
-# none the larger, where a second one would take as long to compile.
-_FEW = 16
+from jaxfil.xla.known import compiled_if_traced, is_known
 
 SystemOf = Callable[[Array], System]
 """The system for the vector θ of all its float leaves."""
 
 
 class Equations(eqx.Module):
-    """Equations r(z; θ) = 0 for N unknowns, and how they are solved."""
+    """Equations r(z; θ) = 0 for N unknowns, and how they are solved. Where all that enters is known
+    (`is_known`) both methods are called outside of every transformation, and compile what they need
+    in pieces."""
 
     @abc.abstractmethod
-    def solve(
-        self, system_of: SystemOf, theta: Array, guess: Array, slopes: bool
-    ) -> tuple[Array, Array, Array | None, Any]:
-        """The solution z, shape (N,), ∂r/∂z there, shape (N, N), ∂r/∂θ if it is found on the way,
-        which it may be if these `slopes` are asked for, and what else is known there."""
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Any]:
+        """The solution z, shape (N,), ∂r/∂z there, shape (N, N), and what else is known there."""
 
     @abc.abstractmethod
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
@@ -63,22 +58,25 @@ def solve_implicit(
     respect to the float leaves of the system; those of all else are NaN."""
     theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
     system_of = _SystemOf(eqx.filter(system, is_parameter, inverse=True), unravel)
-    equations = jax.tree.map(lambda v: stop_gradient(v) if eqx.is_array(v) else v, equations)
-    z, _, _, more = _solution(
-        theta, equations=equations, system_of=system_of, guess=stop_gradient(guess)
-    )
+    if not is_known((equations, guess)):
+        equations, guess = jax.tree.map(
+            lambda v: stop_gradient(v) if eqx.is_array(v) else v, (equations, guess)
+        )
+    z, _, more = _solution(theta, equations=equations, system_of=system_of, guess=guess)
     return z, more
 
 
-# Compiled, as is the matrix below: a search by gradient outside of `jit` calls both many times.
-@eqx.filter_jit
-def _solve(
-    theta: Array, equations: Equations, system_of: _SystemOf, guess: Array, slopes: bool
-) -> tuple:
-    return equations.solve(system_of, theta, guess, slopes)
+@compiled_if_traced
+def _solve(theta: Array, equations: Equations, system_of: _SystemOf, guess: Array) -> tuple:
+    return equations.solve(_system(system_of, theta), guess)
 
 
 @eqx.filter_jit
+def _system(system_of: _SystemOf, theta: Array) -> System:
+    return system_of(theta)
+
+
+@compiled_if_traced
 def _sensitivity(
     theta: Array, equations: Equations, system_of: _SystemOf, z: Array, by_z: Array
 ) -> Array:
@@ -92,10 +90,7 @@ def _implicit(by_z: Array, by_theta: Array) -> Array:
 
 @eqx.filter_custom_jvp
 def _solution(theta: Array, *, equations: Equations, system_of: _SystemOf, guess: Array) -> tuple:
-    # Within another transformation nobody may want the slopes, or somebody theirs, which would have
-    # to be found by differentiating Newton's iteration.
-    slopes = not isinstance(theta, jax.core.Tracer) and theta.size <= _FEW
-    return _solve(theta, equations, system_of, guess, slopes)
+    return _solve(theta, equations, system_of, guess)
 
 
 @_solution.def_jvp
@@ -103,16 +98,11 @@ def _solution_jvp(
     primals: tuple, tangents: tuple, *, equations: Equations, system_of: _SystemOf, guess: Array
 ) -> tuple[tuple, tuple]:
     (theta,), (direction,) = primals, tangents
-    out = _solution(theta, equations=equations, system_of=system_of, guess=guess)
-    z, by_z, by_theta, _ = out
+    z, by_z, more = _solution(theta, equations=equations, system_of=system_of, guess=guess)
     # A NaN is seen where somebody takes the derivative of what has none; a zero would not be.
     none = jax.tree.map(
-        lambda v: jnp.full_like(v, jnp.nan) if eqx.is_inexact_array(v) else None, out[1:]
+        lambda v: jnp.full_like(v, jnp.nan) if eqx.is_inexact_array(v) else None, (by_z, more)
     )
     if direction is None:
-        return out, (jnp.zeros_like(z), *none)
-    if by_theta is None:
-        by_theta = _sensitivity(theta, equations, system_of, z, by_z)
-    else:
-        by_theta = _implicit(by_z, by_theta)
-    return out, (by_theta @ direction, *none)
+        return (z, by_z, more), (jnp.zeros_like(z), *none)
+    return (z, by_z, more), (_sensitivity(theta, equations, system_of, z, by_z) @ direction, *none)

@@ -1,19 +1,22 @@
 """Damped Newton iteration with a Jacobian in hand.
 
 A function that gives residual, Jacobian and outcome at a point enters, with a first guess; the
-`Root` leaves. Everything is traced: in a batch each lane has its own damping and its own outcome.
+`Root` leaves. Where it is traced each lane of a batch has its own damping and its own outcome; of
+known numbers the iteration is in Python, around a function that is compiled for other verbs too.
 
 A period map of a nonsmooth system is smooth only in pieces, and a step across a kink may make the
 residual larger although the direction is right. A step is halved until the residual falls, but not
 for ever: the shortest one tried is taken as it is, which carries the iteration over the kink.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxfil.model.outcomes import RESULTS
@@ -72,18 +75,69 @@ class _State(eqx.Module):
 
 
 def newton(
-    evaluate: Callable[[Array], Evaluation], z: Float[Array, " N"], max_steps: Array | int
+    evaluate: Callable[[Array], Evaluation],
+    z: Float[Array, " N"],
+    max_steps: Array | int,
+    *,
+    known: bool = False,
 ) -> Root:
     """A zero of the residual from the guess `z`, by at most `max_steps` evaluations.
 
     The outcome is `successful`, `newton_stalled`, `newton_singular`, `newton_max_steps_reached`,
-    or that of the evaluation at the guess if this one fails.
+    or that of the evaluation at the guess if this one fails. Where all that enters is `known`, the
+    iteration is a loop in Python, and `evaluate` is called as it is.
     """
+    if known:
+        return _newton_in_python(evaluate, z, int(max_steps))
     # Traced once, though it is called twice: for its shapes and in the loop.
     evaluate = eqx.filter_jit(evaluate)
     blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(evaluate, z))
+
+    def unfinished(state: _State) -> Array:
+        return state.running & (state.num_steps < max_steps)
+
+    def iterate(state: _State) -> _State:
+        # The one evaluation of an iteration: with a second one inside, the program would be as
+        # large again. So the length of a step is tried by the iteration after it.
+        trial = state.z + state.damping * state.step
+        at = evaluate(trial)
+        after, accepted = _judged(state, trial, at, -_solve(at.jacobian, at.residual))
+        pick = lambda u, v: jnp.where(accepted, u, v)  # noqa: E731
+        aux = jax.tree.map(pick, at.aux, state.at.aux)
+        return eqx.tree_at(lambda s: s.at.aux, after, aux, is_leaf=lambda v: v is None)
+
+    last = jax.lax.while_loop(unfinished, iterate, _first(z, blank))
+    return Root(last.z, last.at, last.num_steps, last.result)
+
+
+def _newton_in_python(
+    evaluate: Callable[[Array], Evaluation], z: Float[Array, " N"], max_steps: int
+) -> Root:
+    """`newton` of known numbers."""
+    state = aux = None
+    for _ in range(max_steps):
+        if state is None:
+            trial = z
+        else:
+            step = np.asarray(state.z) + np.asarray(state.damping) * np.asarray(state.step)
+            trial = jax.device_put(step)
+        at = evaluate(trial)
+        now, at = at.aux, dataclasses.replace(at, aux=None)
+        if state is None:
+            state = _first(z, jax.device_put(jax.tree.map(np.zeros_like, at)))
+        state, accepted = _judged(state, trial, at, jax.device_put(-_solve_in_numpy(at)))
+        aux = now if bool(accepted) else aux
+        if not bool(state.running):
+            break
+    assert state is not None
+    return Root(state.z, dataclasses.replace(state.at, aux=aux), state.num_steps, state.result)
+
+
+@jax.jit
+def _first(z: Array, blank: Evaluation) -> _State:
+    """Before the first evaluation."""
     zero = jnp.zeros((), jnp.int32)
-    first = _State(
+    return _State(
         z=z,
         at=blank,
         step=jnp.zeros_like(z),
@@ -95,20 +149,12 @@ def newton(
         result=RESULTS.newton_max_steps_reached,
     )
 
-    def unfinished(state: _State) -> Array:
-        return state.running & (state.num_steps < max_steps)
 
-    last = jax.lax.while_loop(unfinished, lambda s: _iterate(evaluate, s), first)
-    return Root(last.z, last.at, last.num_steps, last.result)
-
-
-def _iterate(evaluate: Callable, state: _State) -> _State:
-    """One evaluation, at the end of the damped step, and what follows from it."""
+@jax.jit
+def _judged(state: _State, trial: Array, at: Evaluation, step: Array) -> tuple[_State, Array]:
+    """What follows from an evaluation at the end of the damped step and from the full `step` there,
+    but for what else is known, and whether this step is taken."""
     first = state.num_steps == 0
-    # The one evaluation of an iteration: with a second one inside, the program would be as large
-    # again. So the length of a step is tried by the iteration after it.
-    trial = state.z + state.damping * state.step
-    at = evaluate(trial)
     # By a quarter of what the linear equations promise. A residual that is zero to rounding falls
     # no more.
     eps = jnp.finfo(trial.dtype).eps
@@ -117,7 +163,6 @@ def _iterate(evaluate: Callable, state: _State) -> _State:
     # Shorter is of no use: what does not fall along so short a step has a kink there.
     forced = state.damping <= _SHORTEST
     accepted = first | (sound & (falls | forced))
-    step = -_solve(at.jacobian, at.residual)
     length = jnp.max(abs(step) / at.unknown_scale)
     old_length = jnp.max(abs(state.step) / state.at.unknown_scale)
 
@@ -140,10 +185,10 @@ def _iterate(evaluate: Callable, state: _State) -> _State:
     result = RESULTS.where(failed, at.result, result)
     result = RESULTS.where(unknown, RESULTS.nonfinite, result)
     result = RESULTS.where(converged | floor, RESULTS.successful, result)
-    pick = lambda a, b: jax.tree.map(lambda u, v: jnp.where(accepted, u, v), a, b)  # noqa: E731
-    return _State(
+    at, before = (dataclasses.replace(v, aux=None) for v in (at, state.at))
+    after = _State(
         z=jnp.where(accepted, trial, state.z),
-        at=pick(at, state.at),
+        at=jax.tree.map(lambda u, v: jnp.where(accepted, u, v), at, before),
         step=jnp.where(accepted & solvable, step, state.step),
         # Back to the full step soon: the order is two with that alone.
         damping=jnp.where(accepted, jnp.minimum(1, 4 * state.damping), 0.5 * state.damping),
@@ -153,6 +198,18 @@ def _iterate(evaluate: Callable, state: _State) -> _State:
         running=~(converged | floor | failed | singular | stalled),
         result=result,
     )
+    return after, accepted
+
+
+def _solve_in_numpy(at: Evaluation) -> np.ndarray:
+    """`_solve` of known numbers: to compile a factorisation takes longer than all the rest."""
+    matrix, right = np.asarray(at.jacobian), np.asarray(at.residual)
+    rows = np.max(abs(matrix), axis=1, keepdims=True)
+    rows = np.where(rows == 0, 1, rows)
+    try:
+        return np.linalg.solve(matrix / rows, right / rows[:, 0])
+    except np.linalg.LinAlgError:
+        return np.full_like(right, np.inf)
 
 
 def _solve(matrix: Array, right: Array) -> Array:

@@ -5,7 +5,6 @@ Floquet multipliers, contacts and outcome. Stable or unstable makes no differenc
 """
 
 import dataclasses
-import functools as ft
 
 import equinox as eqx
 import jax
@@ -20,10 +19,12 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
-from jaxfil.orbits.closing import ClosedOrbit, setting_of
+from jaxfil.orbits.closing import ClosedOrbit
 from jaxfil.orbits.implicit import solve_implicit
+from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.orbits.shooting import ShootingOptions, Shot, flow_map, starts_from
+from jaxfil.orbits.shooting import ShootingOptions, flow_map, starts_from
+from jaxfil.xla.known import compiled_if_traced
 
 
 def periodic_orbit(
@@ -136,7 +137,7 @@ def periodic_orbit(
     return orbit.result.error_if(orbit, orbit.result != RESULTS.successful)
 
 
-@eqx.filter_jit
+@compiled_if_traced
 def _find(
     system: System,
     x0: Array,
@@ -146,24 +147,41 @@ def _find(
     transient: Array | None,
     newton_steps: Array,
 ) -> Orbit:
-    autonomous = system.period is None
-    setting = ft.partial(setting_of, system, periods)
-    q = guess[None] if autonomous else jnp.zeros((0,), x0.dtype)
+    equations = ClosedOrbit(options, newton_steps, periods)
+    z = _first_unknowns(equations, system, x0, guess, transient)
+    return _orbit(equations, system, *solve_implicit(equations, system, z))
+
+
+@eqx.filter_jit
+def _first_unknowns(
+    equations: ClosedOrbit, system: System, x0: Array, guess: Array, transient: Array | None
+) -> Array:
+    """The guess, after a transient of so many periods."""
+    options, q = equations.options, jnp.zeros((0,), x0.dtype)
+    if system.period is None:
+        q = guess[None]
     if transient is not None:
         # One forcing period after the other: the phase stays exact.
-        one = dataclasses.replace(options, steps=options.steps // periods, arcs=1)
-        forward = flow_map(ft.partial(setting_of, system, 1), one, q, 1.0)
+        steps = options.steps // equations.periods
+        one = dataclasses.replace(
+            equations, options=dataclasses.replace(options, steps=steps, arcs=1), periods=1
+        )
+        forward = flow_map(one.problem(system).setting, one.options, q, 1.0)
         x0 = jax.lax.fori_loop(0, transient, lambda i, x: forward(x, i.astype(x.dtype)), x0)
     # The trajectory from the guess gives the other starts: only the last arc then fails to close.
-    starts = starts_from(setting, options, x0, q)
-    equations = ClosedOrbit(options, newton_steps, periods)
-    z, root = solve_implicit(equations, system, jnp.append(starts.ravel(), q))
-    shot: Shot = root.at.aux
-    starts, q = equations.split(system, z)
-    _, period = setting(q)
+    starts = starts_from(equations.problem(system).setting, options, x0, q)
+    return jnp.append(starts.ravel(), q)
+
+
+@eqx.filter_jit
+def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbit:
+    """The orbit that a solution is."""
+    problem, shot = equations.problem(system), root.at.aux
+    starts, q = problem.split(z)
+    _, period = problem.setting(q)
     return Orbit(
         x0=starts[0],
-        period=jnp.asarray(period, x0.dtype),
+        period=jnp.asarray(period, z.dtype),
         # Of a shot that ended early there is none.
         monodromy=jnp.where(shot.result == RESULTS.successful, shot.monodromy, jnp.nan),
         residual=root.at.size,
@@ -174,5 +192,5 @@ def _find(
         system=system,
         starts=starts,
         num_steps=root.num_steps,
-        options=options,
+        options=equations.options,
     )

@@ -16,7 +16,6 @@ from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS
 from jaxfil.model.outcomes import EventKind, outcome_names
 from jaxfil.model.parameter import replace_parameter
-from jaxfil.orbits import implicit
 from tests.problems import closed_forms
 from tests.problems.values import (
     BELT_ADDS,
@@ -189,13 +188,46 @@ def test_the_margin_and_its_gradient_on_both_sides_of_grazing(sd):
     assert float(value) < 0
 
 
-def test_the_gradient_of_a_margin_needs_no_flow_of_its_own(sd, monkeypatch):
-    """Outside of `jit` the slopes by few parameters come with the margin itself."""
-    _, orbits = sd
-    system, orbit = jf.systems.SDOscillator(omega=jnp.float64(0.855)), lane(orbits, 1)
-    monkeypatch.delattr(implicit, "_sensitivity")
+class Counted(jf.systems.SDOscillator):
+    """Counts how often its field is traced."""
+
+    traced = []
+
+    def vector_field(self, t, x, side):
+        self.traced.append(t)
+        return super().vector_field(t, x, side)
+
+
+def test_verbs_share_their_flows():
+    """One flow with derivatives serves orbits and branches in all parameters, another one
+    bifurcations in all parameters, margins and curves."""
+    system = Counted(omega=jnp.float64(0.84), f0=jnp.float64(0.25))
+
+    def traced(verb):
+        Counted.traced.clear()
+        return verb(), len(Counted.traced)
+
+    orbit, first = traced(lambda: jf.periodic_orbit(system, jnp.array([1.9, 0.0])))
+    branches = [
+        traced(lambda name=name, stop=stop: jf.continue_orbit(system, name, orbit, stop=stop))
+        for name, stop in (("omega", 0.845), ("f0", 0.252))
+    ]
+    assert first > 0 and [again for _, again in branches] == [0, 0]
+
+    found, first = traced(lambda: jf.find_bifurcation(system, "omega", orbit, "grazing"))
     value, slope = jax.value_and_grad(lambda s: jf.grazing_margin(s, orbit))(system)
-    exact, by = jax.value_and_grad(margin_exact, argnums=(0, 1, 2))(0.25, 0.0141, 0.855)
+    others = [
+        traced(verb)[1]
+        for verb in (
+            lambda: jf.find_bifurcation(system, "f0", orbit, "grazing"),
+            lambda: jf.grazing_margin(system, orbit),
+            lambda: jax.grad(lambda s: jf.grazing_margin(s, orbit))(system),
+            lambda: jf.continue_bifurcation(system, ("omega", "f0"), found, stop=0.869),
+        )
+    ]
+    assert first > 0 and others == [0, 0, 0, 0]
+    np.testing.assert_allclose(found.value, SD_LOW, rtol=1e-11)
+    exact, by = jax.value_and_grad(margin_exact, argnums=(0, 1, 2))(0.25, 0.0141, 0.84)
     assert abs(float(value - exact)) < 1e-11
     np.testing.assert_allclose([slope.f0, slope.zeta, slope.omega], by, rtol=1e-8)
 

@@ -1,0 +1,57 @@
+"""What depends on some unknowns, to first order: one form for all, whatever the unknowns are.
+
+A function of unknowns u and a point enter; an `Affine` leaves, with the same value and derivative
+there. A program of an `Affine` does not know what was varied, a parameter of this name or of that,
+a period or nothing at all: it is compiled once for all of them.
+"""
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+_Tree = TypeVar("_Tree")
+
+
+class Affine(eqx.Module, Generic[_Tree]):
+    """A tree as a function of W numbers s: value + Σ s_i slope_i."""
+
+    value: _Tree
+    slopes: _Tree
+    """Those of its float leaves, with a leading axis of W; None for any other leaf."""
+
+    @property
+    def width(self) -> int:
+        """W."""
+        return jax.tree.leaves(self.slopes)[0].shape[0]
+
+    def __call__(self, s: Float[Array, " W"]) -> _Tree:
+        def moved(v: Any, slope: Array | None) -> Any:
+            # Not a product of matrices, which would end a kernel.
+            return v if slope is None else v + sum(s[i] * slope[i] for i in range(s.shape[0]))
+
+        return jax.tree.map(moved, self.value, self.slopes, is_leaf=lambda v: v is None)
+
+
+def affine(
+    function: Callable[[Array], _Tree], u: Float[Array, " N"], width: int, first: Array | int = 0
+) -> Affine[_Tree]:
+    """A function near u, as its unknowns number `first`, `first` + 1, … move, `width` of them; what
+    there is no unknown for has slopes of zero."""
+    value = jax.tree.map(_typed, function(u))
+    slopes = jax.jacfwd(lambda u: eqx.filter(function(u), eqx.is_inexact_array))(u)
+
+    def rows(v: Array) -> Array:
+        v = _typed(jnp.moveaxis(v, -1, 0))
+        v = jnp.concatenate([v, jnp.zeros((width, *v.shape[1:]), v.dtype)])
+        return jax.lax.dynamic_slice_in_dim(v, first, width)
+
+    return Affine(value, jax.tree.map(rows, slopes))
+
+
+def _typed(v: Any) -> Any:
+    """A number whose type is not weak: a program of weak ones is another one."""
+    return jax.lax.convert_element_type(v, v.dtype) if eqx.is_inexact_array(v) else v
