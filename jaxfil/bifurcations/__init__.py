@@ -13,6 +13,7 @@ The words of this room:
 - guard: what stays positive as long as a mode lasts.
 - candidate: where a tangency may come from, with the time by which the orbit misses it.
 - family: kinds of bifurcation with the same two equations at the tangency.
+- placed: system, period, state and phase, as the unknowns have them.
 - defining system: closing of the orbit and these two equations, for the orbit and the parameter.
 - margin: the smallest guard of a flight, zero where the orbit grazes.
 - nearest: of the parameters with a grazing orbit those at the smallest distance from given ones,

@@ -181,7 +181,7 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
 
     def one(t: Array, x: Array) -> tuple[Array, Array]:
         on_components = components.build(system, x, compact=True)
-        blocks, modes = components.unpack(x), on_components.of_surfaces(mode)
+        blocks, modes = on_components.unpack(x), on_components.of_surfaces(mode)
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:
             _, rates = filippov.corners(on_components, t, blocks)

@@ -25,7 +25,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import ComponentSystem, build, pack, unpack
+from jaxfil.integrate.components import ComponentSystem, build, pack
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.problem import NOTHING, KeptMode, Problem, even_grid
 from jaxfil.integrate.stepper import tableau_of
@@ -97,7 +97,7 @@ class _Rates:
 
     def h(self, t: Array, x: Array) -> Array:
         """s H."""
-        values = pack(self.system.switching(t, unpack(x)), x.dtype)
+        values = pack(self.system.switching(t, self.system.unpack(x)), x.dtype)
         return self.tangency.side * jnp.sum(
             jnp.where(self.number == self.tangency.surface, values, 0)
         )
@@ -109,7 +109,9 @@ class _Rates:
         mode = jnp.where(self.number == self.tangency.surface, side, self.tangency.mode)
 
         def derivative(t: Array, x: Array) -> Array:
-            blocks = filippov.field(self.system, t, unpack(x), self.system.of_surfaces(mode))
+            blocks = filippov.field(
+                self.system, t, self.system.unpack(x), self.system.of_surfaces(mode)
+            )
             field = pack(blocks, x.dtype)
             return jax.jvp(function, (t, x), (jnp.ones_like(t), field))[1]
 
@@ -237,7 +239,7 @@ def _holds(on_components: ComponentSystem, mode: Array, ts: Array, xs: Array) ->
     modes = on_components.of_surfaces(mode)
 
     def guards(t: Array, x: Array) -> Array:
-        return pack(filippov.guard(on_components, t, unpack(x), modes), x.dtype)
+        return pack(filippov.guard(on_components, t, on_components.unpack(x), modes), x.dtype)
 
     values = jax.vmap(guards)(ts, xs)
     return jnp.all(values >= -_ROUNDING * jnp.max(abs(values), axis=0))
@@ -263,6 +265,6 @@ class _Flow(eqx.Module):
             NOTHING,
             kept=self.kept,
         )
-        state = integrate(problem, unpack(x))
+        state = integrate(problem, self.system.unpack(x))
         size = jnp.maximum(pack(state.size, x.dtype), abs(x))
         return pack(state.x, x.dtype), stop_gradient(size), state.num_events, state.result

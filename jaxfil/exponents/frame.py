@@ -16,7 +16,6 @@ from jaxfil.integrate.components import (
     Components,
     ComponentSystem,
     axpy,
-    constant,
     dot,
     is_array,
     where,
@@ -35,12 +34,12 @@ def generic_frame(system: ComponentSystem) -> Frame:
     q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(system.n, system.n)))
     if is_array(zeros(system)):
         return jnp.asarray(q.T, system.dtype)
-    return tuple(constant(column, system.dtype) for column in q.T)
+    return tuple(system.constant(column) for column in q.T)
 
 
 def zeros(system: ComponentSystem) -> Components:
     """A zero for each vector."""
-    return constant(np.zeros(system.n), system.dtype)
+    return system.constant(np.zeros(system.n))
 
 
 def for_each(
@@ -132,9 +131,9 @@ def _norm(v: Components) -> Array:
 def _complement(system: ComponentSystem, done: list[Components]) -> Components:
     """A unit vector orthogonal to orthonormal ones: what they leave of the axis they leave most."""
     eye = np.eye(system.n)
-    best, most = constant(0 * eye[0], system.dtype), jnp.zeros((), system.dtype)
+    best, most = system.constant(0 * eye[0]), jnp.zeros((), system.dtype)
     for j in range(system.n):
-        axis = constant(eye[j], system.dtype)
+        axis = system.constant(eye[j])
         for q in done:
             axis = axpy(axis, -q[j], q)
         square = axis[j]  # a projection's diagonal is the square of its column

@@ -15,7 +15,7 @@ from jaxfil.exponents.card import average_card
 from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
 from jaxfil.exponents.variational import Variation, propagate, vary
 from jaxfil.integrate.compact import is_compact_sweep
-from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.components import build, pack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish
 from jaxfil.integrate.problem import NOTHING, Problem, period_outcome
@@ -162,7 +162,7 @@ def _spectrum(
         state = jax.lax.while_loop(
             lambda state: is_running(grid, state, alone),
             lambda state: advance(problem, state),
-            initial_state(problem, unpack(x0)),
+            initial_state(problem, problem.system.unpack(x0)),
         )
 
         def batch(variation: Variation, stop: Array) -> tuple[Variation, Array]:

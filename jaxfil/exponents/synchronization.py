@@ -19,7 +19,7 @@ from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
 from jaxfil.integrate.compact import is_compact_sweep
-from jaxfil.integrate.components import Components, build, is_array, pack, unpack
+from jaxfil.integrate.components import Components, build, is_array, pack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish, integrate_in_kernel
 from jaxfil.integrate.problem import NOTHING, Problem, period_outcome
@@ -130,7 +130,7 @@ def _settle(
     _, transient, steps = counts
     grid = interval.grid(jnp.maximum(transient, 1), steps)
     problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
-    state = integrate_in_kernel(problem, unpack(x0))
+    state = integrate_in_kernel(problem, problem.system.unpack(x0))
     # A grid needs a step: without a transient one period is run, and forgotten.
     moved = transient > 0
     x = jnp.where(moved, pack(state.x, x0.dtype), x0)
@@ -181,7 +181,7 @@ def _threshold(
             nearest = jnp.where(due, jnp.minimum(nearest, _distance(after.x)), nearest)
             return after, nearest, jnp.where(due, steps, left)
 
-        begun = initial_state(problem, unpack(z))
+        begun = initial_state(problem, pair.unpack(z))
         state, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.x), steps))
         met = (nearest <= tolerance) & (state.result == RESULTS.successful)
         return nearest, RESULTS.where(met, state.result, finish(grid, state).result)
@@ -295,7 +295,9 @@ def _transverse(
     def period(carry: tuple) -> tuple:
         k, z, growth, _ = carry
         grid = interval.grid(jnp.ones_like(steps), steps, transient + k)
-        state = integrate_in_kernel(Problem(pair, tableau_of(stepper), grid, NOTHING), unpack(z))
+        state = integrate_in_kernel(
+            Problem(pair, tableau_of(stepper), grid, NOTHING), pair.unpack(z)
+        )
         end = pack(state.x, x0.dtype)
         distance = _distance(state.x)
         # Below this nothing of the distance is known, and a wrong rate would look like any other.

@@ -28,7 +28,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, unpack, where
+from jaxfil.integrate.components import Components, where
 from jaxfil.integrate.event_free import (
     accept_free_step,
     is_event_free,
@@ -60,7 +60,8 @@ def integrate_batch(
     one of the rows (b, k), its parameters, and one of the states (b, n)."""
 
     def lane(row: Array, x0: Array) -> LoopState:
-        return _integrate_together(problem(row, x0), unpack(x0))
+        own = problem(row, x0)
+        return _integrate_together(own, own.system.unpack(x0))
 
     return jax.vmap(lane, axis_name=_BATCH)(rows, states)
 

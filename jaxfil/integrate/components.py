@@ -4,8 +4,9 @@ A `System` and an initial state enter; a `ComponentSystem` leaves, with static s
 surfaces) and functions on tuples of scalars. In a batch each scalar is one contiguous array of
 lanes, which XLA turns into vector instructions; an (n,) state in the loop would be strided. A state
 of many numbers is one array all the same: written out, its program would grow with n, and the
-array's own numbers fill the vectors. So are the numbers of its surfaces, where they are many and
-have nothing to do with each other (`ComponentSystem.packed`).
+array's own numbers fill the vectors. So is every state in a compact program, which has one lane.
+The numbers of the surfaces are one array too, where they are several and have nothing to do with
+each other (`ComponentSystem.packed`).
 """
 
 import abc
@@ -49,28 +50,20 @@ class SmoothField(eqx.Module):
         """As `ComponentSystem.once`."""
 
 
-# Numbers of a state, and surfaces of such a state, that are components one by one, at most.
-_FEW, _FEW_SURFACES = 12, 2
+# Numbers of a state, and surfaces of a state that is one array, that are components one by one, at
+# most: in a program that is written out, and in a compact one.
+_FEW, _FEW_SURFACES = (12, 2), (1, 1)
 
 
-def unpack(x: Array) -> Components:
-    """The components of a state, shape (n,)."""
-    return _split(x)
-
-
-def _split(numbers: Any) -> tuple:
-    """Numbers in an (n,) array as the components of a state are held: see `_FEW`."""
-    return (numbers,) if len(numbers) > _FEW else tuple(numbers[i] for i in range(len(numbers)))
+def _unpacked(numbers: Any, compact: bool) -> tuple:
+    """Numbers in an (n,) array as the components of a state are held."""
+    few = _FEW[compact]
+    return (numbers,) if len(numbers) > few else tuple(numbers[i] for i in range(len(numbers)))
 
 
 def scalars(x: Array) -> Components:
     """The numbers of an (n,) array, of the modes of m surfaces say."""
     return tuple(x[i] for i in range(x.shape[0]))
-
-
-def constant(numbers: np.ndarray, dtype: Any) -> Components:
-    """The components of a state of known numbers, shape (n,)."""
-    return tuple(jnp.asarray(v, dtype) for v in _split(numbers))
 
 
 def pack(components: Components, dtype: Any) -> Array:
@@ -173,8 +166,8 @@ class ComponentSystem(eqx.Module):
     """Whether its program is to be small: see `compact`. Sines are then one operation each, and
     none of them is found ahead."""
     packed: bool = eqx.field(static=True)
-    """Whether what there is of each surface is one array, (m,): of many surfaces of a large state
-    that are separate, share no number of it, and have no reset."""
+    """Whether what there is of each surface is one array, (m,): of several surfaces of a state that
+    is one array, that are separate, share no number of it, and have no reset."""
     _field: Any
     _switching: Any
     _reset: Any
@@ -262,6 +255,14 @@ class ComponentSystem(eqx.Module):
         """The state after an impact on `surface`."""
         return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
 
+    def unpack(self, x: Array) -> Components:
+        """The components of a state, shape (n,)."""
+        return _unpacked(x, self.compact)
+
+    def constant(self, numbers: np.ndarray) -> Components:
+        """The components of a state of known numbers, shape (n,)."""
+        return tuple(jnp.asarray(v, self.dtype) for v in _unpacked(numbers, self.compact))
+
     @property
     def surfaces(self) -> range:
         """The components of what there is of each surface: m of them, or one array."""
@@ -297,7 +298,7 @@ def build(system: System, x0: Array, *, compact: bool, transposed: bool = False)
     _check_sharding(x0)
     h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
-    if len(x0) > _FEW and m > _FEW_SURFACES and not has_resets(system):
+    if len(x0) > _FEW[compact] and m > _FEW_SURFACES[compact] and not has_resets(system):
         packed = _build(system, x0, compact, transposed, h_shape, packed=True)
         if packed.structure.separate and packed.structure.members is not None:
             return packed
@@ -314,11 +315,11 @@ def _build(
 ) -> ComponentSystem:
     """`build`, with surfaces as one array, if they are `packed` and that can be."""
     n, dtype = x0.shape[0], x0.dtype
-    t0, x = jnp.zeros((), dtype), unpack(x0)
+    t0, x = jnp.zeros((), dtype), _unpacked(x0, compact)
     m = 1 if h_shape == () else h_shape[0]
     resets = has_resets(system) and m > 0
     leaves, static = eqx.partition(system, eqx.is_array)
-    field, switching, reset = _on_components(static, h_shape, dtype, packed)
+    field, switching, reset = _on_components(static, h_shape, dtype, compact, packed)
     sides = (jnp.ones((m,), dtype),) if packed else (jnp.ones((), dtype),) * m
     traced = ft.partial(Traced, transposed=transposed, fast=not compact)
     when = None if compact else (FIRST, EARLY, LATE, LATE)
@@ -328,7 +329,7 @@ def _build(
     found = structure.of(
         (traced_field, traced_switching),
         jax.tree.map(lambda _: False, (leaves, t0)),
-        [_split(row) for row in np.eye(n, dtype=bool)],
+        [_unpacked(row, compact) for row in np.eye(n, dtype=bool)],
         [(row,) if packed else tuple(row) for row in np.eye(m, dtype=bool)],
     )
     opaque_one, fence = _fences(leaves, x0)
@@ -380,7 +381,7 @@ def _check_derivatives(**functions: Traced) -> None:
 
 
 def _on_components(
-    static: System, h_shape: tuple[int, ...], dtype: Any, packed: bool
+    static: System, h_shape: tuple[int, ...], dtype: Any, compact: bool, packed: bool
 ) -> tuple[Callable, Callable, Callable]:
     """The field, the switching function and the reset of a system as functions of its array leaves
     and of components."""
@@ -388,7 +389,8 @@ def _on_components(
 
     def field(leaves: System, t: Array, x: Components, sides: Components) -> Components:
         side = sides[0] if h_shape == () else pack(sides, dtype)
-        return unpack(eqx.combine(leaves, static).vector_field(t, pack(x, dtype), side))
+        f = eqx.combine(leaves, static).vector_field(t, pack(x, dtype), side)
+        return _unpacked(f, compact)
 
     def switching(leaves: System, t: Array, x: Components) -> Components:
         h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
@@ -396,7 +398,7 @@ def _on_components(
         return (h,) if packed else scalars(h)
 
     def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
-        return unpack(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface))
+        return _unpacked(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface), compact)
 
     return field, switching, reset
 

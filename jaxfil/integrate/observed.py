@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate import clocks
-from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.components import build, pack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import SavedStates
@@ -119,7 +119,7 @@ def observed(
         t, x = jnp.where(reached, t, problem.grid.t0), jnp.where(reached, x, x0)
         mode = jnp.where(reached, mode.astype(x.dtype), 1.0)
         here = clocks.just_after(around, t).system
-        rate = ModeField(here, here.of_surfaces(mode))(t, unpack(jnp.concatenate([x, more])))
+        rate = ModeField(here, here.of_surfaces(mode))(t, here.unpack(jnp.concatenate([x, more])))
         return jnp.where(reached, pack(rate, x.dtype)[n:], jnp.inf).reshape(observable.shape)
 
     return jax.vmap(value)(at.ts, at.xs, at.modes)

@@ -24,12 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.components import (
-    Components,
-    SmoothField,
-    axpy,
-    is_array,
-)
+from jaxfil.integrate.components import Components, SmoothField, axpy, is_array, scalars
 from jaxfil.xla.small_linear import Factors, factored
 
 
@@ -147,6 +142,20 @@ class _LargeFactors(eqx.Module):
         return [jax.scipy.linalg.lu_solve(self.lu, right[0])]
 
 
+class _StackedFactors(eqx.Module):
+    """Those of a small matrix, of a state that is one array."""
+
+    factors: Factors
+
+    def solve(self, right: Sequence[Array]) -> list[Array]:
+        """x of A x = b."""
+        return [jnp.stack(self.factors.solve(scalars(right[0])))]
+
+
+# Rows of a matrix that is factored number by number, at most.
+_FEW = 12
+
+
 class _Linearised(eqx.Module):
     """A step's start, with what all its stages share."""
 
@@ -155,7 +164,7 @@ class _Linearised(eqx.Module):
     f: Components
     """The field there."""
     h: Array
-    factors: Factors | _LargeFactors
+    factors: Factors | _StackedFactors | _LargeFactors
     """Of I − γhJ."""
     drift: Components
     """h ∂F/∂t."""
@@ -182,8 +191,11 @@ def _linearised(
     drift = push(one, tuple(map(jnp.zeros_like, x)))
     if is_array(x):
         eye = jnp.eye(x[0].shape[0], dtype=t.dtype)
-        columns = jax.vmap(lambda v: push(zero, (v,))[0], out_axes=1)(eye)
-        factors = _LargeFactors(jax.scipy.linalg.lu_factor(eye - gamma * h * columns))
+        matrix = eye - gamma * h * jax.vmap(lambda v: push(zero, (v,))[0], out_axes=1)(eye)
+        if len(eye) > _FEW:
+            factors = _LargeFactors(jax.scipy.linalg.lu_factor(matrix))
+        else:
+            factors = _StackedFactors(factored([list(scalars(row)) for row in matrix]))
         return _Linearised(t, x, f, h, factors, tuple(h * v for v in drift))
     columns = [push(zero, tuple(one if i == k else zero for i in range(n))) for k in range(n)]
     matrix = [

@@ -19,7 +19,6 @@ from jaxfil.integrate.components import (
     ParametrizedFunction,
     dot,
     pack,
-    unpack,
 )
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.second_order import beyond_newton_to
@@ -71,7 +70,7 @@ def watch_sections(
     """The sections of a run from states shaped like `x0`, shape (n,); None if there are none."""
     if not sections:
         return None
-    t0, x = jnp.zeros((), x0.dtype), unpack(x0)
+    t0, x = jnp.zeros((), x0.dtype), system.unpack(x0)
     functions = []
     for section in sections:
         leaves, static = eqx.partition(cast(section.function, x0.dtype), eqx.is_array)

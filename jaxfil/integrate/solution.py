@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxfil.integrate.components import Components, ComponentSystem, build, pack, unpack
+from jaxfil.integrate.components import Components, ComponentSystem, build, pack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.solution_arrays import solution_arrays
 from jaxfil.integrate.state import CrossingTable, EventTable
@@ -217,7 +217,7 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
     system = build(dense.system, dense.xs[i], compact=dense.compact)
     field = ModeField(system, system.of_surfaces(dense.modes[i].astype(dtype)))
-    start, x = dense.ts[i], unpack(dense.xs[i])
+    start, x = dense.ts[i], system.unpack(dense.xs[i])
     end = step_again(dense, system, field, start, x, t - start)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
     return jnp.where(reached, pack(end, dtype), jnp.nan)

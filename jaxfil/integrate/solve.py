@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.compact import is_compact_run
-from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.components import build, pack
 from jaxfil.integrate.loop import integrate, integrate_with_checkpoints
 from jaxfil.integrate.observed import Observable, Observe, checked_observable, observed
 from jaxfil.integrate.options import (
@@ -202,12 +202,14 @@ def _solve(
     ended = ft.partial(_solution, problem, options, system, x0, stepper, observable)
     if options.reverse:
         assert options.budget is not None
-        state = integrate_with_checkpoints(problem, unpack(x0), options.budget, options.checkpoints)
+        state = integrate_with_checkpoints(
+            problem, field.unpack(x0), options.budget, options.checkpoints
+        )
         return ended(_ended(problem, state))
     # In the kernel with what the outcome makes of the end: its derivatives then need no values from
     # elsewhere, and a Jacobian compiles and runs one kernel, not two.
     run = kernel_if_it_fits(lambda x: _ended(problem, integrate(problem, x)), problem.compact)
-    return ended(run(unpack(x0)))
+    return ended(run(field.unpack(x0)))
 
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:

@@ -9,6 +9,7 @@ The words of this room:
 - closing: the equations of an orbit, every arc ends where the next one starts.
 - phase condition: picks one of the states of an autonomous orbit, which may start anywhere.
 - setting: a system and a period, for given global unknowns.
+- affine: what depends on some unknowns, to first order: one program whatever they are (`affine`).
 - monodromy: the derivative of the flow map over a period; its eigenvalues are the multipliers.
 - branch: the orbits as a parameter varies; a `Curve` in the space of all unknowns.
 - predictor: the guess of the next point on a curve, a step along the tangent.

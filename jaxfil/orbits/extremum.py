@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.components import build, pack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.solution import Dense, step_again
 from jaxfil.orbits.regula_falsi import zero_between
@@ -48,7 +48,7 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
     def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
         """State, value and rate of change after a part h of a step."""
         field = ModeField(system, system.of_surfaces(start.mode.astype(dtype)))
-        end = step_again(dense, system, field, start.t, unpack(start.x), h)
+        end = step_again(dense, system, field, start.t, system.unpack(start.x), h)
         t, f = start.t + h, pack(field(start.t + h, end), dtype)
         x = pack(end, dtype)
         value, rate = jax.jvp(function, (t, x), (jnp.ones_like(t), f))

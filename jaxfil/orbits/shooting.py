@@ -15,7 +15,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.components import build, pack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import integrate, integrate_in_kernel
 from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid, period_outcome
@@ -92,7 +92,7 @@ def shoot(
             length = period / options.arcs
             t0 = options.t0 + number * length
             problem = options.problem(system, z[:n], t0, length, options.arcs)
-            state = integrate(problem, unpack(z[:n]))
+            state = integrate(problem, problem.system.unpack(z[:n]))
             x, size = pack(state.x, z.dtype), pack(state.size, z.dtype)
             mode = pack(state.first_mode, z.dtype).astype(jnp.int8)
             more = (x, size, state.table, state.num_events, mode, state.result)
@@ -167,7 +167,7 @@ def flow_map(
         arcs = max(1, round(1 / part))
         problem = options.problem(system, x, options.t0 + number * length, length, arcs)
         problem = dataclasses.replace(problem, recording=NOTHING)
-        state = integrate_in_kernel(problem, unpack(x))
+        state = integrate_in_kernel(problem, problem.system.unpack(x))
         return jnp.where(state.result == RESULTS.successful, pack(state.x, x.dtype), x)
 
     return forward
@@ -178,4 +178,4 @@ def velocity(setting: Setting, options: ShootingOptions, x0: Float[Array, " n"],
     system, period = setting(q)
     problem = options.problem(system, x0, options.t0, period, options.arcs)
     problem = dataclasses.replace(problem, recording=NOTHING)
-    return pack(initial_state(problem, unpack(x0)).f, x0.dtype)
+    return pack(initial_state(problem, problem.system.unpack(x0)).f, x0.dtype)

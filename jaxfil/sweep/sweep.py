@@ -18,7 +18,6 @@ from jaxtyping import Array
 
 from jaxfil.integrate.batch_loop import integrate_batch
 from jaxfil.integrate.compact import is_compact_sweep
-from jaxfil.integrate.components import unpack
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.observed import Observable, Observe
 from jaxfil.integrate.problem import period_outcome
@@ -354,7 +353,8 @@ def _run(
     periods = jax.vmap(lambda row: at_point(system, names, row)[1])(rows)
 
     def lane(row: Array, x0: Array) -> tuple[SavedStates, RESULTS, Array]:
-        return sampling.outcome(integrate(problem(row, x0), unpack(x0)))
+        own = problem(row, x0)
+        return sampling.outcome(integrate(own, own.system.unpack(x0)))
 
     def block(rows: Array, states: Array) -> tuple[SavedStates, RESULTS, Array]:
         return sampling.outcome(integrate_batch(problem, rows, states))

@@ -15,6 +15,7 @@ The words of this room:
 - forward Jacobian: the derivatives of all results by all arguments, a column for each number that
   moves; transposed, it is the reverse mode of loops (`forward_jacobian`).
 - pushforward: results together with their tangents, in one run (`pushforward`).
+- known: not traced; outside of every transformation verbs share compiled functions (`known`).
 - masked write: an entry of a table, written by those lanes that have one (`masked_write`).
 - disk cache: compiled programs kept for later processes (`disk_cache`).
 - range reduction: what brings the argument of a sine within a quarter of a turn (`fast_trig`).

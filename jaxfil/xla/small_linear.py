@@ -23,7 +23,7 @@ def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> li
     system (the same surface listed twice) then still gets a solution."""
     k = len(right)
     if k > _WRITTEN_OUT:
-        found = _substituted(_eliminated_array(_equilibrated_array(matrix, right)))
+        found, _ = _reduced(_equilibrated_array(matrix, right))
         return [found[i] for i in range(k)]
     rows = [_equilibrated([*row, b]) for row, b in zip(matrix, right, strict=True)]
     rows = _eliminated(rows, k)
@@ -41,8 +41,8 @@ def size_of_determinant(matrix: Sequence[Sequence[Array]]) -> Array:
     k = len(matrix)
     scales = [_scale(row) for row in matrix]
     if k > _WRITTEN_OUT:
-        upper = _eliminated_array(_equilibrated_array(matrix, scales))
-        pivots = [upper[i, i] for i in range(k)]
+        _, found = _reduced(_equilibrated_array(matrix, scales))
+        pivots = [found[i] for i in range(k)]
     else:
         rows = _eliminated([_equilibrated([*row, row[0]])[:k] for row in matrix], k)
         pivots = [row[i] for i, row in enumerate(rows)]
@@ -60,37 +60,28 @@ def _equilibrated_array(matrix: Sequence[Sequence[Array]], right: Sequence[Array
     return rows / jnp.where(scale == 0, 1, scale)
 
 
-def _eliminated_array(rows: Array) -> Array:
-    """`_eliminated` of an array, column by column. Rows are chosen by sums of ones and zeros, not
-    by their number: lanes that choose others then run side by side."""
-    number = jnp.arange(len(rows))
+def _reduced(rows: Array) -> tuple[Array, Array]:
+    """x and the pivots of a system with its right-hand side in the last column, by Gauss and
+    Jordan's elimination, column by column. Rows are chosen by sums of ones and zeros, not by their
+    number: lanes that choose others then run side by side."""
+    k = len(rows)
+    number, columns = jnp.arange(k), jnp.arange(k + 1)
 
-    def column(i: Array, rows: Array) -> Array:
-        entries = jnp.sum(jnp.where(jnp.arange(rows.shape[1]) == i, rows, 0), axis=1)
+    def column(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        rows, pivots = carry
+        entries = jnp.sum(jnp.where(columns == i, rows, 0), axis=1)
         best = jnp.argmax(jnp.where(number >= i, abs(entries), -1))
-        here, there = ((number == k)[:, None] for k in (i, best))
+        here, there = ((number == r)[:, None] for r in (i, best))
         upper, lower = (jnp.sum(jnp.where(flag, rows, 0), axis=0) for flag in (there, here))
-        rows = jnp.where(here, upper, jnp.where(there, lower, rows))
-        entries = jnp.sum(jnp.where(jnp.arange(rows.shape[1]) == i, rows, 0), axis=1)
-        pivot = jnp.sum(jnp.where(number == i, entries, 0))
-        factor = jnp.where(number > i, _quotient(entries, pivot), 0)
-        return rows - factor[:, None] * upper
+        pivot = jnp.sum(jnp.where(columns == i, upper, 0))
+        upper = _quotient(upper, pivot)
+        rows = jnp.where(there, lower, rows)
+        entries = jnp.sum(jnp.where(columns == i, rows, 0), axis=1)
+        rows = jnp.where(here, upper, rows - entries[:, None] * upper)
+        return rows, jnp.where(number == i, pivot, pivots)
 
-    return jax.lax.fori_loop(0, len(rows), column, rows)
-
-
-def _substituted(rows: Array) -> Array:
-    """x of the upper triangular system with its right-hand side in the last column."""
-    number, k = jnp.arange(len(rows)), len(rows)
-
-    def unknown(count: Array, x: Array) -> Array:
-        i = k - 1 - count
-        row = jnp.sum(jnp.where((number == i)[:, None], rows, 0), axis=0)
-        pivot = jnp.sum(jnp.where(number == i, row[:-1], 0))
-        rest = row[-1] - jnp.sum(jnp.where(number > i, row[:-1] * x, 0))
-        return jnp.where(number == i, _quotient(rest, pivot), x)
-
-    return jax.lax.fori_loop(0, k, unknown, jnp.zeros_like(rows[:, -1]))
+    rows, pivots = jax.lax.fori_loop(0, k, column, (rows, jnp.zeros_like(rows[:, -1])))
+    return rows[:, -1], pivots
 
 
 def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:

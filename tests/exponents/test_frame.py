@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil.exponents.frame import generic_frame, gram_schmidt
-from jaxfil.integrate.components import build, constant
+from jaxfil.integrate.components import build
 from tests.exponents.test_lyapunov import ONCE, Linear, MovingTable
 from tests.integrate.test_large_state import MORE, padded, wide
 
@@ -21,7 +21,7 @@ def orthonormalised(vectors, dropped=False):
     system = build(Linear(jnp.eye(n)), jnp.ones(n), compact=False)
     frame = jnp.asarray(vectors)
     if isinstance(generic_frame(system), tuple):
-        frame = tuple(constant(row, frame.dtype) for row in np.asarray(vectors))
+        frame = tuple(system.constant(row) for row in np.asarray(vectors))
     found, logs = jax.jit(lambda frame: gram_schmidt(system, frame, jnp.asarray(dropped)))(frame)
     return np.array(found), np.ravel(logs)
 

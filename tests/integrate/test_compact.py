@@ -41,7 +41,8 @@ def test_grade_follows_from_the_lanes():
 
 
 def test_orbits_of_both_grades_agree():
-    belt = jf.systems.BeltFriction()
+    # A stable orbit: after a chaotic transient rounding would decide which one is found.
+    belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=12.0)
     compact, written = (
         jf.periodic_orbit(belt, X0, transient=100, compact=grade) for grade in (True, False)
     )

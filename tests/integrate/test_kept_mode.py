@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil.integrate.components import build, pack, unpack
+from jaxfil.integrate.components import build, pack
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.problem import NOTHING, KeptMode, Problem, even_grid
 from jaxfil.integrate.stepper import tableau_of
@@ -56,7 +56,7 @@ def run(system, x0, mode, on, compact):
         NOTHING,
         kept=KeptMode(on_components.of_surfaces(jnp.asarray([mode])), jnp.asarray(on)),
     )
-    return integrate(problem, unpack(x0))
+    return integrate(problem, on_components.unpack(x0))
 
 
 def on_side(side):
