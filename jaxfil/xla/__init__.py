@@ -4,6 +4,7 @@ Nothing here knows what a nonsmooth system is.
 
 The words of this room:
 
+- program: the operations of a function of arrays, as JAX has traced them (`program`).
 - kernel: a program that XLA's CPU backend compiles into one function, loops included, instead of
   one for each of their parts, which would have to be started one by one (`kernel`).
 - block: so many lanes that share a kernel, few enough for their numbers to stay in the first-level

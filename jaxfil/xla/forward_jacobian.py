@@ -16,10 +16,9 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.extend.core as jexc
-import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
+from jaxfil.xla.program import opened, operations
 from jaxfil.xla.pushforward import Lane, Make, Spread, bind, is_real
 
 
@@ -42,20 +41,6 @@ def by_forward_jacobian(function: Callable) -> Callable:
     return call
 
 
-def opened(function: Callable, args: tuple) -> tuple[Any, list, Any]:
-    """The program of a function, which takes what the function has closed over as arguments; the
-    values that it takes, and the structure of what its results stand for."""
-    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-    # A constant inside of a kernel would be written out in its code, and a tracer that the function
-    # has closed over would be taken for one lane's number in a batch: both become arguments.
-    inner = closed.jaxpr
-    program = jexc.ClosedJaxpr(
-        inner.replace(constvars=(), invars=[*inner.constvars, *inner.invars]), ()
-    )
-    values = [*map(jnp.asarray, (*closed.consts, *jax.tree.leaves(args)))]
-    return program, values, jax.tree.structure(shapes)
-
-
 def all_or_none(program: Any) -> Spread:
     """All results of a program are those of a batch if any of its arguments is."""
     return lambda batched: [any(batched)] * len(program.out_avals)
@@ -63,7 +48,7 @@ def all_or_none(program: Any) -> Spread:
 
 def plainly(program: Any, _: Spread) -> Callable:
     """A program that closes over nothing, as a function."""
-    return jexc.jaxpr_as_fun(program)
+    return operations(program)
 
 
 def with_derivatives(program: Any, spread: Spread, make: Make) -> Callable:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.extend.core as jexc
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
@@ -19,7 +18,8 @@ from jaxtyping import Array
 
 from jaxfil.xla.compiler import WHOLE, makes_whole_kernels
 from jaxfil.xla.fits import LARGE, fits
-from jaxfil.xla.forward_jacobian import all_or_none, opened, plainly, with_derivatives
+from jaxfil.xla.forward_jacobian import all_or_none, plainly, with_derivatives
+from jaxfil.xla.program import call_of, opened, operations
 
 
 class DoesNotFitError(Exception):
@@ -41,7 +41,7 @@ def one_kernel(function: Callable) -> Callable:
 
 def _kernel_of(program: Any) -> Callable:
     """A program that closes over nothing, as a function of its arguments and a single kernel."""
-    run = jexc.jaxpr_as_fun(program)
+    run = call_of(program)
 
     def call(*values: Any) -> Any:
         # The barrier keeps the number made of all arguments alive, which nobody else uses: XLA
@@ -124,7 +124,7 @@ def _whole(program: Any, spread: Callable, lanes: int, alone: int) -> Callable:
     """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
     results are a batch's if some of its arguments are. A batch of any of the first `alone` ones is
     run one by one."""
-    run, outs = jexc.jaxpr_as_fun(program), program.out_avals
+    run, outs = operations(program), program.out_avals
     # A kernel under `vmap` or `jvp` would be taken apart by JAX's own rules, and its parts put
     # together again by XLA as it likes. Here the batch, and the tangents, are a kernel again.
     whole = custom_vmap(_kernel_of(program))

@@ -20,6 +20,8 @@ import numpy as np
 from jax.interpreters import ad, batching, mlir, partial_eval as pe
 from jaxtyping import Array
 
+from jaxfil.xla.program import operations
+
 # In jax.core until JAX 0.8.
 _traces: Any = jexc if hasattr(jexc, "set_current_trace") else jax.core
 
@@ -165,7 +167,7 @@ def _shapes(base: Any, moving: Sequence[int]) -> list[jax.ShapeDtypeStruct]:
 
 def _joint(base: Any, moving: tuple[int, ...]) -> Any:
     """The program of results and tangents, as the values numbered `moving` move."""
-    run, count = jexc.jaxpr_as_fun(base), len(base.in_avals)
+    run, count = operations(base), len(base.in_avals)
 
     def both(*given: Any) -> list:
         values, rates = given[:count], given[count:]
