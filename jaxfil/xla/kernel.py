@@ -11,15 +11,17 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.extend.core as jexc
 import jax.numpy as jnp
-from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
+from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
 from jaxfil.xla.compiler import WHOLE, makes_whole_kernels
 from jaxfil.xla.fits import LARGE, fits
 from jaxfil.xla.forward_jacobian import all_or_none, plainly, with_derivatives
 from jaxfil.xla.program import call_of, opened, operations
+from jaxfil.xla.pushforward import Spread, rows_of
 
 
 class DoesNotFitError(Exception):
@@ -120,39 +122,56 @@ def kernel_if_it_fits(function: Callable, one_by_one: bool = False) -> Callable:
     return call
 
 
-def _whole(program: Any, spread: Callable, lanes: int, alone: int) -> Callable:
+def _whole(program: Any, spread: Spread, lanes: int, alone: int) -> Callable:
     """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
     results are a batch's if some of its arguments are. A batch of any of the first `alone` ones is
     run one by one."""
-    run, outs = operations(program), program.out_avals
-    # A kernel under `vmap` or `jvp` would be taken apart by JAX's own rules, and its parts put
-    # together again by XLA as it likes. Here the batch, and the tangents, are a kernel again.
-    whole = custom_vmap(_kernel_of(program))
+    return ft.partial(kernel_p.bind, program=program, spread=spread, lanes=lanes, alone=alone)
 
-    @whole.def_vmap
-    def batch(axis_size: int, batched: Any, *values: Any) -> tuple:
-        spreads = spread(batched)
-        if axis_size == 0:  # there is no lane to run, and none to take a result's shape from
-            shapes = [
-                ((0,) if flag else ()) + v.shape for v, flag in zip(outs, spreads, strict=True)
-            ]
-            return [
-                jnp.zeros(shape, v.dtype) for v, shape in zip(outs, shapes, strict=True)
-            ], spreads
-        if any(batched[:alone]):
-            return _one_by_one(whole, batched, values), spreads
-        axes, out_axes = ([0 if flag else None for flag in flags] for flags in (batched, spreads))
-        # A batch of batches counts all its lanes: more than a block does not stay in the cache.
-        rows = min(axis_size, max(1, _BLOCK // lanes))
-        several = jax.vmap(run, axes, out_axes, axis_size=rows)
-        some = [v[:rows] if flag else v for v, flag in zip(values, batched, strict=True)]
-        together = jax.make_jaxpr(several)(*some)
-        if not fits(together.jaxpr):  # sums that are long enough in a batch
-            return jax.vmap(run, axes, out_axes, axis_size=axis_size)(*values), spreads
-        block = _whole(together, spread, lanes * rows, alone)
-        return in_turns(block, batched, spreads, axis_size, rows)(*values), spreads
 
-    return whole
+# A kernel under `vmap` would be taken apart by JAX's own rules, and its parts put together again by
+# XLA as it likes. Here the batch is a kernel again. (Tangents are too: see `pushforward`.) And what
+# is put into a batch at once is not traced as one lane before.
+kernel_p = jexc.Primitive("kernel")
+kernel_p.multiple_results = True
+
+
+def _run(*values: Any, program: Any, **_: Any) -> Any:
+    return _kernel_of(program)(*values)
+
+
+def _abstract(*_: Any, program: Any, **__: Any) -> list:
+    return program.out_avals
+
+
+def _batch(
+    args: Any, dims: Any, *, program: Any, spread: Spread, lanes: int, alone: int
+) -> tuple[list, list]:
+    size, batched, values = rows_of(args, dims)
+    spreads = spread(batched)
+    out_axes = [0 if flag else None for flag in spreads]
+    if size == 0:  # there is no lane to run, and none to take a result's shape from
+        outs = zip(program.out_avals, spreads, strict=True)
+        return [jnp.zeros(((0,) if flag else ()) + v.shape, v.dtype) for v, flag in outs], out_axes
+    if any(batched[:alone]):
+        whole = _whole(program, spread, lanes, alone)
+        return _one_by_one(whole, batched, values), out_axes
+    run, axes = operations(program), [0 if flag else None for flag in batched]
+    # A batch of batches counts all its lanes: more than a block does not stay in the cache.
+    rows = min(size, max(1, _BLOCK // lanes))
+    several = jax.vmap(run, axes, out_axes, axis_size=rows)
+    some = [v[:rows] if flag else v for v, flag in zip(values, batched, strict=True)]
+    together = jax.make_jaxpr(several)(*some)
+    if not fits(together.jaxpr):  # sums that are long enough in a batch
+        return jax.vmap(run, axes, out_axes, axis_size=size)(*values), out_axes
+    block = _whole(together, spread, lanes * rows, alone)
+    return in_turns(block, batched, spreads, size, rows)(*values), out_axes
+
+
+kernel_p.def_impl(_run)
+kernel_p.def_abstract_eval(_abstract)
+batching.primitive_batchers[kernel_p] = _batch
+mlir.register_lowering(kernel_p, mlir.lower_fun(_run, multiple_results=True))
 
 
 def _one_by_one(function: Callable, batched: Sequence[bool], values: Sequence[Any]) -> Any:

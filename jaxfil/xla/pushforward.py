@@ -291,10 +291,16 @@ def _jvp(primals: Any, tangents: Any, *, push: Push, **_: Any) -> tuple[list, li
     ]
 
 
-def _batch(args: Any, dims: Any, *, push: Push, **_: Any) -> tuple[list, list]:
+def rows_of(args: Any, dims: Any) -> tuple[int, list[bool], list]:
+    """The size of a batch, which of its arguments have rows, and the arguments, rows first."""
     (size,) = {v.shape[d] for v, d in zip(args, dims, strict=True) if d is not None}
     rows = [v if d is None else jnp.moveaxis(v, d, 0) for v, d in zip(args, dims, strict=True)]
-    several = Batch(push, tuple(None if d is None else 0 for d in dims), size)
+    return size, [d is not None for d in dims], rows
+
+
+def _batch(args: Any, dims: Any, *, push: Push, **_: Any) -> tuple[list, list]:
+    size, batched, rows = rows_of(args, dims)
+    several = Batch(push, tuple(0 if flag else None for flag in batched), size)
     out, tangents = bind(several, rows[: push.count], rows[push.count :])
     return [*out, *tangents], [*itertools.chain(*several.out_axes)]
 
