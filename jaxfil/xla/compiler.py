@@ -15,6 +15,8 @@ from jaxlib import version as jaxlib_version
 
 WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 """The attributes of a call that XLA neither inlines nor splits."""
+PARTS = dict.fromkeys(WHOLE)
+"""What takes these back, for they are those of the call, not of what it calls."""
 
 # Earlier ones split loops over 64 lanes among threads inside of a kernel too, by a function that
 # kernels are not linked with, and end the process.
@@ -45,8 +47,7 @@ def _probe(x: Any) -> Any:
 
 
 def _loops(x: Any) -> Any:
-    # The attributes are those of the call, not of what it calls.
-    with set_xla_metadata(**dict.fromkeys(WHOLE)):
+    with set_xla_metadata(**PARTS):
         x = jax.lax.while_loop(lambda x: x < 3, lambda x: x + jnp.cos(x), x)
         return jax.lax.while_loop(lambda x: x < 7, lambda x: x + jnp.sin(x), jnp.sqrt(x))
 

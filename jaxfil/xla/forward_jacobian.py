@@ -12,14 +12,13 @@ each number that moves, and ẏ and v̄ = Jᵀ ȳ are products with J. That take
 run, and the work of as many tangents as numbers move.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-from jax.custom_derivatives import SymbolicZero
 
 from jaxfil.xla.program import opened, operations
-from jaxfil.xla.pushforward import Lane, Make, Spread, bind, is_real
+from jaxfil.xla.pushforward import Lane, Make, Spread, bind
 
 
 def by_forward_jacobian(function: Callable) -> Callable:
@@ -35,15 +34,9 @@ def by_forward_jacobian(function: Callable) -> Callable:
 
     def call(*args: Any) -> Any:
         program, values, tree = opened(function, args)
-        run = with_derivatives(program, all_or_none(program), plainly)
-        return jax.tree.unflatten(tree, run(*values))
+        return jax.tree.unflatten(tree, with_derivatives(program, plainly)(*values))
 
     return call
-
-
-def all_or_none(program: Any) -> Spread:
-    """All results of a program are those of a batch if any of its arguments is."""
-    return lambda batched: [any(batched)] * len(program.out_avals)
 
 
 def plainly(program: Any, _: Spread) -> Callable:
@@ -51,26 +44,14 @@ def plainly(program: Any, _: Spread) -> Callable:
     return operations(program)
 
 
-def with_derivatives(program: Any, spread: Spread, make: Make) -> Callable:
+def with_derivatives(program: Any, make: Make) -> Callable:
     """A program that closes over nothing as the function that `make` makes of it, with both modes;
-    so are its derivatives."""
-    whole = jax.custom_jvp(make(program, spread))
+    so are its derivatives. All of its results are those of a batch if any of its arguments is."""
 
-    def push(values: tuple, tangents: tuple) -> tuple:
-        # What does not move adds nothing to the program: a Jacobian by x0 alone carries no rates of
-        # the parameters.
-        moving = tuple(k for k, v in enumerate(tangents) if not isinstance(v, SymbolicZero))
-        if not moving:
-            out = whole(*values)
-            return out, list(map(_still, out))
-        lane = Lane.of(program, moving, spread, make)
-        out, found = bind(lane, values, [tangents[k] for k in moving])
-        rates = iter(found)
-        return out, [next(rates) if is_real(v) else _still(v) for v in out]
+    def spread(batched: Sequence[bool]) -> list[bool]:
+        return [any(batched)] * len(program.out_avals)
 
-    whole.defjvp(push, symbolic_zeros=True)
-    return whole
-
-
-def _still(value: Any) -> SymbolicZero:
-    return SymbolicZero(jax.typeof(value).to_tangent_aval())
+    # Where nothing moves yet there are no tangents. This too is the primitive: it is traced when it
+    # is compiled, and not at all if it is only the beginning of a derivative.
+    still = Lane.of(program, (), spread, make)
+    return lambda *values: bind(still, values, [])[0]

@@ -17,9 +17,9 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
-from jaxfil.xla.compiler import WHOLE, makes_whole_kernels
+from jaxfil.xla.compiler import PARTS, WHOLE, makes_whole_kernels
 from jaxfil.xla.fits import LARGE, fits
-from jaxfil.xla.forward_jacobian import all_or_none, plainly, with_derivatives
+from jaxfil.xla.forward_jacobian import plainly, with_derivatives
 from jaxfil.xla.program import call_of, opened, operations
 from jaxfil.xla.pushforward import Spread, rows_of
 
@@ -78,8 +78,7 @@ def kernel_of_all(function: Callable) -> Callable:
         return function
 
     def inside(*args: Any) -> Any:
-        # The attributes are those of the call, not of what it calls.
-        with set_xla_metadata(**dict.fromkeys(WHOLE)):
+        with set_xla_metadata(**PARTS):
             return function(*args)
 
     def call(*args: Any) -> Any:
@@ -116,8 +115,7 @@ def kernel_if_it_fits(function: Callable, one_by_one: bool = False) -> Callable:
         # What derivatives add to the arguments of a program are rates, the last ones of theirs.
         alone = len(values) if one_by_one else 0
         make = ft.partial(_whole, lanes=1, alone=alone) if whole else plainly
-        run = with_derivatives(program, all_or_none(program), make)
-        return jax.tree.unflatten(tree, run(*values))
+        return jax.tree.unflatten(tree, with_derivatives(program, make)(*values))
 
     return call
 

@@ -17,9 +17,11 @@ import jax.core
 import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.xla_metadata import set_xla_metadata
 from jax.interpreters import ad, batching, mlir, partial_eval as pe
 from jaxtyping import Array
 
+from jaxfil.xla.compiler import PARTS
 from jaxfil.xla.program import operations
 
 # In jax.core until JAX 0.8.
@@ -218,7 +220,9 @@ class Batch(Push):
     def outs(self) -> tuple[list, list]:
         def wide(shapes: list, axes: list) -> list:
             return [
-                v if axis is None else jax.ShapeDtypeStruct((self.size, *v.shape), v.dtype)
+                v
+                if axis is None
+                else jax.core.ShapedArray((self.size, *v.shape), v.dtype, weak_type=v.weak_type)
                 for v, axis in zip(shapes, axes, strict=True)
             ]
 
@@ -271,23 +275,31 @@ def bind(push: Push, values: Sequence[Any], rates: Sequence[Any]) -> tuple[list,
 
 
 def _forward(*args: Any, push: Push, **_: Any) -> list:
-    return [*itertools.chain(*push.forward(args[: push.count], args[push.count :]))]
+    # Of a kernel that this may be in: what is traced here is no call of its.
+    with set_xla_metadata(**PARTS):
+        return [*itertools.chain(*push.forward(args[: push.count], args[push.count :]))]
 
 
-def _abstract(*args: Any, push: Push, **_: Any) -> list:
-    return [jax.core.ShapedArray(v.shape, v.dtype) for v in itertools.chain(*push.outs)]
+def _abstract(*_: Any, push: Push, program: Any) -> tuple[list, Any]:
+    shapes = itertools.chain(*push.outs)
+    outs = [jax.core.ShapedArray(v.shape, v.dtype, weak_type=v.weak_type) for v in shapes]
+    return outs, program.effects
 
 
-def _jvp(primals: Any, tangents: Any, *, push: Push, **_: Any) -> tuple[list, list]:
+def _jvp(primals: Any, tangents: Any, *, push: Push, **params: Any) -> tuple[list, list]:
     moving = tuple(
         k
         for k, v in enumerate(tangents)
-        if not isinstance(v, ad.Zero) and v.dtype != jax.dtypes.float0
+        if not isinstance(v, ad.Zero) and jax.typeof(v).dtype != jax.dtypes.float0
     )
-    out, found = bind(push.derived(moving), primals, [tangents[k] for k in moving])
+    if moving:
+        out, found = bind(push.derived(moving), primals, [tangents[k] for k in moving])
+    else:  # integers alone
+        out, found = pushforward_p.bind(*primals, push=push, **params), []
     rates = iter(found)
     return out, [
-        next(rates) if is_real(v) else ad.Zero(jax.typeof(v).to_tangent_aval()) for v in out
+        next(rates) if moving and is_real(v) else ad.Zero(jax.typeof(v).to_tangent_aval())
+        for v in out
     ]
 
 
@@ -308,7 +320,7 @@ def _batch(args: Any, dims: Any, *, push: Push, **_: Any) -> tuple[list, list]:
 def _partial_eval(trace: Any, *tracers: Any, push: Push, **params: Any) -> list:
     """Of known values and unknown rates, results and derivatives are found now, tangents later."""
     values, rates = tracers[: push.count], tracers[push.count :]
-    if not all(v.is_known() for v in values):
+    if all(v.is_known() for v in rates) or not all(v.is_known() for v in values):
         return trace.default_process_primitive(pushforward_p, tracers, {"push": push, **params})
     out, columns = push.jacobian([jnp.asarray(v.pval.get_known()) for v in values])
     with _traces.set_current_trace(trace):
@@ -333,7 +345,7 @@ def _partial_eval_of_eqn(_: Any, unknown: Sequence[bool], made: Sequence[bool], 
 
 
 pushforward_p.def_impl(lambda *args, **params: jax.jit(ft.partial(_forward, **params))(*args))
-pushforward_p.def_abstract_eval(_abstract)
+pushforward_p.def_effectful_abstract_eval(_abstract)
 ad.primitive_jvps[pushforward_p] = _jvp
 batching.primitive_batchers[pushforward_p] = _batch
 mlir.register_lowering(pushforward_p, mlir.lower_fun(_forward, multiple_results=True))

@@ -72,6 +72,8 @@ def test_what_is_computed_again_has_its_gradient():
     for wrapped in (again, jax.jit(again), jax.jit(lambda x: jax.lax.map(again, x[None])[0])):
         got = jax.jit(jax.grad(wrapped))(2.0) if wrapped is not again else jax.grad(again)(2.0)
         assert_allclose(got, 12 * np.cos(8.0), rtol=1e-14)
+    still = jax.checkpoint(lambda a, x: jnp.sin(a * cube(x)))
+    assert_allclose(jax.jit(jax.grad(still))(1.0, 2.0), 8 * np.cos(8.0), rtol=1e-14)
 
 
 def test_a_gradient_through_a_loop_over_runs():
@@ -80,3 +82,25 @@ def test_a_gradient_through_a_loop_over_runs():
 
     assert_allclose(jax.grad(twice)(2.0), 1.5 * 16 * 6, rtol=1e-15)
     assert_allclose(jax.jacfwd(jax.grad(twice))(2.0), 9 * 8 * 2.0**7 / 16, rtol=1e-14)
+
+
+def test_integers_alone_do_not_move():
+    double = by_forward_jacobian(lambda k: (2 * k, k / 2))
+    zero = np.zeros((), jax.dtypes.float0)
+    out, rates = jax.jit(lambda k: jax.jvp(double, (k,), (zero,)))(3)
+    assert_allclose(out, (6, 1.5))
+    assert rates[0].dtype == jax.dtypes.float0 and rates[1] == 0.0
+
+
+def test_what_a_program_tells_is_told():
+    told = []
+
+    @by_forward_jacobian
+    def telling(x):
+        jax.debug.callback(lambda x: told.append(float(x)), x)
+        return x**2
+
+    jax.jit(lambda x: (telling(x), 1)[1])(1.0)
+    jax.jit(lambda x: jax.jvp(telling, (x,), (1.0,)))(2.0)
+    jax.effects_barrier()
+    assert told == [1.0, 2.0]
