@@ -25,6 +25,17 @@ def forward_twice(function):
     return jax.jit(jax.jacfwd(jax.jacfwd(function)))
 
 
+def by_pairs(function, x):
+    """The same for one pair of directions after the other, which compiles in half the time."""
+
+    @jax.jit
+    def second(x, u, v):
+        return jax.jvp(lambda x: jax.jvp(function, (x,), (u,))[1], (x,), (v,))[1]
+
+    eye = jnp.eye(x.size)
+    return np.moveaxis([[second(x, u, v) for v in eye] for u in eye], -1, 0)
+
+
 def compare(got, want, rtol):
     """Within `rtol` of the largest entry."""
     assert np.isfinite(want).all()
@@ -43,7 +54,7 @@ def test_closed_forms(name):
         return jf.solve(*back(vector), p.dt, stepper=stepper, max_events=None).xs[-1]
 
     want = jax.hessian(lambda vector: p.flow(*back(vector)))(vector)
-    compare(forward_twice(end)(vector), want, 1e-13 if exact else 1e-11)
+    compare(by_pairs(end, vector), want, 1e-13 if exact else 1e-11)
 
 
 class Decay(jf.System):
