@@ -19,16 +19,18 @@ from tests.problems import PROBLEMS, closed_forms, tagged
 from tests.problems.systems import Box
 
 FORWARD, REVERSE = diffrax.ForwardMode(), diffrax.RecursiveCheckpointAdjoint()
+# Exact where fields are linear in time, and of two stages, which compile soonest.
+PARABOLAS = diffrax.Midpoint()
 S = jf.systems
 
 
 def solve(system, x0, t0, t1, dt, adjoint=FORWARD, **kwargs):
     """A run within a budget, as reverse mode under traced times needs one.
 
-    Two surfaces take long to compile, and RK4, exact for their constant fields, a third of it.
+    Two surfaces take long to compile, and reverse mode whose stages are written out.
     """
-    if isinstance(system, Box):
-        kwargs["stepper"] = jf.RK4()
+    if isinstance(system, Box | S.BouncingBall):
+        kwargs["stepper"] = PARABOLAS
     return jf.solve(system, x0, t0, t1, dt, adjoint=adjoint, max_steps=1024, **kwargs)
 
 
@@ -91,7 +93,8 @@ def scene(name):
 
     def end(part, adjoint=FORWARD):
         args = back(vector.at[keep].set(part))
-        return solve(*args, (SCENES[name][3] - SCENES[name][2]) / 401.3, adjoint).xs[-1]
+        dt = (SCENES[name][3] - SCENES[name][2]) / 401.3
+        return solve(*args, dt, adjoint, stepper=diffrax.Tsit5()).xs[-1]
 
     return end, vector[keep]
 
@@ -127,7 +130,8 @@ def test_reverse_is_forward(name):
 
 def test_reverse_on_an_intersection():
     system, x0, t0, t1 = arguments("box by everything")
-    got = jax.grad(lambda s, x: solve(s, x, t0, t1, 0.1, REVERSE).xs[-1, 2], (0, 1))(system, x0)
+    end = jax.jit(jax.grad(lambda s, x: solve(s, x, t0, t1, 0.1, REVERSE).xs[-1, 2], (0, 1)))
+    got = end(system, x0)
     want = jax.grad(lambda s, x: closed_forms.box(s, x, t0, t1)[2], (0, 1))(system, x0)
     for left, right in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
         assert_allclose(left, right, rtol=0, atol=1e-12)
@@ -160,7 +164,7 @@ class Through(Roots):
 
 
 @pytest.mark.parametrize("kind", [Roots, Through])
-@pytest.mark.parametrize("stepper", [jf.RK4(), jf.Rodas5P()])
+@pytest.mark.parametrize("stepper", [diffrax.Midpoint(), jf.Rodas5P()])
 def test_a_side_not_taken_leaves_no_nan_in_reverse_mode(kind, stepper):
     # At the start, where x' = 1, the force of the other side is not a number.
     def end(p, adjoint=FORWARD):
@@ -218,11 +222,15 @@ def test_saved_states_between_contacts():
         return solve(system, x0, 0.0, 4.0, 0.02, saveat=saveat).xs
 
     system, x0 = BALL, jnp.asarray([10.0, 1.0])
-    got = jax.jacfwd(saved, (0, 1))(system, x0)
-    last = jax.jacfwd(lambda s, x: closed_forms.ball(s, x, 0.0, 3.9), (0, 1))(system, x0)
-    free = jax.jacfwd(
-        lambda s, x: jnp.stack([x[0] + x[1] * 0.5 - s.g * 0.125, x[1] - s.g * 0.5]), (0, 1)
-    )(system, x0)
+    def last(system, x0):
+        return closed_forms.ball(system, x0, 0.0, 3.9)
+
+    def free(system, x0):
+        return jnp.stack([x0[0] + x0[1] * 0.5 - system.g * 0.125, x0[1] - system.g * 0.5])
+
+    got, last, free = (
+        jax.jit(jax.jacfwd(function, (0, 1)))(system, x0) for function in (saved, last, free)
+    )
     for row, want in ((0, free), (2, last)):
         picked = jax.tree.map(lambda leaf, row=row: leaf[row], got)
         assert_allclose(flat(picked), flat(want), rtol=0, atol=1e-10)
