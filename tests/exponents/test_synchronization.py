@@ -246,9 +246,10 @@ def test_sticking_chaos_by_its_rate():
     # At ω = 4.6; 32 initial states, ε on both sides of it.
     x0 = jnp.asarray([[0.002 * i, 0.002 * i] for i in range(32)])
     couplings = jnp.asarray([0.2, 0.6] * 16)
-    found = eqx.filter_vmap(
-        lambda x, c: jf.transverse_exponent(BELT, x, coupling=c, periods=500, transient=200)
-    )(x0, couplings)
+    run = {"periods": 500, "transient": 200, "compact": True}
+    found = eqx.filter_vmap(lambda x, c: jf.transverse_exponent(BELT, x, coupling=c, **run))(
+        x0, couplings
+    )
     exponents, errors = np.array(found.exponent), np.array(found.standard_error)
     chaotic = exponents > 0  # from some states it ends on the orbit that does not stick
     assert np.all(found.result == RESULTS.successful) and chaotic.sum() > 20

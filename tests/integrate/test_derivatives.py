@@ -27,7 +27,7 @@ S = jf.systems
 def solve(system, x0, t0, t1, dt, adjoint=FORWARD, **kwargs):
     """A run within a budget, as reverse mode under traced times needs one.
 
-    Two surfaces take long to compile, and reverse mode whose stages are written out.
+    Two surfaces take long to compile, and so does reverse mode, whose stages are written out.
     """
     if isinstance(system, Box | S.BouncingBall):
         kwargs["stepper"] = PARABOLAS
@@ -222,6 +222,7 @@ def test_saved_states_between_contacts():
         return solve(system, x0, 0.0, 4.0, 0.02, saveat=saveat).xs
 
     system, x0 = BALL, jnp.asarray([10.0, 1.0])
+
     def last(system, x0):
         return closed_forms.ball(system, x0, 0.0, 3.9)
 
