@@ -39,6 +39,25 @@ class Placed(eqx.Module):
     phase: Array
 
 
+class Residual(eqx.Module):
+    """The equations of a tangency."""
+
+    tangency: Tangency
+    options: ShootingOptions
+    family: Int[Array, ""]
+
+    def tangency_at(self, at: Placed) -> Tangency:
+        """The tangency that is placed."""
+        return dataclasses.replace(self.tangency, x=at.x, phase=at.phase)
+
+    def __call__(self, at: Placed) -> tuple[Float[Array, " M"], Closing]:
+        """Closing and the two conditions."""
+        tangency = self.tangency_at(at)
+        closing = close(at.system, at.period, self.options, self.family, tangency)
+        pair = defining(at.system, self.family, closing.t, closing.x, tangency)
+        return jnp.append(closing.gap, pair), stop_gradient(closing)
+
+
 class DefiningSystem(Equations):
     """Unknowns z are the state at the start of the flight, the phase of the tangency (of an
     autonomous system the period), and the free parameters."""
@@ -64,7 +83,7 @@ class DefiningSystem(Equations):
         return self.placed(system, z)
 
     @property
-    def residual_at(self) -> "Residual":
+    def residual_at(self) -> Residual:
         """The equations as a function of what is placed."""
         return Residual(self.tangency, self.options, self.family)
 
@@ -135,25 +154,6 @@ def _near_parameters(
 ) -> Affine[Placed]:
     placed = lambda theta: equations.placed(system_of(theta), z)  # noqa: E731
     return affine(placed, theta, equations.width, first)
-
-
-class Residual(eqx.Module):
-    """The equations of a tangency."""
-
-    tangency: Tangency
-    options: ShootingOptions
-    family: Int[Array, ""]
-
-    def tangency_at(self, at: Placed) -> Tangency:
-        """The tangency that is placed."""
-        return dataclasses.replace(self.tangency, x=at.x, phase=at.phase)
-
-    def __call__(self, at: Placed) -> tuple[Float[Array, " M"], Closing]:
-        """Closing and the two conditions."""
-        tangency = self.tangency_at(at)
-        closing = close(at.system, at.period, self.options, self.family, tangency)
-        pair = defining(at.system, self.family, closing.t, closing.x, tangency)
-        return jnp.append(closing.gap, pair), stop_gradient(closing)
 
 
 def _slopes(
