@@ -218,7 +218,15 @@ def _reach(
     within = ts[0] + (flight.stop - ts[0]) % float(orbit.period)
     x = jnp.asarray(xs[np.argmin(abs(ts - within))])
     at = jnp.asarray(flight.stop, x.dtype)
-    there = Tangency(x, at, at, at, *(jnp.asarray(v) for v in (flight.mode, j, side)))
+    there = Tangency(
+        x,
+        phase=at,
+        start=at,
+        stop=at,
+        mode=jnp.asarray(flight.mode, x.dtype),
+        surface=jnp.asarray(j, jnp.int32),
+        side=jnp.asarray(side, x.dtype),
+    )
     found = conditions(orbit.system, at, x, there)
     return abs(float(found.rate)) / max(abs(float(found.bend)), 1e-300)
 

@@ -15,7 +15,7 @@ from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.model.parameter import replace_parameter
+from jaxfil.model.parameter import cast, replace_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
 from jaxfil.orbits.branch import Branch, SpecialPoint
@@ -105,6 +105,8 @@ def find_bifurcations(
     ...     print(b.kind, round(float(b.value), 9))
     grazing-sliding 10.904975822
     """
+    # Numbers of one type: those of another would compile what is known already.
+    system = cast(system, orbit.x0.dtype) if isinstance(orbit, Orbit) else system
     branch = continue_orbit(
         system,
         parameter,

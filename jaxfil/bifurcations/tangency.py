@@ -32,6 +32,7 @@ from jaxfil.integrate.stepper import tableau_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.shooting import ShootingOptions
+from jaxfil.xla.kernel import kernel_if_it_fits
 
 FAMILY_NAMES = ("flight", "slide", "arrival")
 FLIGHT, SLIDE, ARRIVAL = range(len(FAMILY_NAMES))
@@ -138,20 +139,25 @@ def defining(
 @eqx.filter_jit
 def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangency) -> Conditions:
     """All conditions at (t, x)."""
-    rates, s = _Rates(system, x, tangency), tangency.side
-    rate = rates.rate
-    slide_rate = slide_bend = jnp.zeros_like(t)
-    if rates.system.slides:
-        on_slide = rates.along(0 * s, rate)
-        slide_rate, slide_bend = on_slide(t, x), rates.along(0 * s, on_slide)(t, x)
-    return Conditions(
-        h=rates.h(t, x),
-        rate=rate(t, x),
-        bend=rates.along(s, rate)(t, x),
-        other_rate=rates.along(-s, rates.h)(t, x),
-        slide_rate=slide_rate,
-        slide_bend=slide_bend,
-    )
+
+    def at(t: Array, x: Array) -> Conditions:
+        rates, s = _Rates(system, x, tangency), tangency.side
+        rate = rates.rate
+        slide_rate = slide_bend = jnp.zeros_like(t)
+        if rates.system.slides:
+            on_slide = rates.along(0 * s, rate)
+            slide_rate, slide_bend = on_slide(t, x), rates.along(0 * s, on_slide)(t, x)
+        return Conditions(
+            h=rates.h(t, x),
+            rate=rate(t, x),
+            bend=rates.along(s, rate)(t, x),
+            other_rate=rates.along(-s, rates.h)(t, x),
+            slide_rate=slide_rate,
+            slide_bend=slide_bend,
+        )
+
+    # Compiled part by part it would take twice as long.
+    return kernel_if_it_fits(at)(t, x)
 
 
 def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:

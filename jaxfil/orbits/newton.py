@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxfil.model.outcomes import RESULTS
+from jaxfil.xla.kernel import kernel_if_it_fits
 
 # Steps are halved down to this part of the full one; then it is taken although nothing falls.
 _SHORTEST = 1 / 32
@@ -101,7 +102,7 @@ def newton(
         # large again. So the length of a step is tried by the iteration after it.
         trial = state.z + state.damping * state.step
         at = evaluate(trial)
-        after, accepted = _judged(state, trial, at, -_solve(at.jacobian, at.residual))
+        after, accepted = _judge(state, trial, at, -_solve(at.jacobian, at.residual))
         pick = lambda u, v: jnp.where(accepted, u, v)  # noqa: E731
         aux = jax.tree.map(pick, at.aux, state.at.aux)
         return eqx.tree_at(lambda s: s.at.aux, after, aux, is_leaf=lambda v: v is None)
@@ -150,8 +151,7 @@ def _first(z: Array, blank: Evaluation) -> _State:
     )
 
 
-@jax.jit
-def _judged(state: _State, trial: Array, at: Evaluation, step: Array) -> tuple[_State, Array]:
+def _judge(state: _State, trial: Array, at: Evaluation, step: Array) -> tuple[_State, Array]:
     """What follows from an evaluation at the end of the damped step and from the full `step` there,
     but for what else is known, and whether this step is taken."""
     first = state.num_steps == 0
@@ -199,6 +199,10 @@ def _judged(state: _State, trial: Array, at: Evaluation, step: Array) -> tuple[_
         result=result,
     )
     return after, accepted
+
+
+# As one kernel: compiled part by part it would take twice as long.
+_judged = jax.jit(kernel_if_it_fits(_judge))
 
 
 def _solve_in_numpy(at: Evaluation) -> np.ndarray:
