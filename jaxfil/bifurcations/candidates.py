@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, conditions
-from jaxfil.integrate import components, filippov, sliding_weights
+from jaxfil.integrate import component_system, components, filippov, sliding_weights
 from jaxfil.integrate.solution import Dense, evaluate, switches
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
@@ -180,7 +180,7 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
     """The guard of surface j and the sliding weight at many points of a flight."""
 
     def one(t: Array, x: Array) -> tuple[Array, Array]:
-        on_components = components.build(system, x, compact=True)
+        on_components = component_system.build(system, x, compact=True)
         blocks, modes = on_components.unpack(x), on_components.of_surfaces(mode)
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:

@@ -25,7 +25,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import ComponentSystem, build, pack
+from jaxfil.integrate.component_system import ComponentSystem, build
+from jaxfil.integrate.components import pack
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.problem import NOTHING, KeptMode, Problem, even_grid
 from jaxfil.integrate.stepper import tableau_of

@@ -12,14 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.components import (
-    Components,
-    ComponentSystem,
-    axpy,
-    dot,
-    is_array,
-    where,
-)
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, axpy, dot, is_array, where
 
 Frame = tuple[Components, ...] | Array
 """The vectors, or the array of them."""

@@ -15,7 +15,8 @@ from jaxfil.exponents.card import average_card
 from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
 from jaxfil.exponents.variational import Variation, propagate, vary
 from jaxfil.integrate.compact import is_compact_sweep
-from jaxfil.integrate.components import build, pack
+from jaxfil.integrate.component_system import build
+from jaxfil.integrate.components import pack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish
 from jaxfil.integrate.problem import NOTHING, Problem, period_outcome

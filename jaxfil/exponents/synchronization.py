@@ -19,7 +19,8 @@ from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
 from jaxfil.integrate.compact import is_compact_sweep
-from jaxfil.integrate.components import Components, build, is_array, pack
+from jaxfil.integrate.component_system import build
+from jaxfil.integrate.components import Components, is_array, pack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import advance, finish, integrate_in_kernel
 from jaxfil.integrate.problem import NOTHING, Problem, period_outcome

@@ -20,12 +20,8 @@ from jaxtyping import Array
 
 from jaxfil.exponents.frame import Frame, for_each, generic_frame, gram_schmidt, zeros
 from jaxfil.integrate import filippov
-from jaxfil.integrate.components import (
-    Components,
-    ComponentSystem,
-    axpy,
-    where,
-)
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, axpy, where
 from jaxfil.integrate.guards import stays_on
 from jaxfil.integrate.loop import advance
 from jaxfil.integrate.normals import products, project

@@ -2,7 +2,8 @@
 
 The words of this room, in the order in which a step meets them:
 
-- components: the numbers of a state one by one, as the loop carries them (`components`).
+- components: the numbers of a state one by one, or as one array, as the loop carries them
+  (`components`, `component_system`).
 - side, mode: a surface's side is +1 or −1; the mode of a motion is its side of each surface, 0
   where it slides on it (`filippov`), or twice the side where it rests on it (`unilateral`).
 - tableau, stepper: the coefficients of a one-step method; the method as the user names it

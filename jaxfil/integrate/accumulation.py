@@ -22,7 +22,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, where
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, where
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState, StepEnd, Turn

@@ -27,9 +27,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate import unilateral
+from jaxfil.integrate.component_system import ComponentSystem
 from jaxfil.integrate.components import (
     Components,
-    ComponentSystem,
     Forcing,
     SmoothField,
     any_of,

@@ -13,7 +13,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov, unilateral
-from jaxfil.integrate.components import Components, ComponentSystem, Forcing, Normals, any_of
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, Forcing, Normals, any_of
 from jaxfil.integrate.normals import sizes
 from jaxfil.integrate.problem import KeptMode, Problem
 from jaxfil.integrate.state import LoopState, Start, StepEnd

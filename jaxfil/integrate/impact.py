@@ -21,7 +21,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import filippov, unilateral
-from jaxfil.integrate.components import Components, ComponentSystem, any_of, dot, where
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, any_of, dot, where
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState

@@ -22,7 +22,8 @@ from jaxfil.integrate import (
     sliding_weights,
     unilateral,
 )
-from jaxfil.integrate.components import Components, ComponentSystem, all_finite, any_of, where
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, all_finite, any_of, where
 from jaxfil.integrate.guards import guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.mode_switch import with_reactions
 from jaxfil.integrate.problem import Problem

@@ -14,9 +14,9 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate import accumulation, filippov, impact, sliding_weights, unilateral
+from jaxfil.integrate.component_system import ComponentSystem
 from jaxfil.integrate.components import (
     Components,
-    ComponentSystem,
     Forcing,
     Normals,
     all_finite,

@@ -12,15 +12,8 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate import unilateral
-from jaxfil.integrate.components import (
-    Components,
-    ComponentSystem,
-    Normals,
-    any_of,
-    axpy,
-    dot,
-    number,
-)
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, Normals, any_of, axpy, dot, number
 
 
 def products(system: ComponentSystem, normals: Normals, v: Components) -> Components:

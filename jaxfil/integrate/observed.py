@@ -15,7 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate import clocks
-from jaxfil.integrate.components import build, pack
+from jaxfil.integrate.component_system import build
+from jaxfil.integrate.components import pack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import SavedStates

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components
 from jaxfil.integrate.section_values import WatchedSections
 from jaxfil.integrate.stepper import Tableau
 from jaxfil.model.outcomes import RESULTS

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, pack, total
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, pack, total
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.problem import Problem, Recording
 from jaxfil.integrate.state import EventTable, LoopState, SavedStates, StepEnd

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, total
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, total
 from jaxfil.integrate.filippov import ModeField, guard
 
 

@@ -13,13 +13,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import (
-    Components,
-    ComponentSystem,
-    ParametrizedFunction,
-    dot,
-    pack,
-)
+from jaxfil.integrate.component_system import ComponentSystem, ParametrizedFunction
+from jaxfil.integrate.components import Components, dot, pack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.second_order import beyond_newton_to
 from jaxfil.model.parameter import cast

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxfil.integrate.components import Components, ComponentSystem, build, pack
+from jaxfil.integrate.component_system import ComponentSystem, build
+from jaxfil.integrate.components import Components, pack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.solution_arrays import solution_arrays
 from jaxfil.integrate.state import CrossingTable, EventTable

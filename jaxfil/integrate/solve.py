@@ -14,7 +14,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.compact import is_compact_run
-from jaxfil.integrate.components import build, pack
+from jaxfil.integrate.component_system import build
+from jaxfil.integrate.components import pack
 from jaxfil.integrate.loop import integrate, integrate_with_checkpoints
 from jaxfil.integrate.observed import Observable, Observe, checked_observable, observed
 from jaxfil.integrate.options import (

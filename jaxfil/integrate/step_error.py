@@ -18,7 +18,8 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, any_of, is_array
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, any_of, is_array
 from jaxfil.integrate.rosenbrock import RosenbrockTableau
 from jaxfil.integrate.stepper import Tableau, Trial
 

@@ -29,7 +29,8 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.components import Components, ComponentSystem, any_of, axpy, dot, where
+from jaxfil.integrate.component_system import ComponentSystem
+from jaxfil.integrate.components import Components, any_of, axpy, dot, where
 from jaxfil.xla.small_linear import solve_small
 
 # Rounding of a rate or of an acceleration, in eps of its terms.

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate.components import build, pack
+from jaxfil.integrate.component_system import build
+from jaxfil.integrate.components import pack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.solution import Dense, step_again
 from jaxfil.orbits.regula_falsi import zero_between

@@ -15,7 +15,8 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxfil.integrate.components import build, pack
+from jaxfil.integrate.component_system import build
+from jaxfil.integrate.components import pack
 from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import integrate, integrate_in_kernel
 from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid, period_outcome

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.components import build
+from jaxfil.integrate.component_system import build
 from jaxfil.integrate.observed import Observable, checked_observable, observed
 from jaxfil.integrate.phase import repeats
 from jaxfil.integrate.problem import (

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil.integrate.components import build
+from jaxfil.integrate.component_system import build
 from jaxfil.xla import small_linear
 
 PADDING = 8

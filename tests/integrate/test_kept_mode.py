@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil.integrate.components import build, pack
+from jaxfil.integrate.component_system import build
+from jaxfil.integrate.components import pack
 from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.problem import NOTHING, KeptMode, Problem, even_grid
 from jaxfil.integrate.stepper import tableau_of

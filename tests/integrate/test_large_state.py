@@ -13,7 +13,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil.integrate.components import build, is_array
+from jaxfil.integrate.component_system import build
+from jaxfil.integrate.components import is_array
 
 MORE = 14
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil.integrate.components import build
+from jaxfil.integrate.component_system import build
 from jaxfil.integrate.normals import products, project
 
 FRICTION = np.array([0.3, 0.3, 0.35, 0.4, 0.45, 0.5, 0.9])
