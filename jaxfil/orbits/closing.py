@@ -10,7 +10,6 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil.model.outcomes import RESULTS
@@ -81,8 +80,8 @@ def evaluate_closing(problem: OrbitProblem, phase: PhaseCondition | None, u: Arr
     """The closing of all arcs and, of an autonomous orbit, its phase, by all unknowns, whose scales
     are their sizes. What else is known is the `Shot`."""
     if is_known((problem, phase, u)):
-        near, starts, q = _near(problem, u)
-        shot = _shoot(near, problem.options, starts, jax.device_put(np.zeros(near.width, q.dtype)))
+        near, still, starts, q = _near(problem, u)
+        shot = _shoot(near, problem.options, starts, still)
     else:
         starts, q = problem.split(u)
         shot = shoot(problem.setting, problem.options, starts, q)
@@ -94,10 +93,13 @@ _shoot = eqx.filter_jit(shoot)
 
 
 @eqx.filter_jit
-def _near(problem: OrbitProblem, u: Array) -> tuple[Affine[tuple[System, Array]], Array, Array]:
-    """The setting near u, starts and q."""
+def _near(
+    problem: OrbitProblem, u: Array
+) -> tuple[Affine[tuple[System, Array]], Array, Array, Array]:
+    """The setting near u, the unknowns of that, which are zero there; starts and q."""
     starts, q = problem.split(u)
-    return affine(problem.setting, q, 1 + int(problem.autonomous)), starts, q
+    near = affine(problem.setting, q, 1 + int(problem.autonomous))
+    return near, jnp.zeros(near.width, q.dtype), starts, q
 
 
 @jax.jit

@@ -74,6 +74,11 @@ class _State(eqx.Module):
     running: Array
     result: RESULTS
 
+    @property
+    def trial(self) -> Array:
+        """The end of the damped step."""
+        return self.z + self.damping * self.step
+
 
 def newton(
     evaluate: Callable[[Array], Evaluation],
@@ -100,9 +105,8 @@ def newton(
     def iterate(state: _State) -> _State:
         # The one evaluation of an iteration: with a second one inside, the program would be as
         # large again. So the length of a step is tried by the iteration after it.
-        trial = state.z + state.damping * state.step
-        at = evaluate(trial)
-        after, accepted = _judge(state, trial, at, -_solve(at.jacobian, at.residual))
+        at = evaluate(state.trial)
+        after, accepted = _judge(state, at, -_solve(at.jacobian, at.residual))
         pick = lambda u, v: jnp.where(accepted, u, v)  # noqa: E731
         aux = jax.tree.map(pick, at.aux, state.at.aux)
         return eqx.tree_at(lambda s: s.at.aux, after, aux, is_leaf=lambda v: v is None)
@@ -115,18 +119,13 @@ def _newton_in_python(
     evaluate: Callable[[Array], Evaluation], z: Float[Array, " N"], max_steps: int
 ) -> Root:
     """`newton` of known numbers."""
-    state = aux = None
+    state, aux, trial = None, None, z
     for _ in range(max_steps):
-        if state is None:
-            trial = z
-        else:
-            step = np.asarray(state.z) + np.asarray(state.damping) * np.asarray(state.step)
-            trial = jax.device_put(step)
         at = evaluate(trial)
         now, at = at.aux, dataclasses.replace(at, aux=None)
         if state is None:
             state = _first(z, jax.device_put(jax.tree.map(np.zeros_like, at)))
-        state, accepted = _judged(state, trial, at, jax.device_put(-_solve_in_numpy(at)))
+        state, accepted, trial = _judged(state, at, jax.device_put(-_solve_in_numpy(at)))
         aux = now if bool(accepted) else aux
         if not bool(state.running):
             break
@@ -151,10 +150,10 @@ def _first(z: Array, blank: Evaluation) -> _State:
     )
 
 
-def _judge(state: _State, trial: Array, at: Evaluation, step: Array) -> tuple[_State, Array]:
+def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     """What follows from an evaluation at the end of the damped step and from the full `step` there,
     but for what else is known, and whether this step is taken."""
-    first = state.num_steps == 0
+    first, trial = state.num_steps == 0, state.trial
     # By a quarter of what the linear equations promise. A residual that is zero to rounding falls
     # no more.
     eps = jnp.finfo(trial.dtype).eps
@@ -201,8 +200,13 @@ def _judge(state: _State, trial: Array, at: Evaluation, step: Array) -> tuple[_S
     return after, accepted
 
 
+def _judged_with_trial(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array, Array]:
+    after, accepted = _judge(state, at, step)
+    return after, accepted, after.trial
+
+
 # As one kernel: compiled part by part it would take twice as long.
-_judged = jax.jit(kernel_if_it_fits(_judge))
+_judged = jax.jit(kernel_if_it_fits(_judged_with_trial))
 
 
 def _solve_in_numpy(at: Evaluation) -> np.ndarray:
