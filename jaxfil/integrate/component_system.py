@@ -142,8 +142,9 @@ class ComponentSystem(eqx.Module):
         return self.once(at, t, h) if forced else [[] for _ in times]
 
     def forcing_at(self, t: Array) -> Forcing:
-        """What the field takes of time alone and is dear, at one time."""
-        return self._field.ahead(self.held(t))
+        """What the field takes of time alone and is dear, at one time; nothing in a compact
+        program."""
+        return [] if self.compact else self._field.ahead(self.held(t))
 
     def field(
         self,

@@ -93,9 +93,8 @@ def advance(problem: Problem, state: LoopState) -> LoopState:
     """One iteration. A lane that has come to its end stays as it is."""
     problem = clocks.between_ticks(problem, state.ticks)
     length = choose_length(problem, state)
-    times = problem.tableau.times
-    times = times[-1:] if problem.compact else times
-    forcing = problem.system.forcing(problem.grid.t0 + state.tau, length.h, times)
+    t, times = problem.grid.t0 + state.tau, problem.tableau.times
+    forcing = problem.system.forcing(t, length.h, times)
     trial = trial_step(problem, state, length, forcing)
     if problem.system.m == 0:
         return _accept_smooth(problem, state, length, trial)

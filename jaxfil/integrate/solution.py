@@ -228,9 +228,8 @@ def step_again(
     dense: Dense, system: ComponentSystem, field: ModeField, t: Array, x: Components, h: Array
 ) -> Components:
     """The end of a step from (t, x), or of a part of one, taken as it was."""
-    tableau = tableau_of(dense.stepper)
-    take, times = (compact_step, [1.0]) if dense.compact else (step, tableau.times)
-    return take(tableau, field, t, x, field(t, x), h, system.forcing(t, h, times)).x
+    tableau, take = tableau_of(dense.stepper), compact_step if dense.compact else step
+    return take(tableau, field, t, x, field(t, x), h, system.forcing(t, h, tableau.times)).x
 
 
 def card(sol: Solution) -> str:
