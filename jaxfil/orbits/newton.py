@@ -215,7 +215,9 @@ def _solve_in_numpy(at: Evaluation) -> np.ndarray:
     rows = np.max(abs(matrix), axis=1, keepdims=True)
     rows = np.where(rows == 0, 1, rows)
     try:
-        return np.linalg.solve(matrix / rows, right / rows[:, 0])
+        # What is not finite is an outcome, and no warning besides.
+        with np.errstate(all="ignore"):
+            return np.linalg.solve(matrix / rows, right / rows[:, 0])
     except np.linalg.LinAlgError:
         return np.full_like(right, np.inf)
 
