@@ -81,8 +81,7 @@ def options_of(
         budget=budget,
         reverse=reverse,
         checkpoints=getattr(adjoint, "checkpoints", None),
-        # What reverse mode keeps of a loop of stages is all of them, again and again.
-        compact=compact and not reverse,
+        compact=compact,
         ts=ts,
     )
 
