@@ -23,7 +23,8 @@ import jax
 import pytest
 
 # Files compile much that others have compiled, and so do the processes that tests start.
-_PROGRAMS = Path(__file__).resolve().parent.parent / ".pytest_cache" / "compiled"
+_TESTS = Path(__file__).resolve().parent
+_PROGRAMS = _TESTS.parent / ".pytest_cache" / "compiled"
 _KEPT = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_PROGRAMS))
 _LEAST = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 jax.config.update("jax_compilation_cache_dir", _KEPT)
@@ -37,6 +38,26 @@ pytest.register_assert_rewrite("tests.results")
 # as often as Python does by itself takes a tenth of it.
 gc.set_threshold(100_000, 50, 50)
 
+# Compiling takes two thirds of the tests' time, and a third of that goes into making programs fast
+# that run once: they are told not to, as JAX's own tests are. What is about the vectors that lanes
+# are put into is compiled as it is for users, and so is everything if the environment says
+# JAX_DISABLE_MOST_OPTIMIZATIONS=0.
+_OPTIMIZED = (
+    "sweep",
+    "xla",
+    "integrate/test_batch_loop.py",
+    "integrate/test_compact.py",
+    "integrate/test_pay_for_use.py",
+)
+_CHOSEN = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS")
+# Of each small kernel XLA's CPU backend makes a program of MLIR, with a compiler of its own that
+# takes 20 ms, however small the kernel. The emitter that makes the one kernel of a loop can make
+# these too, in half the time. A flag that XLA does not know ends the process, so later versions,
+# which may come to do without this emitter, are not given it.
+if _CHOSEN is None and (0, 7) <= jax.__version_info__ < (0, 11):
+    flags = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = f"--xla_cpu_use_fusion_emitters=false {flags}"
+
 _MOST = 3 * 2**30
 _UNIT = 1 if sys.platform == "darwin" else 1024
 
@@ -46,9 +67,22 @@ def compiled_programs_end_before_memory_does():
     """Files share what is compiled until it takes gigabytes, and from then on no more."""
     yield
     if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _UNIT > _MOST:
-        jax.clear_caches()
-        eqx.clear_caches()
-        gc.collect()
+        _forget_programs()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def programs_are_optimized_where_that_is_tested(request):
+    """A program that is compiled one way is not run by a file that asks for the other."""
+    asked = any(request.path.is_relative_to(_TESTS / part) for part in _OPTIMIZED)
+    if _CHOSEN is None and jax.config.read("jax_disable_most_optimizations") == asked:
+        _forget_programs()
+        jax.config.update("jax_disable_most_optimizations", not asked)
+
+
+def _forget_programs():
+    jax.clear_caches()
+    eqx.clear_caches()
+    gc.collect()
 
 
 @pytest.fixture
