@@ -269,7 +269,8 @@ def _root_of_many(mode: Components, rates: Corners) -> Components:
         w, _, k = state
         better = _newton(mode, rates, w)
         now = sum(abs(a - b) for a, b in zip(better, w, strict=True))
-        settled = now <= 4 * eps
+        # The step after one of √eps is rounding, of which there may be any number of eps.
+        settled = now <= eps**0.5
         inside = ft.reduce(jnp.maximum, map(abs, better)) <= 1
         attempt = k // _NEWTON
         done = settled & (inside | (attempt == last))

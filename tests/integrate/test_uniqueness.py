@@ -152,8 +152,8 @@ def test_weights_of_three_surfaces_are_those_inside():
     """Rates multiplied out from a root inside, of which Newton's method from 0 misses some."""
     draw = np.random.default_rng(0)
     sides = np.array(np.meshgrid(*[[1, -1]] * 3, indexing="ij")).reshape(3, 8).T
-    roots = draw.uniform(-0.95, 0.95, size=(400, 3))
-    noise = draw.normal(size=(400, 8, 3))
+    roots = draw.uniform(-0.95, 0.95, size=(4000, 3))
+    noise = draw.normal(size=(4000, 8, 3))
     shares = np.prod((1 + sides * roots[:, None]) / 2, axis=2)
     rates = noise - np.einsum("ks,ksj->kj", shares, noise)[:, None] - sides + roots[:, None]
     slides = (jnp.zeros(()),) * 3
