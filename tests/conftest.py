@@ -40,13 +40,14 @@ gc.set_threshold(100_000, 50, 50)
 
 # Compiling takes two thirds of the tests' time, and a third of that goes into making programs fast
 # that run once: they are told not to, as JAX's own tests are. What is about the vectors that lanes
-# are put into is compiled as it is for users, and so is everything if the environment says
-# JAX_DISABLE_MOST_OPTIMIZATIONS=0.
+# are put into, or compares programs to the last bit, is compiled as it is for users, and so is
+# everything if the environment says JAX_DISABLE_MOST_OPTIMIZATIONS=0.
 _OPTIMIZED = (
     "sweep",
     "xla",
     "integrate/test_batch_loop.py",
     "integrate/test_compact.py",
+    "integrate/test_kept_mode.py",
     "integrate/test_pay_for_use.py",
 )
 _CHOSEN = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS")
