@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, conditions
 from jaxfil.integrate import component_system, components, filippov, sliding_weights
-from jaxfil.integrate.solution import Dense, evaluate, switches
+from jaxfil.integrate.solution import switches
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
@@ -113,7 +113,7 @@ def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency
     for reach, j, *rest in reversed(entries.values()):
         told[j] += 1
         if told[j] <= _CANDIDATES:
-            nearest.append((reach, _tangency(orbit, dense, j, *rest)))
+            nearest.append((reach, _tangency(orbit, ts, xs, j, *rest)))
     return nearest
 
 
@@ -253,12 +253,10 @@ def _arrivals(
     return [(reach, j, side, flight.mode, left, at, at)]
 
 
-_state_at = eqx.filter_jit(evaluate)
-
-
 def _tangency(
     orbit: Orbit,
-    dense: Dense,
+    ts: np.ndarray,
+    xs: np.ndarray,
     j: int,
     side: float,
     mode: np.ndarray,
@@ -266,14 +264,16 @@ def _tangency(
     middle: float,
     right: float,
 ) -> Tangency:
-    """The tangency as arrays, its flight starting within the period that the orbit is known for."""
+    """The tangency as arrays, its flight starting within the period that the orbit is known for, at
+    times ts, shape (k,), in states xs, shape (k, n)."""
     t0, period = float(orbit.options.t0), float(orbit.period)
     shift = period * np.floor((left - t0) / period)
     left, middle, right = (min(v - shift, t0 + 2 * period) for v in (left, middle, right))
-    x = _state_at(dense, left)
-    dtype = x.dtype
+    # To be corrected with the rest of the guess, which is no more exact.
+    x = np.array([np.interp(left, ts, v) for v in xs.T])
+    dtype = xs.dtype
     return Tangency(
-        x=x,
+        x=jnp.asarray(x, dtype),
         phase=jnp.asarray(middle / period, dtype),
         start=jnp.asarray(left / period, dtype),
         stop=jnp.asarray(right / period, dtype),
