@@ -53,8 +53,8 @@ _OPTIMIZED = (
 _CHOSEN = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS")
 # Of each small kernel XLA's CPU backend makes a program of MLIR, with a compiler of its own that
 # takes 20 ms, however small the kernel. The emitter that makes the one kernel of a loop can make
-# these too, in half the time. A flag that XLA does not know ends the process, so later versions,
-# which may come to do without this emitter, are not given it.
+# these too, in half the time; it does so in all files, for XLA reads its flags once. One that it
+# does not know ends the process: later versions, which may do without it, are not given this one.
 if _CHOSEN is None and (0, 7) <= jax.__version_info__ < (0, 11):
     flags = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = f"--xla_cpu_use_fusion_emitters=false {flags}"
