@@ -22,7 +22,15 @@ from jaxfil.model.parameter import replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.implicit import Equations, SystemOf
-from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.newton import (
+    Evaluation,
+    Finish,
+    Root,
+    Stages,
+    as_it_is,
+    newton,
+    newton_of_known,
+)
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits
@@ -91,13 +99,27 @@ class DefiningSystem(Equations):
         """Closing and the two conditions."""
         return self.residual_at(self.placed(system, z))
 
-    def evaluate(self, system: System, z: Array) -> Evaluation:
-        """Residual and Jacobian; what else is known is the `Closing`."""
-        if is_known((self, system, z)):
-            by_z, known = _slopes_along(self.residual_at, self._near(system, z))
-        else:
-            by_z, known = _slopes(lambda z: self.residual(system, z), z)
-        return self._evaluated(system, z, by_z, *known)
+    def root(
+        self,
+        system: System,
+        guess: Array,
+        more: Callable[[Evaluation, Array], Evaluation] = as_it_is,
+    ) -> Root:
+        """Newton's root of the equations, or of what `more` makes of an evaluation."""
+        finish = Finish(_Evaluated(self.family), more)
+        if is_known((self, system, guess, finish)):
+
+            def work(near: Affine[Placed]) -> tuple:
+                return near.value, _slopes_along(self.residual_at, near)
+
+            stages = Stages(ft.partial(self._near, system), work, finish)
+            return newton_of_known(stages, guess, self.newton_steps)
+
+        def evaluate(z: Array) -> Evaluation:
+            slopes = _slopes(lambda z: self.residual(system, z), z)
+            return finish(z, (self.placed(system, z), slopes))
+
+        return newton(evaluate, guess, self.newton_steps)
 
     @property
     def width(self) -> int:
@@ -108,32 +130,9 @@ class DefiningSystem(Equations):
     def _near(self, system: System, z: Array) -> Affine[Placed]:
         return affine(ft.partial(self.placed, system), z, self.width)
 
-    @eqx.filter_jit
-    def _evaluated(
-        self, system: System, z: Array, by_z: Array, value: Array, closing: Closing
-    ) -> Evaluation:
-        scales = self.scales(system, z, closing)
-        return Evaluation(value, by_z[:, : z.shape[0]], *scales, closing.result, closing)
-
-    def scales(self, system: System, z: Array, closing: Closing) -> tuple[Array, Array]:
-        """Of the equations and of the unknowns."""
-        n = self.tangency.x.shape[0]
-        at = self.placed(system, z)
-        size = jnp.where(closing.size == 0, 1, closing.size)
-        # H by how far it reaches across the orbit, its rates by that in a turn of the forcing.
-        normals = jax.jacfwd(at.system.switching, argnums=1)(closing.t, closing.x)
-        height = jnp.max(abs(jnp.atleast_2d(normals)) @ size)
-        height = jnp.where(height == 0, 1, height)
-        pace = 2 * jnp.pi / at.period
-        pair = jnp.stack([height * pace, height * pace**2])
-        pair = jnp.where(self.family == SLIDE, pair, pair / pace)
-        q = abs(z[n:])
-        return jnp.append(size, pair), jnp.append(size, jnp.where(q == 0, 1, q))
-
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """With one free parameter, by Newton's iteration."""
-        evaluate, known = ft.partial(self.evaluate, system), is_known((self, system, guess))
-        root = newton(evaluate, guess, self.newton_steps, known=known)
+        root = self.root(system, guess)
         return root.z, root.at.jacobian, root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
@@ -146,6 +145,33 @@ class DefiningSystem(Equations):
         near = [_near_parameters(self, system_of, theta, z, first) for first in firsts]
         turns = [_slopes_along(self.residual_at, part)[0] for part in near]
         return jax.device_put(np.concatenate(turns, axis=1)[:, : theta.shape[0]])
+
+
+class _Evaluated(eqx.Module):
+    """Residual and Jacobian, given the slopes; what else is known is the `Closing`."""
+
+    family: Int[Array, ""]
+
+    def __call__(self, z: Array, done: tuple[Placed, tuple]) -> Evaluation:
+        at, (by_z, (value, closing)) = done
+        both = scales(at, z, closing, self.family)
+        return Evaluation(value, by_z[:, : z.shape[0]], *both, closing.result, closing)
+
+
+def scales(
+    at: Placed, z: Array, closing: Closing, family: Int[Array, ""]
+) -> tuple[Float[Array, " M"], Float[Array, " N"]]:
+    """Of the equations and of the unknowns."""
+    size = jnp.where(closing.size == 0, 1, closing.size)
+    # H by how far it reaches across the orbit, its rates by that in a turn of the forcing.
+    normals = jax.jacfwd(at.system.switching, argnums=1)(closing.t, closing.x)
+    height = jnp.max(abs(jnp.atleast_2d(normals)) @ size)
+    height = jnp.where(height == 0, 1, height)
+    pace = 2 * jnp.pi / at.period
+    pair = jnp.stack([height * pace, height * pace**2])
+    pair = jnp.where(family == SLIDE, pair, pair / pace)
+    q = abs(z[size.shape[0] :])
+    return jnp.append(size, pair), jnp.append(size, jnp.where(q == 0, 1, q))
 
 
 @eqx.filter_jit

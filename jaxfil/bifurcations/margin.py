@@ -20,9 +20,8 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
-from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.newton import Evaluation, Root
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.xla.known import is_known
 
 _NEWTON_STEPS = 40
 
@@ -112,12 +111,7 @@ class _Margin(Equations):
 
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """Newton's iteration on the orbit alone; the margin then is known."""
-
-        def evaluate(z: Array) -> Evaluation:
-            return _without_height(self.tangency.evaluate(system, z))
-
-        known = is_known((self, system, guess))
-        root = newton(evaluate, guess, _NEWTON_STEPS, known=known)
+        root = self.tangency.root(system, guess, _without_height)
         return *_with_margin(root), root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
@@ -125,15 +119,17 @@ class _Margin(Equations):
         return self.tangency.by_parameters(system_of, theta, z[:-1])
 
 
-@jax.jit
-def _without_height(at: Evaluation) -> Evaluation:
+def _without_height(at: Evaluation, z: Array) -> Evaluation:
     """All rows but that of H, which need not be zero: it is the margin."""
     n = at.residual.shape[0] - 2
-    keep = jnp.array([*range(n), n + 1])
+
+    def kept(v: Array) -> Array:
+        return jnp.concatenate([v[:n], v[n + 1 :]])
+
     return Evaluation(
-        at.residual[keep],
-        at.jacobian[keep],
-        at.equation_scale[keep],
+        kept(at.residual),
+        kept(at.jacobian),
+        kept(at.equation_scale),
         at.unknown_scale,
         at.result,
         (at.residual[n], at.jacobian),

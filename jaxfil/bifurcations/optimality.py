@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxfil.bifurcations.defining_system import DefiningSystem
+from jaxfil.bifurcations.defining_system import DefiningSystem, scales
 from jaxfil.model.parameter import get_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import Equations, SystemOf
@@ -68,7 +68,8 @@ class Nearest(Equations):
             return value, (value, closing)
 
         bends, (slopes, value, closing) = kernel_if_it_fits(jax.jacfwd(first, has_aux=True))(u)
-        equations, unknowns = self.defining.scales(system, u, closing)
+        placed = self.defining.placed(system, u)
+        equations, unknowns = scales(placed, u, closing, self.defining.family)
         at = Evaluation(value, slopes, equations, unknowns, closing.result, closing)
         flat = jnp.zeros((size, size), w.dtype).at[-k:, -k:].set(metric)
         curved = flat + jnp.einsum("i,ijk->jk", multipliers, bends)

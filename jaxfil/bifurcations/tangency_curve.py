@@ -33,7 +33,7 @@ from jaxfil.orbits.curve import (
     tangent_of,
 )
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
-from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.newton import Root
 from jaxfil.orbits.special_points import neimark_sacker, period_doubling
 
 
@@ -73,19 +73,11 @@ class TangencyPoint(CurvePoint):
 def _solve(
     system: System, equations: DefiningSystem, u: Array, constraint: ArclengthConstraint
 ) -> Root:
-    def evaluate(u: Array) -> Evaluation:
-        return _with_constraint(equations.evaluate(system, u), constraint, u)
-
-    root = newton(evaluate, u, equations.newton_steps, known=True)
+    root = equations.root(system, u, constraint.appended)
     at = equations.there(system, root.z)
     closing = root.at.aux
     found = conditions(at.system, closing.t, closing.x, equations.tangency)
     return _with_known(equations, root, found)
-
-
-@jax.jit
-def _with_constraint(at: Evaluation, constraint: ArclengthConstraint, u: Array) -> Evaluation:
-    return constraint.appended(at, u)
 
 
 @eqx.filter_jit

@@ -6,9 +6,10 @@ Newton's method wants it.
 """
 
 import dataclasses
+import functools as ft
+from collections.abc import Callable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -17,7 +18,15 @@ from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.implicit import Equations, SystemOf
-from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.newton import (
+    Evaluation,
+    Finish,
+    Root,
+    Stages,
+    as_it_is,
+    newton,
+    newton_of_known,
+)
 from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
 from jaxfil.xla.known import is_known
 
@@ -76,16 +85,31 @@ def phase_condition(problem: OrbitProblem, u: Array) -> PhaseCondition | None:
     return PhaseCondition(anchor, normal / jnp.where(size == 0, 1, size), q[0])
 
 
-def evaluate_closing(problem: OrbitProblem, phase: PhaseCondition | None, u: Array) -> Evaluation:
-    """The closing of all arcs and, of an autonomous orbit, its phase, by all unknowns, whose scales
-    are their sizes. What else is known is the `Shot`."""
-    if is_known((problem, phase, u)):
-        near, still, starts, q = _near(problem, u)
-        shot = _shoot(near, problem.options, starts, still)
-    else:
+def solve_closing(
+    problem: OrbitProblem,
+    phase: PhaseCondition | None,
+    guess: Array,
+    newton_steps: Array,
+    more: Callable[[Evaluation, Array], Evaluation] = as_it_is,
+) -> Root:
+    """Newton's root of the closing of all arcs and, of an autonomous orbit, its phase, by all
+    unknowns, whose scales are their sizes. What else is known is the `Shot`. What `more` makes of
+    an evaluation, more equations perhaps, is solved in its place."""
+    finish = Finish(_Closing(phase), more)
+    if is_known((problem, guess, finish)):
+
+        def work(near: tuple) -> Shot:
+            setting, still, starts = near
+            return _shoot(setting, problem.options, starts, still)
+
+        stages = Stages(ft.partial(_near, problem), work, finish)
+        return newton_of_known(stages, guess, newton_steps)
+
+    def evaluate(u: Array) -> Evaluation:
         starts, q = problem.split(u)
-        shot = shoot(problem.setting, problem.options, starts, q)
-    return _evaluated(starts, q, phase, shot)
+        return finish(u, shoot(problem.setting, problem.options, starts, q))
+
+    return newton(evaluate, guess, newton_steps)
 
 
 # One program for all that varies: see `affine`.
@@ -93,34 +117,38 @@ _shoot = eqx.filter_jit(shoot)
 
 
 @eqx.filter_jit
-def _near(
-    problem: OrbitProblem, u: Array
-) -> tuple[Affine[tuple[System, Array]], Array, Array, Array]:
-    """The setting near u, the unknowns of that, which are zero there; starts and q."""
+def _near(problem: OrbitProblem, u: Array) -> tuple[Affine[tuple[System, Array]], Array, Array]:
+    """The setting near u, the unknowns of that, which are zero there; and the starts."""
     starts, q = problem.split(u)
     near = affine(problem.setting, q, 1 + int(problem.autonomous))
-    return near, jnp.zeros(near.width, q.dtype), starts, q
+    return near, jnp.zeros(near.width, q.dtype), starts
 
 
-@jax.jit
-def _evaluated(starts: Array, q: Array, phase: PhaseCondition | None, shot: Shot) -> Evaluation:
+class _Closing(eqx.Module):
     """The equations, given the shot."""
-    shot = dataclasses.replace(shot, by_global=shot.by_global[:, :, : q.shape[0]])
-    residual, jacobian = _closing(shot, starts)
-    # A component is measured by its largest value on the orbit, as an unknown and as a mismatch.
-    equations = jnp.tile(shot.size, starts.shape[0])
-    unknowns = jnp.append(equations, abs(q))
-    result = shot.result
-    if phase is not None:
-        # Every state closes after no time at all: a period far below the guess is no answer, and a
-        # step towards it is too long.
-        vanished = (result == RESULTS.successful) & (q[0] < _SHORTEST * phase.period)
-        result = RESULTS.where(vanished, RESULTS.newton_stalled, result)
-        row = jnp.zeros(jacobian.shape[1], q.dtype).at[: phase.normal.shape[0]].set(phase.normal)
-        residual = jnp.append(residual, phase.normal @ (starts[0] - phase.anchor))
-        jacobian = jnp.concatenate([jacobian, row[None]])
-        equations = jnp.append(equations, abs(phase.normal) @ shot.size)
-    return Evaluation(residual, jacobian, equations, unknowns, result, shot)
+
+    phase: PhaseCondition | None
+
+    def __call__(self, u: Array, shot: Shot) -> Evaluation:
+        m, n = shot.ends.shape
+        starts, q, phase = u[: m * n].reshape(m, n), u[m * n :], self.phase
+        shot = dataclasses.replace(shot, by_global=shot.by_global[:, :, : q.shape[0]])
+        residual, jacobian = _closing(shot, starts)
+        # A component is measured by its largest value on the orbit, as an unknown and as a
+        # mismatch.
+        equations = jnp.tile(shot.size, m)
+        unknowns = jnp.append(equations, abs(q))
+        result = shot.result
+        if phase is not None:
+            # Every state closes after no time at all: a period far below the guess is no answer,
+            # and a step towards it is too long.
+            vanished = (result == RESULTS.successful) & (q[0] < _SHORTEST * phase.period)
+            result = RESULTS.where(vanished, RESULTS.newton_stalled, result)
+            row = jnp.zeros(jacobian.shape[1], q.dtype).at[:n].set(phase.normal)
+            residual = jnp.append(residual, phase.normal @ (starts[0] - phase.anchor))
+            jacobian = jnp.concatenate([jacobian, row[None]])
+            equations = jnp.append(equations, abs(phase.normal) @ shot.size)
+        return Evaluation(residual, jacobian, equations, unknowns, result, shot)
 
 
 def _closing(shot: Shot, starts: Array) -> tuple[Array, Array]:
@@ -152,13 +180,7 @@ class ClosedOrbit(Equations):
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """Newton's iteration; what else is known is its `Root`, with the `Shot`."""
         problem = self.problem(system)
-        phase = phase_condition(problem, guess)
-
-        def evaluate(u: Array) -> Evaluation:
-            return evaluate_closing(problem, phase, u)
-
-        known = is_known((self, system, guess))
-        root = newton(evaluate, guess, self.newton_steps, known=known)
+        root = solve_closing(problem, phase_condition(problem, guess), guess, self.newton_steps)
         return root.z, root.at.jacobian, root
 
     @eqx.filter_jit

@@ -15,12 +15,12 @@ from jaxtyping import Array
 
 from jaxfil.integrate.solution import Events, switches
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.orbits.closing import OrbitProblem, evaluate_closing, phase_condition
+from jaxfil.orbits.closing import OrbitProblem, phase_condition, solve_closing
 from jaxfil.orbits.curve import ArclengthConstraint, CurvePoint, tangent_of
-from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import Shot
-from jaxfil.xla.known import compiled_if_traced, is_known
+from jaxfil.xla.known import compiled_if_traced
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,18 +55,7 @@ def solve_across(
 ) -> Root:
     """Newton's root of the closing equations and a constraint, with the `Shot` there."""
     phase = phase_condition(problem, constraint.base)
-
-    def evaluate(u: Array) -> Evaluation:
-        return _with_constraint(evaluate_closing(problem, phase, u), constraint, u)
-
-    known = is_known((problem, u, constraint))
-    return newton(evaluate, u, newton_steps, known=known)
-
-
-@jax.jit
-def _with_constraint(at: Evaluation, constraint: ArclengthConstraint, u: Array) -> Evaluation:
-    unknowns = at.unknown_scale.at[-1].set(constraint.scale[-1])  # not 0 where it is zero
-    return constraint.appended(dataclasses.replace(at, unknown_scale=unknowns), u)
+    return solve_closing(problem, phase, u, newton_steps, constraint.appended)
 
 
 def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:

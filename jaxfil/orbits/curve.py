@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import Any, ClassVar, Generic, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -35,6 +36,8 @@ class ArclengthConstraint(eqx.Module):
             residual=jnp.append(at.residual, gap),
             jacobian=jnp.concatenate([at.jacobian, (self.normal / self.scale)[None]]),
             equation_scale=jnp.append(at.equation_scale, 1.0),
+            # Not 0 where a parameter passes through zero.
+            unknown_scale=jnp.maximum(at.unknown_scale, self.scale),
         )
 
 
@@ -42,7 +45,7 @@ def constraint_across(
     base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float | np.ndarray
 ) -> ArclengthConstraint:
     """An `ArclengthConstraint` of NumPy arrays, or many of them."""
-    return ArclengthConstraint(*(jnp.asarray(v) for v in (base, scale, normal, offset)))
+    return ArclengthConstraint(*jax.device_put((base, scale, normal, np.asarray(offset))))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 A function that gives residual, Jacobian and outcome at a point enters, with a first guess; the
 `Root` leaves. Where it is traced each lane of a batch has its own damping and its own outcome; of
-known numbers the iteration is in Python, around a function that is compiled for other verbs too.
+known numbers the iteration is in Python, around functions that are compiled for other verbs too.
 
 A period map of a nonsmooth system is smooth only in pieces, and a step across a kink may make the
 residual larger although the direction is right. A step is halved until the residual falls, but not
@@ -54,6 +54,31 @@ class Evaluation(eqx.Module):
         return jnp.where(jnp.isfinite(largest), largest, jnp.inf)
 
 
+class Stages(eqx.Module):
+    """The evaluation of equations at known numbers, in three parts. `near` gives what is needed of
+    what varies, and is compiled anew for that; `work` takes it and is compiled once for all verbs;
+    `finish` makes the equations of the unknowns and what was worked out."""
+
+    near: Callable[[Array], Any]
+    work: Callable[[Any], Any]
+    finish: Callable[[Array, Any], Evaluation]
+
+
+class Finish(eqx.Module):
+    """The last part of an evaluation, with `more` done to what the equations themselves give."""
+
+    equations: Callable[[Array, Any], Evaluation]
+    more: Callable[[Evaluation, Array], Evaluation]
+
+    def __call__(self, z: Array, done: Any) -> Evaluation:
+        return self.more(self.equations(z, done), z)
+
+
+def as_it_is(at: Evaluation, z: Array) -> Evaluation:
+    """Nothing more to be done."""
+    return at
+
+
 class Root(eqx.Module):
     """Where Newton's iteration ended: the unknowns, what is known there, and the outcome."""
 
@@ -64,8 +89,11 @@ class Root(eqx.Module):
 
 
 class _State(eqx.Module):
+    """The last point that was taken, its residual and scales, the step there, and the search."""
+
     z: Array
-    at: Evaluation
+    size: Array
+    unknown_scale: Array
     step: Array
     damping: Array
     least: Array  # the smallest residual so far
@@ -81,65 +109,60 @@ class _State(eqx.Module):
 
 
 def newton(
-    evaluate: Callable[[Array], Evaluation],
-    z: Float[Array, " N"],
-    max_steps: Array | int,
-    *,
-    known: bool = False,
+    evaluate: Callable[[Array], Evaluation], z: Float[Array, " N"], max_steps: Array | int
 ) -> Root:
     """A zero of the residual from the guess `z`, by at most `max_steps` evaluations.
 
     The outcome is `successful`, `newton_stalled`, `newton_singular`, `newton_max_steps_reached`,
-    or that of the evaluation at the guess if this one fails. Where all that enters is `known`, the
-    iteration is a loop in Python, and `evaluate` is called as it is.
+    or that of the evaluation at the guess if this one fails.
     """
-    if known:
-        return _newton_in_python(evaluate, z, int(max_steps))
     # Traced once, though it is called twice: for its shapes and in the loop.
     evaluate = eqx.filter_jit(evaluate)
     blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(evaluate, z))
 
-    def unfinished(state: _State) -> Array:
+    def unfinished(carry: tuple[_State, Evaluation]) -> Array:
+        state, _ = carry
         return state.running & (state.num_steps < max_steps)
 
-    def iterate(state: _State) -> _State:
+    def iterate(carry: tuple[_State, Evaluation]) -> tuple[_State, Evaluation]:
         # The one evaluation of an iteration: with a second one inside, the program would be as
         # large again. So the length of a step is tried by the iteration after it.
+        state, before = carry
         at = evaluate(state.trial)
-        after, accepted = _judge(state, at, -_solve(at.jacobian, at.residual))
-        pick = lambda u, v: jnp.where(accepted, u, v)  # noqa: E731
-        aux = jax.tree.map(pick, at.aux, state.at.aux)
-        return eqx.tree_at(lambda s: s.at.aux, after, aux, is_leaf=lambda v: v is None)
+        state, accepted = _judge(state, at, -_solve(at.jacobian, at.residual))
+        return state, jax.tree.map(lambda u, v: jnp.where(accepted, u, v), at, before)
 
-    last = jax.lax.while_loop(unfinished, iterate, _first(z, blank))
-    return Root(last.z, last.at, last.num_steps, last.result)
+    last, at = jax.lax.while_loop(unfinished, iterate, (_first(z), blank))
+    return Root(last.z, at, last.num_steps, last.result)
 
 
-def _newton_in_python(
-    evaluate: Callable[[Array], Evaluation], z: Float[Array, " N"], max_steps: int
-) -> Root:
-    """`newton` of known numbers."""
-    state, aux, trial = None, None, z
-    for _ in range(max_steps):
-        at = evaluate(trial)
-        now, at = at.aux, dataclasses.replace(at, aux=None)
-        if state is None:
-            state = _first(z, jax.device_put(jax.tree.map(np.zeros_like, at)))
-        state, accepted, trial = _judged(state, at, jax.device_put(-_solve_in_numpy(at)))
-        aux = now if bool(accepted) else aux
-        if not bool(state.running):
+def newton_of_known(stages: Stages, z: Float[Array, " N"], max_steps: Array | int) -> Root:
+    """`newton` where all numbers are known: a loop in Python."""
+    state, trial, at = _first_of_known(z), z, None
+    for _ in range(int(max_steps)):
+        now = _finished(stages.finish, trial, stages.work(stages.near(trial)))
+        step = -_solve_in_numpy(np.asarray(now.jacobian), np.asarray(now.residual))
+        state, trial, flags = _judged(state, dataclasses.replace(now, aux=None), step)
+        accepted, running = np.asarray(flags)
+        at = now if accepted else at
+        if not running:
             break
-    assert state is not None
-    return Root(state.z, dataclasses.replace(state.at, aux=aux), state.num_steps, state.result)
+    assert at is not None  # the guess is always taken
+    return Root(state.z, at, state.num_steps, state.result)
 
 
-@jax.jit
-def _first(z: Array, blank: Evaluation) -> _State:
+@eqx.filter_jit
+def _finished(finish: Callable[[Array, Any], Evaluation], z: Array, done: Any) -> Evaluation:
+    return finish(z, done)
+
+
+def _first(z: Array) -> _State:
     """Before the first evaluation."""
     zero = jnp.zeros((), jnp.int32)
     return _State(
         z=z,
-        at=blank,
+        size=jnp.asarray(jnp.inf, z.dtype),
+        unknown_scale=jnp.ones_like(z),
         step=jnp.zeros_like(z),
         damping=jnp.ones((), z.dtype),
         least=jnp.asarray(jnp.inf, z.dtype),
@@ -150,20 +173,24 @@ def _first(z: Array, blank: Evaluation) -> _State:
     )
 
 
+# One program, not one for each of its constants.
+_first_of_known = jax.jit(_first)
+
+
 def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     """What follows from an evaluation at the end of the damped step and from the full `step` there,
-    but for what else is known, and whether this step is taken."""
+    and whether the damped step is taken."""
     first, trial = state.num_steps == 0, state.trial
     # By a quarter of what the linear equations promise. A residual that is zero to rounding falls
     # no more.
     eps = jnp.finfo(trial.dtype).eps
-    falls = (at.size <= (1 - 0.25 * state.damping) * state.at.size) | (at.size <= 4 * eps)
+    falls = (at.size <= (1 - 0.25 * state.damping) * state.size) | (at.size <= 4 * eps)
     sound = (at.result == RESULTS.successful) & jnp.isfinite(at.size)
     # Shorter is of no use: what does not fall along so short a step has a kink there.
     forced = state.damping <= _SHORTEST
     accepted = first | (sound & (falls | forced))
     length = jnp.max(abs(step) / at.unknown_scale)
-    old_length = jnp.max(abs(state.step) / state.at.unknown_scale)
+    old_length = jnp.max(abs(state.step) / state.unknown_scale)
 
     # No if the step is not finite, or so long that only rounding keeps the Jacobian regular.
     solvable = length <= eps**_ENDLESS
@@ -184,10 +211,10 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     result = RESULTS.where(failed, at.result, result)
     result = RESULTS.where(unknown, RESULTS.nonfinite, result)
     result = RESULTS.where(converged | floor, RESULTS.successful, result)
-    at, before = (dataclasses.replace(v, aux=None) for v in (at, state.at))
     after = _State(
         z=jnp.where(accepted, trial, state.z),
-        at=jax.tree.map(lambda u, v: jnp.where(accepted, u, v), at, before),
+        size=jnp.where(accepted, at.size, state.size),
+        unknown_scale=jnp.where(accepted, at.unknown_scale, state.unknown_scale),
         step=jnp.where(accepted & solvable, step, state.step),
         # Back to the full step soon: the order is two with that alone.
         damping=jnp.where(accepted, jnp.minimum(1, 4 * state.damping), 0.5 * state.damping),
@@ -202,16 +229,15 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
 
 def _judged_with_trial(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array, Array]:
     after, accepted = _judge(state, at, step)
-    return after, accepted, after.trial
+    return after, after.trial, jnp.stack([accepted, after.running])
 
 
 # As one kernel: compiled part by part it would take twice as long.
 _judged = jax.jit(kernel_if_it_fits(_judged_with_trial))
 
 
-def _solve_in_numpy(at: Evaluation) -> np.ndarray:
+def _solve_in_numpy(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """`_solve` of known numbers: to compile a factorisation takes longer than all the rest."""
-    matrix, right = np.asarray(at.jacobian), np.asarray(at.residual)
     rows = np.max(abs(matrix), axis=1, keepdims=True)
     rows = np.where(rows == 0, 1, rows)
     try:

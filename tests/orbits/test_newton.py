@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.orbits.newton import Evaluation, newton
+from jaxfil.orbits.newton import Evaluation, Stages, newton, newton_of_known
 
 ONES = jnp.ones(2)
 
@@ -38,7 +38,8 @@ def infinite(z):
 def test_known_numbers_take_the_same_way(evaluate, result):
     start = jnp.array([3.0, 0.5])
     traced = jax.jit(lambda z: newton(evaluate, z, 20))(start)
-    known = newton(evaluate, start, 20, known=True)
+    stages = Stages(lambda z: z, lambda z: z, lambda z, done: evaluate(done))
+    known = newton_of_known(stages, start, 20)
     assert known.result == traced.result == result
     assert known.num_steps == traced.num_steps
     assert_allclose(known.z, traced.z, rtol=1e-14)
