@@ -19,9 +19,10 @@ from jaxtyping import Array
 from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, conditions
 from jaxfil.integrate import component_system, components, filippov, sliding_weights
 from jaxfil.integrate.solution import switches
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import is_successful
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
+from jaxfil.xla.known import array_of
 
 # Tangencies of an orbit that are told for each surface.
 _CANDIDATES = 3
@@ -80,12 +81,12 @@ def attempts(
 
 
 def _guesses(orbit: Orbit, kinds: tuple[str, ...]) -> list[tuple[Tangency, Array]]:
-    found = tangency_candidates(orbit, *kinds) if orbit.result == RESULTS.successful else []
+    found = tangency_candidates(orbit, *kinds) if is_successful(orbit.result) else []
     if found:
-        return [(tangency, jnp.asarray(False)) for _, tangency in found]
+        return [(tangency, array_of(False)) for _, tangency in found]
     nan, mode = jnp.full_like(orbit.period, jnp.nan), orbit.first_mode.astype(orbit.period.dtype)
     nowhere = Tangency(orbit.x0, nan, nan, nan, mode, jnp.zeros((), jnp.int32), nan)
-    return [(nowhere, jnp.asarray(True))]
+    return [(nowhere, array_of(True))]
 
 
 def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency]]:
@@ -159,9 +160,7 @@ def _minima(
         return []
     guard, weight = (
         np.asarray(v)
-        for v in _guards(
-            orbit.system, jnp.asarray(times), jnp.asarray(states), jnp.asarray(flight.mode), j
-        )
+        for v in _guards(orbit.system, array_of(times), array_of(states), array_of(flight.mode), j)
     )
     found = []
     for k in range(1, times.size - 1):
@@ -216,16 +215,16 @@ def _reach(
 ) -> float:
     """The time in which Ḣ_s at the end of a flight would vanish."""
     within = ts[0] + (flight.stop - ts[0]) % float(orbit.period)
-    x = jnp.asarray(xs[np.argmin(abs(ts - within))])
-    at = jnp.asarray(flight.stop, x.dtype)
+    x = array_of(xs[np.argmin(abs(ts - within))])
+    at = array_of(flight.stop, x.dtype)
     there = Tangency(
         x,
         phase=at,
         start=at,
         stop=at,
-        mode=jnp.asarray(flight.mode, x.dtype),
-        surface=jnp.asarray(j, jnp.int32),
-        side=jnp.asarray(side, x.dtype),
+        mode=array_of(flight.mode, x.dtype),
+        surface=array_of(j, jnp.int32),
+        side=array_of(side, x.dtype),
     )
     found = conditions(orbit.system, at, x, there)
     return abs(float(found.rate)) / max(abs(float(found.bend)), 1e-300)
@@ -273,11 +272,11 @@ def _tangency(
     x = np.array([np.interp(left, ts, v) for v in xs.T])
     dtype = xs.dtype
     return Tangency(
-        x=jnp.asarray(x, dtype),
-        phase=jnp.asarray(middle / period, dtype),
-        start=jnp.asarray(left / period, dtype),
-        stop=jnp.asarray(right / period, dtype),
-        mode=jnp.asarray(mode, dtype),
-        surface=jnp.asarray(j, jnp.int32),
-        side=jnp.asarray(side, dtype),
+        x=array_of(x, dtype),
+        phase=array_of(middle / period, dtype),
+        start=array_of(left / period, dtype),
+        stop=array_of(right / period, dtype),
+        mode=array_of(mode, dtype),
+        surface=array_of(j, jnp.int32),
+        side=array_of(side, dtype),
     )

@@ -34,7 +34,7 @@ from jaxfil.orbits.newton import (
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits
-from jaxfil.xla.known import is_known
+from jaxfil.xla.known import array_of, is_known
 
 
 class Placed(eqx.Module):
@@ -214,5 +214,5 @@ def defining_system(
     if system.period is not None:
         periods = jnp.round(stop_gradient(orbit.period / jnp.asarray(orbit.system.period)))
     options = dataclasses.replace(orbit.options, arcs=1)
-    family = jnp.asarray(family, jnp.int32)
+    family = array_of(family, jnp.int32)
     return DefiningSystem(stop_gradient(tangency), options, periods, newton_steps, family, free)

@@ -35,13 +35,13 @@ from jaxfil.bifurcations.tangency import (
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument, renamed_attribute
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, is_successful, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.xla.known import compiled_if_traced
+from jaxfil.xla.known import array_of, compiled_if_traced, is_known
 
 _Result = TypeVar("_Result", bound=eqx.Module)
 
@@ -167,20 +167,18 @@ def find_bifurcation(
     if not isinstance(orbit, Orbit):
         raise ValueError(f"`orbit` must be an Orbit, got {type(orbit).__name__}.")
     system = cast(system, orbit.x0.dtype)
-    most = jnp.asarray(check.count("newton_steps", newton_steps))
+    most = array_of(check.count("newton_steps", newton_steps))
     family, code = FAMILIES[kind], BIFURCATION_KINDS.index(kind)
 
     def one(orbit: Orbit, tangency: Tangency, missing: Array) -> Bifurcation:
         # Numbers, not names: one program for all kinds.
-        asked = jnp.asarray(family), jnp.asarray(code)
+        asked = array_of(family), array_of(code)
         found = _find(system, parameter, *asked, most, orbit, tangency, missing)
         return Bifurcation(**found, parameter=parameter, family=FAMILY_NAMES[family])
 
     search = one if orbit.x0.ndim == 1 else eqx.filter_vmap(one)
     found = _first_found(search, orbit, guesses(orbit, kind))
-    if not throw:
-        return found
-    return found.result.error_if(found, found.result != RESULTS.successful)
+    return raise_if_failed(found, found.result) if throw else found
 
 
 def _first_found(
@@ -192,11 +190,9 @@ def _first_found(
     for attempt in attempts(orbit, lanes):
         now = search(orbit, *attempt)
         found = now if found is None else _better(found, now)
-        try:
-            if bool(jnp.all(found.result == RESULTS.successful)):
-                break
-        except jax.errors.TracerBoolConversionError:  # under jit all of them are tried
-            continue
+        # Under jit all of them are tried.
+        if is_known(found.result) and is_successful(found.result):
+            break
     assert found is not None
     return found
 
@@ -293,7 +289,7 @@ def _fields(
             period=at.period,
             # The closing's derivative is that of the flow map less one, through the tangency.
             monodromy=root.at.jacobian[:n, :n] + jnp.eye(n, dtype=z.dtype),
-            residual=root.at.size,
+            residual=root.size,
             events=near.events,
             num_events=near.num_events,
             first_mode=tangency.mode.astype(jnp.int8),
@@ -307,7 +303,7 @@ def _fields(
         x=closing.x,
         code=jnp.where(root.result == RESULTS.successful, located, -1),
         conditions=found,
-        residual=root.at.size,
+        residual=root.size,
         result=result,
         tangency=tangency,
     )

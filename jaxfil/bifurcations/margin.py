@@ -7,16 +7,17 @@ of the surface and zero where it grazes, with derivatives with respect to every 
 from typing import Literal, overload
 
 import equinox as eqx
+import jax
 import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxfil.bifurcations.candidates import guesses
 from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
-from jaxfil.bifurcations.tangency import FLIGHT
+from jaxfil.bifurcations.tangency import FLIGHT, Tangency
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
@@ -94,13 +95,25 @@ def grazing_margin(
         raise ValueError(f"`orbit` must be a single Orbit, got {orbit!r}.")
     tangency, missing = guesses(orbit, "grazing")[0][0]
     system = cast(system, orbit.x0.dtype)
-    equations = _Margin(defining_system(system, orbit, tangency, FLIGHT, (), _NEWTON_STEPS))
-    phase = orbit.period if system.period is None else tangency.phase
-    z, root = solve_implicit(equations, system, jnp.append(tangency.x, phase))
+    equations, guess = _first_guess(orbit, tangency)
+    found = _margin_of(*solve_implicit(equations, system, guess), missing)
+    return raise_if_failed(found.value, found.result) if throw else found
+
+
+@eqx.filter_jit
+def _first_guess(orbit: Orbit, tangency: Tangency) -> tuple["_Margin", Array]:
+    """The equations and a guess of their unknowns. The system itself, which may be traced, is none
+    of what they are made of."""
+    equations = defining_system(orbit.system, orbit, tangency, FLIGHT, (), _NEWTON_STEPS)
+    phase = orbit.period if orbit.system.period is None else tangency.phase
+    return _Margin(equations), jnp.append(tangency.x, phase)
+
+
+@jax.jit
+def _margin_of(z: Array, root: Root, missing: Array) -> GrazingMargin:
+    """The margin that a solution is."""
     result = RESULTS.where(missing, RESULTS.no_tangency_found, root.result)
-    if not throw:
-        return GrazingMargin(z[-1], result)
-    return result.error_if(z[-1], result != RESULTS.successful)
+    return GrazingMargin(z[-1], result)
 
 
 class _Margin(Equations):

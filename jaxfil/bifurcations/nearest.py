@@ -24,7 +24,7 @@ from jaxfil.bifurcations.optimality import Nearest
 from jaxfil.bifurcations.tangency import FAMILY_NAMES, FLIGHT, Tangency
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
@@ -137,7 +137,7 @@ def nearest_grazing(
     found = _nearest_found(search, orbit, guesses(orbit, "grazing", "grazing-sliding"))
     if not throw:
         return found
-    return found.result.error_if(found, found.result != RESULTS.successful)
+    return raise_if_failed(found, found.result)
 
 
 def _nearest_found(

@@ -14,7 +14,7 @@ from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation, find_bifu
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, code
 from jaxfil.model.parameter import cast, replace_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
@@ -135,8 +135,8 @@ def _named(system: System, parameter: str, point: SpecialPoint) -> Bifurcation |
     for _, kind in sorted(nearest):
         found = find_bifurcation(system, parameter, orbit, kind, throw=False)
         # A bifurcation further off is another one, which has its own place on the branch.
-        located = (found.result == RESULTS.successful) | (found.result == RESULTS.other_kind)
+        located = code(found.result) in (code(RESULTS.successful), code(RESULTS.other_kind))
         close = abs(float(found.value) - point.value) <= 1e-6 * abs(point.value)
-        if bool(located) and close and int(found.code) >= 0:
+        if located and close and int(found.code) >= 0:
             return found
     return point

@@ -35,6 +35,7 @@ from jaxfil.orbits.curve import (
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.special_points import neimark_sacker, period_doubling
+from jaxfil.xla.known import array_of
 
 
 class _Known(eqx.Module):
@@ -119,7 +120,7 @@ class TangencyCurve(Curve[TangencyPoint]):
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
         """By the defining system."""
-        return _solve(self.system, self.equations, jnp.asarray(guess), constraint)
+        return _solve(self.system, self.equations, array_of(guess), constraint)
 
     def point(
         self, root: Root, constraint: ArclengthConstraint, along: np.ndarray

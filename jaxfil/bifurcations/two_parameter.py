@@ -17,7 +17,7 @@ from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels, labels_of
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import get_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
@@ -176,7 +176,7 @@ def continue_bifurcation(
         found = _curve(curve, follow(curve, start, ends, max_step, max_points), names)
     if throw:
         # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
-        found.result.error_if(found.values, found.result != RESULTS.successful)
+        raise_if_failed(found.values, found.result)
     return found
 
 

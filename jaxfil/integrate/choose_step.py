@@ -22,7 +22,13 @@ from jaxfil.integrate.solve import solve
 from jaxfil.integrate.step_choice import StepChoice
 from jaxfil.integrate.stepper import RK4, Stepper, checked_stepper, tableau_of
 from jaxfil.model import check
-from jaxfil.model.outcomes import RESULTS, outcome_codes, outcome_names, outcomes
+from jaxfil.model.outcomes import (
+    RESULTS,
+    outcome_codes,
+    outcome_names,
+    outcomes,
+    raise_if_failed,
+)
 from jaxfil.model.parameter import cast, replace_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State, States, SweptValues
@@ -184,7 +190,7 @@ def choose_step(
         ladder.refine(reference, wanted)
     choice = _choice(ladders, lanes, reference, known, wanted)
     if throw:
-        choice.result.error_if(choice.errors, choice.result != RESULTS.successful)
+        raise_if_failed(choice.errors, choice.result)
     return choice
 
 

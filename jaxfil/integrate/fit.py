@@ -21,7 +21,7 @@ from jaxfil.integrate.step_choice import StepChoice, dt_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, replace_parameters, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
@@ -172,7 +172,7 @@ def fit(
     found = _search(model, starts, rtol, check.count("max_steps", max_steps), sigma is None)
     if not throw:
         return found
-    return found.result.error_if(found, found.result != RESULTS.successful)
+    return raise_if_failed(found, found.result)
 
 
 def _whole_state(t: Array, x: Array) -> Array:

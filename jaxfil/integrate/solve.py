@@ -28,14 +28,22 @@ from jaxfil.integrate.options import (
 from jaxfil.integrate.problem import Problem, Recording, TimeGrid, iteration_budget
 from jaxfil.integrate.recording import mode_codes
 from jaxfil.integrate.section_values import watch_sections
-from jaxfil.integrate.solution import Dense, Solution, crossings_of, errors, events_of
+from jaxfil.integrate.solution import (
+    Crossings,
+    Dense,
+    Events,
+    Solution,
+    crossings_of,
+    errors,
+    events_of,
+)
 from jaxfil.integrate.state import LoopState, SavedStates
 from jaxfil.integrate.step_choice import StepChoice, dt_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.stopped import raise_unless_successful
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
-from jaxfil.model.outcomes import is_good
+from jaxfil.model.outcomes import RESULTS, is_good
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section, Sections, sections_of
 from jaxfil.model.system import System
@@ -188,7 +196,60 @@ def _solve(
     sections: tuple[Section, ...] = (),
     observable: Observable | None = None,
 ) -> Solution:
-    grid = _time_grid(t0, t1, dt, options)
+    problem_over = ft.partial(_problem, system, stepper, options, sections)
+
+    def run(x0: Array, *span: Array) -> _End:
+        problem = problem_over(x0, *span)
+        x = problem.system.unpack(x0)
+        if not options.reverse:
+            return _end(problem, options, x0, integrate(problem, x))
+        assert options.budget is not None
+        state = integrate_with_checkpoints(problem, x, options.budget, options.checkpoints)
+        return _end(problem, options, x0, state)
+
+    # All of it in the kernel: what is made of the end there needs no values from elsewhere for its
+    # derivatives, so that a Jacobian is one kernel, not two; and each small part left outside takes
+    # longer to compile than to trace.
+    whole = run if options.reverse else kernel_if_it_fits(run, options.compact)
+    end = whole(x0, t0, t1, dt)
+    seen = dense = None
+    if observable is not None:
+        problem = problem_over(x0, t0, t1, dt)
+        seen = observed(observable, problem, system, x0, end.saves)
+    ts, xs, modes = end.saves.ts, end.saves.xs, end.saves.modes
+    if options.save == "dense":
+        dense = Dense(system, t0, end.t_final, ts, xs, modes, stepper, options.compact)
+        ts = xs = modes = None
+    return Solution(
+        ts=ts,
+        xs=xs,
+        modes=modes,
+        events=end.events,
+        num_events=end.num_events,
+        result=end.result,
+        stats=end.stats,
+        t_final=end.t_final,
+        x_final=end.x_final,
+        mode_final=end.mode_final,
+        compact=options.compact,
+        crossings=end.crossings,
+        num_crossings=end.num_crossings,
+        observed=seen,
+        _dense=dense,
+    )
+
+
+def _problem(
+    system: System,
+    stepper: Stepper,
+    options: Options,
+    sections: tuple[Section, ...],
+    x0: Array,
+    t0: Array,
+    t1: Array,
+    dt: Array,
+) -> Problem:
+    """A solve as the loop is given it."""
     saved = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
     recording = Recording(
         save=saved,
@@ -199,18 +260,8 @@ def _solve(
     )
     field = build(system, x0, compact=options.compact, transposed=options.reverse)
     watched = watch_sections(sections, field, x0, options.reverse)
-    problem = Problem(field, tableau_of(stepper), grid, recording, watched)
-    ended = ft.partial(_solution, problem, options, system, x0, stepper, observable)
-    if options.reverse:
-        assert options.budget is not None
-        state = integrate_with_checkpoints(
-            problem, field.unpack(x0), options.budget, options.checkpoints
-        )
-        return ended(_ended(problem, state))
-    # In the kernel with what the outcome makes of the end: its derivatives then need no values from
-    # elsewhere, and a Jacobian compiles and runs one kernel, not two.
-    run = kernel_if_it_fits(lambda x: _ended(problem, integrate(problem, x)), problem.compact)
-    return ended(run(field.unpack(x0)))
+    grid = _time_grid(t0, t1, dt, options)
+    return Problem(field, tableau_of(stepper), grid, recording, watched)
 
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
@@ -230,63 +281,48 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     return TimeGrid(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
 
 
-def _ended(problem: Problem, state: LoopState) -> LoopState:
-    """A finished lane; one that has kept nothing with its end, infinite unless it is the end asked
-    for."""
-    if state.saves is not None:
-        return state
-    done = is_good(state.result)
-    t, x = problem.grid.t0 + state.tau, pack(state.x, problem.system.dtype)
-    end = SavedStates(
-        jnp.where(done, t, jnp.inf)[None],
-        jnp.where(done, x, jnp.inf)[None],
-        mode_codes(state.mode)[None],
-    )
-    return dataclasses.replace(state, saves=end)
+class _End(eqx.Module):
+    """A finished lane, as the user sees it."""
+
+    saves: SavedStates
+    events: Events | None
+    crossings: Crossings | None
+    num_events: Array
+    num_crossings: Array | None
+    result: RESULTS
+    stats: dict[str, Array]
+    t_final: Array
+    x_final: Array
+    mode_final: Array
 
 
-def _solution(
-    problem: Problem,
-    options: Options,
-    system: System,
-    x0: Array,
-    stepper: Stepper,
-    observable: Observable | None,
-    state: LoopState,
-) -> Solution:
-    """The result of a finished lane, as the user sees it."""
+def _end(problem: Problem, options: Options, x0: Array, state: LoopState) -> _End:
+    """The end of a lane. One that has kept nothing has kept its end, infinite unless it is the end
+    asked for."""
     t0 = problem.grid.t0
-    t_final, x_final = t0 + state.tau, pack(state.x, problem.system.dtype)
-    assert state.saves is not None
-    dense = None
-    ts, xs, modes = state.saves.ts, state.saves.xs, state.saves.modes
+    t, x, mode = t0 + state.tau, pack(state.x, problem.system.dtype), mode_codes(state.mode)
+    if state.saves is None:
+        done = is_good(state.result)
+        ts, xs = jnp.where(done, t, jnp.inf)[None], jnp.where(done, x, jnp.inf)[None]
+        modes = mode[None]
+    else:
+        ts, xs, modes = state.saves.ts, state.saves.xs, state.saves.modes
     if options.with_t0 or options.save == "dense":
         ts, xs = jnp.append(t0[None], ts), jnp.append(x0[None], xs, axis=0)
         modes = jnp.append(mode_codes(state.first_mode)[None], modes, axis=0)
-    seen = None
-    if observable is not None:
-        seen = observed(observable, problem, system, x0, SavedStates(ts, xs, modes))
-    if options.save == "dense":
-        dense = Dense(system, t0, t_final, ts, xs, modes, stepper, problem.compact)
-        ts = xs = modes = None
-    return Solution(
-        ts=ts,
-        xs=xs,
-        modes=modes,
+    return _End(
+        saves=SavedStates(ts, xs, modes),
         events=events_of(state.table),
+        crossings=crossings_of(state.crossings),
         num_events=state.num_events,
+        num_crossings=None if state.watch is None else state.watch.total,
         result=state.result,
         stats={
             "num_steps": state.num_accepted,
             "num_iterations": state.num_iterations,
             "num_saved": state.num_saved,
         },
-        t_final=t_final,
-        x_final=x_final,
-        mode_final=mode_codes(state.mode),
-        compact=problem.compact,
-        crossings=crossings_of(state.crossings),
-        num_crossings=None if state.watch is None else state.watch.total,
-        observed=seen,
-        _dense=dense,
+        t_final=t,
+        x_final=x,
+        mode_final=mode,
     )

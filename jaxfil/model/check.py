@@ -18,6 +18,7 @@ from jaxtyping import Array
 from jaxfil.model.clock import Clock, Clocks
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System, has_resets
+from jaxfil.xla.known import array_of
 
 # Steps are counted in 32 bits, on every device and in every precision.
 MOST_STEPS = 2**31 - 1
@@ -35,7 +36,7 @@ def concrete(value: object) -> np.ndarray | None:
 def state(name: str, x: Any) -> Array:
     """A state of shape (n,), in its own float precision (the default one for integers)."""
     try:
-        array = jnp.asarray(x)
+        array = array_of(x)
     except (TypeError, ValueError) as error:
         raise ValueError(f"`{name}` must be an array of shape (n,), got {x!r}.") from error
     if array.ndim != 1 or array.shape[0] == 0:
@@ -96,7 +97,7 @@ def _number(told: str, value: Any, dtype: DTypeLike, positive: bool) -> Array:
     if isinstance(value, (str, bytes, bool)) or value is None:
         raise ValueError(f"{told} must be {must}, got {value!r}.")
     try:
-        array = jnp.asarray(value)
+        array = array_of(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{told} must be {must}, got {value!r}.") from error
     if array.ndim != 0:
@@ -107,7 +108,7 @@ def _number(told: str, value: Any, dtype: DTypeLike, positive: bool) -> Array:
     known = concrete(value)
     if positive and known is not None and not known > 0:
         raise ValueError(f"{told} must be {must}, got {known}.")
-    return array.astype(dtype)
+    return array.astype(dtype) if isinstance(value, jax.Array) else array_of(value, dtype)
 
 
 def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> Any:
@@ -151,7 +152,10 @@ def system(name: str, value: object) -> None:
         what = value.__name__ if isinstance(value, type) else type(value).__name__
         hint = "; create an instance of it" if isinstance(value, type) else ""
         raise ValueError(f"`{name}` must be an instance of jaxfil.System, got {what}{hint}.")
-    if callable(value.period):  # its bound method is no number, and no None either
+    # A bound method is no number, and no None either. Properties are not asked for their value,
+    # which could be a program to compile.
+    given = vars(value).get("period", getattr(type(value), "period", None))
+    if callable(given):
         raise ValueError(
             f"`period` of {type(value).__name__} must be a number, a property or None, got a "
             "method: write @property above it."

@@ -5,6 +5,7 @@ sentence the user sees), and `EventKind`, the codes of the event table.
 """
 
 import enum
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -12,6 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.model.deprecation import warn_renamed
+from jaxfil.xla.known import is_known
+
+_Tree = TypeVar("_Tree")
 
 
 class _Outcomes(type(eqx.Enumeration)):
@@ -139,6 +143,20 @@ def is_good(result: RESULTS) -> jax.Array:
     return (result == RESULTS.successful) | (result == RESULTS.section_reached)
 
 
+def is_successful(result: RESULTS) -> bool:
+    """Whether a known outcome is `successful`, or all of a batch are: compared in NumPy, as JAX
+    would compile a program for each shape."""
+    return bool(np.all(np.asarray(_codes(result)) == code(RESULTS.successful)))
+
+
+def raise_if_failed(value: _Tree, result: RESULTS) -> _Tree:
+    """The same value, or an error with the sentence of an outcome that is not `successful`; of a
+    batch the one that comes last in the list of members."""
+    if is_known(result) and is_successful(result):
+        return value
+    return result.error_if(value, result != RESULTS.successful)
+
+
 def outcome_names(results: RESULTS) -> np.ndarray:
     """The names of outcomes, an array of strings in their shape."""
     # Files and tables hold names: the integers are a matter of the order of the members above.
@@ -162,8 +180,12 @@ def outcome_codes(names: np.ndarray) -> np.ndarray:
 
 def code(outcome: RESULTS) -> int:
     """The integer that stands for an outcome."""
-    (number,) = jax.tree.leaves(outcome)  # the one leaf that equinox gives a member
-    return int(number)
+    return int(_codes(outcome))
+
+
+def _codes(outcome: RESULTS) -> jax.Array:
+    (numbers,) = jax.tree.leaves(outcome)  # the one leaf that equinox gives a member
+    return numbers
 
 
 def outcomes(codes: np.ndarray) -> RESULTS:

@@ -16,6 +16,8 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array, PyTree
 
+from jaxfil.xla.known import array_of
+
 _Tree = TypeVar("_Tree")
 
 # A name, and the indices of an entry after it.
@@ -122,6 +124,4 @@ def cast(system: _Tree, dtype: DTypeLike) -> _Tree:
     """`system`, or another pytree, with every float leaf an array of the given dtype, so that none
     is static."""
     # A Python float would be a constant of the compiled program, and a new value another program.
-    return jax.tree.map(
-        lambda leaf: jnp.asarray(leaf, dtype) if is_parameter(leaf) else leaf, system
-    )
+    return jax.tree.map(lambda leaf: array_of(leaf, dtype) if is_parameter(leaf) else leaf, system)

@@ -9,12 +9,11 @@ import dataclasses
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, replace_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.branch import Branch, SpecialPoint
@@ -98,7 +97,7 @@ def continue_orbit(
         branch = _branch(curve, follow(curve, start, ends, max_step, max_points))
     if throw:
         # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
-        branch.result.error_if(branch.values, branch.result != RESULTS.successful)
+        raise_if_failed(branch.values, branch.result)
     return branch
 
 
@@ -110,7 +109,8 @@ def _on_branch(
     system = cast(system, orbit.x0.dtype)
     periods = 1
     if system.period is not None:
-        ratio = float(orbit.period / jnp.asarray(orbit.system.period))
+        with np.errstate(all="ignore"):
+            ratio = float(np.divide(orbit.period, np.asarray(orbit.system.period)))
         # Of a period that is NaN none is a multiple; Newton's method will say what is wrong.
         periods = round(ratio) if np.isfinite(ratio) else 1
     # The orbit says where the branch starts, whatever the system's own value is.

@@ -67,7 +67,7 @@ def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> 
         tangent=tangent_of(root, scale, along),
         num_steps=int(root.num_steps),
         shot=root.at.aux,
-        residual=float(root.at.size),
+        residual=float(root.size),
     )
 
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, is_successful
 from jaxfil.orbits.newton import Evaluation, Root
 
 
@@ -156,7 +156,7 @@ class Curve(abc.ABC, Generic[_Point]):
         """`correct`, and the outcome of Newton's method. Nobody can give it more evaluations: from
         a point of the curve it needs a few, so that to use up all of them is to be stalled."""
         root = self.solve(guess, constraint)
-        if bool(root.result == RESULTS.successful):
+        if is_successful(root.result):
             return self.point(root, constraint, along), root.result
         used_up = root.result == RESULTS.newton_max_steps_reached
         return None, RESULTS.where(used_up, RESULTS.newton_stalled, root.result)

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 
 from jaxfil.integrate.problem import period_outcome
 from jaxfil.model import check
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.orbits.fourier import FourierOrbit, equal_phases, project, slope_of, waves_at
@@ -103,7 +103,7 @@ def harmonic_balance(
     series = _solve(cast(system, first.dtype), first, periods, budget)
     if not throw:
         return series
-    return series.result.error_if(series, series.result != RESULTS.successful)
+    return raise_if_failed(series, series.result)
 
 
 def _first(
@@ -179,7 +179,7 @@ def _solve(system: System, first: Array, periods: int, newton_steps: Array) -> F
 
     root = newton(evaluate, first.ravel(), newton_steps)
     result = period_outcome(period, root.result)
-    return FourierOrbit(root.z.reshape(size, n), period, root.at.size, result, root.num_steps)
+    return FourierOrbit(root.z.reshape(size, n), period, root.size, result, root.num_steps)
 
 
 def _equations(balance: _Balance, c: Array) -> tuple[Array, Array]:

@@ -15,12 +15,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System
+from jaxfil.orbits.newton import solve_in_numpy
 from jaxfil.xla.known import compiled_if_traced, is_known
 
 SystemOf = Callable[[Array], System]
@@ -50,6 +52,14 @@ class _SystemOf(eqx.Module):
     def __call__(self, theta: Array) -> System:
         return eqx.combine(self.unravel(theta), self.rest)
 
+    def of_known(self, theta: Array) -> System:
+        """The same, cut in NumPy: as a program each leaf would be a part to compile."""
+        leaves, tree = jax.tree.flatten(eqx.filter_eval_shape(self.unravel, theta))
+        ends = np.cumsum([v.size for v in leaves])[:-1]
+        parts = np.split(np.asarray(theta), ends)
+        cut = [part.reshape(v.shape) for part, v in zip(parts, leaves, strict=True)]
+        return eqx.combine(jax.tree.unflatten(tree, jax.device_put(cut)), self.rest)
+
 
 def solve_implicit(
     equations: Equations, system: System, guess: Float[Array, " N"]
@@ -68,23 +78,17 @@ def solve_implicit(
 
 @compiled_if_traced
 def _solve(theta: Array, equations: Equations, system_of: _SystemOf, guess: Array) -> tuple:
-    return equations.solve(_system(system_of, theta), guess)
-
-
-@eqx.filter_jit
-def _system(system_of: _SystemOf, theta: Array) -> System:
-    return system_of(theta)
+    known = is_known((theta, system_of))
+    return equations.solve(system_of.of_known(theta) if known else system_of(theta), guess)
 
 
 @compiled_if_traced
 def _sensitivity(
     theta: Array, equations: Equations, system_of: _SystemOf, z: Array, by_z: Array
 ) -> Array:
-    return _implicit(by_z, equations.by_parameters(system_of, theta, z))
-
-
-@jax.jit
-def _implicit(by_z: Array, by_theta: Array) -> Array:
+    by_theta = equations.by_parameters(system_of, theta, z)
+    if is_known((by_z, by_theta)):
+        return jax.device_put(-solve_in_numpy(np.asarray(by_z), np.asarray(by_theta)))
     return -jnp.linalg.solve(by_z, by_theta)
 
 
@@ -101,7 +105,8 @@ def _solution_jvp(
     z, by_z, more = _solution(theta, equations=equations, system_of=system_of, guess=guess)
     # A NaN is seen where somebody takes the derivative of what has none; a zero would not be.
     none = jax.tree.map(
-        lambda v: jnp.full_like(v, jnp.nan) if eqx.is_inexact_array(v) else None, (by_z, more)
+        lambda v: np.full(v.shape, np.nan, v.dtype) if eqx.is_inexact_array(v) else None,
+        (by_z, more),
     )
     if direction is None:
         return (z, by_z, more), (jnp.zeros_like(z), *none)

@@ -80,10 +80,12 @@ def as_it_is(at: Evaluation, z: Array) -> Evaluation:
 
 
 class Root(eqx.Module):
-    """Where Newton's iteration ended: the unknowns, what is known there, and the outcome."""
+    """Where Newton's iteration ended: the unknowns, what is known there, the size of the residual,
+    and the outcome."""
 
     z: Float[Array, " N"]
     at: Evaluation
+    size: Float[Array, ""]
     num_steps: Int[Array, ""]
     result: RESULTS
 
@@ -133,7 +135,7 @@ def newton(
         return state, jax.tree.map(lambda u, v: jnp.where(accepted, u, v), at, before)
 
     last, at = jax.lax.while_loop(unfinished, iterate, (_first(z), blank))
-    return Root(last.z, at, last.num_steps, last.result)
+    return Root(last.z, at, last.size, last.num_steps, last.result)
 
 
 def newton_of_known(stages: Stages, z: Float[Array, " N"], max_steps: Array | int) -> Root:
@@ -141,14 +143,14 @@ def newton_of_known(stages: Stages, z: Float[Array, " N"], max_steps: Array | in
     state, trial, at = _first_of_known(z), z, None
     for _ in range(int(max_steps)):
         now = _finished(stages.finish, trial, stages.work(stages.near(trial)))
-        step = -_solve_in_numpy(np.asarray(now.jacobian), np.asarray(now.residual))
+        step = -solve_in_numpy(np.asarray(now.jacobian), np.asarray(now.residual))
         state, trial, flags = _judged(state, dataclasses.replace(now, aux=None), step)
         accepted, running = np.asarray(flags)
         at = now if accepted else at
         if not running:
             break
     assert at is not None  # the guess is always taken
-    return Root(state.z, at, state.num_steps, state.result)
+    return Root(state.z, at, state.size, state.num_steps, state.result)
 
 
 @eqx.filter_jit
@@ -236,14 +238,15 @@ def _judged_with_trial(state: _State, at: Evaluation, step: Array) -> tuple[_Sta
 _judged = jax.jit(kernel_if_it_fits(_judged_with_trial))
 
 
-def _solve_in_numpy(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """`_solve` of known numbers: to compile a factorisation takes longer than all the rest."""
-    rows = np.max(abs(matrix), axis=1, keepdims=True)
+def solve_in_numpy(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """X of A X = B, of one column or many, of known numbers; inf where A is singular. To compile a
+    factorisation takes longer than all the rest."""
+    rows = np.max(abs(matrix), axis=1)
     rows = np.where(rows == 0, 1, rows)
     try:
         # What is not finite is an outcome, and no warning besides.
         with np.errstate(all="ignore"):
-            return np.linalg.solve(matrix / rows, right / rows[:, 0])
+            return np.linalg.solve((matrix.T / rows).T, (right.T / rows).T)
     except np.linalg.LinAlgError:
         return np.full_like(right, np.inf)
 

@@ -29,6 +29,7 @@ from jaxfil.orbits.orbit_arrays import orbit_arrays
 from jaxfil.orbits.shooting import (
     ShootingOptions,
 )
+from jaxfil.xla.known import in_numpy
 
 # An autonomous period below this part of the guess is not looked for.
 _SHORTEST = 1 / 16
@@ -140,12 +141,13 @@ class Orbit(eqx.Module):
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is kept where every step is.
         budget = enough_iterations(self.options.steps * periods, self.options.max_events * periods)
+        t0, period = in_numpy((self.options.t0, self.period))
         return solve(
             self.system,
             self.x0,
-            self.options.t0,
-            self.options.t0 + periods * self.period,
-            self.period / self.options.steps,
+            t0,
+            t0 + periods * period,
+            period / self.options.steps,
             stepper=self.options.stepper,
             saveat=saveat,
             max_events=self.options.max_events * periods,

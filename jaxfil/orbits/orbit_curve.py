@@ -25,6 +25,7 @@ from jaxfil.orbits.curve import (
 )
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.special_points import special_orbits
+from jaxfil.xla.known import array_of
 
 # A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
 # root of the period map needs many, as it is halved again and again.
@@ -54,8 +55,8 @@ class OrbitCurve(Curve[OrbitPoint]):
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
         """By shooting."""
-        steps = jnp.asarray(_NEWTON_STEPS, jnp.int32)
-        return solve_across(self.problem, jnp.asarray(guess), constraint, steps)
+        steps = array_of(_NEWTON_STEPS, jnp.int32)
+        return solve_across(self.problem, array_of(guess), constraint, steps)
 
     def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:
         """With its shot."""
@@ -99,8 +100,8 @@ class OrbitCurve(Curve[OrbitPoint]):
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         base, scales = (np.broadcast_to(v, normals.shape) for v in (here.u, scale))
         constraints = constraint_across(base, scales, normals, np.full(_DIRECTIONS, _RADIUS))
-        guesses = jnp.asarray(base + _RADIUS * normals * scales)
-        steps = jnp.asarray(_MANY_STEPS, jnp.int32)
+        guesses = array_of(base + _RADIUS * normals * scales)
+        steps = array_of(_MANY_STEPS, jnp.int32)
         solve = lambda u, constraint: solve_across(self.problem, u, constraint, steps)  # noqa: E731
         roots = eqx.filter_vmap(solve)(guesses, constraints)
         pick = lambda tree, i: jax.tree.map(lambda v: np.asarray(v)[i], tree)  # noqa: E731

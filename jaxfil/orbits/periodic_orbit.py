@@ -15,7 +15,7 @@ from jaxfil.integrate.compact import is_compact_run
 from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper
 from jaxfil.model import check
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
@@ -24,7 +24,7 @@ from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions, flow_map, starts_from
-from jaxfil.xla.known import compiled_if_traced
+from jaxfil.xla.known import array_of, compiled_if_traced
 
 
 def periodic_orbit(
@@ -129,12 +129,10 @@ def periodic_orbit(
         compact=is_compact_run(compact, (system, x)),
     )
     # Traced: another number compiles nothing.
-    budget = jnp.asarray(check.count("newton_steps", newton_steps), jnp.int32)
-    settle = jnp.asarray(transient, jnp.int32) if transient else None
+    budget = array_of(check.count("newton_steps", newton_steps), jnp.int32)
+    settle = array_of(transient, jnp.int32) if transient else None
     orbit = _find(system, x, guess, options, periods, settle, budget)
-    if not throw:
-        return orbit
-    return orbit.result.error_if(orbit, orbit.result != RESULTS.successful)
+    return raise_if_failed(orbit, orbit.result) if throw else orbit
 
 
 @compiled_if_traced
@@ -184,7 +182,7 @@ def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbi
         period=jnp.asarray(period, z.dtype),
         # Of a shot that ended early there is none.
         monodromy=jnp.where(shot.result == RESULTS.successful, shot.monodromy, jnp.nan),
-        residual=root.at.size,
+        residual=root.size,
         events=shot.events,
         num_events=shot.num_events,
         first_mode=shot.first_mode,

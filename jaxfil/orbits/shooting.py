@@ -21,7 +21,6 @@ from jaxfil.integrate.initial_mode import initial_state
 from jaxfil.integrate.loop import integrate, integrate_in_kernel
 from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid, period_outcome
 from jaxfil.integrate.solution import Events, events_of
-from jaxfil.integrate.state import EventTable
 from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
@@ -87,54 +86,60 @@ def shoot(
     """Integrate every arc from its start."""
     n = starts.shape[1]
 
-    def arc(number: Array, start: Array):
-        def end(z: Array):
+    def arc(number: Array, start: Array) -> tuple:
+        def end(z: Array) -> tuple[Array, tuple]:
             system, period = setting(z[n:])
             length = period / options.arcs
             t0 = options.t0 + number * length
             problem = options.problem(system, z[:n], t0, length, options.arcs)
             state = integrate(problem, problem.system.unpack(z[:n]))
-            x, size = pack(state.x, z.dtype), pack(state.size, z.dtype)
+            x = pack(state.x, z.dtype)
+            # Of the states at the steps: what a component is measured by, and no more than that.
+            size = jnp.maximum(pack(state.size, z.dtype), abs(x))
             mode = pack(state.first_mode, z.dtype).astype(jnp.int8)
-            more = (x, size, state.table, state.num_events, mode, state.result)
+            result = period_outcome(period, state.result)
+            more = (x, size, events_of(state.table), state.num_events, mode, result)
             return x, jax.tree.map(stop_gradient, more)
+
+        def slopes(z: Array) -> tuple:
+            by, more = jax.jacfwd(end, has_aux=True)(z)
+            return by[:, :n], by[:, n:], *more
 
         # One derivative by all that an arc depends on: the directions share the steps, the contacts
         # and the loop.
-        z = jnp.concatenate([start, q])
-        return kernel_if_it_fits(jax.jacfwd(end, has_aux=True), options.compact)(z)
+        return kernel_if_it_fits(slopes, options.compact)(jnp.concatenate([start, q]))
 
     numbers = jnp.arange(options.arcs).astype(starts.dtype)
     if options.arcs == 1:  # a batch of one would take as long to trace as a batch
         done = jax.tree.map(lambda v: v[None], arc(numbers[0], starts[0]))
     else:
         done = jax.vmap(arc)(numbers, starts)
-    by, (ends, sizes, tables, counts, modes, results) = done
+    by_start, by_global, ends, sizes, events, counts, modes, results = done
     # The last write wins: the outcome is that of the first arc that failed.
     result = RESULTS.successful
     for i in reversed(range(options.arcs)):
         one = jax.tree.map(lambda v, i=i: v[i], results)
         result = RESULTS.where(one == RESULTS.successful, result, one)
-    result = period_outcome(setting(q)[1], result)
-    # Of the states at the steps: what a component is measured by, and no more than that.
-    size = jnp.maximum(jnp.max(sizes, axis=0), jnp.max(abs(ends), axis=0))
+    size = jnp.max(sizes, axis=0)
     return Shot(
         ends=ends,
-        by_start=by[:, :, :n],
-        by_global=by[:, :, n:],
+        by_start=by_start,
+        by_global=by_global,
         size=jnp.where(size == 0, 1, size),
-        events=events_of(_merged(tables, options.max_events)),
+        events=_merged(events, options.max_events),
         num_events=jnp.sum(counts, dtype=jnp.int32),
         first_mode=modes[0],
         result=result,
     )
 
 
-def _merged(tables: EventTable | None, size: int) -> EventTable | None:
-    """The tables of all arcs in one, in order of time, its first `size` rows."""
-    if tables is None:
+def _merged(events: Events | None, size: int) -> Events | None:
+    """The events of all arcs in one table, in order of time, its first `size` rows."""
+    if events is None:
         return None
-    flat = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), tables)
+    if events.ts.shape[0] == 1:  # in order already
+        return jax.tree.map(lambda v: v[0], events)
+    flat = jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:]), events)
     order = jnp.argsort(flat.ts, stable=True)[:size]
     return jax.tree.map(lambda v: v[order], flat)
 

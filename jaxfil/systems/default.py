@@ -9,11 +9,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.core
-import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.model.fields import is_no_number
 from jaxfil.model.types import Scalar
+from jaxfil.xla.known import array_of
 
 
 def default(value: float) -> Any:
@@ -24,7 +24,7 @@ def default(value: float) -> Any:
 def _array(value: Any) -> Any:
     """The parameter as an array. What is no number stays as it is: the system refuses it by name,
     which is not known here."""
-    return value if is_no_number(value) else jnp.asarray(value)
+    return value if is_no_number(value) else array_of(value)
 
 
 def check_restitution(system: Any) -> None:
@@ -44,4 +44,4 @@ def none_if_zero(value: Scalar | None) -> Any:
     # A traced zero is a parameter like any other: what it is at run time cannot choose a program.
     known = not isinstance(value, jax.core.Tracer)
     zero = known and np.all(np.asarray(value) == 0)
-    return None if zero else jnp.asarray(value)
+    return None if zero else array_of(value)

@@ -12,6 +12,10 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array
 
 _F = TypeVar("_F", bound=Callable)
 
@@ -25,6 +29,25 @@ def is_known(tree: Any) -> bool:
     ([False], True)
     """
     return not any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(tree))
+
+
+def array_of(value: Any, dtype: DTypeLike | None = None) -> Array:
+    """`jnp.asarray` of a number or of arrays of numbers. Numbers of Python's or NumPy's are put on
+    the device as they are: `jnp.asarray` would compile a program for each shape and type.
+
+    >>> array_of(1), array_of(2.0, "float32").dtype
+    (Array(1, dtype=int64, weak_type=True), dtype('float32'))
+    """
+    if isinstance(value, (int, float, np.number, np.ndarray)):
+        array = jax.device_put(value if dtype is None else np.asarray(value, dtype))
+        if is_known(array):
+            return array
+    return jnp.asarray(value, dtype)
+
+
+def in_numpy(tree: Any) -> Any:
+    """A tree of arrays as NumPy's where they are known: arithmetic of them compiles nothing."""
+    return jax.tree.map(np.asarray, tree) if is_known(tree) else tree
 
 
 def compiled_if_traced(function: _F) -> _F:
