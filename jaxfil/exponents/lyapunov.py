@@ -150,42 +150,46 @@ def _spectrum(
     batches: int,
     compact: bool,
 ) -> LyapunovSpectrum:
-    periods, transient, steps = counts
-    interval = interval.of(system, x0)
-    grid = interval.grid(transient + periods, steps)
-    problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
-    # The frame costs n times the orbit: it joins when most of the transient is over.
-    alone = (transient - transient // 4) * steps
-    ends = batch_ends(periods, batches)
-    stops = (transient + jnp.append(0, ends)) * steps
-
-    def run(x0: Array) -> tuple[LoopState, Array]:
-        state = jax.lax.while_loop(
-            lambda state: is_running(grid, state, alone),
-            lambda state: advance(problem, state),
-            initial_state(problem, problem.system.unpack(x0)),
+    def run(x0: Array) -> LyapunovSpectrum:
+        between = interval.of(system, x0)
+        grid = between.grid(counts[0] + counts[1], counts[2])
+        problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
+        ends = batch_ends(counts[0], batches)
+        state, growth = _grown(problem, counts, ends, x0)
+        times = ends.astype(x0.dtype) * between.length
+        growth = jnp.where(state.index >= grid.num_steps, growth, jnp.nan)
+        exponents, running, error, settled = averages(growth, times)
+        return LyapunovSpectrum(
+            exponents=exponents,
+            standard_error=error,
+            running=running,
+            times=times,
+            x0=x0,
+            x_final=pack(state.x, x0.dtype),
+            settled=settled,
+            result=period_outcome(between.length, state.result),
+            compact=compact,
         )
 
-        def batch(variation: Variation, stop: Array) -> tuple[Variation, Array]:
-            after = propagate(problem, steps, variation, stop)
-            return after, pack(after.growth, x0.dtype)
+    # The averages too: what is left outside of a kernel is many small parts, slow to compile.
+    return kernel_if_it_fits(run, compact)(x0)
 
-        last, growth = jax.lax.scan(batch, vary(problem.system, state, steps), stops)
-        return finish(grid, last.state), growth
 
-    state, growth = kernel_if_it_fits(run, problem.compact)(x0)
-    times = ends.astype(x0.dtype) * interval.length
-    done = state.index >= grid.num_steps
-    growth = jnp.where(done, growth[1:], jnp.nan)  # the first only turned the frame
-    exponents, running, error, settled = averages(growth, times)
-    return LyapunovSpectrum(
-        exponents=exponents,
-        standard_error=error,
-        running=running,
-        times=times,
-        x0=x0,
-        x_final=pack(state.x, x0.dtype),
-        settled=settled,
-        result=period_outcome(interval.length, state.result),
-        compact=compact,
+def _grown(problem: Problem, counts: Counts, ends: Array, x0: Array) -> tuple[LoopState, Array]:
+    """The end of the run, and how much the logarithms have grown up to each of `ends`."""
+    _, transient, steps = counts
+    # The frame costs n times the orbit: it joins when most of the transient is over.
+    alone = (transient - transient // 4) * steps
+    state = jax.lax.while_loop(
+        lambda state: is_running(problem.grid, state, alone),
+        lambda state: advance(problem, state),
+        initial_state(problem, problem.system.unpack(x0)),
     )
+
+    def batch(variation: Variation, stop: Array) -> tuple[Variation, Array]:
+        after = propagate(problem, steps, variation, stop)
+        return after, pack(after.growth, x0.dtype)
+
+    first = vary(problem.system, state, steps)
+    last, growth = jax.lax.scan(batch, first, (transient + jnp.append(0, ends)) * steps)
+    return finish(problem.grid, last.state), growth[1:]  # the first only turned the frame

@@ -6,7 +6,7 @@ A system enters twice: as a drive and as a response that is pulled towards it,
 itself. Stefański and Kapitaniak, Discrete Dynamics in Nature and Society 4 (2000) 207–215.
 """
 
-import functools as ft
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ from jaxfil.integrate.compact import is_compact_sweep
 from jaxfil.integrate.component_system import build
 from jaxfil.integrate.components import Components, is_array, pack
 from jaxfil.integrate.initial_mode import initial_state
-from jaxfil.integrate.loop import advance, finish, integrate_in_kernel
+from jaxfil.integrate.loop import advance, finish, integrate
 from jaxfil.integrate.problem import NOTHING, Problem, period_outcome
 from jaxfil.integrate.state import is_running
 from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
@@ -126,16 +126,21 @@ def _distance(z: Components) -> Array:
 
 def _settle(
     system: System, x0: Array, interval: Interval, counts: Counts, stepper: Stepper, compact: bool
-) -> tuple[Array, RESULTS]:
-    """The drive alone, after its transient."""
+) -> tuple[Interval, Array, RESULTS]:
+    """What is known of the interval, and the drive alone, after its transient."""
     _, transient, steps = counts
-    grid = interval.grid(jnp.maximum(transient, 1), steps)
-    problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
-    state = integrate_in_kernel(problem, problem.system.unpack(x0))
-    # A grid needs a step: without a transient one period is run, and forgotten.
-    moved = transient > 0
-    x = jnp.where(moved, pack(state.x, x0.dtype), x0)
-    return x, RESULTS.where(moved, state.result, RESULTS.successful)
+
+    def run(x0: Array) -> tuple[Interval, Array, RESULTS]:
+        between = interval.of(system, x0)
+        grid = between.grid(jnp.maximum(transient, 1), steps)
+        problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
+        state = integrate(problem, problem.system.unpack(x0))
+        # A grid needs a step: without a transient one period is run, and forgotten.
+        moved = transient > 0
+        x = jnp.where(moved, pack(state.x, x0.dtype), x0)
+        return between, x, RESULTS.where(moved, state.result, RESULTS.successful)
+
+    return kernel_if_it_fits(run, compact)(x0)
 
 
 def _away(x: Array, part: float) -> tuple[Array, Array]:
@@ -160,13 +165,11 @@ def _threshold(
     compact: bool,
 ) -> Synchronization:
     periods, transient, steps = counts
-    interval = interval.of(system, x0)
-    x, settled = _settle(system, x0, interval, counts, stepper, compact)
-    y, distance = _away(x, 0.01)
-    z = jnp.concatenate([x, y])
-    grid = interval.grid(periods, steps, transient)
+    interval, x, settled = _settle(system, x0, interval, counts, stepper, compact)
 
     def lane(coupling: Array) -> tuple[Array, RESULTS]:
+        z = jnp.concatenate([x, _away(x, 0.01)[0]])
+        grid = interval.grid(periods, steps, transient)
         pair = build(drive_response(system, coupling), z, compact=compact)
         problem = Problem(pair, tableau_of(stepper), grid, NOTHING)
 
@@ -185,28 +188,30 @@ def _threshold(
         begun = initial_state(problem, pair.unpack(z))
         state, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.x), steps))
         met = (nearest <= tolerance) & (state.result == RESULTS.successful)
-        return nearest, RESULTS.where(met, state.result, finish(grid, state).result)
+        result = RESULTS.where(met, state.result, finish(grid, state).result)
+        result = RESULTS.where(settled == RESULTS.successful, result, settled)
+        result = period_outcome(interval.length, result)
+        return jnp.where(result == RESULTS.successful, nearest, jnp.nan), result
 
-    nearest, results = jax.vmap(kernel_if_it_fits(lane, compact))(couplings)
-    results = RESULTS.where(settled == RESULTS.successful, results, settled)
-    results = jax.vmap(ft.partial(period_outcome, interval.length))(results)
-    nearest = jnp.where(results == RESULTS.successful, nearest, jnp.nan)
-    met = nearest <= tolerance
-    time = periods.astype(x0.dtype) * interval.length
-    # Somewhere in the last step of the grid: its middle is half a step below its end.
-    spacing = jnp.diff(couplings)[jnp.argmax(met) - 1] if couplings.shape[0] > 1 else 0.0
-    return Synchronization(
-        exponent=jnp.where(jnp.any(met), couplings[jnp.argmax(met)], jnp.nan),
-        couplings=couplings,
-        distances=nearest,
-        synchronized=met,
-        tolerance=tolerance,
-        time=time,
-        bias=spacing / 2 + jnp.log(distance / tolerance) / time,
-        x0=x0,
-        results=results,
-        compact=compact,
-    )
+    def told(nearest: Array, results: RESULTS) -> Synchronization:
+        met = nearest <= tolerance
+        time = periods.astype(x0.dtype) * interval.length
+        # Somewhere in the last step of the grid: its middle is half a step below its end.
+        spacing = jnp.diff(couplings)[jnp.argmax(met) - 1] if couplings.shape[0] > 1 else 0.0
+        return Synchronization(
+            exponent=jnp.where(jnp.any(met), couplings[jnp.argmax(met)], jnp.nan),
+            couplings=couplings,
+            distances=nearest,
+            synchronized=met,
+            tolerance=tolerance,
+            time=time,
+            bias=spacing / 2 + jnp.log(_away(x, 0.01)[1] / tolerance) / time,
+            x0=x0,
+            results=results,
+            compact=compact,
+        )
+
+    return kernel_if_it_fits(told)(*jax.vmap(kernel_if_it_fits(lane, compact))(couplings))
 
 
 def transverse_exponent(
@@ -283,23 +288,56 @@ def _transverse(
     batches: int,
     compact: bool,
 ) -> TransverseExponent:
-    periods, transient, steps = counts
-    interval = interval.of(system, x0)
-    x, settled = _settle(system, x0, interval, counts, stepper, compact)
-    eps = float(jnp.finfo(x0.dtype).eps)
-    # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
-    # √eps, and a little more leaves room to shrink within an interval.
-    y, separation = _away(x, eps**0.4)
-    n, z = x.shape[0], jnp.concatenate([x, y])
-    pair = build(drive_response(system, coupling), z, compact=compact)
+    interval, x, settled = _settle(system, x0, interval, counts, stepper, compact)
+
+    def run(x: Array, coupling: Array) -> TransverseExponent:
+        # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
+        # √eps, and a little more leaves room to shrink within an interval.
+        y, separation = _away(x, float(jnp.finfo(x.dtype).eps) ** 0.4)
+        z = jnp.concatenate([x, y])
+        pair = build(drive_response(system, coupling), z, compact=compact)
+        ends = batch_ends(counts[0], batches)
+
+        def problem(k: Array) -> Problem:
+            _, transient, steps = counts
+            grid = interval.grid(jnp.ones_like(steps), steps, transient + k)
+            return Problem(pair, tableau_of(stepper), grid, NOTHING)
+
+        z, result, growth = _parted(problem, z, separation, ends, settled)
+        times = ends.astype(x.dtype) * interval.length
+        growth = jnp.where(result == RESULTS.successful, growth, jnp.nan)
+        # The pull shrinks every distance at the rate of the coupling, which is added back.
+        growth = growth + coupling * jnp.diff(times, prepend=0.0)
+        exponent, running, error, steady = averages(growth[:, None], times)
+        return TransverseExponent(
+            exponent=exponent[0],
+            standard_error=error[0],
+            running=running[:, 0],
+            times=times,
+            separation=separation,
+            x0=x0,
+            x_final=z[: x.shape[0]],
+            settled=steady,
+            result=period_outcome(interval.length, result),
+            compact=compact,
+        )
+
+    return kernel_if_it_fits(run, compact)(x, coupling)
+
+
+def _parted(
+    problem: Callable[[Array], Problem], z: Array, separation: Array, ends: Array, result: RESULTS
+) -> tuple[Array, RESULTS, Array]:
+    """Drive and response at the end, the outcome, and how much the logarithm of their distance has
+    grown in the periods, each a problem, up to each of `ends`."""
+    n = z.shape[0] // 2
+    eps = float(jnp.finfo(z.dtype).eps)
 
     def period(carry: tuple) -> tuple:
         k, z, growth, _ = carry
-        grid = interval.grid(jnp.ones_like(steps), steps, transient + k)
-        state = integrate_in_kernel(
-            Problem(pair, tableau_of(stepper), grid, NOTHING), pair.unpack(z)
-        )
-        end = pack(state.x, x0.dtype)
+        now = problem(k)
+        state = integrate(now, now.system.unpack(z))
+        end = pack(state.x, z.dtype)
         distance = _distance(state.x)
         # Below this nothing of the distance is known, and a wrong rate would look like any other.
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
@@ -312,26 +350,9 @@ def _transverse(
         k, z, growth, result = jax.lax.while_loop(
             lambda s: (s[0] < stop) & (s[3] == RESULTS.successful),
             period,
-            (k, z, jnp.zeros_like(interval.length), result),
+            (k, z, jnp.zeros_like(separation), result),
         )
         return (k, z, result), growth
 
-    ends = batch_ends(periods, batches)
-    (_, z, result), growth = jax.lax.scan(batch, (jnp.zeros_like(periods), z, settled), ends)
-    times = ends.astype(x0.dtype) * interval.length
-    growth = jnp.where(result == RESULTS.successful, growth, jnp.nan)
-    # The pull shrinks every distance at the rate of the coupling, which is added back.
-    growth = growth + coupling * jnp.diff(times, prepend=0.0)
-    exponent, running, error, steady = averages(growth[:, None], times)
-    return TransverseExponent(
-        exponent=exponent[0],
-        standard_error=error[0],
-        running=running[:, 0],
-        times=times,
-        separation=separation,
-        x0=x0,
-        x_final=z[:n],
-        settled=steady,
-        result=period_outcome(interval.length, result),
-        compact=compact,
-    )
+    (_, z, result), growth = jax.lax.scan(batch, (jnp.zeros_like(ends[0]), z, result), ends)
+    return z, result, growth

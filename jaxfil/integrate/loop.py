@@ -48,7 +48,6 @@ from jaxfil.integrate.step_error import Step, is_too_long
 from jaxfil.integrate.stepper import Trial, compact_step, step
 from jaxfil.integrate.unilateral import rests_of, sides_of
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.xla.kernel import kernel_if_it_fits
 
 # This many contacts in a row, each at the time of the last, are an accumulation: more than surfaces
 # that are met together, one after the other, need to settle.
@@ -384,11 +383,6 @@ def integrate_with_checkpoints(
         checkpoints=checkpoints,
     )
     return finish(problem.grid, state)
-
-
-def integrate_in_kernel(problem: Problem, x0: Components) -> LoopState:
-    """`integrate`, on a CPU as one kernel if all of it fits into one: see `kernel`."""
-    return kernel_if_it_fits(ft.partial(integrate, problem), problem.compact)(x0)
 
 
 def finish(grid: TimeGrid, state: LoopState) -> LoopState:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from jaxfil.integrate.component_system import build
 from jaxfil.integrate.components import pack
 from jaxfil.integrate.initial_mode import initial_state
-from jaxfil.integrate.loop import integrate, integrate_in_kernel
+from jaxfil.integrate.loop import integrate
 from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid, period_outcome
 from jaxfil.integrate.solution import Events, events_of
 from jaxfil.integrate.stepper import Stepper, tableau_of
@@ -173,10 +173,10 @@ def flow_map(
         arcs = max(1, round(1 / part))
         problem = options.problem(system, x, options.t0 + number * length, length, arcs)
         problem = dataclasses.replace(problem, recording=NOTHING)
-        state = integrate_in_kernel(problem, problem.system.unpack(x))
+        state = integrate(problem, problem.system.unpack(x))
         return jnp.where(state.result == RESULTS.successful, pack(state.x, x.dtype), x)
 
-    return forward
+    return kernel_if_it_fits(forward, options.compact)
 
 
 def velocity(setting: Setting, options: ShootingOptions, x0: Float[Array, " n"], q: Array) -> Array:
