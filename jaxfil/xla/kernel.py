@@ -46,10 +46,13 @@ def _kernel_of(program: Any) -> Callable:
     run = call_of(program)
 
     def call(*values: Any) -> Any:
-        # The barrier keeps the number made of all arguments alive, which nobody else uses: XLA
-        # would take it out, and then abort on the arguments that the kernel has no use for.
+        # On an argument that a kernel has no use for XLA aborts. The barriers keep all of them in
+        # use: behind the kernel a number made of them all, which nobody else needs and XLA would
+        # take out; before it those that XLA knows, such as a t0 of zero under a user's `jit`, and
+        # would write into the kernel. (One of these alone did no harm, but as the copy of it that a
+        # loop of the user's starts from it did.)
         whole = kernel_of_all(lambda *values: (run(*values), _all_used(values)))
-        out = whole(*_in_memory(values))
+        out = whole(*jax.lax.optimization_barrier(_in_memory(values)))
         out, _ = jax.lax.optimization_barrier(out)
         return out
 

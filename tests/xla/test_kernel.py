@@ -206,6 +206,27 @@ OTHERS |= {"vanishing_map"}
 OTHERS |= {"pushforward"}
 
 
+def test_a_loop_may_start_from_a_number_that_a_kernel_is_given():
+    """Arguments that XLA knew were no longer used by the kernel, and XLA aborted (up to 0.10.2) if
+    it had also made a copy of them for a loop."""
+
+    def loop(start, y):
+        body = lambda s: (jnp.sin(s[0]), s[1] + 1)  # noqa: E731
+        return jax.lax.while_loop(lambda s: s[1] < 4, body, (y, start))
+
+    def both(y):
+        start, zero = jnp.zeros((), jnp.int32), jnp.zeros(())
+        once = kernel.kernel_if_it_fits(lambda y, start: y + start.astype(y.dtype))(y, start)
+        sol = jf.solve(jf.systems.CoulombOscillator(), once * X0, 0.0, 1.0, 0.5, stepper=jf.RK4())
+        return loop(start, once), loop(zero, sol.x_final)
+
+    y = jnp.asarray(0.3)
+    (a, _), (b, _) = jax.jit(both)(y)
+    end = jf.solve(jf.systems.CoulombOscillator(), y * X0, 0.0, 1.0, 0.5, stepper=jf.RK4()).x_final
+    np.testing.assert_allclose(a, loop(0, y)[0], rtol=1e-15)
+    np.testing.assert_allclose(b, loop(0, end)[0], rtol=1e-15)
+
+
 def test_one_kernel_holds_what_is_said_to_fit():
     x, k = jnp.linspace(0.2, 0.7, 6), jnp.float64(1.0)
     found = set(names(jax.make_jaxpr(everything)(x, k).jaxpr))
