@@ -33,7 +33,7 @@ from jaxfil.orbits.newton import (
 )
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions
-from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 from jaxfil.xla.known import array_of, is_known
 
 
@@ -128,7 +128,7 @@ class DefiningSystem(Equations):
 
     @eqx.filter_jit
     def _near(self, system: System, z: Array) -> Affine[Placed]:
-        return affine(ft.partial(self.placed, system), z, self.width)
+        return tree_in_kernel(lambda: affine(ft.partial(self.placed, system), z, self.width))
 
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """With one free parameter, by Newton's iteration."""
@@ -165,7 +165,7 @@ def scales(
     size = jnp.where(closing.size == 0, 1, closing.size)
     # H by how far it reaches across the orbit, its rates by that in a turn of the forcing.
     normals = jax.jacfwd(at.system.switching, argnums=1)(closing.t, closing.x)
-    height = jnp.max(abs(jnp.atleast_2d(normals)) @ size)
+    height = jnp.max(jnp.sum(abs(jnp.atleast_2d(normals)) * size, axis=1))
     height = jnp.where(height == 0, 1, height)
     pace = 2 * jnp.pi / at.period
     pair = jnp.stack([height * pace, height * pace**2])
@@ -179,7 +179,7 @@ def _near_parameters(
     equations: DefiningSystem, system_of: SystemOf, theta: Array, z: Array, first: Array
 ) -> Affine[Placed]:
     placed = lambda theta: equations.placed(system_of(theta), z)  # noqa: E731
-    return affine(placed, theta, equations.width, first)
+    return tree_in_kernel(lambda: affine(placed, theta, equations.width, first))
 
 
 def _slopes(

@@ -41,6 +41,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
+from jaxfil.xla.kernel import tree_in_kernel
 from jaxfil.xla.known import array_of, compiled_if_traced, is_known
 
 _Result = TypeVar("_Result", bound=eqx.Module)
@@ -274,6 +275,12 @@ def bifurcation_at(
 
 @eqx.filter_jit
 def _fields(
+    equations: DefiningSystem, at: Placed, near: Orbit, z: Array, root: Root, found: Conditions
+) -> dict[str, Any]:
+    return tree_in_kernel(lambda: _fields_of(equations, at, near, z, root, found))
+
+
+def _fields_of(
     equations: DefiningSystem, at: Placed, near: Orbit, z: Array, root: Root, found: Conditions
 ) -> dict[str, Any]:
     closing: Closing = root.at.aux

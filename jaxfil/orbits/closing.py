@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil.model.outcomes import RESULTS
@@ -144,10 +145,10 @@ class _Closing(eqx.Module):
             # and a step towards it is too long.
             vanished = (result == RESULTS.successful) & (q[0] < _SHORTEST * phase.period)
             result = RESULTS.where(vanished, RESULTS.newton_stalled, result)
-            row = jnp.zeros(jacobian.shape[1], q.dtype).at[:n].set(phase.normal)
-            residual = jnp.append(residual, phase.normal @ (starts[0] - phase.anchor))
+            row = jnp.append(phase.normal, jnp.zeros(jacobian.shape[1] - n, q.dtype))
+            residual = jnp.append(residual, jnp.sum(phase.normal * (starts[0] - phase.anchor)))
             jacobian = jnp.concatenate([jacobian, row[None]])
-            equations = jnp.append(equations, abs(phase.normal) @ shot.size)
+            equations = jnp.append(equations, jnp.sum(abs(phase.normal) * shot.size))
         return Evaluation(residual, jacobian, equations, unknowns, result, shot)
 
 
@@ -157,10 +158,10 @@ def _closing(shot: Shot, starts: Array) -> tuple[Array, Array]:
     # Block by block: the arc's own derivative on the diagonal, −1 for the next start, round about.
     m, n = starts.shape
     residual = shot.ends - jnp.roll(starts, -1, axis=0)
-    eye = jnp.eye(m, dtype=starts.dtype)
-    own = jnp.einsum("ij,iab->iajb", eye, shot.by_start)
-    next_ = jnp.einsum("ij,ab->iajb", jnp.roll(eye, 1, axis=1), jnp.eye(n, dtype=starts.dtype))
-    by_starts = (own - next_).reshape(m * n, m * n)
+    own = np.eye(m, dtype=starts.dtype)
+    own, next_ = (jnp.asarray(v[:, None, :, None]) for v in (own, np.roll(own, 1, axis=1)))
+    unit = jnp.asarray(np.eye(n, dtype=starts.dtype)[:, None])
+    by_starts = (own * shot.by_start[:, :, None] - next_ * unit).reshape(m * n, m * n)
     by_global = shot.by_global.reshape(m * n, -1)
     return residual.ravel(), jnp.concatenate([by_starts, by_global], axis=1)
 

@@ -30,7 +30,7 @@ class ArclengthConstraint(eqx.Module):
 
     def appended(self, at: Evaluation, u: Array) -> Evaluation:
         """What is known at u, with this equation as the last one."""
-        gap = self.normal @ ((u - self.base) / self.scale) - self.offset
+        gap = jnp.sum(self.normal * (u - self.base) / self.scale) - self.offset
         return dataclasses.replace(
             at,
             residual=jnp.append(at.residual, gap),

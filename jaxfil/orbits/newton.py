@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 
 # Steps are halved down to this part of the full one; then it is taken although nothing falls.
 _SHORTEST = 1 / 32
@@ -155,7 +155,7 @@ def newton_of_known(stages: Stages, z: Float[Array, " N"], max_steps: Array | in
 
 @eqx.filter_jit
 def _finished(finish: Callable[[Array, Any], Evaluation], z: Array, done: Any) -> Evaluation:
-    return finish(z, done)
+    return tree_in_kernel(lambda: finish(z, done))
 
 
 def _first(z: Array) -> _State:

@@ -8,8 +8,9 @@ its numbers stay in the first-level cache.
 
 import functools as ft
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.extend.core as jexc
 import jax.numpy as jnp
@@ -22,6 +23,8 @@ from jaxfil.xla.fits import LARGE, fits
 from jaxfil.xla.forward_jacobian import plainly, with_derivatives
 from jaxfil.xla.program import call_of, opened, operations
 from jaxfil.xla.pushforward import Spread, rows_of
+
+_Tree = TypeVar("_Tree")
 
 
 class DoesNotFitError(Exception):
@@ -121,6 +124,19 @@ def kernel_if_it_fits(function: Callable, one_by_one: bool = False) -> Callable:
         return jax.tree.unflatten(tree, with_derivatives(program, make)(*values))
 
     return call
+
+
+def tree_in_kernel(function: Callable[[], _Tree]) -> _Tree:
+    """What a function returns, whose arrays are made by a single kernel if all of it fits into one.
+    Many small parts take longer to compile than one kernel of them."""
+    rest: list[Any] = []
+
+    def arrays() -> Any:
+        made, other = eqx.partition(function(), eqx.is_array)
+        rest[:] = [other]
+        return made
+
+    return eqx.combine(kernel_if_it_fits(arrays)(), *rest)
 
 
 def _whole(program: Any, spread: Spread, lanes: int, alone: int) -> Callable:
