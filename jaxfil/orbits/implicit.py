@@ -54,11 +54,12 @@ class _SystemOf(eqx.Module):
 
     def of_known(self, theta: Array) -> System:
         """The same, cut in NumPy: as a program each leaf would be a part to compile."""
-        leaves, tree = jax.tree.flatten(eqx.filter_eval_shape(self.unravel, theta))
-        ends = np.cumsum([v.size for v in leaves])[:-1]
-        parts = np.split(np.asarray(theta), ends)
-        cut = [part.reshape(v.shape) for part, v in zip(parts, leaves, strict=True)]
-        return eqx.combine(jax.tree.unflatten(tree, jax.device_put(cut)), self.rest)
+        shapes, tree = jax.tree.flatten(eqx.filter_eval_shape(self.unravel, theta))
+        rest, leaves = np.asarray(theta), []
+        for v in shapes:
+            leaves.append(rest[: v.size].reshape(v.shape))
+            rest = rest[v.size :]
+        return eqx.combine(jax.tree.unflatten(tree, jax.device_put(leaves)), self.rest)
 
 
 def solve_implicit(
