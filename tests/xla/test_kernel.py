@@ -1,6 +1,7 @@
 """One lane is one kernel, in a user's own transformation too: the same numbers as its many parts,
 where XLA can compile it, and where it cannot."""
 
+import diffrax
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
@@ -34,22 +35,32 @@ class Coupled(jf.System):
         return x[0] - 0.5
 
 
-def run(a, how, x0=X0, compact=None):
-    sol = jf.solve(Coupled(a, how), x0, 0.0, 2.0, 0.05, stepper=jf.RK4(), compact=compact)
+class Through(Coupled):
+    """The same, declared never to slide, which it does not: half as much to compile."""
+
+    slides = False
+
+
+def run(a, how, x0=X0, compact=None, kind=Coupled):
+    sol = jf.solve(kind(a, how), x0, 0.0, 2.0, 0.05, stepper=diffrax.Midpoint(), compact=compact)
     assert sol.events is not None
     return sol.x_final, sol.events.ts[:2], sol.events.kinds[:2]
 
 
-def is_whole(function, *args):
-    """Whether a compiled program starts no loop of its own, only kernels that hold theirs."""
-    text = jax.jit(function).lower(*args).compile().as_text()
-    assert text is not None
+def compiled(function, *args):
+    """The program for these arguments, to be looked at and run."""
+    return jax.jit(function).lower(*args).compile()
+
+
+def is_whole(program):
+    """Whether a program starts no loop of its own, only kernels that hold theirs."""
+    text = program.as_text()
     return " while(" not in text[text.index("ENTRY") :]
 
 
 @pytest.mark.parametrize("how", ["solve", "scatter"])
 def test_what_does_not_fit_is_left_in_parts(how):
-    assert not is_whole(lambda a: run(a, how), jnp.float64(0.3))
+    assert not is_whole(compiled(lambda a: run(a, how), jnp.float64(0.3)))
 
 
 @pytest.fixture
@@ -73,16 +84,21 @@ def test_a_lane_and_its_derivatives_give_what_their_parts_give(in_parts):
     def jacobian(a):
         return jax.jacfwd(lambda a, x0: run(a, "product", x0)[:2], argnums=(0, 1))(a, X0)
 
+    def slope(a):
+        return jax.jvp(lambda a: alone(a)[0], (a,), (jnp.ones_like(a),))[1]
+
     def curvature(a):
-        return jax.jacfwd(jax.jacfwd(lambda a: alone(a)[0]))(a)
+        return jax.jvp(slope, (a,), (jnp.ones_like(a),))[1]
 
     def all_of_them():
-        return alone(a), *(jax.jit(f)(a) for f in (alone, jacobian, curvature))
+        programs = [compiled(f, a) for f in (alone, jacobian, curvature)]
+        return (alone(a), *(program(a) for program in programs)), programs
 
-    assert is_whole(alone, a) and is_whole(jacobian, a)
-    whole = all_of_them()
+    whole, programs = all_of_them()
+    assert is_whole(programs[0]) and is_whole(programs[1])
     in_parts()
-    parts = all_of_them()
+    parts, programs = all_of_them()
+    assert not any(is_whole(program) for program in programs)
     assert np.isfinite(parts[0][1]).any(), "there was no contact"
     for u, v in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         np.testing.assert_allclose(u, v, rtol=1e-13, atol=1e-14)
@@ -93,25 +109,36 @@ def test_batches_of_all_kinds_give_what_single_lanes_give(compact):
     """Few lanes are one kernel, many a loop over blocks, those of a compact program a loop over
     lanes, and so are their derivatives in any order."""
     some, many = jnp.linspace(0.2, 0.4, 4), jnp.linspace(0.2, 0.4, 100)
+    kind = Coupled if compact else Through
 
     def end(a):
-        return run(a, "product", compact=compact)[:2]
+        return run(a, "product", compact=compact, kind=kind)[:2]
 
     def batch(a):
         return jax.vmap(end)(a)
 
-    assert is_whole(end, some[0]) and not is_whole(batch, many)
-    assert is_whole(batch, some) is not compact
-    slope = jax.jit(jax.jacfwd(end))
-    for a in (some, many):
-        ends, slopes = jax.jit(batch)(a), jax.jit(jax.vmap(jax.jacfwd(end)))(a)
-        swapped = jax.jit(lambda a: jax.jvp(batch, (a,), (jnp.ones_like(a),))[1])(a)
-        for i in (0, 3, -1):
-            for got, ref in ((ends, end), (slopes, slope), (swapped, slope)):
+    def slopes(a):
+        return jax.vmap(jax.jacfwd(end))(a)
+
+    def swapped(a):
+        return jax.jvp(batch, (a,), (jnp.ones_like(a),))[1]
+
+    alone, slope = compiled(end, some[0]), compiled(jax.jacfwd(end), some[0])
+    few, lot = compiled(batch, some), compiled(batch, many)
+    assert is_whole(alone) and not is_whole(lot)
+    assert is_whole(few) is not compact
+    for a, ends in ((some, few), (many, lot)):
+        for program, ref in (
+            (ends, alone),
+            (compiled(slopes, a), slope),
+            (compiled(swapped, a), slope),
+        ):
+            got = program(a)
+            for i in (0, 3, -1):
                 for u, v in zip(got, ref(a[i]), strict=True):
                     np.testing.assert_allclose(u[i], v, rtol=1e-13, atol=1e-14)
     nested = jax.jit(jax.vmap(jax.vmap(end)))(many.reshape(2, 50))
-    for u, v in zip(nested, jax.jit(batch)(many), strict=True):
+    for u, v in zip(nested, lot(many), strict=True):
         np.testing.assert_allclose(u.reshape(v.shape), v, rtol=1e-13, atol=1e-14)
 
 
@@ -130,9 +157,10 @@ def test_derivatives_of_the_end_need_no_kernel_but_their_own(throw):
 @pytest.mark.parametrize("compact", [False, True])
 def test_a_lane_can_be_linearised(compact):
     """As optimistix and lineax do: the state first, its derivative later."""
+    kind = Coupled if compact else Through
 
     def end(a):
-        return run(a, "product", compact=compact)[:2]
+        return run(a, "product", compact=compact, kind=kind)[:2]
 
     def batch(a):
         return jax.vmap(end)(a)
