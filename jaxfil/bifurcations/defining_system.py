@@ -22,15 +22,7 @@ from jaxfil.model.parameter import replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.implicit import Equations, SystemOf
-from jaxfil.orbits.newton import (
-    Evaluation,
-    Finish,
-    Root,
-    Stages,
-    as_it_is,
-    newton,
-    newton_of_known,
-)
+from jaxfil.orbits.newton import Evaluation, Root, Stages, as_it_is, root_of
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
@@ -106,20 +98,15 @@ class DefiningSystem(Equations):
         more: Callable[[Evaluation, Array], Evaluation] = as_it_is,
     ) -> Root:
         """Newton's root of the equations, or of what `more` makes of an evaluation."""
-        finish = Finish(_Evaluated(self.family), more)
-        if is_known((self, system, guess, finish)):
 
-            def work(near: Affine[Placed]) -> tuple:
-                return near.value, _slopes_along(self.residual_at, near)
+        def work(near: Affine[Placed]) -> tuple:
+            return near.value, _slopes_along(self.residual_at, near)
 
-            stages = Stages(ft.partial(self._near, system), work, finish)
-            return newton_of_known(stages, guess, self.newton_steps)
+        def whole(z: Array) -> tuple:
+            return self.placed(system, z), _slopes(lambda z: self.residual(system, z), z)
 
-        def evaluate(z: Array) -> Evaluation:
-            slopes = _slopes(lambda z: self.residual(system, z), z)
-            return finish(z, (self.placed(system, z), slopes))
-
-        return newton(evaluate, guess, self.newton_steps)
+        stages = Stages(ft.partial(self._near, system), work, whole, _Evaluated(self.family))
+        return root_of(stages, guess, self.newton_steps, more, known=is_known((self, system)))
 
     @property
     def width(self) -> int:

@@ -27,14 +27,14 @@ def batch_ends(periods: Array, batches: int) -> Array:
 def averages(growth: Array, times: Array) -> tuple[Array, Array, Array, Array]:
     """Means, running means, standard errors and steadiness of growth (batches, k) up to `times`."""
     batches = growth.shape[0]
-    running_ = _sums(np.tril(np.ones((batches, batches))), growth) / times[:, None]
+    running_ = _sums(np.tri(batches, dtype=bool), growth) / times[:, None]
     return running_[-1], running_, _standard_error(growth, times), _settled(growth, times)
 
 
 def _sums(of: np.ndarray, values: Array) -> Array:
-    """The sums of those rows of values (b, k) that are ones in a row of `of` (c, b), shape (c, k);
+    """The sums of those rows of values (b, k) that are true in a row of `of` (c, b), shape (c, k);
     what is added in none may be infinite. A product of matrices would end a kernel."""
-    return jnp.sum(jnp.where(jnp.asarray(of[..., None] > 0), values, 0), axis=1)
+    return jnp.sum(jnp.where(jnp.asarray(of)[..., None], values, 0), axis=1)
 
 
 def _standard_error(growth: Array, times: Array) -> Array:
@@ -76,13 +76,12 @@ def _changes(values: Array, least: Array | float) -> Array:
     """Whether the mean of values (batches, k) changes at some split by more than their scatter
     explains, and by more than `least` over the number of batches in the shorter part."""
     batches = values.shape[0]
-    # All splits at once, a row each: triangles of ones tell what is on either side.
+    # All splits at once, a row each: triangles tell what is on either side.
     k = np.arange(1, batches)
-    early = np.tril(np.ones((batches - 1, batches)))  # a row: a split
+    early = np.tri(batches - 1, batches, dtype=bool)  # a row: a split
     early_mean = _sums(early, values) / jnp.asarray(k[:, None], values.dtype)
-    late_mean = _sums(1 - early, values) / jnp.asarray(batches - k[:, None], values.dtype)
-    is_early = jnp.asarray(early[..., None] > 0)
-    mean = jnp.where(is_early, early_mean[:, None], late_mean[:, None])
+    late_mean = _sums(~early, values) / jnp.asarray(batches - k[:, None], values.dtype)
+    mean = jnp.where(jnp.asarray(early)[..., None], early_mean[:, None], late_mean[:, None])
     # Two means were taken from the batches, which leaves so many degrees of freedom.
     variance = jnp.sum((values - mean) ** 2, axis=1) / (batches - 2)
     weight = jnp.asarray(1 / k + 1 / (batches - k), values.dtype)[:, None]

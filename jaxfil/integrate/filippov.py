@@ -104,9 +104,7 @@ def corners(
         return CornerTable(fields), CornerTable(rates)
     # Of numbers, not of an array: one that is known would be an argument of the kernel, and its
     # ones would not be multiplied out.
-    rows = jnp.stack(
-        [jnp.stack([jnp.asarray(float(v), system.dtype) for v in row]) for row in sides]
-    )
+    rows = [jnp.stack([jnp.asarray(float(v), system.dtype) for v in row]) for row in sides]
     each = [fields_on(*system.of_surfaces(row)) for row in rows]
     return each, [system.rate(t, x, f) for f in each]
 

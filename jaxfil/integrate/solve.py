@@ -28,22 +28,14 @@ from jaxfil.integrate.options import (
 from jaxfil.integrate.problem import Problem, Recording, TimeGrid, iteration_budget
 from jaxfil.integrate.recording import mode_codes
 from jaxfil.integrate.section_values import watch_sections
-from jaxfil.integrate.solution import (
-    Crossings,
-    Dense,
-    Events,
-    Solution,
-    crossings_of,
-    errors,
-    events_of,
-)
+from jaxfil.integrate.solution import Dense, Solution, crossings_of, errors, events_of
 from jaxfil.integrate.state import LoopState, SavedStates
 from jaxfil.integrate.step_choice import StepChoice, dt_and_stepper
 from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.stopped import raise_unless_successful
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
-from jaxfil.model.outcomes import RESULTS, is_good
+from jaxfil.model.outcomes import is_good
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section, Sections, sections_of
 from jaxfil.model.system import System
@@ -198,45 +190,28 @@ def _solve(
 ) -> Solution:
     problem_over = ft.partial(_problem, system, stepper, options, sections)
 
-    def run(x0: Array, *span: Array) -> _End:
+    def run(x0: Array, *span: Array) -> Solution:
         problem = problem_over(x0, *span)
         x = problem.system.unpack(x0)
         if not options.reverse:
-            return _end(problem, options, x0, integrate(problem, x))
+            return _solution(problem, options, x0, integrate(problem, x))
         assert options.budget is not None
         state = integrate_with_checkpoints(problem, x, options.budget, options.checkpoints)
-        return _end(problem, options, x0, state)
+        return _solution(problem, options, x0, state)
 
     # All of it in the kernel: what is made of the end there needs no values from elsewhere for its
     # derivatives, so that a Jacobian is one kernel, not two; and each small part left outside takes
     # longer to compile than to trace.
     whole = run if options.reverse else kernel_if_it_fits(run, options.compact)
-    end = whole(x0, t0, t1, dt)
-    seen = dense = None
+    sol = whole(x0, t0, t1, dt)
+    assert sol.ts is not None and sol.xs is not None and sol.modes is not None
     if observable is not None:
-        problem = problem_over(x0, t0, t1, dt)
-        seen = observed(observable, problem, system, x0, end.saves)
-    ts, xs, modes = end.saves.ts, end.saves.xs, end.saves.modes
-    if options.save == "dense":
-        dense = Dense(system, t0, end.t_final, ts, xs, modes, stepper, options.compact)
-        ts = xs = modes = None
-    return Solution(
-        ts=ts,
-        xs=xs,
-        modes=modes,
-        events=end.events,
-        num_events=end.num_events,
-        result=end.result,
-        stats=end.stats,
-        t_final=end.t_final,
-        x_final=end.x_final,
-        mode_final=end.mode_final,
-        compact=options.compact,
-        crossings=end.crossings,
-        num_crossings=end.num_crossings,
-        observed=seen,
-        _dense=dense,
-    )
+        problem, saves = problem_over(x0, t0, t1, dt), SavedStates(sol.ts, sol.xs, sol.modes)
+        return dataclasses.replace(sol, observed=observed(observable, problem, system, x0, saves))
+    if options.save != "dense":
+        return sol
+    dense = Dense(system, t0, sol.t_final, sol.ts, sol.xs, sol.modes, stepper, options.compact)
+    return dataclasses.replace(sol, ts=None, xs=None, modes=None, _dense=dense)
 
 
 def _problem(
@@ -281,24 +256,9 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     return TimeGrid(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
 
 
-class _End(eqx.Module):
-    """A finished lane, as the user sees it."""
-
-    saves: SavedStates
-    events: Events | None
-    crossings: Crossings | None
-    num_events: Array
-    num_crossings: Array | None
-    result: RESULTS
-    stats: dict[str, Array]
-    t_final: Array
-    x_final: Array
-    mode_final: Array
-
-
-def _end(problem: Problem, options: Options, x0: Array, state: LoopState) -> _End:
-    """The end of a lane. One that has kept nothing has kept its end, infinite unless it is the end
-    asked for."""
+def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -> Solution:
+    """The result of a finished lane, as the user sees it. One that has kept nothing has kept its
+    end, infinite unless it is the end asked for."""
     t0 = problem.grid.t0
     t, x, mode = t0 + state.tau, pack(state.x, problem.system.dtype), mode_codes(state.mode)
     if state.saves is None:
@@ -310,12 +270,12 @@ def _end(problem: Problem, options: Options, x0: Array, state: LoopState) -> _En
     if options.with_t0 or options.save == "dense":
         ts, xs = jnp.append(t0[None], ts), jnp.append(x0[None], xs, axis=0)
         modes = jnp.append(mode_codes(state.first_mode)[None], modes, axis=0)
-    return _End(
-        saves=SavedStates(ts, xs, modes),
+    return Solution(
+        ts=ts,
+        xs=xs,
+        modes=modes,
         events=events_of(state.table),
-        crossings=crossings_of(state.crossings),
         num_events=state.num_events,
-        num_crossings=None if state.watch is None else state.watch.total,
         result=state.result,
         stats={
             "num_steps": state.num_accepted,
@@ -325,4 +285,7 @@ def _end(problem: Problem, options: Options, x0: Array, state: LoopState) -> _En
         t_final=t,
         x_final=x,
         mode_final=mode,
+        crossings=crossings_of(state.crossings),
+        num_crossings=None if state.watch is None else state.watch.total,
+        compact=problem.compact,
     )

@@ -6,29 +6,31 @@ the state and the surfaces there.
 
 import equinox.internal as eqxi
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from equinox import EquinoxRuntimeError
 from jaxtyping import Array
 
 from jaxfil.integrate.solution import Solution
-from jaxfil.model.outcomes import RESULTS, is_good
+from jaxfil.model.outcomes import RESULTS, code, is_good
 from jaxfil.model.system import System
+from jaxfil.xla.known import is_known
 
 
 def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solution:
     """The same solution, or an error with the sentence of its outcome; where all values are known
     it says too where the run from x0 stopped."""
-    failed = ~is_good(sol.result)
-    if any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves((failed, sol, system, x0))):
+    if not is_known((sol, system, x0)):
         members = [getattr(RESULTS, name) for name in RESULTS._name_to_item]
         # Not `RESULTS.error_if`, which takes the largest number of a batch: an empty one has none.
         worst = jnp.zeros((), jnp.int32)
         for number, member in enumerate(members):
             worst = jnp.where(eqxi.unvmap_any(sol.result == member), number, worst)
-        return eqxi.branched_error_if(sol, failed, worst, [RESULTS[m] for m in members])
-    if not failed:
+        return eqxi.branched_error_if(
+            sol, ~is_good(sol.result), worst, [RESULTS[m] for m in members]
+        )
+    # Compared as numbers: of arrays, each comparison would be a program.
+    if code(sol.result) in (code(RESULTS.successful), code(RESULTS.section_reached)):
         return sol
     raise EquinoxRuntimeError(f"{RESULTS[sol.result]} It stopped at {_place(sol, system, x0)}.")
 

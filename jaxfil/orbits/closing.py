@@ -19,15 +19,7 @@ from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.implicit import Equations, SystemOf
-from jaxfil.orbits.newton import (
-    Evaluation,
-    Finish,
-    Root,
-    Stages,
-    as_it_is,
-    newton,
-    newton_of_known,
-)
+from jaxfil.orbits.newton import Evaluation, Root, Stages, as_it_is, root_of
 from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
 from jaxfil.xla.known import is_known
 
@@ -96,21 +88,16 @@ def solve_closing(
     """Newton's root of the closing of all arcs and, of an autonomous orbit, its phase, by all
     unknowns, whose scales are their sizes. What else is known is the `Shot`. What `more` makes of
     an evaluation, more equations perhaps, is solved in its place."""
-    finish = Finish(_Closing(phase), more)
-    if is_known((problem, guess, finish)):
 
-        def work(near: tuple) -> Shot:
-            setting, still, starts = near
-            return _shoot(setting, problem.options, starts, still)
+    def work(near: tuple) -> Shot:
+        setting, still, starts = near
+        return _shoot(setting, problem.options, starts, still)
 
-        stages = Stages(ft.partial(_near, problem), work, finish)
-        return newton_of_known(stages, guess, newton_steps)
+    def whole(u: Array) -> Shot:
+        return shoot(problem.setting, problem.options, *problem.split(u))
 
-    def evaluate(u: Array) -> Evaluation:
-        starts, q = problem.split(u)
-        return finish(u, shoot(problem.setting, problem.options, starts, q))
-
-    return newton(evaluate, guess, newton_steps)
+    stages = Stages(ft.partial(_near, problem), work, whole, _Closing(phase))
+    return root_of(stages, guess, newton_steps, more, known=is_known((problem, phase)))
 
 
 # One program for all that varies: see `affine`.

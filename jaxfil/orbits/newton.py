@@ -21,6 +21,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
+from jaxfil.xla.known import is_known
 
 # Steps are halved down to this part of the full one; then it is taken although nothing falls.
 _SHORTEST = 1 / 32
@@ -55,16 +56,18 @@ class Evaluation(eqx.Module):
 
 
 class Stages(eqx.Module):
-    """The evaluation of equations at known numbers, in three parts. `near` gives what is needed of
-    what varies, and is compiled anew for that; `work` takes it and is compiled once for all verbs;
-    `finish` makes the equations of the unknowns and what was worked out."""
+    """The evaluation of equations in parts. At known numbers `near` gives what is needed of what
+    varies, and is compiled anew for that; `work` takes it and is compiled once for all verbs. At
+    traced ones `whole` does what both do. `finish` makes the equations of the unknowns and what was
+    worked out."""
 
     near: Callable[[Array], Any]
     work: Callable[[Any], Any]
+    whole: Callable[[Array], Any]
     finish: Callable[[Array, Any], Evaluation]
 
 
-class Finish(eqx.Module):
+class _Finish(eqx.Module):
     """The last part of an evaluation, with `more` done to what the equations themselves give."""
 
     equations: Callable[[Array, Any], Evaluation]
@@ -138,11 +141,28 @@ def newton(
     return Root(last.z, at, last.size, last.num_steps, last.result)
 
 
-def newton_of_known(stages: Stages, z: Float[Array, " N"], max_steps: Array | int) -> Root:
-    """`newton` where all numbers are known: a loop in Python."""
+def root_of(
+    stages: Stages,
+    z: Float[Array, " N"],
+    max_steps: Array | int,
+    more: Callable[[Evaluation, Array], Evaluation] = as_it_is,
+    *,
+    known: bool,
+) -> Root:
+    """`newton` of what `more` makes of an evaluation in stages. Where all that enters is `known`,
+    the iteration is a loop in Python."""
+    finish = _Finish(stages.finish, more)
+    if known and is_known((z, more)):
+        return _newton_of_known(stages, finish, z, int(max_steps))
+    return newton(lambda z: finish(z, stages.whole(z)), z, max_steps)
+
+
+def _newton_of_known(
+    stages: Stages, finish: _Finish, z: Float[Array, " N"], max_steps: int
+) -> Root:
     state, trial, at = _first_of_known(z), z, None
-    for _ in range(int(max_steps)):
-        now = _finished(stages.finish, trial, stages.work(stages.near(trial)))
+    for _ in range(max_steps):
+        now = _finished(finish, trial, stages.work(stages.near(trial)))
         step = -solve_in_numpy(np.asarray(now.jacobian), np.asarray(now.residual))
         state, trial, flags = _judged(state, dataclasses.replace(now, aux=None), step)
         accepted, running = np.asarray(flags)
@@ -154,7 +174,7 @@ def newton_of_known(stages: Stages, z: Float[Array, " N"], max_steps: Array | in
 
 
 @eqx.filter_jit
-def _finished(finish: Callable[[Array, Any], Evaluation], z: Array, done: Any) -> Evaluation:
+def _finished(finish: _Finish, z: Array, done: Any) -> Evaluation:
     return tree_in_kernel(lambda: finish(z, done))
 
 

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.orbits.newton import Evaluation, Stages, newton, newton_of_known
+from jaxfil.orbits.newton import Evaluation, Stages, root_of
 
 ONES = jnp.ones(2)
 
@@ -37,9 +37,10 @@ def infinite(z):
 )
 def test_known_numbers_take_the_same_way(evaluate, result):
     start = jnp.array([3.0, 0.5])
-    traced = jax.jit(lambda z: newton(evaluate, z, 20))(start)
-    stages = Stages(lambda z: z, lambda z: z, lambda z, done: evaluate(done))
-    known = newton_of_known(stages, start, 20)
+    same = lambda z: z  # noqa: E731
+    stages = Stages(same, same, same, lambda z, done: evaluate(done))
+    traced = jax.jit(lambda z: root_of(stages, z, 20, known=False))(start)
+    known = root_of(stages, start, 20, known=True)
     assert known.result == traced.result == result
     assert known.num_steps == traced.num_steps
     assert_allclose(known.z, traced.z, rtol=1e-14)
