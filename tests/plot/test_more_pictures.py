@@ -56,10 +56,10 @@ def test_a_surface_that_moves_is_taken_at_its_time(ax):
     found = parts(jf.plot.sliding_region(belt, ((-2, 3), (0, 3)), ax, t=t))
     (attracting,) = found["attracting sliding"]
     v = np.cos(t) + 0.7
-    assert_allclose(attracting[:, 1], v, atol=1e-6)
+    assert_allclose(attracting[:, 1], v, rtol=0, atol=1e-6)
     # −x − 0.4v + cos 0.7t − v' is ±0.4 at its ends.
     middle = -0.4 * v + np.cos(0.7 * t) + np.sin(t)
-    assert_allclose(attracting[[0, -1], 0], [middle - 0.4, middle + 0.4], atol=5 / 2000)
+    assert_allclose(attracting[[0, -1], 0], [middle - 0.4, middle + 0.4], rtol=0, atol=5 / 2000)
 
 
 def test_exponents_over_a_grid(ax):
@@ -146,7 +146,7 @@ def test_a_moving_picture_shows_what_has_happened(ax):
         moving._draw_frame(t)
         _, trail, *marks, point = ax.lines
         assert len(marks[1].get_xdata()) == stuck
-        assert_allclose(point.get_xdata(), -np.cos(t), atol=1e-3)
+        assert_allclose(point.get_xdata(), -np.cos(t), rtol=0, atol=1e-3)
         assert_array_equal(trail.get_xydata()[-1], point.get_xydata()[0])
         assert ax.get_title(loc="left") == f"t = {t:.4g}"
     moving._draw_was_started = True  # or matplotlib warns that it was never shown
@@ -164,7 +164,7 @@ def test_a_path_is_coloured_by_time(ax):
     ts, middle = lines.get_array(), pieces.mean(axis=1)
     turns = (ts > 3) & (ts < 6)
     angle = np.arctan2(middle[turns, 1], -middle[turns, 0]) % (2 * np.pi)
-    assert_allclose(angle, ts[turns], atol=1e-12)
+    assert_allclose(angle, ts[turns], rtol=0, atol=1e-12)
 
 
 def test_the_orbits_of_a_branch_have_the_colour_of_its_parameter(ax):

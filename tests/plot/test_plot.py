@@ -150,8 +150,10 @@ def test_bands_change_at_the_contacts():
     ax = jf.plot.time_history(sol)
     slip, stick = PROBLEMS["belt 1.3"].ts
     held = sorted(bands(ax, 0))
-    assert_allclose([b[:2] for b in held], [(0, slip), (stick, PROBLEMS["belt 1.3"].t1)], atol=1e-7)
-    assert_allclose([b[:2] for b in bands(ax, -1)], [(slip, stick)], atol=1e-7)
+    assert_allclose(
+        [b[:2] for b in held], [(0, slip), (stick, PROBLEMS["belt 1.3"].t1)], rtol=0, atol=1e-7
+    )
+    assert_allclose([b[:2] for b in bands(ax, -1)], [(slip, stick)], rtol=0, atol=1e-7)
     assert not list(bands(ax, 1))
     assert {t.get_text() for t in ax.get_legend().get_texts()} == {"sliding", "H < 0"}
 
@@ -161,7 +163,7 @@ def test_each_surface_has_its_own_band():
     ax = jf.plot.time_history(sol)
     spans = [b for mode in (-1, 0, 1) for b in bands(ax, mode)]
     heights = sorted({b[2:] for b in spans})
-    assert_allclose(heights, [(0, 0.05), (0.05, 0.1)], atol=1e-12)
+    assert_allclose(heights, [(0, 0.05), (0.05, 0.1)], rtol=0, atol=1e-12)
     lower, upper = (sorted(b[:2] for b in spans if b[2:] == h) for h in heights)
     # Below the curve, and named.
     low, high = ax.get_ylim()
@@ -170,7 +172,7 @@ def test_each_surface_has_its_own_band():
     assert len(lower) + len(upper) == len(spans)
     for band in (lower, upper):
         assert len(band) > 3
-        assert_allclose([a for a, _ in band], [0, *(b for _, b in band[:-1])], atol=1e-12)
+        assert_allclose([a for a, _ in band], [0, *(b for _, b in band[:-1])], rtol=0, atol=1e-12)
         assert band[-1][1] == 1.0
 
 
@@ -222,11 +224,11 @@ def test_slides_are_thick_and_surfaces_dashed():
     slides = [line.get_data() for line in ax.lines if line.get_linewidth() == 4]
     # It starts on the belt, slips at 0.025, sticks at 3.388 and is carried to the period's end.
     assert len(slides) == 2
-    assert_allclose(np.concatenate([y for _, y in slides]), 1.0, atol=1e-12)
-    assert_allclose([slides[0][0][0], slides[1][0][-1]], sol.xs[0, 0], atol=1e-9)
+    assert_allclose(np.concatenate([y for _, y in slides]), 1.0, rtol=0, atol=1e-12)
+    assert_allclose([slides[0][0][0], slides[1][0][-1]], sol.xs[0, 0], rtol=0, atol=1e-9)
     (surface,) = ax.collections
     vertices = np.concatenate([path.vertices for path in surface.get_paths()])
-    assert_allclose(vertices[:, 1], 1.0, atol=1e-9)
+    assert_allclose(vertices[:, 1], 1.0, rtol=0, atol=1e-9)
     assert "H = 0" in {t.get_text() for t in ax.get_legend().get_texts()}
 
 
@@ -351,7 +353,7 @@ def test_an_orbit_is_drawn_with_the_wall_it_hits():
     ax = orbit.plot()
     assert "H = 0" in {t.get_text() for t in ax.get_legend().get_texts()}
     vertices = np.concatenate([path.vertices for path in ax.collections[0].get_paths()])
-    assert_allclose(vertices[:, 0], 1.0, atol=1e-9)
+    assert_allclose(vertices[:, 0], 1.0, rtol=0, atol=1e-9)
 
 
 def test_a_batch_is_drawn_whole_with_one_entry_of_each_kind():

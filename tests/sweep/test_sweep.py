@@ -258,7 +258,9 @@ def test_a_field_that_checks_itself_is_followed_and_says_what_fails():
             transient=0, samples=1, steps=200, follow=follow, progress=False,
         )  # fmt: skip
 
-    np.testing.assert_allclose(run([0.9], "up").xs[:, 0], cosines([0.9], 1)[:, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        run([0.9], "up").xs[:, 0], cosines([0.9], 1)[:, 0], rtol=0, atol=1e-12
+    )
     with pytest.raises(eqx.EquinoxRuntimeError, match="left the model's range"):
         run([0.9, 6.0])
 
