@@ -243,10 +243,10 @@ def _build(
         [_unpacked(row, compact) for row in np.eye(n, dtype=bool)],
         [(row,) if packed else tuple(row) for row in np.eye(m, dtype=bool)],
     )
-    opaque_one, fence = _fences(leaves, x0)
-    # XLA does not compute a sine of its own again.
-    fence = None if compact else fence
     traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
+    on_cpu = jax.default_backend() == "cpu"
+    # XLA does not compute a sine of its own again.
+    fence = _fence(leaves, x0) if on_cpu and not compact else None
     return ComponentSystem(
         n=n,
         m=m,
@@ -260,7 +260,7 @@ def _build(
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
         _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
         clocks=_clocks(system, dtype),
-        _opaque_one=opaque_one,
+        _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
     )
 
 
@@ -314,12 +314,10 @@ def _on_components(
     return field, switching, reset
 
 
-def _fences(leaves: Any, x0: Array) -> tuple[Array | None, Array | None]:
-    """A one that the compiler cannot see through, for `ComponentSystem.once`, and one of each lane,
-    for its sines: a conditional round a single sine is dissolved by XLA, a division is not."""
-    if jax.default_backend() != "cpu":
-        return None, None
-    firsts = [jnp.ravel(v)[0] for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype]
+def _fence(leaves: Any, x0: Array) -> Array:
+    """A one of each lane that the compiler cannot see through, for its sines: a conditional round a
+    single sine, on the one of `ComponentSystem.once`, is dissolved by XLA, a division is not."""
+    numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype]
+    firsts = [jnp.ravel(v)[0] for v in jax.lax.stop_gradient(numbers)]
     never = sum(firsts) == jnp.finfo(x0.dtype).max
-    lane_one = jax.lax.stop_gradient(jnp.where(never, 2.0, 1.0).astype(x0.dtype))
-    return jax.lax.optimization_barrier(jnp.ones((), x0.dtype)), lane_one
+    return jnp.where(never, 2.0, 1.0).astype(x0.dtype)

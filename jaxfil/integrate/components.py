@@ -11,6 +11,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
 Components = tuple[Array, ...]
@@ -97,6 +98,6 @@ def any_of(flags: Components) -> Array:
 def all_finite(*vectors: Components) -> Array:
     """Whether all components of all vectors are finite."""
     total: Any = 0.0
-    for component in itertools.chain(*vectors):
+    for component in stop_gradient([*itertools.chain(*vectors)]):
         total = total + _total(component * 0)  # NaN and inf both give NaN: one test for all
     return jnp.asarray(total == 0)

@@ -197,7 +197,7 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
 
     A slide that repels at the end of the step is followed to where it ceases to attract.
     """
-    system, h = problem.system, length.h
+    system, h = problem.system, stop_gradient(length.h)  # nothing here has a derivative
     # A slide or a rest that ends at a grid point ends beside it, by rounding of times. There the
     # field may still point back, and the surface is not met again for that.
     rounding, dt = problem.grid.same_time(end.tau), abs(problem.grid.dt)

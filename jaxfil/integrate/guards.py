@@ -35,16 +35,17 @@ def surface_noise(
 ) -> Components:
     """What rounding of t and x does to H: a multiple of eps and of the size of its terms, given the
     size of x."""
+    t, size, h_t, normals = stop_gradient((t, size, h_t, normals))
     each = zip(sizes(system, normals, size), h_t, strict=True)
-    return tuple(stop_gradient(NOISE * system.eps * (terms + abs(r * t))) for terms, r in each)
+    return tuple(NOISE * system.eps * (terms + abs(r * t)) for terms, r in each)
 
 
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:
     """The largest |x| of late: what rounding it has left fades with the motion, and faster where it
     `turns` through the sides of surfaces."""
     fade = _FADE if turns is None else jnp.where(turns, _FADE_IN_TURN, _FADE)
-    each = zip(size, x, strict=True)
-    return tuple(jnp.maximum(fade * s, stop_gradient(abs(v))) for s, v in each)
+    each = zip(*stop_gradient((size, x)), strict=True)
+    return tuple(jnp.maximum(fade * s, abs(v)) for s, v in each)
 
 
 def stays_on(system: ComponentSystem, mode: Components) -> Components:

@@ -54,31 +54,34 @@ def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction:
 def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corners, ...]:
     """The first three derivatives of H on every combination of sides. The higher ones are not
     affine in the sides, be the field or not."""
+    # One program for all of them, be they few: it holds third derivatives of the field.
+    three = ft.partial(_three_rates, system, t, x)
     if system.structure.separate:
         rows = [system.for_each_surface(jnp.asarray(s, system.dtype)) for s in (1.0, -1.0)]
-        each = [_three_rates(system, t, x, row) for row in rows]
-        return tuple(map(list, zip(*each, strict=True)))
+        return tuple(map(list, zip(*map(three, rows), strict=True)))
     columns = every_side(system.m).T.astype(system.dtype)
-    # One program for all of them, be they few: it holds third derivatives of the field.
-    three = jax.vmap(lambda *sides: _three_rates(system, t, x, sides))(*columns)
+    each = jax.vmap(lambda *sides: three(sides))(*columns)
     if system.m > 2:
-        return tuple(map(CornerTable, three))
-    return tuple([tuple(v[k] for v in rates) for k in range(4)] for rates in three)
+        return tuple(map(CornerTable, each))
+    return tuple([tuple(v[k] for v in rates) for k in range(4)] for rates in each)
 
 
 def _three_rates(
     system: ComponentSystem, t: Array, x: Components, sides: Components
 ) -> tuple[Components, Components, Components]:
     """The first three derivatives of H along the field of some sides."""
-    one, f = jnp.ones_like(t), system.field(t, x, sides)
+
+    def along(t: Array, x: Components) -> tuple[Array, Components]:
+        return jnp.ones_like(t), system.field(t, x, sides)
 
     def first(t: Array, x: Components) -> Components:
-        return system.rate(t, x, system.field(t, x, sides))
+        return system.rate(t, x, along(t, x)[1])
 
-    def second(t: Array, x: Components) -> Components:
-        return jax.jvp(first, (t, x), (one, system.field(t, x, sides)))[1]
+    def two(t: Array, x: Components) -> tuple[Components, Components]:
+        return jax.jvp(first, (t, x), along(t, x))
 
-    return first(t, x), second(t, x), jax.jvp(second, (t, x), (one, f))[1]
+    (one, second), (_, third) = jax.jvp(two, (t, x), along(t, x))
+    return one, second, third
 
 
 def _first_mode(
@@ -89,8 +92,8 @@ def _first_mode(
     system, grid = problem.system, problem.grid
     sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
     on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
-    rates = _resolved_rates(system, grid.t0, x, grid.direction)
-    rates = jax.tree.map(stop_gradient, rates)
+    # Which mode it is has no derivative.
+    rates = _resolved_rates(*stop_gradient((system, grid.t0, x, grid.direction)))
     owed: Components = ()
     if system.resets:
         start = impact.begin(problem, x, on, sides, sliding_weights.first_corner(rates))
@@ -105,7 +108,8 @@ def _first_mode(
         mode, count = filippov.choose(system.m, rates, sides, on, grid.direction)
     determinant = None
     if system.slides:
-        determinant = sliding_weights.weights_and_determinant(mode, rates)[1]
+        weights = sliding_weights.weights(mode, rates)
+        determinant = sliding_weights.determinant(mode, rates, weights)
     return mode, on, owed, count, determinant
 
 
@@ -115,7 +119,7 @@ def _start(problem: Problem, x: Components) -> Start:
         f = system.field(t, x, ())
         return Start(f, (), (), (), (), (), (), jnp.ones((), jnp.int32), None)
     h, h_t, normals = system.gradients(t, x)
-    size = tuple(stop_gradient(abs(v)) for v in x)
+    size = tuple(map(abs, stop_gradient(x)))
     if system.resets:
         # A state that an earlier run has left on the surface has the rounding of its steps.
         f = system.field(t, x, tuple(jnp.ones_like(v) for v in h))
@@ -130,7 +134,8 @@ def _start(problem: Problem, x: Components) -> Start:
     moving = mode if system.slides else unilateral.sides_of(mode)
     f = filippov.free_field(system, t, x, moving)
     f = with_reactions(system, t, x, mode, f)
-    g, rate, noise = guards(system, t, x, f, mode, noise, system.forcing_at(t))
+    known = stop_gradient((system, t, x, f, mode, noise))
+    g, rate, noise = guards(*known, stop_gradient(system.forcing_at(t)))
     stays = stays_on(system, mode)
     armed = tuple(s | ~on_j for s, on_j in zip(stays, on, strict=True))
     g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
@@ -138,7 +143,6 @@ def _start(problem: Problem, x: Components) -> Start:
         jnp.where(a, r, direction * jnp.maximum(direction * r, 0.0))
         for a, r in zip(armed, rate, strict=True)
     )
-    g = tuple(stop_gradient(v) for v in g)
     start = Start(f, mode, g, rate, armed, noise, owed, count, determinant)
     return unguarded(problem.kept, start)
 
@@ -156,7 +160,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         rest=tau,
         x=x,
         f=start.f,
-        size=tuple(stop_gradient(abs(v)) for v in x),
+        size=tuple(map(abs, stop_gradient(x))),
         mode=start.mode,
         first_mode=start.mode,
         g=start.g,

@@ -65,7 +65,8 @@ def evaluate_step_end(
     # Two scales: what rounding of this step does to H, and what all rounding since t0 may have
     # done, which is of the largest state so far. The first tells whether a contact is here, the
     # second whether a touch is more than rounding.
-    here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in zip(state.x, x, strict=True))
+    both = zip(*stop_gradient((state.x, x)), strict=True)
+    here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in both)
     noise = surface_noise(system, t, here, h_t, normals)
     touch = surface_noise(system, t, size, h_t, normals)
     moved = jnp.zeros((), bool) if reset is None else reset.moved
@@ -87,8 +88,9 @@ def evaluate_step_end(
     mode, num_modes = _switch(problem, state, rates, h, touch, carried, jumped, led)
     shares, determinant = mode, None
     if system.slides:
-        shares, determinant = sliding_weights.weights_and_determinant(mode, rates)
-        (determinant,) = system.hold(stop_gradient(determinant))
+        shares = sliding_weights.weights(mode, rates)
+        known = stop_gradient((mode, rates, shares))
+        (determinant,) = system.hold(sliding_weights.determinant(*known))
     f = filippov.blend_fields(system, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (num_modes == 0) & ~all_finite(tuple(jax.tree.leaves(rates)))

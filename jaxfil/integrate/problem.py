@@ -55,8 +55,9 @@ class TimeGrid(eqx.Module):
 
     def same_time(self, tau: Array) -> Array:
         """The rounding of times near the elapsed time `tau`."""
-        size = jnp.maximum(jnp.maximum(abs(self.t0 + tau), abs(tau)), 1e-3 * abs(self.dt))
-        return stop_gradient(SAME_TIME * jnp.finfo(self.dt.dtype).eps * size)
+        t0, tau, dt = stop_gradient((self.t0, tau, self.dt))
+        size = jnp.maximum(jnp.maximum(abs(t0 + tau), abs(tau)), 1e-3 * abs(dt))
+        return SAME_TIME * jnp.finfo(dt.dtype).eps * size
 
     def grid_point(self, index: Array) -> Array:
         """Elapsed time at the end of step number `index` (from 1), counted as elapsed times are."""

@@ -8,7 +8,7 @@ the fields of all sides are, `Corners` says.
 import functools as ft
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 import equinox as eqx
 import jax
@@ -188,19 +188,24 @@ def weights(mode: Components, rates: Corners) -> Components:
     `rates` are dH_j/dt along the fields of the corners. The solution may lie outside [−1, 1]:
     beyond the end of a slide it is the smooth continuation that root finding needs.
     """
-    return weights_and_determinant(mode, rates)[0]
+    if _are_of_one(rates):
+        return tuple(_single_weight(*each) for each in zip(mode, *rates, strict=True))
+    return _implicit_weights(mode, rates)
 
 
-def weights_and_determinant(mode: Components, rates: Corners) -> tuple[Components, Array]:
-    """`weights`, and |det ∂(dH/dt)/∂w| of the surfaces slid on, 1 where there is none. Where that
+def determinant(mode: Components, rates: Corners, w: Components) -> Array:
+    """|det ∂(dH/dt)/∂w| of the surfaces slid on with weights w, 1 where there is none. Where that
     vanishes the weights are undetermined: at a two-fold, or where two roots meet."""
-    if not isinstance(rates, CornerTable) and len(rates) == 2:
-        each = list(zip(mode, *rates, strict=True))
-        w = tuple(_single_weight(s, above, below) for s, above, below in each)
-        sizes = [jnp.where(s == 0, 0.5 * abs(below - above), 1) for s, above, below in each]
-        return w, ft.reduce(jnp.multiply, [v if v.ndim == 0 else jnp.prod(v) for v in sizes])
-    w = _implicit_weights(mode, rates)
-    return w, small_linear.size_of_determinant(_matrix(mode, rates, w))
+    if not _are_of_one(rates):
+        return small_linear.size_of_determinant(_matrix(mode, rates, w))
+    each = zip(mode, *rates, strict=True)
+    sizes = [jnp.where(s == 0, 0.5 * abs(below - above), 1) for s, above, below in each]
+    return ft.reduce(jnp.multiply, [v if v.ndim == 0 else jnp.prod(v) for v in sizes])
+
+
+def _are_of_one(rates: Corners) -> TypeGuard[Sequence[Components]]:
+    """Whether the rates of each surface are of its own two sides."""
+    return not isinstance(rates, CornerTable) and len(rates) == 2
 
 
 @jax.custom_jvp
