@@ -104,20 +104,27 @@ class _Rates:
             jnp.where(self.number == self.tangency.surface, values, 0)
         )
 
-    def along(
+    def with_rate(
         self, side: Array, function: Callable[[Array, Array], Array]
-    ) -> Callable[[Array, Array], Array]:
-        """The derivative of a function of (t, x) along the field with this side of the surface."""
+    ) -> Callable[[Array, Array], tuple[Array, Array]]:
+        """A function of (t, x) and its derivative along the field with this side of the surface."""
         mode = jnp.where(self.number == self.tangency.surface, side, self.tangency.mode)
 
-        def derivative(t: Array, x: Array) -> Array:
+        def both(t: Array, x: Array) -> tuple[Array, Array]:
             blocks = filippov.field(
                 self.system, t, self.system.unpack(x), self.system.of_surfaces(mode)
             )
             field = pack(blocks, x.dtype)
-            return jax.jvp(function, (t, x), (jnp.ones_like(t), field))[1]
+            return jax.jvp(function, (t, x), (jnp.ones_like(t), field))
 
-        return derivative
+        return both
+
+    def along(
+        self, side: Array, function: Callable[[Array, Array], Array]
+    ) -> Callable[[Array, Array], Array]:
+        """That derivative alone."""
+        both = self.with_rate(side, function)
+        return lambda t, x: both(t, x)[1]
 
     @property
     def rate(self) -> Callable[[Array, Array], Array]:
@@ -130,10 +137,10 @@ def defining(
 ) -> Float[Array, "2"]:
     """The two equations of a family at (t, x)."""
     rates = _Rates(system, x, tangency)
-    h, rate = rates.h(t, x), rates.rate(t, x)
     if not rates.system.slides:
-        return jnp.stack([h, rate])
-    along_slide = rates.along(0 * tangency.side, rates.rate)(t, x)
+        return jnp.stack(rates.with_rate(tangency.side, rates.h)(t, x))
+    h = rates.h(t, x)
+    rate, along_slide = rates.with_rate(0 * tangency.side, rates.rate)(t, x)
     return jnp.where(family == SLIDE, jnp.stack([rate, along_slide]), jnp.stack([h, rate]))
 
 
@@ -143,16 +150,17 @@ def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangen
 
     def at(t: Array, x: Array) -> Conditions:
         rates, s = _Rates(system, x, tangency), tangency.side
-        rate = rates.rate
+        rate, bend = rates.with_rate(s, rates.rate)(t, x)
         slide_rate = slide_bend = jnp.zeros_like(t)
         if rates.system.slides:
-            on_slide = rates.along(0 * s, rate)
-            slide_rate, slide_bend = on_slide(t, x), rates.along(0 * s, on_slide)(t, x)
+            on_slide = rates.along(0 * s, rates.rate)
+            slide_rate, slide_bend = rates.with_rate(0 * s, on_slide)(t, x)
+        h, other_rate = rates.with_rate(-s, rates.h)(t, x)
         return Conditions(
-            h=rates.h(t, x),
-            rate=rate(t, x),
-            bend=rates.along(s, rate)(t, x),
-            other_rate=rates.along(-s, rates.h)(t, x),
+            h=h,
+            rate=rate,
+            bend=bend,
+            other_rate=other_rate,
             slide_rate=slide_rate,
             slide_bend=slide_bend,
         )
