@@ -29,11 +29,13 @@ class Affine(eqx.Module, Generic[_Tree]):
         return jax.tree.leaves(self.slopes)[0].shape[0]
 
     def __call__(self, s: Float[Array, " W"]) -> _Tree:
-        def moved(v: Any, slope: Array | None) -> Any:
-            # Not a product of matrices, which would end a kernel.
-            return v if slope is None else v + sum(s[i] * slope[i] for i in range(s.shape[0]))
+        moving, still = eqx.partition(self.value, eqx.is_inexact_array)
 
-        return jax.tree.map(moved, self.value, self.slopes, is_leaf=lambda v: v is None)
+        def moved(v: _Tree, row: tuple[Array, _Tree]) -> tuple[_Tree, None]:
+            # Not a product of matrices, which would end a kernel.
+            return jax.tree.map(lambda v, slope: v + row[0] * slope, v, row[1]), None
+
+        return eqx.combine(jax.lax.scan(moved, moving, (s, self.slopes))[0], still)
 
 
 def affine(
