@@ -93,9 +93,9 @@ def lyapunov_spectrum(
 
     with M_k the derivative of the flow over period k: n tangent vectors are carried along the
     orbit, exactly through crossings, slides and resets, and orthonormalised once a forcing period.
-    The orbit runs `transient` periods first, the last quarter of them with the
-    tangent vectors, which lets them turn to where they belong; then `periods` more are averaged
-    over.
+    The orbit runs `transient` periods first, with the tangent vectors from the last quarter of them
+    on (in a compact program from the start), which lets them turn to where they belong; then
+    `periods` more are averaged over.
 
     Runs under `jax.jit` and `equinox.filter_vmap` (over a system with batched leaves, or over x0),
     each lane with its own outcome, and has forward-mode derivatives.
@@ -178,13 +178,16 @@ def _spectrum(
 def _grown(problem: Problem, counts: Counts, ends: Array, x0: Array) -> tuple[LoopState, Array]:
     """The end of the run, and how much the logarithms have grown up to each of `ends`."""
     _, transient, steps = counts
-    # The frame costs n times the orbit: it joins when most of the transient is over.
-    alone = (transient - transient // 4) * steps
-    state = jax.lax.while_loop(
-        lambda state: is_running(problem.grid, state, alone),
-        lambda state: advance(problem, state),
-        initial_state(problem, problem.system.unpack(x0)),
-    )
+    state = initial_state(problem, problem.system.unpack(x0))
+    # The frame costs n times the orbit: it joins when most of the transient is over. A loop without
+    # it costs a compact program more than it saves.
+    if not problem.compact:
+        alone = (transient - transient // 4) * steps
+        state = jax.lax.while_loop(
+            lambda state: is_running(problem.grid, state, alone),
+            lambda state: advance(problem, state),
+            state,
+        )
 
     def batch(variation: Variation, stop: Array) -> tuple[Variation, Array]:
         after = propagate(problem, steps, variation, stop)
