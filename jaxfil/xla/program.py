@@ -1,29 +1,85 @@
 """Programs of functions, and functions of programs.
 
 A function of arrays enters; its program leaves, which closes over nothing. The same program enters
-again; a function leaves that runs it, operation by operation or as a single call.
+again; a function leaves that runs it, operation by operation or as a single call, or the program
+without what nothing is made of.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.extend.core as jexc
 import jax.numpy as jnp
+import numpy as np
+from jax.interpreters import partial_eval as pe
+
+from jaxfil.xla.known import is_known
 
 
 def opened(function: Callable, args: tuple) -> tuple[Any, list, Any]:
     """The program of a function, which takes what the function has closed over as arguments; the
     values that it takes, and the structure of what its results stand for."""
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-    # A constant inside of a kernel would be written out in its code, and a tracer that the function
+    # An array that is known would be written out in a kernel's code, and a tracer that the function
     # has closed over would be taken for one lane's number in a batch: both become arguments.
-    inner = closed.jaxpr
-    program = jexc.ClosedJaxpr(
-        inner.replace(constvars=(), invars=[*inner.constvars, *inner.invars]), ()
+    jaxpr, consts = _with_known_numbers(closed)
+    whole = jaxpr.replace(constvars=(), invars=[*jaxpr.constvars, *jaxpr.invars])
+    values = [*map(jnp.asarray, (*consts, *jax.tree.leaves(args)))]
+    return pruned(jexc.ClosedJaxpr(whole, ())), values, jax.tree.structure(shapes)
+
+
+def _with_known_numbers(closed: Any) -> tuple[Any, list]:
+    """A program in whose operations the single numbers that it closes over are written, if they are
+    known, as those of a system that is a constant under somebody else's `jax.jit`; and what else it
+    closes over."""
+    jaxpr, known, rest = closed.jaxpr, {}, []
+    for var, value in zip(jaxpr.constvars, closed.consts, strict=True):
+        if np.ndim(value) == 0 and is_known(value):
+            known[var] = jexc.Literal(np.asarray(value), var.aval)
+        else:
+            rest.append((var, value))
+
+    def put(atoms: Sequence[Any]) -> list:
+        return [v if isinstance(v, jexc.Literal) else known.get(v, v) for v in atoms]
+
+    equations = [eqn.replace(invars=put(eqn.invars)) for eqn in jaxpr.eqns] if known else jaxpr.eqns
+    jaxpr = jaxpr.replace(
+        constvars=[var for var, _ in rest], eqns=equations, outvars=put(jaxpr.outvars)
     )
-    values = [*map(jnp.asarray, (*closed.consts, *jax.tree.leaves(args)))]
-    return program, values, jax.tree.structure(shapes)
+    return jaxpr, [value for _, value in rest]
+
+
+def pruned(program: Any) -> Any:
+    """The same program without the operations whose results nobody needs, such as the tangents of
+    what has a derivative only in form. XLA would remove them too, after they have been written out
+    for it."""
+    return _pruned(program, {})
+
+
+def _pruned(program: Any, done: dict[int, tuple]) -> Any:
+    """`pruned`, given the programs that are pruned already, by identity: what several calls share
+    they share after it."""
+    if id(program) in done:
+        return done[id(program)][1]
+    every = [True] * len(program.out_avals)
+    jaxpr, _ = pe.dce_jaxpr(program.jaxpr, every, instantiate=True)
+    # What JAX has no rule for it leaves as it is: the bodies of loops.
+    equations = [_with_pruned(eqn, done) for eqn in jaxpr.eqns]
+    out = jexc.ClosedJaxpr(jaxpr.replace(eqns=equations), program.consts)
+    done[id(program)] = program, out
+    return out
+
+
+def _with_pruned(eqn: Any, done: dict[int, tuple]) -> Any:
+    """An operation with the programs that it runs pruned."""
+    found = {}
+    for name, value in eqn.params.items():
+        if isinstance(value, jexc.ClosedJaxpr):
+            found[name] = _pruned(value, done)
+        elif isinstance(value, tuple) and any(isinstance(v, jexc.ClosedJaxpr) for v in value):
+            found[name] = tuple(_pruned(v, done) for v in value)
+    return eqn.replace(params={**eqn.params, **found}) if found else eqn
 
 
 def operations(program: Any) -> Callable:

@@ -22,7 +22,7 @@ from jax.interpreters import ad, batching, mlir, partial_eval as pe
 from jaxtyping import Array
 
 from jaxfil.xla.compiler import PARTS
-from jaxfil.xla.program import operations
+from jaxfil.xla.program import operations, pruned
 
 # In jax.core until JAX 0.8.
 _traces: Any = jexc if hasattr(jexc, "set_current_trace") else jax.core
@@ -183,7 +183,7 @@ def _joint(base: Any, moving: tuple[int, ...]) -> Any:
         out, tangents = jax.jvp(moved, [values[k] for k in moving], list(rates))
         return [*out, *(v for v in tangents if v.dtype != jax.dtypes.float0)]
 
-    return jax.make_jaxpr(both)(*_shapes(base, range(count)), *_shapes(base, moving))
+    return pruned(jax.make_jaxpr(both)(*_shapes(base, range(count)), *_shapes(base, moving)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
