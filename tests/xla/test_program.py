@@ -40,3 +40,46 @@ def test_a_call_is_one_operation_that_holds_the_program_itself():
     (call,) = jax.make_jaxpr(call_of(program))(*values).eqns
     assert call.params["jaxpr"] is program
     assert [v.aval.dtype for v in call.outvars] == [np.float64, values[1].dtype]
+
+
+def test_what_nobody_needs_is_in_no_program():
+    pair = jax.jit(lambda x: (jnp.sin(x), jnp.exp(x)))
+
+    def function(x):
+        def body(s):
+            jnp.cosh(s[1])
+            return s[0] + 1, s[1] + pair(s[1])[0]
+
+        jnp.tan(x)
+        return pair(jax.lax.while_loop(lambda s: s[0] < 2, body, (0, x))[1])[0]
+
+    program, values, _ = opened(function, (X[0],))
+    for name, kept in {"sin": True, "exp": False, "cosh": False, "tan": False}.items():
+        assert (f" {name} " in str(program)) == kept, name
+    assert_array_equal(operations(program)(*values), [function(X[0])])
+
+
+def test_what_calls_share_they_share_in_a_program_without_what_nobody_needs():
+    pair = jax.jit(lambda x: (jnp.sin(x), jnp.exp(x)))
+    program, _, _ = opened(lambda x: pair(pair(x)[0])[0], (X[0],))
+    first, second = (eqn.params["jaxpr"] for eqn in program.eqns)
+    assert first is second
+
+
+def test_known_numbers_are_written_into_a_program_and_others_are_its_arguments():
+    scale, shift = jnp.asarray(3.0), jnp.asarray([1.0, 2.0])
+
+    def function(x):
+        return x * scale + shift
+
+    program, values, _ = opened(function, (X,))
+    assert [v.shape for v in values] == [(2,), (2,)]
+    assert_array_equal(operations(program)(*values), [function(X)])
+
+    def moved(scale):
+        program, values, _ = opened(lambda x: x * scale, (X,))
+        assert len(values) == 2
+        return operations(program)(*values)[0]
+
+    assert_array_equal(jax.vmap(moved)(X), X[:, None] * X)
+    assert_array_equal(opened(lambda: scale, ())[1], [])
