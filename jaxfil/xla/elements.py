@@ -54,8 +54,9 @@ def array_of(value: Any) -> Any:
     return value.array() if isinstance(value, Elements) else value
 
 
-def in_elements(eqn: Any, inputs: Sequence[Any]) -> bool:
-    """Whether an operation is done element by element."""
+def in_elements(eqn: Any, inputs: Sequence[Any], mixed: bool) -> bool:
+    """Whether an operation is done element by element; `mixed`: also of scalars and of arrays that
+    are none of scalars yet."""
     (out, *more), name = eqn.outvars, eqn.primitive.name
     shapes = [v.aval.shape for v in eqn.invars]
     if more or not all(0 < v.aval.size <= _MOST for v in (out, *eqn.invars)):
@@ -63,7 +64,8 @@ def in_elements(eqn: Any, inputs: Sequence[Any]) -> bool:
     if not any(isinstance(v, Elements) for v in inputs):
         # Where a scalar enters, an array of scalars begins.
         numbers = [v for v in eqn.invars if not isinstance(v, jexc.Literal)]
-        if out.aval.shape == () or all(v.aval.shape != () for v in numbers):
+        scalars = [v.aval.shape == () for v in numbers]
+        if out.aval.shape == () or not (any(scalars) if mixed else scalars and all(scalars)):
             return False
     if name == "dot_general":
         return not any(eqn.params["dimension_numbers"][1])

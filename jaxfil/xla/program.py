@@ -73,13 +73,16 @@ def _pruned(program: Any, done: dict[int, tuple]) -> Any:
 
 def _with_pruned(eqn: Any, done: dict[int, tuple]) -> Any:
     """An operation with the programs that it runs pruned."""
-    found = {}
-    for name, value in eqn.params.items():
-        if isinstance(value, jexc.ClosedJaxpr):
-            found[name] = _pruned(value, done)
-        elif isinstance(value, tuple) and any(isinstance(v, jexc.ClosedJaxpr) for v in value):
-            found[name] = tuple(_pruned(v, done) for v in value)
+    found = {
+        name: jax.tree.map(lambda v: _pruned(v, done) if _is_program(v) else v, value)
+        for name, value in eqn.params.items()
+        if _is_program(value) or (isinstance(value, tuple) and any(map(_is_program, value)))
+    }
     return eqn.replace(params={**eqn.params, **found}) if found else eqn
+
+
+def _is_program(value: Any) -> bool:
+    return isinstance(value, jexc.ClosedJaxpr)
 
 
 def operations(program: Any) -> Callable:

@@ -75,7 +75,7 @@ class Traced:
         transposed: bool = False,
         fast: bool = True,
     ):
-        self._functions = _FAST if fast else _RIGHT
+        self._fast, self._functions = fast, _FAST if fast else _RIGHT
         self._closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
         self._tree = jax.tree.structure(shape)
         order = when or (LATE,) * len(example)
@@ -93,7 +93,7 @@ class Traced:
 
     def _evaluated(self, leaves: list, known: list | None, fence: Array | None) -> list:
         hold = _same if fence is None else lambda v: v / fence
-        evaluation = _Evaluation(self._functions, hold, known, self._masks)
+        evaluation = _Evaluation(self._functions, hold, known, self._masks, self._fast)
         return evaluation(self._closed, leaves, self._when)
 
     def _found(self, leaves: list) -> list:
@@ -173,8 +173,9 @@ class _Evaluation:
         hold: Callable,
         known: Sequence[Array] | None = None,
         masks: bool = False,
+        mixed: bool = True,
     ):
-        self._functions = functions
+        self._functions, self._mixed = functions, mixed
         self._hold = hold
         self._known = None if known is None else iter(known)
         self._masks = masks
@@ -208,7 +209,7 @@ class _Evaluation:
         """What one equation gives."""
         if any(v is None for v in inputs):
             return [None] * len(eqn.outvars)
-        if not self._masks and elements.in_elements(eqn, inputs):
+        if not self._masks and elements.in_elements(eqn, inputs, self._mixed):
             make = ft.partial(self._of_scalars, eqn)
             return [elements.evaluate(eqn, inputs, lambda *v: self._ahead(eqn, when, make, v)[0])]
         make = ft.partial(self._of_arrays, jaxpr, eqn)
@@ -247,7 +248,8 @@ class _Evaluation:
         if name in _SAFE:
             return [_SAFE[name](*map(jnp.asarray, inputs))]
         if name == "dot_general" and _multiplications(eqn) <= _MIDDLE:
-            product = _product if _multiplications(eqn) <= _SMALL else _summed
+            small = self._mixed and _multiplications(eqn) <= _SMALL
+            product = _product if small else _summed
             return [product(eqn, *map(jnp.asarray, inputs))]
         return evaluate_one(jaxpr, eqn, inputs)
 

@@ -115,13 +115,13 @@ def test_separate_surfaces_have_the_weights_and_modes_of_all_four_corners():
         above, below = tuple(rate[0]), tuple(rate[1])
         four = [above, (above[0], below[1]), (below[0], above[1]), below]
         mode, on, one = tuple(mode), tuple(on), jnp.ones(())
-        return [
-            (
-                sliding_weights.weights_and_determinant(mode, rows),
-                filippov.choose(2, rows, mode, on, one),
-            )
-            for rows in ([above, below], four)
-        ]
+
+        def all_of(rows):
+            weights = sliding_weights.weights(mode, rows)
+            determinant = sliding_weights.determinant(mode, rows, weights)
+            return (weights, determinant), filippov.choose(2, rows, mode, on, one)
+
+        return [all_of(rows) for rows in ([above, below], four)]
 
     two, four = both(rates, modes, on)
     jax.tree.map(ft.partial(assert_allclose, rtol=1e-12), two[0], four[0])

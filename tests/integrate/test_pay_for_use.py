@@ -109,7 +109,7 @@ def text(system, **options):
         ("mode_switch._chosen", "crossing", "smooth"),
         ("filippov._choose_on_one", "crossing", "smooth"),
         # Sliding: the blend's weights, the return to the surface, whether it draws the state back.
-        ("sliding_weights.weights_and_determinant", "sliding", "crossing"),
+        ("sliding_weights.determinant", "sliding", "crossing"),
         ("normals.project", "sliding", "crossing"),
         ("event_location._to_singular_point", "sliding", "crossing"),
         # Impacts, events, and saved states.
