@@ -64,7 +64,8 @@ class Traced:
     `fence`, a one that the compiler cannot see through, unless the call says that its result is
     used `alone` and one number in it depends on them: see `ComponentSystem`. With `transposed`, its
     derivatives are those of `masked_product` where they might not be finite. Unless it is `fast`,
-    sines and cosines are XLA's own, one operation in place of some twenty.
+    sines and cosines are XLA's own, one operation in place of some twenty, and arrays that numbers
+    enter into stay arrays.
     """
 
     def __init__(

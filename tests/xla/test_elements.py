@@ -37,9 +37,10 @@ def large(t, x):
     return tuple(y[i] for i in range(3))
 
 
+@pytest.mark.parametrize("fast", [True, False])
 @pytest.mark.parametrize("function", [chain, matrix, large])
-def test_values_and_derivatives_are_those_of_arrays(function):
-    traced = Traced(function, T, X)
+def test_values_and_derivatives_are_those_of_arrays(function, fast):
+    traced = Traced(function, T, X, fast=fast)
     assert_allclose(traced(T, X), function(T, X), rtol=1e-14)
     assert_allclose(jax.jit(traced)(T, X), function(T, X), rtol=1e-14)
     for differentiate in (jax.jacfwd, jax.jacrev):
@@ -103,3 +104,17 @@ def test_tracing_compiles_nothing(caplog):
         assert "Compiling" not in caplog.text
         jnp.arange(3.0) + 1  # what is compiled is told
         assert "Compiling" in caplog.text
+
+
+def test_a_program_that_is_not_to_be_fast_does_not_grow_with_its_arrays():
+    def relays(a, t, x):
+        return a @ x + 0.5 * t * jnp.sign(x) + jnp.cos(t + jnp.arange(float(x.size)))
+
+    def length(n, fast):
+        args = jnp.eye(n), jnp.asarray(T), jnp.arange(1.0, n + 1)
+        traced = Traced(relays, *args, fast=fast)
+        assert_allclose(traced(*args), relays(*args), rtol=1e-14)
+        (whole,) = jax.make_jaxpr(traced)(*args).eqns
+        return len(whole.params["jaxpr"].eqns)
+
+    assert length(2, False) == length(8, False) < length(2, True) < length(3, True)
