@@ -252,7 +252,8 @@ def test_backward_in_time_past_a_stick_of_the_moving_belt_is_not_unique(dt):
     assert kinds[2] == EventKind.slip
     back = jf.solve(jf.systems.MovingBelt(), there.x_final, 12.0, 0.0, dt, throw=False)
     assert back.result == RESULTS.nonunique
-    assert_allclose(back.t_final, ts[2], rtol=0, atol=1e-6)
+    # A slide ends at a double root: its time is known to the root of the error of the way there.
+    assert_allclose(back.t_final, ts[2], rtol=0, atol=2e-6)
 
 
 def test_backward_in_time_a_graze_where_nothing_slides_is_passed():
