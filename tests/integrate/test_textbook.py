@@ -144,7 +144,7 @@ def test_impact_oscillator(omega, amplitude):
     # Exact grazing amplitude √((k - ω²)² + c²ω²) d. On the steady orbit just below it the wall is
     # not reached; just above it is, in the first period.
     exact = closed_forms.wall_amplitude(omega)
-    assert_allclose(exact, amplitude, rtol=0, atol=5e-10)
+    assert_allclose(exact, amplitude, rtol=0, atol=1e-10)
 
     # x = A cos(ωt - δ)/exact on the steady orbit.
     delta = np.arctan2(0.1 * omega, 1 - omega**2)

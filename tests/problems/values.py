@@ -9,7 +9,7 @@ BELT_HIGHEST = {0.5: 0.512658354900661, 1.55: 1.003236056352910, 1.95: 2.4107561
 CUBIC_GRAZES = 4.652570419201206  # not at the paper's 4.565
 CUBIC_JUMPS = 4.56382205  # from (0, 0) the motion ends on another attractor
 CUBIC_LYAPUNOV = 0.3799  # (4), of sticking chaos at 4.6
-WALL_GRAZES = 0.4560701704  # amplitude of the impact oscillator's force at 1.2
+WALL_GRAZES = 0.4560701700  # √0.208, amplitude of the impact oscillator's force at 1.2
 # The damping alone, αg: the sum of the belt's exponents where nothing sticks or crosses.
 BELT_DAMPING, SD_DAMPING = -0.4905, -0.0282
 SD_AT_5 = 0.15854311422638651592, -0.93147098153906364592  # of the problem "sd"
