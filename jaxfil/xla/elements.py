@@ -20,6 +20,7 @@ _MOST = 32
 MOVES = (
     "broadcast_in_dim",
     "concatenate",
+    "pad",
     "reshape",
     "rev",
     "slice",
@@ -119,6 +120,8 @@ def moved(name: str, params: dict, parts: Sequence[np.ndarray], shape: tuple) ->
         where = params["broadcast_dimensions"]
         wide = [first.shape[where.index(k)] if k in where else 1 for k in range(len(shape))]
         return np.broadcast_to(first.reshape(wide), shape)
+    if name == "pad":
+        return _padded(first, parts[1], params["padding_config"], shape)
     if name == "slice":
         steps = params["strides"] or (1,) * first.ndim
         cuts = zip(params["start_indices"], params["limit_indices"], steps, strict=True)
@@ -130,3 +133,15 @@ def moved(name: str, params: dict, parts: Sequence[np.ndarray], shape: tuple) ->
     if name == "reshape" and params["dimensions"] is not None:
         first = np.transpose(first, params["dimensions"])
     return first.reshape(shape)  # as does squeeze
+
+
+def _padded(array: np.ndarray, fill: np.ndarray, config: Sequence[tuple], shape: tuple) -> Any:
+    """An array between others of one number, some of its own cut off."""
+    out = np.broadcast_to(fill, shape).astype(array.dtype)
+    at = np.indices(array.shape)
+    for axis, (low, _, between) in enumerate(config):
+        at[axis] = low + (1 + between) * at[axis]
+    ends = np.reshape(shape, (-1, *[1] * array.ndim))
+    inside = np.all((at >= 0) & (at < ends), axis=0)
+    out[tuple(at[:, inside])] = array[inside]
+    return out

@@ -22,7 +22,7 @@ custom_jvp_call device_put div dynamic_slice empty2 eq erf erf_inv erfc exp exp2
 ge gt integer_pow iota is_finite jit le log log1p logistic lt max min mul ne neg nextafter not
 optimization_barrier or pad pjit pow psum pushforward reduce_and reduce_max reduce_min reduce_or
 reduce_precision reduce_prod reduce_sum rem reshape rev round rsqrt scan select_n shift_left sign
-sin sinh slice split sqrt square squeeze stack stop_gradient sub tan tanh transpose unstack
+sin sinh slice split sqrt square squeeze stack stop_gradient sub tan tanh tile transpose unstack
 unvmap_any vanishing_map while xor
 """
 FITTING = frozenset(_NAMES.split())

@@ -21,6 +21,7 @@ from jaxtyping import Array
 from jaxfil.xla import elements, fast_trig
 from jaxfil.xla.fits import programs
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
+from jaxfil.xla.moves import by_slices
 
 _FLOATS = (jnp.float32, jnp.float64)
 # What stands in for XLA's functions: for one that is wrong, and for those that do not vectorise.
@@ -77,7 +78,8 @@ class Traced:
         fast: bool = True,
     ):
         self._fast, self._functions = fast, _FAST if fast else _RIGHT
-        self._closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+        written, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+        self._closed = by_slices(written)
         self._tree = jax.tree.structure(shape)
         order = when or (LATE,) * len(example)
         each = zip(order, example, strict=True)

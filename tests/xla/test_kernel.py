@@ -27,7 +27,7 @@ class Coupled(jf.System):
         pull = {
             "product": lambda: matrix @ x,
             "solve": lambda: jnp.linalg.solve(matrix, x),
-            "scatter": lambda: x.at[jnp.array([1, 0])].add(self.a * x),
+            "scatter": lambda: x.at[jnp.array([1, 0])].multiply(1 + self.a),
         }
         return -pull[self.how]() - 0.4 * side
 
@@ -196,7 +196,15 @@ def everything(x, k):
         jnp.concatenate([x, x]),
         lax.pad(x, 0.0, [(1, 1, 0)]),
     ]
-    out += [jnp.stack([x, x]), lax.split(x, (2, 4)), list(x), x[1:3], x[None, :], x[0:1].squeeze(0)]
+    out += [
+        jnp.stack([x, x]),
+        jnp.tile(x, 2),
+        lax.split(x, (2, 4)),
+        list(x),
+        x[1:3],
+        x[None, :],
+        x[0:1].squeeze(0),
+    ]
     index = k.astype(int)
     out += [lax.bitcast_convert_type(lax.stop_gradient(x), jnp.int64) << 1]
     out += [lax.dynamic_slice(x, (index,), (2,)), x[jnp.array([2, 1])], jnp.where(x > 1, x, 0.0)]
@@ -227,7 +235,7 @@ def names(jaxpr):
 
 # Names that other versions of JAX have for some of them.
 OTHERS = {"pjit", "copy_p", "copy", "stop_gradient", "exp2", "square", "unstack", "stack", "split"}
-OTHERS |= {"empty2"}
+OTHERS |= {"empty2", "tile"}
 # A zero that stands for a second derivative, compiled as an array of zeros.
 OTHERS |= {"vanishing_map"}
 # Forward derivatives, which `test_forward_jacobian` compiles.

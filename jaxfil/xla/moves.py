@@ -1,0 +1,222 @@
+"""Numbers at known places, moved by slices.
+
+The program of a function enters; the same program leaves, in which arrays are taken apart and put
+together by slices and concatenations alone, wherever the places are known: `x.at[0].add(v)`,
+`x[jnp.array([2, 0])]`, `jnp.split`, `jnp.cumsum`. As JAX has them they are scatters and
+the like, which no single kernel holds and which say nothing of where a number has gone.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.extend.core as jexc
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.xla import elements
+from jaxfil.xla.known import is_known
+from jaxfil.xla.masked_product import evaluate_one
+from jaxfil.xla.program import pruned
+
+# Slices that an array is put together from at most: more are a gather.
+_SLICES = 32
+# Terms of a sum into one and the same place at most.
+_TERMS = 8
+_CALLS = ("jit", "pjit", "closed_call")
+_ADDITIONS = ("scatter-add", "scatter_add")
+# What is done with whole numbers whose values are known, besides moving them.
+_ON_NUMBERS: dict[str, Callable] = {
+    "add": np.add,
+    "lt": np.less,
+    "max": np.maximum,
+    "min": np.minimum,
+    "mul": np.multiply,
+    "select_n": lambda which, *cases: np.choose(which.astype(int), cases),
+    "sub": np.subtract,
+}
+
+
+def by_slices(program: Any) -> Any:
+    """The same program with its numbers moved by slices."""
+    if _names(program.jaxpr).isdisjoint(_RULES):
+        return program
+
+    def run(*args: Any) -> list:
+        return [v for v, _ in _run(program, [(v, None) for v in args])]
+
+    shapes = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in program.in_avals]
+    return pruned(jax.make_jaxpr(run)(*shapes))
+
+
+def _names(jaxpr: Any) -> set[str]:
+    inner = [eqn.params["jaxpr"].jaxpr for eqn in jaxpr.eqns if eqn.primitive.name in _CALLS]
+    return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(_names, inner))
+
+
+def _run(closed: Any, args: Sequence[tuple]) -> list[tuple]:
+    """Values, each with its known whole numbers or None, in and out."""
+    jaxpr = closed.jaxpr
+    values: dict[Any, tuple] = dict(zip(jaxpr.invars, args, strict=True))
+    values.update((v, (c, _whole(c))) for v, c in zip(jaxpr.constvars, closed.consts, strict=True))
+
+    def read(atom: Any) -> tuple:
+        return (atom.val, _whole(atom.val)) if isinstance(atom, jexc.Literal) else values[atom]
+
+    for eqn in jaxpr.eqns:
+        inputs = [read(v) for v in eqn.invars]
+        if eqn.primitive.name in _CALLS:
+            outputs = _run(eqn.params["jaxpr"], inputs)
+        else:
+            outputs = _made(jaxpr, eqn, inputs)
+        values.update(zip(eqn.outvars, outputs, strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
+def _whole(value: Any) -> np.ndarray | None:
+    """The numbers of a value that is known, if they are whole ones."""
+    if not is_known(value) or jnp.result_type(value).kind not in "iub":
+        return None
+    return np.asarray(value)
+
+
+def _made(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
+    """What one equation gives."""
+    arrays, numbers = [v for v, _ in inputs], [k for _, k in inputs]
+    known = _computed(eqn, numbers)
+    if known is not None:
+        return [(known, known)]
+    rule = _RULES.get(eqn.primitive.name)
+    made = None if rule is None else rule(eqn, [*map(jnp.asarray, arrays)], numbers)
+    if made is None:
+        made = evaluate_one(jaxpr, eqn, arrays)
+    return [(v, None) for v in made]
+
+
+def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    """What one equation gives of known whole numbers; None of others."""
+    name, out = eqn.primitive.name, eqn.outvars[0].aval
+    if any(v is None for v in numbers) or out.dtype.kind not in "iub":
+        return None
+    if name == "iota":
+        size, axis = out.shape, eqn.params["dimension"]
+        return np.indices(size, out.dtype)[axis]
+    if name in elements.MOVES:
+        return np.asarray(elements.moved(name, eqn.params, numbers, out.shape), out.dtype)
+    if name in ("convert_element_type", "copy"):
+        return np.asarray(numbers[0], out.dtype)
+    apply = _ON_NUMBERS.get(name)
+    return None if apply is None else np.asarray(apply(*numbers), out.dtype)
+
+
+def _put_together(arrays: Sequence[Array], source: np.ndarray, place: np.ndarray) -> Array:
+    """The array whose numbers are those at each `place` of the flat array of number `source`."""
+    cuts = np.flatnonzero((np.diff(source.ravel()) != 0) | (np.diff(place.ravel()) != 1)) + 1
+    flat = [jnp.ravel(v) for v in arrays]
+    if len(cuts) >= _SLICES:
+        starts = np.cumsum([0, *(v.size for v in flat)])
+        joined = jnp.concatenate(flat)
+        return joined.at[starts[source] + place].get(mode="promise_in_bounds")
+    runs = zip(np.split(source.ravel(), cuts), np.split(place.ravel(), cuts), strict=True)
+    pieces = [jax.lax.slice(flat[s[0]], (p[0],), (p[-1] + 1,)) for s, p in runs]
+    return jnp.concatenate(pieces).reshape(source.shape)
+
+
+def _places(
+    eqn: Any, indices: np.ndarray, window: Sequence[int], dropped: Sequence[int], to: Sequence[int]
+) -> np.ndarray | None:
+    """Where the numbers of a gather's result, or of a scatter's updates, are in its flat operand;
+    None if some are outside. `window`: the axes of the numbers that are those of the operand, but
+    for the `dropped` ones; `to`: the axes of the operand that indices are of."""
+    numbers = eqn.outvars[0].aval if eqn.primitive.name == "gather" else eqn.invars[2].aval
+    shape, grid = eqn.invars[0].aval.shape, np.indices(numbers.shape)
+    kept = [d for d in range(len(shape)) if d not in dropped]
+    batch = tuple(grid[k] for k in range(len(numbers.shape)) if k not in window)
+    starts = np.broadcast_to(indices[batch], (*numbers.shape, len(to)))
+    at = np.zeros((len(shape), *numbers.shape), int)
+    at[kept] += grid[list(window)]
+    at[list(to)] += np.moveaxis(starts, -1, 0)
+    ends = np.reshape(shape, (-1, *[1] * len(numbers.shape)))
+    inside = np.all((at >= 0) & (at < ends))
+    return np.asarray(np.ravel_multi_index(tuple(at), shape)) if inside else None
+
+
+def _gather(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Array] | None:
+    d, indices = eqn.params["dimension_numbers"], numbers[1]
+    if indices is None or d.operand_batching_dims:
+        return None
+    dims = d.offset_dims, d.collapsed_slice_dims, d.start_index_map
+    place = _places(eqn, indices, *dims)
+    if place is None or place.size == 0 or np.sum(np.diff(place.ravel()) != 1) >= _SLICES:
+        return None
+    return [_put_together(arrays[:1], np.zeros_like(place), place)]
+
+
+def _scatter(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Array] | None:
+    d, indices = eqn.params["dimension_numbers"], numbers[1]
+    if indices is None or d.operand_batching_dims:
+        return None
+    dims = d.update_window_dims, d.inserted_window_dims, d.scatter_dims_to_operand_dims
+    place = _places(eqn, indices, *dims)
+    if place is None or place.size == 0:
+        return None
+    operand, _, updates = arrays
+    terms = _terms(place.ravel(), operand.size)
+    if eqn.primitive.name in _ADDITIONS:
+        if len(terms) > _TERMS:
+            return None
+        others, out = jnp.zeros_like(operand), operand
+        for term in terms:
+            out = out + _replaced(others, updates, term)
+        return [out]
+    # Of several numbers in one place any may be the one.
+    return [_replaced(operand, updates, terms[0])] if len(terms) == 1 else None
+
+
+def _terms(place: np.ndarray, size: int) -> list[np.ndarray]:
+    """Which of some numbers goes to each of so many places, −1 for none; as often as several go to
+    one."""
+    left, terms = np.arange(place.size), []
+    while left.size:
+        places, first = np.unique(place[left], return_index=True)
+        term = np.full(size, -1)
+        term[places] = left[first]
+        terms.append(term)
+        left = np.delete(left, first)
+    return terms
+
+
+def _replaced(operand: Array, updates: Array, term: np.ndarray) -> Array:
+    """The operand with the updates that a `term` names in their places."""
+    place = np.where(term < 0, np.arange(term.size), term).reshape(operand.shape)
+    return _put_together((updates, operand), (term < 0).astype(int).reshape(operand.shape), place)
+
+
+def _split(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
+    axis, ends = eqn.params["axis"], np.cumsum([0, *eqn.params["sizes"]])
+    cuts = itertools.pairwise(map(int, ends))
+    return [jax.lax.slice_in_dim(arrays[0], a, b, axis=axis) for a, b in cuts]
+
+
+def _cumsum(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
+    """By doubling: sums of 2, 4, 8, … numbers."""
+    (x,), axis, reverse = arrays, eqn.params["axis"], eqn.params["reverse"]
+    size, shift = x.shape[axis], 1
+    while shift < size:
+        low, high = (shift, size) if reverse else (0, size - shift)
+        rest = jnp.zeros_like(jax.lax.slice_in_dim(x, 0, shift, axis=axis))
+        moved = jax.lax.slice_in_dim(x, low, high, axis=axis)
+        x = x + jnp.concatenate([moved, rest] if reverse else [rest, moved], axis)
+        shift *= 2
+    return [x]
+
+
+_RULES: dict[str, Callable] = {
+    "cumsum": _cumsum,
+    "gather": _gather,
+    "scatter": _scatter,
+    "split": _split,
+    **dict.fromkeys(_ADDITIONS, _scatter),
+}

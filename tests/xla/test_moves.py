@@ -1,0 +1,107 @@
+"""Functions whose numbers are moved by slices, against themselves."""
+
+import jax
+import jax.extend.core as jexc
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from jaxfil.xla import fits
+from jaxfil.xla.moves import by_slices
+from jaxfil.xla.trace import Traced
+
+X, V = jnp.array([1.0, -2.0, 3.5, 4.0]), jnp.array(2.0)
+TWICE = jnp.array([2, 0, 2])
+
+MOVED = {
+    "add to the first": lambda x, v: x.at[0].add(v),
+    "add to the last": lambda x, v: x.at[-1].add(v),
+    "add to some": lambda x, v: x.at[jnp.array([0, -1])].add(v * x[:2]),
+    "add to one twice": lambda x, v: x.at[TWICE].add(v * x[:3]),
+    "add to a part": lambda x, v: x.at[1:].add(v * x[1:]),
+    "set one": lambda x, v: x.at[2].set(v),
+    "set a part": lambda x, v: x.at[1:3].set(v),
+    "set every other": lambda x, v: x.at[::2].set(v),
+    "set some": lambda x, v: x.at[np.array([3, 0])].set(v * x[1:3]),
+    "set a row": lambda x, v: jnp.outer(x, x).at[1].set(v * x),
+    "add to a column": lambda x, v: jnp.outer(x, x).at[:, 2].add(v * x),
+    "set two of a matrix": lambda x, v: jnp.outer(x, x).at[[0, 2], [1, 3]].set(v),
+    "a triangle": lambda x, v: jnp.zeros((2, 2)).at[np.tril_indices(2)].set(v * x[:3]),
+    "many": lambda x, v: jnp.zeros(300).at[::3].set(v) * jnp.tile(x, 75),
+    "take some": lambda x, v: v * x[jnp.array([1, 0, -1])],
+    "take columns": lambda x, v: v * jnp.outer(x, x)[:, jnp.array([3, 1])],
+    "take two of a matrix": lambda x, v: v * jnp.outer(x, x)[jnp.array([0, 2]), jnp.array([1, 3])],
+    "split": lambda x, v: jnp.stack(jnp.split(v * x, 2)),
+    "split columns": lambda x, v: jnp.hstack(jnp.split(v * jnp.outer(x, x), [1], axis=1)[::-1]),
+    "sum up": lambda x, v: jnp.cumsum(v * x),
+    "sum up rows from the end": lambda x, v: jax.lax.cumsum(v * jnp.outer(x, x), 0, reverse=True),
+}
+LEFT = {
+    "an unknown place": lambda x, v: x.at[jnp.argmax(x)].add(v),
+    "a place outside": lambda x, v: x.at[7].set(v),
+    "one place set twice": lambda x, v: x.at[TWICE].set(v),
+    "a product": lambda x, v: x.at[1].multiply(v),
+}
+
+
+def program(function):
+    return by_slices(jax.make_jaxpr(function)(X, V))
+
+
+@pytest.mark.parametrize("name", [*MOVED, *LEFT])
+def test_numbers_and_derivatives_are_the_same(name):
+    function = {**MOVED, **LEFT}[name]
+    made = program(function)
+
+    def moved(x, v):
+        return jexc.jaxpr_as_fun(made)(x, v)[0]
+
+    # Sums are made in another order.
+    assert_allclose(moved(X, V), function(X, V), rtol=4 * float(jnp.finfo(X.dtype).eps))
+    if "sum up" not in name:
+        assert_array_equal(moved(X, V), function(X, V))
+    for differentiate in (jax.jacfwd, jax.jacrev):
+        got, want = (differentiate(f, (0, 1))(X, V) for f in (moved, function))
+        for a, b in zip(got, want, strict=True):
+            assert_allclose(a, b, rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_nothing_is_left_that_a_kernel_does_not_hold(name):
+    found = {eqn.primitive.name for eqn in program(MOVED[name]).jaxpr.eqns}
+    left = {"scatter", "scatter-add", "split", "cumsum", "gather"}
+    assert found.isdisjoint(left - {"gather"} if name == "many" else left), found & left
+
+
+@pytest.mark.parametrize("name", LEFT)
+def test_what_is_not_known_is_left(name):
+    assert any("scatter" in eqn.primitive.name for eqn in program(LEFT[name]).jaxpr.eqns)
+
+
+def test_a_program_without_moves_is_the_same_one():
+    written = jax.make_jaxpr(lambda x: x[1:] - x[:-1])(X)
+    assert by_slices(written) is written
+
+
+def friction(t, x, side):
+    """A chain's field, as one writes it with JAX."""
+    q, v = jnp.split(jnp.stack(x), 2)
+    ends = jnp.pad(q, 1)
+    pull = (ends[2:] - 2 * q + ends[:-2]).at[0].add(jnp.cos(t)).at[1].add(-side)
+    return tuple(jnp.concatenate([v, pull]))
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_a_field_with_a_force_on_one_mass_fits_into_a_kernel(fast):
+    if not fits.makes_whole_kernels():
+        pytest.skip("this compiler makes no kernels of loops")
+    traced = Traced(friction, V, tuple(X), V, fast=fast)
+    assert fits.fits(jax.make_jaxpr(traced)(V, tuple(X), V).jaxpr)
+    assert_allclose(traced(V, tuple(X), V), friction(V, tuple(X), V), rtol=1e-15)
+
+
+def test_a_force_on_one_mass_is_known_to_be_on_that_one():
+    traced = Traced(friction, V, tuple(X), V)
+    assert traced.depends(False, (False,) * 4, True) == (False, False, False, True)
+    assert traced.is_affine(False, (True,) * 4, True)
