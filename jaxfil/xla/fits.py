@@ -9,6 +9,7 @@ from typing import Any
 import jax
 
 from jaxfil.xla.compiler import makes_whole_kernels
+from jaxfil.xla.matrix_product import is_middling
 
 # What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
 # add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
@@ -46,6 +47,8 @@ def _all_fit(jaxpr: Any) -> bool:
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
         if name == "custom_vmap_call":  # that of `masked_write`, which knows what to be in a batch
+            continue
+        if name == "dot_general" and is_middling(eqn):  # of sums: see `kernel`
             continue
         if name not in FITTING or not all(map(_all_fit, programs(eqn.params))):
             return False

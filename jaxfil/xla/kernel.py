@@ -21,6 +21,7 @@ from jaxtyping import Array
 from jaxfil.xla.compiler import PARTS, WHOLE, makes_whole_kernels
 from jaxfil.xla.fits import LARGE, fits
 from jaxfil.xla.forward_jacobian import plainly, with_derivatives
+from jaxfil.xla.matrix_product import by_sums
 from jaxfil.xla.program import call_of, opened, operations
 from jaxfil.xla.pushforward import Spread, rows_of
 
@@ -46,7 +47,7 @@ def one_kernel(function: Callable) -> Callable:
 
 def _kernel_of(program: Any) -> Callable:
     """A program that closes over nothing, as a function of its arguments and a single kernel."""
-    run = call_of(program)
+    run = call_of(by_sums(program))
 
     def call(*values: Any) -> Any:
         # On an argument that a kernel has no use for XLA aborts. The barriers keep all of them in

@@ -5,6 +5,7 @@ again; a function leaves that runs it, operation by operation or as a single cal
 without what nothing is made of.
 """
 
+import functools as ft
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -65,16 +66,16 @@ def _pruned(program: Any, done: dict[int, tuple]) -> Any:
     every = [True] * len(program.out_avals)
     jaxpr, _ = pe.dce_jaxpr(program.jaxpr, every, instantiate=True)
     # What JAX has no rule for it leaves as it is: the bodies of loops.
-    equations = [_with_pruned(eqn, done) for eqn in jaxpr.eqns]
+    equations = [_with_programs(eqn, lambda v: _pruned(v, done)) for eqn in jaxpr.eqns]
     out = jexc.ClosedJaxpr(jaxpr.replace(eqns=equations), program.consts)
     done[id(program)] = program, out
     return out
 
 
-def _with_pruned(eqn: Any, done: dict[int, tuple]) -> Any:
-    """An operation with the programs that it runs pruned."""
+def _with_programs(eqn: Any, change: Callable) -> Any:
+    """An operation with the programs that it runs changed."""
     found = {
-        name: jax.tree.map(lambda v: _pruned(v, done) if _is_program(v) else v, value)
+        name: jax.tree.map(lambda v: change(v) if _is_program(v) else v, value)
         for name, value in eqn.params.items()
         if _is_program(value) or (isinstance(value, tuple) and any(map(_is_program, value)))
     }
@@ -83,6 +84,36 @@ def _with_pruned(eqn: Any, done: dict[int, tuple]) -> Any:
 
 def _is_program(value: Any) -> bool:
     return isinstance(value, jexc.ClosedJaxpr)
+
+
+def replaced(program: Any, name: str, rule: Callable) -> Any:
+    """The same program with the operations of a name, those of loops and conditionals included, in
+    place of which `rule(eqn, *operands)` makes the one result."""
+    return _replaced(program, name, rule, {})
+
+
+def _replaced(program: Any, name: str, rule: Callable, done: dict[int, tuple]) -> Any:
+    """`replaced`, given the programs that are so already, by identity."""
+    if id(program) in done:
+        return done[id(program)][1]
+    equations = []
+    for eqn in program.jaxpr.eqns:
+        if eqn.primitive.name == name:
+            call = _call(ft.partial(rule, eqn), [v.aval for v in eqn.invars])
+            eqn = call.replace(invars=eqn.invars, outvars=eqn.outvars)
+        equations.append(_with_programs(eqn, lambda v: _replaced(v, name, rule, done)))
+    out = jexc.ClosedJaxpr(program.jaxpr.replace(eqns=equations), program.consts)
+    done[id(program)] = program, out
+    return out
+
+
+def _call(function: Callable, shapes: Sequence[Any]) -> Any:
+    """The operation that calls a function."""
+    # Not `function` itself, which may have no name: JAX looks for it.
+    with jax.disable_jit(False):
+        shown = jax.make_jaxpr(jax.jit(lambda *values: function(*values)))(*shapes)
+    (call,) = shown.eqns
+    return call
 
 
 def operations(program: Any) -> Callable:
@@ -105,8 +136,6 @@ def call_of(program: Any) -> Callable:
 
     # The call of a function with as many arguments and results says all that a call says of itself
     # in this version of JAX. Only what it calls is replaced.
-    with jax.disable_jit(False):
-        shown = jax.make_jaxpr(jax.jit(same_numbers))(*program.in_avals)
-    (call,) = shown.eqns
+    call = _call(same_numbers, program.in_avals)
     params = {**call.params, "name": "program", "jaxpr": program}
     return lambda *values: call.primitive.bind(*values, **params)

@@ -7,7 +7,6 @@ arguments ahead of the others, and to say which of its results depend on which o
 """
 
 import functools as ft
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
@@ -18,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.xla import elements, fast_trig
+from jaxfil.xla import elements, fast_trig, matrix_product
 from jaxfil.xla.fits import programs
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
 from jaxfil.xla.moves import by_slices
@@ -38,9 +37,6 @@ def _arctan2(y: Array, x: Array) -> Array:
 _SAFE = {"atan2": _arctan2}
 # What takes longer than a few multiplications.
 _DEAR = (*_FAST, *_SAFE, "exp", "log", "pow", "tan", "tanh")
-# Multiplications of a product of matrices at most that are written out one by one, and at most that
-# are sums of an elementwise product: a kernel holds no call of a library.
-_SMALL, _MIDDLE = 64, 1 << 16
 _CALLS = ("jit", "pjit", "closed_call")
 # What has no forward derivatives, unless a rule of the user's own stands around it.
 _NO_DERIVATIVES = {
@@ -250,10 +246,8 @@ class _Evaluation:
             return [hold(self._functions[name](jnp.asarray(inputs[0])))]
         if name in _SAFE:
             return [_SAFE[name](*map(jnp.asarray, inputs))]
-        if name == "dot_general" and _multiplications(eqn) <= _MIDDLE:
-            small = self._mixed and _multiplications(eqn) <= _SMALL
-            product = _product if small else _summed
-            return [product(eqn, *map(jnp.asarray, inputs))]
+        if name == "dot_general" and self._mixed and matrix_product.is_small(eqn):
+            return [matrix_product.written_out(eqn, *map(jnp.asarray, inputs))]
         return evaluate_one(jaxpr, eqn, inputs)
 
 
@@ -261,39 +255,6 @@ def _names(jaxpr: Any) -> set[str]:
     """The operations of a program, those of the functions that it calls included."""
     inner = [eqn.params["jaxpr"].jaxpr for eqn in jaxpr.eqns if eqn.primitive.name in _CALLS]
     return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(_names, inner))
-
-
-def _multiplications(eqn: Any) -> float:
-    """How many a product of matrices of real numbers takes; inf of another product."""
-    (contracted, _), (batch, _) = eqn.params["dimension_numbers"]
-    a, out = eqn.invars[0].aval, eqn.outvars[0].aval
-    count = out.size * np.prod([a.shape[k] for k in contracted])
-    kinds = {v.aval.dtype for v in (*eqn.invars, *eqn.outvars)}
-    return float("inf") if batch or kinds != {out.dtype} or out.dtype.kind != "f" else float(count)
-
-
-def _product(eqn: Any, a: Array, b: Array) -> Array:
-    """A product of small matrices written out: in a batch, XLA would leave it to a library."""
-    (of_a, of_b), _ = eqn.params["dimension_numbers"]
-    rows, columns = (
-        jnp.moveaxis(v, of, range(len(of))).reshape(math.prod(v.shape[k] for k in of), -1).T
-        for v, of in ((a, of_a), (b, of_b))
-    )
-    terms = [
-        [sum(u * v for u, v in zip(row, column, strict=True)) for column in columns] for row in rows
-    ]
-    return jnp.array(terms, a.dtype).reshape(eqn.outvars[0].aval.shape)
-
-
-def _summed(eqn: Any, a: Array, b: Array) -> Array:
-    """A product of matrices as sums of an elementwise product."""
-    (of_a, of_b), _ = eqn.params["dimension_numbers"]
-    rows = jnp.moveaxis(a, of_a, range(a.ndim - len(of_a), a.ndim))
-    columns = jnp.moveaxis(b, of_b, range(b.ndim - len(of_b), b.ndim))
-    free, summed = rows.ndim - len(of_a), tuple(range(-len(of_a), 0))
-    columns = jnp.expand_dims(columns, tuple(range(free)))
-    rows = jnp.expand_dims(rows, tuple(range(free, free + b.ndim - len(of_b))))
-    return jnp.sum(rows * columns, axis=summed)
 
 
 def _through(

@@ -1,0 +1,93 @@
+"""Products of matrices without a library.
+
+An operation `dot_general` of a program enters; a product written out, or a program in which it is
+made of sums, leaves: a kernel holds no call of a library. Outside of kernels products are left to
+the library, which is faster for those of many lanes.
+"""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.xla.program import replaced
+
+# Multiplications at most that are written out one by one, that are one sum of an elementwise
+# product (a longer one XLA would leave to a library too), and that a kernel holds.
+_SMALL, _SHORT, _MIDDLE = 64, 4095, 1 << 16
+# Columns that are summed at a time.
+_WIDTHS = range(8, 0, -1)
+
+
+def is_small(eqn: Any) -> bool:
+    """Whether a product is small enough to be written out."""
+    batch = any(eqn.params["dimension_numbers"][1])
+    return not batch and _multiplications(eqn) <= _SMALL
+
+
+def is_middling(eqn: Any) -> bool:
+    """Whether a product is small enough to be made of sums."""
+    return _multiplications(eqn) <= _MIDDLE
+
+
+def _multiplications(eqn: Any) -> float:
+    """How many a product of matrices of real numbers takes; inf of another product."""
+    (contracted, _), _ = eqn.params["dimension_numbers"]
+    a, out = eqn.invars[0].aval, eqn.outvars[0].aval
+    count = out.size * np.prod([a.shape[k] for k in contracted])
+    kinds = {v.aval.dtype for v in (*eqn.invars, *eqn.outvars)}
+    return float("inf") if kinds != {out.dtype} or out.dtype.kind != "f" else float(count)
+
+
+def written_out(eqn: Any, a: Array, b: Array) -> Array:
+    """A product of small matrices number by number: in a batch, XLA would leave it to a library."""
+    (rows,), (columns,) = _matrices(eqn, a, b)
+    terms = [
+        [sum(u * v for u, v in zip(row, column, strict=True)) for column in columns] for row in rows
+    ]
+    return jnp.array(terms, a.dtype).reshape(eqn.outvars[0].aval.shape)
+
+
+def _matrices(eqn: Any, a: Array, b: Array) -> tuple[Array, Array]:
+    """The operands as batches of matrices, whose columns are summed over."""
+
+    def matrices(v: Array, summed: tuple[int, ...], batch: tuple[int, ...]) -> Array:
+        free = [k for k in range(v.ndim) if k not in summed and k not in batch]
+        sizes = [math.prod(v.shape[k] for k in axes) for axes in (batch, free, summed)]
+        return jnp.transpose(v, (*batch, *free, *summed)).reshape(sizes)
+
+    summed, batch = eqn.params["dimension_numbers"]
+    return matrices(a, summed[0], batch[0]), matrices(b, summed[1], batch[1])
+
+
+def by_sums(program: Any) -> Any:
+    """A program that closes over nothing with its products made of sums."""
+    return replaced(program, "dot_general", _summed)
+
+
+def _summed(eqn: Any, a: Array, b: Array) -> Array:
+    rows, columns = _matrices(eqn, a, b)
+    summed = rows.shape[-1]
+    each = math.prod(eqn.outvars[0].aval.shape)
+
+    def product(some: Array, others: Array) -> Array:
+        terms = some[:, :, None] * others[:, None]
+        return terms[..., 0] if terms.shape[-1] == 1 else jnp.sum(terms, axis=-1)
+
+    if each * summed <= _SHORT:
+        out = product(rows, columns)
+    else:  # some columns after the others: a sum of each row alone is no loop of vectors
+        width = next(k for k in _WIDTHS if summed % k == 0 and each * k <= max(each, _SHORT))
+        zero = jnp.zeros((*rows.shape[:2], columns.shape[1]), a.dtype)
+
+        def add(k: Array, out: Array) -> Array:
+            some, others = (
+                jax.lax.dynamic_slice_in_dim(v, k * width, width, -1) for v in (rows, columns)
+            )
+            return out + product(some, others)
+
+        out = jax.lax.fori_loop(0, summed // width, add, zero)
+    return out.reshape(eqn.outvars[0].aval.shape)
