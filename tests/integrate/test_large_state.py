@@ -13,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
+from jaxfil.xla.compiler import makes_whole_kernels
 from jaxfil.integrate.component_system import build
 from jaxfil.integrate.components import is_array
 
@@ -179,7 +180,8 @@ def test_a_product_with_a_matrix_stays_in_the_kernel():
         value = end(x)
         return value, value
 
-    assert "dot_general" not in str(jax.make_jaxpr(end)(x0))
+    if makes_whole_kernels():
+        assert "dot_general" not in jax.jit(end).lower(x0).as_text()
     # Until the surface is met the motion is linear: x = e^{At}(x0 − c) + c, A c = 1.
     values, vectors = np.linalg.eig(a)
     flow = (vectors * np.exp(0.5 * values)) @ np.linalg.inv(vectors)
