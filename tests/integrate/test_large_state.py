@@ -13,9 +13,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil.xla.compiler import makes_whole_kernels
 from jaxfil.integrate.component_system import build
 from jaxfil.integrate.components import is_array
+from jaxfil.xla.compiler import makes_whole_kernels
 
 MORE = 14
 
