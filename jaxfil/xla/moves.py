@@ -98,17 +98,18 @@ def _made(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
 def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | None:
     """What one equation gives of known whole numbers; None of others."""
     name, out = eqn.primitive.name, eqn.outvars[0].aval
-    if any(v is None for v in numbers) or out.dtype.kind not in "iub":
+    known = [v for v in numbers if v is not None]
+    if len(known) < len(numbers) or out.dtype.kind not in "iub":
         return None
     if name == "iota":
         size, axis = out.shape, eqn.params["dimension"]
         return np.indices(size, out.dtype)[axis]
     if name in elements.MOVES:
-        return np.asarray(elements.moved(name, eqn.params, numbers, out.shape), out.dtype)
+        return np.asarray(elements.moved(name, eqn.params, known, out.shape), out.dtype)
     if name in ("convert_element_type", "copy"):
-        return np.asarray(numbers[0], out.dtype)
+        return np.asarray(known[0], out.dtype)
     apply = _ON_NUMBERS.get(name)
-    return None if apply is None else np.asarray(apply(*numbers), out.dtype)
+    return None if apply is None else np.asarray(apply(*known), out.dtype)
 
 
 def _put_together(arrays: Sequence[Array], source: np.ndarray, place: np.ndarray) -> Array:
@@ -124,43 +125,40 @@ def _put_together(arrays: Sequence[Array], source: np.ndarray, place: np.ndarray
     return jnp.concatenate(pieces).reshape(source.shape)
 
 
-def _places(
-    eqn: Any, indices: np.ndarray, window: Sequence[int], dropped: Sequence[int], to: Sequence[int]
-) -> np.ndarray | None:
+def _places(eqn: Any, indices: np.ndarray | None) -> np.ndarray | None:
     """Where the numbers of a gather's result, or of a scatter's updates, are in its flat operand;
-    None if some are outside. `window`: the axes of the numbers that are those of the operand, but
-    for the `dropped` ones; `to`: the axes of the operand that indices are of."""
-    numbers = eqn.outvars[0].aval if eqn.primitive.name == "gather" else eqn.invars[2].aval
+    None if that is not known, or some are outside."""
+    d, gathers = eqn.params["dimension_numbers"], eqn.primitive.name == "gather"
+    if indices is None or d.operand_batching_dims:
+        return None
+    numbers = eqn.outvars[0].aval if gathers else eqn.invars[2].aval
+    # The axes of the numbers that are those of the operand, but for the dropped ones, and the axes
+    # of the operand that indices are of.
+    window = d.offset_dims if gathers else d.update_window_dims
+    dropped = d.collapsed_slice_dims if gathers else d.inserted_window_dims
+    to = d.start_index_map if gathers else d.scatter_dims_to_operand_dims
     shape, grid = eqn.invars[0].aval.shape, np.indices(numbers.shape)
-    kept = [d for d in range(len(shape)) if d not in dropped]
+    kept = [k for k in range(len(shape)) if k not in dropped]
     batch = tuple(grid[k] for k in range(len(numbers.shape)) if k not in window)
     starts = np.broadcast_to(indices[batch], (*numbers.shape, len(to)))
     at = np.zeros((len(shape), *numbers.shape), int)
     at[kept] += grid[list(window)]
     at[list(to)] += np.moveaxis(starts, -1, 0)
     ends = np.reshape(shape, (-1, *[1] * len(numbers.shape)))
-    inside = np.all((at >= 0) & (at < ends))
+    inside = numbers.size > 0 and np.all((at >= 0) & (at < ends))
     return np.asarray(np.ravel_multi_index(tuple(at), shape)) if inside else None
 
 
 def _gather(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Array] | None:
-    d, indices = eqn.params["dimension_numbers"], numbers[1]
-    if indices is None or d.operand_batching_dims:
-        return None
-    dims = d.offset_dims, d.collapsed_slice_dims, d.start_index_map
-    place = _places(eqn, indices, *dims)
-    if place is None or place.size == 0 or np.sum(np.diff(place.ravel()) != 1) >= _SLICES:
+    place = _places(eqn, numbers[1])
+    if place is None or np.sum(np.diff(place.ravel()) != 1) >= _SLICES:
         return None
     return [_put_together(arrays[:1], np.zeros_like(place), place)]
 
 
 def _scatter(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Array] | None:
-    d, indices = eqn.params["dimension_numbers"], numbers[1]
-    if indices is None or d.operand_batching_dims:
-        return None
-    dims = d.update_window_dims, d.inserted_window_dims, d.scatter_dims_to_operand_dims
-    place = _places(eqn, indices, *dims)
-    if place is None or place.size == 0:
+    place = _places(eqn, numbers[1])
+    if place is None:
         return None
     operand, _, updates = arrays
     terms = _terms(place.ravel(), operand.size)
