@@ -106,7 +106,8 @@ def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | No
         return np.indices(size, out.dtype)[axis]
     if name in elements.MOVES:
         return np.asarray(elements.moved(name, eqn.params, known, out.shape), out.dtype)
-    if name in ("convert_element_type", "copy"):
+    # Older versions of JAX put an array of constants on the device.
+    if name in ("convert_element_type", "copy") or (name == "device_put" and len(known) == 1):
         return np.asarray(known[0], out.dtype)
     apply = _ON_NUMBERS.get(name)
     return None if apply is None else np.asarray(apply(*known), out.dtype)
