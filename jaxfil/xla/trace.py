@@ -280,9 +280,6 @@ def _through(
         elif name in elements.MOVES:
             shape = eqn.outvars[0].aval.shape
             outputs = [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
-        elif name == "split":
-            cuts = np.cumsum(eqn.params["sizes"])[:-1]
-            outputs = np.split(np.asarray(inputs[0]), cuts, eqn.params["axis"])
         else:
             outputs = rule(eqn, inputs)
         values.update(zip(eqn.outvars, outputs, strict=True))
@@ -314,11 +311,9 @@ def _dependencies(
 _CURVED = 2
 # Operations that are linear in their operands of these numbers, given all others.
 _LINEAR = {
-    "cumsum": (0,),
     "dynamic_slice": (0,),
     "dynamic_update_slice": (0, 1),
     "gather": (0,),
-    "pad": (0, 1),
     "scatter": (0, 2),
     "scatter-add": (0, 2),
     "scatter_add": (0, 2),
