@@ -141,7 +141,12 @@ def _padded(array: np.ndarray, fill: np.ndarray, config: Sequence[tuple], shape:
     at = np.indices(array.shape)
     for axis, (low, _, between) in enumerate(config):
         at[axis] = low + (1 + between) * at[axis]
-    ends = np.reshape(shape, (-1, *[1] * array.ndim))
-    inside = np.all((at >= 0) & (at < ends), axis=0)
+    inside = are_inside(at, shape)
     out[tuple(at[:, inside])] = array[inside]
     return out
+
+
+def are_inside(at: np.ndarray, shape: tuple) -> np.ndarray:
+    """Whether places, whose first axis is that of their coordinates, are in an array."""
+    ends = np.reshape(shape, (-1, *[1] * (at.ndim - 1)))
+    return np.asarray(np.all((at >= 0) & (at < ends), axis=0))

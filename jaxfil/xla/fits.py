@@ -6,10 +6,9 @@ its operations before it is compiled.
 
 from typing import Any
 
-import jax
-
 from jaxfil.xla.compiler import makes_whole_kernels
-from jaxfil.xla.matrix_product import is_middling
+from jaxfil.xla.matrix_product import SHORT, is_middling
+from jaxfil.xla.program import programs
 
 # What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
 # add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
@@ -33,8 +32,6 @@ LARGE = 8192
 """Bytes of an array from which on XLA treats a constant as a buffer of its own: a little less, for
 it has its own measure."""
 
-# Numbers from which on XLA leaves a sum, or a largest or smallest number, to a library.
-_LONG = 4096
 _REDUCTIONS = ("reduce_sum", "reduce_max", "reduce_min")
 
 
@@ -52,12 +49,6 @@ def _all_fit(jaxpr: Any) -> bool:
             continue
         if name not in FITTING or not all(map(_all_fit, programs(eqn.params))):
             return False
-        if name in _REDUCTIONS and eqn.invars[0].aval.size >= _LONG:
+        if name in _REDUCTIONS and eqn.invars[0].aval.size > SHORT:
             return False
     return True
-
-
-def programs(params: Any) -> list:
-    """The programs inside of an operation: the bodies of a loop, the branches of a conditional."""
-    leaves = jax.tree.leaves(params, is_leaf=lambda v: hasattr(v, "eqns"))
-    return [v for v in leaves if hasattr(v, "eqns")]

@@ -15,9 +15,11 @@ from jaxtyping import Array
 
 from jaxfil.xla.program import replaced
 
-# Multiplications at most that are written out one by one, that are one sum of an elementwise
-# product (a longer one XLA would leave to a library too), and that a kernel holds.
-_SMALL, _SHORT, _MIDDLE = 64, 4095, 1 << 16
+SHORT = 4095
+"""Numbers at most of which XLA makes a sum, or finds the largest or smallest, without a library."""
+
+# Multiplications at most that are written out one by one, and that a kernel holds.
+_SMALL, _MIDDLE = 64, 1 << 16
 # Columns that are summed at a time.
 _WIDTHS = range(8, 0, -1)
 
@@ -77,10 +79,10 @@ def _summed(eqn: Any, a: Array, b: Array) -> Array:
         terms = some[:, :, None] * others[:, None]
         return terms[..., 0] if terms.shape[-1] == 1 else jnp.sum(terms, axis=-1)
 
-    if each * summed <= _SHORT:
+    if each * summed <= SHORT:
         out = product(rows, columns)
     else:  # some columns after the others: a sum of each row alone is no loop of vectors
-        width = next(k for k in _WIDTHS if summed % k == 0 and each * k <= max(each, _SHORT))
+        width = next(k for k in _WIDTHS if summed % k == 0 and each * k <= max(each, SHORT))
         zero = jnp.zeros((*rows.shape[:2], columns.shape[1]), a.dtype)
 
         def add(k: Array, out: Array) -> Array:

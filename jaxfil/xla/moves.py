@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -19,13 +18,12 @@ from jaxtyping import Array
 from jaxfil.xla import elements
 from jaxfil.xla.known import is_known
 from jaxfil.xla.masked_product import evaluate_one
-from jaxfil.xla.program import pruned
+from jaxfil.xla.program import interpreted, names, pruned
 
 # Slices that an array is put together from at most: more are a gather.
 _SLICES = 32
 # Terms of a sum into one and the same place at most.
 _TERMS = 8
-_CALLS = ("jit", "pjit", "closed_call")
 _ADDITIONS = ("scatter-add", "scatter_add")
 # What is done with whole numbers whose values are known, besides moving them.
 _ON_NUMBERS: dict[str, Callable] = {
@@ -41,38 +39,16 @@ _ON_NUMBERS: dict[str, Callable] = {
 
 def by_slices(program: Any) -> Any:
     """The same program with its numbers moved by slices."""
-    if _names(program.jaxpr).isdisjoint(_RULES):
+    if names(program.jaxpr).isdisjoint(_RULES):
         return program
 
     def run(*args: Any) -> list:
-        return [v for v, _ in _run(program, [(v, None) for v in args])]
+        unknown = [(v, None) for v in args]
+        made = interpreted(program, unknown, lambda v: (v, _whole(v)), _made)
+        return [v for v, _ in made]
 
     shapes = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in program.in_avals]
     return pruned(jax.make_jaxpr(run)(*shapes))
-
-
-def _names(jaxpr: Any) -> set[str]:
-    inner = [eqn.params["jaxpr"].jaxpr for eqn in jaxpr.eqns if eqn.primitive.name in _CALLS]
-    return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(_names, inner))
-
-
-def _run(closed: Any, args: Sequence[tuple]) -> list[tuple]:
-    """Values, each with its known whole numbers or None, in and out."""
-    jaxpr = closed.jaxpr
-    values: dict[Any, tuple] = dict(zip(jaxpr.invars, args, strict=True))
-    values.update((v, (c, _whole(c))) for v, c in zip(jaxpr.constvars, closed.consts, strict=True))
-
-    def read(atom: Any) -> tuple:
-        return (atom.val, _whole(atom.val)) if isinstance(atom, jexc.Literal) else values[atom]
-
-    for eqn in jaxpr.eqns:
-        inputs = [read(v) for v in eqn.invars]
-        if eqn.primitive.name in _CALLS:
-            outputs = _run(eqn.params["jaxpr"], inputs)
-        else:
-            outputs = _made(jaxpr, eqn, inputs)
-        values.update(zip(eqn.outvars, outputs, strict=True))
-    return [read(v) for v in jaxpr.outvars]
 
 
 def _whole(value: Any) -> np.ndarray | None:
@@ -83,7 +59,7 @@ def _whole(value: Any) -> np.ndarray | None:
 
 
 def _made(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
-    """What one equation gives."""
+    """What one equation gives of values, each with its known whole numbers or None."""
     arrays, numbers = [v for v, _ in inputs], [k for _, k in inputs]
     known = _computed(eqn, numbers)
     if known is not None:
@@ -145,8 +121,7 @@ def _places(eqn: Any, indices: np.ndarray | None) -> np.ndarray | None:
     at = np.zeros((len(shape), *numbers.shape), int)
     at[kept] += grid[list(window)]
     at[list(to)] += np.moveaxis(starts, -1, 0)
-    ends = np.reshape(shape, (-1, *[1] * len(numbers.shape)))
-    inside = numbers.size > 0 and np.all((at >= 0) & (at < ends))
+    inside = numbers.size > 0 and np.all(elements.are_inside(at, shape))
     return np.asarray(np.ravel_multi_index(tuple(at), shape)) if inside else None
 
 

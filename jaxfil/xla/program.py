@@ -82,6 +82,12 @@ def _with_programs(eqn: Any, change: Callable) -> Any:
     return eqn.replace(params={**eqn.params, **found}) if found else eqn
 
 
+def programs(params: Any) -> list:
+    """The programs inside of an operation: the bodies of a loop, the branches of a conditional."""
+    leaves = jax.tree.leaves(params, is_leaf=lambda v: hasattr(v, "eqns"))
+    return [v for v in leaves if hasattr(v, "eqns")]
+
+
 def _is_program(value: Any) -> bool:
     return isinstance(value, jexc.ClosedJaxpr)
 
@@ -89,7 +95,14 @@ def _is_program(value: Any) -> bool:
 def replaced(program: Any, name: str, rule: Callable) -> Any:
     """The same program with the operations of a name, those of loops and conditionals included, in
     place of which `rule(eqn, *operands)` makes the one result."""
-    return _replaced(program, name, rule, {})
+    return _replaced(program, name, rule, {}) if _holds(program.jaxpr, name) else program
+
+
+def _holds(jaxpr: Any, name: str) -> bool:
+    return any(
+        eqn.primitive.name == name or any(_holds(inner, name) for inner in programs(eqn.params))
+        for eqn in jaxpr.eqns
+    )
 
 
 def _replaced(program: Any, name: str, rule: Callable, done: dict[int, tuple]) -> Any:
@@ -114,6 +127,36 @@ def _call(function: Callable, shapes: Sequence[Any]) -> Any:
         shown = jax.make_jaxpr(jax.jit(lambda *values: function(*values)))(*shapes)
     (call,) = shown.eqns
     return call
+
+
+_CALLS = ("jit", "pjit", "closed_call")
+
+
+def names(jaxpr: Any) -> set[str]:
+    """The operations of a program, those of the functions that it calls included."""
+    inner = [eqn.params["jaxpr"].jaxpr for eqn in jaxpr.eqns if eqn.primitive.name in _CALLS]
+    return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(names, inner))
+
+
+def interpreted(program: Any, args: Sequence[Any], of_known: Callable, rule: Callable) -> list[Any]:
+    """What becomes of some arguments in a program, operation by operation, those of the functions
+    that it calls included: `rule(jaxpr, eqn, inputs)` of each, and `of_known(value)` of what it
+    closes over and of numbers that are written in it."""
+    jaxpr = program.jaxpr
+    values = dict(zip(jaxpr.constvars, map(of_known, program.consts), strict=True))
+    values.update(zip(jaxpr.invars, args, strict=True))
+
+    def read(atom: Any) -> Any:
+        return of_known(atom.val) if isinstance(atom, jexc.Literal) else values[atom]
+
+    for eqn in jaxpr.eqns:
+        inputs = [read(v) for v in eqn.invars]
+        if eqn.primitive.name in _CALLS:
+            outputs = interpreted(eqn.params["jaxpr"], inputs, of_known, rule)
+        else:
+            outputs = rule(jaxpr, eqn, inputs)
+        values.update(zip(eqn.outvars, outputs, strict=True))
+    return [read(v) for v in jaxpr.outvars]
 
 
 def operations(program: Any) -> Callable:

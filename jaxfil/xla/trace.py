@@ -12,15 +12,14 @@ from typing import Any
 
 import jax
 import jax.core
-import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from jaxfil.xla import elements, fast_trig, matrix_product
-from jaxfil.xla.fits import programs
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
 from jaxfil.xla.moves import by_slices
+from jaxfil.xla.program import interpreted, names, programs
 
 _FLOATS = (jnp.float32, jnp.float64)
 # What stands in for XLA's functions: for one that is wrong, and for those that do not vectorise.
@@ -37,7 +36,6 @@ def _arctan2(y: Array, x: Array) -> Array:
 _SAFE = {"atan2": _arctan2}
 # What takes longer than a few multiplications.
 _DEAR = (*_FAST, *_SAFE, "exp", "log", "pow", "tan", "tanh")
-_CALLS = ("jit", "pjit", "closed_call")
 # What has no forward derivatives, unless a rule of the user's own stands around it.
 _NO_DERIVATIVES = {
     "custom_vjp_call": "jax.custom_vjp",
@@ -81,11 +79,9 @@ class Traced:
         each = zip(order, example, strict=True)
         self._when = [k for k, arg in each for _ in jax.tree.leaves(arg)]
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
-        waves = _dependencies(
-            self._closed.jaxpr, self._no_consts(), nothing, sources=self._functions
-        )
+        waves = _dependencies(self._closed, nothing, sources=self._functions)
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
-        self._masks = transposed and not SINGULAR.isdisjoint(_names(self._closed.jaxpr))
+        self._masks = transposed and not SINGULAR.isdisjoint(names(self._closed.jaxpr))
         # As functions of their own they are put through a transformation once, however often they
         # are called.
         self._run, self._ahead = jax.jit(self._evaluated), jax.jit(self._found)
@@ -100,9 +96,6 @@ class Traced:
         evaluation = _Evaluation(self._functions, _same)
         evaluation(self._closed, [*leaves, *late], self._when)
         return evaluation.found
-
-    def _no_consts(self) -> list[np.ndarray]:
-        return [np.zeros(np.shape(c), bool) for c in self._closed.consts]
 
     def __call__(
         self,
@@ -131,7 +124,7 @@ class Traced:
             np.broadcast_to(flag, v.aval.shape)
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
-        out = _dependencies(jaxpr, self._no_consts(), flags)
+        out = _dependencies(self._closed, flags)
         return jax.tree.unflatten(self._tree, list(map(np.asarray, out)))
 
     def is_affine(self, *args: Any) -> bool:
@@ -141,8 +134,7 @@ class Traced:
             np.full(v.aval.shape, int(flag))
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
-        consts = [np.zeros(np.shape(c), int) for c in self._closed.consts]
-        return all(np.all(d <= 1) for d in _degrees(jaxpr, consts, degrees))
+        return all(np.all(d <= 1) for d in _degrees(self._closed, degrees))
 
 
 def _without_derivatives(jaxpr: Any) -> str | None:
@@ -181,28 +173,14 @@ class _Evaluation:
         self.found = []
 
     def __call__(self, closed: Any, args: Sequence[Any], when: Sequence[int]) -> list[Any]:
-        out = self._run(closed, list(zip(args, when, strict=True)))
+        timed = list(zip(args, when, strict=True))
+        out = interpreted(closed, timed, lambda v: (v, FIRST), self._made_when)
         return [elements.array_of(v) for v, _ in out]
 
-    def _run(self, closed: Any, args: Sequence[tuple]) -> list[tuple]:
-        """Values with when they are known, in and out."""
-        jaxpr = closed.jaxpr
-        values: dict[Any, tuple] = dict(zip(jaxpr.invars, args, strict=True))
-        values.update((v, (c, FIRST)) for v, c in zip(jaxpr.constvars, closed.consts, strict=True))
-
-        def read(atom: Any) -> tuple:
-            return (atom.val, FIRST) if isinstance(atom, jexc.Literal) else values[atom]
-
-        for eqn in jaxpr.eqns:
-            inputs = [read(v) for v in eqn.invars]
-            if eqn.primitive.name in _CALLS:
-                outputs = self._run(eqn.params["jaxpr"], inputs)
-            else:
-                when = max((k for _, k in inputs), default=FIRST)
-                made = self._made(jaxpr, eqn, [v for v, _ in inputs], when)
-                outputs = [(v, when) for v in made]
-            values.update(zip(eqn.outvars, outputs, strict=True))
-        return [read(v) for v in jaxpr.outvars]
+    def _made_when(self, jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
+        """What one equation gives of values with when they are known, and when that is."""
+        when = max((k for _, k in inputs), default=FIRST)
+        return [(v, when) for v in self._made(jaxpr, eqn, [v for v, _ in inputs], when)]
 
     def _made(self, jaxpr: Any, eqn: Any, inputs: Sequence[Any], when: int) -> Sequence[Any]:
         """What one equation gives."""
@@ -251,45 +229,22 @@ class _Evaluation:
         return evaluate_one(jaxpr, eqn, inputs)
 
 
-def _names(jaxpr: Any) -> set[str]:
-    """The operations of a program, those of the functions that it calls included."""
-    inner = [eqn.params["jaxpr"].jaxpr for eqn in jaxpr.eqns if eqn.primitive.name in _CALLS]
-    return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(_names, inner))
-
-
-def _through(
-    jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], rule: Callable, kind: type
-) -> list[Any]:
+def _through(program: Any, args: Sequence[Any], rule: Callable, kind: type) -> list[Any]:
     """What is known of each number, as arrays of a kind that is False or 0 of a constant, through a
-    jaxpr: what only moves numbers about moves it too, and `rule(eqn, inputs)` is that of any other
-    operation."""
-    values: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True))
-    values.update(zip(jaxpr.invars, args, strict=True))
+    program: what only moves numbers about moves it too, and `rule(eqn, inputs)` is that of any
+    other operation."""
 
-    def read(atom: Any) -> Any:
-        shape = atom.aval.shape
-        return np.zeros(shape, kind) if isinstance(atom, jexc.Literal) else values[atom]
+    def known(_: Any, eqn: Any, inputs: Sequence[Any]) -> Sequence[Any]:
+        name, shape = eqn.primitive.name, eqn.outvars[0].aval.shape
+        if name in elements.MOVES:
+            return [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
+        return rule(eqn, inputs)
 
-    for eqn in jaxpr.eqns:
-        inputs = [read(v) for v in eqn.invars]
-        name = eqn.primitive.name
-        if name in _CALLS:
-            inner = eqn.params["jaxpr"]
-            none = [np.zeros(np.shape(c), kind) for c in inner.consts]
-            outputs = _through(inner.jaxpr, none, inputs, rule, kind)
-        elif name in elements.MOVES:
-            shape = eqn.outvars[0].aval.shape
-            outputs = [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
-        else:
-            outputs = rule(eqn, inputs)
-        values.update(zip(eqn.outvars, outputs, strict=True))
-    return [read(v) for v in jaxpr.outvars]
+    return interpreted(program, args, lambda v: np.zeros(np.shape(v), kind), known)
 
 
-def _dependencies(
-    jaxpr: Any, consts: Sequence[Any], args: Sequence[Any], sources: Collection[str] = ()
-) -> list[_Flags]:
-    """Element-wise dependency flags through a jaxpr; what the primitives `sources` give is
+def _dependencies(program: Any, args: Sequence[Any], sources: Collection[str] = ()) -> list[_Flags]:
+    """Element-wise dependency flags through a program; what the primitives `sources` give is
     flagged."""
 
     def flags(eqn: Any, inputs: Sequence[_Flags]) -> list[_Flags]:
@@ -304,7 +259,7 @@ def _dependencies(
         some = any(bool(np.any(x)) for x in inputs)
         return [np.full(shape, some) for shape in shapes]
 
-    return _through(jaxpr, consts, args, flags, bool)
+    return _through(program, args, flags, bool)
 
 
 # More than affine.
@@ -320,14 +275,14 @@ _LINEAR = {
 }
 
 
-def _degrees(jaxpr: Any, consts: Sequence[np.ndarray], args: Sequence[np.ndarray]) -> list:
-    """The degree of each number in the arguments of degree 1, through a jaxpr: 0, 1, or `_CURVED`
+def _degrees(program: Any, args: Sequence[np.ndarray]) -> list:
+    """The degree of each number in the arguments of degree 1, through a program: 0, 1, or `_CURVED`
     for whatever else."""
 
     def degrees(eqn: Any, inputs: Sequence[np.ndarray]) -> list:
         return [np.broadcast_to(_degree(eqn, inputs), v.aval.shape) for v in eqn.outvars]
 
-    return _through(jaxpr, consts, args, degrees, int)
+    return _through(program, args, degrees, int)
 
 
 def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:

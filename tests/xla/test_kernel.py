@@ -12,6 +12,7 @@ from jax import lax
 
 import jaxfil as jf
 from jaxfil.xla import fits, kernel
+from jaxfil.xla.program import programs
 
 X0 = jnp.array([1.0, 0.5])
 
@@ -229,7 +230,7 @@ def everything(x, k):
 def names(jaxpr):
     for eqn in jaxpr.eqns:
         yield eqn.primitive.name
-        for program in fits.programs(eqn.params):
+        for program in programs(eqn.params):
             yield from names(program)
 
 

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from jaxfil.xla import fits
 from jaxfil.xla.kernel import one_kernel
 from jaxfil.xla.matrix_product import by_sums
+from jaxfil.xla.program import programs
 
 # Axes of both operands in the notation of `einsum`, and their lengths: short sums, loops over
 # columns, of which some cannot be divided, and products that are long without any sum.
@@ -34,7 +35,7 @@ def operands(axes, sizes, dtype=float):
 def names(jaxpr):
     for eqn in jaxpr.eqns:
         yield eqn.primitive.name
-        yield from (name for inner in fits.programs(eqn.params) for name in names(inner))
+        yield from (name for inner in programs(eqn.params) for name in names(inner))
 
 
 @pytest.mark.parametrize(("axes", "sizes"), PRODUCTS)
