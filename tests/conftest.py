@@ -38,10 +38,11 @@ pytest.register_assert_rewrite("tests.results")
 # as often as Python does by itself takes a tenth of it.
 gc.set_threshold(100_000, 50, 50)
 
-# Compiling takes two thirds of the tests' time, and a third of that goes into making programs fast
-# that run once: they are told not to, as JAX's own tests are. What is about the vectors that lanes
-# are put into, or compares programs to the last bit, is compiled as it is for users, and so is
-# everything if the environment says JAX_DISABLE_MOST_OPTIMIZATIONS=0.
+# Compiling takes half of the tests' time, and a third of that goes into making programs fast that
+# run once: they are told not to, as JAX's own tests are. What is about the vectors that lanes are
+# put into, compares programs to the last bit, or runs for longer than it compiles (marked
+# `long_run`) is compiled as it is for users, and so is everything if the environment says
+# JAX_DISABLE_MOST_OPTIMIZATIONS=0.
 _OPTIMIZED = (
     "sweep",
     "xla",
@@ -59,8 +60,30 @@ if _CHOSEN is None and (0, 7) <= jax.__version_info__ < (0, 11):
     flags = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = f"--xla_cpu_use_fusion_emitters=false {flags}"
 
-_MOST = 3 * 2**30
 _UNIT = 1 if sys.platform == "darwin" else 1024
+_MEMORY = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+# Half of the machine's memory may be that of compiled programs, but no more than they ever need.
+_MOST = min(6 * 2**30, _MEMORY / 2 / int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+
+
+def _is_optimized(item):
+    if item.get_closest_marker("long_run") is not None:
+        return True
+    return any(item.path.is_relative_to(_TESTS / part) for part in _OPTIMIZED)
+
+
+def pytest_collection_modifyitems(items):
+    """What is compiled in the same way runs one after the other."""
+    items.sort(key=_is_optimized)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """A program that is compiled one way is not run by a test that asks for the other."""
+    asked = _is_optimized(item)
+    if _CHOSEN is None and jax.config.read("jax_disable_most_optimizations") == asked:
+        _forget_programs()
+        jax.config.update("jax_disable_most_optimizations", not asked)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -69,15 +92,6 @@ def compiled_programs_end_before_memory_does():
     yield
     if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _UNIT > _MOST:
         _forget_programs()
-
-
-@pytest.fixture(autouse=True, scope="module")
-def programs_are_optimized_where_that_is_tested(request):
-    """A program that is compiled one way is not run by a file that asks for the other."""
-    asked = any(request.path.is_relative_to(_TESTS / part) for part in _OPTIMIZED)
-    if _CHOSEN is None and jax.config.read("jax_disable_most_optimizations") == asked:
-        _forget_programs()
-        jax.config.update("jax_disable_most_optimizations", not asked)
 
 
 def _forget_programs():

@@ -304,6 +304,7 @@ def test_the_nearest_grazing_set_is_found_by_gradient(sd):
     assert abs(margin_exact(system.f0, 0.0141, system.omega)) < 1e-12
 
 
+@pytest.mark.long_run
 def test_everything_that_happens_to_an_orbit_in_one_call():
     """Belt case 1 from 12 down to 3.9: three of the nine on [0.5, 20]."""
     system = replace_parameter(BELT, "omega", 12.0)
@@ -341,6 +342,7 @@ def test_a_touch_within_a_flight_hides_nothing():
 
 
 @pytest.mark.slow
+@pytest.mark.long_run
 def test_all_nine_bifurcations_of_the_belt():
     """Santhosh et al. name six of them; two lie 0.005 apart."""
     system = replace_parameter(BELT, "omega", 17.0)

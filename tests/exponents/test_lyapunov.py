@@ -95,6 +95,7 @@ def sd_run(omega, x0, periods):
     )
 
 
+@pytest.mark.long_run
 def test_the_sd_oscillator():
     # Divergence -2ζ on both sides, and crossings keep the volume. At Ω = 0.7 the
     # one-sided orbit has both exponents -ζ; at 0.87 chaos, 0.08889(4), from an independent code.
@@ -125,6 +126,7 @@ def belts():
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *systems), jnp.asarray(x0)
 
 
+@pytest.mark.long_run
 def test_the_belt():
     systems, x0 = belts()
     found = spectra(systems, x0, periods=1000, transient=40)

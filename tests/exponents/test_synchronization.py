@@ -242,6 +242,7 @@ def test_the_rate_of_a_linear_system():
 
 
 @pytest.mark.slow
+@pytest.mark.long_run
 def test_sticking_chaos_by_its_rate():
     # At ω = 4.6; 32 initial states, ε on both sides of it.
     x0 = jnp.asarray([[0.002 * i, 0.002 * i] for i in range(32)])

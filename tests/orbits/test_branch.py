@@ -69,6 +69,7 @@ def sd_branch():
     return jf.continue_orbit(S.SDOscillator(), "omega", orbit, stop=(0.68, 1.0))
 
 
+@pytest.mark.long_run
 def test_sd_oscillator_folds_where_the_closed_form_does():
     (fold,) = of_kind(sd_branch(), "fold")
     exact = brentq(lambda w: Symmetric(w).excess, 0.9, 0.99, xtol=1e-15)
@@ -130,6 +131,7 @@ def test_belt_adds_a_slide():
 
 
 @pytest.mark.slow
+@pytest.mark.long_run
 def test_belt_from_one_end_to_the_other():
     orbit = jf.periodic_orbit(belt(12.0), jnp.asarray([0.55, 0.0]), steps=STEPS)
     branch = jf.continue_orbit(belt(12.0), "omega", orbit, stop=(0.5, 20.0), max_step=0.05)

@@ -86,6 +86,7 @@ def test_fig6_tells_chaos_from_periodic_motion_and_knows_how_long_it_lives():
     )  # t = 0 of the closed form
 
 
+@pytest.mark.long_run
 def test_fig10_finds_the_jump_and_the_two_attractors():
     value, error = fig10.jump(16, 200, rounds=6)
     assert abs(value - CUBIC_JUMPS) < 5e-9 + error and error < 1e-8  # known to nine digits
