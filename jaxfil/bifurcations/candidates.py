@@ -22,7 +22,7 @@ from jaxfil.integrate.solution import switches
 from jaxfil.model.outcomes import is_successful
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.xla.known import array_of
+from jaxfil.xla.known import array_of, part_of
 
 # Tangencies of an orbit that are told for each surface.
 _CANDIDATES = 3
@@ -66,8 +66,7 @@ def guesses(orbit: Orbit, *kinds: str) -> list[list[tuple[Tangency, Array]]]:
     with jax.core.eval_context():
         if orbit.x0.ndim == 1:
             return [_guesses(orbit, kinds)]
-        lanes = [jax.tree.map(lambda v, i=i: v[i], orbit) for i in range(orbit.x0.shape[0])]
-        return [_guesses(lane, kinds) for lane in lanes]
+        return [_guesses(part_of(orbit, i), kinds) for i in range(orbit.x0.shape[0])]
 
 
 def attempts(
@@ -158,10 +157,9 @@ def _minima(
     times, states = times[inside], states[inside]
     if times.size < 3:
         return []
-    guard, weight = (
-        np.asarray(v)
-        for v in _guards(orbit.system, array_of(times), array_of(states), array_of(flight.mode), j)
-    )
+    mode = array_of(flight.mode)
+    guard, weight = _guards(orbit.system, _filled(times), _filled(states), mode, j)
+    guard, weight = np.asarray(guard)[: times.size], np.asarray(weight)[: times.size]
     found = []
     for k in range(1, times.size - 1):
         if guard[k] <= guard[k - 1] and guard[k] < guard[k + 1] and ts[0] <= times[k] < ts[-1]:
@@ -172,6 +170,13 @@ def _minima(
             right = times[k] + min(0.5 * (flight.stop - times[k]), 0.25 * period)
             found.append((reach, j, side, flight.mode, left, times[k], right))
     return found
+
+
+def _filled(rows: np.ndarray) -> Array:
+    """The same rows and the last one again, up to a power of two: a number of rows of its own for
+    every flight would compile a program for every flight."""
+    size = 1 << (len(rows) - 1).bit_length()
+    return array_of(rows[np.minimum(np.arange(size), len(rows) - 1)])
 
 
 @eqx.filter_jit

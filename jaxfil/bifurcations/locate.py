@@ -208,6 +208,7 @@ def _better(a: Bifurcation, b: Bifurcation) -> Bifurcation:
     return lane_by_lane(rank(b) > rank(a), b, a)
 
 
+@eqx.filter_jit
 def lane_by_lane(take: Array, a: _Result, b: _Result) -> _Result:
     """The lanes of a result where `take` is true, those of another one elsewhere."""
 

@@ -5,7 +5,6 @@ and stability, a picture and a card leave.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,6 +18,7 @@ from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.branch_arrays import branch_arrays
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.periodic_orbit import periodic_orbit
+from jaxfil.xla.known import part_of
 
 
 class SpecialPoint(eqx.Module):
@@ -78,7 +78,7 @@ class Branch(eqx.Module):
         for i in np.flatnonzero((ahead * after < 0) | (ahead == 0)):
             part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
             next_ = min(i + 1, len(xs) - 1)
-            one = jax.tree.map(lambda v, i=i: v[i], self.orbits)
+            one = part_of(self.orbits, i)
             period = None if one.system.period is not None else one.period
             found.append(
                 periodic_orbit(

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxfil.model.card import outcome, precision
@@ -38,14 +39,12 @@ class FourierOrbit(eqx.Module):
     @property
     def amplitudes(self) -> Float[Array, "k n"]:
         """√(a_k² + b_k²) of every harmonic, from 0 (|c₀|) to K, shape (K + 1, n)."""
-        c = self.coefficients
-        pairs = jnp.sqrt(c[..., 1::2, :] ** 2 + c[..., 2::2, :] ** 2)
-        return jnp.concatenate([abs(c[..., :1, :]), pairs], axis=-2)
+        return _amplitudes(self.coefficients)
 
     def evaluate(self, t: Scalar) -> Float[Array, " n"]:
         """The state at a time, shape (n,)."""
         t = jnp.asarray(t, self.coefficients.dtype)
-        return waves_at(t / self.period, self.harmonics) @ self.coefficients
+        return _series_at(t, self.period, self.coefficients)
 
     def __repr__(self) -> str:
         *batch, _, n = self.coefficients.shape
@@ -60,11 +59,23 @@ class FourierOrbit(eqx.Module):
         )
 
 
-def equal_phases(count: int, dtype: jnp.dtype) -> Array:
+@jax.jit
+def _amplitudes(c: Array) -> Array:
+    pairs = jnp.sqrt(c[..., 1::2, :] ** 2 + c[..., 2::2, :] ** 2)
+    return jnp.concatenate([abs(c[..., :1, :]), pairs], axis=-2)
+
+
+@jax.jit
+def _series_at(t: Array, period: Array, c: Array) -> Array:
+    return waves_at(t / period, (c.shape[-2] - 1) // 2) @ c
+
+
+def equal_phases(count: int, dtype: jnp.dtype) -> np.ndarray:
     """Phases that are equally spaced in a period."""
-    return jnp.arange(count).astype(dtype) / count
+    return np.arange(count, dtype=dtype) / np.asarray(count, dtype)
 
 
+@ft.partial(jax.jit, static_argnames="harmonics")
 def project(phases: Array, values: Array, harmonics: int) -> Array:
     """The coefficients of a series through samples at equally spaced phases."""
     basis = jax.vmap(ft.partial(waves_at, harmonics=harmonics))(phases)

@@ -20,7 +20,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxfil.integrate.problem import period_outcome
 from jaxfil.model import check
@@ -31,6 +31,7 @@ from jaxfil.orbits.fourier import FourierOrbit, equal_phases, project, slope_of,
 from jaxfil.orbits.newton import Evaluation, newton
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.regula_falsi import zero_between
+from jaxfil.xla.known import array_of
 
 # Cells of the grid per harmonic, and points of the Gauss rule in each part of a cell: a product of
 # two highest harmonics, half a turn in a cell, is integrated to 1e-10.
@@ -119,14 +120,14 @@ def _first(
         # Where in its own period the orbit is at equally spaced times of ours, in forcing periods.
         elapsed = periods * equal_phases(4 * size * periods, guess.x0.dtype)
         forcing = guess.period if guess.system.period is None else guess.system.period
-        local = jnp.mod(elapsed * forcing, guess.period)
-        order = jnp.argsort(local)
-        values = guess.states(guess.options.t0 + local[order])[jnp.argsort(order)]
-        phases = (guess.options.t0 / forcing + elapsed) / periods
+        times, back, phases = _in_own_period(
+            elapsed, guess.period, forcing, guess.options.t0, periods
+        )
+        values = guess.states(times)[back]
         return project(phases.astype(values.dtype), values, harmonics)
     if callable(guess):
         phases = equal_phases(4 * size, jnp.result_type(float))
-        values = jax.vmap(guess)(phases * system.period * periods)
+        values = jax.vmap(guess)(array_of(phases * system.period * periods))
         values = values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)
         return project(phases.astype(values.dtype), values, harmonics)
     array = jnp.asarray(guess)
@@ -136,8 +137,24 @@ def _first(
             f"shape {array.shape}."
         )
     array = array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
-    # Higher harmonics start from zero, or are left out.
-    return jnp.zeros((size, array.shape[1]), array.dtype).at[: array.shape[0]].set(array[:size])
+    return _resized(array, size)
+
+
+@jax.jit
+def _in_own_period(
+    elapsed: ArrayLike, period: Array, forcing: ArrayLike, t0: Array, periods: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """When an orbit of this period is where it is after times in forcing periods, in the order of
+    its own times; the places of those times in that order; and their phases in `periods`."""
+    local = jnp.mod(elapsed * forcing, period)
+    order = jnp.argsort(local)
+    return t0 + local[order], jnp.argsort(order), (t0 / forcing + elapsed) / periods
+
+
+@ft.partial(jax.jit, static_argnames="size")
+def _resized(c: Array, size: int) -> Array:
+    """So many coefficients: higher harmonics start from zero, or are left out."""
+    return jnp.zeros((size, c.shape[1]), c.dtype).at[: c.shape[0]].set(c[:size])
 
 
 class _Balance(eqx.Module):

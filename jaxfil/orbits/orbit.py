@@ -75,21 +75,13 @@ class Orbit(eqx.Module):
     def multipliers(self) -> Complex[Array, "*batch n"]:
         """The Floquet multipliers, eigenvalues of the monodromy matrix, shape (n,). One of an
         autonomous system's is 1; a sticking orbit has one that is 0."""
-        # Where the orbit was not found there are none; LAPACK must not see a NaN.
-        fine = jnp.all(jnp.isfinite(self.monodromy), axis=(-2, -1))
-        values = jnp.linalg.eigvals(jnp.where(fine[..., None, None], self.monodromy, 0))
-        return jnp.where(fine[..., None], values, jnp.nan)
+        return _multipliers(self.monodromy)
 
     @property
     def stable(self) -> Array:
         """Whether all multipliers, but an autonomous system's 1, are inside the unit circle."""
-        values = self.multipliers
-        size = abs(values)
-        if self.system.period is None:
-            # It is 1 to the error of the orbit only: the nearest one is taken for it.
-            trivial = jnp.argmin(abs(values - 1), axis=-1)[..., None]
-            size = jnp.where(jnp.arange(size.shape[-1]) == trivial, 0, size)
-        return (jnp.max(size, axis=-1) < 1) & (self.result == RESULTS.successful)
+        inside = _are_inside(self.multipliers, autonomous=self.system.period is None)
+        return inside & (self.result == RESULTS.successful)
 
     def states(self, ts: Float[Array, " k"]) -> Float[Array, "k n"]:
         """The states at times of the first period, in order, shape (k, n)."""
@@ -157,6 +149,25 @@ class Orbit(eqx.Module):
 
     def __repr__(self) -> str:
         return _card(self)
+
+
+@jax.jit
+def _multipliers(monodromy: Array) -> Array:
+    # Where the orbit was not found there are none; LAPACK must not see a NaN.
+    fine = jnp.all(jnp.isfinite(monodromy), axis=(-2, -1))
+    values = jnp.linalg.eigvals(jnp.where(fine[..., None, None], monodromy, 0))
+    return jnp.where(fine[..., None], values, jnp.nan)
+
+
+@ft.partial(jax.jit, static_argnames="autonomous")
+def _are_inside(multipliers: Array, autonomous: bool) -> Array:
+    """Whether all multipliers, but an autonomous system's 1, are inside the unit circle."""
+    size = abs(multipliers)
+    if autonomous:
+        # It is 1 to the error of the orbit only: the nearest one is taken for it.
+        trivial = jnp.argmin(abs(multipliers - 1), axis=-1)[..., None]
+        size = jnp.where(jnp.arange(size.shape[-1]) == trivial, 0, size)
+    return jnp.max(size, axis=-1) < 1
 
 
 @eqx.filter_jit

@@ -5,7 +5,6 @@ A branch enters; the axes it was drawn on leave.
 
 from collections.abc import Iterable
 
-import jax
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -15,6 +14,7 @@ from jaxfil.orbits.branch import Branch
 from jaxfil.plot.canvas import color_bar, own_axes
 from jaxfil.plot.path import chosen, path
 from jaxfil.plot.path_in_time import draw_in_colors
+from jaxfil.xla.known import part_of
 
 # Steps of the branch from one orbit that is drawn to the next come to so many orbits.
 _SHOWN = 15
@@ -56,7 +56,7 @@ def branch_orbits(
     picked = np.unique(np.linspace(0, count - 1, min(_SHOWN, count)).round().astype(int))
     curves = []
     for i in picked:
-        orbit = jax.tree.map(lambda v, i=i: v[i], branch.orbits)
+        orbit = part_of(branch.orbits, i)
         curves.append(path(orbit.trajectory())[1][:, shown])
     ax = own_axes(ax, "3d" if len(shown) == 3 else None)
     lines = draw_in_colors(ax, curves, branch.values[picked], lw)

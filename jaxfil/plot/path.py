@@ -7,7 +7,6 @@ each kind of contact and each mode is drawn in every picture.
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,6 +15,7 @@ from jaxfil.model import check
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, WHITE, YELLOW
+from jaxfil.xla.known import part_of
 
 # The colour of each mode, and what the legend calls it.
 BANDS = {1: ("H > 0", SKY), 0: ("sliding", ORANGE), 2: ("at rest", GREY), -1: ("H < 0", WHITE)}
@@ -43,7 +43,7 @@ def lanes(sol: Solution) -> list[Solution]:
     shape = np.shape(sol.t_final)
     if not shape:
         return [sol]
-    return [jax.tree.map(lambda a, i=i: a[i], sol) for i in np.ndindex(*shape)]
+    return [part_of(sol, i) for i in np.ndindex(*shape)]
 
 
 def one_lane(sol: Solution) -> None:

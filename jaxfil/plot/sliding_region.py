@@ -3,9 +3,10 @@
 A system enters; the axes on which its fields and its surface were drawn leave.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,7 @@ from jaxfil.model.labels import labels_of
 from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLACK, BLUE, GREY, ORANGE, PURPLE, legend, own_axes, styled
 from jaxfil.plot.path import chosen
+from jaxfil.xla.known import array_of
 
 # What each part of a surface is drawn with.
 _PARTS = {
@@ -70,7 +72,9 @@ def sliding_region(
     check.system("system", system)
     state = jnp.asarray(at, float)
     shown = chosen("components", components, state.size, (2,))
-    where = _Plane(system, jnp.asarray(t, float), state, shown, surface)
+    time = jnp.asarray(t, float)
+    check.component("surface", surface, jnp.atleast_1d(system.switching(time, state)).size)
+    where = _Plane(system, time, state, tuple(shown), surface)
     ax = own_axes(ax)
     x, y = (np.linspace(*ends, _GRID) for ends in limits)
     heights = where.height(np.stack(np.meshgrid(x, y), axis=-1))
@@ -89,60 +93,66 @@ def sliding_region(
     return ax
 
 
-class _Plane:
+class _Plane(eqx.Module):
     """A plane of two components through a state, and one surface's H and fields on it."""
 
-    def __init__(
-        self, system: System, t: Array, state: Array, shown: list[int], surface: int
-    ) -> None:
-        self.system, self.t, self.state, self.shown = system, t, state, shown
-        m = jnp.atleast_1d(system.switching(t, state)).size
-        check.component("surface", surface, m)
-        self.surface = surface
+    system: System
+    t: Array
+    state: Array
+    shown: tuple[int, ...] = eqx.field(static=True)
+    surface: int = eqx.field(static=True)
 
-    def _all(self, t: Array, x: Array) -> Array:
-        return jnp.atleast_1d(self.system.switching(t, x))
+    def h(self, t: Array, x: Array) -> Array:
+        """H of the surface, ()."""
+        return jnp.atleast_1d(self.system.switching(t, x))[self.surface]
 
-    def _field(self, x: Array, side: Array) -> Array:
+    def force(self, x: Array, side: Array | float) -> Array:
         """F on that side of the surface, (n,)."""
-        sides = jnp.where(self._all(self.t, x) < 0, -1.0, 1.0).at[self.surface].set(side)
-        scalar = jnp.ndim(self.system.switching(self.t, x)) == 0
-        return self.system.vector_field(self.t, x, sides[0] if scalar else sides)
-
-    def _at(self, points: np.ndarray) -> Array:
-        """States of points (…, 2) of the plane."""
-        states = jnp.broadcast_to(self.state, (*points.shape[:-1], self.state.size))
-        return states.at[..., jnp.array(self.shown)].set(points)
-
-    def _mapped(self, function: Any, points: np.ndarray) -> Any:
-        flat = self._at(points).reshape(-1, self.state.size)
-        out = jax.vmap(function)(flat)
-        return jax.tree.map(lambda a: np.asarray(a).reshape(*points.shape[:-1], *a.shape[1:]), out)
+        h = self.system.switching(self.t, x)
+        sides = jnp.where(jnp.atleast_1d(h) < 0, -1.0, 1.0).at[self.surface].set(side)
+        return self.system.vector_field(self.t, x, sides[0] if jnp.ndim(h) == 0 else sides)
 
     def height(self, points: np.ndarray) -> np.ndarray:
         """H at points (…, 2)."""
-        return self._mapped(lambda x: self._all(self.t, x)[self.surface], points)
+        return _mapped(self, _height, points)
 
     def field(self, points: np.ndarray) -> np.ndarray:
         """The two components of the field that holds at points (…, 2)."""
-
-        def own(x: Array) -> Array:
-            side = jnp.where(self._all(self.t, x)[self.surface] < 0, -1.0, 1.0)
-            return self._field(x, side)[jnp.array(self.shown)]
-
-        return self._mapped(own, points)
+        return _mapped(self, _field, points)
 
     def rates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """dH/dt along the fields of the positive and of the negative side."""
+        return _mapped(self, _rates, points)
 
-        def both(x: Array) -> tuple[Array, ...]:
-            h = lambda t, x: self._all(t, x)[self.surface]  # noqa: E731
-            return tuple(
-                jax.jvp(h, (self.t, x), (jnp.ones_like(self.t), self._field(x, jnp.array(side))))[1]
-                for side in (1.0, -1.0)
-            )
 
-        return self._mapped(both, points)
+def _height(plane: _Plane, x: Array) -> Array:
+    return plane.h(plane.t, x)
+
+
+def _field(plane: _Plane, x: Array) -> Array:
+    side = jnp.where(plane.h(plane.t, x) < 0, -1.0, 1.0)
+    return plane.force(x, side)[jnp.array(plane.shown)]
+
+
+def _rates(plane: _Plane, x: Array) -> tuple[Array, ...]:
+    return tuple(
+        jax.jvp(plane.h, (plane.t, x), (jnp.ones_like(plane.t), plane.force(x, side)))[1]
+        for side in (1.0, -1.0)
+    )
+
+
+def _mapped(plane: _Plane, function: Callable, points: np.ndarray) -> Any:
+    """A function of the states of points (…, 2) of a plane."""
+    flat = _on_states(plane, function, array_of(points.reshape(-1, 2)))
+    return jax.tree.map(lambda a: np.asarray(a).reshape(*points.shape[:-1], *a.shape[1:]), flat)
+
+
+@eqx.filter_jit
+def _on_states(plane: _Plane, function: Callable, points: Array) -> Any:
+    def at(point: Array) -> Any:
+        return function(plane, plane.state.at[jnp.array(plane.shown)].set(point))
+
+    return jax.vmap(at)(jnp.asarray(points, plane.state.dtype))
 
 
 def _arrows(ax: Axes, where: _Plane, limits: tuple[tuple[float, float], ...]) -> None:

@@ -50,6 +50,17 @@ def in_numpy(tree: Any) -> Any:
     return jax.tree.map(np.asarray, tree) if is_known(tree) else tree
 
 
+def part_of(tree: Any, index: Any) -> Any:
+    """The part of all arrays of a tree at an index of their leading axes. Of known ones NumPy takes
+    it: JAX would compile programs for each shape and type.
+
+    >>> part_of({"a": jnp.arange(6.0).reshape(3, 2), "b": jnp.arange(3)}, 1)
+    {'a': Array([2., 3.], dtype=float64), 'b': Array(1, dtype=int64)}
+    """
+    parts = jax.tree.map(lambda v: v[index], in_numpy(tree))
+    return jax.device_put(parts) if is_known(parts) else parts
+
+
 def compiled_if_traced(function: _F) -> _F:
     """`function`, called as it is where its arguments are known, and compiled as a whole where they
     are not: under `vmap` alone it would be run operation by operation."""

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil.bifurcations.candidates import tangency_candidates
+from jaxfil.bifurcations.candidates import _filled, tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS
 from jaxfil.model.outcomes import EventKind, outcome_names
 from jaxfil.model.parameter import replace_parameter
@@ -363,6 +363,13 @@ def test_all_nine_bifurcations_of_the_belt():
     np.testing.assert_allclose([b.value for b in route], BELT_CHANGES, rtol=0, atol=6e-4)
     for i, value in known.items():
         assert abs(float(route.bifurcations[i].value) - value) < 1e-9
+
+
+def test_flights_of_many_lengths_share_a_program():
+    rows = np.arange(10.0).reshape(5, 2)
+    filled = np.asarray(_filled(rows))
+    np.testing.assert_array_equal(filled, [*rows, rows[-1], rows[-1], rows[-1]])
+    assert {_filled(np.zeros(n)).shape for n in range(33, 65)} == {(64,)}
 
 
 @pytest.mark.slow
