@@ -22,7 +22,7 @@ from jaxfil.integrate.solution import switches
 from jaxfil.model.outcomes import is_successful
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.xla.known import array_of, part_of
+from jaxfil.xla.known import array_of, part_of, power_of_two
 
 # Tangencies of an orbit that are told for each surface.
 _CANDIDATES = 3
@@ -173,10 +173,8 @@ def _minima(
 
 
 def _filled(rows: np.ndarray) -> Array:
-    """The same rows and the last one again, up to a power of two: a number of rows of its own for
-    every flight would compile a program for every flight."""
-    size = 1 << (len(rows) - 1).bit_length()
-    return array_of(rows[np.minimum(np.arange(size), len(rows) - 1)])
+    """The same rows and the last one again, up to a power of two."""
+    return array_of(rows[np.minimum(np.arange(power_of_two(len(rows))), len(rows) - 1)])
 
 
 @eqx.filter_jit

@@ -29,6 +29,7 @@ from jaxfil.model.parameter import cast, get_parameter, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.orbit import Orbit
+from jaxfil.xla.known import part_of
 
 _NEWTON_STEPS = 40
 
@@ -59,7 +60,7 @@ class NearestGrazing(eqx.Module):
             return self
         fine = self.result == RESULTS.successful
         best = int(jnp.argmin(jnp.where(fine, self.distance, jnp.inf)))
-        return jax.tree.map(lambda v: v[best], self)
+        return part_of(self, best)
 
     def __repr__(self) -> str:
         told = precision(self.values)

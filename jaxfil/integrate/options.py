@@ -18,6 +18,7 @@ from jaxtyping import Array
 from jaxfil.integrate.problem import SAME_TIME
 from jaxfil.model import check
 from jaxfil.model.types import Scalar
+from jaxfil.xla.known import power_of_two
 
 Adjoint: TypeAlias = diffrax.ForwardMode | diffrax.RecursiveCheckpointAdjoint
 """How reverse mode works: by the forward Jacobian, or by a loop with checkpoints."""
@@ -221,6 +222,4 @@ def _default_budget(span: _Span | None, max_events: int | None) -> int:
             "or `dt` is traced, so that the number of steps is not known; got None."
         )
     num_steps = math.ceil(span.steps) if span.finite else 1
-    enough = enough_iterations(num_steps, max_events or _MANY_EVENTS)
-    # A power of two: a length of its own for every span would compile a program for every span.
-    return 1 << (enough - 1).bit_length()
+    return power_of_two(enough_iterations(num_steps, max_events or _MANY_EVENTS))

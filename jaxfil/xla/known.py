@@ -61,6 +61,16 @@ def part_of(tree: Any, index: Any) -> Any:
     return jax.device_put(parts) if is_known(parts) else parts
 
 
+def power_of_two(count: int) -> int:
+    """The smallest power of two that is not below a count. Arrays have as many rows where each
+    count would compile a program of its own.
+
+    >>> [power_of_two(count) for count in (1, 5, 8)]
+    [1, 8, 8]
+    """
+    return 1 << (count - 1).bit_length()
+
+
 def compiled_if_traced(function: _F) -> _F:
     """`function`, called as it is where its arguments are known, and compiled as a whole where they
     are not: under `vmap` alone it would be run operation by operation."""
