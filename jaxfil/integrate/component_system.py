@@ -74,7 +74,7 @@ class ComponentSystem(eqx.Module):
     """Which numbers of the field and of H depend on which side and state."""
     compact: bool = eqx.field(static=True)
     """Whether its program is to be small: see `compact`. Sines are then one operation each, and
-    none of them is found ahead."""
+    only those of arrays are found ahead."""
     packed: bool = eqx.field(static=True)
     """Whether what there is of each surface is one array, (m,): of several surfaces of a state that
     is one array, that are separate, share no number of it, and have no reset."""
@@ -138,13 +138,20 @@ class ComponentSystem(eqx.Module):
         def at(t: Array, h: Array) -> list[Forcing]:
             return [self.forcing_at(t + c * h) for c in times]
 
-        forced = jax.eval_shape(self.forcing_at, t)
-        return self.once(at, t, h) if forced else [[] for _ in times]
+        def together(t: Array, h: Array) -> Forcing:
+            return jax.vmap(self.forcing_at)(t + h * np.array(times, self.dtype))
+
+        if not jax.eval_shape(self.forcing_at, t):
+            return [[] for _ in times]
+        if not self.compact:
+            return self.once(at, t, h)
+        rows = self.once(together, t, h)
+        return [[v[k] for v in rows] for k in range(len(times))]
 
     def forcing_at(self, t: Array) -> Forcing:
-        """What the field takes of time alone and is dear, at one time; nothing in a compact
-        program."""
-        return [] if self.compact else self._field.ahead(self.held(t))
+        """What the field takes of time alone and is dear, at one time; in a compact program arrays
+        alone."""
+        return self._field.ahead(self.held(t))
 
     def field(
         self,
@@ -233,7 +240,7 @@ def _build(
     field, switching, reset = _on_components(static, h_shape, dtype, compact, packed)
     sides = (jnp.ones((m,), dtype),) if packed else (jnp.ones((), dtype),) * m
     traced = ft.partial(Traced, transposed=transposed, fast=not compact)
-    when = None if compact else (FIRST, EARLY, LATE, LATE)
+    when = (FIRST, EARLY, LATE, LATE)
     traced_field = traced(field, leaves, t0, x, sides, when=when)
     traced_switching = traced(switching, leaves, t0, x)
     _check_derivatives(vector_field=traced_field, switching=traced_switching)

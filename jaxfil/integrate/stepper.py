@@ -214,11 +214,14 @@ def compact_step(
         times[k], rows[k, : len(row)] = c, row
     times, rows = times.astype(h.dtype), rows.astype(h.dtype)
     number = jnp.arange(stages)
+    known = dict(zip(tableau.times, forcing, strict=True))
+    forced = list(map(jnp.stack, zip(*(known[c] for c in tableau.c), strict=True)))
 
     def stage(k: Array, slopes: Components) -> Components:
         row, time = (jax.lax.dynamic_index_in_dim(v, k, keepdims=False) for v in (rows, times))
         inner = tuple(v + h * _weighted(row, s) for v, s in zip(x, slopes, strict=True))
-        new = field(t + time * h, inner)
+        own = [jax.lax.dynamic_index_in_dim(v, k - 1, keepdims=False) for v in forced]
+        new = field(t + time * h, inner, own)
         each = zip(new, slopes, strict=True)
         return tuple(jnp.where(_column(number == k, s), v, s) for v, s in each)
 

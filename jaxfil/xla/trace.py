@@ -34,6 +34,8 @@ def _arctan2(y: Array, x: Array) -> Array:
 
 
 _SAFE = {"atan2": _arctan2}
+# Numbers of an array for which it pays to find it ahead in a program that is to be small.
+_SOME = 3
 # What takes longer than a few multiplications.
 _DEAR = (*_FAST, *_SAFE, "exp", "log", "pow", "tan", "tanh")
 # What has no forward derivatives, unless a rule of the user's own stands around it.
@@ -59,8 +61,8 @@ class Traced:
     `fence`, a one that the compiler cannot see through, unless the call says that its result is
     used `alone` and one number in it depends on them: see `ComponentSystem`. With `transposed`, its
     derivatives are those of `masked_product` where they might not be finite. Unless it is `fast`,
-    sines and cosines are XLA's own, one operation in place of some twenty, and arrays that numbers
-    enter into stay arrays.
+    sines and cosines are XLA's own, one operation in place of some twenty, arrays that numbers
+    enter into stay arrays, and no more than arrays are computed early, by functions that vectorise.
     """
 
     def __init__(
@@ -93,7 +95,7 @@ class Traced:
 
     def _found(self, leaves: list) -> list:
         late = [None] * (len(self._when) - len(leaves))
-        evaluation = _Evaluation(self._functions, _same)
+        evaluation = _Evaluation(_FAST, _same, mixed=self._fast)
         evaluation(self._closed, [*leaves, *late], self._when)
         return evaluation.found
 
@@ -194,7 +196,8 @@ class _Evaluation:
 
     def _ahead(self, eqn: Any, when: int, make: Callable, inputs: Sequence[Any]) -> Sequence[Any]:
         """What one equation gives, unless it is known ahead."""
-        if when != EARLY or eqn.primitive.name not in _DEAR:
+        name, aval = eqn.primitive.name, eqn.outvars[0].aval
+        if when != EARLY or name not in _DEAR or not (self._mixed or aval.size >= _SOME):
             return make(*inputs)
         if self._known is not None:
             return [next(self._known)]

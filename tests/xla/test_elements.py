@@ -60,6 +60,18 @@ def test_what_is_early_is_known_element_by_element():
     assert_allclose(traced(T, X, known=known), chain(T, X), rtol=1e-14)
 
 
+def test_what_is_early_in_a_small_program_is_known_array_by_array():
+    def function(t, x):
+        return jnp.cos(t) * x[0] + jnp.sin(t + jnp.arange(5.0)) @ jnp.arange(5.0) * x[1]
+
+    traced = Traced(function, T, X, when=(1, 2), fast=False)
+    (known,) = traced.ahead(T)
+    assert_allclose(known, jnp.sin(T + jnp.arange(5.0)), rtol=1e-15)
+    assert_allclose(traced(T, X, known=[known]), function(T, X), rtol=1e-14)
+    # Another array would be taken too.
+    assert_allclose(traced(T, X, known=[0 * known]), jnp.cos(T) * X[0], rtol=1e-15)
+
+
 def names(jaxpr):
     """The operations of a program, those inside others included."""
     for eqn in jaxpr.eqns:
