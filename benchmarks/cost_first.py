@@ -1,8 +1,8 @@
 """First calls beside diffrax, and how they grow with states and surfaces.
 
 The calls below enter; the text of two tables leaves. Each call is made in a process of its own
-(`python -m benchmarks.cost_first NAME`), three times, without a cache on disk, and its processor
-time is divided by that of diffrax's own first call in the same run.
+(`python -m benchmarks.cost_first NAME`), in three rounds, without a cache on disk, and its
+processor time is divided by that of diffrax's own first call in the same rounds.
 """
 
 import statistics
@@ -230,21 +230,27 @@ GROWTH = {
 }
 
 
-def measured(name, repeats):
-    """Processor seconds of the first call of a name, the median over processes."""
-    command = [sys.executable, "-m", "benchmarks.cost_first", name]
-    runs = [
-        float(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
-        for _ in range(repeats)
-    ]
-    print(f"first calls: {name}, {statistics.median(runs):.1f} s", file=sys.stderr, flush=True)
-    return statistics.median(runs)
+def measured(names, rounds):
+    """Processor seconds of the first call of each name, the median over rounds. Each round makes
+    all calls once, so that a machine that slows down does so for all of them."""
+    return {name: statistics.median(runs) for name, runs in _all_rounds(names, rounds).items()}
+
+
+def _all_rounds(names, rounds):
+    runs = {name: [] for name in names}
+    for _ in range(rounds):
+        for name in names:
+            command = [sys.executable, "-m", "benchmarks.cost_first", name]
+            done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
+            runs[name].append(float(done.stdout))
+            print(f"first calls: {name}, {runs[name][-1]:.1f} s", file=sys.stderr, flush=True)
+    return runs
 
 
 def report(quick):
     """The section's text."""
-    repeats = 1 if quick else 3
-    seconds = {name: measured(name, repeats) for name in (*DIFFRAX, *CALLS)}
+    rounds = 1 if quick else 3
+    seconds = measured((*DIFFRAX, *CALLS), rounds)
     alone, jacobian = seconds["diffrax"], seconds["diffrax's Jacobian"]
     body = [
         [name, s, s / alone, s / jacobian, s / (alone + jacobian)] for name, s in seconds.items()
@@ -258,8 +264,8 @@ def report(quick):
     first = table(columns, body, "First calls beside diffrax", ABOUT)
     grown = []
     for name, (_, sizes) in GROWTH.items():
-        seconds = [measured(f"{name}:{size}", repeats) for size in sizes]
-        grown += [[name, k, s, s / seconds[0]] for k, s in zip(sizes, seconds, strict=True)]
+        times = [*measured([f"{name}:{size}" for size in sizes], rounds).values()]
+        grown += [[name, k, s, s / times[0]] for k, s in zip(sizes, times, strict=True)]
     columns = [Column("first call"), Column("of"), Column("s", ">.1f"), Column("÷ least", ">.1f")]
     return f"{first}\n\n\n{table(columns, grown, 'Growth with n and m')}"
 
