@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxfil.xla.trace import Traced
+from tests.xla.operations import names
 
 A = np.random.default_rng(0).normal(size=(3, 3))
 T, X = 0.7, (0.3, -1.2, 2.0)
@@ -70,15 +71,6 @@ def test_what_is_early_in_a_small_program_is_known_array_by_array():
     assert_allclose(traced(T, X, known=[known]), function(T, X), rtol=1e-14)
     # Another array would be taken too.
     assert_allclose(traced(T, X, known=[0 * known]), jnp.cos(T) * X[0], rtol=1e-15)
-
-
-def names(jaxpr):
-    """The operations of a program, those inside others included."""
-    for eqn in jaxpr.eqns:
-        yield eqn.primitive.name
-        for v in jax.tree.leaves(eqn.params, is_leaf=lambda v: hasattr(v, "eqns")):
-            if hasattr(v, "eqns"):
-                yield from names(v)
 
 
 @pytest.mark.parametrize("function", [chain, matrix])

@@ -12,7 +12,7 @@ from jax import lax
 
 import jaxfil as jf
 from jaxfil.xla import fits, kernel
-from jaxfil.xla.program import programs
+from tests.xla.operations import names
 
 X0 = jnp.array([1.0, 0.5])
 
@@ -225,13 +225,6 @@ def everything(x, k):
     out += [jax.vmap(lambda v: v / lax.psum(v, "batch"), axis_name="batch")(x)]
     out += [jax.linearize(lambda x: lax.cond(k > 1, jnp.sin, jnp.negative, x), x)[1](x)]
     return out
-
-
-def names(jaxpr):
-    for eqn in jaxpr.eqns:
-        yield eqn.primitive.name
-        for program in programs(eqn.params):
-            yield from names(program)
 
 
 # Names that other versions of JAX have for some of them.

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from jaxfil.xla import fits
 from jaxfil.xla.kernel import one_kernel
 from jaxfil.xla.matrix_product import by_sums
-from jaxfil.xla.program import programs
+from tests.xla.operations import names
 
 # Axes of both operands in the notation of `einsum`, and their lengths: short sums, loops over
 # columns, of which some cannot be divided, and products that are long without any sum.
@@ -30,12 +30,6 @@ def operands(axes, sizes, dtype=float):
     rng = np.random.default_rng(0)
     names = axes.partition("->")[0].split(",")
     return [rng.normal(size=[sizes[c] for c in name]).astype(dtype) for name in names]
-
-
-def names(jaxpr):
-    for eqn in jaxpr.eqns:
-        yield eqn.primitive.name
-        yield from (name for inner in programs(eqn.params) for name in names(inner))
 
 
 @pytest.mark.parametrize(("axes", "sizes"), PRODUCTS)
