@@ -27,6 +27,7 @@ from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 from jaxfil.xla.known import array_of, is_known
+from jaxfil.xla.select import select
 
 
 class Placed(eqx.Module):
@@ -149,16 +150,16 @@ def scales(
     at: Placed, z: Array, closing: Closing, family: Int[Array, ""]
 ) -> tuple[Float[Array, " M"], Float[Array, " N"]]:
     """Of the equations and of the unknowns."""
-    size = jnp.where(closing.size == 0, 1, closing.size)
+    size = select(closing.size == 0, 1, closing.size)
     # H by how far it reaches across the orbit, its rates by that in a turn of the forcing.
     normals = jax.jacfwd(at.system.switching, argnums=1)(closing.t, closing.x)
     height = jnp.max(jnp.sum(abs(jnp.atleast_2d(normals)) * size, axis=1))
-    height = jnp.where(height == 0, 1, height)
+    height = select(height == 0, 1, height)
     pace = 2 * jnp.pi / at.period
     pair = jnp.stack([height * pace, height * pace**2])
-    pair = jnp.where(family == SLIDE, pair, pair / pace)
+    pair = select(family == SLIDE, pair, pair / pace)
     q = abs(z[size.shape[0] :])
-    return jnp.append(size, pair), jnp.append(size, jnp.where(q == 0, 1, q))
+    return jnp.append(size, pair), jnp.append(size, select(q == 0, 1, q))
 
 
 @eqx.filter_jit

@@ -43,6 +43,7 @@ from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.xla.kernel import tree_in_kernel
 from jaxfil.xla.known import array_of, compiled_if_traced, is_known
+from jaxfil.xla.select import select
 
 _Result = TypeVar("_Result", bound=eqx.Module)
 
@@ -213,7 +214,7 @@ def lane_by_lane(take: Array, a: _Result, b: _Result) -> _Result:
     """The lanes of a result where `take` is true, those of another one elsewhere."""
 
     def pick(u: Array, v: Array) -> Array:
-        return jnp.where(jnp.reshape(take, take.shape + (1,) * (v.ndim - take.ndim)), u, v)
+        return select(jnp.reshape(take, take.shape + (1,) * (v.ndim - take.ndim)), u, v)
 
     arrays, rest = eqx.partition(a, eqx.is_array)
     return eqx.combine(jax.tree.map(pick, arrays, eqx.filter(b, eqx.is_array)), rest)
@@ -260,7 +261,7 @@ def _of_kind(found: dict[str, Any], code: Array, missing: Array) -> dict[str, An
     other = RESULTS.where(found["code"] == code, RESULTS.successful, RESULTS.other_kind)
     result = RESULTS.where(found["result"] == RESULTS.successful, other, found["result"])
     result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
-    value = jnp.where(missing, jnp.nan, found["value"])
+    value = select(missing, jnp.nan, found["value"])
     return found | {"value": value, "result": result}
 
 
@@ -309,7 +310,7 @@ def _fields_of(
         ),
         t=closing.t,
         x=closing.x,
-        code=jnp.where(root.result == RESULTS.successful, located, -1),
+        code=select(root.result == RESULTS.successful, located, -1),
         conditions=found,
         residual=root.size,
         result=result,

@@ -23,6 +23,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
 from jaxfil.orbits.newton import Evaluation, Root
 from jaxfil.orbits.orbit import Orbit
+from jaxfil.xla.select import select
 
 _NEWTON_STEPS = 40
 
@@ -154,7 +155,7 @@ def _with_margin(root: Root) -> tuple[Array, Array]:
     """All unknowns at a root, and the derivative of all equations there."""
     # Without an orbit the last guard is that of nothing.
     margin, jacobian = root.at.aux
-    margin = jnp.where(root.result == RESULTS.successful, margin, jnp.nan)
+    margin = select(root.result == RESULTS.successful, margin, jnp.nan)
     n = jacobian.shape[0] - 2
     by_margin = jnp.zeros((n + 2, 1), margin.dtype).at[n].set(-1)
     return jnp.append(root.z, margin), jnp.concatenate([jacobian, by_margin], axis=1)

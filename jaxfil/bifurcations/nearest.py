@@ -30,6 +30,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.xla.known import part_of
+from jaxfil.xla.select import select
 
 _NEWTON_STEPS = 40
 
@@ -59,7 +60,7 @@ class NearestGrazing(eqx.Module):
         if not self.distance.ndim:
             return self
         fine = self.result == RESULTS.successful
-        best = int(jnp.argmin(jnp.where(fine, self.distance, jnp.inf)))
+        best = int(jnp.argmin(select(fine, self.distance, jnp.inf)))
         return part_of(self, best)
 
     def __repr__(self) -> str:
@@ -205,8 +206,8 @@ def _find(
     result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
     nan = jnp.full_like(values, jnp.nan)
     return NearestGrazing(
-        values=jnp.where(missing, nan, values),
-        distance=jnp.where(missing, nan[0], equations.distance(system, values)),
+        values=select(missing, nan, values),
+        distance=select(missing, nan[0], equations.distance(system, values)),
         given=jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names]),
         bifurcation=bifurcation,
         num_steps=root.num_steps,

@@ -26,6 +26,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.implicit import Equations, SystemOf
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.select import select
 
 
 class AtPoint(eqx.Module):
@@ -48,7 +49,7 @@ class Nearest(Equations):
         given, metric = self._from(system)
         square = (p - given) @ metric @ (p - given)
         # At zero the root has no derivative; there the distance is a kink, and its slope taken 0.
-        return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+        return select(square > 0, jnp.sqrt(select(square > 0, square, 1)), 0)
 
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
         """Newton's iteration; of its `Root`, what else is known is an `AtPoint`."""
@@ -85,7 +86,7 @@ class Nearest(Equations):
         scale = jnp.append(unknowns / jnp.sqrt(reach), jnp.sqrt(reach) / equations)
         convex = _is_minimum(matrix, scale, value.shape[0])
         # Far from the set a bend may promise a maximum; a step is then the projection.
-        matrix = jnp.where(convex, matrix, _saddle(flat, slopes))
+        matrix = select(convex, matrix, _saddle(flat, slopes))
         return Evaluation(
             residual=jnp.append(stationary, value),
             jacobian=matrix,
@@ -121,7 +122,7 @@ class Nearest(Equations):
         given = jnp.stack(values)
         if self.metric is not None:
             return given, self.metric
-        return given, jnp.diag(1 / jnp.where(given == 0, 1, given) ** 2)
+        return given, jnp.diag(1 / select(given == 0, 1, given) ** 2)
 
 
 def _by_turns(function: Callable[[Array], tuple[Array, Any]]) -> Callable:
@@ -154,5 +155,5 @@ def _is_minimum(matrix: Array, scale: Array, count: int) -> Array:
     eigenvalues as J has rows."""
     scaled = scale[:, None] * matrix * scale
     sound = jnp.all(jnp.isfinite(scaled))
-    values = jnp.linalg.eigvalsh(jnp.where(sound, scaled, jnp.eye(scaled.shape[0])))
+    values = jnp.linalg.eigvalsh(select(sound, scaled, jnp.eye(scaled.shape[0])))
     return sound & (jnp.sum(values < 0) == count)

@@ -34,6 +34,7 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.select import select
 
 FAMILY_NAMES = ("flight", "slide", "arrival")
 FLIGHT, SLIDE, ARRIVAL = range(len(FAMILY_NAMES))
@@ -100,15 +101,13 @@ class _Rates:
     def h(self, t: Array, x: Array) -> Array:
         """s H."""
         values = pack(self.system.switching(t, self.system.unpack(x)), x.dtype)
-        return self.tangency.side * jnp.sum(
-            jnp.where(self.number == self.tangency.surface, values, 0)
-        )
+        return self.tangency.side * jnp.sum(select(self.number == self.tangency.surface, values, 0))
 
     def with_rate(
         self, side: Array, function: Callable[[Array, Array], Array]
     ) -> Callable[[Array, Array], tuple[Array, Array]]:
         """A function of (t, x) and its derivative along the field with this side of the surface."""
-        mode = jnp.where(self.number == self.tangency.surface, side, self.tangency.mode)
+        mode = select(self.number == self.tangency.surface, side, self.tangency.mode)
 
         def both(t: Array, x: Array) -> tuple[Array, Array]:
             blocks = filippov.field(
@@ -141,7 +140,7 @@ def defining(
         return jnp.stack(rates.with_rate(tangency.side, rates.h)(t, x))
     h = rates.h(t, x)
     rate, along_slide = rates.with_rate(0 * tangency.side, rates.rate)(t, x)
-    return jnp.where(family == SLIDE, jnp.stack([rate, along_slide]), jnp.stack([h, rate]))
+    return select(family == SLIDE, jnp.stack([rate, along_slide]), jnp.stack([h, rate]))
 
 
 @eqx.filter_jit
@@ -183,7 +182,7 @@ def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:
         (no, no, no, arrives & visible, arrives & (found.bend < 0)),
     ]
     kinds = jnp.stack([jnp.stack(row) for row in flags])[family]
-    return jnp.where(jnp.any(kinds), jnp.argmax(kinds), -1)
+    return select(jnp.any(kinds), jnp.argmax(kinds), -1)
 
 
 class Closing(eqx.Module):
@@ -212,9 +211,9 @@ def close(
     mode = on_components.of_surfaces(tangency.mode)
     start, at = tangency.start * period, tangency.phase * period
     arrival = family == ARRIVAL
-    stop = jnp.where(arrival, at, tangency.stop * period)
+    stop = select(arrival, at, tangency.stop * period)
     # The full flow goes round the rest, or of an arrival, which it meets as it is, round it all.
-    rest = jnp.where(arrival, start, stop)
+    rest = select(arrival, start, stop)
     times = jnp.concatenate([_divided(start, at), _divided(at, stop), rest[None]])
     lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
     lengths = jnp.append(lengths, start + period - rest)
@@ -222,7 +221,7 @@ def close(
     def stretch(carry: tuple, now: tuple[Array, Array, Array]) -> tuple:
         x, size, result = carry
         t, length, keeps = now
-        x = jnp.where(keeps | ~arrival, x, tangency.x)
+        x = select(keeps | ~arrival, x, tangency.x)
         flow = _Flow(on_components, options, KeptMode(mode, keeps), period)
         x, new_size, contacts, new = flow(t, length, x)
         result = RESULTS.where(result == RESULTS.successful, new, result)

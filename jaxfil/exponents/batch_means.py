@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil.xla.select import select
+
 # An average is taken in this many batches, between which the lanes of a computation wait. Few of
 # them are long, and long ones are independent of each other, which the standard error needs.
 BATCHES = 32
@@ -34,7 +36,7 @@ def averages(growth: Array, times: Array) -> tuple[Array, Array, Array, Array]:
 def _sums(of: np.ndarray, values: Array) -> Array:
     """The sums of those rows of values (b, k) that are true in a row of `of` (c, b), shape (c, k);
     what is added in none may be infinite. A product of matrices would end a kernel."""
-    return jnp.sum(jnp.where(jnp.asarray(of)[..., None], values, 0), axis=1)
+    return jnp.sum(select(jnp.asarray(of)[..., None], values, 0), axis=1)
 
 
 def _standard_error(growth: Array, times: Array) -> Array:
@@ -45,11 +47,11 @@ def _standard_error(growth: Array, times: Array) -> Array:
     # Batches may differ by a period in length: each is compared with what the mean rate would have
     # grown in its own time.
     lasting = jnp.diff(times, prepend=0.0)
-    finite = jnp.where(growth == -jnp.inf, 0.0, growth)
+    finite = select(growth == -jnp.inf, 0.0, growth)
     mean = jnp.sum(finite, axis=0) / times[-1]
     scatter = jnp.sum((finite - mean * lasting[:, None]) ** 2, axis=0)
     error = jnp.sqrt(scatter * batches / (batches - 1)) / times[-1]
-    return jnp.where(jnp.any(growth == -jnp.inf, axis=0), 0.0, error)
+    return select(jnp.any(growth == -jnp.inf, axis=0), 0.0, error)
 
 
 def _settled(growth: Array, times: Array) -> Array:
@@ -66,7 +68,7 @@ def _settled(growth: Array, times: Array) -> Array:
     # A growth of −inf has no mean: how often it happens is compared instead of how much.
     lost = growth == -jnp.inf
     lasting = jnp.diff(times, prepend=0.0)[:, None]
-    rates = jnp.where(lost, 0.0, growth) / lasting
+    rates = select(lost, 0.0, growth) / lasting
     changes = _changes(rates, 1 / jnp.mean(lasting)) | _changes(lost.astype(growth.dtype), 0.5)
     # NaN in one batch is a lane that failed: nothing is known of its motion.
     return known & ~jnp.any(changes)
@@ -81,7 +83,7 @@ def _changes(values: Array, least: Array | float) -> Array:
     early = np.tri(batches - 1, batches, dtype=bool)  # a row: a split
     early_mean = _sums(early, values) / jnp.asarray(k[:, None], values.dtype)
     late_mean = _sums(~early, values) / jnp.asarray(batches - k[:, None], values.dtype)
-    mean = jnp.where(jnp.asarray(early)[..., None], early_mean[:, None], late_mean[:, None])
+    mean = select(jnp.asarray(early)[..., None], early_mean[:, None], late_mean[:, None])
     # Two means were taken from the batches, which leaves so many degrees of freedom.
     variance = jnp.sum((values - mean) ** 2, axis=1) / (batches - 2)
     weight = jnp.asarray(1 / k + 1 / (batches - k), values.dtype)[:, None]

@@ -10,6 +10,7 @@ from jaxfil.model import check
 from jaxfil.model.clock import Clocks
 from jaxfil.model.system import System, has_resets
 from jaxfil.model.types import Scalar
+from jaxfil.xla.select import select
 
 
 def _halves(x: Array) -> tuple[Array, Array]:
@@ -57,7 +58,7 @@ class _ImpactingDriveResponse(_DriveResponse):
         drive, response = _halves(x)
         m = jnp.size(self.system.switching(t, drive))
         own = surface % m
-        return jnp.where(
+        return select(
             surface < m,
             jnp.concatenate([self.system.reset(t, drive, own), response]),
             jnp.concatenate([drive, self.system.reset(t, response, own)]),

@@ -14,6 +14,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.component_system import ComponentSystem
 from jaxfil.integrate.components import Components, axpy, dot, is_array, where
+from jaxfil.xla.select import select
 
 Frame = tuple[Components, ...] | Array
 """The vectors, or the array of them."""
@@ -93,7 +94,7 @@ def _gram_schmidt_of_array(
         k, v = turn
         rest = outside(done, outside(done, v))  # the second time removes what rounding left
         (unit,), log = _normalised(system, (v,), (rest,), lambda: complement(done), dropped)
-        return jnp.where((rows == k)[:, None], unit, done), log
+        return select((rows == k)[:, None], unit, done), log
 
     done, logs = jax.lax.scan(next_vector, jnp.zeros_like(frame), (rows, frame))
     return done, (logs,)
@@ -110,16 +111,16 @@ def _normalised(
     replacement."""
     length = _norm(rest)
     lost = length <= _LOST * system.eps * _norm(v)
-    length = jnp.where(lost, 1.0, length)
+    length = select(lost, 1.0, length)
     unit = tuple(a / length for a in rest)
-    nothing = jnp.where(dropped, -jnp.inf, jnp.nan)
-    return where(lost, complement(), unit), jnp.where(lost, nothing, jnp.log(length))
+    nothing = select(dropped, -jnp.inf, jnp.nan)
+    return where(lost, complement(), unit), select(lost, nothing, jnp.log(length))
 
 
 def _norm(v: Components) -> Array:
     square = jnp.asarray(dot(v, v))
     zero = square == 0  # the square root has no derivative there
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+    return select(zero, 0.0, jnp.sqrt(select(zero, 1.0, square)))
 
 
 def _complement(system: ComponentSystem, done: list[Components]) -> Components:

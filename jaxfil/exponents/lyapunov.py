@@ -31,6 +31,7 @@ from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.lanes import lanes_of
+from jaxfil.xla.select import select
 
 
 class LyapunovSpectrum(eqx.Module):
@@ -157,7 +158,7 @@ def _spectrum(
         ends = batch_ends(counts[0], batches)
         state, growth = _grown(problem, counts, ends, x0)
         times = ends.astype(x0.dtype) * between.length
-        growth = jnp.where(state.index >= grid.num_steps, growth, jnp.nan)
+        growth = select(state.index >= grid.num_steps, growth, jnp.nan)
         exponents, running, error, settled = averages(growth, times)
         return LyapunovSpectrum(
             exponents=exponents,

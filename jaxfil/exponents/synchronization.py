@@ -34,6 +34,7 @@ from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.lanes import lanes_of
+from jaxfil.xla.select import select
 
 # A distance of fewer eps of the size of the state is rounding: a few bits of it are right.
 _RESOLVED = 64
@@ -137,7 +138,7 @@ def _settle(
         state = integrate(problem, problem.system.unpack(x0))
         # A grid needs a step: without a transient one period is run, and forgotten.
         moved = transient > 0
-        x = jnp.where(moved, pack(state.x, x0.dtype), x0)
+        x = select(moved, pack(state.x, x0.dtype), x0)
         return between, x, RESULTS.where(moved, state.result, RESULTS.successful)
 
     return kernel_if_it_fits(run, compact)(x0)
@@ -149,7 +150,7 @@ def _away(x: Array, part: float) -> tuple[Array, Array]:
     direction = np.random.default_rng(0).normal(size=x.shape[0])
     unit = jnp.asarray(direction / np.linalg.norm(direction), x.dtype)
     norm = jnp.sqrt(jnp.sum(x * x))
-    distance = part * jnp.where(norm > 0, norm, 1.0)
+    distance = part * select(norm > 0, norm, 1.0)
     return x + distance * unit, distance
 
 
@@ -182,8 +183,8 @@ def _threshold(
             after = advance(problem, state)
             left = left - (after.index - state.index)
             due = (left <= 0) & (after.index > state.index)
-            nearest = jnp.where(due, jnp.minimum(nearest, _distance(after.x)), nearest)
-            return after, nearest, jnp.where(due, steps, left)
+            nearest = select(due, jnp.minimum(nearest, _distance(after.x)), nearest)
+            return after, nearest, select(due, steps, left)
 
         begun = initial_state(problem, pair.unpack(z))
         state, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.x), steps))
@@ -191,7 +192,7 @@ def _threshold(
         result = RESULTS.where(met, state.result, finish(grid, state).result)
         result = RESULTS.where(settled == RESULTS.successful, result, settled)
         result = period_outcome(interval.length, result)
-        return jnp.where(result == RESULTS.successful, nearest, jnp.nan), result
+        return select(result == RESULTS.successful, nearest, jnp.nan), result
 
     def told(nearest: Array, results: RESULTS) -> Synchronization:
         met = nearest <= tolerance
@@ -199,7 +200,7 @@ def _threshold(
         # Somewhere in the last step of the grid: its middle is half a step below its end.
         spacing = jnp.diff(couplings)[jnp.argmax(met) - 1] if couplings.shape[0] > 1 else 0.0
         return Synchronization(
-            exponent=jnp.where(jnp.any(met), couplings[jnp.argmax(met)], jnp.nan),
+            exponent=select(jnp.any(met), couplings[jnp.argmax(met)], jnp.nan),
             couplings=couplings,
             distances=nearest,
             synchronized=met,
@@ -305,7 +306,7 @@ def _transverse(
 
         z, result, growth = _parted(problem, z, separation, ends, settled)
         times = ends.astype(x.dtype) * interval.length
-        growth = jnp.where(result == RESULTS.successful, growth, jnp.nan)
+        growth = select(result == RESULTS.successful, growth, jnp.nan)
         # The pull shrinks every distance at the rate of the coupling, which is added back.
         growth = growth + coupling * jnp.diff(times, prepend=0.0)
         exponent, running, error, steady = averages(growth[:, None], times)
@@ -341,8 +342,8 @@ def _parted(
         distance = _distance(state.x)
         # Below this nothing of the distance is known, and a wrong rate would look like any other.
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
-        growth = growth + jnp.where(resolved, jnp.log(distance / separation), jnp.nan)
-        apart = (end[n:] - end[:n]) * (separation / jnp.where(resolved, distance, 1.0))
+        growth = growth + select(resolved, jnp.log(distance / separation), jnp.nan)
+        apart = (end[n:] - end[:n]) * (separation / select(resolved, distance, 1.0))
         return k + 1, jnp.concatenate([end[:n], end[:n] + apart]), growth, state.result
 
     def batch(carry: tuple, stop: Array) -> tuple:

@@ -27,6 +27,7 @@ from jaxfil.integrate.loop import advance
 from jaxfil.integrate.normals import products, project
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState, is_running
+from jaxfil.xla.select import select
 
 
 class Variation(eqx.Module):
@@ -85,7 +86,7 @@ def _push(problem: Problem, variation: Variation) -> Variation:
             switched = state.pending & ~after.pending
             met, moment = (pushed, late) if system.resets else (v, dt)
             pushed = where(switched, _apply_saltation(problem, after, met, moment), pushed)
-            late = jnp.where(after.pending, late, 0.0)
+            late = select(after.pending, late, 0.0)
         return pushed, late
 
     frame, delay = for_each(push, variation.frame, variation.delay)
@@ -131,12 +132,12 @@ def _orthonormalised(
         due, orthonormal, as_it_is, variation.frame, variation.dropped
     )
     growth = tuple(
-        g + jnp.where(due, log, 0.0) for g, log in zip(variation.growth, lengths, strict=True)
+        g + select(due, log, 0.0) for g, log in zip(variation.growth, lengths, strict=True)
     )
     return dataclasses.replace(
         variation,
-        frame=jax.tree.map(lambda q, v: jnp.where(due, q, v), frame, variation.frame),
-        left=jnp.where(due, every, variation.left),
+        frame=jax.tree.map(lambda q, v: select(due, q, v), frame, variation.frame),
+        left=select(due, every, variation.left),
         dropped=variation.dropped & ~due,
         growth=growth,
     )

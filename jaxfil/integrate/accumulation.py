@@ -27,6 +27,7 @@ from jaxfil.integrate.components import Components, where
 from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState, StepEnd, Turn
+from jaxfil.xla.select import select
 
 # A contact that has not come again after so many others is no part of a turn.
 _LONGEST = 16
@@ -75,7 +76,7 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
     done = turn.completed
     upcoming = tuple(done & met for met in turn.met)
     if end.jump is not None:
-        jump, upcoming = jnp.where(done, jump, end.jump), where(done, upcoming, end.next)
+        jump, upcoming = select(done, jump, end.jump), where(done, upcoming, end.next)
     return dataclasses.replace(end, x=where(done, x, end.x), turn=turn, jump=jump, next=upcoming)
 
 
@@ -97,8 +98,8 @@ def _turned(
     time = (end.tau - turn.tau) + stop_gradient(state.rest - turn.rest)
     again = switches & (kind == turn.kind) & (time > 0)
     shrinks = again & (time < turn.length)
-    ratio = jnp.where(shrinks, time, 0) / jnp.where(shrinks, turn.length, 1)
-    left = jnp.where(shrinks, time * ratio / (1 - ratio), jnp.inf)
+    ratio = select(shrinks, time, 0) / select(shrinks, turn.length, 1)
+    left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
     move = tuple(a - b for a, b in zip(end.x, turn.x, strict=True))
     each = zip(end.x, move, turn.move, strict=True)
     limit = tuple(a + _rest_of_series(d, before, ratio) for a, d, before in each)
@@ -113,20 +114,20 @@ def _turned(
     starts = switches & (again | (turn.contacts >= _LONGEST))
     met = tuple(switches & (m | hit) for m, hit in zip(turn.met, state.hit, strict=True))
     now = Turn(
-        kind=jnp.where(starts, kind, turn.kind),
-        tau=jnp.where(starts, end.tau, turn.tau),
-        rest=jnp.where(starts, state.rest, turn.rest),
+        kind=select(starts, kind, turn.kind),
+        tau=select(starts, end.tau, turn.tau),
+        rest=select(starts, state.rest, turn.rest),
         x=where(starts, end.x, turn.x),
-        length=jnp.where(starts, jnp.where(again, time, 0), turn.length),
+        length=select(starts, select(again, time, 0), turn.length),
         move=where(starts, move, turn.move),
-        left=jnp.where(starts, stop_gradient(left), turn.left),
+        left=select(starts, stop_gradient(left), turn.left),
         limit=where(starts, tuple(map(stop_gradient, limit)), turn.limit),
         met=tuple(m & (completed | ~starts) for m in met),
-        late=jnp.where(starts, 0, _lateness(state)),
-        contacts=jnp.where(starts, 0, turn.contacts + 1),
+        late=select(starts, 0, _lateness(state)),
+        contacts=select(starts, 0, turn.contacts + 1),
         completed=completed,
     )
-    return now, jnp.where(completed, left - late, 0), limit
+    return now, select(completed, left - late, 0), limit
 
 
 def _clear(
@@ -136,7 +137,7 @@ def _clear(
     assert state.turn is not None
     clear = jnp.ones((), bool)
     if problem.system.m > 2:
-        t = problem.grid.t0 + end.tau + jnp.where(jnp.isfinite(left), left, 0)
+        t = problem.grid.t0 + end.tau + select(jnp.isfinite(left), left, 0)
         h = problem.system.switching(t, limit)
         for v, s, hit, met in zip(h, end.mode, state.hit, state.turn.met, strict=True):
             clear = clear & (hit | met | (s * v >= 0))
@@ -146,7 +147,7 @@ def _clear(
 def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
     """What is left of a geometric series after two of its terms, their ratio being `most` at most:
     nothing moves more than in proportion to time, but rounding."""
-    ratio = jnp.where(before == 0, 0, now / jnp.where(before == 0, 1, before))
+    ratio = select(before == 0, 0, now / select(before == 0, 1, before))
     ratio = jnp.clip(ratio, -most, most)
     return now * ratio / (1 - ratio)
 
@@ -165,7 +166,7 @@ def _lateness(state: LoopState) -> Array:
     assert state.turn is not None
     late = state.turn.late
     for hit, noise, rate in zip(state.hit, state.noise, state.rate, strict=True):
-        late = jnp.maximum(late, jnp.where(hit & (rate != 0), noise / abs(rate), 0))
+        late = jnp.maximum(late, select(hit & (rate != 0), noise / abs(rate), 0))
     return stop_gradient(late)
 
 

@@ -41,6 +41,7 @@ from jaxfil.integrate.loop import finish, integrate, judge, trial_step
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import FreeStep, LoopState, is_running
 from jaxfil.integrate.stepper import Trial
+from jaxfil.xla.select import select
 
 _BATCH = "batch"
 """The name of the axis along which lanes are counted."""
@@ -115,7 +116,7 @@ def _each_of_the_batch(x0: Components, state: LoopState) -> LoopState:
     """
     first = jnp.ravel(x0[0])[0]
     never = first != first
-    return jax.tree.map(lambda v: jnp.where(never, v, v), state)
+    return jax.tree.map(lambda v: select(never, v, v), state)
 
 
 def _try(problem: Problem, state: LoopState) -> tuple[Length, FreeStep]:

@@ -16,6 +16,7 @@ from jaxfil.integrate.components import Components, any_of, where
 from jaxfil.integrate.problem import Problem, TimeGrid
 from jaxfil.integrate.state import LoopState, StepEnd
 from jaxfil.model.clock import Ticks
+from jaxfil.xla.select import select
 
 
 def is_contact(state: LoopState) -> Array:
@@ -30,7 +31,7 @@ def first_ticks(problem: Problem) -> Ticks:
         passed = stop_gradient((grid.t0 - phase) / period)
         same = grid.same_time(jnp.zeros_like(passed)) / stop_gradient(period)
         up, down = jnp.floor(passed + same) + 1, jnp.ceil(passed - same) - 1
-        ticks.append(jnp.where(grid.direction > 0, up, down))
+        ticks.append(select(grid.direction > 0, up, down))
     return tuple(ticks)
 
 
@@ -45,7 +46,7 @@ def next_tick(problem: Problem, ticks: Ticks) -> Array:
     """The elapsed time of the first of the ticks that come next."""
     first, *others = _taus(problem, ticks)
     for tau in others:
-        first = jnp.where((tau - first) * problem.grid.direction < 0, tau, first)
+        first = select((tau - first) * problem.grid.direction < 0, tau, first)
     return first
 
 
@@ -93,7 +94,7 @@ def _passed(problem: Problem, state: LoopState, ticking: Array, tau: Array) -> T
     after = []
     for k, at in zip(state.ticks, _taus(problem, state.ticks), strict=True):
         here = ticking & ((stop_gradient(at) - tau) * grid.direction <= same)
-        after.append(jnp.where(here, k + grid.direction, k))
+        after.append(select(here, k + grid.direction, k))
     return tuple(after)
 
 
@@ -151,6 +152,6 @@ def _moved(
     for when in at:
         here = abs(stop_gradient(when - tau)) <= same
         delta = when - tau
-        delta = jnp.where(here, delta - stop_gradient(delta), 0.0)
+        delta = select(here, delta - stop_gradient(delta), 0.0)
         moved = [m + delta * (a - b) for m, a, b in zip(moved, before, f, strict=True)]
     return tuple(moved)

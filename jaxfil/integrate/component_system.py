@@ -25,6 +25,7 @@ from jaxfil.integrate.components import Components, Forcing, Normals, pack, scal
 from jaxfil.integrate.structure import Structure
 from jaxfil.model import check
 from jaxfil.model.system import System, has_resets
+from jaxfil.xla.select import select
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 
 # Numbers of a state, and surfaces of a state that is one array, that are components one by one, at
@@ -327,4 +328,4 @@ def _fence(leaves: Any, x0: Array) -> Array:
     numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype]
     firsts = [jnp.ravel(v)[0] for v in jax.lax.stop_gradient(numbers)]
     never = sum(firsts) == jnp.finfo(x0.dtype).max
-    return jnp.where(never, 2.0, 1.0).astype(x0.dtype)
+    return select(never, 2.0, 1.0).astype(x0.dtype)

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.xla.select import select
+
 Components = tuple[Array, ...]
 """The components of a vector: n (state) or m (surface) scalars; of a state of many numbers one
 array of all of them, (n,)."""
@@ -74,7 +76,7 @@ def axpy(x: Components, h: Array, f: Components) -> Components:
 
 def where(condition: Array, a: Components, b: Components) -> Components:
     """Componentwise choice between two vectors."""
-    return tuple(jnp.where(condition, u, v) for u, v in zip(a, b, strict=True))
+    return tuple(select(condition, u, v) for u, v in zip(a, b, strict=True))
 
 
 def least(v: Array) -> Array:

@@ -37,6 +37,7 @@ from jaxfil.integrate.section_values import Sight, WatchedSections, beyond_newto
 from jaxfil.integrate.state import CrossingTable, LoopState, StepEnd, Watch, later
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.second_derivative import add_second_derivative
+from jaxfil.xla.select import select
 
 # Newton's steps before the search goes on by halves, and trial steps at most.
 _NEWTON, _TRIES = 12, 60
@@ -114,7 +115,7 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
     assert watched is not None and watch is not None
     at, motion = (problem.grid.t0 + end.tau, end.x), (end.mode, end.f)
     sight = see(watched, problem.system, at, motion, end.size)
-    here = jnp.where(watch.seeking, watch.length, h)
+    here = select(watch.seeking, watch.length, h)
     found, length, aim = _find(problem, watch, sight, here)
     aimed = any_of(watch.aim)
     looks = watch.seeking & ~aimed
@@ -124,7 +125,7 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
         seeking=jnp.ones_like(found),
         length=length,
         aim=aim,
-        low=jnp.where(length * problem.grid.direction > 0, watch.start, 0.0),
+        low=select(length * problem.grid.direction > 0, watch.start, 0.0),
         high=stop_gradient(here),
         tries=jnp.zeros_like(watch.tries),
     )
@@ -160,7 +161,7 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
 
 
 def _chosen(flag: Array, new: Any, old: Any) -> Any:
-    return jax.tree.map(ft.partial(jnp.where, flag), new, old)
+    return jax.tree.map(ft.partial(select, flag), new, old)
 
 
 def _told(problem: Problem, sight: Sight) -> tuple[Components, Components]:
@@ -185,7 +186,7 @@ def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components
     for side, rate, then, last in each:
         then = stop_gradient(then)
         tells = abs(h * rate) > least * (abs(then) + abs(h * last))
-        sides.append(jnp.where(side == 0, jnp.sign(jnp.where(tells, h * rate, then)), side))
+        sides.append(select(side == 0, jnp.sign(select(tells, h * rate, then)), side))
     return tuple(sides)
 
 
@@ -200,19 +201,19 @@ def _find(
     thetas = []
     for j, wanted in enumerate(_wanted(problem, sides)):
         side, away = sides[j], watch.away[j]
-        g0 = jnp.where(away, side * watch.value[j], 0.0)
+        g0 = select(away, side * watch.value[j], 0.0)
         g1 = side * stop_gradient(sight.value[j])
         ends = g0, side * h * watch.rate[j], g1, side * h * sight.rate[j]
         near = ~(away & stays_off(*ends, noises[j])) & (side != 0)
         find = ft.partial(_first_of_one, wanted=wanted)
         args = (*ends, away, noises[j])
         theta, low = problem.system.where_any(near, find, _nothing, *args)
-        theta = jnp.where(near, jnp.where(watch.owed[j], 0.0, theta), NEVER)
+        theta = select(near, select(watch.owed[j], 0.0, theta), NEVER)
         thetas.append(theta)
         first = jnp.minimum(first, theta)
-        lowest = jnp.minimum(lowest, jnp.where(near, low, NEVER))
+        lowest = jnp.minimum(lowest, select(near, low, NEVER))
     # One look at a time, and none before a crossing that is known.
-    lowest = jnp.where(watch.seeking, NEVER, lowest)
+    lowest = select(watch.seeking, NEVER, lowest)
     crossed = (first < NEVER) & (first <= lowest)
     aim, left = [], crossed
     for theta in thetas:
@@ -230,10 +231,10 @@ def _first_of_one(
     theta, low = first_contact(g0, d0, g1, d1, away, noise)
     over = g1 < -noise
     # Zero at the start and falling: the crossing is there.
-    theta = jnp.where((g0 < -noise) | (~away & (d0 <= 0) & over), 0.0, theta)
+    theta = select((g0 < -noise) | (~away & (d0 <= 0) & over), 0.0, theta)
     # A crossing in the other direction, after which nothing comes, need not be located.
     passed = ~wanted & over
-    return jnp.where(passed, NEVER, theta), jnp.where(passed, NEVER, low)
+    return select(passed, NEVER, theta), select(passed, NEVER, low)
 
 
 def _nothing(g0: Array, *_: Array) -> tuple[Array, Array]:
@@ -252,16 +253,16 @@ def _approach(
     owed, sides = jnp.zeros((), bool), _sides(problem, watch, sight, watch.length - watch.start)
     _, noises = _told(problem, sight)
     for j, aimed in enumerate(watch.aim):
-        g = jnp.where(aimed, sides[j] * sight.value[j], g)
-        rate = jnp.where(aimed, sides[j] * sight.rate[j], rate)
-        rate0 = jnp.where(aimed, sides[j] * watch.rate[j], rate0)
-        noise = jnp.where(aimed, noises[j], noise)
+        g = select(aimed, sides[j] * sight.value[j], g)
+        rate = select(aimed, sides[j] * sight.rate[j], rate)
+        rate0 = select(aimed, sides[j] * watch.rate[j], rate0)
+        noise = select(aimed, noises[j], noise)
         owed = owed | (aimed & watch.owed[j])
     falls = grid.direction * rate < 0
-    delta = jnp.where(falls, -g / jnp.where(falls, rate, 1.0), 0.0)
+    delta = select(falls, -g / select(falls, rate, 1.0), 0.0)
     at, size = watch.length, abs(stop_gradient(delta))
     g = stop_gradient(g)
-    low, high = jnp.where(g > 0, at, watch.low), jnp.where(g < 0, at, watch.high)
+    low, high = select(g > 0, at, watch.low), select(g < 0, at, watch.high)
     newton = at + stop_gradient(delta)
     inside = ((newton - low) * grid.direction >= 0) & ((high - newton) * grid.direction >= 0)
     bend = size * abs(rate - rate0) <= small * abs(rate * (at - watch.start))
@@ -269,13 +270,13 @@ def _approach(
     narrow = abs(high - low) <= grid.same_time(end.tau)
     done = close | (abs(g) <= noise) | narrow | owed | (watch.tries >= _TRIES)
     halved = ~inside | (watch.tries >= _NEWTON)
-    length = jnp.where(halved, 0.5 * (low + high), newton)
+    length = select(halved, 0.5 * (low + high), newton)
     closer = dataclasses.replace(
         watch, side=sides, length=length, low=low, high=high, tries=watch.tries + 1
     )
     # Where S only touches zero, its rate says nothing of the time.
     told = (inside | (size <= small * abs(grid.dt))) & ~owed
-    return closer, jnp.where(told, delta, 0.0), done & watch.seeking & any_of(watch.aim)
+    return closer, select(told, delta, 0.0), done & watch.seeking & any_of(watch.aim)
 
 
 def _crossed(
@@ -292,9 +293,9 @@ def _crossed(
     settled = tuple(a & ~owed for a, owed in zip(watch.aim, watch.owed, strict=True))
     after = dataclasses.replace(
         watch,
-        side=tuple(jnp.where(a, -s, s) for a, s in zip(watch.aim, watch.side, strict=True)),
+        side=tuple(select(a, -s, s) for a, s in zip(watch.aim, watch.side, strict=True)),
         value=tuple(
-            jnp.where(a, zero, stop_gradient(v)) for a, v in zip(settled, sight.value, strict=True)
+            select(a, zero, stop_gradient(v)) for a, v in zip(settled, sight.value, strict=True)
         ),
         rate=sight.rate,
         away=tuple(far & ~a for far, a in zip(away, settled, strict=True)),
@@ -335,7 +336,7 @@ def _moved_on(problem: Problem, watch: Watch, sight: Sight, jumped: Array) -> Wa
     )
     owed = tuple(a & w for a, w in zip(across, _wanted(problem, watch.side), strict=True))
     side = tuple(
-        jnp.where(far & ~due, jnp.sign(v), s)
+        select(far & ~due, jnp.sign(v), s)
         for far, due, v, s in zip(away, owed, value, watch.side, strict=True)
     )
     return dataclasses.replace(
@@ -368,7 +369,7 @@ def follow(
     assert watch is not None
     total, sight = watch.total, seen.sight
     corrected = tuple(
-        jnp.where(lands, stop_gradient(v + delta * r), v)
+        select(lands, stop_gradient(v + delta * r), v)
         for v, r in zip(sight.value, sight.rate, strict=True)
     )
     sight = dataclasses.replace(sight, value=corrected)
@@ -389,8 +390,8 @@ def follow(
     ends = recorded & (result != RESULTS.successful)
     return dataclasses.replace(
         after,
-        tau=jnp.where(ends, seen.tau, after.tau),
-        rest=jnp.where(ends, seen.rest, after.rest),
+        tau=select(ends, seen.tau, after.tau),
+        rest=select(ends, seen.rest, after.rest),
         x=where(ends, seen.x, after.x),
         f=where(ends, end.f, after.f),
         watch=watch,

@@ -24,13 +24,14 @@ from jaxfil.integrate.recording import keep_sample
 from jaxfil.integrate.state import FreeStep, LoopState
 from jaxfil.integrate.step_error import Step, may_be_too_long
 from jaxfil.integrate.stepper import step
+from jaxfil.xla.select import select
 
 
 def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeStep:
     """A trial step on the sides that a lane is on; where it slides, on side +1, which is not where
     it goes."""
     system, grid, h = problem.system, problem.grid, length.h
-    sides = tuple(jnp.where(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in state.mode)
+    sides = tuple(select(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in state.mode)
     start, t = grid.t0 + state.tau, grid.t0 + length.end
     forcing = system.forcing(start, h, problem.tableau.times)
     field = ModeField(system, sides, blended=False)
@@ -71,8 +72,8 @@ def accept_free_step(
     x, one = free.trial.x, clear.astype(jnp.int32)
     after = dataclasses.replace(
         state,
-        tau=jnp.where(clear, length.end, state.tau),
-        rest=jnp.where(clear, 0.0, state.rest),
+        tau=select(clear, length.end, state.tau),
+        rest=select(clear, 0.0, state.rest),
         x=where(clear, x, state.x),
         f=where(clear, free.f, state.f),
         size=where(clear, larger(state.size, x), state.size),

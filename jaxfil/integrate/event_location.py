@@ -38,6 +38,7 @@ from jaxfil.integrate.problem import Problem, TimeGrid
 from jaxfil.integrate.second_order import beyond_newton
 from jaxfil.integrate.state import LoopState, StepEnd
 from jaxfil.xla.second_derivative import add_second_derivative
+from jaxfil.xla.select import select
 
 NEVER = 2.0
 """θ of a contact that does not happen in this step."""
@@ -84,12 +85,11 @@ class Cubic(eqx.Module):
         # one where the second derivative 2a + 6bθ = +2√disc.
         disc = self.disc = a * a - 3 * b * d0
         root = jnp.sqrt(jnp.maximum(disc, 0))
-        sum_ = jnp.where(a >= 0, a + root, a - root)
-        near = -_quotient(d0, sum_)
-        far = -_quotient(sum_, 3 * b)
+        sum_ = select(a >= 0, a + root, a - root)
+        near, far = -_quotient(d0, sum_), -_quotient(sum_, 3 * b)
         exists = disc > 0
-        self.low = jnp.where(exists, jnp.where(a >= 0, near, far), NEVER)
-        self.high = jnp.where(exists, jnp.where(a >= 0, far, near), NEVER)
+        self.low = select(exists, select(a >= 0, near, far), NEVER)
+        self.high = select(exists, select(a >= 0, far, near), NEVER)
 
     def __call__(self, theta: Array) -> Array:
         return self.g0 + theta * (self.d0 + theta * (self.a + theta * self.b))
@@ -104,7 +104,7 @@ class Cubic(eqx.Module):
 def _quotient(a: Array, b: Array) -> Array:
     """a/b, far outside the step where b = 0."""
     zero = b == 0
-    return jnp.where(zero, NEVER, a / jnp.where(zero, 1, b))
+    return select(zero, NEVER, a / select(zero, 1, b))
 
 
 def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
@@ -114,7 +114,7 @@ def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
     1.5 lo (where its rate started at zero too) and 2 lo (a parabola). Two of Halley's iterations
     leave about the cubic's own error; what they leave the next trial step finds.
     """
-    theta = jnp.where(armed, 0.5 * (lo + hi), jnp.minimum(1.75 * lo, hi))
+    theta = select(armed, 0.5 * (lo + hi), jnp.minimum(1.75 * lo, hi))
     for _ in range(2):
         value, slope = cubic(theta), cubic.slope(theta)
         bottom = slope * slope - 0.5 * value * cubic.bend(theta)
@@ -139,13 +139,13 @@ def first_contact(
     contact = dips | ((g1 < -noise) & (armed | (d1 < 0)))
     # The first root lies before the minimum, if that is below zero, and after the maximum: between
     # the two the cubic falls, and Halley's iteration cannot leave for another root.
-    hi = jnp.where(dips, cubic.low, 1.0)
+    hi = select(dips, cubic.low, 1.0)
     rises_first = (cubic.high > 0) & (cubic.high < hi)
-    lo = jnp.where(rises_first, cubic.high, 0.0)
+    lo = select(rises_first, cubic.high, 0.0)
     root = _descending_root(cubic, lo, hi, armed)
     # A surface just left must rise before it can be met again. If the cubic does not show that
     # rise the step is too long for it: look at a quarter.
-    root = jnp.where(armed | rises_first, root, 0.25 * hi)
+    root = select(armed | rises_first, root, 0.25 * hi)
     reach = abs(d0) + abs(d1)
     touches = abs(low_value) <= 4 * noise
     central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
@@ -153,8 +153,8 @@ def first_contact(
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
     # Where squares of guards overflow no contact can be told from none: both are then NaN.
     known = 0 * cubic.disc
-    theta = jnp.where(contact, root, NEVER) + known
-    return theta, jnp.where(look & ~contact, cubic.low, NEVER) + known
+    theta = select(contact, root, NEVER) + known
+    return theta, select(look & ~contact, cubic.low, NEVER) + known
 
 
 def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array:
@@ -167,7 +167,7 @@ def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array
 def _found(g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array) -> Array:
     """`first_contact` as one number."""
     theta, low = first_contact(g0, d0, g1, d1, armed, noise)
-    return jnp.where(theta < NEVER, theta, low + _LOOK)
+    return select(theta < NEVER, theta, low + _LOOK)
 
 
 def _nothing(g0: Array, *_: Array) -> Array:
@@ -207,32 +207,32 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
         # A guard just met has its own rounding; one left long ago may have gathered all of t0 to
         # here, in the state that it is made of.
         fresh = jnp.maximum(end.noise[j], state.noise[j])
-        noise = jnp.where(state.armed[j], jnp.maximum(end.noise[j], end.touch[j]), fresh)
+        noise = select(state.armed[j], jnp.maximum(end.noise[j], end.touch[j]), fresh)
         ends = state.g[j], h * state.rate[j], stop_gradient(end.g[j]), h * end.rate[j]
         met = ~(state.armed[j] & stays_off(*ends, noise))
         number = system.where_any(met, _found, _nothing, *ends, state.armed[j], noise)
-        found.append(jnp.where(brief & ~state.armed[j], NEVER + _LOOK, number))
+        found.append(select(brief & ~state.armed[j], NEVER + _LOOK, number))
     # The earliest counts, whichever surface is listed first; contacts beat minima at the same θ.
     contact = minimum = jnp.asarray(NEVER, h.dtype)
     thetas = []
     for number in system.hold(*found):
         thetas.append(jnp.minimum(number, NEVER))
         contact = jnp.minimum(contact, least(number))
-        dip = jnp.where(number < _LOOK, NEVER, number - _LOOK)
+        dip = select(number < _LOOK, NEVER, number - _LOOK)
         minimum = jnp.minimum(minimum, least(dip))
     # One look at a time: a step that was cut short is taken as it is.
-    minimum = jnp.where(length.cutting, NEVER, minimum)
+    minimum = select(length.cutting, NEVER, minimum)
     singular = jnp.zeros((), bool)
     if system.slides:
         singular, theta = _to_singular_point(problem, state, end, h)
-        minimum = jnp.where(singular, jnp.minimum(minimum, theta), minimum)
+        minimum = select(singular, jnp.minimum(minimum, theta), minimum)
     first = (contact < NEVER) & (contact <= minimum)
     surfaces = tuple(first & (theta <= contact * (1 + _TOGETHER)) for theta in thetas)
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, minimum)
     stalled = (theta < NEVER) & (state.tries >= _STALLED) & (state.tries % 4 == 3)
     run_over = tuple(theta < NEVER for theta in thetas)
-    return Contact(jnp.where(stalled, 0.5 * theta, theta), surfaces, run_over, singular)
+    return Contact(select(stalled, 0.5 * theta, theta), surfaces, run_over, singular)
 
 
 def _to_singular_point(
@@ -249,7 +249,7 @@ def _to_singular_point(
     least = _LAST_LOOK * problem.grid.same_time(end.tau)
     repels, fades = end.num_modes > 1, end.determinant < _FADED * state.determinant
     singular = (repels | fades) & ~state.pending & (abs(h) > least)
-    then = jnp.where(repels, -end.determinant, end.determinant)
+    then = select(repels, -end.determinant, end.determinant)
     known = state.determinant, then, jnp.maximum(_LEAST_NEARER * abs(h), 0.5 * least), abs(h)
     return singular, problem.system.where_any(singular, _nearer, _not_nearer, *known)
 
@@ -310,7 +310,7 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
     late_delta = delta - stop_gradient(delta) + stop_gradient(room)
-    (delta,) = system.hold(jnp.where(late, late_delta, delta))
+    (delta,) = system.hold(select(late, late_delta, delta))
     linear = delta, axpy(end.x, delta, end.f)
     delta, x = add_second_derivative(
         beyond_newton, linear, system, problem.grid.t0 + end.tau, end.x, end.mode, tuple(first)
@@ -326,27 +326,27 @@ def _first_of(
     (inf: there is none) and has no derivative, and which of the surfaces it is of: one."""
     zero = jnp.zeros_like(direction)
     if times[0].ndim:
-        ahead = jnp.where(hits[0], direction * stop_gradient(times[0]), jnp.inf)
+        ahead = select(hits[0], direction * stop_gradient(times[0]), jnp.inf)
         best = jnp.min(ahead)
         number = jnp.arange(len(ahead), dtype=jnp.int32)
         first = (number == jax.lax.argmin(ahead, 0, jnp.int32)) & (best < jnp.inf)
-        return jnp.sum(jnp.where(first, times[0], 0.0)), best, (first,)
+        return jnp.sum(select(first, times[0], 0.0)), best, (first,)
     delta: Any = zero
     best: Any = zero + jnp.inf
     flags: list = []
     for hit, missing in zip(hits, times, strict=True):
         earlier = hit & (direction * stop_gradient(missing) < best)
         flags = [flag & ~earlier for flag in flags] + [earlier]
-        delta = jnp.where(earlier, missing, delta)
-        best = jnp.where(earlier, direction * stop_gradient(missing), best)
+        delta = select(earlier, missing, delta)
+        best = select(earlier, direction * stop_gradient(missing), best)
     return delta, best, tuple(flags)
 
 
 def _time_of(kind: Array, missing: Array) -> Array:
     """δ of a contact: 0 if it is here, with the derivative of its time, and without one if H has
     jumped, at a time that nothing moves."""
-    here = jnp.where(kind == _HERE, missing - stop_gradient(missing), missing)
-    return jnp.where(kind == _JUMPED, 0.0, here)
+    here = select(kind == _HERE, missing - stop_gradient(missing), missing)
+    return select(kind == _JUMPED, 0.0, here)
 
 
 def _kind_of_end(
@@ -358,7 +358,7 @@ def _kind_of_end(
     small = system.eps ** (2 / 3)
     rate, aimed = end.rate[j], length.cutting & state.aim[j]
     falls = direction * rate < 0
-    missing = -end.g[j] / jnp.where(falls, rate, -direction)
+    missing = -end.g[j] / select(falls, rate, -direction)
     size = abs(stop_gradient(missing))
     # g̈ h, from the rates at both ends: what Newton's step leaves out is of the order of δ g̈/ġ.
     bend = direction * (rate - state.rate[j])
@@ -385,8 +385,8 @@ def _kind_of_end(
     # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
     vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.touch[j] * bend)
     touch = state.armed[j] & (abs(g) <= end.touch[j]) & ~sliding & vertex
-    kind = jnp.where(hit, jnp.where(here, _HERE, _HIT), jnp.where(touch, _BRUSHED, _NOTHING))
-    kind = jnp.where(jumped, _JUMPED, kind)
+    kind = select(hit, select(here, _HERE, _HIT), select(touch, _BRUSHED, _NOTHING))
+    kind = select(jumped, _JUMPED, kind)
     return kind.astype(h.dtype), missing
 
 
@@ -395,6 +395,6 @@ def missing_time(grid: TimeGrid, state: LoopState, end: StepEnd) -> Array:
     first: Any = jnp.full_like(end.tau, jnp.inf)
     for aim, g, rate in zip(state.aim, end.g, end.rate, strict=True):
         falls = grid.direction * rate < 0
-        ahead = stop_gradient(g / abs(jnp.where(falls, rate, 1.0)))
-        first = jnp.minimum(first, least(jnp.where(aim & falls & (g > 0), ahead, jnp.inf)))
-    return jnp.where(first < jnp.inf, grid.direction * first, 0.0)
+        ahead = stop_gradient(g / abs(select(falls, rate, 1.0)))
+        first = jnp.minimum(first, least(select(aim & falls & (g > 0), ahead, jnp.inf)))
+    return select(first < jnp.inf, grid.direction * first, 0.0)

@@ -47,6 +47,7 @@ from jaxfil.integrate.sliding_weights import (
     size_of,
     weights,
 )
+from jaxfil.xla.select import select
 
 # Combinations of sides at most that are written out; more are a table. One of five or fewer would
 # take longer to compile.
@@ -177,7 +178,7 @@ def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) ->
     f = free_field(system, t, x, mode)
     _, force = unilateral.held_field(system, t, x, mode, f)
     rests = unilateral.rests_of(mode)
-    return tuple(jnp.where(r, v, g) for r, v, g in zip(rests, force, off, strict=True))
+    return tuple(select(r, v, g) for r, v, g in zip(rests, force, off, strict=True))
 
 
 def free_guard(
@@ -194,9 +195,7 @@ def free_guard(
         return off
     _, rates = corners(system, t, x, forcing=forcing)
     w = weights(mode, rates)
-    return tuple(
-        jnp.where(s == 0, (1 - v) * (1 + v), g) for s, v, g in zip(mode, w, off, strict=True)
-    )
+    return tuple(select(s == 0, (1 - v) * (1 + v), g) for s, v, g in zip(mode, w, off, strict=True))
 
 
 def _admissible(
@@ -221,7 +220,7 @@ def _admissible(
         solved = (abs(rate[j]) <= 64 * eps * scale) & ((scale > 0) | stays)
         slides = (abs(w[j]) <= 1) & solved
         leaves = c * direction * rate[j] > least * scale
-        ok = ok & (~on[j] | jnp.where(c == 0, slides, leaves))
+        ok = ok & (~on[j] | select(c == 0, slides, leaves))
     return ok
 
 
@@ -264,7 +263,7 @@ def _count_of_all(counts: list[Array]) -> Array:
     """The number of admissible modes, given that of each surface; of surfaces that are one array no
     more than 1, 0 and more are told apart."""
     if counts[0].ndim:
-        return jnp.where(jnp.min(counts[0]) > 0, jnp.max(counts[0]), 0)
+        return select(jnp.min(counts[0]) > 0, jnp.max(counts[0]), 0)
     return ft.reduce(jnp.multiply, counts, jnp.ones((), jnp.int32))
 
 
@@ -275,5 +274,5 @@ def _choose_on_one(
     plus, minus = direction * above > 0, direction * below < 0
     slide = (above * below <= 0) & (above != below)
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
-    side = jnp.where(plus, 1.0, jnp.where(minus, -1.0, 0.0)).astype(direction.dtype)
-    return jnp.where(on & (count > 0), side, mode), jnp.where(on, count, 1)
+    side = select(plus, 1.0, select(minus, -1.0, 0.0)).astype(direction.dtype)
+    return select(on & (count > 0), side, mode), select(on, count, 1)

@@ -25,6 +25,7 @@ from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, replace_parameters, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
+from jaxfil.xla.select import select
 
 
 class Fit(eqx.Module):
@@ -226,7 +227,7 @@ class _Model(eqx.Module):
         seen = jax.vmap(self.observe)(self.ts, sol.xs)
         away = jnp.ravel((seen - self.data) / self.sigma)
         # A step to where there is no motion is one after which nothing has fallen.
-        return jnp.where(sol.result == RESULTS.successful, away, jnp.nan), sol.result
+        return select(sol.result == RESULTS.successful, away, jnp.nan), sol.result
 
 
 @eqx.filter_jit
@@ -251,7 +252,7 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
         return found.value, 0.5 * jnp.sum(away**2), found.stats["num_steps"], end
 
     values, costs, counts, results = eqx.filter_vmap(one)(starts)
-    best = jnp.argmin(jnp.where(jnp.isnan(costs), jnp.inf, costs))
+    best = jnp.argmin(select(jnp.isnan(costs), jnp.inf, costs))
     value = values[best]
     slopes, away = jax.jacfwd(lambda v: (model.residuals(v)[0],) * 2, has_aux=True)(value)
     freedom = max(1, away.shape[0] - value.shape[0])
@@ -273,6 +274,6 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
 def _inverse(matrix: Array) -> Array:
     """Of a symmetric matrix whose rows have units; infinite where it is singular."""
     size = jnp.sqrt(jnp.diag(matrix))
-    scale = jnp.where(size > 0, size, 1)
+    scale = select(size > 0, size, 1)
     inverse = jnp.linalg.inv(matrix / scale / scale[:, None]) / scale / scale[:, None]
-    return jnp.where(jnp.isfinite(inverse), inverse, jnp.inf)
+    return select(jnp.isfinite(inverse), inverse, jnp.inf)

@@ -18,6 +18,7 @@ from jaxfil.integrate.components import Components, Forcing, Normals, any_of
 from jaxfil.integrate.normals import sizes
 from jaxfil.integrate.problem import KeptMode, Problem
 from jaxfil.integrate.state import LoopState, Start, StepEnd
+from jaxfil.xla.select import select
 
 _At = TypeVar("_At", Start, StepEnd)
 
@@ -43,7 +44,7 @@ def surface_noise(
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:
     """The largest |x| of late: what rounding it has left fades with the motion, and faster where it
     `turns` through the sides of surfaces."""
-    fade = _FADE if turns is None else jnp.where(turns, _FADE_IN_TURN, _FADE)
+    fade = _FADE if turns is None else select(turns, _FADE_IN_TURN, _FADE)
     each = zip(*stop_gradient((size, x)), strict=True)
     return tuple(jnp.maximum(fade * s, abs(v)) for s, v in each)
 
@@ -79,7 +80,7 @@ def guards(
     )
     # The guard of a slide, 1 - w², is of order one.
     slide = NOISE * system.eps
-    noise = tuple(jnp.where(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
+    noise = tuple(select(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
     if system.resets:
         g, rate, noise = _guards_of_rest(system, t, x, f, mode, (g, rate, noise))
     return system.hold(*g), stop_gradient(system.hold(*rate)), noise
@@ -107,7 +108,7 @@ def _guards_of_rest(
         noise = tuple(stop_gradient(NOISE * system.eps * v) for v in scale)
         each = zip((value, slope, noise), known, strict=True)
         return tuple(
-            tuple(jnp.where(r, a, b) for r, a, b in zip(rests, new, old, strict=True))
+            tuple(select(r, a, b) for r, a, b in zip(rests, new, old, strict=True))
             for new, old in each
         )
 
@@ -118,12 +119,12 @@ def unguarded(kept: KeptMode | None, at: _At) -> _At:
     """What is known at a point, with guards that are far from zero where a lane keeps its mode."""
     if kept is None:
         return at
-    g = tuple(jnp.where(kept.on, 1.0, v) for v in at.g)
-    rate = tuple(jnp.where(kept.on, 0.0, v) for v in at.rate)
+    g = tuple(select(kept.on, 1.0, v) for v in at.g)
+    rate = tuple(select(kept.on, 0.0, v) for v in at.rate)
     determinant = at.determinant
     if determinant is not None:
-        determinant = jnp.where(kept.on, 1.0, determinant)
-    num_modes = jnp.where(kept.on, 1, at.num_modes)
+        determinant = select(kept.on, 1.0, determinant)
+    num_modes = select(kept.on, 1, at.num_modes)
     return dataclasses.replace(at, g=g, rate=rate, num_modes=num_modes, determinant=determinant)
 
 
@@ -142,7 +143,7 @@ def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Comp
         # The rounding of the landing counts until the surface is left, also where the state has
         # become smaller since.
         kept = (hit | ~state.armed[j]) & ~old_slide
-        noise = jnp.maximum(end.noise[j], jnp.where(kept, state.noise[j], 0.0))
+        noise = jnp.maximum(end.noise[j], select(kept, state.noise[j], 0.0))
         away = sliding | (~hit & state.armed[j]) | (end.g[j] > noise)
         # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
         # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
@@ -150,8 +151,8 @@ def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Comp
         if system.resets:
             double = double | end.still[j]
         rising = direction * jnp.maximum(direction * end.rate[j], 0.0)
-        gs.append(jnp.where(away, jnp.maximum(end.g[j], 0.0), 0.0))
-        rates.append(jnp.where(away, end.rate[j], jnp.where(double, 0.0, rising)))
+        gs.append(select(away, jnp.maximum(end.g[j], 0.0), 0.0))
+        rates.append(select(away, end.rate[j], select(double, 0.0, rising)))
         armed.append(away)
         noises.append(noise)
     return tuple(stop_gradient(g) for g in gs), tuple(rates), tuple(armed), tuple(noises)

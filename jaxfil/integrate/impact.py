@@ -27,6 +27,7 @@ from jaxfil.integrate.length import Length
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState
 from jaxfil.integrate.unilateral import Constraints
+from jaxfil.xla.select import select
 
 # Rounding of H, in eps of its terms.
 _NOISE = 64
@@ -206,7 +207,7 @@ def _follow(
     more = any_of(tuple(owed))
     jump, kick = _chattering(problem, state, length, reset, seen, h, touch, rests, more)
     upcoming = tuple(
-        jnp.where(jump > 0, acted, o | (more & hit & ~acted))
+        select(jump > 0, acted, o | (more & hit & ~acted))
         for acted, o, hit in zip(reset.acted, owed, state.hit, strict=True)
     )
     fine = consistent | ~switching
@@ -237,7 +238,7 @@ def _chattering(
     for j, a in enumerate(held):
         away, fall = sides[j] * c.rate[j], -sides[j] * a * (2 - c.gains[j][j])  # 2 − gain = 1 − e
         bounces = reset.acted[j] & c.throws_back[j] & (away > seen.noise[j]) & (fall > 0) & ~more
-        time = 2 * away / jnp.where(bounces, fall, 1)
+        time = 2 * away / select(bounces, fall, 1)
         low = away * away <= 2 * abs(a) * touch[j]
         ends = bounces & (low | (time <= longest)) & (time <= abs(length.room) + same)
         # Bounces that are low for longer are left out: rest begins earlier, by a time that
@@ -248,7 +249,7 @@ def _chattering(
         for i, s in enumerate(sides):  # unless another surface is met before
             ahead = s * (h[i] + time * (c.rate[i] + 0.5 * time * held[i]))
             ends = ends & ((ahead >= -touch[i]) | rests[i] | (i == j))
-        total, found = jnp.where(ends, time, total), found | ends
+        total, found = select(ends, time, total), found | ends
         ending.append(ends)
     # All impacts together take away the rate that is left, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0,
     # with those by which the surfaces that are rested on answer them.
@@ -301,13 +302,13 @@ def begin(
         led = system.switching(t, after)[j]
         terms = dot(tuple(map(abs, normals[j])), size)
         far = stop_gradient(abs(led)) > _NOISE * system.eps * terms
-        side = jnp.where(led < 0, -1.0, 1.0).astype(system.dtype)
+        side = select(led < 0, -1.0, 1.0).astype(system.dtype)
         back = on[j] & ~c.throws_back[j] & far & (direction * side * rates[j] < 0) & ~flat
         owed.append((wall & inward & ~flat) | back)
         still.append(wall & flat)
         known.append(wall | back)
-        start.append(jnp.where(wall, 1.0, jnp.where(back, side, sides[j])).astype(system.dtype))
+        start.append(select(wall, 1.0, select(back, side, sides[j])).astype(system.dtype))
         # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
-        lean.append(jnp.where(a[j] * rates[j] > 0, a[j], jnp.where(flat, rates[j], a[j])))
+        lean.append(select(a[j] * rates[j] > 0, a[j], select(flat, rates[j], a[j])))
     rests, consistent = unilateral.pressed(c.gains, tuple(lean), above, tuple(still))
     return Beginning(tuple(start), tuple(known), tuple(owed), rests, consistent)

@@ -31,6 +31,7 @@ from jaxfil.integrate.recording import empty_saves, empty_table
 from jaxfil.integrate.sliding_weights import Corners, CornerTable, every_side
 from jaxfil.integrate.state import LoopState, Start
 from jaxfil.model.outcomes import RESULTS
+from jaxfil.xla.select import select
 
 # Rounding of a rate at a tangency, in eps of the largest rate there.
 _RATE_NOISE = 64
@@ -43,10 +44,10 @@ def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction:
     scales = [sliding_weights.size_of(rates, j) for j in system.surfaces]
 
     def resolved(j: int, rate: Array, second_: Array, third: Array) -> Array:
-        tiny = jnp.where(scales[j] > 0, system.eps * scales[j], 1.0)
-        sign = jnp.where(second_ != 0, direction * jnp.sign(second_), jnp.sign(third))
+        tiny = select(scales[j] > 0, system.eps * scales[j], 1.0)
+        sign = select(second_ != 0, direction * jnp.sign(second_), jnp.sign(third))
         flat = abs(rate) <= _RATE_NOISE * system.eps * scales[j]
-        return jnp.where(flat, tiny * sign, rate)
+        return select(flat, tiny * sign, rate)
 
     return sliding_weights.map_components(resolved, rates, seconds, thirds)
 
@@ -90,7 +91,7 @@ def _first_mode(
     """The mode at t0, the surfaces the state starts on, those whose reset comes first, the number
     of admissible modes, and the determinant of the weights."""
     system, grid = problem.system, problem.grid
-    sides = tuple(jnp.where(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
+    sides = tuple(select(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
     on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
     # Which mode it is has no derivative.
     rates = _resolved_rates(*stop_gradient((system, grid.t0, x, grid.direction)))
@@ -99,10 +100,10 @@ def _first_mode(
         start = impact.begin(problem, x, on, sides, sliding_weights.first_corner(rates))
         free = tuple(o & ~known for o, known in zip(on, start.known, strict=True))
         mode, count = filippov.choose(system.m, rates, start.sides, free, grid.direction)
-        mode = tuple(jnp.where(r, 2 * s, s) for r, s in zip(start.rests, mode, strict=True))
-        count = jnp.where(start.consistent, count, 0)
+        mode = tuple(select(r, 2 * s, s) for r, s in zip(start.rests, mode, strict=True))
+        count = select(start.consistent, count, 0)
         # In backward time a rest may have begun at any time.
-        count = jnp.where(any_of(start.rests) & (grid.direction < 0), 2, count)
+        count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
         owed = start.owed
     else:
         mode, count = filippov.choose(system.m, rates, sides, on, grid.direction)
@@ -138,9 +139,9 @@ def _start(problem: Problem, x: Components) -> Start:
     g, rate, noise = guards(*known, stop_gradient(system.forcing_at(t)))
     stays = stays_on(system, mode)
     armed = tuple(s | ~on_j for s, on_j in zip(stays, on, strict=True))
-    g = tuple(jnp.where(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
+    g = tuple(select(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
     rate = tuple(
-        jnp.where(a, r, direction * jnp.maximum(direction * r, 0.0))
+        select(a, r, direction * jnp.maximum(direction * r, 0.0))
         for a, r in zip(armed, rate, strict=True)
     )
     start = Start(f, mode, g, rate, armed, noise, owed, count, determinant)
@@ -223,7 +224,7 @@ def _with_rate_of_jvp(primals: tuple, tangents: tuple) -> tuple:
     (_, v), (moved, rate) = primals, tangents
     if not isinstance(moved, SymbolicZero):
         still = jnp.zeros_like(v) if isinstance(rate, SymbolicZero) else rate
-        rate = jnp.where(False, moved, still)
+        rate = select(False, moved, still)
     return v, rate
 
 

@@ -14,6 +14,7 @@ from jaxfil.integrate.clocks import next_tick
 from jaxfil.integrate.phase import steps_in_period
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.state import LoopState
+from jaxfil.xla.select import select
 
 
 class Length(eqx.Module):
@@ -47,14 +48,14 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
         same = grid.same_time(target)
         saving = (state.num_saved < count) & (ahead <= same)
         gridded = ~saving | (ahead >= -same)
-        target = jnp.where(gridded, target, at)
+        target = select(gridded, target, at)
     ticking = None
     if state.ticks is not None:
         tick = next_tick(problem, state.ticks)
         ahead = stop_gradient(tick - target) * grid.direction
         same = grid.same_time(target)
         ticking, before = ahead <= same, ahead < -same
-        target = jnp.where(before, tick, target)
+        target = select(before, tick, target)
         gridded, saving = gridded & ~before, saving & ~before
     full = target - state.tau
     if problem.system.m == 0:
@@ -65,8 +66,8 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     full = full - state.rest
     cutting = (state.cut != 0) & (abs(state.cut) < abs(full)) & ~state.pending
     whole = ~state.pending & ~cutting
-    h = jnp.where(cutting, state.cut, jnp.where(state.pending, 0.0, full))
-    end = jnp.where(whole, target, state.tau + h)
+    h = select(cutting, state.cut, select(state.pending, 0.0, full))
+    end = select(whole, target, state.tau + h)
     length = Length(h, end, full - h, cutting, gridded & whole, saving & whole)
     if ticking is not None:
         length = dataclasses.replace(length, ticking=ticking & whole)
@@ -79,9 +80,9 @@ def _to_crossing(state: LoopState, length: Length) -> Length:
         return length
     seeking, h = state.watch.seeking, state.watch.length
     return Length(
-        h=jnp.where(seeking, h, length.h),
-        end=jnp.where(seeking, state.tau + h, length.end),
-        room=jnp.where(seeking, length.h + length.room - h, length.room),
+        h=select(seeking, h, length.h),
+        end=select(seeking, state.tau + h, length.end),
+        room=select(seeking, length.h + length.room - h, length.room),
         cutting=length.cutting & ~seeking,
         gridded=length.gridded & ~seeking,
         saving=length.saving & ~seeking,

@@ -48,6 +48,7 @@ from jaxfil.integrate.step_error import Step, is_too_long
 from jaxfil.integrate.stepper import Trial, compact_step, step
 from jaxfil.integrate.unilateral import rests_of, sides_of
 from jaxfil.model.outcomes import RESULTS
+from jaxfil.xla.select import select
 
 # This many contacts in a row, each at the time of the last, are an accumulation: more than surfaces
 # that are met together, one after the other, need to settle.
@@ -130,24 +131,24 @@ def judge(
     contact = find_contact(problem, state, end, length)
     # A flight this short cannot be told from the correction that ends it.
     again = abs(end.tau - state.contact_tau) <= 4 * problem.grid.same_time(end.tau)
-    frozen = jnp.where(state.pending, jnp.where(again, state.frozen + 1, 0), state.frozen)
+    frozen = select(state.pending, select(again, state.frozen + 1, 0), state.frozen)
     judgement = _Judgement(
         end=end,
         contact=contact,
         landing=land(problem, state, end, length),
         too_long=_too_long(problem, state, length, trial, end),
-        tries=jnp.where(contact.found, state.tries + 1, 0),
+        tries=select(contact.found, state.tries + 1, 0),
         frozen=frozen,
     )
     action, seen = _action(problem, state, judgement), None
     if problem.watched is not None:
         on = is_running(problem.grid, state)
         lands = (action == _LAND) | (action == _TOUCH)
-        h = length.h + jnp.where(lands, judgement.landing.delta, 0.0)
+        h = length.h + select(lands, judgement.landing.delta, 0.0)
         seen = crossing.look(problem, state, end, h, lands | (action == _ACCEPT))
         seen = dataclasses.replace(seen, seeks=on & seen.seeks)
-        action = jnp.where(seen.seeks, _SEEK, action)
-        action = jnp.where(on & ~all_finite(seen.sight.value), _FAIL, action)
+        action = select(seen.seeks, _SEEK, action)
+        action = select(on & ~all_finite(seen.sight.value), _FAIL, action)
     return _carried_out(problem, state, length, judgement, action, seen)
 
 
@@ -170,9 +171,9 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
         # A step that has run over one surface is not taken because it ends on another.
         pairs = zip(judged.contact.all, judged.landing.surfaces, strict=True)
         landed = landed & ~any_of(tuple(over & ~there for over, there in pairs))
-    action = jnp.where(found, _REJECT, _ACCEPT)
-    action = jnp.where(landed, jnp.where(touched, _TOUCH, _LAND), action)
-    action = jnp.where(state.pending, _SWITCH, action)
+    action = select(found, _REJECT, _ACCEPT)
+    action = select(landed, select(touched, _TOUCH, _LAND), action)
+    action = select(state.pending, _SWITCH, action)
     failures = [~all_finite(end.x, end.f, end.g, (judged.contact.theta,))]
     most = problem.recording.max_events
     full = (
@@ -194,8 +195,8 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     failures.append(frozen | ((end.num_modes == 0) & limit))
     failures.append(judged.too_long & ~state.pending & (landed | ~found))
     for number, failed in reversed(list(enumerate(failures))):
-        action = jnp.where(failed, _FAIL + number, action)
-    action = jnp.where(is_running(problem.grid, state), action, _IDLE)
+        action = select(failed, _FAIL + number, action)
+    action = select(is_running(problem.grid, state), action, _IDLE)
     (action,) = system.hold(action.astype(system.dtype))
     return action
 
@@ -225,10 +226,10 @@ def _carried_out(
 
     g, rate, armed, noise = rearm_guards(problem, state, end)
     landed_noise = where(action == _TOUCH, end.touch, end.noise)
-    h = jnp.where(lands, length.h + landing.delta, jnp.where(moved, length.h, 0.0))
+    h = select(lands, length.h + landing.delta, select(moved, length.h, 0.0))
     pending, hit, settled = lands | (state.pending & ~moved), state.hit, state.settled
     if end.jump is not None:
-        h = h + jnp.where(switched, end.jump, 0.0)
+        h = h + select(switched, end.jump, 0.0)
         pending = pending | (switched & any_of(end.next))
         hit = where(switched, end.next, hit)
         settled = None if settled is None else switched & (end.jump > 0)
@@ -238,8 +239,8 @@ def _carried_out(
     made = switched & clocks.is_contact(state)
     after = dataclasses.replace(
         state,
-        tau=jnp.where(exact, end.tau, tau),
-        rest=jnp.where(exact, 0.0, rest),
+        tau=select(exact, end.tau, tau),
+        rest=select(exact, 0.0, rest),
         x=where(moved, end.x, where(lands, landing.x, state.x)),
         size=where(moved, end.size, state.size),
         f=where(moved, end.f, state.f),
@@ -253,14 +254,14 @@ def _carried_out(
         aim=where(rejected, judged.contact.surfaces, state.aim),
         pending=pending,
         hit=where(lands, landing.surfaces, hit),
-        graze=jnp.where(lands, action == _TOUCH, state.graze),
-        jumped=jnp.where(lands, landing.jumped, state.jumped & ~switched),
+        graze=select(lands, action == _TOUCH, state.graze),
+        jumped=select(lands, landing.jumped, state.jumped & ~switched),
         settled=settled,
         turn=_chosen(switched, end.turn, state.turn),
         index=state.index + gridded.astype(jnp.int32),
-        tries=jnp.where(rejected, state.tries + 1, 0),
-        frozen=jnp.where(switched, judged.frozen, state.frozen),
-        contact_tau=jnp.where(switched, stop_gradient(end.tau), state.contact_tau),
+        tries=select(rejected, state.tries + 1, 0),
+        frozen=select(switched, judged.frozen, state.frozen),
+        contact_tau=select(switched, stop_gradient(end.tau), state.contact_tau),
         num_iterations=state.num_iterations + is_running(grid, state).astype(jnp.int32),
         num_accepted=state.num_accepted + (moved & accepted).astype(jnp.int32),
         num_events=state.num_events + made.astype(jnp.int32),
@@ -277,7 +278,7 @@ def _carried_out(
 
 def _chosen(flag: Array, new: Any, old: Any) -> Any:
     """Choice between two records."""
-    return jax.tree.map(ft.partial(jnp.where, flag), new, old)
+    return jax.tree.map(ft.partial(select, flag), new, old)
 
 
 def _next_cut(
@@ -292,11 +293,11 @@ def _next_cut(
     """The signed length to where a contact is expected after this trial step."""
     least = _LEAST_CUT * grid.same_time(state.tau) * grid.direction
     cut = judged.contact.theta * length.h
-    cut = jnp.where(abs(cut) < abs(least), least, cut)
+    cut = select(abs(cut) < abs(least), least, cut)
     # A step that has ended just short of its contact: Newton says how much is missing.
     missing = missing_time(grid, state, judged.end)
-    ahead = jnp.where(length.cutting & accepted, missing, 0.0)
-    return stop_gradient(jnp.where(rejected, cut, jnp.where(moved, ahead, state.cut)))
+    ahead = select(length.cutting & accepted, missing, 0.0)
+    return stop_gradient(select(rejected, cut, select(moved, ahead, state.cut)))
 
 
 def _accept_smooth(problem: Problem, state: LoopState, length: Length, trial: Trial) -> LoopState:
@@ -318,7 +319,7 @@ def _accept_smooth(problem: Problem, state: LoopState, length: Length, trial: Tr
     ticks, x, f = clocks.tick(problem, state, end, length.ticking, moved)
     after = dataclasses.replace(
         state,
-        tau=jnp.where(moved, end.tau, state.tau),
+        tau=select(moved, end.tau, state.tau),
         x=where(moved, x, state.x),
         f=where(moved, f, state.f),
         ticks=ticks,

@@ -31,6 +31,7 @@ from jaxfil.integrate.normals import project
 from jaxfil.integrate.problem import Problem
 from jaxfil.integrate.sliding_weights import Corners
 from jaxfil.integrate.state import FreeStep, LoopState, StepEnd
+from jaxfil.xla.select import select
 
 # At a graze a rate is told from zero above this multiple of what is left of the motion's own.
 _TANGENT = 64
@@ -71,7 +72,7 @@ def evaluate_step_end(
     touch = surface_noise(system, t, size, h_t, normals)
     moved = jnp.zeros((), bool) if reset is None else reset.moved
     if system.slides:
-        wider = jnp.where(problem.grid.direction < 0, _BACKWARD, 1.0)
+        wider = select(problem.grid.direction < 0, _BACKWARD, 1.0)
         touch = tuple(wider * v for v in touch)
     jumped = _jumped(problem, state, h, touch)
     # Whose H the reset has changed: rounding of one that it has not is no way off its surface.
@@ -94,14 +95,14 @@ def evaluate_step_end(
     f = filippov.blend_fields(system, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (num_modes == 0) & ~all_finite(tuple(jax.tree.leaves(rates)))
-    f = system.hold(*(jnp.where(blind, jnp.nan, v) for v in f))
+    f = system.hold(*(select(blind, jnp.nan, v) for v in f))
     f = with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, noise, forcing)
     if free is not None:
         stays = ~state.pending & ~state.held
         f, g, rate = where(stays, free.f, f), where(stays, free.g, g), where(stays, free.rate, rate)
     on = stays_on(system, mode)
-    touch = tuple(jnp.where(s, v, w) for s, v, w in zip(on, noise, touch, strict=True))
+    touch = tuple(select(s, v, w) for s, v, w in zip(on, noise, touch, strict=True))
     at_end = StepEnd(
         tau=tau,
         x=x,
@@ -131,7 +132,7 @@ def _led_on(state: LoopState, end: StepEnd, reset: impact.Reset, led: Impact) ->
     """The end of a step with what follows from its reset."""
     # Surfaces that wait for their reset are met by another switch.
     members = tuple(
-        jnp.where(reset.moved, acted | (hit & ~more), hit)
+        select(reset.moved, acted | (hit & ~more), hit)
         for acted, hit, more in zip(reset.acted, state.hit, led.next, strict=True)
     )
     x = axpy(end.x, led.jump, end.f)
@@ -242,13 +243,13 @@ def _chosen(
     # turns is on their surfaces, and ends nothing.
     limit = jnp.zeros((), bool) if state.turn is None else state.turn.completed
     leaving = tuple(hit & (s == 0) & ~limit for hit, s in zip(state.hit, state.mode, strict=True))
-    sides = tuple(jnp.where(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
+    sides = tuple(select(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
     if state.ticks is not None:  # a surface that has jumped away from a slide leaves it on its side
         sides = tuple(
-            jnp.where(far, jnp.sign(v), s) for far, v, s in zip(jumped, h, sides, strict=True)
+            select(far, jnp.sign(v), s) for far, v, s in zip(jumped, h, sides, strict=True)
         )
     left = tuple(
-        jnp.where(go & switching, side, s)
+        select(go & switching, side, s)
         for go, side, s in zip(leaving, sides, state.mode, strict=True)
     )
     met = tuple(hit & ~go for hit, go in zip(state.hit, leaving, strict=True))
@@ -256,7 +257,7 @@ def _chosen(
     across = tuple(
         far & on & (s * v < 0) for far, on, s, v in zip(jumped, met, left, h, strict=True)
     )
-    left = tuple(jnp.where(over, -s, s) for over, s in zip(across, left, strict=True))
+    left = tuple(select(over, -s, s) for over, s in zip(across, left, strict=True))
     met = tuple(on & ~over for on, over in zip(met, across, strict=True))
     if led is not None:
         left, met = _left_by_reset(state, left, met, h, carried, led)
@@ -272,18 +273,17 @@ def _chosen(
         slid = (left[j] == 0) if system.slides else jnp.zeros_like(met[j])
         on.append(slid | (decide & (met[j] | close)) | (grazes & met[j]))
     # Where a slide on an intersection ends, another mode begins: rounding must not show both.
-    least = jnp.where(state.pending, 0.0, NOISE * system.eps)
+    least = select(state.pending, 0.0, NOISE * system.eps)
     beside = unilateral.beside(left) if system.resets else left
     chosen, count = _chosen_on(system, rates, beside, tuple(on), grid.direction, least)
-    count = jnp.where(decide, count, jnp.maximum(count, 1))
+    count = select(decide, count, jnp.maximum(count, 1))
     if led is None:
         return where(decide, chosen, left), count
     rests = unilateral.rests_of(left)
     mode = tuple(
-        jnp.where(decide & ~rest, new, old)
-        for rest, new, old in zip(rests, chosen, left, strict=True)
+        select(decide & ~rest, new, old) for rest, new, old in zip(rests, chosen, left, strict=True)
     )
-    return mode, jnp.where(led.consistent, count, 0)
+    return mode, select(led.consistent, count, 0)
 
 
 def _jumped(problem: Problem, state: LoopState, h: Components, touch: Components) -> Components:
@@ -310,12 +310,12 @@ def _left_by_reset(
     each = zip(left, unilateral.sides_of(left), h, carried, impact.at_limit(state), strict=True)
     for j, (s, beside, v, off, limit) in enumerate(each):
         one = jnp.ones_like(s)
-        rested = jnp.where(led.rests[j], 2 * beside, beside)
+        rested = select(led.rests[j], 2 * beside, beside)
         # What ends a rest, and what asks for a reset, leaves to its side.
         ends = (state.hit[j] & (abs(s) == 2) & ~limit) | led.next[j]
-        mode = jnp.where(off & switching, jnp.where(v > 0, one, -one), s)
-        mode = jnp.where((ends | led.pushed[j]) & switching, beside, mode)
-        modes.append(jnp.where(led.still[j], rested, mode))
+        mode = select(off & switching, select(v > 0, one, -one), s)
+        mode = select((ends | led.pushed[j]) & switching, beside, mode)
+        modes.append(select(led.still[j], rested, mode))
         open_.append(met[j] & ~off & ~ends & ~led.still[j])
     return tuple(modes), tuple(open_)
 
@@ -354,6 +354,6 @@ def _rates_at_graze(
 
     def told(j: int, r: Array) -> Array:
         small = grazes & state.hit[j] & (abs(r) <= noise[j])
-        return jnp.where(small, state.mode[j] * direction * noise[j], r)
+        return select(small, state.mode[j] * direction * noise[j], r)
 
     return sliding_weights.map_components(told, rates)

@@ -14,6 +14,7 @@ from jaxtyping import Array
 from jaxfil.integrate import unilateral
 from jaxfil.integrate.component_system import ComponentSystem
 from jaxfil.integrate.components import Components, Normals, any_of, axpy, dot, number
+from jaxfil.xla.select import select
 
 
 def products(system: ComponentSystem, normals: Normals, v: Components) -> Components:
@@ -38,7 +39,7 @@ def project(
     """
     if system.m == 1 or system.structure.members is not None:
         each = zip(h, _squares(system, normals), on, strict=True)
-        away = tuple(jnp.where(o, -v / jnp.where(s == 0, 1, s), 0.0) for v, s, o in each)
+        away = tuple(select(o, -v / select(s == 0, 1, s), 0.0) for v, s, o in each)
         return _moved(system, x, normals, away)
 
     def together(x: Components, h: Components, normals: Normals, on: Components) -> Components:
@@ -74,7 +75,7 @@ def _of_each(system: ComponentSystem, terms: Array) -> Array:
     table = np.zeros((system.m, most), np.int32)
     real = np.arange(most) < np.array([[len(row)] for row in system.structure.members])
     table[real] = np.concatenate(system.structure.members)
-    return jnp.sum(jnp.where(real, terms[table], 0.0), axis=1)
+    return jnp.sum(select(real, terms[table], 0.0), axis=1)
 
 
 def _spread(system: ComponentSystem, shares: Array) -> Array:
@@ -83,4 +84,4 @@ def _spread(system: ComponentSystem, shares: Array) -> Array:
     owner = np.full(system.n, -1, np.int32)
     for j, row in enumerate(system.structure.members):
         owner[list(row)] = j
-    return jnp.where(owner >= 0, shares[np.maximum(owner, 0)], 0.0)
+    return select(owner >= 0, shares[np.maximum(owner, 0)], 0.0)

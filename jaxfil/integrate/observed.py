@@ -24,6 +24,7 @@ from jaxfil.model import check
 from jaxfil.model.clock import Clocks
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System, has_resets
+from jaxfil.xla.select import select
 
 Observe: TypeAlias = Callable[[Array, Array, Array], Any]
 """A function of the time, the state, shape (n,), and the sides, as `System.vector_field` is given
@@ -117,10 +118,10 @@ def observed(
 
     def value(t: Array, x: Array, mode: Array) -> Array:
         reached = jnp.isfinite(t) & jnp.all(jnp.isfinite(x))
-        t, x = jnp.where(reached, t, problem.grid.t0), jnp.where(reached, x, x0)
-        mode = jnp.where(reached, mode.astype(x.dtype), 1.0)
+        t, x = select(reached, t, problem.grid.t0), select(reached, x, x0)
+        mode = select(reached, mode.astype(x.dtype), 1.0)
         here = clocks.just_after(around, t).system
         rate = ModeField(here, here.of_surfaces(mode))(t, here.unpack(jnp.concatenate([x, more])))
-        return jnp.where(reached, pack(rate, x.dtype)[n:], jnp.inf).reshape(observable.shape)
+        return select(reached, pack(rate, x.dtype)[n:], jnp.inf).reshape(observable.shape)
 
     return jax.vmap(value)(at.ts, at.xs, at.modes)

@@ -19,6 +19,7 @@ from jaxfil.integrate.problem import TimeGrid
 from jaxfil.integrate.state import LoopState
 from jaxfil.model import check
 from jaxfil.model.system import System, has_resets
+from jaxfil.xla.select import select
 
 # When the system is looked at, in periods: at both, forces of another period are not zero.
 _PHASES = (0.29, 0.83)
@@ -57,13 +58,13 @@ def next_period(grid: TimeGrid, state: LoopState) -> LoopState:
     period, turn = grid.forcing.length, state.turn
     over = state.index - state.period_start >= grid.forcing.steps
     if turn is not None:
-        turn = dataclasses.replace(turn, tau=jnp.where(over, turn.tau - period, turn.tau))
+        turn = dataclasses.replace(turn, tau=select(over, turn.tau - period, turn.tau))
     return dataclasses.replace(
         state,
-        tau=jnp.where(over, 0.0, state.tau),
-        contact_tau=jnp.where(over, state.contact_tau - period, state.contact_tau),
+        tau=select(over, 0.0, state.tau),
+        contact_tau=select(over, state.contact_tau - period, state.contact_tau),
         turn=turn,
-        period_start=jnp.where(over, state.index, state.period_start),
+        period_start=select(over, state.index, state.period_start),
     )
 
 

@@ -14,6 +14,7 @@ from jaxfil.integrate.components import Components
 from jaxfil.integrate.section_values import WatchedSections
 from jaxfil.integrate.stepper import Tableau
 from jaxfil.model.outcomes import RESULTS
+from jaxfil.xla.select import select
 
 # Times closer than this many eps of their size are one time.
 SAME_TIME = 8
@@ -51,7 +52,7 @@ class TimeGrid(eqx.Module):
     @property
     def direction(self) -> Array:
         """+1 forward in time, −1 backward."""
-        return jnp.where(self.length < 0, -1.0, 1.0).astype(self.dt.dtype)
+        return select(self.length < 0, -1.0, 1.0).astype(self.dt.dtype)
 
     def same_time(self, tau: Array) -> Array:
         """The rounding of times near the elapsed time `tau`."""
@@ -63,7 +64,7 @@ class TimeGrid(eqx.Module):
         """Elapsed time at the end of step number `index` (from 1), counted as elapsed times are."""
         whole = self if self.forcing is None else self.forcing
         count = self.num_steps if self.forcing is None else self.forcing.steps
-        return jnp.where(index >= count, whole.length, index.astype(self.dt.dtype) * self.dt)
+        return select(index >= count, whole.length, index.astype(self.dt.dtype) * self.dt)
 
 
 def even_grid(
@@ -97,13 +98,13 @@ def grid_of_periods(
     clock that starts anew in each if the system `repeats` after it; None: it is not known to. The
     grid is NaN, and a run over it ends at once, where there is no such period: see
     `period_outcome`."""
-    period = jnp.where(_is_no_period(period), jnp.nan, period)
+    period = select(_is_no_period(period), jnp.nan, period)
     num_steps = count * steps
     length, forcing = count.astype(period.dtype) * period, None
     before = jnp.asarray(start, jnp.int32)
     if repeats is not None:
-        whole = jnp.where(repeats, period, length), jnp.where(repeats, steps, num_steps)
-        before, forcing = jnp.where(repeats, 0, before), ForcingPeriod(*whole)
+        whole = select(repeats, period, length), select(repeats, steps, num_steps)
+        before, forcing = select(repeats, 0, before), ForcingPeriod(*whole)
     return TimeGrid(
         t0=before.astype(period.dtype) * period,
         length=length,

@@ -19,6 +19,7 @@ from jaxfil.integrate.problem import Problem, Recording
 from jaxfil.integrate.state import EventTable, LoopState, SavedStates, StepEnd
 from jaxfil.model.outcomes import EventKind
 from jaxfil.xla.masked_write import masked_write
+from jaxfil.xla.select import select
 
 
 def entered(record: Any, i: Array, yes: Array, entry: Any) -> Any:
@@ -71,12 +72,12 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
         left, held = old == 0, new == 0
         if resets:
             left, held = left | (abs(old) == 2), held | (abs(new) == 2)
-        slip = jnp.where(left, EventKind.slip.value, EventKind.crossing.value)
-        change = jnp.where(held, EventKind.stick.value, slip).astype(jnp.int8)
+        slip = select(left, EventKind.slip.value, EventKind.crossing.value)
+        change = select(held, EventKind.stick.value, slip).astype(jnp.int8)
         kind = _where_first(hit & (old != new), change, kind)
     if resets:
         impact = jnp.asarray(EventKind.impact.value, jnp.int8)
-        kind = jnp.where(end.moved, impact, kind)
+        kind = select(end.moved, impact, kind)
     return kind
 
 
@@ -85,8 +86,8 @@ def _where_first(flag: Array, value: Array, otherwise: Array) -> Array:
     is."""
     if flag.ndim:
         here = jnp.arange(len(flag), dtype=jnp.int32) == jax.lax.argmax(flag, 0, jnp.int32)
-        value, flag = jnp.max(jnp.where(here, value, 0)), jnp.any(flag)
-    return jnp.where(flag, value, otherwise)
+        value, flag = jnp.max(select(here, value, 0)), jnp.any(flag)
+    return select(flag, value, otherwise)
 
 
 @jax.custom_jvp
@@ -101,7 +102,7 @@ def _infinite_rate_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     gap, touched = primals
     # Twice the square root of the largest number: no change stays no change, where a product with
     # infinity would be NaN. The barrier keeps the two from being multiplied into one infinity.
-    root = jnp.where(touched, 2 * jnp.sqrt(jnp.finfo(gap.dtype).max), 0.0).astype(gap.dtype)
+    root = select(touched, 2 * jnp.sqrt(jnp.finfo(gap.dtype).max), 0.0).astype(gap.dtype)
     grown = jax.lax.optimization_barrier(tangents[0] * root)
     return jnp.zeros_like(gap), grown * root
 

@@ -15,6 +15,7 @@ from jaxtyping import Array
 from jaxfil.integrate.component_system import ComponentSystem
 from jaxfil.integrate.components import Components, total
 from jaxfil.integrate.filippov import ModeField, guard
+from jaxfil.xla.select import select
 
 
 def beyond_newton(
@@ -25,7 +26,7 @@ def beyond_newton(
 
     def gap(system: ComponentSystem, t: Array, x: Components) -> Any:
         each = zip(met, guard(system, t, x, mode), strict=True)
-        return total(tuple(jnp.where(is_met, g, 0.0) for is_met, g in each))
+        return total(tuple(select(is_met, g, 0.0) for is_met, g in each))
 
     return beyond_newton_to(gap, lambda system: system, system, (t, x), mode)
 
@@ -51,7 +52,7 @@ def beyond_newton_to(
         return along(gap, *at)[1]
 
     g, slope = along(gap, given, *at)
-    slope = jnp.where(slope == 0, 1.0, slope)
+    slope = select(slope == 0, 1.0, slope)
     here = stop_gradient((given, *at))
     _, bend = along(rate, *here)
     f, turn = along(field, *here)

@@ -19,6 +19,7 @@ from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.second_order import beyond_newton_to
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section
+from jaxfil.xla.select import select
 from jaxfil.xla.trace import Traced
 
 
@@ -128,6 +129,6 @@ def beyond_newton(
     def gap(given: tuple[WatchedSections, ComponentSystem], t: Array, x: Components) -> Any:
         watched, system = given
         values = [watched.value(j, system, mode)(t, x) for j in range(len(aim))]
-        return sum(jnp.where(aimed, v, 0.0) for aimed, v in zip(aim, values, strict=True))
+        return sum(select(aimed, v, 0.0) for aimed, v in zip(aim, values, strict=True))
 
     return beyond_newton_to(gap, lambda given: given[1], (watched, system), at, mode)

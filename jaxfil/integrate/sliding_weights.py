@@ -18,6 +18,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.components import Components, where
 from jaxfil.xla import small_linear
+from jaxfil.xla.select import select
 
 
 class CornerTable(eqx.Module):
@@ -94,7 +95,7 @@ def mix(s: Array, w: Array, above: Components, below: Components) -> Components:
     taken as it is, untouched by a NaN of the other."""
     share = 0.5 * (1 + w)
     return tuple(
-        jnp.where(s > 0, a, jnp.where(s < 0, b, b + share * (a - b)))
+        select(s > 0, a, select(s < 0, b, b + share * (a - b)))
         for a, b in zip(above, below, strict=True)
     )
 
@@ -118,7 +119,7 @@ def blend(corners: Corners, mode: Components, weights: Components) -> Components
 
 def _below(s: Array, w: Array) -> Array:
     """The share of side − in the mode s of a surface with weight w."""
-    return jnp.where(s > 0, 0.0, jnp.where(s < 0, 1.0, 0.5 * (1 - w)))
+    return select(s > 0, 0.0, select(s < 0, 1.0, 0.5 * (1 - w)))
 
 
 def _shares(
@@ -132,10 +133,10 @@ def _shares(
             return jnp.asarray(0.5 * (np.eye(m + 1)[0] - np.eye(m + 1)[1 + derivative]), dtype)
         return jnp.concatenate([1 - jnp.sum(below, keepdims=True), below])
     minus = every_side(m) < 0
-    factors = jnp.where(minus, below, 1 - below)
+    factors = select(minus, below, 1 - below)
     if derivative is not None:
         slope = jnp.asarray(0.5 * every_side(m)[:, derivative], dtype)[:, None]
-        factors = jnp.where(np.arange(m) == derivative, slope, factors)
+        factors = select(np.arange(m) == derivative, slope, factors)
     return jnp.prod(factors, axis=1)
 
 
@@ -143,7 +144,7 @@ def _weighted(table: CornerTable, share: Array) -> Components:
     """Σ_s share_s table[s]; what has no share may be no number."""
     shares = [share.reshape(-1, *(1,) * (v.ndim - 1)) for v in table.vectors]
     return tuple(
-        jnp.sum(jnp.where(p == 0, 0.0, p * v), axis=0)
+        jnp.sum(select(p == 0, 0.0, p * v), axis=0)
         for p, v in zip(shares, table.vectors, strict=True)
     )
 
@@ -170,7 +171,7 @@ def _single_weight(s: Array, above: Array, below: Array) -> Array:
     derivative off the surface, where a side may not be a number, and where both are the same."""
     gap = below - above
     zero = gap == 0
-    return jnp.where(s == 0, jnp.where(zero, 0, (below + above) / jnp.where(zero, 1, gap)), s)
+    return select(s == 0, select(zero, 0, (below + above) / select(zero, 1, gap)), s)
 
 
 @_single_weight.defjvp
@@ -178,8 +179,8 @@ def _single_weight_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     (s, above, below), (_, rise, fall) = primals, tangents
     w, gap = _single_weight(s, above, below), below - above
     slides = (s == 0) & (gap != 0)
-    change = (fall + rise - w * (fall - rise)) / jnp.where(slides, gap, 1)
-    return w, jnp.where(slides, change, 0.0)
+    change = (fall + rise - w * (fall - rise)) / select(slides, gap, 1)
+    return w, select(slides, change, 0.0)
 
 
 def weights(mode: Components, rates: Corners) -> Components:
@@ -199,7 +200,7 @@ def determinant(mode: Components, rates: Corners, w: Components) -> Array:
     if not _are_of_one(rates):
         return small_linear.size_of_determinant(_matrix(mode, rates, w))
     each = zip(mode, *rates, strict=True)
-    sizes = [jnp.where(s == 0, 0.5 * abs(below - above), 1) for s, above, below in each]
+    sizes = [select(s == 0, 0.5 * abs(below - above), 1) for s, above, below in each]
     return ft.reduce(jnp.multiply, [v if v.ndim == 0 else jnp.prod(v) for v in sizes])
 
 
@@ -223,7 +224,7 @@ def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, 
     (mode, rates), (_, moved) = primals, tangents
     w = _implicit_weights(mode, rates)
     change = _correction(mode, rates, w, blend(moved, mode, w))
-    return w, tuple(jnp.where(s == 0, -v, 0.0) for s, v in zip(mode, change, strict=True))
+    return w, tuple(select(s == 0, -v, 0.0) for s, v in zip(mode, change, strict=True))
 
 
 def _root_of_two(mode: Components, rates: Any) -> Components:
@@ -240,24 +241,24 @@ def _root_of_two(mode: Components, rates: Any) -> Components:
     for pp, pm, mp, mm in zip(*rates, strict=True):
         row = (pp + pm + mp + mm, pp + pm - mp - mm, pp - pm + mp - mm, pp - pm - mp + mm)
         scale = sum(abs(v) for v in row)
-        terms.append([v / jnp.where(scale == 0, 1, scale) for v in row])
+        terms.append([v / select(scale == 0, 1, scale) for v in row])
     (a1, b1, c1, d1), (a2, b2, c2, d2) = terms
     a, b, c = b2 * d1 - b1 * d2, a2 * d1 + b2 * c1 - a1 * d2 - b1 * c2, a2 * c1 - a1 * c2
     disc = b * b - 4 * a * c
     # One and the same surface, listed twice, leaves nothing but rounding.
     told = abs(disc) > (64 * eps) ** 2
     root = jnp.sqrt(jnp.maximum(disc, 0))
-    w1 = _near(jnp.where(b > 0, -b - root, 2 * c), jnp.where(b > 0, 2 * a, root - b))
+    w1 = _near(select(b > 0, -b - root, 2 * c), select(b > 0, 2 * a, root - b))
     low, high = c1 + d1 * w1, c2 + d2 * w1
     other = abs(high) > abs(low)
-    w2 = _near(-jnp.where(other, a2 + b2 * w1, a1 + b1 * w1), jnp.where(other, high, low))
+    w2 = _near(-select(other, a2 + b2 * w1, a1 + b1 * w1), select(other, high, low))
     both = (mode[0] == 0) & (mode[1] == 0) & told
-    return jnp.where(both, w1, mode[0]), jnp.where(both, w2, mode[1])
+    return select(both, w1, mode[0]), select(both, w2, mode[1])
 
 
 def _near(a: Array, b: Array) -> Array:
     """a/b, and 0 where that is far outside of [−1, 1]: such weights are those of no slide."""
-    return jnp.where(abs(a) < _FAR * abs(b), a / jnp.where(b == 0, 1, b), 0)
+    return select(abs(a) < _FAR * abs(b), a / select(b == 0, 1, b), 0)
 
 
 def _root_of_many(mode: Components, rates: Corners) -> Components:
@@ -279,12 +280,12 @@ def _root_of_many(mode: Components, rates: Corners) -> Components:
         inside = ft.reduce(jnp.maximum, map(abs, better)) <= 1
         attempt = k // _NEWTON
         done = settled & (inside | (attempt == last))
-        k = jnp.where(settled, (attempt + 1) * _NEWTON, k + 1)
+        k = select(settled, (attempt + 1) * _NEWTON, k + 1)
         attempt = k // _NEWTON
         again = (k % _NEWTON == 0) & ~done
-        size = jnp.where(attempt == last, 0.0, _START)
-        corner = [jnp.where(attempt % 2 ** (j + 1) < 2**j, size, -size) for j in range(m)]
-        start = tuple(jnp.where(s == 0, v, s) for s, v in zip(mode, corner, strict=True))
+        size = select(attempt == last, 0.0, _START)
+        corner = [select(attempt % 2 ** (j + 1) < 2**j, size, -size) for j in range(m)]
+        start = tuple(select(s == 0, v, s) for s, v in zip(mode, corner, strict=True))
         return where(again, start, better), ~done, k
 
     start = (mode, jnp.ones((), bool), jnp.zeros((), jnp.int32))
@@ -302,7 +303,7 @@ def _correction(
     mode: Components, rates: Corners, w: Components, residual: Components
 ) -> list[Array]:
     """What Newton's method takes from the weights of the surfaces slid on, given dH/dt."""
-    right = [jnp.where(s == 0, v, 0.0) for s, v in zip(mode, residual, strict=True)]
+    right = [select(s == 0, v, 0.0) for s, v in zip(mode, residual, strict=True)]
     return small_linear.solve_small(_matrix(mode, rates, w), right)
 
 
@@ -311,7 +312,7 @@ def _matrix(mode: Components, rates: Corners, w: Components) -> list[list[Array]
     slopes = [_slope(rates, mode, w, i) for i in range(len(w))]
     matrix = []
     for j, s in enumerate(mode):
-        row = [jnp.where(s == 0, slopes[i][j], float(i == j)) for i in range(len(w))]
+        row = [select(s == 0, slopes[i][j], float(i == j)) for i in range(len(w))]
         matrix.append(row)
     return _least_of_two(mode, matrix) if len(w) == 2 else matrix
 

@@ -26,6 +26,7 @@ from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Dataset, PathLike, Scalar, Times
+from jaxfil.xla.select import select
 
 
 class Events(eqx.Module):
@@ -53,7 +54,7 @@ def events_of(table: EventTable | None) -> Events | None:
     if table is None:
         return None
     first = jnp.argmax(table.members, axis=-1).astype(jnp.int32)
-    surfaces = jnp.where(jnp.any(table.members, axis=-1), first, -1)
+    surfaces = select(jnp.any(table.members, axis=-1), first, -1)
     return Events(table.ts, table.xs, surfaces, table.members, table.kinds, table.modes)
 
 
@@ -173,10 +174,10 @@ def errors(sol: Solution, finer: Solution) -> Float[Array, "k n"]:
     assert sol.xs is not None and finer.xs is not None
     xs = jax.lax.stop_gradient(sol.xs)
     known = jnp.isfinite(xs) & jnp.isfinite(finer.xs)
-    size = jnp.max(jnp.where(known, abs(xs), 0.0), axis=-1, keepdims=True)
+    size = jnp.max(select(known, abs(xs), 0.0), axis=-1, keepdims=True)
     units = jnp.sqrt(finer.stats["num_steps"].astype(xs.dtype))
     rounding = jnp.finfo(xs.dtype).eps * size * units
-    distance = jnp.where(known, abs(xs - finer.xs), jnp.inf)
+    distance = select(known, abs(xs - finer.xs), jnp.inf)
     return jnp.maximum(distance, rounding)
 
 
@@ -213,15 +214,15 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     dtype = dense.xs.dtype
     t = jnp.asarray(t, dtype)
     forward = dense.t1 >= dense.t0
-    sign = jnp.where(forward, 1.0, -1.0).astype(dtype)
-    keys = jnp.where(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
+    sign = select(forward, 1.0, -1.0).astype(dtype)
+    keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
     i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
     system = build(dense.system, dense.xs[i], compact=dense.compact)
     field = ModeField(system, system.of_surfaces(dense.modes[i].astype(dtype)))
     start, x = dense.ts[i], system.unpack(dense.xs[i])
     end = step_again(dense, system, field, start, x, t - start)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
-    return jnp.where(reached, pack(end, dtype), jnp.nan)
+    return select(reached, pack(end, dtype), jnp.nan)
 
 
 def step_again(

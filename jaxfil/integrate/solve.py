@@ -41,6 +41,7 @@ from jaxfil.model.section import Section, Sections, sections_of
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.select import select
 
 # Steps that end this close to the end of the span (in steps) are its last.
 _WHOLE = 1e-6
@@ -245,15 +246,15 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     length = t1 - t0
     valid = dt > resolution(t0, t1)
     valid = valid if options.ts is None else valid & valid_ts(options.ts, t0, t1)
-    dt = jnp.where(valid, jax.lax.stop_gradient(dt), jnp.nan)
+    dt = select(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
     most = min(_MOST, float(jnp.finfo(dt.dtype).max))
     num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, most).astype(jnp.int32)
     ample, budget = iteration_budget(num_steps), options.budget
     iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
     # More steps than an int32 holds are a budget used up at once, never a wrapped number.
-    iterations = jnp.where(steps > most, 0, iterations)
-    return TimeGrid(t0, length, jnp.where(length < 0, -dt, dt), num_steps, iterations)
+    iterations = select(steps > most, 0, iterations)
+    return TimeGrid(t0, length, select(length < 0, -dt, dt), num_steps, iterations)
 
 
 def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -> Solution:
@@ -263,7 +264,7 @@ def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -
     t, x, mode = t0 + state.tau, pack(state.x, problem.system.dtype), mode_codes(state.mode)
     if state.saves is None:
         done = is_good(state.result)
-        ts, xs = jnp.where(done, t, jnp.inf)[None], jnp.where(done, x, jnp.inf)[None]
+        ts, xs = select(done, t, jnp.inf)[None], select(done, x, jnp.inf)[None]
         modes = mode[None]
     else:
         ts, xs, modes = state.saves.ts, state.saves.xs, state.saves.modes

@@ -22,6 +22,7 @@ from jaxfil.integrate.component_system import ComponentSystem
 from jaxfil.integrate.components import Components, any_of, is_array
 from jaxfil.integrate.rosenbrock import RosenbrockTableau
 from jaxfil.integrate.stepper import Tableau, Trial
+from jaxfil.xla.select import select
 
 # Estimated errors of a step up to this part of what it does are left to the user to judge.
 _GROSS = 0.1
@@ -106,7 +107,7 @@ def _reached(
     # A way through all components is n − 1 long.
     first = size, jnp.zeros((), bool)
     size, grows = jax.lax.fori_loop(0, system.n, passed_on, first)
-    return tuple(jnp.where(grows, 0.0, v) for v in size)
+    return tuple(select(grows, 0.0, v) for v in size)
 
 
 def _measure(h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:

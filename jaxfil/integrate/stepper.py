@@ -17,6 +17,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.components import Components, Forcing, SmoothField
 from jaxfil.integrate.rosenbrock import RODAS5P, Rodas5P, RosenbrockTableau, rosenbrock_step
+from jaxfil.xla.select import select
 
 
 class RK4(eqx.Module):
@@ -223,9 +224,9 @@ def compact_step(
         own = [jax.lax.dynamic_index_in_dim(v, k - 1, keepdims=False) for v in forced]
         new = field(t + time * h, inner, own)
         each = zip(new, slopes, strict=True)
-        return tuple(jnp.where(_column(number == k, s), v, s) for v, s in each)
+        return tuple(select(_column(number == k, s), v, s) for v, s in each)
 
-    first = tuple(jnp.where(_column(number == 0, v[None]), v, 0.0) for v in f)
+    first = tuple(select(_column(number == 0, v[None]), v, 0.0) for v in f)
     slopes = jax.lax.fori_loop(1, stages, stage, first)
     b = np.asarray(tableau.b, h.dtype)
     end = tuple(v + h * _weighted(b, s) for v, s in zip(x, slopes, strict=True))

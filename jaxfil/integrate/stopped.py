@@ -15,6 +15,7 @@ from jaxfil.integrate.solution import Solution
 from jaxfil.model.outcomes import RESULTS, code, is_good
 from jaxfil.model.system import System
 from jaxfil.xla.known import is_known
+from jaxfil.xla.select import select
 
 
 def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solution:
@@ -25,7 +26,7 @@ def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solutio
         # Not `RESULTS.error_if`, which takes the largest number of a batch: an empty one has none.
         worst = jnp.zeros((), jnp.int32)
         for number, member in enumerate(members):
-            worst = jnp.where(eqxi.unvmap_any(sol.result == member), number, worst)
+            worst = select(eqxi.unvmap_any(sol.result == member), number, worst)
         return eqxi.branched_error_if(
             sol, ~is_good(sol.result), worst, [RESULTS[m] for m in members]
         )

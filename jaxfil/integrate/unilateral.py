@@ -31,6 +31,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.component_system import ComponentSystem
 from jaxfil.integrate.components import Components, any_of, axpy, dot, where
+from jaxfil.xla.select import select
 from jaxfil.xla.small_linear import solve_small
 
 # Rounding of a rate or of an acceleration, in eps of its terms.
@@ -93,7 +94,7 @@ def _direction(
 ) -> Components:
     """d_j, from the derivative of the reset along y = ∇ψ_j at a state that comes in."""
     size = dot(gradient, gradient)
-    inverse = jnp.where(size > 0, 1 / jnp.where(size > 0, size, 1), 0.0)
+    inverse = select(size > 0, 1 / select(size > 0, size, 1), 0.0)
     # A reset may be written for motions that come in only: its derivative is that at such a state,
     # by so little that nothing else is told of it.
     terms = _terms(gradient, x)
@@ -140,12 +141,12 @@ def multipliers(gains: tuple[Components, ...], a: Components, rests: Components)
     m = len(a)
     matrix = [
         [
-            jnp.where(rests[i] & rests[j] if i != j else rests[i], gains[i][j], float(i == j))
+            select(rests[i] & rests[j] if i != j else rests[i], gains[i][j], float(i == j))
             for j in range(m)
         ]
         for i in range(m)
     ]
-    right = [jnp.where(on, -v, 0.0) for on, v in zip(rests, a, strict=True)]
+    right = [select(on, -v, 0.0) for on, v in zip(rests, a, strict=True)]
     return tuple(solve_small(matrix, right))
 
 
@@ -185,7 +186,7 @@ def reaction_scale(
     sizes = []
     for j, (gradient, row) in enumerate(zip(c.gradients, c.gains, strict=True)):
         terms = _terms(gradient, f)
-        sizes.append(terms / jnp.where(row[j] > 0, row[j], 1))
+        sizes.append(terms / select(row[j] > 0, row[j], 1))
     return tuple(sizes)
 
 
@@ -196,12 +197,12 @@ def rests_of(mode: Components) -> Components:
 
 def beside(mode: Components) -> Components:
     """The mode that does not rest where this one does: ±1 in place of ±2."""
-    return tuple(jnp.where(r, 0.5 * s, s) for r, s in zip(rests_of(mode), mode, strict=True))
+    return tuple(select(r, 0.5 * s, s) for r, s in zip(rests_of(mode), mode, strict=True))
 
 
 def sides_of(mode: Components) -> Components:
     """The sides of a mode, + where it slides: rates of constraints do not depend on that."""
-    return tuple(jnp.where(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in mode)
+    return tuple(select(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in mode)
 
 
 def pressed(

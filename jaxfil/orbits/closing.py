@@ -22,6 +22,7 @@ from jaxfil.orbits.implicit import Equations, SystemOf
 from jaxfil.orbits.newton import Evaluation, Root, Stages, as_it_is, root_of
 from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
 from jaxfil.xla.known import is_known
+from jaxfil.xla.select import select
 
 # An autonomous period below this part of the guess is not looked for.
 _SHORTEST = 1 / 16
@@ -75,7 +76,7 @@ def phase_condition(problem: OrbitProblem, u: Array) -> PhaseCondition | None:
     normal = velocity(problem.setting, problem.options, anchor, q)
     size = jnp.sqrt(normal @ normal)
     # At rest there is no direction; a row of zeros then makes the Jacobian singular, and says so.
-    return PhaseCondition(anchor, normal / jnp.where(size == 0, 1, size), q[0])
+    return PhaseCondition(anchor, normal / select(size == 0, 1, size), q[0])
 
 
 def solve_closing(

@@ -17,6 +17,7 @@ from jaxfil.integrate.components import pack
 from jaxfil.integrate.filippov import ModeField
 from jaxfil.integrate.solution import Dense, step_again
 from jaxfil.orbits.regula_falsi import zero_between
+from jaxfil.xla.select import select
 
 # Steps on which it is located, those with the largest estimates: of two that are as large to the
 # error of a parabola, either may be the one.
@@ -60,16 +61,16 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
         _, values, rates = jax.vmap(lambda h: look(start, h))(jnp.stack([0 * start.h, start.h]))
         # The parabola through both slopes and the value at the start; flat slopes have no peak.
         gap = rates[0] - rates[1]
-        peak = values[0] + 0.5 * rates[0] ** 2 * start.h / jnp.where(gap == 0, 1, gap)
+        peak = values[0] + 0.5 * rates[0] ** 2 * start.h / select(gap == 0, 1, gap)
         inside = (rates[0] > 0) & (rates[1] < 0)
-        return jnp.maximum(jnp.max(values), jnp.where(inside, peak, -jnp.inf)), rates
+        return jnp.maximum(jnp.max(values), select(inside, peak, -jnp.inf)), rates
 
     def locate(start: _Start, rates: Array) -> tuple[Array, Array, Array]:
         """The largest value on one step, its time and state."""
         peak = zero_between(lambda h: look(start, h)[2], 0 * start.h, start.h, *rates)
         # Without a change of sign the search returns any point: the ends are the candidates.
         inside = (rates[0] > 0) & (rates[1] < 0)
-        ends = jnp.stack([0 * start.h, jnp.where(inside, peak, 0), start.h])
+        ends = jnp.stack([0 * start.h, select(inside, peak, 0), start.h])
         xs, values, _ = jax.vmap(lambda h: look(start, h))(ends)
         best = jnp.argmax(values)
         return values[best], start.t + ends[best], xs[best]
@@ -78,14 +79,14 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
     ends = jnp.append(dense.ts[1:], jnp.inf)
     real = jnp.isfinite(ends) & (ends != dense.ts)
     starts = _Start(
-        t=jnp.where(real, dense.ts, dense.ts[0]),
-        x=jnp.where(real[:, None], dense.xs, dense.xs[0]),
+        t=select(real, dense.ts, dense.ts[0]),
+        x=select(real[:, None], dense.xs, dense.xs[0]),
         mode=dense.modes,
-        h=jnp.where(real, ends - dense.ts, 0),
+        h=select(real, ends - dense.ts, 0),
     )
     estimates, rates = jax.vmap(estimate)(starts)
-    _, likely = jax.lax.top_k(jnp.where(real, estimates, -jnp.inf), min(_LOOKED_AT, real.size))
+    _, likely = jax.lax.top_k(select(real, estimates, -jnp.inf), min(_LOOKED_AT, real.size))
     starts, rates = jax.tree.map(lambda v: v[likely], (starts, rates))
     values, ts, xs = jax.vmap(locate)(starts, rates)
-    best = jnp.argmax(jnp.where(real[likely], values, -jnp.inf))
+    best = jnp.argmax(select(real[likely], values, -jnp.inf))
     return Extremum(values[best], ts[best], xs[best], starts.mode[best].astype(dtype))

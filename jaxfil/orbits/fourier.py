@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.types import Scalar
+from jaxfil.xla.select import select
 
 
 class FourierOrbit(eqx.Module):
@@ -80,7 +81,7 @@ def project(phases: Array, values: Array, harmonics: int) -> Array:
     """The coefficients of a series through samples at equally spaced phases."""
     basis = jax.vmap(ft.partial(waves_at, harmonics=harmonics))(phases)
     # The mean of a squared wave is one half, that of the constant one.
-    norm = jnp.where(jnp.arange(2 * harmonics + 1) == 0, 1.0, 2.0).astype(values.dtype)
+    norm = select(jnp.arange(2 * harmonics + 1) == 0, 1.0, 2.0).astype(values.dtype)
     return norm[:, None] * (basis.T @ values) / phases.shape[0]
 
 

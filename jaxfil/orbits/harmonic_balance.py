@@ -32,6 +32,7 @@ from jaxfil.orbits.newton import Evaluation, newton
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.regula_falsi import zero_between
 from jaxfil.xla.known import array_of
+from jaxfil.xla.select import select
 
 # Cells of the grid per harmonic, and points of the Gauss rule in each part of a cell: a product of
 # two highest harmonics, half a turn in a cell, is integrated to 1e-10.
@@ -189,7 +190,7 @@ def _solve(system: System, first: Array, periods: int, newton_steps: Array) -> F
     def evaluate(z: Array) -> Evaluation:
         value, jacobian = _equations(balance, z.reshape(size, n))
         scale = jnp.max(abs(z.reshape(size, n)), axis=0)
-        scale = jnp.tile(jnp.where(scale == 0, 1, scale), size)
+        scale = jnp.tile(select(scale == 0, 1, scale), size)
         fine = jnp.all(jnp.isfinite(value))
         result = RESULTS.where(fine, RESULTS.successful, RESULTS.nonfinite)
         return Evaluation(value, jacobian, 2 * jnp.pi * scale, scale, result, None)
@@ -205,7 +206,7 @@ def _equations(balance: _Balance, c: Array) -> tuple[Array, Array]:
     harmonics = (size - 1) // 2
     basis = jax.vmap(ft.partial(waves_at, harmonics=harmonics))
     # The coefficient of a wave is twice its mean with the function.
-    norm = jnp.where(jnp.arange(size) == 0, 1.0, 2.0).astype(c.dtype)[:, None]
+    norm = select(jnp.arange(size) == 0, 1.0, 2.0).astype(c.dtype)[:, None]
     slope = ft.partial(slope_of, harmonics=harmonics)
 
     # dx/dφ is a series itself and exact; only the force is integrated.
@@ -251,11 +252,11 @@ def _quadrature(balance: _Balance, c: Array) -> tuple[Array, Array, Array, tuple
         # Leibniz: the zero moves by −∇H·δx/(dH/dφ), and the integral by that times the jump.
         rate = jax.jvp(surfaces, (phase,), (jnp.ones_like(phase),))[1][j]
         normal = jax.jacfwd(balance.switching, argnums=1)(phase, x)[j]
-        side = jnp.where(balance.switching(phase, x) > 0, 1.0, -1.0).astype(c.dtype)
-        before = jnp.where(h_before[j] > 0, 1.0, -1.0).astype(c.dtype)
+        side = select(balance.switching(phase, x) > 0, 1.0, -1.0).astype(c.dtype)
+        before = select(h_before[j] > 0, 1.0, -1.0).astype(c.dtype)
         jump = balance.force(phase, x, side.at[j].set(before))
         jump -= balance.force(phase, x, side.at[j].set(-before))
-        return jnp.where(crosses, jump, 0), -normal / jnp.where(rate == 0, 1, rate)
+        return select(crosses, jump, 0), -normal / select(rate == 0, 1, rate)
 
     numbers = jnp.broadcast_to(jnp.arange(m), roots.shape)
     before = jnp.repeat(at_edges[:-1, None], m, axis=1)
@@ -269,13 +270,13 @@ def _cell(
     """Points, weights and sides of a cell cut at the zeros of H, and the zeros."""
     crosses = (h_a > 0) != (h_b > 0)
     zeros = [
-        jnp.where(crosses[j], zero_between(lambda p, j=j: surfaces(p)[j], a, b, h_a[j], h_b[j]), b)
+        select(crosses[j], zero_between(lambda p, j=j: surfaces(p)[j], a, b, h_a[j], h_b[j]), b)
         for j in range(m)
     ]
     # A cut where nothing crosses is the cell's end, and the piece beyond it has no weight.
     cuts = jnp.sort(jnp.stack([a, *zeros, b]))
     middle, half = 0.5 * (cuts[:-1] + cuts[1:]), 0.5 * (cuts[1:] - cuts[:-1])
-    sides = jnp.where(jax.vmap(surfaces)(middle) > 0, 1.0, -1.0).astype(a.dtype)
+    sides = select(jax.vmap(surfaces)(middle) > 0, 1.0, -1.0).astype(a.dtype)
     points = middle[:, None] + half[:, None] * jnp.asarray(_NODES, a.dtype)
     weights = half[:, None] * jnp.asarray(_WEIGHTS, a.dtype)
     sides = jnp.repeat(sides[:, None], _POINTS, axis=1)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float, Int
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 from jaxfil.xla.known import is_known
+from jaxfil.xla.select import select
 
 # Steps are halved down to this part of the full one; then it is taken although nothing falls.
 _SHORTEST = 1 / 32
@@ -52,7 +53,7 @@ class Evaluation(eqx.Module):
     def size(self) -> Array:
         """The largest residual, each in its scale; inf where it is not finite."""
         largest = jnp.max(abs(self.residual) / self.equation_scale)
-        return jnp.where(jnp.isfinite(largest), largest, jnp.inf)
+        return select(jnp.isfinite(largest), largest, jnp.inf)
 
 
 class Stages(eqx.Module):
@@ -135,7 +136,7 @@ def newton(
         state, before = carry
         at = evaluate(state.trial)
         state, accepted = _judge(state, at, -_solve(at.jacobian, at.residual))
-        return state, jax.tree.map(lambda u, v: jnp.where(accepted, u, v), at, before)
+        return state, jax.tree.map(lambda u, v: select(accepted, u, v), at, before)
 
     last, at = jax.lax.while_loop(unfinished, iterate, (_first(z), blank))
     return Root(last.z, at, last.size, last.num_steps, last.result)
@@ -222,7 +223,7 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     floor = ~accepted & (old_length <= eps ** (2 / 3)) & (state.damping == 1)
     # An iteration that goes to and fro across a kink reduces nothing in the long run.
     better = accepted & (at.size < 0.9 * state.least)
-    patience = jnp.where(better, 0, state.patience + accepted.astype(jnp.int32))
+    patience = select(better, 0, state.patience + accepted.astype(jnp.int32))
     # At the guess there is no shorter step to go back to.
     failed = first & ~sound
     singular = accepted & sound & ~solvable & ~converged
@@ -234,13 +235,13 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     result = RESULTS.where(unknown, RESULTS.nonfinite, result)
     result = RESULTS.where(converged | floor, RESULTS.successful, result)
     after = _State(
-        z=jnp.where(accepted, trial, state.z),
-        size=jnp.where(accepted, at.size, state.size),
-        unknown_scale=jnp.where(accepted, at.unknown_scale, state.unknown_scale),
-        step=jnp.where(accepted & solvable, step, state.step),
+        z=select(accepted, trial, state.z),
+        size=select(accepted, at.size, state.size),
+        unknown_scale=select(accepted, at.unknown_scale, state.unknown_scale),
+        step=select(accepted & solvable, step, state.step),
         # Back to the full step soon: the order is two with that alone.
-        damping=jnp.where(accepted, jnp.minimum(1, 4 * state.damping), 0.5 * state.damping),
-        least=jnp.where(accepted, jnp.minimum(at.size, state.least), state.least),
+        damping=select(accepted, jnp.minimum(1, 4 * state.damping), 0.5 * state.damping),
+        least=select(accepted, jnp.minimum(at.size, state.least), state.least),
         patience=patience,
         num_steps=state.num_steps + 1,
         running=~(converged | floor | failed | singular | stalled),
@@ -275,5 +276,5 @@ def _solve(matrix: Array, right: Array) -> Array:
     """x of A x = b, not finite where A is singular to rounding."""
     # Rows of one size, so that pivots are chosen by more than the units of the equations.
     rows = jnp.max(abs(matrix), axis=1, keepdims=True)
-    scaled = matrix / jnp.where(rows == 0, 1, rows)
-    return jnp.linalg.solve(scaled, right / jnp.where(rows == 0, 1, rows)[:, 0])
+    scaled = matrix / select(rows == 0, 1, rows)
+    return jnp.linalg.solve(scaled, right / select(rows == 0, 1, rows)[:, 0])

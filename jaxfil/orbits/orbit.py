@@ -30,6 +30,7 @@ from jaxfil.orbits.shooting import (
     ShootingOptions,
 )
 from jaxfil.xla.known import in_numpy
+from jaxfil.xla.select import select
 
 # An autonomous period below this part of the guess is not looked for.
 _SHORTEST = 1 / 16
@@ -155,8 +156,8 @@ class Orbit(eqx.Module):
 def _multipliers(monodromy: Array) -> Array:
     # Where the orbit was not found there are none; LAPACK must not see a NaN.
     fine = jnp.all(jnp.isfinite(monodromy), axis=(-2, -1))
-    values = jnp.linalg.eigvals(jnp.where(fine[..., None, None], monodromy, 0))
-    return jnp.where(fine[..., None], values, jnp.nan)
+    values = jnp.linalg.eigvals(select(fine[..., None, None], monodromy, 0))
+    return select(fine[..., None], values, jnp.nan)
 
 
 @ft.partial(jax.jit, static_argnames="autonomous")
@@ -166,7 +167,7 @@ def _are_inside(multipliers: Array, autonomous: bool) -> Array:
     if autonomous:
         # It is 1 to the error of the orbit only: the nearest one is taken for it.
         trivial = jnp.argmin(abs(multipliers - 1), axis=-1)[..., None]
-        size = jnp.where(jnp.arange(size.shape[-1]) == trivial, 0, size)
+        size = select(jnp.arange(size.shape[-1]) == trivial, 0, size)
     return jnp.max(size, axis=-1) < 1
 
 

@@ -25,6 +25,7 @@ from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import ShootingOptions, flow_map, starts_from
 from jaxfil.xla.known import array_of, compiled_if_traced
+from jaxfil.xla.select import select
 
 
 def periodic_orbit(
@@ -181,7 +182,7 @@ def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbi
         x0=starts[0],
         period=jnp.asarray(period, z.dtype),
         # Of a shot that ended early there is none.
-        monodromy=jnp.where(shot.result == RESULTS.successful, shot.monodromy, jnp.nan),
+        monodromy=select(shot.result == RESULTS.successful, shot.monodromy, jnp.nan),
         residual=root.size,
         events=shot.events,
         num_events=shot.num_events,

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxfil.xla.select import select
+
 # Evaluations. The Illinois rule is of order 1.44: 12 take an interval from 1 to eps, in both
 # precisions, with two to spare.
 _EVALUATIONS = 14
@@ -24,21 +26,21 @@ def zero_between(
     def narrow(_: Array, state: tuple) -> tuple:
         low, high, at_low, at_high, last = state
         gap = at_high - at_low
-        secant = low - at_low * (high - low) / jnp.where(gap == 0, 1, gap)
+        secant = low - at_low * (high - low) / select(gap == 0, 1, gap)
         middle = jnp.clip(secant, jnp.minimum(low, high), jnp.maximum(low, high))
         value = function(middle)
         left = (value > 0) == (at_low > 0)
         # An end that stays for the second time counts half.
-        kept_low = jnp.where(last < 0, 0.5 * at_low, at_low)
-        kept_high = jnp.where(last > 0, 0.5 * at_high, at_high)
+        kept_low = select(last < 0, 0.5 * at_low, at_low)
+        kept_high = select(last > 0, 0.5 * at_high, at_high)
         return (
-            jnp.where(left, middle, low),
-            jnp.where(left, high, middle),
-            jnp.where(left, value, kept_low),
-            jnp.where(left, kept_high, value),
-            jnp.where(left, 1, -1).astype(jnp.int32),
+            select(left, middle, low),
+            select(left, high, middle),
+            select(left, value, kept_low),
+            select(left, kept_high, value),
+            select(left, 1, -1).astype(jnp.int32),
         )
 
     start = (a, b, at_a, at_b, jnp.zeros((), jnp.int32))
     low, high, at_low, at_high, _ = jax.lax.fori_loop(0, _EVALUATIONS, narrow, start)
-    return jnp.where(abs(at_low) < abs(at_high), low, high)
+    return select(abs(at_low) < abs(at_high), low, high)

@@ -25,6 +25,7 @@ from jaxfil.integrate.stepper import Stepper, tableau_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.select import select
 
 
 class ShootingOptions(eqx.Module):
@@ -125,7 +126,7 @@ def shoot(
         ends=ends,
         by_start=by_start,
         by_global=by_global,
-        size=jnp.where(size == 0, 1, size),
+        size=select(size == 0, 1, size),
         events=_merged(events, options.max_events),
         num_events=jnp.sum(counts, dtype=jnp.int32),
         first_mode=modes[0],
@@ -174,7 +175,7 @@ def flow_map(
         problem = options.problem(system, x, options.t0 + number * length, length, arcs)
         problem = dataclasses.replace(problem, recording=NOTHING)
         state = integrate(problem, problem.system.unpack(x))
-        return jnp.where(state.result == RESULTS.successful, pack(state.x, x.dtype), x)
+        return select(state.result == RESULTS.successful, pack(state.x, x.dtype), x)
 
     return kernel_if_it_fits(forward, options.compact)
 

@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil.xla.select import select
+
 # pi in parts of 33, 33 and 53 bits: a half-integer below 2^20 times one of the first two is exact
 # (Cody and Waite 1980; twice the parts of pi/2 in fdlibm). In parts of 11, 11 and 24 bits for
 # float32: below 2^12.
@@ -79,7 +81,7 @@ def _reduced_sine(x: Array, turns: Array, parity: Array) -> Array:
     pi, sine = (_PI_SINGLE, _SINE[:_SINGLE_TERMS]) if single else (_PI, _SINE)
     r = ((x - turns * pi[0]) - turns * pi[1]) - turns * pi[2]
     if single:  # beyond 1e7, where the parity is lost, nothing is known of r
-        r = jnp.where(abs(turns) < 2.0**22, r, 0 * r)
+        r = select(abs(turns) < 2.0**22, r, 0 * r)
     z = r * r
     r = _negated(r, parity)
     return r + (r * z) * _horner(sine[::-1], z)
@@ -105,9 +107,9 @@ def arctan(x: Array) -> Array:
     size = abs(x)
     # tan 3π/8: beyond it π/2 − arctan(1/x), and above 0.66 π/4 + arctan((x − 1)/(x + 1)).
     far, near = size > 2.414213562373095, size <= 0.66
-    quarters = jnp.where(far, 2.0, jnp.where(near, 0.0, 1.0)).astype(x.dtype)
-    above = jnp.where(far, -1.0, jnp.where(near, size, size - 1.0))
-    below = jnp.where(far, size, jnp.where(near, 1.0, size + 1.0))
+    quarters = select(far, 2.0, select(near, 0.0, 1.0)).astype(x.dtype)
+    above = select(far, -1.0, select(near, size, size - 1.0))
+    below = select(far, size, select(near, 1.0, size + 1.0))
     r = above / below
     z = r * r
     tail = z * _horner(_ARCTAN_P, z) / _horner(_ARCTAN_Q, z)

@@ -24,6 +24,7 @@ from jaxfil.xla.forward_jacobian import plainly, with_derivatives
 from jaxfil.xla.matrix_product import by_sums
 from jaxfil.xla.program import call_of, opened, operations
 from jaxfil.xla.pushforward import Spread, rows_of
+from jaxfil.xla.select import select
 
 _Tree = TypeVar("_Tree")
 
@@ -73,7 +74,7 @@ def _in_memory(values: Sequence[Any]) -> list[Any]:
     number = jax.lax.optimization_barrier(_all_used(values)).astype(jnp.int32)
     never = (number * number) & 3 == 3
     return [
-        jnp.where(never, jnp.zeros_like(v), v) if flag else v
+        select(never, jnp.zeros_like(v), v) if flag else v
         for v, flag in zip(values, large, strict=True)
     ]
 

@@ -22,6 +22,8 @@ from jax.custom_derivatives import SymbolicZero
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
+from jaxfil.xla.select import select
+
 # Operations on one element each that may be infinite, or not a number, or have such a derivative,
 # where their arguments are finite; and others that pass that on to their derivatives.
 _SINGULAR = """
@@ -40,7 +42,7 @@ masked_product_p = jexc.Primitive("masked_product")
 
 
 def _product(a: Any, b: Any) -> Array:
-    return jnp.where((a == 0) | (b == 0), jnp.zeros_like(b), a * b)
+    return select((a == 0) | (b == 0), jnp.zeros_like(b), a * b)
 
 
 def masked_product(a: Any, b: Any) -> Array:

@@ -13,6 +13,7 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array
 
 from jaxfil.xla.kernel import kernel_of_all
+from jaxfil.xla.select import select
 
 
 @jax.custom_jvp
@@ -41,7 +42,7 @@ def _write_jvp(primals: tuple, tangents: tuple) -> tuple:
 def _write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
     def written(rows: Array, row: Array) -> Array:
         old = jax.lax.dynamic_index_in_dim(rows, i, keepdims=False)
-        return jax.lax.dynamic_update_index_in_dim(rows, jnp.where(yes, row, old), i, 0)
+        return jax.lax.dynamic_update_index_in_dim(rows, select(yes, row, old), i, 0)
 
     return jax.tree.map(written, rows, row)
 

@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxfil.xla.select import select
+
 # Unknowns of a system at most that is written out.
 _WRITTEN_OUT = 2
 
@@ -49,7 +51,7 @@ def size_of_determinant(matrix: Sequence[Sequence[Array]]) -> Array:
     size: Any = 1.0
     for pivot, scale in zip(map(abs, pivots), scales, strict=True):
         rounding = pivot <= 64 * jnp.finfo(pivot.dtype).eps
-        size = size * jnp.where(rounding, 0, pivot) * scale
+        size = size * select(rounding, 0, pivot) * scale
     return size
 
 
@@ -57,7 +59,7 @@ def _equilibrated_array(matrix: Sequence[Sequence[Array]], right: Sequence[Array
     """`_equilibrated` of all rows, shape (k, k + 1)."""
     rows = jnp.stack([jnp.stack([*row, b]) for row, b in zip(matrix, right, strict=True)])
     scale = jnp.sum(abs(rows[:, :-1]), axis=1, keepdims=True)
-    return rows / jnp.where(scale == 0, 1, scale)
+    return rows / select(scale == 0, 1, scale)
 
 
 def _reduced(rows: Array) -> tuple[Array, Array]:
@@ -69,16 +71,16 @@ def _reduced(rows: Array) -> tuple[Array, Array]:
 
     def column(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         rows, pivots = carry
-        entries = jnp.sum(jnp.where(columns == i, rows, 0), axis=1)
-        best = jnp.argmax(jnp.where(number >= i, abs(entries), -1))
+        entries = jnp.sum(select(columns == i, rows, 0), axis=1)
+        best = jnp.argmax(select(number >= i, abs(entries), -1))
         here, there = ((number == r)[:, None] for r in (i, best))
-        upper, lower = (jnp.sum(jnp.where(flag, rows, 0), axis=0) for flag in (there, here))
-        pivot = jnp.sum(jnp.where(columns == i, upper, 0))
+        upper, lower = (jnp.sum(select(flag, rows, 0), axis=0) for flag in (there, here))
+        pivot = jnp.sum(select(columns == i, upper, 0))
         upper = _quotient(upper, pivot)
-        rows = jnp.where(there, lower, rows)
-        entries = jnp.sum(jnp.where(columns == i, rows, 0), axis=1)
-        rows = jnp.where(here, upper, rows - entries[:, None] * upper)
-        return rows, jnp.where(number == i, pivot, pivots)
+        rows = select(there, lower, rows)
+        entries = jnp.sum(select(columns == i, rows, 0), axis=1)
+        rows = select(here, upper, rows - entries[:, None] * upper)
+        return rows, select(number == i, pivot, pivots)
 
     rows, pivots = jax.lax.fori_loop(0, k, column, (rows, jnp.zeros_like(rows[:, -1])))
     return rows[:, -1], pivots
@@ -89,8 +91,8 @@ def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
     for i in range(k):
         for r in range(i + 1, k):  # bring the largest pivot up by pairwise swaps
             swap = abs(rows[r][i]) > abs(rows[i][i])
-            upper = [jnp.where(swap, q, p) for p, q in zip(rows[i], rows[r], strict=True)]
-            lower = [jnp.where(swap, p, q) for p, q in zip(rows[i], rows[r], strict=True)]
+            upper = [select(swap, q, p) for p, q in zip(rows[i], rows[r], strict=True)]
+            lower = [select(swap, p, q) for p, q in zip(rows[i], rows[r], strict=True)]
             rows[i], rows[r] = upper, lower
         for r in range(i + 1, k):
             factor = _quotient(rows[r][i], rows[i][i])
@@ -101,7 +103,7 @@ def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
 def _equilibrated(row: Sequence[Array]) -> list[Array]:
     """The row with entries of order one, so that one threshold tells every singular pivot."""
     scale = _scale(row[:-1])
-    return [v / jnp.where(scale == 0, 1, scale) for v in row]
+    return [v / select(scale == 0, 1, scale) for v in row]
 
 
 def _scale(row: Sequence[Array]) -> Array:
@@ -111,7 +113,7 @@ def _scale(row: Sequence[Array]) -> Array:
 def _quotient(a: Array, pivot: Array) -> Array:
     """a/pivot, and 0 where the pivot is nothing but rounding."""
     singular = abs(pivot) <= 64 * jnp.finfo(pivot.dtype).eps
-    return jnp.where(singular, 0, a / jnp.where(singular, 1, pivot))
+    return select(singular, 0, a / select(singular, 1, pivot))
 
 
 class Factors(eqx.Module):

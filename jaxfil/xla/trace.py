@@ -20,6 +20,7 @@ from jaxfil.xla import elements, fast_trig, matrix_product
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
 from jaxfil.xla.moves import by_slices
 from jaxfil.xla.program import interpreted, names, programs
+from jaxfil.xla.select import select
 
 _FLOATS = (jnp.float32, jnp.float64)
 # What stands in for XLA's functions: for one that is wrong, and for those that do not vectorise.
@@ -30,7 +31,7 @@ _FAST = {"sin": fast_trig.sin, "cos": fast_trig.cos, **_RIGHT}
 def _arctan2(y: Array, x: Array) -> Array:
     """The angle of (x, y), x made unknown to the compiler: where it is known to be 1, XLA turns to
     its arctangent, which is wrong (jaxlib 0.10.2)."""
-    return jax.lax.atan2(y, jnp.where(y == y, x, y))
+    return jax.lax.atan2(y, select(y == y, x, y))
 
 
 _SAFE = {"atan2": _arctan2}
