@@ -47,6 +47,7 @@ from jaxfil.integrate.sliding_weights import (
     size_of,
     weights,
 )
+from jaxfil.xla.moves import taken
 from jaxfil.xla.select import select
 
 # Combinations of sides at most that are written out; more are a table. One of five or fewer would
@@ -80,8 +81,12 @@ def _blend_arrays(
     system: ComponentSystem, above: Array, below: Array, mode: Components, weights: Components
 ) -> Components:
     """The same of fields that are arrays. A number that no side enters is that of both fields."""
-    seen = np.array([surfaces[0] if surfaces else 0 for surfaces in system.structure.switched])
-    s, w = (v[0] if system.m == 1 else pack(v, above.dtype)[seen] for v in (mode, weights))
+    if system.m == 1:
+        return mix(mode[0], weights[0], (above,), (below,))
+    # Any surface for a number that no side enters, but in a row with others.
+    switched = enumerate(system.structure.switched)
+    seen = np.array([surfaces[0] if surfaces else i % system.m for i, surfaces in switched])
+    s, w = (taken(pack(v, above.dtype), seen) for v in (mode, weights))
     return mix(s, w, (above,), (below,))
 
 

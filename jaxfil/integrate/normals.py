@@ -14,6 +14,7 @@ from jaxtyping import Array
 from jaxfil.integrate import unilateral
 from jaxfil.integrate.component_system import ComponentSystem
 from jaxfil.integrate.components import Components, Normals, any_of, axpy, dot, number
+from jaxfil.xla.moves import taken
 from jaxfil.xla.select import select
 
 
@@ -75,7 +76,7 @@ def _of_each(system: ComponentSystem, terms: Array) -> Array:
     table = np.zeros((system.m, most), np.int32)
     real = np.arange(most) < np.array([[len(row)] for row in system.structure.members])
     table[real] = np.concatenate(system.structure.members)
-    return jnp.sum(select(real, terms[table], 0.0), axis=1)
+    return jnp.sum(select(real, taken(terms, table), 0.0), axis=1)
 
 
 def _spread(system: ComponentSystem, shares: Array) -> Array:
@@ -84,4 +85,6 @@ def _spread(system: ComponentSystem, shares: Array) -> Array:
     owner = np.full(system.n, -1, np.int32)
     for j, row in enumerate(system.structure.members):
         owner[list(row)] = j
-    return select(owner >= 0, shares[np.maximum(owner, 0)], 0.0)
+    # Any surface for a number of none, but in a row with others.
+    of = np.where(owner < 0, np.arange(system.n) % system.m, owner)
+    return select(owner >= 0, taken(shares, of), 0.0)

@@ -51,6 +51,12 @@ def by_slices(program: Any) -> Any:
     return pruned(jax.make_jaxpr(run)(*shapes))
 
 
+def taken(array: Array, places: np.ndarray) -> Array:
+    """`array[places]` of a vector, by slices where they are few: a gather takes longer to compile
+    than all that is made of it, and none of it is in vectors."""
+    return _put_together([array], np.zeros_like(places), places)
+
+
 def _whole(value: Any) -> np.ndarray | None:
     """The numbers of a value that is known, if they are whole ones."""
     if not is_known(value) or jnp.result_type(value).kind not in "iub":

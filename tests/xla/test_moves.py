@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxfil.xla import fits
-from jaxfil.xla.moves import by_slices
+from jaxfil.xla.moves import by_slices, taken
 from jaxfil.xla.trace import Traced
+from tests.xla.operations import names
 
 X, V = jnp.array([1.0, -2.0, 3.5, 4.0]), jnp.array(2.0)
 TWICE = jnp.array([2, 0, 2])
@@ -105,3 +106,12 @@ def test_a_force_on_one_mass_is_known_to_be_on_that_one():
     traced = Traced(friction, V, tuple(X), V)
     assert traced.depends(False, (False,) * 4, True) == (False, False, False, True)
     assert traced.is_affine(False, (True,) * 4, True)
+
+
+@pytest.mark.parametrize("places", [[0, 1, 2, 3], [2, 3, 0], [[1], [3]], [0] * 40, [1, 1, 2]])
+def test_numbers_at_known_places_are_taken_by_slices(places):
+    places, row = np.array(places), jnp.arange(4.0) ** 2
+    assert_allclose(taken(row, places), row[places], rtol=0)
+    assert_allclose(jax.jacfwd(lambda v: taken(v, places))(row), np.eye(4)[places], rtol=0)
+    found = set(names(jax.make_jaxpr(lambda v: taken(v, places))(row).jaxpr))
+    assert ("gather" in found) == (places.size == 40)
