@@ -7,7 +7,21 @@ import numpy as np
 
 import jaxfil as jf
 from jaxfil import EventKind
+from jaxfil.integrate.stepper import tableau_of
 from jaxfil.model.outcomes import outcome_names
+
+
+DEFAULT = diffrax.Dopri8()
+
+
+def rounding_of_steps(stepper):
+    """The rounding of a run that steps through slopes of some size, in eps of the way it takes:
+    h Σ b_i k_i is rounded by half an eps of its terms, and so are the k_i of Rodas5P, each the
+    difference of a solution and of Σ (γ_ij/γ) k_j."""
+    tableau = tableau_of(stepper)
+    terms = [1 + sum(map(abs, row)) for row in getattr(tableau, "coupling", ())]
+    terms = terms or [1.0] * len(tableau.b)
+    return 0.5 * sum(abs(b) * size for b, size in zip(tableau.b, terms, strict=True))
 
 
 def run(system, x0, t1, dt, ts=None, t0=0.0):
