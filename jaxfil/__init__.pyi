@@ -37,19 +37,11 @@ from .exponents.synchronization import (
     transverse_exponent as transverse_exponent,
 )
 from .files.load import load as load
-from .integrate.average import Average as Average, average as average
-from .integrate.choose_step import choose_step as choose_step
-from .integrate.fit import Fit as Fit, fit as fit
-from .integrate.return_map import Returns as Returns, poincare_map as poincare_map
-from .integrate.rosenbrock import Rodas5P as Rodas5P
-from .integrate.solution import Crossings as Crossings, Events as Events, Solution as Solution
-from .integrate.solve import solve as solve
-from .integrate.step_choice import StepChoice as StepChoice
-from .integrate.stepper import RK4 as RK4
-from .integrate.work_precision import (
-    WorkPrecision as WorkPrecision,
-    work_precision as work_precision,
-)
+from .integrate.run.solution import Crossings as Crossings, Events as Events, Solution as Solution
+from .integrate.run.solve import solve as solve
+from .integrate.run.step_choice import StepChoice as StepChoice
+from .integrate.steppers.explicit import RK4 as RK4
+from .integrate.steppers.rosenbrock import Rodas5P as Rodas5P
 from .model.clock import Clock as Clock
 from .model.outcomes import RESULTS as RESULTS, EventKind as EventKind
 from .model.section import (
@@ -65,6 +57,14 @@ from .orbits.fourier import FourierOrbit as FourierOrbit
 from .orbits.harmonic_balance import harmonic_balance as harmonic_balance
 from .orbits.orbit import Orbit as Orbit
 from .orbits.periodic_orbit import periodic_orbit as periodic_orbit
+from .studies.average import Average as Average, average as average
+from .studies.choose_step import choose_step as choose_step
+from .studies.fit import Fit as Fit, fit as fit
+from .studies.return_map import Returns as Returns, poincare_map as poincare_map
+from .studies.work_precision import (
+    WorkPrecision as WorkPrecision,
+    work_precision as work_precision,
+)
 from .sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
 from .sweep.diagram import BifurcationDiagram as BifurcationDiagram
 from .sweep.sweep import bifurcation_diagram as bifurcation_diagram

@@ -46,10 +46,10 @@ gc.set_threshold(100_000, 50, 50)
 _OPTIMIZED = (
     "sweep",
     "xla",
-    "integrate/test_batch_loop.py",
-    "integrate/test_compact.py",
-    "integrate/test_kept_mode.py",
-    "integrate/test_pay_for_use.py",
+    "integrate/loop/test_batch_loop.py",
+    "integrate/loop/test_kept_mode.py",
+    "integrate/system/test_compact.py",
+    "integrate/system/test_pay_for_use.py",
 )
 _CHOSEN = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS")
 # Of each small kernel XLA's CPU backend makes a program of MLIR, with a compiler of its own that

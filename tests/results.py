@@ -7,9 +7,8 @@ import numpy as np
 
 import jaxfil as jf
 from jaxfil import EventKind
-from jaxfil.integrate.stepper import tableau_of
+from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.model.outcomes import outcome_names
-
 
 DEFAULT = diffrax.Dopri8()
 

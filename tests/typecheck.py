@@ -18,8 +18,8 @@ DOORS = (
     "jaxfil.plot",
     "jaxfil.systems",
     "jaxfil.exponents.intervals",
-    "jaxfil.integrate.options",
-    "jaxfil.integrate.stepper",
+    "jaxfil.integrate.run.options",
+    "jaxfil.integrate.steppers.explicit",
     "jaxfil.sweep.diagram",
     "jaxfil.sweep.parameter_grid",
 )

@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, conditions
-from jaxfil.integrate import component_system, components, filippov, sliding_weights
-from jaxfil.integrate.solution import switches
+from jaxfil.integrate.run.solution import switches
+from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
+from jaxfil.integrate.system import components, lowered
 from jaxfil.model.outcomes import is_successful
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
@@ -182,7 +183,7 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
     """The guard of surface j and the sliding weight at many points of a flight."""
 
     def one(t: Array, x: Array) -> tuple[Array, Array]:
-        on_components = component_system.build(system, x, compact=True)
+        on_components = lowered.build(system, x, compact=True)
         blocks, modes = on_components.unpack(x), on_components.of_surfaces(mode)
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:

@@ -24,12 +24,12 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxfil.integrate import filippov
-from jaxfil.integrate.component_system import ComponentSystem, build
-from jaxfil.integrate.components import pack
-from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.problem import NOTHING, KeptMode, Problem, even_grid
-from jaxfil.integrate.stepper import tableau_of
+from jaxfil.integrate.lane.problem import NOTHING, KeptMode, Problem, even_grid
+from jaxfil.integrate.loop.iterate import integrate
+from jaxfil.integrate.steppers.explicit import tableau_of
+from jaxfil.integrate.surfaces import filippov
+from jaxfil.integrate.system.components import pack
+from jaxfil.integrate.system.lowered import ComponentSystem, build
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.orbits.shooting import ShootingOptions

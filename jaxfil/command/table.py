@@ -7,9 +7,9 @@ import diffrax
 import jax.numpy as jnp
 
 from jaxfil.command.textbook import state, text
-from jaxfil.integrate.rosenbrock import Rodas5P
-from jaxfil.integrate.stepper import RK4
-from jaxfil.integrate.work_precision import WorkPrecision, work_precision
+from jaxfil.integrate.steppers.explicit import RK4
+from jaxfil.integrate.steppers.rosenbrock import Rodas5P
+from jaxfil.studies.work_precision import WorkPrecision, work_precision
 from jaxfil.sweep.interrupt import Interrupts
 from jaxfil.systems import TEXTBOOK
 

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.component_system import ComponentSystem
-from jaxfil.integrate.components import Components, axpy, dot, is_array, where
+from jaxfil.integrate.system.components import Components, axpy, dot, is_array, where
+from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
 Frame = tuple[Components, ...] | Array

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
-from jaxfil.integrate.phase import repeats
-from jaxfil.integrate.problem import TimeGrid, grid_of_periods
+from jaxfil.integrate.lane.forcing_phase import repeats
+from jaxfil.integrate.lane.problem import TimeGrid, grid_of_periods
 from jaxfil.model import check
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar

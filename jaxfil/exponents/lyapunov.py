@@ -14,15 +14,15 @@ from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.card import average_card
 from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
 from jaxfil.exponents.variational import Variation, propagate, vary
-from jaxfil.integrate.compact import is_compact_sweep
-from jaxfil.integrate.component_system import build
-from jaxfil.integrate.components import pack
-from jaxfil.integrate.initial_mode import initial_state
-from jaxfil.integrate.loop import advance, finish
-from jaxfil.integrate.problem import NOTHING, Problem, period_outcome
-from jaxfil.integrate.state import LoopState, is_running
-from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
-from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.lane.problem import NOTHING, Problem, period_outcome
+from jaxfil.integrate.lane.state import LoopState, is_running
+from jaxfil.integrate.loop.iterate import advance, finish
+from jaxfil.integrate.loop.start import initial_state
+from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
+from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.system.components import pack
+from jaxfil.integrate.system.grade import is_compact_sweep
+from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS

@@ -19,14 +19,14 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.exponents.frame import Frame, for_each, generic_frame, gram_schmidt, zeros
-from jaxfil.integrate import filippov
-from jaxfil.integrate.component_system import ComponentSystem
-from jaxfil.integrate.components import Components, axpy, where
-from jaxfil.integrate.guards import stays_on
-from jaxfil.integrate.loop import advance
-from jaxfil.integrate.normals import products, project
-from jaxfil.integrate.problem import Problem
-from jaxfil.integrate.state import LoopState, is_running
+from jaxfil.integrate.contacts.guards import stays_on
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import LoopState, is_running
+from jaxfil.integrate.loop.iterate import advance
+from jaxfil.integrate.surfaces import filippov
+from jaxfil.integrate.surfaces.normals import products, project
+from jaxfil.integrate.system.components import Components, axpy, where
+from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
 

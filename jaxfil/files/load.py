@@ -12,7 +12,7 @@ from jaxfil.files.basins import basins_from
 from jaxfil.files.diagram import diagram_from
 from jaxfil.files.orbit import branch_from, orbit_from
 from jaxfil.files.solution import solution_from
-from jaxfil.integrate.solution import Solution
+from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import dataset_io
 from jaxfil.model.dataset import TYPE
 from jaxfil.model.dataset_io import NamedArrays

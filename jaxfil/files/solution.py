@@ -6,10 +6,10 @@ Named arrays enter, and the system that a dense solution goes on with; the solut
 import diffrax
 import numpy as np
 
-from jaxfil.integrate.rosenbrock import Rodas5P
-from jaxfil.integrate.solution import Crossings, Dense, Events, Solution
-from jaxfil.integrate.solution_arrays import CROSSINGS, DENSE, EVENTS, SOLUTION, STATS, TAKEN
-from jaxfil.integrate.stepper import RK4, Stepper, checked_stepper
+from jaxfil.integrate.run.dataset import CROSSINGS, DENSE, EVENTS, SOLUTION, STATS, TAKEN
+from jaxfil.integrate.run.solution import Crossings, Dense, Events, Solution
+from jaxfil.integrate.steppers.explicit import RK4, Stepper, checked_stepper
+from jaxfil.integrate.steppers.rosenbrock import Rodas5P
 from jaxfil.model.dataset import (
     fields_from,
     labels_from,

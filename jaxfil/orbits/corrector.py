@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.solution import Events, switches
+from jaxfil.integrate.run.solution import Events, switches
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.orbits.closing import OrbitProblem, phase_condition, solve_closing
 from jaxfil.orbits.curve import ArclengthConstraint, CurvePoint, tangent_of

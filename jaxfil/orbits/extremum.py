@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate.component_system import build
-from jaxfil.integrate.components import pack
-from jaxfil.integrate.filippov import ModeField
-from jaxfil.integrate.solution import Dense, step_again
+from jaxfil.integrate.run.solution import Dense, step_again
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.system.components import pack
+from jaxfil.integrate.system.lowered import build
 from jaxfil.orbits.regula_falsi import zero_between
 from jaxfil.xla.select import select
 

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxfil.integrate.problem import period_outcome
+from jaxfil.integrate.lane.problem import period_outcome
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast

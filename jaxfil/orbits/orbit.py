@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
-from jaxfil.integrate.options import enough_iterations
-from jaxfil.integrate.solution import Dense, Events, Solution
-from jaxfil.integrate.solve import solve
+from jaxfil.integrate.run.options import enough_iterations
+from jaxfil.integrate.run.solution import Dense, Events, Solution
+from jaxfil.integrate.run.solve import solve
 from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_attribute

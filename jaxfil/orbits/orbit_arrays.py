@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxfil.integrate.solution_arrays import EVENTS, batch_dims, event_variables
-from jaxfil.integrate.stepper import tableau_of
+from jaxfil.integrate.run.dataset import EVENTS, batch_dims, event_variables
+from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.model.dataset import (
     Fields,
     component_coordinates,

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.compact import is_compact_run
-from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
-from jaxfil.integrate.stepper import Stepper, checked_stepper
+from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
+from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
+from jaxfil.integrate.system.grade import is_compact_run
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast

@@ -15,13 +15,13 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxfil.integrate.component_system import build
-from jaxfil.integrate.components import pack
-from jaxfil.integrate.initial_mode import initial_state
-from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.problem import NOTHING, Problem, Recording, even_grid, period_outcome
-from jaxfil.integrate.solution import Events, events_of
-from jaxfil.integrate.stepper import Stepper, tableau_of
+from jaxfil.integrate.lane.problem import NOTHING, Problem, Recording, even_grid, period_outcome
+from jaxfil.integrate.loop.iterate import integrate
+from jaxfil.integrate.loop.start import initial_state
+from jaxfil.integrate.run.solution import Events, events_of
+from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
+from jaxfil.integrate.system.components import pack
+from jaxfil.integrate.system.lowered import build
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.xla.kernel import kernel_if_it_fits

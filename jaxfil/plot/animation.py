@@ -11,7 +11,7 @@ from matplotlib.animation import FuncAnimation
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
-from jaxfil.integrate.solution import Solution
+from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System

@@ -18,10 +18,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
-from jaxfil.integrate.solution import Solution
-from jaxfil.integrate.solve import solve
-from jaxfil.integrate.step_choice import StepChoice
-from jaxfil.integrate.stepper import Stepper
+from jaxfil.integrate.run.solution import Solution
+from jaxfil.integrate.run.solve import solve
+from jaxfil.integrate.run.step_choice import StepChoice
+from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import is_good, outcome_names

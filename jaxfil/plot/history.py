@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
-from jaxfil.integrate.solution import Solution
+from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.outcomes import EventKind

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from jaxfil.integrate.solution import Solution
+from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
 from jaxfil.plot.canvas import color_bar, own_axes
 from jaxfil.plot.path import chosen, one_lane, path

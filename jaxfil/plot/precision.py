@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-from jaxfil.integrate.step_choice import StepChoice
-from jaxfil.integrate.work_precision import WorkPrecision
+from jaxfil.integrate.run.step_choice import StepChoice
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.plot.canvas import BLACK, COLORS, legend, own_axes
+from jaxfil.studies.work_precision import WorkPrecision
 
 
 @draws(WorkPrecision)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
-from jaxfil.integrate.solution import Solution
+from jaxfil.integrate.run.solution import Solution
 from jaxfil.model.system import System
 from jaxfil.plot.canvas import COLORS, subscript
 

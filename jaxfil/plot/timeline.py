@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 
-from jaxfil.integrate.solution import Solution
+from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
 from jaxfil.plot.canvas import legend, own_axes, points_of, styled
 from jaxfil.plot.path import MARKERS, contacts, lanes

@@ -24,8 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.observed import Observable
-from jaxfil.integrate.stepper import Stepper, tableau_of
+from jaxfil.integrate.run.observed import Observable
+from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
 from jaxfil.model import check, dataset_io
 from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes

@@ -12,19 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.component_system import build
-from jaxfil.integrate.observed import Observable, checked_observable, observed
-from jaxfil.integrate.phase import repeats
-from jaxfil.integrate.problem import (
+from jaxfil.integrate.lane.forcing_phase import repeats
+from jaxfil.integrate.lane.problem import (
     Problem,
     Recording,
     TimeGrid,
     grid_of_periods,
     iteration_budget,
 )
-from jaxfil.integrate.section_values import watch_sections
-from jaxfil.integrate.state import LoopState, SavedStates
-from jaxfil.integrate.stepper import Stepper, tableau_of
+from jaxfil.integrate.lane.state import LoopState, SavedStates
+from jaxfil.integrate.run.observed import Observable, checked_observable, observed
+from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
+from jaxfil.integrate.surfaces.sections import watch_sections
+from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast, replace_parameters

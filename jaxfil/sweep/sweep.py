@@ -16,14 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.batch_loop import integrate_batch
-from jaxfil.integrate.compact import is_compact_sweep
-from jaxfil.integrate.loop import integrate
-from jaxfil.integrate.observed import Observable, Observe
-from jaxfil.integrate.problem import period_outcome
-from jaxfil.integrate.state import SavedStates
-from jaxfil.integrate.step_choice import StepChoice, steps_and_stepper
-from jaxfil.integrate.stepper import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.lane.problem import period_outcome
+from jaxfil.integrate.lane.state import SavedStates
+from jaxfil.integrate.loop.batch import integrate_batch
+from jaxfil.integrate.loop.iterate import integrate
+from jaxfil.integrate.run.observed import Observable, Observe
+from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
+from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.labels import Labels, labels_of

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil.exponents.frame import generic_frame, gram_schmidt
-from jaxfil.integrate.component_system import build
+from jaxfil.integrate.system.lowered import build
 from tests.exponents.test_lyapunov import ONCE, Linear, MovingTable
-from tests.integrate.test_large_state import MORE, padded, wide
+from tests.integrate.system.test_large_state import MORE, padded, wide
 
 FEW, MANY = 4, 20
 

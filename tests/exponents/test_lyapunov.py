@@ -11,7 +11,7 @@ import jaxfil as jf
 from jaxfil import RESULTS
 from jaxfil.exponents import batch_means
 from jaxfil.exponents.frame import generic_frame
-from jaxfil.integrate import component_system
+from jaxfil.integrate.system import lowered
 from jaxfil.model.outcomes import outcome_names
 from tests.problems import PROBLEMS
 from tests.problems.systems import cubic_belt
@@ -158,7 +158,7 @@ ONCE = {"periods": 1, "transient": 0, "steps": 400, "stepper": jf.RK4()}
 
 def by_differences(system, x0, t1):
     """(1/t1) log of the diagonal of R in J Q = Q' R, J by central differences."""
-    frame = np.array(generic_frame(component_system.build(system, x0, compact=False)))
+    frame = np.array(generic_frame(lowered.build(system, x0, compact=False)))
     move = 1e-6
 
     @jax.jit

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS
-from jaxfil.integrate import component_system, filippov, sliding_weights
+from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
+from jaxfil.integrate.system import lowered
 from jaxfil.model.parameter import cast
 from tests.problems.values import CUBIC_LYAPUNOV
 
@@ -78,11 +79,11 @@ def ends(z, coupling, t0, t1, dt):
 
 def test_what_belongs_to_what():
     pair = jf.drive_response(BELT, 0.3)
-    built = component_system.build(cast(pair, jnp.float64), jnp.zeros(4), compact=False)
+    built = lowered.build(cast(pair, jnp.float64), jnp.zeros(4), compact=False)
     assert built.m == 2 and built.slides and built.structure.separate
     assert built.structure.switched == ((), (0,), (), (1,))
     smooth = jf.drive_response(Decay(jnp.asarray(-0.1)), 0.3)
-    assert component_system.build(cast(smooth, jnp.float64), jnp.zeros(4), compact=False).m == 0
+    assert lowered.build(cast(smooth, jnp.float64), jnp.zeros(4), compact=False).m == 0
     assert not jf.drive_response(jf.systems.SDOscillator(), 0.3).slides
     assert pair.period == BELT.period
 
@@ -93,8 +94,8 @@ def test_a_surface_that_another_side_steers_is_not_separate():
             return jnp.stack([x[0] + x[1], x[0] - x[1]])
 
     x = jnp.ones(2)
-    assert component_system.build(cast(Brakes(), x.dtype), x, compact=False).structure.separate
-    built = component_system.build(Crossed(), x, compact=False)
+    assert lowered.build(cast(Brakes(), x.dtype), x, compact=False).structure.separate
+    built = lowered.build(Crossed(), x, compact=False)
     assert (
         not built.structure.separate
         and built.structure.affine

@@ -22,15 +22,21 @@ ROOMS = {
     "model": {"xla", "version"},
     "systems": {"model"},
     "integrate": {"model"},
+    "studies": {"integrate"},
     "sweep": {"integrate"},
     "orbits": {"integrate"},
     "exponents": {"integrate"},
     "bifurcations": {"orbits"},
-    "plot": {"sweep", "bifurcations", "exponents"},
+    "plot": {"sweep", "studies", "bifurcations", "exponents"},
     "files": {"sweep", "orbits"},
     "command": {"plot", "systems"},
     "__main__": {"command"},
     "__init__": {"__main__", "files"},
+}
+
+# The folders of a room, from the lowest on: each imports from those before it.
+FOLDERS = {
+    "integrate": ("system", "steppers", "surfaces", "lane", "contacts", "loop", "run"),
 }
 
 
@@ -83,6 +89,23 @@ def upward(arrows):
     }
 
 
+def level(module):
+    """The number of the folder of its room that a file is in; None in a room without any."""
+    _, room, folder, *_ = [*module.split("."), "", ""]
+    return FOLDERS[room].index(folder) if folder and room in FOLDERS else None
+
+
+def upward_inside(arrows):
+    """Imports from a folder of the same room that is not before."""
+    return {
+        (file, other)
+        for file, others in arrows.items()
+        for other in others
+        if room(file) == room(other) and level(file) is not None and level(other) is not None
+        if level(other) > level(file)
+    }
+
+
 def circle(arrows):
     """Files that import each other in a circle; none if there is no circle."""
     left = {file: {*others} for file, others in arrows.items()}
@@ -121,6 +144,10 @@ def test_arrows_between_rooms_point_one_way():
     assert upward(arrows(modules())) == set()
 
 
+def test_arrows_between_folders_of_a_room_point_one_way():
+    assert upward_inside(arrows(modules())) == set()
+
+
 def test_no_files_import_each_other_in_a_circle():
     assert circle(arrows(modules())) == set()
 
@@ -132,6 +159,11 @@ def test_no_files_import_each_other_in_a_circle():
         ("from jaxfil.sweep import sweep", "jaxfil.orbits.orbit", "jaxfil.sweep.sweep"),
         ("import jaxfil.orbits.branch", "jaxfil.orbits.orbit", "jaxfil.orbits.branch"),
         ("from jaxfil import systems", "jaxfil.model.system", "jaxfil.systems"),
+        (
+            "from jaxfil.integrate.run.solve import solve",
+            "jaxfil.integrate.lane.state",
+            "jaxfil.integrate.run.solve",
+        ),
     ],
 )
 @pytest.mark.parametrize("late", [False, True])
@@ -141,7 +173,9 @@ def test_a_planted_import_is_seen(line, where, other, late):
     trees[where].body += ast.parse(planted).body
     found = arrows(trees)
     assert other in found[where]
-    if room(where) == room(other):
+    if (where, other) in upward_inside(found):
+        assert level(where) < level(other)
+    elif room(where) == room(other):
         assert {where, other} <= circle(found)
     else:
         assert (where, other) in upward(found)

@@ -1,0 +1,11 @@
+"""contacts: where a trial step meets a surface, and what goes on from there.
+
+- guard: what is positive within a mode and zero at its end: ±H on a side, 1 − w² on a slide of
+  weight w, the reaction at rest. A surface just met is armed again once its guard exceeds rounding.
+- locate: where in a trial step a guard first becomes negative; a landing is a step that has ended
+  there, with its Newton correction in time.
+- switch: reset and choice of the mode at the corrected state.
+- reset: what a surface does to the state at a contact, and what follows: thrown back, let through,
+  rest, or complete chattering, infinitely many impacts in a finite time (`resets`).
+- accumulation: contacts that recur at times that shrink in one ratio, completed by their limit.
+"""

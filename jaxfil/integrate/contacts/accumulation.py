@@ -1,0 +1,196 @@
+"""Accumulations: infinitely many switchings in a finite time, completed by their limit.
+
+A lane at a switch and what follows from it enter; the same leaves, and where contacts of the same
+kind follow one another at times that shrink in one ratio, so does their limit: its time, its state
+and the surfaces met on the way, on which the next switch chooses the mode.
+
+Near the point that a twisting controller or a spiral through the sides of two surfaces runs into,
+the motion is self-similar: each turn takes q times as long as the last one, and moves a component
+of the state q times as far, or a power of q. What is left of either after a turn that has moved it
+by D is the geometric series
+
+    D r/(1 − r),   r = D/D_before   (of the time: r = q; of the state: |r| ≤ q),
+
+Aitken's extrapolation. Where the fields are constant it is exact, with its derivatives; elsewhere
+its error is of the order of the square of what is left. It is taken when two turns one after the
+other predict the same limit to within rounding, in time and in every component of the state.
+"""
+
+import dataclasses
+
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import LoopState, StepEnd, Turn
+from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.system.components import Components, where
+from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.select import select
+
+# A contact that has not come again after so many others is no part of a turn.
+_LONGEST = 16
+# Two predictions agree to so many times the rounding of what they are made of.
+_AGREE = 4
+# and that must be less than this part of a turn.
+_TOLD = 1 / 16
+
+
+def has_turns(system: ComponentSystem) -> bool:
+    """Whether contacts may accumulate by turns: through the sides of coupled surfaces, or from one
+    wall to another."""
+    return system.m > 1 and (system.resets or (system.slides and not system.structure.separate))
+
+
+def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
+    """What is known of turns at t0."""
+    if not has_turns(system):
+        return None
+    zero, false = jnp.zeros((), system.dtype), jnp.zeros((), bool)
+    return Turn(
+        kind=zero - 1,
+        tau=zero,
+        rest=zero,
+        x=x,
+        length=zero,
+        move=tuple(map(jnp.zeros_like, x)),
+        left=zero + jnp.inf,
+        limit=x,
+        met=(false,) * system.m,
+        late=zero,
+        contacts=jnp.full((), _LONGEST, jnp.int32),
+        completed=false,
+    )
+
+
+def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> StepEnd:
+    """The end of a step with the turn that a switch made there belongs to, and if that is the last
+    one needed, with the limit of those that follow."""
+    turn = state.turn
+    if turn is None:
+        return end
+    turn, jump, x = problem.system.where_any(
+        state.pending, _turned, _as_before, problem, state, length, end
+    )
+    done = turn.completed
+    upcoming = tuple(done & met for met in turn.met)
+    if end.jump is not None:
+        jump, upcoming = select(done, jump, end.jump), where(done, upcoming, end.next)
+    return dataclasses.replace(end, x=where(done, x, end.x), turn=turn, jump=jump, next=upcoming)
+
+
+def _as_before(
+    problem: Problem, state: LoopState, length: Length, end: StepEnd
+) -> tuple[Turn | None, Array, Components]:
+    return state.turn, jnp.zeros_like(end.tau), end.x
+
+
+def _turned(
+    problem: Problem, state: LoopState, length: Length, end: StepEnd
+) -> tuple[Turn, Array, Components]:
+    """The turn after a switch, and the time and the state of the limit of turns."""
+    turn, same = state.turn, problem.grid.same_time(end.tau)
+    assert turn is not None
+    # What follows the limit of turns begins anew.
+    switches = state.pending & ~state.graze & ~turn.completed
+    kind = _kind(state.hit, end.mode)
+    time = (end.tau - turn.tau) + stop_gradient(state.rest - turn.rest)
+    again = switches & (kind == turn.kind) & (time > 0)
+    shrinks = again & (time < turn.length)
+    ratio = select(shrinks, time, 0) / select(shrinks, turn.length, 1)
+    left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
+    move = tuple(a - b for a, b in zip(end.x, turn.x, strict=True))
+    each = zip(end.x, move, turn.move, strict=True)
+    limit = tuple(a + _rest_of_series(d, before, ratio) for a, d, before in each)
+    agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit)
+    # At a grid point it may be late by the rounding of its prediction.
+    late = jnp.maximum(stop_gradient(left) - length.room, 0)
+    completed = shrinks & (agrees & (late <= rounding) | (left <= same) & (late <= same))
+    completed = completed & _clear(problem, state, end, left, limit)
+    if problem.system.resets:
+        # Of one wall `impact` knows more; of several, speeds are soon as small as rounding leaves.
+        completed = completed & (left <= problem.system.eps**0.5 * abs(problem.grid.dt))
+    starts = switches & (again | (turn.contacts >= _LONGEST))
+    met = tuple(switches & (m | hit) for m, hit in zip(turn.met, state.hit, strict=True))
+    now = Turn(
+        kind=select(starts, kind, turn.kind),
+        tau=select(starts, end.tau, turn.tau),
+        rest=select(starts, state.rest, turn.rest),
+        x=where(starts, end.x, turn.x),
+        length=select(starts, select(again, time, 0), turn.length),
+        move=where(starts, move, turn.move),
+        left=select(starts, stop_gradient(left), turn.left),
+        limit=where(starts, tuple(map(stop_gradient, limit)), turn.limit),
+        met=tuple(m & (completed | ~starts) for m in met),
+        late=select(starts, 0, _lateness(state)),
+        contacts=select(starts, 0, turn.contacts + 1),
+        completed=completed,
+    )
+    return now, select(completed, left - late, 0), limit
+
+
+def _clear(
+    problem: Problem, state: LoopState, end: StepEnd, left: Array, limit: Components
+) -> Array:
+    """Whether no surface that the turn has not met is crossed on the way to the limit."""
+    assert state.turn is not None
+    clear = jnp.ones((), bool)
+    if problem.system.m > 2:
+        t = problem.grid.t0 + end.tau + select(jnp.isfinite(left), left, 0)
+        h = problem.system.switching(t, limit)
+        for v, s, hit, met in zip(h, end.mode, state.hit, state.turn.met, strict=True):
+            clear = clear & (hit | met | (s * v >= 0))
+    return clear
+
+
+def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
+    """What is left of a geometric series after two of its terms, their ratio being `most` at most:
+    nothing moves more than in proportion to time, but rounding."""
+    ratio = select(before == 0, 0, now / select(before == 0, 1, before))
+    ratio = jnp.clip(ratio, -most, most)
+    return now * ratio / (1 - ratio)
+
+
+def _kind(hit: Components, mode: Components) -> Array:
+    """The surfaces of a contact and the mode after it, as one number."""
+    number = jnp.zeros_like(mode[0])
+    for h, s in zip(hit, mode, strict=True):
+        number = 10 * number + 2 * (s + 2) + h.astype(s.dtype)
+    return stop_gradient(number)
+
+
+def _lateness(state: LoopState) -> Array:
+    """How much later or earlier rounding may have put the contacts of a turn: the time of each is
+    as good as its guard."""
+    assert state.turn is not None
+    late = state.turn.late
+    for hit, noise, rate in zip(state.hit, state.noise, state.rate, strict=True):
+        late = jnp.maximum(late, select(hit & (rate != 0), noise / abs(rate), 0))
+    return stop_gradient(late)
+
+
+def _agrees(
+    problem: Problem,
+    state: LoopState,
+    end: StepEnd,
+    time: Array,
+    ratio: Array,
+    left: Array,
+    limit: Components,
+) -> tuple[Array, Array]:
+    """Whether the limit is the one that the turn before has predicted, to within rounding, and this
+    rounding of its time."""
+    turn, same = state.turn, problem.grid.same_time(state.tau)
+    assert turn is not None
+    # A ratio of two times gains 1/(1 − q) twice on their rounding.
+    shrink = 1 - ratio
+    rounding = _AGREE * (same / shrink + _lateness(state) / (shrink * shrink))
+    # Where rounding is much of a turn, all predictions agree.
+    agrees = (abs(left - (turn.left - time)) <= rounding) & (rounding <= _TOLD * time)
+    each = zip(limit, turn.limit, end.x, end.f, state.f, strict=True)
+    for now, before, x, f, f0 in each:
+        size, speed = jnp.maximum(abs(now), abs(x)), jnp.maximum(abs(f), abs(f0))
+        apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
+        agrees = agrees & jnp.all(abs(now - before) <= apart)
+    return agrees, rounding

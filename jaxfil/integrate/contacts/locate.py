@@ -1,0 +1,400 @@
+"""Event location: the first contact inside a step.
+
+The guards' values and rates at both ends of a trial step enter; where in the step one of them first
+becomes negative leaves, as a fraction θ of the step, and, when a step has ended on a contact, the
+time δ that is missing.
+
+A guard is positive in the current mode. Between the ends of a step it is taken as the cubic through
+its values and rates there (Hermite's): the values are those of the trial itself, so that this needs
+no dense output of the stepper, and a step that is cut where the cubic has its root is taken again,
+so that the cubic's error of order four costs iterations and not accuracy:
+
+    g0 ╲                                 the trial step, H at both ends: g < 0 at its end
+        ╲___     θ h          h          1. reject, cut at the cubic's first root θ
+    ────────╲────┼────────────┼─── 0     2. step again to θ h: close enough for Newton
+             ╲___╱ dip         ╲         3. land: t += δ, x += δ f, δ = −g/ġ
+
+The cubic's minimum is looked at too, so that a dip below zero and back inside one step is found. A
+surface that the lane has just left starts at exactly zero with a rate that is zero or positive: its
+contact is a root after the cubic's maximum, never the one at the start.
+
+Three tolerances tell a contact from rounding, none of them a bare number: the noise of a guard, a
+multiple of eps and of the size of its terms (`guards.surface_noise`); the rounding of times
+(`TimeGrid.same_time`); and eps^(2/3), up to which one Newton correction in time is exact to
+rounding in the state and in its derivative.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.problem import Problem, TimeGrid
+from jaxfil.integrate.lane.state import LoopState, StepEnd
+from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.surfaces.second_order import beyond_newton
+from jaxfil.integrate.system.components import Components, any_of, axpy, least
+from jaxfil.xla.second_derivative import add_second_derivative
+from jaxfil.xla.select import select
+
+NEVER = 2.0
+"""θ of a contact that does not happen in this step."""
+
+# A minimum to be looked at is told from a contact by so much: what was found at a surface is then
+# one number, and its cubic is computed once.
+_LOOK = 4.0
+# A minimum this small a part of the guard's range is stepped to and looked at: the cubic's own
+# error could hide a dip below it.
+_SUSPICIOUS = 1 / 64
+# Rejections in a row after which the search is helped along.
+_STALLED = 12
+# A step is cut at such a minimum only well inside it: at its ends the cubic is exact.
+_MARGIN = 0.02
+# A slide nears a singular point in a step by which its determinant falls below this part; the step
+# is cut to that part of the distance, and to no less than this part of itself.
+_FADED, _NEARER, _LEAST_NEARER = 0.25, 0.7, 1e-3
+# It has come to the point when the distance is this multiple of the rounding of times: much nearer
+# the weights are rounding.
+_LAST_LOOK = 64
+# A step to a grid point is brief, of so many times the rounding of times and no more than this part
+# of the grid's.
+_BRIEF, _BRIEF_PART = 4, 1 / 16
+# Contacts closer than this part of the time to the first are one event.
+_TOGETHER = 1e-6
+
+
+class Cubic(eqx.Module):
+    """g(θ) = g0 + d0 θ + a θ² + b θ³ on [0, 1], its minimum and its maximum."""
+
+    g0: Array
+    d0: Array
+    a: Array
+    b: Array
+    disc: Array
+    low: Array
+    high: Array
+
+    def __init__(self, g0: Array, d0: Array, g1: Array, d1: Array):
+        rise = g1 - g0
+        a, b = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
+        self.g0, self.d0, self.a, self.b = g0, d0, a, b
+        # Roots of 3bθ² + 2aθ + d0, each by the formula that does not cancel. The minimum is the
+        # one where the second derivative 2a + 6bθ = +2√disc.
+        disc = self.disc = a * a - 3 * b * d0
+        root = jnp.sqrt(jnp.maximum(disc, 0))
+        sum_ = select(a >= 0, a + root, a - root)
+        near, far = -_quotient(d0, sum_), -_quotient(sum_, 3 * b)
+        exists = disc > 0
+        self.low = select(exists, select(a >= 0, near, far), NEVER)
+        self.high = select(exists, select(a >= 0, far, near), NEVER)
+
+    def __call__(self, theta: Array) -> Array:
+        return self.g0 + theta * (self.d0 + theta * (self.a + theta * self.b))
+
+    def slope(self, theta: Array) -> Array:
+        return self.d0 + theta * (2 * self.a + 3 * theta * self.b)
+
+    def bend(self, theta: Array) -> Array:
+        return 2 * (self.a + 3 * theta * self.b)
+
+
+def _quotient(a: Array, b: Array) -> Array:
+    """a/b, far outside the step where b = 0."""
+    zero = b == 0
+    return select(zero, NEVER, a / select(zero, 1, b))
+
+
+def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
+    """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
+
+    A guard that starts at zero, at θ = 0, and has its maximum at lo comes back to zero between
+    1.5 lo (where its rate started at zero too) and 2 lo (a parabola). Two of Halley's iterations
+    leave about the cubic's own error; what they leave the next trial step finds.
+    """
+    theta = select(armed, 0.5 * (lo + hi), jnp.minimum(1.75 * lo, hi))
+    for _ in range(2):
+        value, slope = cubic(theta), cubic.slope(theta)
+        bottom = slope * slope - 0.5 * value * cubic.bend(theta)
+        theta = jnp.clip(theta - _quotient(value * slope, bottom), lo, hi)
+    return theta
+
+
+def first_contact(
+    g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array
+) -> tuple[Array, Array]:
+    """θ of the first contact, and θ of a minimum to be looked at; `NEVER` where there is none.
+
+    `d0`, `d1` are rates times the step. `noise` is what rounding does to the guard; a surface not
+    `armed` was left at this step's start or has not been left by more than `noise` since.
+    """
+    cubic = Cubic(g0, d0, g1, d1)
+    inside = (cubic.low > 0) & (cubic.low < 1)
+    low_value = cubic(cubic.low)
+    # The end alone would not do: a dip below zero and back is two contacts, or an impact missed.
+    dips = inside & (low_value < -noise)
+    # One that has not been left and rises is leaving, from however little below zero.
+    contact = dips | ((g1 < -noise) & (armed | (d1 < 0)))
+    # The first root lies before the minimum, if that is below zero, and after the maximum: between
+    # the two the cubic falls, and Halley's iteration cannot leave for another root.
+    hi = select(dips, cubic.low, 1.0)
+    rises_first = (cubic.high > 0) & (cubic.high < hi)
+    lo = select(rises_first, cubic.high, 0.0)
+    root = _descending_root(cubic, lo, hi, armed)
+    # A surface just left must rise before it can be met again. If the cubic does not show that
+    # rise the step is too long for it: look at a quarter.
+    root = select(armed | rises_first, root, 0.25 * hi)
+    reach = abs(d0) + abs(d1)
+    touches = abs(low_value) <= 4 * noise
+    central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
+    near = touches | (central & (low_value <= _SUSPICIOUS * reach))
+    look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
+    # Where squares of guards overflow no contact can be told from none: both are then NaN.
+    known = 0 * cubic.disc
+    theta = select(contact, root, NEVER) + known
+    return theta, select(look & ~contact, cubic.low, NEVER) + known
+
+
+def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array:
+    """Whether an armed guard stays so far above zero that `first_contact` finds nothing. Cheaper,
+    and never true in error: a cubic lies above the least of its Bernstein coefficients."""
+    low = jnp.minimum(jnp.minimum(g0, g1), jnp.minimum(g0 + d0 / 3, g1 - d1 / 3))
+    return low > jnp.maximum(_SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
+
+
+def _found(g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array) -> Array:
+    """`first_contact` as one number."""
+    theta, low = first_contact(g0, d0, g1, d1, armed, noise)
+    return select(theta < NEVER, theta, low + _LOOK)
+
+
+def _nothing(g0: Array, *_: Array) -> Array:
+    return jnp.full_like(g0, NEVER + _LOOK)
+
+
+class Contact(eqx.Module):
+    """What a trial step has run over: θ of the earliest contact or minimum to be looked at
+    (`NEVER`: nothing), the surfaces of that contact (none for a minimum), and all those run
+    over."""
+
+    theta: Array
+    surfaces: Components
+    all: Components
+    singular: Array
+    """Whether θ only leads nearer to a point at which a slide ceases to be unique."""
+
+    @property
+    def found(self) -> Array:
+        """Whether there is something."""
+        return self.theta < NEVER
+
+
+def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> Contact:
+    """The earliest contact of a trial step, over all surfaces; θ is NaN where guards are too large
+    for it to be found.
+
+    A slide that repels at the end of the step is followed to where it ceases to attract.
+    """
+    system, h = problem.system, stop_gradient(length.h)  # nothing here has a derivative
+    # A slide or a rest that ends at a grid point ends beside it, by rounding of times. There the
+    # field may still point back, and the surface is not met again for that.
+    rounding, dt = problem.grid.same_time(end.tau), abs(problem.grid.dt)
+    brief = ~length.cutting & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
+    found = []
+    for j in system.surfaces:
+        # A guard just met has its own rounding; one left long ago may have gathered all of t0 to
+        # here, in the state that it is made of.
+        fresh = jnp.maximum(end.noise[j], state.noise[j])
+        noise = select(state.armed[j], jnp.maximum(end.noise[j], end.touch[j]), fresh)
+        ends = state.g[j], h * state.rate[j], stop_gradient(end.g[j]), h * end.rate[j]
+        met = ~(state.armed[j] & stays_off(*ends, noise))
+        number = system.where_any(met, _found, _nothing, *ends, state.armed[j], noise)
+        found.append(select(brief & ~state.armed[j], NEVER + _LOOK, number))
+    # The earliest counts, whichever surface is listed first; contacts beat minima at the same θ.
+    contact = minimum = jnp.asarray(NEVER, h.dtype)
+    thetas = []
+    for number in system.hold(*found):
+        thetas.append(jnp.minimum(number, NEVER))
+        contact = jnp.minimum(contact, least(number))
+        dip = select(number < _LOOK, NEVER, number - _LOOK)
+        minimum = jnp.minimum(minimum, least(dip))
+    # One look at a time: a step that was cut short is taken as it is.
+    minimum = select(length.cutting, NEVER, minimum)
+    singular = jnp.zeros((), bool)
+    if system.slides:
+        singular, theta = _to_singular_point(problem, state, end, h)
+        minimum = select(singular, jnp.minimum(minimum, theta), minimum)
+    first = (contact < NEVER) & (contact <= minimum)
+    surfaces = tuple(first & (theta <= contact * (1 + _TOGETHER)) for theta in thetas)
+    # A search that does not converge from one side is helped by a step that falls short.
+    theta = jnp.minimum(contact, minimum)
+    stalled = (theta < NEVER) & (state.tries >= _STALLED) & (state.tries % 4 == 3)
+    run_over = tuple(theta < NEVER for theta in thetas)
+    return Contact(select(stalled, 0.5 * theta, theta), surfaces, run_over, singular)
+
+
+def _to_singular_point(
+    problem: Problem, state: LoopState, end: StepEnd, h: Array
+) -> tuple[Array, Array]:
+    """Whether a step is too long for a slide that repels at its end, or whose weights are hardly
+    determined there any more, and θ of a shorter one.
+
+    No guard is zero where a slide turns repelling. At a two-fold the determinant of its weights is,
+    and in a step across it they are 0/0: the point is neared by steps of a part of the distance.
+    The last of them is long enough to be told apart from rounding, and steps over it.
+    """
+    assert state.determinant is not None and end.determinant is not None
+    least = _LAST_LOOK * problem.grid.same_time(end.tau)
+    repels, fades = end.num_modes > 1, end.determinant < _FADED * state.determinant
+    singular = (repels | fades) & ~state.pending & (abs(h) > least)
+    then = select(repels, -end.determinant, end.determinant)
+    known = state.determinant, then, jnp.maximum(_LEAST_NEARER * abs(h), 0.5 * least), abs(h)
+    return singular, problem.system.where_any(singular, _nearer, _not_nearer, *known)
+
+
+def _nearer(now: Array, then: Array, least: Array, h: Array) -> Array:
+    """θ of a step towards where a determinant vanishes that is `now` here and `then` after h."""
+    return jnp.clip(_NEARER * _quotient(now, now - then), least / h, _NEARER)
+
+
+def _not_nearer(now: Array, *_: Array) -> Array:
+    return jnp.full_like(now, NEVER)
+
+
+# What the end of a step is to a surface.
+_NOTHING, _BRUSHED, _HIT, _HERE, _JUMPED = 0.0, 1.0, 2.0, 3.0, 4.0
+
+
+class Landing(eqx.Module):
+    """Whether a step has ended on a contact, the surfaces, whether they are only touched, the
+    signed time δ from the end of the step to the contact, the state there, n components, and
+    whether it is at the end exactly, where H has jumped."""
+
+    landed: Array
+    surfaces: Components
+    touched: Array
+    delta: Array
+    x: Components
+    jumped: Array
+
+
+def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> Landing:
+    """Whether this step has ended on a contact.
+
+    δ is one Newton step: with g the guard, its error is of order δ² g̈/ġ, and that of its derivative
+    of order δ g̈/ġ, which is what is kept small here. The second derivative is `beyond_newton`'s.
+    """
+    system, direction = problem.system, problem.grid.direction
+    told = [_kind_of_end(problem, state, end, length, j) for j in system.surfaces]
+    # One number a surface, computed once: all that follows is made of it.
+    kinds, times = system.hold(*(kind for kind, _ in told)), [missing for _, missing in told]
+    hits = tuple(kind >= _HIT for kind in kinds)
+    landed = any_of(hits)
+    touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
+    # A contact that is `_HERE` has δ = 0, but the derivative of its time.
+    times = tuple(_time_of(kind, missing) for kind, missing in zip(kinds, times, strict=True))
+    # Of several surfaces the one met first gives δ, and those within the rounding of times are met
+    # with it; a later one is left to a step of its own.
+    delta, best, first = _first_of(hits, times, direction)
+    first = [flag & (kind != _JUMPED) for flag, kind in zip(first, kinds, strict=True)]
+    same = problem.grid.same_time(end.tau)
+    hits = tuple(
+        hit & ((kind >= _HERE) | (direction * stop_gradient(missing) <= best + same))
+        for hit, kind, missing in zip(hits, kinds, times, strict=True)
+    )
+    pairs = zip(hits, kinds, strict=True)
+    surfaces = tuple(hit | (touched & (kind == _BRUSHED)) for hit, kind in pairs)
+    # Rounding can put a contact just past the end of the span it belongs to.
+    room = length.room
+    late = (stop_gradient(delta) - room) * direction > 0
+    late_delta = delta - stop_gradient(delta) + stop_gradient(room)
+    (delta,) = system.hold(select(late, late_delta, delta))
+    linear = delta, axpy(end.x, delta, end.f)
+    delta, x = add_second_derivative(
+        beyond_newton, linear, system, problem.grid.t0 + end.tau, end.x, end.mode, tuple(first)
+    )
+    jumped = any_of(tuple(hit & (kind == _JUMPED) for hit, kind in zip(hits, kinds, strict=True)))
+    return Landing(landed | touched, surfaces, touched, delta, x, jumped)
+
+
+def _first_of(
+    hits: Components, times: Components, direction: Array
+) -> tuple[Array, Array, Components]:
+    """The signed time to the first of several contacts, the same as a number that counts forward
+    (inf: there is none) and has no derivative, and which of the surfaces it is of: one."""
+    zero = jnp.zeros_like(direction)
+    if times[0].ndim:
+        ahead = select(hits[0], direction * stop_gradient(times[0]), jnp.inf)
+        best = jnp.min(ahead)
+        number = jnp.arange(len(ahead), dtype=jnp.int32)
+        first = (number == jax.lax.argmin(ahead, 0, jnp.int32)) & (best < jnp.inf)
+        return jnp.sum(select(first, times[0], 0.0)), best, (first,)
+    delta: Any = zero
+    best: Any = zero + jnp.inf
+    flags: list = []
+    for hit, missing in zip(hits, times, strict=True):
+        earlier = hit & (direction * stop_gradient(missing) < best)
+        flags = [flag & ~earlier for flag in flags] + [earlier]
+        delta = select(earlier, missing, delta)
+        best = select(earlier, direction * stop_gradient(missing), best)
+    return delta, best, tuple(flags)
+
+
+def _time_of(kind: Array, missing: Array) -> Array:
+    """δ of a contact: 0 if it is here, with the derivative of its time, and without one if H has
+    jumped, at a time that nothing moves."""
+    here = select(kind == _HERE, missing - stop_gradient(missing), missing)
+    return select(kind == _JUMPED, 0.0, here)
+
+
+def _kind_of_end(
+    problem: Problem, state: LoopState, end: StepEnd, length: Length, j: int
+) -> tuple[Array, Array]:
+    """What the end of a step is to surface j, as a float, and the time missing to the contact."""
+    system, grid, h = problem.system, problem.grid, length.h
+    direction, same = grid.direction, grid.same_time(end.tau)
+    small = system.eps ** (2 / 3)
+    rate, aimed = end.rate[j], length.cutting & state.aim[j]
+    falls = direction * rate < 0
+    missing = -end.g[j] / select(falls, rate, -direction)
+    size = abs(stop_gradient(missing))
+    # g̈ h, from the rates at both ends: what Newton's step leaves out is of the order of δ g̈/ġ.
+    bend = direction * (rate - state.rate[j])
+    close = (size <= small * abs(grid.dt)) & (size * abs(bend) <= small * abs(rate * h))
+    inside = (length.room - stop_gradient(missing)) * direction >= 0
+    # Rounding of t hides what is missing to the end of a slide or a rest, whose guard is made of
+    # fields. A state knows its surface better: it is there when all that is left of g is rounding.
+    g = stop_gradient(end.g[j])
+    sliding = end.mode[j] == 0 if system.slides else jnp.zeros_like(falls)
+    if system.resets:
+        sliding = sliding | (abs(end.mode[j]) == 2)
+    zero = abs(g) <= end.noise[j]
+    # So do several surfaces: those met within the rounding of times are met together.
+    loose = sliding | (system.m > 1)
+    reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)
+    # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step has
+    # gone past it by no more than the search takes for rounding.
+    past = (g < 0) & (-g <= end.touch[j])
+    here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
+    hit = falls & (here | ((state.armed[j] | aimed) & reached))
+    # H jumps at a known time, as that of a ramp or of a clock: however short the step, it is past.
+    across = aimed & (abs(h) <= same) & (g < -end.touch[j] - 2 * same * abs(rate)) & state.armed[j]
+    jumped = across & (abs(g) > 2 * same * abs(state.rate[j])) & ~sliding
+    # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
+    vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.touch[j] * bend)
+    touch = state.armed[j] & (abs(g) <= end.touch[j]) & ~sliding & vertex
+    kind = select(hit, select(here, _HERE, _HIT), select(touch, _BRUSHED, _NOTHING))
+    kind = select(jumped, _JUMPED, kind)
+    return kind.astype(h.dtype), missing
+
+
+def missing_time(grid: TimeGrid, state: LoopState, end: StepEnd) -> Array:
+    """The signed time from here to the contact aimed at, by Newton; 0 if it is not ahead."""
+    first: Any = jnp.full_like(end.tau, jnp.inf)
+    for aim, g, rate in zip(state.aim, end.g, end.rate, strict=True):
+        falls = grid.direction * rate < 0
+        ahead = stop_gradient(g / abs(select(falls, rate, 1.0)))
+        first = jnp.minimum(first, least(select(aim & falls & (g > 0), ahead, jnp.inf)))
+    return select(first < jnp.inf, grid.direction * first, 0.0)

@@ -1,0 +1,8 @@
+"""loop: the iteration, from the first moment to the last.
+
+- start: the mode at t0.
+- iterate: one trial step, and what is done with it: accept, reject, land, switch.
+- free step: a trial step on a lane's own sides, which needs no more if it meets nothing.
+- batch: lanes that share a loop; they coast through free steps, and are judged where one is not.
+- section search: crossings of sections, located in steps that the loop has made.
+"""

@@ -1,0 +1,86 @@
+"""Steps of lanes that meet nothing.
+
+In most iterations a lane does no more than step from one grid point to the next, on its own side of
+every surface. A `LoopState` and the length of its step enter; the `FreeStep` leaves, whether it is
+free of events, and the lane at its end. Nothing is decided here: a step is event-free only where
+`loop.judge` would accept it too, with the same numbers.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.contacts.guards import larger, surface_noise
+from jaxfil.integrate.contacts.locate import stays_off
+from jaxfil.integrate.lane.forcing_phase import next_period
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.recording import keep_sample
+from jaxfil.integrate.lane.state import FreeStep, LoopState
+from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.steppers.error_estimate import Step, may_be_too_long
+from jaxfil.integrate.steppers.explicit import step
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.system.components import all_finite, any_of, where
+from jaxfil.xla.select import select
+
+
+def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeStep:
+    """A trial step on the sides that a lane is on; where it slides, on side +1, which is not where
+    it goes."""
+    system, grid, h = problem.system, problem.grid, length.h
+    sides = tuple(select(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in state.mode)
+    start, t = grid.t0 + state.tau, grid.t0 + length.end
+    forcing = system.forcing(start, h, problem.tableau.times)
+    field = ModeField(system, sides, blended=False)
+    trial = step(problem.tableau, field, start, state.x, state.f, h, forcing)
+    f = system.hold(*system.field(t, trial.x, sides, forcing=forcing[-1]))
+    value, slope = jax.jvp(system.switching, (t, trial.x), (jnp.ones_like(t), f))
+    g = tuple(s * v for s, v in zip(sides, value, strict=True))
+    rate = tuple(s * v for s, v in zip(sides, slope, strict=True))
+    return FreeStep(trial, f, system.hold(*g), system.hold(*rate))
+
+
+def is_near_surface(state: LoopState) -> Array:
+    """Whether a lane slides or rests, or is at or near a contact."""
+    near = any_of(tuple(~armed for armed in state.armed))
+    return state.held | state.pending | (state.cut != 0) | near
+
+
+def is_event_free(problem: Problem, state: LoopState, length: Length, free: FreeStep) -> Array:
+    """Whether a step is all there is: on no surface, and no guard comes near zero in it."""
+    x, h = free.trial.x, length.h
+    t, size = problem.grid.t0 + length.end, larger(state.size, x)
+    _, h_t, normals = problem.system.gradients(t, x)
+    touch = surface_noise(problem.system, t, size, h_t, normals)
+    clear = ~is_near_surface(state) & all_finite(x, free.f, free.g)
+    start = problem.grid.t0 + state.tau
+    taken = Step(t=start, h=h, x0=state.x, f0=state.f, f1=free.f, trial=free.trial)
+    clear = clear & ~may_be_too_long(problem.tableau, taken)
+    each = zip(state.g, state.rate, free.g, free.rate, touch, strict=True)
+    met = tuple(~stays_off(g0, h * d0, g1, h * d1, noise) for g0, d0, g1, d1, noise in each)
+    return clear & ~any_of(met)
+
+
+def accept_free_step(
+    problem: Problem, state: LoopState, length: Length, free: FreeStep, clear: Array
+) -> LoopState:
+    """The lane at the end of a step where it is `clear` of events, its sample kept; the same lane
+    otherwise."""
+    x, one = free.trial.x, clear.astype(jnp.int32)
+    after = dataclasses.replace(
+        state,
+        tau=select(clear, length.end, state.tau),
+        rest=select(clear, 0.0, state.rest),
+        x=where(clear, x, state.x),
+        f=where(clear, free.f, state.f),
+        size=where(clear, larger(state.size, x), state.size),
+        g=where(clear, tuple(map(stop_gradient, free.g)), state.g),
+        rate=where(clear, free.rate, state.rate),
+        index=state.index + one,
+        num_iterations=state.num_iterations + one,
+        num_accepted=state.num_accepted + one,
+    )
+    return next_period(problem.grid, keep_sample(problem, state, after, x, clear))

@@ -1,0 +1,63 @@
+"""Where a run stopped, in words.
+
+A solution that is no success enters; an error leaves, with the sentence of its outcome, the time,
+the state and the surfaces there.
+"""
+
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import EquinoxRuntimeError
+from jaxtyping import Array
+
+from jaxfil.integrate.run.solution import Solution
+from jaxfil.model.outcomes import RESULTS, code, is_good
+from jaxfil.model.system import System
+from jaxfil.xla.known import is_known
+from jaxfil.xla.select import select
+
+
+def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solution:
+    """The same solution, or an error with the sentence of its outcome; where all values are known
+    it says too where the run from x0 stopped."""
+    if not is_known((sol, system, x0)):
+        members = [getattr(RESULTS, name) for name in RESULTS._name_to_item]
+        # Not `RESULTS.error_if`, which takes the largest number of a batch: an empty one has none.
+        worst = jnp.zeros((), jnp.int32)
+        for number, member in enumerate(members):
+            worst = select(eqxi.unvmap_any(sol.result == member), number, worst)
+        return eqxi.branched_error_if(
+            sol, ~is_good(sol.result), worst, [RESULTS[m] for m in members]
+        )
+    # Compared as numbers: of arrays, each comparison would be a program.
+    if code(sol.result) in (code(RESULTS.successful), code(RESULTS.section_reached)):
+        return sol
+    raise EquinoxRuntimeError(f"{RESULTS[sol.result]} It stopped at {_place(sol, system, x0)}.")
+
+
+def _place(sol: Solution, system: System, x0: Array) -> str:
+    """Time, state and surfaces at the end of a run."""
+    state = np.array2string(
+        np.asarray(sol.x_final), precision=6, separator=", ", max_line_width=10**6
+    )
+    told = f"t = {float(sol.t_final):.10g}, x = {state}"
+    size = jnp.maximum(abs(x0), abs(sol.x_final))
+    met = _surfaces(system, sol.t_final, sol.x_final, size) | (np.abs(sol.mode_final) != 1)
+    if not met.any():
+        return told
+    numbers = ", ".join(map(str, np.flatnonzero(met)))
+    return f"{told}, on surface{'s' if met.sum() > 1 else ''} {numbers}"
+
+
+def _surfaces(system: System, t: Array, x: Array, size: Array) -> np.ndarray:
+    """Which surfaces a state is on, but for the square root of the rounding of states of that
+    size, shape (m,)."""
+
+    def switching(t: Array, x: Array) -> Array:
+        return jnp.atleast_1d(system.switching(t, x))
+
+    h = switching(t, x)
+    by_t, by_x = jax.jacfwd(switching, (0, 1))(t, x)
+    noise = jnp.sqrt(jnp.finfo(x.dtype).eps) * (abs(by_t * t) + abs(by_x) @ size)
+    return np.asarray(abs(h) <= noise)

@@ -1,0 +1,127 @@
+"""What is observed of a motion: a function of the time, the state and the sides.
+
+A system and the function enter; a wider system leaves, whose field has the function as the rate of
+more components: it is then blended on a slide as the field is. So do its values at what was saved.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.lane import clocks
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import SavedStates
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.system.components import pack
+from jaxfil.integrate.system.lowered import build
+from jaxfil.model import check
+from jaxfil.model.clock import Clocks
+from jaxfil.model.parameter import cast
+from jaxfil.model.system import System, has_resets
+from jaxfil.xla.select import select
+
+Observe: TypeAlias = Callable[[Array, Array, Array], Any]
+"""A function of the time, the state, shape (n,), and the sides, as `System.vector_field` is given
+them, that returns an array."""
+
+
+class Observable(eqx.Module):
+    """Such a function, its numbers in the precision of the run; the shape of what it returns."""
+
+    function: Observe
+    shape: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        """How many numbers it returns."""
+        return math.prod(self.shape)
+
+    @property
+    def name(self) -> str:
+        """The name of the function, or of its class."""
+        name = getattr(self.function, "__name__", type(self.function).__name__)
+        return "observed" if name == "<lambda>" else name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What a number, or each of a row of them, is called."""
+        return tuple(f"{self.name}[{i}]" for i in range(self.size)) if self.shape else (self.name,)
+
+
+class _WithRate(System):
+    """A system with more components behind its state, which no surface sees."""
+
+    system: System
+    function: Observe
+    n: int = eqx.field(static=True)
+
+    def vector_field(self, t: Array, x: Array, side: Array) -> Array:
+        state = x[: self.n]
+        rate = jnp.ravel(jnp.asarray(self.function(t, state, side), x.dtype))
+        return jnp.concatenate([self.system.vector_field(t, state, side), rate])
+
+    def switching(self, t: Array, x: Array) -> Array:
+        return self.system.switching(t, x[: self.n])
+
+    @property
+    def slides(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.system.slides
+
+    @property
+    def clocks(self) -> Clocks:
+        return self.system.clocks
+
+
+class _WithImpacts(_WithRate):
+    """The same of a system with impacts, which do not change these components."""
+
+    def reset(self, t: Array, x: Array, surface: Array) -> Array:
+        after = self.system.reset(t, x[: self.n], surface)
+        return jnp.concatenate([after, x[self.n :]])
+
+
+def with_rate(system: System, observable: Observable, x: Array) -> tuple[System, Array]:
+    """A system with more components, whose rate is what is observed; its state, x and zeros."""
+    make = _WithImpacts if has_resets(system) else _WithRate
+    wider = make(system, observable.function, x.shape[0])
+    return wider, jnp.concatenate([x, jnp.zeros((observable.size,), x.dtype)])
+
+
+def checked_observable(name: str, function: Any, system: System, x: Array) -> Observable:
+    """A function to be observed in a run from a state like x."""
+    if not callable(function):
+        raise ValueError(f"`{name}` must be a callable of (t, x, side), got {function!r}.")
+    side = jnp.ones(check.shapes(system, x), x.dtype)
+    function = cast(function, x.dtype)
+    out: Any = jax.eval_shape(function, jnp.zeros((), x.dtype), x, side)
+    if not hasattr(out, "shape"):
+        raise ValueError(f"`{name}` must return an array, got {out!r}.")
+    return Observable(function, tuple(out.shape))
+
+
+def observed(
+    observable: Observable, problem: Problem, system: System, x0: Array, at: SavedStates
+) -> Array:
+    """The values at what a run from x0 has saved, shape (k, *shape); where that was not reached inf
+    as it is."""
+    wider, start = with_rate(system, observable, x0)
+    n, more = x0.shape[0], start[x0.shape[0] :]
+    # Values that no one sees may have no derivatives that are NaN.
+    field = build(wider, start, compact=True, transposed=True)
+    around = dataclasses.replace(problem, system=field)
+
+    def value(t: Array, x: Array, mode: Array) -> Array:
+        reached = jnp.isfinite(t) & jnp.all(jnp.isfinite(x))
+        t, x = select(reached, t, problem.grid.t0), select(reached, x, x0)
+        mode = select(reached, mode.astype(x.dtype), 1.0)
+        here = clocks.just_after(around, t).system
+        rate = ModeField(here, here.of_surfaces(mode))(t, here.unpack(jnp.concatenate([x, more])))
+        return select(reached, pack(rate, x.dtype)[n:], jnp.inf).reshape(observable.shape)
+
+    return jax.vmap(value)(at.ts, at.xs, at.modes)

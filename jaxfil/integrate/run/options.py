@@ -1,0 +1,225 @@
+"""What `solve` is asked for besides the problem: what to save, how far to go, which derivatives.
+
+The arguments as the user gave them enter; `Options` leave, or a `ValueError` that names the
+argument, what it must be and what it was.
+"""
+
+import dataclasses
+import math
+from types import ModuleType
+from typing import Any, NamedTuple, TypeAlias
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.problem import SAME_TIME
+from jaxfil.model import check
+from jaxfil.model.types import Scalar
+from jaxfil.xla.known import power_of_two
+
+Adjoint: TypeAlias = diffrax.ForwardMode | diffrax.RecursiveCheckpointAdjoint
+"""How reverse mode works: by the forward Jacobian, or by a loop with checkpoints."""
+
+# diffrax's own function of what is saved: the state.
+_SAVE_STATE = diffrax.SubSaveAt(t1=True).fn
+# Contacts that a default budget leaves room for where their number has no limit.
+_MANY_EVENTS = 256
+
+
+class Options(eqx.Module):
+    """What to save ("t1", "ts", "steps" or "dense", with the state at t0 or without it), the limits
+    on contacts and iterations, the checkpoints of reverse mode, and whether steps are compact."""
+
+    save: str = eqx.field(static=True)
+    with_t0: bool = eqx.field(static=True)
+    max_events: int | None = eqx.field(static=True)
+    budget: int | None = eqx.field(static=True)
+    reverse: bool = eqx.field(static=True)
+    checkpoints: int | None = eqx.field(static=True)
+    compact: bool = eqx.field(static=True)
+    ts: Array | None
+
+    @property
+    def num_saves(self) -> int:
+        """Space needed for what is saved on the way."""
+        if self.ts is not None:
+            return self.ts.shape[0]
+        return self.budget or 0 if self.save in ("steps", "dense") else 0
+
+    def at_half_the_step(self) -> "Options":
+        """Those of the run at half the step, which nothing differentiates."""
+        budget = None if self.budget is None else 2 * self.budget
+        return dataclasses.replace(self, budget=budget, reverse=False)
+
+
+def options_of(
+    saveat: diffrax.SaveAt,
+    max_events: int | None,
+    max_steps: int | None,
+    adjoint: Adjoint,
+    compact: bool,
+    times: tuple[Scalar, Scalar, Scalar],
+    dtype: np.dtype,
+) -> Options:
+    """The options of a solve over the span (t0, t1, dt), numbers as the user gave them: under `jit`
+    they are known as long as they are no arrays of JAX."""
+    save, ts = _save_kind(saveat, dtype)
+    span = _known_span(times, dtype)
+    if span is not None:
+        _check_span(span, saveat)
+    max_events = check.count("max_events", max_events, optional=True)
+    budget = check.count("max_steps", max_steps, optional=True)
+    reverse = _is_reverse(adjoint)
+    if budget is None and (save in ("steps", "dense") or reverse):
+        budget = _default_budget(span, max_events)
+    return Options(
+        save=save,
+        with_t0=saveat.subs is not None and bool(saveat.subs.t0),
+        max_events=max_events,
+        budget=budget,
+        reverse=reverse,
+        checkpoints=getattr(adjoint, "checkpoints", None),
+        compact=compact,
+        ts=ts,
+    )
+
+
+def enough_iterations(num_steps: int, max_events: int) -> int:
+    """Iterations enough for so many steps and contacts, where an array of that length is kept: one
+    for each step, and six for each contact, which takes about four."""
+    return num_steps + 6 * max_events + 16
+
+
+def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
+    """Which of t1, ts, steps and dense a `diffrax.SaveAt` asks for."""
+    if not isinstance(saveat, diffrax.SaveAt):
+        raise ValueError(f"`saveat` must be a diffrax.SaveAt, got {type(saveat).__name__}.")
+    sub = saveat.subs
+    if not isinstance(sub, diffrax.SubSaveAt | None):
+        raise ValueError(f"`saveat` must have a single SubSaveAt, got {sub!r}.")
+    _refuse_unknown(saveat, sub)
+    asked = {"dense": bool(saveat.dense)}
+    if sub is not None:  # diffrax leaves it out where only `dense` is asked for
+        asked |= {"t1": bool(sub.t1), "ts": sub.ts is not None, "steps": bool(sub.steps)}
+    kinds = [name for name, wanted in asked.items() if wanted]
+    with_t0 = sub is not None and bool(sub.t0)
+    if len(kinds) != 1 or (with_t0 and kinds != ["steps"]):
+        raise ValueError(
+            "`saveat` must ask for exactly one of t1=True, ts=…, steps=True, dense=True (and "
+            f"t0=True only with steps=True), got {kinds + ['t0'] * with_t0}."
+        )
+    if kinds[0] != "ts":
+        return kinds[0], None
+    assert sub is not None
+    ts = jnp.asarray(sub.ts, dtype)
+    if ts.ndim != 1 or ts.shape[0] == 0:
+        raise ValueError(f"`saveat.ts` must be of shape (k,) with k ≥ 1, got shape {ts.shape}.")
+    return "ts", ts
+
+
+def _refuse_unknown(saveat: diffrax.SaveAt, sub: diffrax.SubSaveAt | None) -> None:
+    """An error for what diffrax would do, and a solve does not."""
+    for name in ("solver_state", "controller_state", "made_jump"):
+        if getattr(saveat, name):
+            raise ValueError(
+                f"`saveat.{name}` must be False: nothing of the kind is kept; got True."
+            )
+    if sub is None:
+        return
+    if sub.steps not in (0, 1):
+        raise ValueError(
+            f"`saveat.steps` must be True: every step is saved (take every {sub.steps}th row of "
+            f"the result); got {sub.steps!r}."
+        )
+    if sub.fn is not _SAVE_STATE:
+        raise ValueError(
+            "`saveat.fn` must be left out: states are saved (apply the function to the result's "
+            f"`ts` and `xs`); got {sub.fn!r}."
+        )
+
+
+class _Span(NamedTuple):
+    """A span of time and its step, not traced."""
+
+    t0: np.ndarray
+    t1: np.ndarray
+    dt: np.ndarray
+
+    @property
+    def finite(self) -> bool:
+        """Whether all three are finite."""
+        return bool(np.isfinite(self).all())
+
+    @property
+    def steps(self) -> float:
+        """How many steps it takes."""
+        return float(abs(self.t1 - self.t0) / self.dt)
+
+
+def _known_span(times: tuple[Scalar, Scalar, Scalar], dtype: np.dtype) -> _Span | None:
+    """The span in the precision of the run; None while a part of it is traced."""
+    known = [v.astype(dtype) for v in map(check.concrete, times) if v is not None]
+    return _Span(*known) if len(known) == 3 else None
+
+
+def _check_span(span: _Span, saveat: diffrax.SaveAt) -> None:
+    """Saving times lie in the span, in its direction, a step is longer than what times of the span
+    can tell apart, and steps can be counted."""
+    if not span.finite:
+        return
+    t0, t1, dt = span
+    ts = None if saveat.subs is None else saveat.subs.ts
+    saved = None if ts is None else check.concrete(ts)
+    if saved is not None and not valid_ts(saved.astype(dt.dtype), t0, t1, np):
+        raise ValueError(
+            f"`saveat.ts` must be times in order within the span from t0 = {t0} to t1 = {t1}, got "
+            f"{saved}."
+        )
+    if dt <= (least := float(resolution(t0, t1, np.maximum))):
+        raise ValueError(
+            f"`dt` must be greater than {least:.2g}, the rounding of times from t0 = {t0} to t1 = "
+            f"{t1} in {dt.dtype}, got {dt}. Start at a t0 nearer to 0, or use float64."
+        )
+    if span.steps > check.MOST_STEPS:
+        raise ValueError(
+            f"`dt` must make fewer than 2³¹ steps from t0 = {t0} to t1 = {t1}, got {dt}, which "
+            f"makes {span.steps:.3g}."
+        )
+
+
+def resolution(t0: Any, t1: Any, maximum: Any = jnp.maximum) -> Any:
+    """Times of the span that are no further apart than this are one time."""
+    return SAME_TIME * np.finfo(t0.dtype).eps * maximum(abs(t0), abs(t1))
+
+
+def valid_ts(ts: Any, t0: Any, t1: Any, xp: ModuleType = jnp) -> Any:
+    """Whether saving times are in order, in the direction of time, and within the span; `xp` is the
+    library of the arrays, NumPy or JAX's."""
+    sign = xp.where(t1 < t0, -1.0, 1.0).astype(ts.dtype)
+    inside = (sign * ts >= sign * t0) & (sign * ts <= sign * t1)
+    return xp.all(inside) & xp.all(sign * xp.diff(ts) >= 0)
+
+
+def _is_reverse(adjoint: Any) -> bool:
+    if isinstance(adjoint, diffrax.ForwardMode):
+        return False
+    if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint):
+        return True
+    raise ValueError(
+        "`adjoint` must be diffrax.ForwardMode() or diffrax.RecursiveCheckpointAdjoint(), got "
+        f"{adjoint!r}."
+    )
+
+
+def _default_budget(span: _Span | None, max_events: int | None) -> int:
+    """Iterations enough for the span."""
+    if span is None:
+        raise ValueError(
+            "`max_steps` must be an integer here: an array of that length is kept, and `t0`, `t1` "
+            "or `dt` is traced, so that the number of steps is not known; got None."
+        )
+    num_steps = math.ceil(span.steps) if span.finite else 1
+    return power_of_two(enough_iterations(num_steps, max_events or _MANY_EVENTS))

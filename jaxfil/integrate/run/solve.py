@@ -1,0 +1,292 @@
+"""`solve`: one initial value problem.
+
+A system, an initial state, a time span and a step enter; a `Solution` leaves.
+"""
+
+import dataclasses
+import functools as ft
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.problem import Problem, Recording, TimeGrid, iteration_budget
+from jaxfil.integrate.lane.recording import mode_codes
+from jaxfil.integrate.lane.state import LoopState, SavedStates
+from jaxfil.integrate.loop.iterate import integrate, integrate_with_checkpoints
+from jaxfil.integrate.run.failure import raise_unless_successful
+from jaxfil.integrate.run.observed import Observable, Observe, checked_observable, observed
+from jaxfil.integrate.run.options import (
+    Adjoint,
+    Options,
+    options_of,
+    resolution,
+    valid_ts,
+)
+from jaxfil.integrate.run.solution import Dense, Solution, crossings_of, errors, events_of
+from jaxfil.integrate.run.step_choice import StepChoice, dt_and_stepper
+from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.surfaces.sections import watch_sections
+from jaxfil.integrate.system.components import pack
+from jaxfil.integrate.system.grade import is_compact_run
+from jaxfil.integrate.system.lowered import build
+from jaxfil.model import check
+from jaxfil.model.labels import labels_of
+from jaxfil.model.outcomes import is_good
+from jaxfil.model.parameter import cast
+from jaxfil.model.section import Section, Sections, sections_of
+from jaxfil.model.system import System
+from jaxfil.model.types import Scalar, State
+from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.select import select
+
+# Steps that end this close to the end of the span (in steps) are its last.
+_WHOLE = 1e-6
+# The largest number of steps that every float precision holds exactly.
+_MOST = check.MOST_STEPS + 1 - 2**7
+
+
+def solve(
+    system: System,
+    x0: State,
+    t0: Scalar,
+    t1: Scalar,
+    dt: Scalar | StepChoice,
+    *,
+    stepper: Stepper | None = None,
+    saveat: diffrax.SaveAt = diffrax.SaveAt(t1=True),  # noqa: B008
+    max_events: int | None = 1024,
+    max_steps: int | None = None,
+    adjoint: Adjoint = diffrax.ForwardMode(),  # noqa: B008
+    throw: bool = True,
+    estimate_error: bool = False,
+    compact: bool | None = None,
+    sections: Sections | None = None,
+    observe: Observe | None = None,
+) -> Solution:
+    r"""Integrate a nonsmooth system from `x0` at `t0` to `t1`.
+
+    ẋ = F(t, x, side), side_j = sgn H_j(t, x), in Filippov's sense where the solution stays on a
+    surface. Steps have the fixed length `dt`; one is cut only at a contact, and the grid is met
+    again after it. Contacts are located to a few eps and the order of the stepper is kept.
+
+    **Arguments**
+
+    - `system`: a `System`; its float leaves are cast to the dtype of `x0`.
+    - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
+    - `t0`, `t1`: the span of time; backward if t1 < t0.
+    - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|); or what
+      `choose_step` gives, which has its own `stepper`.
+    - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`, or for
+      stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
+    - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
+      what else it can ask for is refused by name.
+    - `max_events`: length of the event table; None keeps no table and sets no limit.
+    - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
+      of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
+    - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` take the forward
+      derivative by each number that moves, transposed; for hundreds of parameters,
+      `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward. First and second derivatives
+      with respect to x0, t0, t1 and every float leaf of the system are exact through crossings,
+      slides and resets; third ones raise.
+    - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it. The
+      error says t, x and the surface where it stopped, but not from within `jit`.
+    - `estimate_error`: also run at half the step, and give the distance between the two as
+      `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
+      or `ts`.
+    - `compact`: whether the stages of a step are a loop in the program and not written out: it
+      compiles in two thirds of the time, and runs half as fast again for one lane and three or
+      four times as long for many. By default so for up to 8 lanes of a `jax.vmap` around the call
+      (one around a `jax.jit` that the call is in is not seen).
+    - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
+      nothing of the motion. The table of them has `max_events` rows too.
+    - `observe`: a function of the time, the state, shape (n,), and the sides, as
+      `System.vector_field` is given them, that returns an array of any shape: an energy, a force.
+      Its values at the saved times are `observed`. On a slide they are those of the blend of both
+      sides, as the field is: of a dry friction, −F·side, the force that holds, and of `side` itself
+      the weight, between −1 and 1, which tells a stick from a slip. Needs `saveat` with `t1`, `ts`
+      or `steps`.
+
+    **Returns** a `Solution`, valid up to where it stopped.
+
+    **Outcomes**: `successful`; `section_reached`, which is a success, and `out_of_bounds` for a run
+    that a section has ended; `max_steps_reached`, `max_events_reached`, `nonfinite` and
+    `step_too_long` for a run that cannot go on; `nonunique`, `mode_undecided`,
+    `undeclared_sliding` and `zeno` for a solution that does not; `reset_undecided` and, in
+    backward time, `irreversible_reset` for a reset that nothing follows from.
+
+    **Source**: the switch model: Piiroinen and Kuznetsov, An event-driven method to simulate
+    Filippov systems with accurate computing of sliding motions, ACM Transactions on Mathematical
+    Software 34 (2008); the derivative through contacts: Leine and Nijmeijer, Dynamics and
+    Bifurcations of Non-Smooth Mechanical Systems, Springer 2004.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> sol = jf.solve(jf.systems.CoulombOscillator(), jnp.array([3.0, 0.0]), 0.0, 20.0, 0.1)
+    >>> print(round(float(sol.xs[-1, 0]), 4), int(sol.num_events))
+    -0.2 4
+    """
+    x = check.state("x0", x0)
+    dtype = x.dtype
+    check.system("system", system)
+    system = cast(system, dtype)
+    labels = labels_of(system, x.shape[0])
+    start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
+    step, stepper = dt_and_stepper(dt, stepper)
+    length = check.scalar("dt", step, dtype, positive=True)
+    stepper = checked_stepper(stepper)
+    compact = is_compact_run(compact, (system, x, start, stop, length))
+    options = options_of(saveat, max_events, max_steps, adjoint, compact, (t0, t1, step), dtype)
+    if estimate_error and options.save not in ("t1", "ts"):
+        raise ValueError(
+            f"`estimate_error` must be False with a `saveat` of {options.save}: errors are "
+            "estimated at times that do not depend on the step, t1 or ts; got True."
+        )
+    observable = None
+    if observe is not None:
+        observable = checked_observable("observe", observe, system, x)
+        if options.save == "dense":
+            raise ValueError(
+                "`observe` must be None with a `saveat` of dense, which saves no times; got "
+                f"{observe!r}."
+            )
+    watched = sections_of("sections", sections, x)
+    if estimate_error and any(s.terminal is not None for s in watched):
+        raise ValueError(
+            "`estimate_error` must be False with a section that ends the run: errors are estimated "
+            "at times that do not depend on the step; got True."
+        )
+    if throw:
+        check.finite("x0", x)
+    sol = _solve(system, x, start, stop, length, stepper, options, watched, observable)
+    if estimate_error:
+        half = options.at_half_the_step()
+        still, x, start, stop, half = _constant((system, x, start, stop, half))
+        finer = _solve(still, x, start, stop, length / 2, stepper, half)
+        sol = dataclasses.replace(sol, errors=errors(sol, finer))
+    sol = dataclasses.replace(sol, labels=labels)
+    return raise_unless_successful(sol, system, x) if throw else sol
+
+
+def _constant(tree: Any) -> Any:
+    """The same without derivatives."""
+    arrays, rest = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(jax.lax.stop_gradient(arrays), rest)
+
+
+@eqx.filter_jit
+def _solve(
+    system: System,
+    x0: Array,
+    t0: Array,
+    t1: Array,
+    dt: Array,
+    stepper: Stepper,
+    options: Options,
+    sections: tuple[Section, ...] = (),
+    observable: Observable | None = None,
+) -> Solution:
+    problem_over = ft.partial(_problem, system, stepper, options, sections)
+
+    def run(x0: Array, *span: Array) -> Solution:
+        problem = problem_over(x0, *span)
+        x = problem.system.unpack(x0)
+        if not options.reverse:
+            return _solution(problem, options, x0, integrate(problem, x))
+        assert options.budget is not None
+        state = integrate_with_checkpoints(problem, x, options.budget, options.checkpoints)
+        return _solution(problem, options, x0, state)
+
+    # All of it in the kernel: what is made of the end there needs no values from elsewhere for its
+    # derivatives, so that a Jacobian is one kernel, not two; and each small part left outside takes
+    # longer to compile than to trace.
+    whole = run if options.reverse else kernel_if_it_fits(run, options.compact)
+    sol = whole(x0, t0, t1, dt)
+    assert sol.ts is not None and sol.xs is not None and sol.modes is not None
+    if observable is not None:
+        problem, saves = problem_over(x0, t0, t1, dt), SavedStates(sol.ts, sol.xs, sol.modes)
+        return dataclasses.replace(sol, observed=observed(observable, problem, system, x0, saves))
+    if options.save != "dense":
+        return sol
+    dense = Dense(system, t0, sol.t_final, sol.ts, sol.xs, sol.modes, stepper, options.compact)
+    return dataclasses.replace(sol, ts=None, xs=None, modes=None, _dense=dense)
+
+
+def _problem(
+    system: System,
+    stepper: Stepper,
+    options: Options,
+    sections: tuple[Section, ...],
+    x0: Array,
+    t0: Array,
+    t1: Array,
+    dt: Array,
+) -> Problem:
+    """A solve as the loop is given it."""
+    saved = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
+    recording = Recording(
+        save=saved,
+        max_events=options.max_events,
+        num_saves=options.num_saves,
+        num_crossings=options.max_events,
+        ts=None if options.ts is None else options.ts - t0,
+    )
+    field = build(system, x0, compact=options.compact, transposed=options.reverse)
+    watched = watch_sections(sections, field, x0, options.reverse)
+    grid = _time_grid(t0, t1, dt, options)
+    return Problem(field, tableau_of(stepper), grid, recording, watched)
+
+
+def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
+    """The grid of a solve. Bad values that were traced, and so not seen at the door, make it NaN,
+    which is an outcome."""
+    length = t1 - t0
+    valid = dt > resolution(t0, t1)
+    valid = valid if options.ts is None else valid & valid_ts(options.ts, t0, t1)
+    dt = select(valid, jax.lax.stop_gradient(dt), jnp.nan)
+    steps = jax.lax.stop_gradient(abs(length) / dt)
+    most = min(_MOST, float(jnp.finfo(dt.dtype).max))
+    num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, most).astype(jnp.int32)
+    ample, budget = iteration_budget(num_steps), options.budget
+    iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
+    # More steps than an int32 holds are a budget used up at once, never a wrapped number.
+    iterations = select(steps > most, 0, iterations)
+    return TimeGrid(t0, length, select(length < 0, -dt, dt), num_steps, iterations)
+
+
+def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -> Solution:
+    """The result of a finished lane, as the user sees it. One that has kept nothing has kept its
+    end, infinite unless it is the end asked for."""
+    t0 = problem.grid.t0
+    t, x, mode = t0 + state.tau, pack(state.x, problem.system.dtype), mode_codes(state.mode)
+    if state.saves is None:
+        done = is_good(state.result)
+        ts, xs = select(done, t, jnp.inf)[None], select(done, x, jnp.inf)[None]
+        modes = mode[None]
+    else:
+        ts, xs, modes = state.saves.ts, state.saves.xs, state.saves.modes
+    if options.with_t0 or options.save == "dense":
+        ts, xs = jnp.append(t0[None], ts), jnp.append(x0[None], xs, axis=0)
+        modes = jnp.append(mode_codes(state.first_mode)[None], modes, axis=0)
+    return Solution(
+        ts=ts,
+        xs=xs,
+        modes=modes,
+        events=events_of(state.table),
+        num_events=state.num_events,
+        result=state.result,
+        stats={
+            "num_steps": state.num_accepted,
+            "num_iterations": state.num_iterations,
+            "num_saved": state.num_saved,
+        },
+        t_final=t,
+        x_final=x,
+        mode_final=mode,
+        crossings=crossings_of(state.crossings),
+        num_crossings=None if state.watch is None else state.watch.total,
+        compact=problem.compact,
+    )

@@ -1,0 +1,7 @@
+"""steppers: one smooth step, and what its estimated error says of it.
+
+- tableau: the coefficients of a one-step method; a stepper is the method as the user names it
+  (`explicit`, `rosenbrock`).
+- trial step: a step not yet accepted.
+- error estimate: whether a trial step can be trusted.
+"""

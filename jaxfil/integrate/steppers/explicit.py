@@ -1,0 +1,240 @@
+"""One smooth step: any explicit Runge–Kutta tableau, or a linearly implicit one for stiff fields.
+
+A field on components, a state and a step length enter; the state at the end of the step leaves, and
+what the method says of its error. Nothing here knows of surfaces.
+"""
+
+import functools as ft
+from typing import Any, TypeAlias
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.steppers.rosenbrock import (
+    RODAS5P,
+    Rodas5P,
+    RosenbrockTableau,
+    rosenbrock_step,
+)
+from jaxfil.integrate.system.components import Components, Forcing, SmoothField
+from jaxfil.xla.select import select
+
+
+class RK4(eqx.Module):
+    """The classical Runge–Kutta method of order four, for wherever `stepper` is an argument.
+
+    k₁ = f(t, x), k₂ = f(t + h/2, x + h k₁/2), k₃ = f(t + h/2, x + h k₂/2), k₄ = f(t + h, x + h k₃);
+    x(t + h) = x + h (k₁ + 2k₂ + 2k₃ + k₄)/6. It estimates no error: a step far too long is not told
+    as `step_too_long`.
+
+    **Source**: Kutta, Beitrag zur näherungsweisen Integration totaler Differentialgleichungen,
+    Zeitschrift für Mathematik und Physik 46 (1901).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> belt = jf.systems.BeltFriction()
+    >>> sol = jf.solve(belt, jnp.zeros(2), 0.0, 1.0, 0.01, stepper=jf.RK4())
+    >>> int(sol.num_events)
+    3
+    """
+
+    c = np.array([0.5, 0.5, 1.0])
+    a = (np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0]))
+    b = np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6])
+
+
+class ExplicitTableau(eqx.Module):
+    """c (s−1,), a as s−1 rows, b (s,): the explicit method without its first, trivial row. And d,
+    (s + 1,), of which h Σ d·slopes, that at the end of the step included, estimates the error of a
+    step; empty without an estimate of order four or more."""
+
+    c: tuple[float, ...] = eqx.field(static=True)
+    a: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    b: tuple[float, ...] = eqx.field(static=True)
+    d: tuple[float, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    @property
+    def stages(self) -> int:
+        """Evaluations of the field per step, the one at its start included."""
+        return len(self.b)
+
+    @property
+    def times(self) -> list[float]:
+        """Where in a step the field is evaluated after its start, its end last."""
+        return [*sorted({*self.c} - {1.0}), 1.0]
+
+
+Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau
+"""What a step needs to know of a stepper."""
+Stepper: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P
+"""What the user chooses: a one-step method."""
+
+
+class Trial(eqx.Module):
+    """The end of a trial step."""
+
+    x: Components
+    """The state."""
+    error: Components
+    """What is known of its error: all but the share of the field at the end; empty: nothing."""
+    forcing: list[Forcing]
+    """The forcing at the times within the step, its end last."""
+
+
+# Order of a method from which on its estimate of an error says something of a single step: one of
+# lower order is as large as what a step does to a state that starts to move from rest.
+_TRUSTED = 5
+
+
+def _floats(row: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(v) for v in row)
+
+
+_DEFAULT = diffrax.Dopri8()
+
+
+def checked_stepper(stepper: Stepper | None) -> Stepper:
+    """The stepper asked for, `diffrax.Dopri8()` by None, if it is one that `tableau_of` reads."""
+    stepper = _DEFAULT if stepper is None else stepper
+    _refuse_others(stepper)
+    return stepper
+
+
+def _refuse_others(stepper: Any) -> None:
+    """An error for what is no stepper, or of no kind that `tableau_of` reads."""
+    if isinstance(stepper, type):
+        raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
+    tableau = getattr(stepper, "tableau", None)
+    explicit = isinstance(tableau, diffrax.ButcherTableau) and not tableau.implicit
+    if not explicit and not isinstance(stepper, RK4 | Rodas5P | diffrax.Euler):
+        raise ValueError(
+            "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
+            f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
+        )
+    kind = getattr(stepper, "scan_kind", None)
+    if kind is not None:
+        raise ValueError(f"`stepper.scan_kind` must be None: stages are written out; got {kind!r}.")
+
+
+def tableau_of(stepper: Stepper) -> Tableau:
+    """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
+    _refuse_others(stepper)
+    name = type(stepper).__name__
+    if isinstance(stepper, RK4):
+        return ExplicitTableau(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), (), name)
+    if isinstance(stepper, Rodas5P):
+        return RODAS5P
+    if isinstance(stepper, diffrax.Euler):
+        return ExplicitTableau((), (), (1.0,), (), name)
+    given, order = stepper.tableau, stepper.order(None)  # pyright: ignore[reportArgumentType]
+    assert isinstance(given, diffrax.ButcherTableau) and order is not None
+    c, a, b = _floats(given.c), tuple(map(_floats, given.a_lower)), _floats(given.b_sol)
+    d = _floats(given.b_error) if order >= _TRUSTED else ()
+    if given.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
+        c, a, b = c[:-1], a[:-1], b[:-1]
+    elif d:
+        d = (*d, 0.0)
+    return ExplicitTableau(c, a, b, d, name)
+
+
+def _sum(coefficients: tuple[float, ...], slopes: list[Components], i: int) -> Any:
+    """Σ coefficients·slopes of component i, skipping the zeros of the tableau."""
+    total: Any = 0.0
+    for c, k in zip(coefficients, slopes, strict=True):
+        if c != 0:
+            total = c * k[i] + total
+    return total
+
+
+def _combine(
+    x: Components, h: Array, coefficients: tuple[float, ...], slopes: list[Components]
+) -> Components:
+    """x + h Σ coefficients·slopes."""
+    return tuple(x_i + h * _sum(coefficients, slopes, i) for i, x_i in enumerate(x))
+
+
+def _stage(
+    field: SmoothField, c: float, t: Array, h: Array, inner: Components, forcing: Forcing
+) -> Components:
+    return field(t + c * h, inner, forcing)
+
+
+def step(
+    tableau: Tableau,
+    field: SmoothField,
+    t: Array,
+    x: Components,
+    f: Components,
+    h: Array,
+    forcing: list[Forcing],
+) -> Trial:
+    """A step of length h from (t, x), where the field is `f`; `forcing` is what
+    `ComponentSystem.forcing` has found for `tableau.times`."""
+    if isinstance(tableau, RosenbrockTableau):
+        return Trial(rosenbrock_step(tableau, field, t, x, f, h), (), forcing)
+    slopes = [f]
+    known = dict(zip(tableau.times, forcing, strict=True))
+    for c, row in zip(tableau.c, tableau.a, strict=True):
+        inner = _combine(x, h, row, slopes)
+        # `once`: else each stage would be computed again inside every later one that uses it.
+        slopes.append(field.once(ft.partial(_stage, field, c), t, h, inner, known[c]))
+    end = _combine(x, h, tableau.b, slopes)
+    n, d = len(x), tableau.d
+    error = [stop_gradient(_sum(d[:-1], slopes, i)) for i in range(n if d else 0)]
+    held = field.once(lambda *held: held, *end, *error)
+    return Trial(held[:n], held[n:], forcing)
+
+
+def _column(v: Any, rows: Array) -> Any:
+    """A number for each of some rows, as wide as they are."""
+    return v.reshape(-1, *(1,) * (rows.ndim - 1))
+
+
+def _weighted(weights: Any, rows: Array) -> Array:
+    """Σ weights·rows. Not a product of matrices, which would end the kernel."""
+    return jnp.sum(_column(weights, rows) * rows, axis=0)
+
+
+def compact_step(
+    tableau: Tableau,
+    field: SmoothField,
+    t: Array,
+    x: Components,
+    f: Components,
+    h: Array,
+    forcing: list[Forcing],
+) -> Trial:
+    """`step` with its stages in a loop: a program as small as one evaluation of the field, for
+    fields that are large and steps that are few."""
+    if isinstance(tableau, RosenbrockTableau):
+        return step(tableau, field, t, x, f, h, forcing)
+    stages = tableau.stages
+    times, rows = np.zeros(stages), np.zeros((stages, stages))
+    for k, (c, row) in enumerate(zip(tableau.c, tableau.a, strict=True), start=1):
+        times[k], rows[k, : len(row)] = c, row
+    times, rows = times.astype(h.dtype), rows.astype(h.dtype)
+    number = jnp.arange(stages)
+    known = dict(zip(tableau.times, forcing, strict=True))
+    forced = list(map(jnp.stack, zip(*(known[c] for c in tableau.c), strict=True)))
+
+    def stage(k: Array, slopes: Components) -> Components:
+        row, time = (jax.lax.dynamic_index_in_dim(v, k, keepdims=False) for v in (rows, times))
+        inner = tuple(v + h * _weighted(row, s) for v, s in zip(x, slopes, strict=True))
+        own = [jax.lax.dynamic_index_in_dim(v, k - 1, keepdims=False) for v in forced]
+        new = field(t + time * h, inner, own)
+        each = zip(new, slopes, strict=True)
+        return tuple(select(_column(number == k, s), v, s) for v, s in each)
+
+    first = tuple(select(_column(number == 0, v[None]), v, 0.0) for v in f)
+    slopes = jax.lax.fori_loop(1, stages, stage, first)
+    b = np.asarray(tableau.b, h.dtype)
+    end = tuple(v + h * _weighted(b, s) for v, s in zip(x, slopes, strict=True))
+    d = np.asarray(tableau.d[:-1], h.dtype)
+    error = tuple(stop_gradient(_weighted(d, s)) for s in slopes) if tableau.d else ()
+    return Trial(end, error, forcing)

@@ -1,0 +1,239 @@
+"""A linearly implicit step for stiff fields.
+
+A field on components, a state and a step length enter; the state at the end of the step leaves,
+after s small linear systems with one and the same matrix I − γhJ, J = ∂F/∂x by automatic
+differentiation: no inner iteration, so that all lanes of a batch do the same work.
+
+With α, γ_ij and b its coefficients, c_i and γ_i the sums of rows of α and γ_ij, a step reads
+
+    (I − γhJ) k_i = F(t + c_i h, x + h Σ_j α_ij k_j) + hJ Σ_{j<i} γ_ij k_j + γ_i h ∂F/∂t
+    x(t + h) = x + h Σ_i b_i k_i
+
+(Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.7). The product with J is
+left out by solving for v_i = k_i + Σ_{j<i} (γ_ij/γ) k_j. The usual variables u_i = h Σ_j γ_ij k_j
+save these sums, but their coefficients, up to 165, take two digits from every step.
+"""
+
+import functools as ft
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.system.components import Components, SmoothField, axpy, is_array, scalars
+from jaxfil.xla.small_linear import Factors, factored
+
+
+class Rodas5P(eqx.Module):
+    """Rodas5P: eight stages, order five, L-stable and stiffly accurate, for stiff fields.
+
+    Accepted wherever `stepper` is: steps need to resolve the slow motion only. It locates contacts
+    of very stiff damping (rates of 1e8) to 1e-6 in time only, and damps out, without a word, an
+    oscillation that a step does not resolve.
+
+    **Source**: G. Steinebach, Construction of Rosenbrock–Wanner method Rodas5P and numerical
+    benchmarks within the Julia Differential Equations package, BIT Numerical Mathematics 63, 27
+    (2023).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> fast = jf.piecewise(
+    ...     lambda t, x: -1e6 * (x - 1), lambda t, x: -1e6 * x, lambda t, x: t[None] - 0.5
+    ... )
+    >>> sol = jf.solve(fast, jnp.zeros(1), 0.0, 1.0, 0.1, stepper=jf.Rodas5P())
+    >>> round(float(sol.xs[-1, 0]), 9)
+    1.0
+    """
+
+
+class RosenbrockTableau(eqx.Module):
+    """The coefficients in the module's formulas: γ, c (s,), γ_i (s,), b (s,), and as s rows α and
+    γ_ij/γ."""
+
+    gamma: float = eqx.field(static=True)
+    c: tuple[float, ...] = eqx.field(static=True)
+    drift: tuple[float, ...] = eqx.field(static=True)
+    alpha: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    coupling: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    b: tuple[float, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+
+    @property
+    def stages(self) -> int:
+        """Evaluations of the field per step."""
+        return len(self.b)
+
+    @property
+    def times(self) -> list[float]:
+        """Where in a step the field is evaluated as it is: at its end."""
+        return [1.0]
+
+
+def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> RosenbrockTableau:
+    """The table of a method published for the variables u, where x(t + h) = x + Σ m_i u_i,
+    α = aΓ and Γ⁻¹ = 1/γ − C."""
+    s = len(m)
+
+    def square(rows: list) -> np.ndarray:
+        return np.asarray([[*row, *[0.0] * (s - len(row))] for row in rows])
+
+    full = np.linalg.inv(np.eye(s) / gamma - square(coupling))
+    alpha, b = square(a) @ full, np.asarray(m) @ full
+    # Sixteen published digits leave 1e-14: a constant field must not be left with it.
+    b[-2] += 1 - b.sum()
+    return RosenbrockTableau(
+        gamma=gamma,
+        c=tuple(map(float, alpha.sum(axis=1))),
+        drift=tuple(map(float, full.sum(axis=1))),
+        alpha=tuple(tuple(map(float, alpha[i, :i])) for i in range(s)),
+        coupling=tuple(tuple(map(float, full[i, :i] / gamma)) for i in range(s)),
+        b=tuple(map(float, b)),
+        name=name,
+    )
+
+
+# Of the published numbers those are left out that are sums of rows.
+# fmt: off
+_LAST = [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256,
+         0.030198172008377946]
+RODAS5P = _table(
+    name="Rodas5P",
+    gamma=0.21193756319429014,
+    a=[
+        [],
+        [3.0],
+        [2.849394379747939, 0.45842242204463923],
+        [-6.954028509809101, 2.489845061869568, -10.358996098473584],
+        [2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641],
+        _LAST,
+        [*_LAST, 1.0],
+        [*_LAST, 1.0, 1.0],
+    ],
+    coupling=[
+        [],
+        [-14.155112264123755],
+        [-17.97296035885952, -2.859693295451294],
+        [147.12150275711716, -1.41221402718213, 71.68940251302358],
+        [165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306],
+        [24.854864614690072, -3.0009227002832186, 47.4931110020768, 5.5814197821558125,
+         -0.6610691825249471],
+        [30.91273214028599, -3.1208243349937974, 77.79954646070892, 34.28646028294783,
+         -19.097331116725623, -28.087943162872662],
+        [37.80277123390563, -3.2571969029072276, 112.26918849496327, 66.9347231244047,
+         -40.06618937091002, -54.66780262877968, -9.48861652309627],
+    ],
+    m=[*_LAST, 1.0, 1.0, 1.0],
+)
+# fmt: on
+
+
+class _LargeFactors(eqx.Module):
+    """L and U of a large regular matrix, by LAPACK. No kernel holds that: n³ operations take longer
+    than to start some."""
+
+    lu: tuple[Array, Array]
+
+    def solve(self, right: Sequence[Array]) -> list[Array]:
+        """x of A x = b."""
+        return [jax.scipy.linalg.lu_solve(self.lu, right[0])]
+
+
+class _StackedFactors(eqx.Module):
+    """Those of a small matrix, of a state that is one array."""
+
+    factors: Factors
+
+    def solve(self, right: Sequence[Array]) -> list[Array]:
+        """x of A x = b."""
+        return [jnp.stack(self.factors.solve(scalars(right[0])))]
+
+
+# Rows of a matrix that is factored number by number, at most.
+_FEW = 12
+
+
+class _Linearised(eqx.Module):
+    """A step's start, with what all its stages share."""
+
+    t: Array
+    x: Components
+    f: Components
+    """The field there."""
+    h: Array
+    factors: Factors | _StackedFactors | _LargeFactors
+    """Of I − γhJ."""
+    drift: Components
+    """h ∂F/∂t."""
+
+
+def rosenbrock_step(
+    tableau: RosenbrockTableau, field: SmoothField, t: Array, x: Components, f: Components, h: Array
+) -> Components:
+    """The state at t + h; `f` is the field at (t, x)."""
+    start = field.once(ft.partial(_linearised, field, tableau.gamma), t, x, f, h)
+    slopes: list[Components] = []
+    for row in zip(tableau.c, tableau.drift, tableau.alpha, tableau.coupling, strict=True):
+        slopes.append(field.once(ft.partial(_stage, field, row), start, slopes))
+    return field.once(ft.partial(_advanced, tableau.b), x, h, slopes)
+
+
+def _linearised(
+    field: SmoothField, gamma: float, t: Array, x: Components, f: Components, h: Array
+) -> _Linearised:
+    """J and ∂F/∂t at the start of a step, by automatic differentiation."""
+    _, push = jax.linearize(field, t, x)
+    one, zero = jnp.ones_like(t), jnp.zeros_like(t)
+    n = len(x)
+    drift = push(one, tuple(map(jnp.zeros_like, x)))
+    if is_array(x):
+        eye = jnp.eye(x[0].shape[0], dtype=t.dtype)
+        matrix = eye - gamma * h * jax.vmap(lambda v: push(zero, (v,))[0], out_axes=1)(eye)
+        if len(eye) > _FEW:
+            factors = _LargeFactors(jax.scipy.linalg.lu_factor(matrix))
+        else:
+            factors = _StackedFactors(factored([list(scalars(row)) for row in matrix]))
+        return _Linearised(t, x, f, h, factors, tuple(h * v for v in drift))
+    columns = [push(zero, tuple(one if i == k else zero for i in range(n))) for k in range(n)]
+    matrix = [
+        [float(i == k) - gamma * h * column[i] for k, column in enumerate(columns)]
+        for i in range(n)
+    ]
+    return _Linearised(t, x, f, h, factored(matrix), tuple(h * v for v in drift))
+
+
+def _sum(coefficients: Sequence[float], slopes: Sequence[Components]) -> Components:
+    """Σ coefficients·slopes, of one slope at least."""
+    out: list[Any] = []
+    for component in zip(*slopes, strict=True):
+        out.append(sum(c * k for c, k in zip(coefficients, component, strict=True)))
+    return tuple(out)
+
+
+def _advanced(
+    coefficients: Sequence[float], x: Components, h: Array, slopes: list[Components]
+) -> Components:
+    """x + h Σ coefficients·slopes."""
+    return axpy(x, h, _sum(coefficients, slopes))
+
+
+_Row = tuple[float, float, tuple[float, ...], tuple[float, ...]]
+"""Of one stage: c_i, γ_i, and the rows of α and γ_ij/γ."""
+
+
+def _stage(
+    field: SmoothField, row: _Row, start: _Linearised, slopes: list[Components]
+) -> Components:
+    """The next k, from v = k + Σ coupling·slopes."""
+    c, sum_, alpha, coupling = row
+    if not slopes:
+        right = [k + sum_ * v for k, v in zip(start.f, start.drift, strict=True)]
+        return tuple(start.factors.solve(right))
+    slope = field(start.t + c * start.h, _advanced(alpha, start.x, start.h, slopes))
+    known = _sum(coupling, slopes)
+    right = [k + w + sum_ * v for k, w, v in zip(slope, known, start.drift, strict=True)]
+    v = start.factors.solve(right)
+    return tuple(a - w for a, w in zip(v, known, strict=True))

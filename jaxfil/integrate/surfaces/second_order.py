@@ -1,0 +1,62 @@
+"""What second derivatives of a landing are made of.
+
+The end of a step on a contact enters; what Newton's step in time, t += δ, x += δ f, δ = −g/ġ, with
+ġ a constant, leaves out of them leaves.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.surfaces.filippov import ModeField, guard
+from jaxfil.integrate.system.components import Components, total
+from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.select import select
+
+
+def beyond_newton(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, met: Components
+) -> tuple[Array, Components]:
+    """Of the time δ to a contact with the surface that is `met`, and of the state there: a function
+    with the second derivatives that are missing, whose value and first derivatives are zero."""
+
+    def gap(system: ComponentSystem, t: Array, x: Components) -> Any:
+        each = zip(met, guard(system, t, x, mode), strict=True)
+        return total(tuple(select(is_met, g, 0.0) for is_met, g in each))
+
+    return beyond_newton_to(gap, lambda system: system, system, (t, x), mode)
+
+
+def beyond_newton_to(
+    gap: Callable, system_of: Callable, given: Any, at: tuple[Array, Components], mode: Components
+) -> tuple[Array, Components]:
+    """The same where `gap(given, t, x)` vanishes on a motion of the system `system_of(given)`.
+
+    Along the motion g is expanded to second order, δ = −g/ġ − (g/ġ)² g̈/2ġ, and so is the state,
+    x + δ f + δ² f'/2, with f' the rate of the field.
+    """
+
+    def field(given: Any, t: Array, x: Components) -> Components:
+        return ModeField(system_of(given), mode)(t, x)
+
+    def along(function: Callable, given: Any, t: Array, x: Components) -> Any:
+        """A function of what is given, time and state, and its rate along the motion."""
+        moved = jnp.ones_like(t), field(given, t, x)
+        return jax.jvp(lambda t, x: function(given, t, x), (t, x), moved)
+
+    def rate(*at: Any) -> Array:
+        return along(gap, *at)[1]
+
+    g, slope = along(gap, given, *at)
+    slope = select(slope == 0, 1.0, slope)
+    here = stop_gradient((given, *at))
+    _, bend = along(rate, *here)
+    f, turn = along(field, *here)
+    fixed, delta = stop_gradient(slope), -g / slope
+    beyond = delta + g / fixed - 0.5 * bend / fixed * delta * delta
+    curved = tuple(beyond * v + 0.5 * delta * delta * w for v, w in zip(f, turn, strict=True))
+    return beyond, curved

@@ -1,0 +1,134 @@
+"""The functions of sections, and their rates along the motion.
+
+`Section`s enter; `WatchedSections` leave, on components, which say of a state what its sections'
+functions are there.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.surfaces.second_order import beyond_newton_to
+from jaxfil.integrate.system.components import Components, dot, pack
+from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
+from jaxfil.model.parameter import cast
+from jaxfil.model.section import Section
+from jaxfil.xla.select import select
+from jaxfil.xla.trace import Traced
+
+
+class WatchedSections(eqx.Module):
+    """k sections, as the loop sees them."""
+
+    functions: tuple[ParametrizedFunction, ...]
+    directions: tuple[int, ...] = eqx.field(static=True)
+    of_rate: tuple[bool, ...] = eqx.field(static=True)
+    """Whether S is the rate of the function along the motion,"""
+    bounds: tuple[bool, ...] = eqx.field(static=True)
+    """and whether to cross it is a failure."""
+    terminal: tuple[Array | None, ...]
+    """The crossing of each at which a run ends."""
+    unseen: Array | None = None
+    """Crossings that are counted and not kept; None: none."""
+    since: Array | None = None
+    """The time before which crossings are not even counted; None: all are."""
+
+    def value(self, j: int, system: ComponentSystem, mode: Components) -> Callable:
+        """S number j, a function of time and state, on a motion of some mode."""
+        function = self.functions[j]
+        if not self.of_rate[j]:
+            return function
+
+        def rate(t: Array, x: Components) -> Array:
+            field = ModeField(system, mode)(t, x)
+            return jax.jvp(function, (t, x), (jnp.ones_like(t), field))[1]
+
+        return rate
+
+
+class Sight(eqx.Module):
+    """Of k sections at one state: S, dS/dt along the motion, and the size of the terms of S."""
+
+    value: Components
+    rate: Components
+    terms: Components
+
+
+def watch_sections(
+    sections: Sequence[Section], system: ComponentSystem, x0: Array, transposed: bool = False
+) -> WatchedSections | None:
+    """The sections of a run from states shaped like `x0`, shape (n,); None if there are none."""
+    if not sections:
+        return None
+    t0, x = jnp.zeros((), x0.dtype), system.unpack(x0)
+    functions = []
+    for section in sections:
+        leaves, static = eqx.partition(cast(section.function, x0.dtype), eqx.is_array)
+        traced = Traced(
+            _on_components(static, x0.dtype),
+            leaves,
+            t0,
+            x,
+            transposed=transposed,
+            fast=not system.compact,
+        )
+        functions.append(ParametrizedFunction(traced, leaves, system.fence))
+    last = [None if s.terminal is None else jnp.asarray(s.terminal, jnp.int32) for s in sections]
+    return WatchedSections(
+        functions=tuple(functions),
+        directions=tuple(s.direction for s in sections),
+        of_rate=tuple(s.of_rate for s in sections),
+        bounds=tuple(s.is_bound for s in sections),
+        terminal=tuple(last),
+    )
+
+
+def _on_components(static: Any, dtype: Any) -> Callable:
+    def function(leaves: Any, t: Array, x: Components) -> Array:
+        return jnp.asarray(eqx.combine(leaves, static)(t, pack(x, dtype)), dtype)
+
+    return function
+
+
+def see(
+    watched: WatchedSections,
+    system: ComponentSystem,
+    at: tuple[Array, Components],
+    motion: tuple[Components, Components],
+    size: Components,
+) -> Sight:
+    """The sections at a time and a state, on a motion of some mode with the field f, where states
+    have been of some size."""
+    (t, x), (mode, f) = at, motion
+    values, rates, terms = [], [], []
+    for j in range(len(watched.functions)):
+        value, pull = jax.vjp(watched.value(j, system, mode), t, x)
+        by_t, by_x = pull(jnp.ones_like(value))
+        values.append(value)
+        rates.append(stop_gradient(by_t + dot(by_x, f)))
+        terms.append(stop_gradient(dot(tuple(map(abs, by_x)), size) + abs(by_t * t)))
+    return Sight(system.hold(*values), system.hold(*rates), tuple(terms))
+
+
+def beyond_newton(
+    watched: WatchedSections,
+    system: ComponentSystem,
+    at: tuple[Array, Components],
+    mode: Components,
+    aim: Components,
+) -> tuple[Array, Components]:
+    """`second_order.beyond_newton` of the time to a crossing of the section aimed at, and of the
+    state there."""
+
+    def gap(given: tuple[WatchedSections, ComponentSystem], t: Array, x: Components) -> Any:
+        watched, system = given
+        values = [watched.value(j, system, mode)(t, x) for j in range(len(aim))]
+        return sum(select(aimed, v, 0.0) for aimed, v in zip(aim, values, strict=True))
+
+    return beyond_newton_to(gap, lambda given: given[1], (watched, system), at, mode)

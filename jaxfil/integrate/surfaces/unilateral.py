@@ -1,0 +1,230 @@
+"""Unilateral constraints: surfaces that a reset throws back from, and rest on them.
+
+A system with resets, a state and the sides it is on enter; how a reset acts on a surface, and the
+reaction that holds a motion at rest there, leave.
+
+At rest on surface j both H_j = 0 and ψ_j = dH_j/dt = 0, and the field presses the motion against
+the surface. What keeps it there acts as the reset does: along the direction d_j in which the reset
+moves a state that comes in slowly. Near such a state the reset is x − d_j ψ_j: with y = ∇ψ_j
+
+    d_j = −(D reset_j − I) y / (∇ψ_j·y),    ψ_j after it = (1 − ∇ψ_j·d_j) ψ_j = −e_j ψ_j
+
+and ∇ψ_j·d_j is 1 + e_j: a reset with e_j ≥ 0 throws back, any other lets through. The reaction is
+
+    ẋ = F + Σ_j λ_j d_j,    Σ_j (∇ψ_i·d_j) λ_j = −a_i,    a_i = dψ_i/dt along F
+
+over the surfaces rested on; the rest ends where λ_j ceases to push away from the surface.
+
+Impacts that follow each other ever faster end in rest: with the pressing acceleration a and the
+rate ψ just after an impact the flights last 2ψ/|a|, e of that, e² of that, so that the rest begins
+after T = 2ψ/(|a| (1 − e)), up to a part T ȧ/a. (Complete chattering: Nordmark and Piiroinen,
+Simulation and stability analysis of impacting systems with complete chattering, Nonlinear Dynamics
+58, 2009.)
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.system.components import Components, any_of, axpy, dot, where
+from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.select import select
+from jaxfil.xla.small_linear import solve_small
+
+# Rounding of a rate or of an acceleration, in eps of its terms.
+_NOISE = 64
+
+
+class Constraints(eqx.Module):
+    """The surfaces as constraints, at one state on given sides. Components are m."""
+
+    rate: Components
+    """ψ_j = dH_j/dt."""
+    gradients: tuple[Components, ...]
+    """∇ψ_j, n components each."""
+    directions: tuple[Components, ...]
+    """d_j, n components each; zero where the reset does nothing."""
+    gains: tuple[Components, ...]
+    """Rows of ∇ψ_i·d_j."""
+
+    @property
+    def throws_back(self) -> Components:
+        """Whether the reset of a surface turns the motion back, e_j ≥ 0."""
+        least = 1 - 64 * jnp.finfo(self.rate[0].dtype).eps
+        return tuple(stop_gradient(row[j]) >= least for j, row in enumerate(self.gains))
+
+
+def contact_rates(
+    system: ComponentSystem, t: Array, x: Components, sides: Components
+) -> Components:
+    """ψ: dH/dt along the field of some sides, m components."""
+    return system.rate(t, x, system.field(t, x, sides))
+
+
+def constraints(system: ComponentSystem, t: Array, x: Components, sides: Components) -> Constraints:
+    """The surfaces as constraints at (t, x), for a motion on `sides`."""
+    rate, pull = jax.vjp(lambda x: contact_rates(system, t, x, sides), x)
+    gradients, directions = [], []
+    for j in range(system.m):
+        pick = tuple(jnp.asarray(float(i == j), system.dtype) for i in range(system.m))
+        (gradient,) = pull(pick)
+        gradients.append(gradient)
+        directions.append(_direction(system, t, x, sides, rate, gradient, j))
+    zero = jnp.zeros_like(t)
+    gains = tuple(tuple(zero + dot(row, d) for d in directions) for row in gradients)
+    return Constraints(rate, tuple(gradients), tuple(directions), gains)
+
+
+def _terms(a: Components, b: Components) -> Array:
+    """Σ |a b|."""
+    return dot(tuple(map(abs, a)), tuple(map(abs, b)))
+
+
+def _direction(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    sides: Components,
+    rate: Components,
+    gradient: Components,
+    j: int,
+) -> Components:
+    """d_j, from the derivative of the reset along y = ∇ψ_j at a state that comes in."""
+    size = dot(gradient, gradient)
+    inverse = select(size > 0, 1 / select(size > 0, size, 1), 0.0)
+    # A reset may be written for motions that come in only: its derivative is that at such a state,
+    # by so little that nothing else is told of it.
+    terms = _terms(gradient, x)
+    least = float(np.finfo(system.dtype).tiny) ** 0.5
+    depth = stop_gradient(_NOISE * system.eps * terms + least + sides[j] * rate[j])
+    moving = axpy(x, -sides[j] * depth * stop_gradient(inverse), stop_gradient(gradient))
+    _, moved = jax.jvp(lambda x: system.reset(t, x, jnp.int32(j)), (moving,), (gradient,))
+    return tuple((v - w) * inverse for v, w in zip(gradient, moved, strict=True))
+
+
+def accelerations(
+    system: ComponentSystem, t: Array, x: Components, sides: Components, f: Components
+) -> Components:
+    """a: the derivatives of ψ along the field f, m components."""
+    _, a = jax.jvp(lambda t, x: contact_rates(system, t, x, sides), (t, x), (jnp.ones_like(t), f))
+    return a
+
+
+def rate_noise(
+    t: Array,
+    x: Components,
+    dt: Array,
+    f: Components,
+    c: Constraints,
+    a: Components,
+    surfaces: tuple[Components, tuple[Components, ...]],
+) -> Components:
+    """What rounding does to ψ: of t and x, of the terms that it is made of, and of the steps by
+    which the state has come here. `surfaces` are ∂H/∂t and ∂H/∂x."""
+    out = []
+    for h_t, normal, gradient, a_j in zip(*surfaces, c.gradients, a, strict=True):
+        by_time = a_j - dot(gradient, f)
+        # Of bodies that fall side by side ψ stays zero, and its terms do not.
+        gained = _terms(gradient, f)
+        terms = abs(h_t) + _terms(normal, f)
+        terms = terms + dot(tuple(map(abs, gradient)), x)
+        terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
+        out.append(stop_gradient(_NOISE * jnp.finfo(t.dtype).eps * terms))
+    return tuple(out)
+
+
+def multipliers(gains: tuple[Components, ...], a: Components, rests: Components) -> Components:
+    """λ of the surfaces rested on, 0 of others, given the accelerations a without reactions."""
+    m = len(a)
+    matrix = [
+        [
+            select(rests[i] & rests[j] if i != j else rests[i], gains[i][j], float(i == j))
+            for j in range(m)
+        ]
+        for i in range(m)
+    ]
+    right = [select(on, -v, 0.0) for on, v in zip(rests, a, strict=True)]
+    return tuple(solve_small(matrix, right))
+
+
+def answered(gains: tuple[Components, ...], a: Components, force: Components) -> Components:
+    """Rates or accelerations a, with what pushes along the directions add: a + Σ_k λ_k ∇ψ·d_k."""
+    return tuple(
+        v + sum(g * p for g, p in zip(row, force, strict=True))
+        for v, row in zip(a, gains, strict=True)
+    )
+
+
+def pushed(f: Components, directions: tuple[Components, ...], force: Components) -> Components:
+    """f + Σ_j λ_j d_j."""
+    for d, v in zip(directions, force, strict=True):
+        f = axpy(f, v, d)
+    return f
+
+
+def held_field(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, f: Components
+) -> tuple[Components, Components]:
+    """The field f of a mode at (t, x) with the reactions of the surfaces that it rests on, and
+    their sizes λ, positive where they push away; without a rest f as it was, and 0."""
+    sides, rests = sides_of(mode), rests_of(mode)
+    c = constraints(system, t, x, sides)
+    force = multipliers(c.gains, accelerations(system, t, x, sides, f), rests)
+    held = where(any_of(rests), pushed(f, c.directions, force), f)
+    return held, tuple(s * v for s, v in zip(sides, force, strict=True))
+
+
+def reaction_scale(
+    system: ComponentSystem, t: Array, x: Components, mode: Components
+) -> Components:
+    """The size of the terms that the reactions of a mode are made of, m components."""
+    c = constraints(system, t, x, sides_of(mode))
+    f = system.field(t, x, sides_of(mode))
+    sizes = []
+    for j, (gradient, row) in enumerate(zip(c.gradients, c.gains, strict=True)):
+        terms = _terms(gradient, f)
+        sizes.append(terms / select(row[j] > 0, row[j], 1))
+    return tuple(sizes)
+
+
+def rests_of(mode: Components) -> Components:
+    """The surfaces that a mode rests on: ±2, by the side it is on."""
+    return tuple(abs(s) == 2 for s in mode)
+
+
+def beside(mode: Components) -> Components:
+    """The mode that does not rest where this one does: ±1 in place of ±2."""
+    return tuple(select(r, 0.5 * s, s) for r, s in zip(rests_of(mode), mode, strict=True))
+
+
+def sides_of(mode: Components) -> Components:
+    """The sides of a mode, + where it slides: rates of constraints do not depend on that."""
+    return tuple(select(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in mode)
+
+
+def pressed(
+    gains: tuple[Components, ...], a: Components, sides: Components, candidates: Components
+) -> tuple[Components, Array]:
+    """Which of the surfaces at rest stay so, and whether that is consistent: λ_j pushes away from
+    each surface that holds, and a_j leads away from each that does not.
+
+    Surfaces that would have to pull, or need not push, let go, all of them at once, until none
+    would.
+    """
+    gains, a, sides = jax.tree.map(stop_gradient, (gains, a, sides))
+    m = len(a)
+
+    def let_go(_: Array | int, on: Components) -> Components:
+        force = multipliers(gains, a, on)
+        each = zip(on, sides, force, strict=True)
+        return tuple(o & (s * v > 0) for o, s, v in each)
+
+    on = let_go(0, candidates) if m == 1 else jax.lax.fori_loop(0, m, let_go, candidates)
+    force = multipliers(gains, a, on)
+    fine, left = jnp.ones((), bool), answered(gains, a, force)
+    for i, (candidate, o) in enumerate(zip(candidates, on, strict=True)):
+        fine = fine & (~candidate | o | (sides[i] * left[i] >= 0))
+    return on, fine

@@ -1,0 +1,331 @@
+"""What the loop sees of a system: its fields and surfaces on components.
+
+A `System` and an initial state enter; a `ComponentSystem` leaves, with static sizes (n states, m
+surfaces) and functions on tuples of scalars. In a batch each scalar is one contiguous array of
+lanes, which XLA turns into vector instructions; an (n,) state in the loop would be strided. A state
+of many numbers is one array all the same: written out, its program would grow with n, and the
+array's own numbers fill the vectors. So is every state in a compact program, which has one lane.
+The numbers of the surfaces are one array too, where they are several and have nothing to do with
+each other (`ComponentSystem.packed`).
+"""
+
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.system import dependencies
+from jaxfil.integrate.system.components import Components, Forcing, Normals, pack, scalars
+from jaxfil.integrate.system.dependencies import Structure
+from jaxfil.model import check
+from jaxfil.model.system import System, has_resets
+from jaxfil.xla.select import select
+from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
+
+# Numbers of a state, and surfaces of a state that is one array, that are components one by one, at
+# most: in a program that is written out, and in a compact one.
+_FEW, _FEW_SURFACES = (12, 2), (1, 1)
+
+
+def _unpacked(numbers: Any, compact: bool) -> tuple:
+    """Numbers in an (n,) array as the components of a state are held."""
+    few = _FEW[compact]
+    return (numbers,) if len(numbers) > few else tuple(numbers[i] for i in range(len(numbers)))
+
+
+class ParametrizedFunction(eqx.Module):
+    """One of the user's functions, on components, with the parameters that it takes."""
+
+    traced: Traced = eqx.field(static=True)
+    parameters: Any
+    fence: Array | None
+
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        return self.traced(self.parameters, *args, fence=self.fence, **options)
+
+    def ahead(self, t: Array) -> Forcing:
+        """What is dear in it and takes time alone."""
+        return self.traced.ahead(self.parameters, t)
+
+
+class ComponentSystem(eqx.Module):
+    """A system on components: n states, m surfaces.
+
+    XLA's CPU backend fuses operations into loops, and computes a value with several users again in
+    each user's loop: without a fence a cosine that two stages share would be computed twice, and a
+    stage once for each stage after it. It sees through `optimization_barrier`, but not through a
+    conditional whose condition it does not know (`once`), nor past a division by a value of each
+    lane, which it holds to be expensive (`Traced`). On other backends there is no fence.
+    """
+
+    n: int = eqx.field(static=True)
+    m: int = eqx.field(static=True)
+    slides: bool = eqx.field(static=True)
+    """Whether sliding is compiled."""
+    resets: bool = eqx.field(static=True)
+    """Whether resets are compiled."""
+    dtype: Any = eqx.field(static=True)
+    structure: Structure = eqx.field(static=True)
+    """Which numbers of the field and of H depend on which side and state."""
+    compact: bool = eqx.field(static=True)
+    """Whether its program is to be small: see `compact`. Sines are then one operation each, and
+    only those of arrays are found ahead."""
+    packed: bool = eqx.field(static=True)
+    """Whether what there is of each surface is one array, (m,): of several surfaces of a state that
+    is one array, that are separate, share no number of it, and have no reset."""
+    _field: Any
+    _switching: Any
+    _reset: Any
+    clocks: tuple[tuple[Array, Array], ...]
+    """Periods and phases of the clocks."""
+    _opaque_one: Array | None
+    """1, as a number that the compiler does not know."""
+    window: tuple[Array, Array] | None = None
+    """The times that functions are held between: see `clocks`."""
+
+    def held(self, t: Array) -> Array:
+        """A time as the functions of the system are given it."""
+        if self.window is None:
+            return t
+        low, high = self.window
+        return t + jax.lax.stop_gradient(jnp.clip(t, low, high) - t)
+
+    @property
+    def eps(self) -> float:
+        """Machine epsilon of the precision."""
+        return float(jnp.finfo(self.dtype).eps)
+
+    @property
+    def fence(self) -> Array | None:
+        """That of the functions of a lane: see `ParametrizedFunction`."""
+        return self._switching.fence
+
+    def once(self, function: Callable, *args: Any) -> Any:
+        """`function(*args)`, each argument and each result computed once.
+
+        A conditional that always takes its first branch, on a condition that the compiler cannot
+        see through.
+        """
+        if self._opaque_one is None:
+            return function(*args)
+
+        def never(*args: Any) -> Any:
+            shapes = jax.eval_shape(function, *args)
+            return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+        return jax.lax.cond(self._opaque_one > 0, function, never, *args)
+
+    def where_any(self, flag: Array, function: Callable, otherwise: Callable, *args: Any) -> Any:
+        """`function(*args)` if the flag of any lane is set, else `otherwise(*args)`, which must be
+        the same where it is not set. On a CPU the other one is not computed."""
+        if self._opaque_one is None:
+            return function(*args)
+        return jax.lax.cond(eqxi.unvmap_any(flag), function, otherwise, *args)
+
+    def hold(self, *values: Array) -> Components:
+        """The same values, each computed once."""
+        return self.once(lambda *held: held, *values)
+
+    def forcing(self, t: Array, h: Array, times: Sequence[float]) -> list[Forcing]:
+        """What the field takes of time alone and is dear, at t + c·h for each c of `times`: both
+        sides of a surface and all stages at one time share it."""
+
+        def at(t: Array, h: Array) -> list[Forcing]:
+            return [self.forcing_at(t + c * h) for c in times]
+
+        def together(t: Array, h: Array) -> Forcing:
+            return jax.vmap(self.forcing_at)(t + h * np.array(times, self.dtype))
+
+        if not jax.eval_shape(self.forcing_at, t):
+            return [[] for _ in times]
+        if not self.compact:
+            return self.once(at, t, h)
+        rows = self.once(together, t, h)
+        return [[v[k] for v in rows] for k in range(len(times))]
+
+    def forcing_at(self, t: Array) -> Forcing:
+        """What the field takes of time alone and is dear, at one time; in a compact program arrays
+        alone."""
+        return self._field.ahead(self.held(t))
+
+    def field(
+        self,
+        t: Array,
+        x: Components,
+        sides: Components,
+        alone: bool = False,
+        forcing: Forcing | None = None,
+    ) -> Components:
+        """F(t, x, sides), sides exactly ±1, with what `forcing` has found for t, if it is given.
+        `alone`: all that is made of it is one vector, blended or not."""
+        return self._field(self.held(t), x, sides, alone=alone, known=forcing)
+
+    def switching(self, t: Array, x: Components) -> Components:
+        """H(t, x)."""
+        return self._switching(self.held(t), x)
+
+    def reset(self, t: Array, x: Components, surface: Array) -> Components:
+        """The state after an impact on `surface`."""
+        return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
+
+    def unpack(self, x: Array) -> Components:
+        """The components of a state, shape (n,)."""
+        return _unpacked(x, self.compact)
+
+    def constant(self, numbers: np.ndarray) -> Components:
+        """The components of a state of known numbers, shape (n,)."""
+        return tuple(jnp.asarray(v, self.dtype) for v in _unpacked(numbers, self.compact))
+
+    @property
+    def surfaces(self) -> range:
+        """The components of what there is of each surface: m of them, or one array."""
+        return range(1 if self.packed else self.m)
+
+    def of_surfaces(self, numbers: Array) -> Components:
+        """Numbers in an (m,) array as components."""
+        return (numbers,) if self.packed else scalars(numbers)
+
+    def for_each_surface(self, number: Array) -> Components:
+        """The same number for each of the surfaces."""
+        return (jnp.full((self.m,), number),) if self.packed else (number,) * self.m
+
+    def rate(self, t: Array, x: Components, f: Components) -> Components:
+        """dH/dt along the direction (1, f)."""
+        _, rate = jax.jvp(self.switching, (t, x), (jnp.ones_like(t), f))
+        return rate
+
+    def gradients(self, t: Array, x: Components) -> tuple[Components, Components, Normals]:
+        """H, ∂H/∂t and the gradients ∂H_j/∂x."""
+        h, pull = jax.vjp(self.switching, t, x)
+        if self.packed:
+            _, h_t = jax.jvp(lambda t: self.switching(t, x), (t,), (jnp.ones_like(t),))
+            return h, h_t, pull((jnp.ones_like(h[0]),))[1:]
+        rows = [pull(tuple(jnp.asarray(v, self.dtype) for v in row)) for row in np.eye(self.m)]
+        return h, tuple(r[0] for r in rows), tuple(r[1] for r in rows)
+
+
+def build(system: System, x0: Array, *, compact: bool, transposed: bool = False) -> ComponentSystem:
+    """The components of a system whose float leaves have the dtype of `x0`, shape (n,), for a
+    program that is `compact` or not; to be `transposed`, its functions must not let a side that is
+    not taken into their derivatives."""
+    _check_sharding(x0)
+    h_shape = check.shapes(system, x0)
+    m = 1 if h_shape == () else h_shape[0]
+    if len(x0) > _FEW[compact] and m > _FEW_SURFACES[compact] and not has_resets(system):
+        packed = _build(system, x0, compact, transposed, h_shape, packed=True)
+        if packed.structure.separate and packed.structure.members is not None:
+            return packed
+    return _build(system, x0, compact, transposed, h_shape, packed=False)
+
+
+def _build(
+    system: System,
+    x0: Array,
+    compact: bool,
+    transposed: bool,
+    h_shape: tuple[int, ...],
+    packed: bool,
+) -> ComponentSystem:
+    """`build`, with surfaces as one array, if they are `packed` and that can be."""
+    n, dtype = x0.shape[0], x0.dtype
+    t0, x = jnp.zeros((), dtype), _unpacked(x0, compact)
+    m = 1 if h_shape == () else h_shape[0]
+    resets = has_resets(system) and m > 0
+    leaves, static = eqx.partition(system, eqx.is_array)
+    field, switching, reset = _on_components(static, h_shape, dtype, compact, packed)
+    sides = (jnp.ones((m,), dtype),) if packed else (jnp.ones((), dtype),) * m
+    traced = ft.partial(Traced, transposed=transposed, fast=not compact)
+    when = (FIRST, EARLY, LATE, LATE)
+    traced_field = traced(field, leaves, t0, x, sides, when=when)
+    traced_switching = traced(switching, leaves, t0, x)
+    _check_derivatives(vector_field=traced_field, switching=traced_switching)
+    found = dependencies.of(
+        (traced_field, traced_switching),
+        jax.tree.map(lambda _: False, (leaves, t0)),
+        [_unpacked(row, compact) for row in np.eye(n, dtype=bool)],
+        [(row,) if packed else tuple(row) for row in np.eye(m, dtype=bool)],
+    )
+    traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
+    on_cpu = jax.default_backend() == "cpu"
+    # XLA does not compute a sine of its own again.
+    fence = _fence(leaves, x0) if on_cpu and not compact else None
+    return ComponentSystem(
+        n=n,
+        m=m,
+        slides=system.slides and m > 0,
+        resets=resets,
+        dtype=dtype,
+        structure=found,
+        compact=compact,
+        packed=packed,
+        _field=ParametrizedFunction(traced_field, leaves, fence),
+        _switching=ParametrizedFunction(traced_switching, leaves, fence),
+        _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
+        clocks=_clocks(system, dtype),
+        _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
+    )
+
+
+def _clocks(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
+    """Periods and phases of a system's clocks."""
+    pairs = [(clock.period, clock.phase) for clock in check.clocks(system)]
+    return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)
+
+
+def _check_sharding(x0: Array) -> None:
+    kind = jax.typeof(x0)
+    # `vma` until JAX 0.9.
+    varying = getattr(kind, "vma", None) or getattr(
+        getattr(kind, "manual_axis_type", None), "varying", None
+    )
+    if varying:
+        # Derivatives taken inside of the loop would have to say of each number where it differs.
+        raise ValueError("`check_vma` of `jax.shard_map` must be False around jaxfil, got True.")
+
+
+def _check_derivatives(**functions: Traced) -> None:
+    for name, function in functions.items():
+        found = function.without_derivatives()
+        if found is not None:
+            raise TypeError(
+                f"`{name}` must have forward derivatives, which contacts are located with, got one "
+                f"that calls `{found}`: wrap it in `jax.custom_jvp`."
+            )
+
+
+def _on_components(
+    static: System, h_shape: tuple[int, ...], dtype: Any, compact: bool, packed: bool
+) -> tuple[Callable, Callable, Callable]:
+    """The field, the switching function and the reset of a system as functions of its array leaves
+    and of components."""
+    m = 1 if h_shape == () else h_shape[0]
+
+    def field(leaves: System, t: Array, x: Components, sides: Components) -> Components:
+        side = sides[0] if h_shape == () else pack(sides, dtype)
+        f = eqx.combine(leaves, static).vector_field(t, pack(x, dtype), side)
+        return _unpacked(f, compact)
+
+    def switching(leaves: System, t: Array, x: Components) -> Components:
+        h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
+        h = jnp.reshape(h, (m,))
+        return (h,) if packed else scalars(h)
+
+    def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
+        return _unpacked(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface), compact)
+
+    return field, switching, reset
+
+
+def _fence(leaves: Any, x0: Array) -> Array:
+    """A one of each lane that the compiler cannot see through, for its sines: a conditional round a
+    single sine, on the one of `ComponentSystem.once`, is dissolved by XLA, a division is not."""
+    numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype]
+    firsts = [jnp.ravel(v)[0] for v in jax.lax.stop_gradient(numbers)]
+    never = sum(firsts) == jnp.finfo(x0.dtype).max
+    return select(never, 2.0, 1.0).astype(x0.dtype)

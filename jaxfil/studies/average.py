@@ -1,0 +1,93 @@
+"""Averages along a motion: quadratures carried with the state.
+
+A system and a function of time, state and sides enter; the mean of the function along a run leaves,
+of the order of the stepper and exact through contacts.
+"""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxfil.integrate.run.observed import Observe, checked_observable, with_rate
+from jaxfil.integrate.run.options import Adjoint
+from jaxfil.integrate.run.solve import solve
+from jaxfil.integrate.run.step_choice import StepChoice
+from jaxfil.integrate.steppers.explicit import Stepper
+from jaxfil.model import check
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.system import System
+from jaxfil.model.types import Scalar, State
+
+
+class Average(eqx.Module):
+    """The mean of a function along a run, and how the run ended."""
+
+    value: Float[jax.Array, "*shape"]
+    """The mean; of the time that was reached where the run has ended before."""
+    result: RESULTS
+    """How the run ended."""
+    t_final: Float[jax.Array, ""]
+    """How far it came."""
+    x_final: Float[jax.Array, " n"]
+    """The state there, for another run to go on from."""
+
+
+def average(
+    system: System,
+    function: Observe,
+    x0: State,
+    t0: Scalar,
+    t1: Scalar,
+    dt: Scalar | StepChoice,
+    *,
+    stepper: Stepper | None = None,
+    adjoint: Adjoint = diffrax.ForwardMode(),  # noqa: B008
+    throw: bool = True,
+) -> Average:
+    r"""The mean of a function along a motion: a power, a duty cycle, the part of time on a side.
+
+    $$\bar g = \frac{1}{t_1 - t_0} \int_{t_0}^{t_1} g(t, x(t), \mathrm{side}(t))\, dt$$
+
+    The integral is carried with the state, at the order of the stepper, and its steps end on
+    contacts as those of the state do. On a slide it is that of the blend of both sides, as the
+    field is.
+
+    **Arguments**
+
+    - `system`, `x0`, `t0`, `t1`, `dt`, `stepper`, `adjoint`, `throw`: as in `solve`.
+    - `function`: g, a function of the time, the state, shape (n,), and the sides, as
+      `System.vector_field` is given them, that returns an array of any shape.
+
+    **Returns** an `Average` with the shape of what `function` returns. It has derivatives as the
+    states of a `Solution` have.
+
+    **Outcomes**: `successful`; `max_steps_reached`, `nonfinite`, `step_too_long`, `nonunique`,
+    `mode_undecided`, `undeclared_sliding`, `zeno`, `reset_undecided` and, in backward time,
+    `irreversible_reset`.
+
+    **Source**: textbook; E. Hairer, S. P. Nørsett and G. Wanner, Solving Ordinary Differential
+    Equations I, Springer (1993), section II.1, where a quadrature is a differential equation.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> spring = jf.piecewise(
+    ...     lambda t, x: jnp.stack([x[1], -x[0]]), lambda t, x: jnp.stack([x[1], -4 * x[0]]),
+    ...     lambda t, x: x[0])
+    >>> above = jf.average(
+    ...     spring, lambda t, x, side: 0.5 * (1 + side), jnp.array([0.0, 1.0]), 0.0, 1.5 * jnp.pi,
+    ...     0.1)
+    >>> print(round(float(above.value), 9))  # a time π of 3π/2
+    0.666666667
+    """
+    x = check.state("x0", x0)
+    check.system("system", system)
+    observable = checked_observable("function", function, system, x)
+    wider, start = with_rate(system, observable, x)
+    sol = solve(
+        wider, start, t0, t1, dt, stepper=stepper, max_events=None, adjoint=adjoint, throw=throw
+    )
+    n, elapsed = x.shape[0], sol.t_final - jnp.asarray(t0, x.dtype)
+    mean = sol.x_final[n:].reshape(observable.shape) / elapsed
+    return Average(mean, sol.result, sol.t_final, sol.x_final[:n])

@@ -1,0 +1,332 @@
+"""`choose_step`: the cheapest stepper and step that meet a tolerance on one's own scene.
+
+A system, an initial state, a time span and a tolerance enter; a `StepChoice` leaves. Each stepper's
+steps are doubled until its error is small enough, and the place between the last two numbers of
+steps is then looked for; all errors are those against one reference that is finer than all of them.
+"""
+
+import dataclasses
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.run.solve import solve
+from jaxfil.integrate.run.step_choice import StepChoice
+from jaxfil.integrate.steppers.explicit import RK4, Stepper, checked_stepper, tableau_of
+from jaxfil.model import check
+from jaxfil.model.outcomes import (
+    RESULTS,
+    outcome_codes,
+    outcome_names,
+    outcomes,
+    raise_if_failed,
+)
+from jaxfil.model.parameter import cast, replace_parameter
+from jaxfil.model.system import System
+from jaxfil.model.types import Scalar, State, States, SweptValues
+
+# Steps that a search begins with, in a forcing period or the whole span.
+_FIRST = 4
+# Numbers of steps tried between two that differ by a factor of two: at order eight the error of
+# neighbours differs by a factor of two as well.
+_BETWEEN = 7
+# The reference is refined until doubling its steps changes it by this part of the tolerance.
+_FINE = 1e-2
+# A change below so many eps that is no smaller than half of the one before: rounding is all there
+# is.
+_ROUNDING = 1e4
+# Run times are medians of so many calls.
+_REPEATS = 3
+# The most steps of a lane.
+_MOST = 2**22
+_STEPPERS = (RK4(), diffrax.Tsit5(), diffrax.Dopri8())
+
+
+@dataclasses.dataclass(frozen=True)
+class _Run:
+    """All lanes at one number of steps: their ends, the first outcome that is no success, or
+    `successful`, and the run time of one."""
+
+    xs: np.ndarray
+    outcome: str
+    seconds: float
+
+    def distance(self, other: "_Run") -> float:
+        """The largest distance of two runs' ends, relative to the size of the other's; inf where
+        one of them has none."""
+        if {self.outcome, other.outcome} != {"successful"}:
+            return np.inf
+        size = np.max(abs(other.xs), axis=1)
+        apart = np.max(abs(self.xs - other.xs), axis=1)
+        return float(np.max(apart / np.where(size == 0, 1, size)))
+
+
+class _Ladder:
+    """The runs of one stepper, by their numbers of steps."""
+
+    def __init__(self, stepper: Stepper, run: Callable[[int], _Run], most: int):
+        self.stepper, self.most, self.runs = stepper, most, dict[int, _Run]()
+        self._run = run
+
+    def at(self, steps: int) -> _Run:
+        """The run with so many steps."""
+        if steps not in self.runs:
+            self.runs[steps] = self._run(steps)
+        return self.runs[steps]
+
+    @property
+    def finest(self) -> int:
+        """The largest number of steps so far."""
+        return max(self.runs)
+
+    def change(self, steps: int) -> float:
+        """By how much it changed when the steps were doubled to so many."""
+        return self.runs[steps // 2].distance(self.runs[steps]) if steps > _FIRST else np.inf
+
+    def double_until(self, small: float) -> None:
+        """Double the steps until that changes the ends by no more than `small`, or by rounding, or
+        they are too many."""
+        steps = max(self.runs, default=_FIRST // 2)
+        while 2 * steps <= self.most:
+            steps *= 2
+            self.at(steps)
+            change, before = self.change(steps), self.change(steps // 2)
+            rounding = _ROUNDING * float(np.finfo(self.runs[steps].xs.dtype).eps)
+            if change <= small or 0.5 * before <= change <= rounding:
+                return
+
+    def enough(self, reference: _Run, tolerance: float) -> int | None:
+        """The least number of steps from which on all runs meet the tolerance; None if there is
+        none."""
+        found = None
+        for steps in sorted(self.runs, reverse=True):
+            if not self.runs[steps].distance(reference) <= tolerance:
+                break
+            found = steps
+        return found
+
+    def refine(self, reference: _Run, tolerance: float) -> None:
+        """Try numbers of steps just below those that are enough."""
+        found = self.enough(reference, tolerance)
+        if found is None or found == _FIRST:
+            return
+        between = 0.5 * found * 2 ** (np.arange(1, _BETWEEN + 1) / (_BETWEEN + 1))
+        for steps in sorted({round(v) for v in between} - {found // 2, found}, reverse=True):
+            if not self.at(steps).distance(reference) <= tolerance:
+                return
+
+
+def choose_step(
+    system: System,
+    x0: State | States,
+    t0: Scalar,
+    t1: Scalar,
+    *,
+    tolerance: float = 1e-8,
+    steppers: Sequence[Stepper] | None = None,
+    parameter: str | None = None,
+    values: SweptValues | None = None,
+    throw: bool = True,
+) -> StepChoice:
+    """Find the cheapest stepper and number of steps whose error at t1 is below a tolerance.
+
+        max_i |x_i(t1) − reference_i|  ≤  tolerance · max_i |reference_i|   in every lane
+
+    Errors are measured and not estimated from one step to the next, so that they are those of the
+    contacts too. More steps than those chosen meet the tolerance as well, as far as they were
+    tried: a step that is good by accident is not taken. Each stepper is compiled once.
+
+    **Arguments**
+
+    - `system`: a `System`, forced or not.
+    - `x0`: the initial state, shape (n,), or one for each lane, shape (p, n).
+    - `t0`, `t1`: the span of time. Errors grow with it: choose one like that of the runs to come,
+      but none in which a chaotic motion forgets where it began.
+    - `tolerance`: the largest error, relative to the size of x(t1), positive.
+    - `steppers`: those to choose from, as `solve` takes them; by default `RK4()`, `Tsit5()` and
+      `Dopri8()` of diffrax. For stiff fields `[jf.Rodas5P()]`.
+    - `parameter`, `values`: a parameter and a few of its values, shape (p,), a lane each: those of
+      a sweep to come, its ends among them.
+    - `throw`: whether to raise an error unless the outcome is `successful`.
+
+    **Returns** a `StepChoice`: a card, a picture, and what other verbs take as `dt` or `steps`.
+
+    **Outcomes**: `successful`; `tolerance_not_met`, where the most accurate run is returned; where
+    no run reached t1, that of the last one: `max_steps_reached`, `zeno`,
+    `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite` or
+    `step_too_long`.
+
+    **Source**: work–precision diagrams: Hairer, Nørsett and Wanner, Solving Ordinary Differential
+    Equations I, Springer 1993, section II.10.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> scene, x0 = jf.systems.RotatingOscillator(), jnp.array([0.36787944117144233, 0.0])
+    >>> choice = jf.choose_step(scene, x0, 0.0, 2.0, tolerance=1e-4, steppers=[jf.RK4()])
+    >>> sol = jf.solve(scene, x0, 0.0, 2.0, choice)
+    >>> bool(abs(sol.xs[-1] - jnp.array([jnp.e, 0.0])).max() < 1e-4 * jnp.e)
+    True
+    """
+    check.system("system", system)
+    lanes = _Lanes(system, x0, t0, t1, parameter, values)
+    wanted = float(check.scalar("tolerance", tolerance, float, positive=True))
+    ladders = [_Ladder(s, lanes.runner(s), lanes.most) for s in _checked(steppers)]
+    for ladder in ladders:
+        ladder.double_until(wanted)
+    # The reference is that of the stepper that got there with the fewest steps: the highest order.
+    best = min(ladders, key=lambda v: (min(v.change(v.finest), wanted), v.finest))
+    best.double_until(_FINE * wanted)
+    fine = min((s for s in best.runs if s > _FIRST), key=best.change)
+    reference, known = best.runs[fine], best.change(fine)
+    for ladder in ladders:
+        ladder.refine(reference, wanted)
+    choice = _choice(ladders, lanes, reference, known, wanted)
+    if throw:
+        raise_if_failed(choice.errors, choice.result)
+    return choice
+
+
+def _checked(steppers: Any) -> tuple[Stepper, ...]:
+    if steppers is None:
+        return _STEPPERS
+    if not isinstance(steppers, (list, tuple)) or not steppers or None in steppers:
+        raise ValueError(f"`steppers` must be a list of steppers, at least one, got {steppers!r}.")
+    return tuple(checked_stepper(stepper) for stepper in steppers)
+
+
+class _Lanes:
+    """The scenes on which a choice is to be good: parameters, initial states and the span."""
+
+    def __init__(
+        self,
+        system: System,
+        x0: Any,
+        t0: Scalar,
+        t1: Scalar,
+        parameter: str | None,
+        values: Any,
+    ):
+        states = jnp.atleast_2d(jnp.asarray(x0))
+        first = check.state("x0", states[0])
+        dtype = first.dtype
+        self.system = cast(system, dtype)
+        self.forced = system.period is not None
+        if (parameter is None) != (values is None):
+            raise ValueError(
+                f"`parameter` and `values` must be given together, got {parameter!r}, {values!r}."
+            )
+        swept = (
+            jnp.zeros(1, dtype) if values is None else jnp.atleast_1d(jnp.asarray(values, dtype))
+        )
+        count = max(swept.shape[0], states.shape[0])
+        if swept.ndim > 1 or {swept.shape[0], states.shape[0]} - {1, count}:
+            raise ValueError(
+                "`values` must be of shape (p,), as many as there are states, got "
+                f"{swept.shape} and states of shape {states.shape}."
+            )
+        self.parameter = parameter
+        self.x0 = jnp.broadcast_to(states.astype(dtype), (count, first.shape[0]))
+        self.values = jnp.broadcast_to(swept, (count,))
+        self.span = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
+        length = abs(float(self.span[1] - self.span[0]))
+        if not 0 < length < np.inf:
+            raise ValueError(f"`t1` must differ from `t0` and be finite, got {t1} and {t0}.")
+        units = np.asarray(jax.vmap(self._unit)(self.values))
+        # Steps are counted in a period: a lane of many periods has as many more of them.
+        self.most = int(_MOST / max(1.0, float(np.max(length / units))))
+
+    def _of(self, value: Array) -> System:
+        if self.parameter is None:
+            return self.system
+        return replace_parameter(self.system, self.parameter, value)
+
+    def _unit(self, value: Array) -> Array:
+        """The time in which steps are counted."""
+        period = self._of(value).period
+        return abs(self.span[1] - self.span[0]) if period is None else jnp.asarray(period)
+
+    def dt(self, steps: int) -> float:
+        """The length of a step for the parameters of the system itself."""
+        period = self.system.period
+        unit = abs(self.span[1] - self.span[0]) if period is None else period
+        return float(unit) / steps
+
+    def runner(self, stepper: Stepper) -> Callable[[int], _Run]:
+        """All lanes by one compiled program, as a function of the number of steps."""
+
+        def one(value: Array, x0: Array, steps: Array) -> tuple[Array, RESULTS]:
+            system = self._of(value)
+            dt = self._unit(value) / steps
+            sol = solve(system, x0, *self.span, dt, stepper=stepper, max_events=None, throw=False)
+            return sol.x_final, sol.result
+
+        program = eqx.filter_jit(eqx.filter_vmap(one, in_axes=(0, 0, None)))
+        dtype = self.x0.dtype
+
+        def run(steps: int) -> _Run:
+            number = jnp.asarray(steps, dtype)
+            # The first call compiles, or warms up.
+            xs, results = program(self.values, self.x0, number)
+            times = []
+            for _ in range(_REPEATS):
+                start = time.perf_counter()
+                jax.block_until_ready(program(self.values, self.x0, number))
+                times.append(time.perf_counter() - start)
+            names = outcome_names(results)
+            failed = [str(name) for name in names if name != "successful"]
+            seconds = statistics.median(times) / len(names)
+            return _Run(np.asarray(xs), (failed or ["successful"])[0], seconds)
+
+        return run
+
+
+def _choice(
+    ladders: list[_Ladder], lanes: _Lanes, reference: _Run, known: float, tolerance: float
+) -> StepChoice:
+    """The cheapest run of all that are enough; without one the most accurate run."""
+    width = max(len(ladder.runs) for ladder in ladders)
+    counts = np.zeros((len(ladders), width), int)
+    errors, times = np.full((2, len(ladders), width), np.nan)
+    for i, ladder in enumerate(ladders):
+        for k, steps in enumerate(sorted(ladder.runs)):
+            run = ladder.runs[steps]
+            away = run.distance(reference)
+            counts[i, k], times[i, k] = steps, run.seconds
+            errors[i, k] = away if np.isfinite(away) else np.nan
+    enough = [(ladder, ladder.enough(reference, tolerance)) for ladder in ladders]
+    good = [(v.runs[s].seconds, k, s) for k, (v, s) in enumerate(enough) if s is not None]
+    met = bool(good) and known <= tolerance
+    if good:
+        _, which, steps = min(good)
+    else:
+        ranks = np.where(np.isnan(errors), np.inf, errors)
+        which, column = np.unravel_index(int(np.argmin(ranks)), ranks.shape)
+        steps = int(counts[which, column])
+    chosen = ladders[which]
+    why = "successful" if met else "tolerance_not_met"
+    if not met and np.isnan(errors).all():
+        why = chosen.runs[chosen.finest].outcome
+    return StepChoice(
+        stepper=chosen.stepper,
+        steps=steps,
+        dt=lanes.dt(steps),
+        error=chosen.runs[steps].distance(reference),
+        seconds=chosen.runs[steps].seconds,
+        tolerance=tolerance,
+        result=outcomes(outcome_codes(np.array(why))),
+        forced=lanes.forced,
+        steppers=tuple(tableau_of(ladder.stepper).name for ladder in ladders),
+        counts=counts,
+        errors=errors,
+        times=times,
+        reference=reference.xs,
+        reference_error=known,
+    )

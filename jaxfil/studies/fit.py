@@ -1,0 +1,279 @@
+"""`fit`: parameters of a system from measured data.
+
+A system, the names of parameters, times, measurements and first guesses enter; a `Fit` leaves: the
+values with their covariance, and how the search ended from each guess. The residuals are those of
+the event-driven solution, their Jacobian its derivative, exact through every contact.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from jaxfil.integrate.run.solve import solve
+from jaxfil.integrate.run.step_choice import StepChoice, dt_and_stepper
+from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
+from jaxfil.model import check
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
+from jaxfil.model.parameter import cast, get_parameter, replace_parameters, scalar_parameters
+from jaxfil.model.system import System
+from jaxfil.model.types import Scalar, State
+from jaxfil.xla.select import select
+
+
+class Fit(eqx.Module):
+    """Parameters that fit data best, of g first guesses, and how certain they are."""
+
+    values: Float[Array, " k"]
+    """The parameters."""
+    covariance: Float[Array, "k k"]
+    """Their covariance, (JᵀJ)⁻¹ with J the Jacobian of the residuals, each divided by its `sigma`;
+    without a `sigma` times the variance of the residuals. Infinite where data say nothing."""
+    residuals: Float[Array, " N"]
+    """(observed − measured)/sigma, in the order of the data."""
+    system: System
+    """The system with these parameters."""
+    result: RESULTS
+    """How the search ended from the best guess."""
+    all_values: Float[Array, "g k"]
+    """Where the search from each guess ended."""
+    costs: Float[Array, " g"]
+    """Half the sum of the squares of the residuals there; NaN where there is no motion."""
+    num_steps: Int[Array, " g"]
+    """Steps that each search took."""
+    results: RESULTS
+    """How each ended."""
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    """The names of the parameters."""
+
+    @property
+    def errors(self) -> Float[Array, " k"]:
+        """Standard errors of the parameters, the roots of the variances."""
+        return jnp.sqrt(jnp.diag(self.covariance))
+
+    def __repr__(self) -> str:
+        cost = float(jnp.sqrt(jnp.mean(self.residuals**2)))
+        near = self.costs <= jnp.nanmin(self.costs) * (1 + 1e-6) + 1e-300
+        lines = [
+            f"Fit of {type(self.system).__name__}{precision(self.values)} to "
+            f"{self.residuals.shape[0]} numbers: {outcome(self.result)}",
+            *(
+                f"  {name} = {float(value):.10g} ± {float(error):.2g}"
+                for name, value, error in zip(
+                    self.parameters, self.values, self.errors, strict=True
+                )
+            ),
+            f"  root mean square of the residuals {cost:.3g}; {int(near.sum())} of "
+            f"{len(self.costs)} guesses end here",
+        ]
+        return "\n".join(lines)
+
+
+def fit(
+    system: System,
+    parameters: Sequence[str],
+    ts: Any,
+    data: Any,
+    x0: State,
+    dt: Scalar | StepChoice,
+    *,
+    t0: Scalar = 0.0,
+    observe: Callable[[Array, Array], Array] | None = None,
+    sigma: Any = None,
+    guesses: Any = None,
+    stepper: Stepper | None = None,
+    tolerance: float = 1e-8,
+    max_steps: int = 100,
+    throw: bool = True,
+) -> Fit:
+    """Fit parameters of a system to measurements of its motion.
+
+        minimise ½ Σ_i |(observe(t_i, x(t_i)) − data_i)/sigma|²
+
+    By Levenberg and Marquardt's method from every guess at once, each with its own damping. Where a
+    step would have the motion lose a contact or win one the residuals stay continuous, but their
+    derivatives jump, and are infinite at grazing: a step after which they have not fallen is taken
+    back, and a shorter one tried. Guesses on the wrong side of such a kink may end there.
+
+    **Arguments**
+
+    - `system`: the `System`; its own values are those of all other parameters.
+    - `parameters`: the names of k scalar parameters, or of entries as "a[0,1]".
+    - `ts`: times of the measurements, shape (q,), ascending, none before `t0`.
+    - `data`: measurements, shape (q,) or (q, …), finite.
+    - `x0`: the state at `t0`, shape (n,).
+    - `dt`, `stepper`: as in `solve`.
+    - `t0`: the time of `x0`.
+    - `observe`: a function of (t, x) that returns what is measured; None is the whole state.
+    - `sigma`: standard deviations of the measurements, of a shape that broadcasts to that of
+      `data`; None: all the same one, which is not known.
+    - `guesses`: first guesses, shape (g, k) or (k,); None is the system's own values.
+    - `tolerance`: of the parameters and the sum, relative, at which a search ends; 8 eps at least.
+    - `max_steps`: the most steps of a search.
+    - `throw`: whether to raise an error unless the outcome of the best guess is `successful`.
+
+    **Returns** a `Fit`, that of the guess with the smallest sum of squares.
+
+    **Outcomes**, in `result` and of each guess in `results`: `successful`; `fit_not_converged`; and
+    where there is no motion at the end of the search what stopped it: `max_steps_reached`,
+    `mode_undecided`, `zeno`, `nonunique`, `nonfinite`, `reset_undecided`, `undeclared_sliding` or
+    `step_too_long`.
+
+    **Source**: D. Marquardt, An algorithm for least-squares estimation of nonlinear parameters,
+    SIAM Journal 11 (1963), as Optimistix has it; J. Nocedal, S. J. Wright, Numerical Optimization
+    (2006), section 10.3.
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> block, x0 = jf.systems.CoulombOscillator(friction=0.3), jnp.array([3.0, 0.0])
+    >>> ts = jnp.linspace(0.5, 6.0, 12)
+    >>> data = 0.4 + 2.6 * jnp.cos(ts[:5])  # before it turns, with a friction of 0.4
+    >>> found = jf.fit(block, ("friction",), ts[:5], data, x0, 0.1, observe=lambda t, x: x[0])
+    >>> print(round(float(found.values[0]), 6))
+    0.4
+    """
+    check.system("system", system)
+    x = check.state("x0", x0)
+    system = cast(system, x.dtype)
+    names = scalar_parameters(system, parameters)
+    times, measured = _data(ts, data, x.dtype)
+    spread = jnp.ones((), x.dtype) if sigma is None else jnp.asarray(sigma, x.dtype)
+    known = check.concrete(spread)
+    if known is not None and not (np.all(known > 0) and np.all(np.isfinite(known))):
+        raise ValueError(f"`sigma` must be positive, got {sigma!r}.")
+    own = jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names])
+    starts = jnp.atleast_2d(own if guesses is None else jnp.asarray(guesses, x.dtype))
+    if starts.ndim != 2 or starts.shape[1] != len(names):
+        raise ValueError(
+            f"`guesses` must be of shape (g, {len(names)}), a column for each parameter, got "
+            f"{starts.shape}."
+        )
+    dt, stepper = dt_and_stepper(dt, stepper)
+    model = _Model(
+        system,
+        x,
+        check.scalar("t0", t0, x.dtype),
+        check.scalar("dt", dt, x.dtype, positive=True),
+        times,
+        measured,
+        jnp.broadcast_to(spread, measured.shape),
+        names,
+        _whole_state if observe is None else observe,
+        checked_stepper(stepper),
+    )
+    rtol = float(check.scalar("tolerance", tolerance, float, positive=True))
+    rtol = max(rtol, 8 * float(jnp.finfo(x.dtype).eps))
+    found = _search(model, starts, rtol, check.count("max_steps", max_steps), sigma is None)
+    if not throw:
+        return found
+    return raise_if_failed(found, found.result)
+
+
+def _whole_state(t: Array, x: Array) -> Array:
+    return x
+
+
+def _data(ts: Any, data: Any, dtype: Any) -> tuple[Array, Array]:
+    times, measured = jnp.asarray(ts, dtype), jnp.asarray(data, dtype)
+    if times.ndim != 1 or measured.ndim == 0 or measured.shape[0] != times.shape[0]:
+        raise ValueError(
+            f"`data` must have a row for each of the times, got {measured.shape} and `ts` of shape "
+            f"{times.shape}."
+        )
+    known = check.concrete(measured)
+    if known is not None and not np.isfinite(known).all():
+        raise ValueError("`data` must be finite: leave out what was not measured, its times too.")
+    return times, measured
+
+
+class _Model(eqx.Module):
+    """All that the residuals depend on but the parameters."""
+
+    system: System
+    x0: Array
+    t0: Array
+    dt: Array
+    ts: Array
+    data: Array
+    sigma: Array
+    names: tuple[str, ...] = eqx.field(static=True)
+    observe: Callable = eqx.field(static=True)
+    stepper: Stepper = eqx.field(static=True)
+
+    def at(self, values: Array) -> System:
+        """The system with these parameters."""
+        return replace_parameters(self.system, self.names, values)
+
+    def residuals(self, values: Array, _: Any = None) -> tuple[Array, RESULTS]:
+        """Residuals, NaN where there is no motion, and its outcome."""
+        sol = solve(
+            self.at(values),
+            self.x0,
+            self.t0,
+            self.ts[-1],
+            self.dt,
+            stepper=self.stepper,
+            saveat=diffrax.SaveAt(ts=self.ts),
+            max_events=None,
+            throw=False,
+        )
+        seen = jax.vmap(self.observe)(self.ts, sol.xs)
+        away = jnp.ravel((seen - self.data) / self.sigma)
+        # A step to where there is no motion is one after which nothing has fallen.
+        return select(sol.result == RESULTS.successful, away, jnp.nan), sol.result
+
+
+@eqx.filter_jit
+def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: bool) -> Fit:
+    # The sum may be zero: what it falls by is then measured by rounding.
+    solver = optx.LevenbergMarquardt(rtol=rtol, atol=rtol**2)
+
+    def one(start: Array) -> tuple[Array, Array, Array, RESULTS]:
+        found = optx.least_squares(
+            model.residuals,
+            solver,
+            start,
+            has_aux=True,
+            options={"jac": "fwd"},
+            max_steps=max_steps,
+            throw=False,
+        )
+        away, result = model.residuals(found.value)
+        ended = found.result == optx.RESULTS.successful
+        end = RESULTS.where(ended, RESULTS.successful, RESULTS.fit_not_converged)
+        end = RESULTS.where(result == RESULTS.successful, end, result)
+        return found.value, 0.5 * jnp.sum(away**2), found.stats["num_steps"], end
+
+    values, costs, counts, results = eqx.filter_vmap(one)(starts)
+    best = jnp.argmin(select(jnp.isnan(costs), jnp.inf, costs))
+    value = values[best]
+    slopes, away = jax.jacfwd(lambda v: (model.residuals(v)[0],) * 2, has_aux=True)(value)
+    freedom = max(1, away.shape[0] - value.shape[0])
+    variance = jnp.sum(away**2) / freedom if scaled else 1.0
+    return Fit(
+        values=value,
+        covariance=variance * _inverse(slopes.T @ slopes),
+        residuals=away,
+        system=model.at(value),
+        result=jax.tree.map(lambda v: v[best], results),
+        all_values=values,
+        costs=costs,
+        num_steps=counts,
+        results=results,
+        parameters=model.names,
+    )
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix whose rows have units; infinite where it is singular."""
+    size = jnp.sqrt(jnp.diag(matrix))
+    scale = select(size > 0, size, 1)
+    inverse = jnp.linalg.inv(matrix / scale / scale[:, None]) / scale / scale[:, None]
+    return select(jnp.isfinite(inverse), inverse, jnp.inf)

@@ -1,0 +1,93 @@
+"""Surfaces that are coupled: a field that is affine in its sides against the same motion in other
+words, which do not show it, and small linear systems against LAPACK."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+from jaxfil.integrate.system.lowered import build
+from jaxfil.xla import small_linear
+
+PADDING = 8
+
+
+class Stack(jf.System):
+    """Masses on each other, and the lowest on a belt, with friction between neighbours."""
+
+    mu: jnp.ndarray
+    shown: bool = eqx.field(static=True)
+    more: int = eqx.field(static=True)
+
+    def vector_field(self, t, x, side):
+        m = self.mu.size
+        # ±1 to the third power is itself; that this is affine is not seen.
+        friction = -self.mu * (side if self.shown else side * side * side)
+        (q, v), rest = jnp.split(x[: 2 * m], 2), x[2 * m :]
+        push = jnp.arange(1.0, m + 1) * (jnp.cos(t) - q)
+        forces = push + friction - jnp.append(friction[1:], 0.0)
+        return jnp.concatenate([v, forces, -rest])
+
+    def switching(self, t, x):
+        m = self.mu.size
+        v = x[m : 2 * m]
+        return v - jnp.concatenate([jnp.array([0.3]), v[:-1]])
+
+
+def run(m, shown, more=0):
+    stack = Stack(jnp.linspace(0.5, 0.3, m), shown, more)
+    x0 = jnp.concatenate([jnp.linspace(0.1, 0.4, 2 * m), jnp.zeros(more)])
+    system = build(stack, x0, compact=False)
+    assert not system.structure.separate and system.structure.affine == shown
+    return jf.solve(stack, x0, 0.0, 8.0, 0.05, max_events=64)
+
+
+@pytest.mark.parametrize(
+    ("m", "more"),
+    [
+        (2, 0),
+        (2, PADDING + 4),
+        # Compiles for as long as the two above: three surfaces are also those of the next.
+        pytest.param(3, 0, marks=[pytest.mark.slow, pytest.mark.release]),
+        (3, PADDING),
+    ],
+)
+def test_affine_or_not_is_one_motion(m, more):
+    sol, other = run(m, True, more), run(m, False, more)
+    assert int(sol.num_events) == int(other.num_events) >= 4
+    # Some of it slides.
+    assert np.any(np.asarray(sol.events.modes)[: int(sol.num_events)] == 0)
+    assert_allclose(sol.x_final, other.x_final, rtol=1e-11, atol=1e-12)
+    assert_allclose(sol.events.ts, other.events.ts, rtol=1e-11)
+
+
+@jax.jit
+def solved(a, b):
+    """By elimination: the solution, and the size of the determinant."""
+    rows, right = [list(row) for row in a], list(b)
+    return jnp.stack(small_linear.solve_small(rows, right)), small_linear.size_of_determinant(rows)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3, 5])
+def test_small_linear_systems_are_solved_as_by_lapack(k):
+    rng = np.random.default_rng(k)
+    for _ in range(5):
+        a, b = rng.normal(size=(k, k)), rng.normal(size=k)
+        a[0, 0] = 0 if k > 1 else a[0, 0]  # rows are exchanged
+        found, size = solved(a, b)
+        scale = np.linalg.cond(a) * np.finfo(float).eps
+        assert_allclose(found, np.linalg.solve(a, b), rtol=64 * scale, atol=64 * scale)
+        assert_allclose(size, abs(np.linalg.det(a)), rtol=64 * scale)
+
+
+@pytest.mark.parametrize("k", [2, 3, 5])
+def test_the_same_equation_twice_still_has_a_solution(k):
+    rng = np.random.default_rng(k)
+    a, b = rng.normal(size=(k, k)), rng.normal(size=k)
+    a[1], b[1] = a[0], b[0]
+    found, size = solved(a, b)
+    assert_allclose(a @ found, b, rtol=1e-12, atol=1e-12)
+    assert size == 0
