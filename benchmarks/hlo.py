@@ -134,6 +134,11 @@ def sources(text):
     def field(row, name):
         return re.search(rf"{name}=(\d+)", row)[1]
 
+    # A frame's callers stand before it. XLA counts them from 0 or, as frames themselves, from 1,
+    # where the outermost frame of all seems to be its own.
+    stack = tables["StackFrames"].items()
+    shift = any(f"parent_frame_id={number}}}" in row for number, row in stack)
+
     names, done, frames = set(), set(), set(re.findall(r"stack_frame_id=(\d+)", text))
     while frames - done:
         frame = (frames - done).pop()
@@ -143,6 +148,7 @@ def sources(text):
         file = tables["FileNames"][field(location, "file_name_id")].strip('"')
         function = tables["FunctionNames"][field(location, "function_name_id")].strip('"')
         names.add(f"{file.rpartition('/')[2].removesuffix('.py')}.{function.partition('.<')[0]}")
-        if (parent := re.search(r"parent_frame_id=(\d+)", row)) and parent[1] != "0":
-            frames.add(parent[1])
+        parent = re.search(r"parent_frame_id=(\d+)", row)
+        if parent and int(parent[1]) > shift:
+            frames.add(str(int(parent[1]) - shift))
     return names

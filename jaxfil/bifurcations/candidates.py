@@ -19,7 +19,7 @@ from jaxtyping import Array
 from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, conditions
 from jaxfil.integrate.run.solution import switches
 from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
-from jaxfil.integrate.system import components, lowered
+from jaxfil.integrate.system import lowered
 from jaxfil.model.outcomes import is_successful
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
@@ -188,8 +188,8 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:
             _, rates = filippov.corners(on_components, t, blocks)
-            weight = components.number(sliding_weights.weights(modes, rates), j)
-        return components.number(filippov.guard(on_components, t, blocks, modes), j), weight
+            weight = sliding_weights.weights(modes, rates).number(j)
+        return filippov.guard(on_components, t, blocks, modes).number(j), weight
 
     return jax.vmap(one)(ts, xs)
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.system.components import Components, axpy, dot, is_array, where
+from jaxfil.integrate.system.components import Components, dot, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
@@ -27,7 +27,7 @@ def generic_frame(system: ComponentSystem) -> Frame:
     """n orthonormal vectors, none of which is likely to be special to the system."""
     # The axes would be special: where a slide loses x', the axis of x' is lost at once.
     q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(system.n, system.n)))
-    if is_array(zeros(system)):
+    if zeros(system).is_array:
         return jnp.asarray(q.T, system.dtype)
     return tuple(system.constant(column) for column in q.T)
 
@@ -44,10 +44,10 @@ def for_each(
 ) -> tuple[Frame, Components]:
     """`function` of each vector and its number: a vector and a number of each."""
     if isinstance(frame, tuple):
-        vectors, out = zip(*map(function, frame, numbers), strict=True)
-        return vectors, out
-    (moved,), out = jax.vmap(function)((frame,), numbers[0])
-    return moved, (out,)
+        vectors, out = zip(*map(function, frame, numbers.parts), strict=True)
+        return vectors, Components(out)
+    moved, out = jax.vmap(function)(Components([frame]), numbers.parts[0])
+    return moved.parts[0], Components([out])
 
 
 def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple[Frame, Components]:
@@ -66,11 +66,11 @@ def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple
         rest = v
         for _ in range(2):  # the second time removes what rounding left
             for q in done:
-                rest = axpy(rest, -dot(q, rest), q)
+                rest = rest + -dot(q, rest) * q
         unit, log = _normalised(system, v, rest, lambda: _complement(system, done), dropped)
         done.append(unit)
         logs.append(log)
-    return tuple(done), tuple(logs)
+    return tuple(done), Components(logs)
 
 
 def _gram_schmidt_of_array(
@@ -88,16 +88,17 @@ def _gram_schmidt_of_array(
         most = jax.lax.argmin(jnp.sum(done * done, axis=0), 0, jnp.int32)
         axis = (rows == most).astype(system.dtype)
         left = outside(done, axis)
-        return (left / jnp.sqrt(jnp.sum(left * left)),)
+        return Components([left / jnp.sqrt(jnp.sum(left * left))])
 
     def next_vector(done: Array, turn: tuple[Array, Array]) -> tuple[Array, Array]:
         k, v = turn
         rest = outside(done, outside(done, v))  # the second time removes what rounding left
-        (unit,), log = _normalised(system, (v,), (rest,), lambda: complement(done), dropped)
-        return select((rows == k)[:, None], unit, done), log
+        both = Components([v]), Components([rest])
+        unit, log = _normalised(system, *both, lambda: complement(done), dropped)
+        return select((rows == k)[:, None], unit.parts[0], done), log
 
     done, logs = jax.lax.scan(next_vector, jnp.zeros_like(frame), (rows, frame))
-    return done, (logs,)
+    return done, Components([logs])
 
 
 def _normalised(
@@ -112,9 +113,8 @@ def _normalised(
     length = _norm(rest)
     lost = length <= _LOST * system.eps * _norm(v)
     length = select(lost, 1.0, length)
-    unit = tuple(a / length for a in rest)
     nothing = select(dropped, -jnp.inf, jnp.nan)
-    return where(lost, complement(), unit), select(lost, nothing, jnp.log(length))
+    return where(lost, complement(), rest / length), select(lost, nothing, jnp.log(length))
 
 
 def _norm(v: Components) -> Array:
@@ -130,7 +130,7 @@ def _complement(system: ComponentSystem, done: list[Components]) -> Components:
     for j in range(system.n):
         axis = system.constant(eye[j])
         for q in done:
-            axis = axpy(axis, -q[j], q)
-        square = axis[j]  # a projection's diagonal is the square of its column
+            axis = axis + -q.parts[j] * q
+        square = axis.parts[j]  # a projection's diagonal is the square of its column
         best, most = where(square > most, axis, best), jnp.maximum(most, square)
-    return tuple(v / jnp.sqrt(most) for v in best)
+    return best / jnp.sqrt(most)

@@ -24,7 +24,7 @@ from jaxfil.integrate.loop.iterate import advance, finish, integrate
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
-from jaxfil.integrate.system.components import Components, is_array, pack
+from jaxfil.integrate.system.components import Components, pack
 from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
@@ -119,10 +119,10 @@ def synchronization_exponent(
 
 
 def _distance(z: Components) -> Array:
-    if is_array(z):
-        return jnp.sqrt(jnp.sum(jnp.square(jnp.subtract(*jnp.split(z[0], 2)))))
-    n = len(z) // 2
-    return jnp.sqrt(sum((a - b) ** 2 for a, b in zip(z[:n], z[n:], strict=True)))
+    if z.is_array:
+        return jnp.sqrt(jnp.sum(jnp.square(jnp.subtract(*jnp.split(z.parts[0], 2)))))
+    n = len(z.parts) // 2
+    return jnp.sqrt(sum((a - b) ** 2 for a, b in zip(z.parts[:n], z.parts[n:], strict=True)))
 
 
 def _settle(

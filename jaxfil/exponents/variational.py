@@ -24,8 +24,8 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, is_running
 from jaxfil.integrate.loop.iterate import advance
 from jaxfil.integrate.surfaces import filippov
-from jaxfil.integrate.surfaces.normals import products, project
-from jaxfil.integrate.system.components import Components, axpy, where
+from jaxfil.integrate.surfaces.normals import project
+from jaxfil.integrate.system.components import Components, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
@@ -55,7 +55,7 @@ def vary(system: ComponentSystem, state: LoopState, every: Array) -> Variation:
 
 def propagate(problem: Problem, every: Array, variation: Variation, stop: Array) -> Variation:
     """Carry an orbit and its frame to step number `stop`; `growth` starts at zero."""
-    still = tuple(jnp.zeros_like(g) for g in variation.growth)
+    still = zeros(problem.system)
 
     def step(v: Variation) -> Variation:
         return _orthonormalised(problem.system, every, v.state, _push(problem, v))
@@ -108,13 +108,13 @@ def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Arra
     """A tangent after a switch. It was carried to the contact itself, whose time moves by dt, and
     through its resets: it holds f⁻ dt already, and gives up f⁺ dt to be at a fixed time again."""
     system, t = problem.system, problem.grid.t0 + after.tau
-    v = axpy(v, -dt, after.f)
+    v = v + -dt * after.f
     if system.slides or system.resets:
         _, _, normals = system.gradients(t, after.x)
         # On a surface a tangent has no component across it: two motions that slide there differ
         # along it alone. What is removed is the direction that sticking takes away.
         on = stays_on(system, after.mode)
-        v = project(system, v, products(system, normals, v), normals, on)
+        v = project(system, v, normals @ v, normals, on)
     return v
 
 
@@ -131,9 +131,7 @@ def _orthonormalised(
     frame, lengths = system.where_any(
         due, orthonormal, as_it_is, variation.frame, variation.dropped
     )
-    growth = tuple(
-        g + select(due, log, 0.0) for g, log in zip(variation.growth, lengths, strict=True)
-    )
+    growth = variation.growth + where(due, lengths, 0.0)
     return dataclasses.replace(
         variation,
         frame=jax.tree.map(lambda q, v: select(due, q, v), frame, variation.frame),

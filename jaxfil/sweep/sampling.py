@@ -116,7 +116,7 @@ class Sampling(eqx.Module):
         timed = seen or self.section is not None
         samples = SavedStates(kept.ts if timed else None, xs, kept.modes if seen else None)
         # Components are numbers, or one array of them.
-        rows = [v.reshape(*xs.shape[:-2], -1) for v in state.x]
+        rows = [v.reshape(*xs.shape[:-2], -1) for v in state.x.parts]
         result = state.result
         if self.section is not None:
             result = (jax.vmap(_at_section) if state.tau.ndim else _at_section)(result)

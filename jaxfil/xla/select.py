@@ -5,6 +5,7 @@ of its own, with conversions of the numbers in it: three times as long to trace 
 long to write out for XLA, and a program of the loop holds hundreds of them.
 """
 
+import functools as ft
 from typing import Any
 
 import jax
@@ -29,6 +30,15 @@ def select(flag: Any, yes: Any, no: Any) -> Array:
         if np.shape(flag) in ((), like.shape) and _same_type(yes, no):
             return jax.lax.select_n(flag, no, yes)
     return jnp.where(flag, yes, no)
+
+
+def select_all(flag: Any, yes: Any, no: Any) -> Any:
+    """`select` between two records, array by array.
+
+    >>> select_all(jnp.asarray(True), {"a": jnp.float32(1.0)}, {"a": jnp.float32(2.0)})
+    {'a': Array(1., dtype=float32)}
+    """
+    return jax.tree.map(ft.partial(select, flag), yes, no)
 
 
 def _is_plain(v: Any) -> bool:

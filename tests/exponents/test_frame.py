@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil.exponents.frame import generic_frame, gram_schmidt
+from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.lowered import build
-from tests.exponents.test_lyapunov import ONCE, Linear, MovingTable
+from tests.exponents.test_lyapunov import ONCE, Linear, MovingTable, rows_of
 from tests.integrate.system.test_large_state import MORE, padded, wide
 
 FEW, MANY = 4, 20
@@ -23,7 +24,7 @@ def orthonormalised(vectors, dropped=False):
     if isinstance(generic_frame(system), tuple):
         frame = tuple(system.constant(row) for row in np.asarray(vectors))
     found, logs = jax.jit(lambda frame: gram_schmidt(system, frame, jnp.asarray(dropped)))(frame)
-    return np.array(found), np.ravel(logs)
+    return rows_of(found), np.asarray(pack(logs, float))
 
 
 @pytest.mark.parametrize("n", [FEW, MANY])

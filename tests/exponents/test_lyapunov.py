@@ -12,6 +12,7 @@ from jaxfil import RESULTS
 from jaxfil.exponents import batch_means
 from jaxfil.exponents.frame import generic_frame
 from jaxfil.integrate.system import lowered
+from jaxfil.integrate.system.components import pack
 from jaxfil.model.outcomes import outcome_names
 from tests.problems import PROBLEMS
 from tests.problems.systems import cubic_belt
@@ -156,9 +157,14 @@ def test_the_belt():
 ONCE = {"periods": 1, "transient": 0, "steps": 400, "stepper": jf.RK4()}
 
 
+def rows_of(frame):
+    """The vectors of a frame, as the rows of a matrix."""
+    return np.array([pack(v, float) for v in frame] if isinstance(frame, tuple) else frame)
+
+
 def by_differences(system, x0, t1):
     """(1/t1) log of the diagonal of R in J Q = Q' R, J by central differences."""
-    frame = np.array(generic_frame(lowered.build(system, x0, compact=False)))
+    frame = rows_of(generic_frame(lowered.build(system, x0, compact=False)))
     move = 1e-6
 
     @jax.jit

@@ -12,7 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxfil as jf
 from jaxfil import RESULTS
 from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
+from jaxfil.integrate.surfaces.corners import Corners, corner_sides
 from jaxfil.integrate.system import lowered
+from jaxfil.integrate.system.components import Components
 from jaxfil.model.parameter import cast
 from tests.problems.values import CUBIC_LYAPUNOV
 
@@ -96,11 +98,7 @@ def test_a_surface_that_another_side_steers_is_not_separate():
     x = jnp.ones(2)
     assert lowered.build(cast(Brakes(), x.dtype), x, compact=False).structure.separate
     built = lowered.build(Crossed(), x, compact=False)
-    assert (
-        not built.structure.separate
-        and built.structure.affine
-        and len(filippov.corner_sides(built)) == 3
-    )
+    assert not built.structure.separate and built.structure.affine and len(corner_sides(built)) == 3
 
 
 def test_separate_surfaces_have_the_weights_and_modes_of_all_four_corners():
@@ -115,9 +113,10 @@ def test_separate_surfaces_have_the_weights_and_modes_of_all_four_corners():
     def both(rate, mode, on):
         above, below = tuple(rate[0]), tuple(rate[1])
         four = [above, (above[0], below[1]), (below[0], above[1]), below]
-        mode, on, one = tuple(mode), tuple(on), jnp.ones(())
+        mode, on, one = Components(mode), Components(on), jnp.ones(())
 
         def all_of(rows):
+            rows = Corners(map(Components, rows))
             weights = sliding_weights.weights(mode, rows)
             determinant = sliding_weights.determinant(mode, rows, weights)
             return (weights, determinant), filippov.choose(2, rows, mode, on, one)
@@ -129,7 +128,8 @@ def test_separate_surfaces_have_the_weights_and_modes_of_all_four_corners():
     assert_array_equal(two[1][1], four[1][1])
     decided = two[1][1] == 1
     assert 100 < decided.sum() < 500
-    assert_array_equal(jnp.stack(two[1][0])[:, decided], jnp.stack(four[1][0])[:, decided])
+    chosen, expected = (jnp.stack(found[1][0].parts)[:, decided] for found in (two, four))
+    assert_array_equal(chosen, expected)
 
 
 def test_synchronised_stays_synchronised_exactly():

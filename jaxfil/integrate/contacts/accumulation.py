@@ -17,6 +17,7 @@ other predict the same limit to within rounding, in time and in every component 
 """
 
 import dataclasses
+import functools as ft
 
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -25,7 +26,14 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd, Turn
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.system.components import Components, where
+from jaxfil.integrate.system.components import (
+    Components,
+    any_of,
+    largest,
+    maximum,
+    on_each,
+    where,
+)
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
@@ -54,10 +62,10 @@ def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
         rest=zero,
         x=x,
         length=zero,
-        move=tuple(map(jnp.zeros_like, x)),
+        move=x.like(zero),
         left=zero + jnp.inf,
         limit=x,
-        met=(false,) * system.m,
+        met=system.for_each_surface(false),
         late=zero,
         contacts=jnp.full((), _LONGEST, jnp.int32),
         completed=false,
@@ -74,8 +82,8 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
         state.pending, _turned, _as_before, problem, state, length, end
     )
     done = turn.completed
-    upcoming = tuple(done & met for met in turn.met)
-    if end.jump is not None:
+    upcoming = done & turn.met
+    if end.jump is not None and end.next is not None:
         jump, upcoming = select(done, jump, end.jump), where(done, upcoming, end.next)
     return dataclasses.replace(end, x=where(done, x, end.x), turn=turn, jump=jump, next=upcoming)
 
@@ -100,9 +108,8 @@ def _turned(
     shrinks = again & (time < turn.length)
     ratio = select(shrinks, time, 0) / select(shrinks, turn.length, 1)
     left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
-    move = tuple(a - b for a, b in zip(end.x, turn.x, strict=True))
-    each = zip(end.x, move, turn.move, strict=True)
-    limit = tuple(a + _rest_of_series(d, before, ratio) for a, d, before in each)
+    move = end.x - turn.x
+    limit = end.x + on_each(_rest_of_series, move, turn.move, ratio)
     agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit)
     # At a grid point it may be late by the rounding of its prediction.
     late = jnp.maximum(stop_gradient(left) - length.room, 0)
@@ -112,7 +119,7 @@ def _turned(
         # Of one wall `impact` knows more; of several, speeds are soon as small as rounding leaves.
         completed = completed & (left <= problem.system.eps**0.5 * abs(problem.grid.dt))
     starts = switches & (again | (turn.contacts >= _LONGEST))
-    met = tuple(switches & (m | hit) for m, hit in zip(turn.met, state.hit, strict=True))
+    met = switches & (turn.met | state.hit)
     now = Turn(
         kind=select(starts, kind, turn.kind),
         tau=select(starts, end.tau, turn.tau),
@@ -121,8 +128,8 @@ def _turned(
         length=select(starts, select(again, time, 0), turn.length),
         move=where(starts, move, turn.move),
         left=select(starts, stop_gradient(left), turn.left),
-        limit=where(starts, tuple(map(stop_gradient, limit)), turn.limit),
-        met=tuple(m & (completed | ~starts) for m in met),
+        limit=where(starts, stop_gradient(limit), turn.limit),
+        met=met & (completed | ~starts),
         late=select(starts, 0, _lateness(state)),
         contacts=select(starts, 0, turn.contacts + 1),
         completed=completed,
@@ -135,13 +142,11 @@ def _clear(
 ) -> Array:
     """Whether no surface that the turn has not met is crossed on the way to the limit."""
     assert state.turn is not None
-    clear = jnp.ones((), bool)
-    if problem.system.m > 2:
-        t = problem.grid.t0 + end.tau + select(jnp.isfinite(left), left, 0)
-        h = problem.system.switching(t, limit)
-        for v, s, hit, met in zip(h, end.mode, state.hit, state.turn.met, strict=True):
-            clear = clear & (hit | met | (s * v >= 0))
-    return clear
+    if problem.system.m == 2:
+        return jnp.ones((), bool)
+    t = problem.grid.t0 + end.tau + select(jnp.isfinite(left), left, 0)
+    h = problem.system.switching(t, limit)
+    return ~any_of(~(state.hit | state.turn.met | (end.mode * h >= 0)))
 
 
 def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
@@ -154,20 +159,16 @@ def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
 
 def _kind(hit: Components, mode: Components) -> Array:
     """The surfaces of a contact and the mode after it, as one number."""
-    number = jnp.zeros_like(mode[0])
-    for h, s in zip(hit, mode, strict=True):
-        number = 10 * number + 2 * (s + 2) + h.astype(s.dtype)
-    return stop_gradient(number)
+    codes = 2 * (mode + 2) + hit.astype(mode.number(0).dtype)
+    return stop_gradient(ft.reduce(lambda number, code: 10 * number + code, codes.parts))
 
 
 def _lateness(state: LoopState) -> Array:
     """How much later or earlier rounding may have put the contacts of a turn: the time of each is
     as good as its guard."""
     assert state.turn is not None
-    late = state.turn.late
-    for hit, noise, rate in zip(state.hit, state.noise, state.rate, strict=True):
-        late = jnp.maximum(late, select(hit & (rate != 0), noise / abs(rate), 0))
-    return stop_gradient(late)
+    late = where(state.hit & (state.rate != 0), state.noise / abs(state.rate), 0)
+    return stop_gradient(jnp.maximum(state.turn.late, largest(late)))
 
 
 def _agrees(
@@ -188,9 +189,6 @@ def _agrees(
     rounding = _AGREE * (same / shrink + _lateness(state) / (shrink * shrink))
     # Where rounding is much of a turn, all predictions agree.
     agrees = (abs(left - (turn.left - time)) <= rounding) & (rounding <= _TOLD * time)
-    each = zip(limit, turn.limit, end.x, end.f, state.f, strict=True)
-    for now, before, x, f, f0 in each:
-        size, speed = jnp.maximum(abs(now), abs(x)), jnp.maximum(abs(f), abs(f0))
-        apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
-        agrees = agrees & jnp.all(abs(now - before) <= apart)
-    return agrees, rounding
+    size, speed = maximum(abs(limit), abs(end.x)), maximum(abs(end.f), abs(state.f))
+    apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
+    return agrees & ~any_of(~(abs(limit - turn.limit) <= apart)), rounding

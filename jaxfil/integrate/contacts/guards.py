@@ -15,9 +15,9 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import KeptMode, Problem
 from jaxfil.integrate.lane.state import LoopState, Start, StepEnd
 from jaxfil.integrate.surfaces import filippov, unilateral
-from jaxfil.integrate.surfaces.normals import sizes
-from jaxfil.integrate.system.components import Components, Forcing, Normals, any_of
+from jaxfil.integrate.system.components import Components, Forcing, any_of, maximum, where
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
 
 _At = TypeVar("_At", Start, StepEnd)
@@ -32,29 +32,25 @@ _FADE_IN_TURN = 1 / 4
 
 
 def surface_noise(
-    system: ComponentSystem, t: Array, size: Components, h_t: Components, normals: Normals
+    system: ComponentSystem, t: Array, size: Components, h_t: Components, normals: Rows
 ) -> Components:
     """What rounding of t and x does to H: a multiple of eps and of the size of its terms, given the
     size of x."""
     t, size, h_t, normals = stop_gradient((t, size, h_t, normals))
-    each = zip(sizes(system, normals, size), h_t, strict=True)
-    return tuple(NOISE * system.eps * (terms + abs(r * t)) for terms, r in each)
+    return NOISE * system.eps * (abs(normals) @ size + abs(h_t * t))
 
 
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:
     """The largest |x| of late: what rounding it has left fades with the motion, and faster where it
     `turns` through the sides of surfaces."""
     fade = _FADE if turns is None else select(turns, _FADE_IN_TURN, _FADE)
-    each = zip(*stop_gradient((size, x)), strict=True)
-    return tuple(jnp.maximum(fade * s, abs(v)) for s, v in each)
+    return maximum(fade * stop_gradient(size), abs(stop_gradient(x)))
 
 
 def stays_on(system: ComponentSystem, mode: Components) -> Components:
     """The surfaces that a mode slides or rests on."""
-    slides = tuple(s == 0 for s in mode)
-    if not system.resets:
-        return slides
-    return tuple(a | b for a, b in zip(slides, unilateral.rests_of(mode), strict=True))
+    slides = mode == 0
+    return slides | unilateral.rests_of(mode) if system.resets else slides
 
 
 def guards(
@@ -79,11 +75,10 @@ def guards(
         (one, f, change),
     )
     # The guard of a slide, 1 - w², is of order one.
-    slide = NOISE * system.eps
-    noise = tuple(select(s == 0, slide, v) for s, v in zip(mode, noise, strict=True))
+    noise = where(mode == 0, NOISE * system.eps, noise)
     if system.resets:
         g, rate, noise = _guards_of_rest(system, t, x, f, mode, (g, rate, noise))
-    return system.hold(*g), stop_gradient(system.hold(*rate)), noise
+    return system.hold(g), stop_gradient(system.hold(rate)), noise
 
 
 def _guards_of_rest(
@@ -105,12 +100,8 @@ def _guards_of_rest(
 
         value, slope = jax.jvp(force, (t, x), (jnp.ones_like(t), f))
         scale = unilateral.reaction_scale(system, t, x, mode)
-        noise = tuple(stop_gradient(NOISE * system.eps * v) for v in scale)
-        each = zip((value, slope, noise), known, strict=True)
-        return tuple(
-            tuple(select(r, a, b) for r, a, b in zip(rests, new, old, strict=True))
-            for new, old in each
-        )
+        found = value, slope, stop_gradient(NOISE * system.eps * scale)
+        return tuple(where(rests, new, old) for new, old in zip(found, known, strict=True))
 
     return system.where_any(any_of(rests), reactions, lambda t, x, f, known: known, t, x, f, known)
 
@@ -119,8 +110,7 @@ def unguarded(kept: KeptMode | None, at: _At) -> _At:
     """What is known at a point, with guards that are far from zero where a lane keeps its mode."""
     if kept is None:
         return at
-    g = tuple(select(kept.on, 1.0, v) for v in at.g)
-    rate = tuple(select(kept.on, 0.0, v) for v in at.rate)
+    g, rate = where(kept.on, 1.0, at.g), where(kept.on, 0.0, at.rate)
     determinant = at.determinant
     if determinant is not None:
         determinant = select(kept.on, 1.0, determinant)
@@ -135,24 +125,18 @@ def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Comp
     guard starts at exactly zero, and its rate at zero or above.
     """
     system, direction = problem.system, problem.grid.direction
-    before, after = stays_on(system, state.mode), stays_on(system, end.mode)
-    gs, rates, armed, noises = [], [], [], []
-    for j in system.surfaces:
-        hit = state.pending & state.hit[j]
-        old_slide, sliding = before[j], after[j]
-        # The rounding of the landing counts until the surface is left, also where the state has
-        # become smaller since.
-        kept = (hit | ~state.armed[j]) & ~old_slide
-        noise = jnp.maximum(end.noise[j], select(kept, state.noise[j], 0.0))
-        away = sliding | (~hit & state.armed[j]) | (end.g[j] > noise)
-        # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
-        # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
-        double = hit & (old_slide | state.graze)
-        if system.resets:
-            double = double | end.still[j]
-        rising = direction * jnp.maximum(direction * end.rate[j], 0.0)
-        gs.append(select(away, jnp.maximum(end.g[j], 0.0), 0.0))
-        rates.append(select(away, end.rate[j], select(double, 0.0, rising)))
-        armed.append(away)
-        noises.append(noise)
-    return tuple(stop_gradient(g) for g in gs), tuple(rates), tuple(armed), tuple(noises)
+    hit, before = state.pending & state.hit, stays_on(system, state.mode)
+    sliding = stays_on(system, end.mode)
+    # The rounding of the landing counts until the surface is left, also where the state has
+    # become smaller since.
+    kept = (hit | ~state.armed) & ~before
+    noise = maximum(end.noise, where(kept, state.noise, 0.0))
+    armed = sliding | (~hit & state.armed) | (end.g > noise)
+    # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
+    # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
+    double = hit & (before | state.graze)
+    if system.resets:
+        double = double | end.still
+    rising = direction * maximum(direction * end.rate, 0.0)
+    g = where(armed, maximum(end.g, 0.0), 0.0)
+    return stop_gradient(g), where(armed, end.rate, where(double, 0.0, rising)), armed, noise

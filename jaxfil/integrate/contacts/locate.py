@@ -24,10 +24,9 @@ multiple of eps and of the size of its terms (`guards.surface_noise`); the round
 rounding in the state and in its derivative.
 """
 
-from typing import Any
+import functools as ft
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -36,7 +35,18 @@ from jaxfil.integrate.lane.problem import Problem, TimeGrid
 from jaxfil.integrate.lane.state import LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.surfaces.second_order import beyond_newton
-from jaxfil.integrate.system.components import Components, any_of, axpy, least
+from jaxfil.integrate.system.components import (
+    Components,
+    any_of,
+    first_set,
+    least,
+    maximum,
+    minimum,
+    on_each,
+    total,
+    where,
+)
+from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select
 
@@ -174,6 +184,11 @@ def _nothing(g0: Array, *_: Array) -> Array:
     return jnp.full_like(g0, NEVER + _LOOK)
 
 
+def _searched(system: ComponentSystem, near: Array, *guard: Array) -> Array:
+    """`_found` if the guard of any lane comes near zero."""
+    return system.where_any(near, _found, _nothing, *guard)
+
+
 class Contact(eqx.Module):
     """What a trial step has run over: θ of the earliest contact or minimum to be looked at
     (`NEVER`: nothing), the surfaces of that contact (none for a minimum), and all those run
@@ -202,37 +217,31 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     # field may still point back, and the surface is not met again for that.
     rounding, dt = problem.grid.same_time(end.tau), abs(problem.grid.dt)
     brief = ~length.cutting & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
-    found = []
-    for j in system.surfaces:
-        # A guard just met has its own rounding; one left long ago may have gathered all of t0 to
-        # here, in the state that it is made of.
-        fresh = jnp.maximum(end.noise[j], state.noise[j])
-        noise = select(state.armed[j], jnp.maximum(end.noise[j], end.touch[j]), fresh)
-        ends = state.g[j], h * state.rate[j], stop_gradient(end.g[j]), h * end.rate[j]
-        met = ~(state.armed[j] & stays_off(*ends, noise))
-        number = system.where_any(met, _found, _nothing, *ends, state.armed[j], noise)
-        found.append(select(brief & ~state.armed[j], NEVER + _LOOK, number))
+    # A guard just met has its own rounding; one left long ago may have gathered all of t0 to here,
+    # in the state that it is made of.
+    older = where(state.armed, end.touch, state.noise)
+    noise = maximum(end.noise, older)
+    ends = state.g, h * state.rate, stop_gradient(end.g), h * end.rate
+    near = ~(state.armed & on_each(stays_off, *ends, noise))
+    search = ft.partial(_searched, system)
+    found = on_each(search, near, *ends, state.armed, noise)
+    found = system.hold(where(brief & ~state.armed, NEVER + _LOOK, found))
     # The earliest counts, whichever surface is listed first; contacts beat minima at the same θ.
-    contact = minimum = jnp.asarray(NEVER, h.dtype)
-    thetas = []
-    for number in system.hold(*found):
-        thetas.append(jnp.minimum(number, NEVER))
-        contact = jnp.minimum(contact, least(number))
-        dip = select(number < _LOOK, NEVER, number - _LOOK)
-        minimum = jnp.minimum(minimum, least(dip))
+    thetas = minimum(found, NEVER)
+    contact = least(thetas)
+    lowest = jnp.minimum(least(where(found < _LOOK, NEVER, found - _LOOK)), NEVER)
     # One look at a time: a step that was cut short is taken as it is.
-    minimum = select(length.cutting, NEVER, minimum)
+    lowest = select(length.cutting, NEVER, lowest)
     singular = jnp.zeros((), bool)
     if system.slides:
         singular, theta = _to_singular_point(problem, state, end, h)
-        minimum = select(singular, jnp.minimum(minimum, theta), minimum)
-    first = (contact < NEVER) & (contact <= minimum)
-    surfaces = tuple(first & (theta <= contact * (1 + _TOGETHER)) for theta in thetas)
+        lowest = select(singular, jnp.minimum(lowest, theta), lowest)
+    first = (contact < NEVER) & (contact <= lowest)
+    surfaces = first & (thetas <= contact * (1 + _TOGETHER))
     # A search that does not converge from one side is helped by a step that falls short.
-    theta = jnp.minimum(contact, minimum)
+    theta = jnp.minimum(contact, lowest)
     stalled = (theta < NEVER) & (state.tries >= _STALLED) & (state.tries % 4 == 3)
-    run_over = tuple(theta < NEVER for theta in thetas)
-    return Contact(select(stalled, 0.5 * theta, theta), surfaces, run_over, singular)
+    return Contact(select(stalled, 0.5 * theta, theta), surfaces, thetas < NEVER, singular)
 
 
 def _to_singular_point(
@@ -287,35 +296,29 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     of order δ g̈/ġ, which is what is kept small here. The second derivative is `beyond_newton`'s.
     """
     system, direction = problem.system, problem.grid.direction
-    told = [_kind_of_end(problem, state, end, length, j) for j in system.surfaces]
+    kinds, times = _kinds_of_end(problem, state, end, length)
     # One number a surface, computed once: all that follows is made of it.
-    kinds, times = system.hold(*(kind for kind, _ in told)), [missing for _, missing in told]
-    hits = tuple(kind >= _HIT for kind in kinds)
+    kinds = system.hold(kinds)
+    hits = kinds >= _HIT
     landed = any_of(hits)
-    touched = any_of(tuple(kind == _BRUSHED for kind in kinds)) & ~landed
+    touched = any_of(kinds == _BRUSHED) & ~landed
     # A contact that is `_HERE` has δ = 0, but the derivative of its time.
-    times = tuple(_time_of(kind, missing) for kind, missing in zip(kinds, times, strict=True))
+    times = on_each(_time_of, kinds, times)
     # Of several surfaces the one met first gives δ, and those within the rounding of times are met
     # with it; a later one is left to a step of its own.
     delta, best, first = _first_of(hits, times, direction)
-    first = [flag & (kind != _JUMPED) for flag, kind in zip(first, kinds, strict=True)]
     same = problem.grid.same_time(end.tau)
-    hits = tuple(
-        hit & ((kind >= _HERE) | (direction * stop_gradient(missing) <= best + same))
-        for hit, kind, missing in zip(hits, kinds, times, strict=True)
-    )
-    pairs = zip(hits, kinds, strict=True)
-    surfaces = tuple(hit | (touched & (kind == _BRUSHED)) for hit, kind in pairs)
+    hits = hits & ((kinds >= _HERE) | (direction * stop_gradient(times) <= best + same))
     # Rounding can put a contact just past the end of the span it belongs to.
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
     late_delta = delta - stop_gradient(delta) + stop_gradient(room)
-    (delta,) = system.hold(select(late, late_delta, delta))
-    linear = delta, axpy(end.x, delta, end.f)
+    delta = system.hold(select(late, late_delta, delta))
+    linear, moves = (delta, end.x + delta * end.f), first & (kinds != _JUMPED)
     delta, x = add_second_derivative(
-        beyond_newton, linear, system, problem.grid.t0 + end.tau, end.x, end.mode, tuple(first)
+        beyond_newton, linear, system, problem.grid.t0 + end.tau, end.x, end.mode, moves
     )
-    jumped = any_of(tuple(hit & (kind == _JUMPED) for hit, kind in zip(hits, kinds, strict=True)))
+    surfaces, jumped = hits | (touched & (kinds == _BRUSHED)), any_of(hits & (kinds == _JUMPED))
     return Landing(landed | touched, surfaces, touched, delta, x, jumped)
 
 
@@ -324,22 +327,10 @@ def _first_of(
 ) -> tuple[Array, Array, Components]:
     """The signed time to the first of several contacts, the same as a number that counts forward
     (inf: there is none) and has no derivative, and which of the surfaces it is of: one."""
-    zero = jnp.zeros_like(direction)
-    if times[0].ndim:
-        ahead = select(hits[0], direction * stop_gradient(times[0]), jnp.inf)
-        best = jnp.min(ahead)
-        number = jnp.arange(len(ahead), dtype=jnp.int32)
-        first = (number == jax.lax.argmin(ahead, 0, jnp.int32)) & (best < jnp.inf)
-        return jnp.sum(select(first, times[0], 0.0)), best, (first,)
-    delta: Any = zero
-    best: Any = zero + jnp.inf
-    flags: list = []
-    for hit, missing in zip(hits, times, strict=True):
-        earlier = hit & (direction * stop_gradient(missing) < best)
-        flags = [flag & ~earlier for flag in flags] + [earlier]
-        delta = select(earlier, missing, delta)
-        best = select(earlier, direction * stop_gradient(missing), best)
-    return delta, best, tuple(flags)
+    ahead = where(hits, direction * stop_gradient(times), jnp.inf)
+    best = least(ahead)
+    first = first_set((ahead == best) & (ahead < jnp.inf))
+    return total(where(first, times, 0.0)), best, first
 
 
 def _time_of(kind: Array, missing: Array) -> Array:
@@ -349,52 +340,49 @@ def _time_of(kind: Array, missing: Array) -> Array:
     return select(kind == _JUMPED, 0.0, here)
 
 
-def _kind_of_end(
-    problem: Problem, state: LoopState, end: StepEnd, length: Length, j: int
-) -> tuple[Array, Array]:
-    """What the end of a step is to surface j, as a float, and the time missing to the contact."""
+def _kinds_of_end(
+    problem: Problem, state: LoopState, end: StepEnd, length: Length
+) -> tuple[Components, Components]:
+    """What the end of a step is to each surface, as floats, and the times missing to contacts."""
     system, grid, h = problem.system, problem.grid, length.h
     direction, same = grid.direction, grid.same_time(end.tau)
     small = system.eps ** (2 / 3)
-    rate, aimed = end.rate[j], length.cutting & state.aim[j]
+    rate, aimed = end.rate, length.cutting & state.aim
     falls = direction * rate < 0
-    missing = -end.g[j] / select(falls, rate, -direction)
+    missing = -end.g / where(falls, rate, -direction)
     size = abs(stop_gradient(missing))
     # g̈ h, from the rates at both ends: what Newton's step leaves out is of the order of δ g̈/ġ.
-    bend = direction * (rate - state.rate[j])
+    bend = direction * (rate - state.rate)
     close = (size <= small * abs(grid.dt)) & (size * abs(bend) <= small * abs(rate * h))
     inside = (length.room - stop_gradient(missing)) * direction >= 0
     # Rounding of t hides what is missing to the end of a slide or a rest, whose guard is made of
     # fields. A state knows its surface better: it is there when all that is left of g is rounding.
-    g = stop_gradient(end.g[j])
-    sliding = end.mode[j] == 0 if system.slides else jnp.zeros_like(falls)
+    g = stop_gradient(end.g)
+    bound = end.mode == 0 if system.slides else end.mode.like(jnp.zeros((), bool))
     if system.resets:
-        sliding = sliding | (abs(end.mode[j]) == 2)
-    zero = abs(g) <= end.noise[j]
+        bound = bound | (abs(end.mode) == 2)
+    zero = abs(g) <= end.noise
     # So do several surfaces: those met within the rounding of times are met together.
-    loose = sliding | (system.m > 1)
+    loose = bound | (system.m > 1)
     reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)
     # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step has
     # gone past it by no more than the search takes for rounding.
-    past = (g < 0) & (-g <= end.touch[j])
+    past = (g < 0) & (-g <= end.touch)
     here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
-    hit = falls & (here | ((state.armed[j] | aimed) & reached))
+    hit = falls & (here | ((state.armed | aimed) & reached))
     # H jumps at a known time, as that of a ramp or of a clock: however short the step, it is past.
-    across = aimed & (abs(h) <= same) & (g < -end.touch[j] - 2 * same * abs(rate)) & state.armed[j]
-    jumped = across & (abs(g) > 2 * same * abs(state.rate[j])) & ~sliding
+    across = aimed & (abs(h) <= same) & (g < -end.touch - 2 * same * abs(rate)) & state.armed
+    jumped = across & (abs(g) > 2 * same * abs(state.rate)) & ~bound
     # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
-    vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.touch[j] * bend)
-    touch = state.armed[j] & (abs(g) <= end.touch[j]) & ~sliding & vertex
-    kind = select(hit, select(here, _HERE, _HIT), select(touch, _BRUSHED, _NOTHING))
-    kind = select(jumped, _JUMPED, kind)
-    return kind.astype(h.dtype), missing
+    vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.touch * bend)
+    touch = state.armed & (abs(g) <= end.touch) & ~bound & vertex
+    kinds = where(hit, where(here, _HERE, _HIT), where(touch, _BRUSHED, _NOTHING))
+    return where(jumped, _JUMPED, kinds).astype(h.dtype), missing
 
 
 def missing_time(grid: TimeGrid, state: LoopState, end: StepEnd) -> Array:
     """The signed time from here to the contact aimed at, by Newton; 0 if it is not ahead."""
-    first: Any = jnp.full_like(end.tau, jnp.inf)
-    for aim, g, rate in zip(state.aim, end.g, end.rate, strict=True):
-        falls = grid.direction * rate < 0
-        ahead = stop_gradient(g / abs(select(falls, rate, 1.0)))
-        first = jnp.minimum(first, least(select(aim & falls & (g > 0), ahead, jnp.inf)))
+    falls = grid.direction * end.rate < 0
+    ahead = stop_gradient(end.g / abs(where(falls, end.rate, 1.0)))
+    first = least(where(state.aim & falls & (end.g > 0), ahead, jnp.inf))
     return select(first < jnp.inf, grid.direction * first, 0.0)

@@ -25,8 +25,16 @@ from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.surfaces import filippov, unilateral
 from jaxfil.integrate.surfaces.unilateral import Constraints
-from jaxfil.integrate.system.components import Components, any_of, dot, where
+from jaxfil.integrate.system.components import (
+    Components,
+    any_of,
+    first_set,
+    maximum,
+    minimum,
+    where,
+)
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
 
 # Rounding of H, in eps of its terms.
@@ -87,23 +95,19 @@ def make_reset(system: ComponentSystem, state: LoopState, t: Array, x: Component
     due = state.pending & ~state.graze & ~state.settled
     # What ends a rest is no impact.
     resting = unilateral.rests_of(state.mode)
-    asked = tuple(due & hit & ~rests for hit, rests in zip(state.hit, resting, strict=True))
+    asked = due & state.hit & ~resting
 
     def made(t: Array, x: Components, asked: Components) -> Reset:
-        acted, waits, after, found = [], [], x, jnp.zeros((), bool)
-        for j, ask in enumerate(asked):
-            y = system.reset(t, x, jnp.int32(j))
-            moves = ask & any_of(tuple(a != b for a, b in zip(y, x, strict=True)))
-            first = moves & ~found
+        ends = [system.reset(t, x, jnp.int32(j)) for j in range(system.m)]
+        moves = asked & Components(any_of(y != x) for y in ends)
+        acted, after = first_set(moves), x
+        for first, y in zip(acted.parts, ends, strict=True):
             after = where(first, y, after)
-            acted.append(first)
-            waits.append(moves & found)
-            found = found | moves
-        return Reset(after, tuple(acted), tuple(waits), system.switching(t, x))
+        return Reset(after, acted, moves & ~acted, system.switching(t, x))
 
     def none(t: Array, x: Components, asked: Components) -> Reset:
-        no = (jnp.zeros((), bool),) * system.m
-        return Reset(x, no, no, (jnp.zeros_like(t),) * system.m)
+        no = asked.like(jnp.zeros((), bool))
+        return Reset(x, no, no, asked.like(jnp.zeros_like(t)))
 
     return system.where_any(any_of(asked), made, none, t, x, asked)
 
@@ -115,7 +119,7 @@ def lead(
     reset: Reset,
     t: Array,
     x: Components,
-    surfaces: tuple[Components, tuple[Components, ...]],
+    surfaces: tuple[Components, Rows],
     h: Components,
     touch: Components,
 ) -> tuple[Components, Impact]:
@@ -131,8 +135,8 @@ def lead(
         return x, _follow(problem, state, length, reset, seen, h, touch)
 
     def nothing(t: Array, x: Components, *_: Any) -> tuple[Components, Impact]:
-        zero, no = jnp.zeros_like(t), (jnp.zeros((), bool),) * system.m
-        return x, Impact(no, no, no, no, jnp.ones((), bool), zero, tuple(map(jnp.zeros_like, x)))
+        zero, no = jnp.zeros_like(t), state.mode.like(jnp.zeros((), bool))
+        return x, Impact(no, no, no, no, jnp.ones((), bool), zero, x.like(zero))
 
     engaged = state.pending | any_of(unilateral.rests_of(state.mode))
     given = state, length, reset, surfaces, h, touch
@@ -144,38 +148,33 @@ def _view(
     state: LoopState,
     t: Array,
     x: Components,
-    surfaces: tuple[Components, tuple[Components, ...]],
+    surfaces: tuple[Components, Rows],
 ) -> View:
     """The surfaces as constraints."""
     system, sides = problem.system, unilateral.sides_of(state.mode)
     c = unilateral.constraints(system, t, x, sides)
     f = filippov.free_field(system, t, x, state.mode)
     a = unilateral.accelerations(system, t, x, sides, f)
-    size, fast = (
-        tuple(jnp.maximum(abs(u), abs(v)) for u, v in zip(now, old, strict=True))
-        for now, old in ((x, state.x), (f, state.f))
-    )
+    size, fast = (maximum(abs(now), abs(old)) for now, old in ((x, state.x), (f, state.f)))
     return View(c, a, unilateral.rate_noise(t, size, problem.grid.dt, fast, c, a, surfaces))
 
 
 def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
     """The state with no rate against the surfaces that it rests on, and how they see it then."""
     c = seen.constraints
-    rests = tuple(r & ~reset.moved for r in unilateral.rests_of(state.mode))
     # Impacts that have died out by turns have left no rates against the surfaces met.
-    each = zip(rests, at_limit(state), c.throws_back, strict=True)
-    rests = tuple(r | (limit & wall) for r, limit, wall in each)
+    rests = (unilateral.rests_of(state.mode) & ~reset.moved) | (at_limit(state) & c.throws_back)
     push = unilateral.multipliers(c.gains, c.rate, rests)
     c = dataclasses.replace(c, rate=unilateral.answered(c.gains, c.rate, push))
     seen = dataclasses.replace(seen, constraints=c)
-    return unilateral.pushed(x, c.directions, push), seen
+    return c.directions.added(x, push), seen
 
 
 def at_limit(state: LoopState) -> Components:
     """The surfaces at which the impacts of a lane have just died out by turns."""
     if state.turn is None:
-        return tuple(jnp.zeros_like(hit) for hit in state.hit)
-    return tuple(state.turn.completed & state.pending & hit for hit in state.hit)
+        return state.hit.like(jnp.zeros((), bool))
+    return state.turn.completed & state.pending & state.hit
 
 
 def _follow(
@@ -188,30 +187,24 @@ def _follow(
     touch: Components,
 ) -> Impact:
     """What follows from a reset, given H after it and what rounding does to H."""
-    system, c, direction = problem.system, seen.constraints, problem.grid.direction
+    c, direction = seen.constraints, problem.grid.direction
     assert state.settled is not None
     switching = state.pending & ~state.graze
     sides, resting = unilateral.sides_of(state.mode), unilateral.rests_of(state.mode)
-    still, owed, away, limit = [], [], [], at_limit(state)
-    for j in range(system.m):
-        there = (abs(stop_gradient(h[j])) <= touch[j]) | (state.settled & state.hit[j])
-        on = switching & c.throws_back[j] & there
-        rate, noise = stop_gradient(c.rate[j]), seen.noise[j]
-        leaves = state.hit[j] & resting[j] & ~reset.moved & ~limit[j]
-        still.append(on & ((abs(rate) <= noise) | limit[j]) & ~leaves)
-        inward = direction * sides[j] * rate < -noise
-        away.append(reset.moved & resting[j] & (direction * sides[j] * rate > noise))
-        acts = (reset.moved | state.settled) & on & inward & ~reset.acted[j]
-        owed.append(reset.waits[j] | acts)
-    rests, consistent = unilateral.pressed(c.gains, seen.a, sides, tuple(still))
-    more = any_of(tuple(owed))
+    limit, (rate, noise) = at_limit(state), (stop_gradient(c.rate), seen.noise)
+    there = (abs(stop_gradient(h)) <= touch) | (state.settled & state.hit)
+    on = switching & c.throws_back & there
+    leaves = state.hit & resting & ~reset.moved & ~limit
+    still = on & ((abs(rate) <= noise) | limit) & ~leaves
+    outward = direction * sides * rate
+    away = reset.moved & resting & (outward > noise)
+    acts = (reset.moved | state.settled) & on & (outward < -noise) & ~reset.acted
+    owed = reset.waits | acts
+    rests, consistent = unilateral.pressed(c.gains, seen.a, sides, still)
+    more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, h, touch, rests, more)
-    upcoming = tuple(
-        select(jump > 0, acted, o | (more & hit & ~acted))
-        for acted, o, hit in zip(reset.acted, owed, state.hit, strict=True)
-    )
-    fine = consistent | ~switching
-    return Impact(upcoming, tuple(still), rests, tuple(away), fine, jump, kick)
+    upcoming = where(jump > 0, reset.acted, owed | (more & state.hit & ~reset.acted))
+    return Impact(upcoming, still, rests, away, consistent | ~switching, jump, kick)
 
 
 def _chattering(
@@ -234,30 +227,29 @@ def _chattering(
     # What is left out is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * abs(grid.dt))
     held = unilateral.answered(c.gains, seen.a, unilateral.multipliers(c.gains, seen.a, rests))
-    total, found, ending = jnp.zeros_like(state.tau), jnp.zeros((), bool), []
-    for j, a in enumerate(held):
-        away, fall = sides[j] * c.rate[j], -sides[j] * a * (2 - c.gains[j][j])  # 2 − gain = 1 − e
-        bounces = reset.acted[j] & c.throws_back[j] & (away > seen.noise[j]) & (fall > 0) & ~more
-        time = 2 * away / select(bounces, fall, 1)
-        low = away * away <= 2 * abs(a) * touch[j]
-        ends = bounces & (low | (time <= longest)) & (time <= abs(length.room) + same)
-        # Bounces that are low for longer are left out: rest begins earlier, by a time that
-        # nothing but these could tell, and the field carries the state no further than it is
-        # constant to rounding.
-        time = jnp.minimum(time, _LEAP * longest)
-        ends = ends & (grid.direction > 0) & ~found
-        for i, s in enumerate(sides):  # unless another surface is met before
-            ahead = s * (h[i] + time * (c.rate[i] + 0.5 * time * held[i]))
-            ends = ends & ((ahead >= -touch[i]) | rests[i] | (i == j))
-        total, found = select(ends, time, total), found | ends
-        ending.append(ends)
+    away, fall = sides * c.rate, -sides * held * (2 - c.gains.diagonal())  # 2 − gain = 1 − e
+    bounces = reset.acted & c.throws_back & (away > seen.noise) & (fall > 0) & ~more
+    times = 2 * away / where(bounces, fall, 1)
+    low = away * away <= 2 * abs(held) * touch
+    ends = bounces & (low | (times <= longest)) & (times <= abs(length.room) + same)
+    ends = ends & (grid.direction > 0)
+    # Bounces that are low for longer are left out: rest begins earlier, by a time that nothing but
+    # these could tell, and the field carries the state no further than it is constant to rounding.
+    times = minimum(times, _LEAP * longest)
+    total_time, found, ending = jnp.zeros_like(state.tau), jnp.zeros((), bool), []
+    for j, (end, time) in enumerate(zip(ends.parts, times.parts, strict=True)):
+        # Unless another surface is met before.
+        ahead = sides * (h + time * (c.rate + 0.5 * time * held))
+        clear = (ahead >= -touch) | rests | Components(i == j for i in range(system.m))
+        end = end & ~found & ~any_of(~clear)
+        total_time, found = select(end, time, total_time), found | end
+        ending.append(end)
     # All impacts together take away the rate that is left, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0,
     # with those by which the surfaces that are rested on answer them.
-    taken = tuple(found & (rest | ends) for rest, ends in zip(rests, ending, strict=True))
-    left = tuple(rate + total * a for rate, a in zip(c.rate, held, strict=True))
-    impulses = unilateral.multipliers(c.gains, left, taken)
-    still = tuple(jnp.zeros_like(v) for v in state.x)
-    return total, unilateral.pushed(still, c.directions, impulses)
+    stopped = found & (rests | Components(ending))
+    left = c.rate + total_time * held
+    impulses = unilateral.multipliers(c.gains, left, stopped)
+    return total_time, c.directions.added(state.x.like(jnp.zeros_like(state.tau)), impulses)
 
 
 class Beginning(eqx.Module):
@@ -286,29 +278,21 @@ def begin(
     first if it leads to where the motion comes from; any other has been made already.
     """
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
-    above = tuple(jnp.ones_like(s) for s in sides)
+    above = sides.like(jnp.ones_like(t))
     c = unilateral.constraints(system, t, x, above)
     f = system.field(t, x, above)
     a = unilateral.accelerations(system, t, x, above, f)
     _, h_t, normals = system.gradients(t, x)
-    size = tuple(abs(v) for v in x)
-    noise = unilateral.rate_noise(t, size, problem.grid.dt, f, c, a, (h_t, normals))
-    owed, still, known, start, lean = [], [], [], [], []
-    for j in range(system.m):
-        flat = abs(c.rate[j]) <= noise[j]
-        inward = direction * rates[j] < 0
-        wall = on[j] & c.throws_back[j]
-        after = system.reset(t, x, jnp.int32(j))
-        led = system.switching(t, after)[j]
-        terms = dot(tuple(map(abs, normals[j])), size)
-        far = stop_gradient(abs(led)) > _NOISE * system.eps * terms
-        side = select(led < 0, -1.0, 1.0).astype(system.dtype)
-        back = on[j] & ~c.throws_back[j] & far & (direction * side * rates[j] < 0) & ~flat
-        owed.append((wall & inward & ~flat) | back)
-        still.append(wall & flat)
-        known.append(wall | back)
-        start.append(select(wall, 1.0, select(back, side, sides[j])).astype(system.dtype))
-        # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
-        lean.append(select(a[j] * rates[j] > 0, a[j], select(flat, rates[j], a[j])))
-    rests, consistent = unilateral.pressed(c.gains, tuple(lean), above, tuple(still))
-    return Beginning(tuple(start), tuple(known), tuple(owed), rests, consistent)
+    noise = unilateral.rate_noise(t, abs(x), problem.grid.dt, f, c, a, (h_t, normals))
+    flat, wall = abs(c.rate) <= noise, on & c.throws_back
+    after = [system.reset(t, x, jnp.int32(j)) for j in range(system.m)]
+    led = Components(system.switching(t, y).parts[j] for j, y in enumerate(after))
+    far = stop_gradient(abs(led)) > _NOISE * system.eps * (abs(normals) @ abs(x))
+    side = where(led < 0, -1.0, above)
+    back = on & ~c.throws_back & far & (direction * side * rates < 0) & ~flat
+    owed = (wall & (direction * rates < 0) & ~flat) | back
+    start = where(wall, 1.0, where(back, side, sides))
+    # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
+    lean = where(a * rates > 0, a, where(flat, rates, a))
+    rests, consistent = unilateral.pressed(c.gains, lean, above, wall & flat)
+    return Beginning(start, wall | back, owed, rests, consistent)

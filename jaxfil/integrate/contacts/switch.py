@@ -8,7 +8,6 @@ correction, they left the state right and its derivative wrong in the fourth dig
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -27,18 +26,19 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
+from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.normals import project
-from jaxfil.integrate.surfaces.weights import Corners
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
-    Normals,
     all_finite,
     any_of,
-    axpy,
+    maximum,
+    sign,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
 
 # At a graze a rate is told from zero above this multiple of what is left of the motion's own.
@@ -64,7 +64,7 @@ def evaluate_step_end(
     system, tau = problem.system, length.end
     t = problem.grid.t0 + tau
     if system.m == 0:
-        return _smooth_end(system, state, tau, x, system.field(t, x, (), forcing=forcing))
+        return _smooth_end(system, state, tau, x, system.field(t, x, state.mode, forcing=forcing))
     reset = resets.make_reset(system, state, t, x) if system.resets else None
     x = x if reset is None else reset.x
     # Everything from here on is taken after the reset: sides, rates and modes are those of the
@@ -74,21 +74,21 @@ def evaluate_step_end(
     # Two scales: what rounding of this step does to H, and what all rounding since t0 may have
     # done, which is of the largest state so far. The first tells whether a contact is here, the
     # second whether a touch is more than rounding.
-    both = zip(*stop_gradient((state.x, x)), strict=True)
-    here = tuple(jnp.maximum(abs(a), abs(b)) for a, b in both)
+    here = stop_gradient(maximum(abs(state.x), abs(x)))
     noise = surface_noise(system, t, here, h_t, normals)
     touch = surface_noise(system, t, size, h_t, normals)
     moved = jnp.zeros((), bool) if reset is None else reset.moved
     if system.slides:
         wider = select(problem.grid.direction < 0, _BACKWARD, 1.0)
-        touch = tuple(wider * v for v in touch)
+        touch = wider * touch
     jumped = _jumped(problem, state, h, touch)
     # Whose H the reset has changed: rounding of one that it has not is no way off its surface.
-    each = () if reset is None else zip(reset.h, h, touch, strict=True)
-    carried = tuple(moved & (abs(v) > least) & (abs(v - u) > least) for u, v, least in each)
-    off = tuple(map(jnp.logical_or, jumped, carried)) if carried else jumped
+    carried, off = None, jumped
+    if reset is not None:
+        carried = moved & (abs(h) > touch) & (abs(h - reset.h) > touch)
+        off = jumped | carried
     if problem.kept is not None:  # a slide that is kept needs not be on its surface
-        off = tuple(far | problem.kept.on for far in off)
+        off = off | problem.kept.on
     x = _held(system, state, x, h, normals, off)
     led = None
     if reset is not None:
@@ -99,18 +99,17 @@ def evaluate_step_end(
     if system.slides:
         shares = sliding_weights.weights(mode, rates)
         known = stop_gradient((mode, rates, shares))
-        (determinant,) = system.hold(sliding_weights.determinant(*known))
+        determinant = system.hold(sliding_weights.determinant(*known))
     f = filippov.blend_fields(system, fields, mode, shares)
     # Where no mode goes on because a field is not finite, that is what is wrong.
-    blind = (num_modes == 0) & ~all_finite(tuple(jax.tree.leaves(rates)))
-    f = system.hold(*(select(blind, jnp.nan, v) for v in f))
+    blind = (num_modes == 0) & ~all_finite(rates)
+    f = system.hold(where(blind, jnp.nan, f))
     f = with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, noise, forcing)
     if free is not None:
         stays = ~state.pending & ~state.held
         f, g, rate = where(stays, free.f, f), where(stays, free.g, g), where(stays, free.rate, rate)
-    on = stays_on(system, mode)
-    touch = tuple(select(s, v, w) for s, v, w in zip(on, noise, touch, strict=True))
+    touch = where(stays_on(system, mode), noise, touch)
     at_end = StepEnd(
         tau=tau,
         x=x,
@@ -125,9 +124,9 @@ def evaluate_step_end(
         determinant=determinant,
         moved=moved,
         members=state.hit,
-        next=(),
+        next=None,
         jump=None,
-        still=(),
+        still=None,
         turn=None,
     )
     end = unguarded(problem.kept, at_end)
@@ -139,12 +138,8 @@ def evaluate_step_end(
 def _led_on(state: LoopState, end: StepEnd, reset: resets.Reset, led: Impact) -> StepEnd:
     """The end of a step with what follows from its reset."""
     # Surfaces that wait for their reset are met by another switch.
-    members = tuple(
-        select(reset.moved, acted | (hit & ~more), hit)
-        for acted, hit, more in zip(reset.acted, state.hit, led.next, strict=True)
-    )
-    x = axpy(end.x, led.jump, end.f)
-    x = tuple(a + b for a, b in zip(x, led.kick, strict=True))
+    members = where(reset.moved, reset.acted | (state.hit & ~led.next), state.hit)
+    x = end.x + led.jump * end.f + led.kick
     return dataclasses.replace(
         end,
         x=where(led.jump > 0, x, end.x),
@@ -175,7 +170,9 @@ def _smooth_end(
     """The end of a step where there are no surfaces."""
     one, false = jnp.ones((), jnp.int32), jnp.zeros((), bool)
     size = larger(state.size, x)
-    return StepEnd(tau, x, f, size, (), (), (), (), (), one, None, false, (), (), None, (), None)
+    none = Components(())
+    known = none, none, none, none, none
+    return StepEnd(tau, x, f, size, *known, one, None, false, none, None, None, None, None)
 
 
 def _held(
@@ -183,7 +180,7 @@ def _held(
     state: LoopState,
     x: Components,
     h: Components,
-    normals: Normals,
+    normals: Rows,
     off: Components,
 ) -> Components:
     """The state on the surfaces that it slides or rests on or has just met: a slide is exact in its
@@ -191,9 +188,8 @@ def _held(
     if not system.slides and not system.resets:
         return x
     landed = state.pending & ~state.graze
-    each = zip(stays_on(system, state.mode), state.hit, off, strict=True)
-    on = tuple((stays | (landed & hit)) & ~far for stays, hit, far in each)
-    return system.hold(*project(system, x, h, normals, on))
+    on = (stays_on(system, state.mode) | (landed & state.hit)) & ~off
+    return system.hold(project(system, x, h, normals, on))
 
 
 def _switch(
@@ -202,21 +198,21 @@ def _switch(
     rates: Corners,
     h: Components,
     touch: Components,
-    carried: Components,
+    carried: Components | None,
     jumped: Components,
     led: Impact | None,
 ) -> tuple[Components, Array]:
     """`_chosen`, computed once."""
     system = problem.system
     mode, count = _chosen(problem, state, rates, h, touch, carried, jumped, led)
-    if system.packed:
-        (sides, number) = system.hold(*mode, count.astype(system.dtype))
-        return (sides,), number.astype(jnp.int32)
-    # Where there is one surface, both are one number: mode + 8 count, and the mode is at most 2.
-    number = mode[0] + 8 * count.astype(system.dtype)
-    number, *others = system.hold(number, *mode[1:])
-    count = jnp.floor(0.125 * number + 0.5)
-    return (number - 8 * count, *others), count.astype(jnp.int32)
+    number = count.astype(system.dtype)
+    if system.m > 1:
+        mode, number = system.hold((mode, number))
+        return mode, number.astype(jnp.int32)
+    # Of one surface both are one number, |mode| ≤ 2, so that one value is held and not two.
+    both = system.hold(mode + 8 * number)
+    number = jnp.floor(0.125 * both.number(0) + 0.5)
+    return both - 8 * number, number.astype(jnp.int32)
 
 
 def _chosen(
@@ -225,7 +221,7 @@ def _chosen(
     rates: Corners,
     h: Components,
     touch: Components,
-    carried: Components,
+    carried: Components | None,
     jumped: Components,
     led: Impact | None,
 ) -> tuple[Components, Array]:
@@ -239,7 +235,7 @@ def _chosen(
     """
     system, grid = problem.system, problem.grid
     # Which mode goes on is no number that could have a derivative; its field has.
-    rates = jax.tree.map(stop_gradient, rates)
+    rates = stop_gradient(rates)
     # A graze only touches: it switches nothing, even where two modes could go on. Backward in time
     # it may be the end of a slide, to which all motions come that have left the slide there.
     switching, grazes = state.pending & ~state.graze, jnp.zeros((), bool)
@@ -250,57 +246,43 @@ def _chosen(
     # A slide ends at w = ±1: it leaves to the side whose field has become the blend. A limit of
     # turns is on their surfaces, and ends nothing.
     limit = jnp.zeros((), bool) if state.turn is None else state.turn.completed
-    leaving = tuple(hit & (s == 0) & ~limit for hit, s in zip(state.hit, state.mode, strict=True))
-    sides = tuple(select(w > 0, jnp.ones_like(w), -jnp.ones_like(w)) for w in current)
+    leaving = state.hit & (state.mode == 0) & ~limit
+    one = jnp.ones_like(state.tau)
+    sides = where(current > 0, one, -one)
     if state.ticks is not None:  # a surface that has jumped away from a slide leaves it on its side
-        sides = tuple(
-            select(far, jnp.sign(v), s) for far, v, s in zip(jumped, h, sides, strict=True)
-        )
-    left = tuple(
-        select(go & switching, side, s)
-        for go, side, s in zip(leaving, sides, state.mode, strict=True)
-    )
-    met = tuple(hit & ~go for hit, go in zip(state.hit, leaving, strict=True))
+        sides = where(jumped, sign(h), sides)
+    left, met = where(leaving & switching, sides, state.mode), state.hit & ~leaving
     # A surface that has jumped across the state is left behind.
-    across = tuple(
-        far & on & (s * v < 0) for far, on, s, v in zip(jumped, met, left, h, strict=True)
-    )
-    left = tuple(select(over, -s, s) for over, s in zip(across, left, strict=True))
-    met = tuple(on & ~over for on, over in zip(met, across, strict=True))
+    across = jumped & met & (left * h < 0)
+    left, met = where(across, -left, left), met & ~across
     if led is not None:
+        assert carried is not None
         left, met = _left_by_reset(state, left, met, h, carried, led)
     # A surface that will be met within the rounding of times is met now: its contact could not be
     # told from this one, and would follow it at once.
     same = grid.same_time(state.tau)
     decide = switching & any_of(met)
-    on = []
-    for j in system.surfaces:
-        close = (state.mode[j] != 0) & (abs(h[j]) < abs(state.rate[j]) * same)
-        if led is not None:
-            close = close & ~led.next[j] & ~led.still[j] & (abs(left[j]) != 2)
-        slid = (left[j] == 0) if system.slides else jnp.zeros_like(met[j])
-        on.append(slid | (decide & (met[j] | close)) | (grazes & met[j]))
+    close = (state.mode != 0) & (abs(h) < abs(state.rate) * same)
+    if led is not None:
+        close = close & ~led.next & ~led.still & (abs(left) != 2)
+    slid = left == 0 if system.slides else left.like(jnp.zeros((), bool))
+    on = slid | (decide & (met | close)) | (grazes & met)
     # Where a slide on an intersection ends, another mode begins: rounding must not show both.
     least = select(state.pending, 0.0, NOISE * system.eps)
     beside = unilateral.beside(left) if system.resets else left
-    chosen, count = _chosen_on(system, rates, beside, tuple(on), grid.direction, least)
+    chosen, count = _chosen_on(system, rates, beside, on, grid.direction, least)
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None:
         return where(decide, chosen, left), count
-    rests = unilateral.rests_of(left)
-    mode = tuple(
-        select(decide & ~rest, new, old) for rest, new, old in zip(rests, chosen, left, strict=True)
-    )
+    mode = where(decide & ~unilateral.rests_of(left), chosen, left)
     return mode, select(led.consistent, count, 0)
 
 
 def _jumped(problem: Problem, state: LoopState, h: Components, touch: Components) -> Components:
     """The surfaces whose H has jumped away from zero, by more than rounding of times explains."""
     same = problem.grid.same_time(state.tau)
-    return tuple(
-        state.pending & state.jumped & (abs(v) > least + 2 * same * abs(stop_gradient(rate)))
-        for v, least, rate in zip(h, touch, state.rate, strict=True)
-    )
+    rate = abs(stop_gradient(state.rate))
+    return state.pending & state.jumped & (abs(h) > touch + 2 * same * rate)
 
 
 def _left_by_reset(
@@ -314,18 +296,14 @@ def _left_by_reset(
     """The mode on surfaces that a reset has carried the state off, that it rests on and that wait
     for another switch, and the surfaces met on which a mode is still to be chosen."""
     switching = state.pending & ~state.graze
-    modes, open_ = [], []
-    each = zip(left, unilateral.sides_of(left), h, carried, resets.at_limit(state), strict=True)
-    for j, (s, beside, v, off, limit) in enumerate(each):
-        one = jnp.ones_like(s)
-        rested = select(led.rests[j], 2 * beside, beside)
-        # What ends a rest, and what asks for a reset, leaves to its side.
-        ends = (state.hit[j] & (abs(s) == 2) & ~limit) | led.next[j]
-        mode = select(off & switching, select(v > 0, one, -one), s)
-        mode = select((ends | led.pushed[j]) & switching, beside, mode)
-        modes.append(select(led.still[j], rested, mode))
-        open_.append(met[j] & ~off & ~ends & ~led.still[j])
-    return tuple(modes), tuple(open_)
+    beside = unilateral.sides_of(left)
+    # What ends a rest, and what asks for a reset, leaves to its side.
+    ends = (state.hit & (abs(left) == 2) & ~resets.at_limit(state)) | led.next
+    one = jnp.ones_like(state.tau)
+    mode = where(carried & switching, where(h > 0, one, -one), left)
+    mode = where((ends | led.pushed) & switching, beside, mode)
+    rested = where(led.rests, 2 * beside, beside)
+    return where(led.still, rested, mode), met & ~carried & ~ends & ~led.still
 
 
 def _chosen_on(
@@ -358,10 +336,10 @@ def _rates_at_graze(
     this side too.
     """
     direction, dt = problem.grid.direction, abs(problem.grid.dt)
-    noise = [_TANGENT * abs(r) + v / dt for r, v in zip(state.rate, touch, strict=True)]
+    noise = _TANGENT * abs(state.rate) + touch / dt
 
-    def told(j: int, r: Array) -> Array:
-        small = grazes & state.hit[j] & (abs(r) <= noise[j])
-        return select(small, state.mode[j] * direction * noise[j], r)
+    def told(rate: Components) -> Components:
+        small = grazes & state.hit & (abs(rate) <= noise)
+        return where(small, state.mode * direction * noise, rate)
 
-    return sliding_weights.map_components(told, rates)
+    return rates.map(told)

@@ -58,12 +58,13 @@ def follow(
     ticking, switched = what
     ticks = _passed(problem, state, ticking, end.tau)
     met = _met(problem, state, end, ticks)
+    assert state.left is not None
     kick = _moved(problem, ticks, end.tau, state.left, end.f)
     return dataclasses.replace(
         after,
         ticks=ticks,
         left=where(ticking, end.f, state.left),
-        x=where(switched, tuple(a + b for a, b in zip(after.x, kick, strict=True)), after.x),
+        x=where(switched, after.x + kick, after.x),
         pending=after.pending | ticking,
         hit=where(ticking, met, after.hit),
         graze=after.graze & ~ticking,
@@ -81,10 +82,9 @@ def tick(
     ticking = ticking & moved
     ticks = _passed(problem, state, ticking, end.tau)
     behind = between_ticks(problem, ticks).system
-    f = behind.field(problem.grid.t0 + end.tau, end.x, ())
-    kick = _moved(problem, ticks, end.tau, end.f, f)
-    x = where(ticking, tuple(a + b for a, b in zip(end.x, kick, strict=True)), end.x)
-    return ticks, x, where(ticking, f, end.f)
+    f = behind.field(problem.grid.t0 + end.tau, end.x, end.mode)
+    x = end.x + _moved(problem, ticks, end.tau, end.f, f)
+    return ticks, where(ticking, x, end.x), where(ticking, f, end.f)
 
 
 def _passed(problem: Problem, state: LoopState, ticking: Array, tau: Array) -> Ticks:
@@ -132,11 +132,8 @@ def _met(problem: Problem, state: LoopState, end: StepEnd, ticks: Ticks) -> Comp
     given the ticks that come next."""
     after = between_ticks(problem, ticks)
     h = after.system.switching(problem.grid.t0 + end.tau, end.x)
-    met = jnp.ones((), bool) if problem.kept is None else ~problem.kept.on
-    return tuple(
-        met & (abs(v) > noise) & (s * v <= 0)
-        for v, s, noise in zip(h, state.mode, end.touch, strict=True)
-    )
+    met = (abs(h) > end.touch) & (state.mode * h <= 0)
+    return met if problem.kept is None else ~problem.kept.on & met
 
 
 def _moved(
@@ -146,12 +143,9 @@ def _moved(
     fields before and after: (f₋ − f₊) δ, with δ zero but for its derivative, as the step has ended
     where it has."""
     last = tuple(k - problem.grid.direction for k in ticks)
-    at = _taus(problem, last)
-    moved = [jnp.zeros_like(v) for v in f]
-    same = problem.grid.same_time(tau)
-    for when in at:
-        here = abs(stop_gradient(when - tau)) <= same
+    same, moved = problem.grid.same_time(tau), f.like(jnp.zeros_like(tau))
+    for when in _taus(problem, last):
         delta = when - tau
-        delta = select(here, delta - stop_gradient(delta), 0.0)
-        moved = [m + delta * (a - b) for m, a, b in zip(moved, before, f, strict=True)]
-    return tuple(moved)
+        here = abs(stop_gradient(delta)) <= same
+        moved = moved + select(here, delta - stop_gradient(delta), 0.0) * (before - f)
+    return moved

@@ -15,7 +15,16 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import Problem, Recording
 from jaxfil.integrate.lane.state import EventTable, LoopState, SavedStates, StepEnd
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import Components, pack, total
+from jaxfil.integrate.system.components import (
+    Components,
+    any_of,
+    first_set,
+    largest,
+    on_each,
+    pack,
+    total,
+    where,
+)
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.model.outcomes import EventKind
 from jaxfil.xla.masked_write import masked_write
@@ -66,28 +75,19 @@ def mode_codes(mode: Components) -> Array:
 
 def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
     """What the switch just made was, told from the modes of the surfaces hit."""
-    kind: Any = jnp.asarray(EventKind.graze.value, jnp.int8)
-    resets = problem.system.resets
-    for hit, old, new in reversed(list(zip(end.members, state.mode, end.mode, strict=True))):
-        left, held = old == 0, new == 0
-        if resets:
-            left, held = left | (abs(old) == 2), held | (abs(new) == 2)
-        slip = select(left, EventKind.slip.value, EventKind.crossing.value)
-        change = select(held, EventKind.stick.value, slip).astype(jnp.int8)
-        kind = _where_first(hit & (old != new), change, kind)
-    if resets:
-        impact = jnp.asarray(EventKind.impact.value, jnp.int8)
-        kind = select(end.moved, impact, kind)
+    old, new = state.mode, end.mode
+    left, held = old == 0, new == 0
+    if problem.system.resets:
+        left, held = left | (abs(old) == 2), held | (abs(new) == 2)
+    slip = where(left, EventKind.slip.value, EventKind.crossing.value)
+    kinds = where(held, EventKind.stick.value, slip).astype(jnp.int8)
+    graze = jnp.asarray(EventKind.graze.value, jnp.int8)
+    changed = end.members & (old != new)
+    first = largest(where(first_set(changed), kinds, 0))
+    kind = select(any_of(changed), first, graze)
+    if problem.system.resets:
+        kind = select(end.moved, jnp.asarray(EventKind.impact.value, jnp.int8), kind)
     return kind
-
-
-def _where_first(flag: Array, value: Array, otherwise: Array) -> Array:
-    """A value where its flag is set, else another one; of arrays the value of the first flag that
-    is."""
-    if flag.ndim:
-        here = jnp.arange(len(flag), dtype=jnp.int32) == jax.lax.argmax(flag, 0, jnp.int32)
-        value, flag = jnp.max(select(here, value, 0)), jnp.any(flag)
-    return select(flag, value, otherwise)
 
 
 @jax.custom_jvp
@@ -108,8 +108,7 @@ def _infinite_rate_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
 
 def _event_time(problem: Problem, state: LoopState, end: StepEnd) -> Array:
-    each = zip(state.hit, end.g, strict=True)
-    late = tuple(_infinite_rate(g, state.graze & hit) for hit, g in each)
+    late = on_each(_infinite_rate, end.g, state.graze & state.hit)
     return problem.grid.t0 + state.tau + total(late)
 
 

@@ -185,7 +185,7 @@ class LoopState(eqx.Module):
     """Grid steps completed before this period of the forcing; None where time goes on."""
     ticks: Ticks | None = None
     """The next tick of each clock, of a system with clocks."""
-    left: Components = ()
+    left: Components | None = None
     """The field with which a tick was reached that waits for its switch, n components."""
     watch: Watch | None = None
     """Of a lane with sections."""
@@ -194,10 +194,8 @@ class LoopState(eqx.Module):
     @property
     def held(self) -> Array:
         """Whether it slides or rests on any surface."""
-        slides = any_of(tuple(s == 0 for s in self.mode))
-        if self.settled is None:
-            return slides
-        return slides | any_of(tuple(abs(s) == 2 for s in self.mode))
+        slides = any_of(self.mode == 0)
+        return slides if self.settled is None else slides | any_of(abs(self.mode) == 2)
 
 
 class FreeStep(eqx.Module):
@@ -220,7 +218,7 @@ class Start(eqx.Module):
     rate: Components
     armed: Components
     noise: Components
-    owed: Components
+    owed: Components | None
     num_modes: Array
     determinant: Array | None
 
@@ -250,13 +248,13 @@ class StepEnd(eqx.Module):
     """Whether a reset has moved the state."""
     members: Components
     """The surfaces that a switch made here is of."""
-    next: Components
-    """Those that ask for another one at once; none where no surface can."""
+    next: Components | None
+    """The surfaces that ask for another switch at once; None where no surface can."""
     jump: Array | None
     """The time that it takes besides, a chattering that ends in rest or all turns that follow; None
     where there can be none."""
-    still: Components
-    """Surfaces that are rested on, or left with a rate of zero; none without resets."""
+    still: Components | None
+    """Surfaces that are rested on, or left with a rate of zero; None without resets."""
     turn: Turn | None
     """The turn after a switch made here; None where contacts cannot accumulate by turns."""
 

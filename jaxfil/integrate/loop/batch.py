@@ -40,8 +40,8 @@ from jaxfil.integrate.loop.free_step import (
 from jaxfil.integrate.loop.iterate import finish, integrate, judge, trial_step
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial
-from jaxfil.integrate.system.components import Components, where
-from jaxfil.xla.select import select
+from jaxfil.integrate.system.components import Components
+from jaxfil.xla.select import select, select_all
 
 _BATCH = "batch"
 """The name of the axis along which lanes are counted."""
@@ -114,7 +114,7 @@ def _each_of_the_batch(x0: Components, state: LoopState) -> LoopState:
     JAX batches the body of a loop anew until it knows which of its numbers differ between lanes,
     and these loops are nested: it took a fifth of the time to the first sweep.
     """
-    first = jnp.ravel(x0[0])[0]
+    first = jnp.ravel(x0.parts[0])[0]
     never = first != first
     return jax.tree.map(lambda v: select(never, v, v), state)
 
@@ -129,7 +129,7 @@ def _coast(problem: Problem, state: LoopState) -> tuple[LoopState, Array]:
     """A lane at the end of its step if nothing is in the way, and whether it has stopped."""
     length, free = _try(problem, state)
     clear = is_event_free(problem, state, length, free) & is_running(problem.grid, state)
-    (clear,) = problem.system.hold(clear.astype(problem.system.dtype))
+    clear = problem.system.hold(clear.astype(problem.system.dtype))
     return accept_free_step(problem, state, length, free, clear > 0), clear == 0
 
 
@@ -140,9 +140,9 @@ def _judge(problem: Problem, state: LoopState) -> LoopState:
     x, error, forcing = free.trial.x, free.trial.error, free.trial.forcing
     if problem.system.slides or problem.system.resets:
 
-        def bound() -> tuple[Components, Components]:
+        def bound() -> tuple[Components, Components | None]:
             slide = trial_step(problem, state, length, forcing)
-            return where(state.held, slide.x, x), where(state.held, slide.error, error)
+            return select_all(state.held, (slide.x, slide.error), (x, error))
 
         any_held = _count(state.held) > 0
         x, error = jax.lax.cond(any_held, bound, lambda: (x, error))

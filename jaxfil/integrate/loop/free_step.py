@@ -23,7 +23,7 @@ from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.steppers.error_estimate import Step, may_be_too_long
 from jaxfil.integrate.steppers.explicit import step
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import all_finite, any_of, where
+from jaxfil.integrate.system.components import all_finite, any_of, on_each, side_of, where
 from jaxfil.xla.select import select
 
 
@@ -31,22 +31,19 @@ def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeSte
     """A trial step on the sides that a lane is on; where it slides, on side +1, which is not where
     it goes."""
     system, grid, h = problem.system, problem.grid, length.h
-    sides = tuple(select(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in state.mode)
+    sides = side_of(state.mode)
     start, t = grid.t0 + state.tau, grid.t0 + length.end
     forcing = system.forcing(start, h, problem.tableau.times)
     field = ModeField(system, sides, blended=False)
     trial = step(problem.tableau, field, start, state.x, state.f, h, forcing)
-    f = system.hold(*system.field(t, trial.x, sides, forcing=forcing[-1]))
+    f = system.hold(system.field(t, trial.x, sides, forcing=forcing[-1]))
     value, slope = jax.jvp(system.switching, (t, trial.x), (jnp.ones_like(t), f))
-    g = tuple(s * v for s, v in zip(sides, value, strict=True))
-    rate = tuple(s * v for s, v in zip(sides, slope, strict=True))
-    return FreeStep(trial, f, system.hold(*g), system.hold(*rate))
+    return FreeStep(trial, f, system.hold(sides * value), system.hold(sides * slope))
 
 
 def is_near_surface(state: LoopState) -> Array:
     """Whether a lane slides or rests, or is at or near a contact."""
-    near = any_of(tuple(~armed for armed in state.armed))
-    return state.held | state.pending | (state.cut != 0) | near
+    return state.held | state.pending | (state.cut != 0) | any_of(~state.armed)
 
 
 def is_event_free(problem: Problem, state: LoopState, length: Length, free: FreeStep) -> Array:
@@ -59,9 +56,8 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     start = problem.grid.t0 + state.tau
     taken = Step(t=start, h=h, x0=state.x, f0=state.f, f1=free.f, trial=free.trial)
     clear = clear & ~may_be_too_long(problem.tableau, taken)
-    each = zip(state.g, state.rate, free.g, free.rate, touch, strict=True)
-    met = tuple(~stays_off(g0, h * d0, g1, h * d1, noise) for g0, d0, g1, d1, noise in each)
-    return clear & ~any_of(met)
+    off = on_each(stays_off, state.g, h * state.rate, free.g, h * free.rate, touch)
+    return clear & ~any_of(~off)
 
 
 def accept_free_step(
@@ -77,7 +73,7 @@ def accept_free_step(
         x=where(clear, x, state.x),
         f=where(clear, free.f, state.f),
         size=where(clear, larger(state.size, x), state.size),
-        g=where(clear, tuple(map(stop_gradient, free.g)), state.g),
+        g=where(clear, stop_gradient(free.g), state.g),
         rate=where(clear, free.rate, state.rate),
         index=state.index + one,
         num_iterations=state.num_iterations + one,

@@ -23,7 +23,6 @@ second derivatives alone (`second_order`).
 import dataclasses
 import functools as ft
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -49,7 +48,7 @@ from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.surfaces.unilateral import rests_of, sides_of
 from jaxfil.integrate.system.components import Components, Forcing, all_finite, any_of, where
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.xla.select import select
+from jaxfil.xla.select import select, select_all
 
 # This many contacts in a row, each at the time of the last, are an accumulation: more than surfaces
 # that are met together, one after the other, need to settle.
@@ -170,12 +169,11 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     landed, touched = judged.landing.landed & ~judged.contact.singular, judged.landing.touched
     if system.m > 1:
         # A step that has run over one surface is not taken because it ends on another.
-        pairs = zip(judged.contact.all, judged.landing.surfaces, strict=True)
-        landed = landed & ~any_of(tuple(over & ~there for over, there in pairs))
+        landed = landed & ~any_of(judged.contact.all & ~judged.landing.surfaces)
     action = select(found, _REJECT, _ACCEPT)
     action = select(landed, select(touched, _TOUCH, _LAND), action)
     action = select(state.pending, _SWITCH, action)
-    failures = [~all_finite(end.x, end.f, end.g, (judged.contact.theta,))]
+    failures = [~all_finite(end.x, end.f, end.g, judged.contact.theta)]
     most = problem.recording.max_events
     full = (
         jnp.zeros((), bool)
@@ -184,7 +182,7 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     )
     failures.append(full)
     failures.append((end.num_modes > 1) & (~found | state.pending))
-    slid = jnp.zeros((), bool) if system.slides else any_of(tuple(s == 0 for s in end.mode))
+    slid = jnp.zeros((), bool) if system.slides else any_of(end.mode == 0)
     failures.append(slid)
     failures.append(end.moved & (problem.grid.direction < 0))
     failures.append((end.num_modes == 0) & end.moved)
@@ -198,8 +196,7 @@ def _action(problem: Problem, state: LoopState, judged: _Judgement) -> Array:
     for number, failed in reversed(list(enumerate(failures))):
         action = select(failed, _FAIL + number, action)
     action = select(is_running(problem.grid, state), action, _IDLE)
-    (action,) = system.hold(action.astype(system.dtype))
-    return action
+    return system.hold(action.astype(system.dtype))
 
 
 def _outcome(action: Array, result: RESULTS) -> RESULTS:
@@ -229,7 +226,7 @@ def _carried_out(
     landed_noise = where(action == _TOUCH, end.touch, end.noise)
     h = select(lands, length.h + landing.delta, select(moved, length.h, 0.0))
     pending, hit, settled = lands | (state.pending & ~moved), state.hit, state.settled
-    if end.jump is not None:
+    if end.jump is not None and end.next is not None:
         h = h + select(switched, end.jump, 0.0)
         pending = pending | (switched & any_of(end.next))
         hit = where(switched, end.next, hit)
@@ -248,7 +245,7 @@ def _carried_out(
         mode=where(moved, end.mode, state.mode),
         g=where(moved, g, state.g),
         rate=where(moved, rate, where(lands, end.rate, state.rate)),
-        determinant=_chosen(moved, end.determinant, state.determinant),
+        determinant=select_all(moved, end.determinant, state.determinant),
         armed=where(moved, armed, state.armed),
         noise=where(lands, landed_noise, where(moved, noise, state.noise)),
         cut=_next_cut(grid, state, length, judged, rejected, accepted, moved),
@@ -258,7 +255,7 @@ def _carried_out(
         graze=select(lands, action == _TOUCH, state.graze),
         jumped=select(lands, landing.jumped, state.jumped & ~switched),
         settled=settled,
-        turn=_chosen(switched, end.turn, state.turn),
+        turn=select_all(switched, end.turn, state.turn),
         index=state.index + gridded.astype(jnp.int32),
         tries=select(rejected, state.tries + 1, 0),
         frozen=select(switched, judged.frozen, state.frozen),
@@ -275,11 +272,6 @@ def _carried_out(
     after = next_period(grid, after)
     went = moved, lands, switched, landing.delta
     return section_search.follow(problem, state, after, end, seen, went)
-
-
-def _chosen(flag: Array, new: Any, old: Any) -> Any:
-    """Choice between two records."""
-    return jax.tree.map(ft.partial(select, flag), new, old)
 
 
 def _next_cut(

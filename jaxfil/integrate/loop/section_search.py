@@ -19,11 +19,8 @@ coincides with, is crossed there if S goes on to the other side, and there alone
 """
 
 import dataclasses
-import functools as ft
-from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
@@ -34,10 +31,21 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.recording import entered, mode_codes
 from jaxfil.integrate.lane.state import CrossingTable, LoopState, StepEnd, Watch, later
 from jaxfil.integrate.surfaces.sections import Sight, WatchedSections, beyond_newton, see
-from jaxfil.integrate.system.components import Components, all_finite, any_of, axpy, pack, where
+from jaxfil.integrate.system.components import (
+    Components,
+    all_finite,
+    any_of,
+    first_set,
+    least,
+    on_each,
+    pack,
+    sign,
+    total,
+    where,
+)
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.second_derivative import add_second_derivative
-from jaxfil.xla.select import select
+from jaxfil.xla.select import select, select_all
 
 # Newton's steps before the search goes on by halves, and trial steps at most.
 _NEWTON, _TRIES = 12, 60
@@ -71,8 +79,8 @@ def begin(problem: Problem, state: LoopState) -> LoopState:
     if watched is None:
         return state
     zero, false = jnp.zeros_like(state.tau), jnp.zeros((), bool)
-    none, nothing = jnp.zeros((), jnp.int32), (zero,) * len(watched.functions)
-    flags = (false,) * len(watched.functions)
+    none, k = jnp.zeros((), jnp.int32), len(watched.functions)
+    nothing, flags = Components((zero,) * k), Components((false,) * k)
     watch = Watch(
         side=nothing,
         value=nothing,
@@ -86,14 +94,15 @@ def begin(problem: Problem, state: LoopState) -> LoopState:
         low=zero,
         high=zero,
         tries=none,
-        counts=(none,) * len(watched.functions),
+        counts=Components((none,) * k),
         total=none,
     )
     at, motion = (problem.grid.t0 + state.tau, state.x), (state.mode, state.f)
     sight = see(watched, problem.system, at, motion, state.size)
     watch = _moved_on(problem, watch, sight, false)
     result, (_, noises) = state.result, _told(problem, sight)
-    for bound, value, noise in zip(watched.bounds, sight.value, noises, strict=True):
+    each = zip(watched.bounds, sight.value.parts, noises.parts, strict=True)
+    for bound, value, noise in each:
         outside = bound & (value < -noise) & (result == RESULTS.successful)
         result = RESULTS.where(outside, RESULTS.out_of_bounds, result)
     size = problem.recording.num_crossings
@@ -130,8 +139,8 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
         tries=jnp.zeros_like(watch.tries),
     )
     closer, delta, done = _approach(problem, state, sight, end)
-    located = tuple(a & ~owed for a, owed in zip(watch.aim, watch.owed, strict=True))
-    linear, given = (delta, axpy(end.x, delta, end.f)), (watched, problem.system)
+    located = watch.aim & ~watch.owed
+    linear, given = (delta, end.x + delta * end.f), (watched, problem.system)
     delta, x = add_second_derivative(beyond_newton, linear, *given, at, end.mode, located)
     tau, rest = later(state.tau, state.rest, watch.length + delta)
     counts = True if watched.since is None else problem.grid.t0 + tau >= watched.since
@@ -144,15 +153,14 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
         start=watch.length,
         seeking=jnp.zeros_like(found),
     )
-    sought = _chosen(done, after, closer)
-    sought = _chosen(looks, goes_on, sought)
+    sought = select_all(looks, goes_on, select_all(done, after, closer))
     finite = all_finite(end.x, sight.value, sight.rate)
     return Seen(
         sight=sight,
         seeks=(begins | watch.seeking) & finite,
-        watch=_chosen(begins, begun, sought),
+        watch=select_all(begins, begun, sought),
         recorded=recorded & finite,
-        number=sum((j * a.astype(jnp.int32) for j, a in enumerate(watch.aim)), jnp.int32(0)),
+        number=total(Components(range(len(watch.aim.parts))) * watch.aim.astype(jnp.int32)),
         tau=tau,
         rest=rest,
         x=x,
@@ -160,34 +168,24 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
     )
 
 
-def _chosen(flag: Array, new: Any, old: Any) -> Any:
-    return jax.tree.map(ft.partial(select, flag), new, old)
-
-
 def _told(problem: Problem, sight: Sight) -> tuple[Components, Components]:
-    """Whether each S is told from zero, and what rounding does to it."""
-    noises = tuple(NOISE * problem.system.eps * v for v in sight.terms)
-    values = zip(sight.value, noises, strict=True)
-    return tuple(abs(stop_gradient(v)) > noise for v, noise in values), noises
+    """Whether |S| exceeds its rounding, and this rounding."""
+    noises = NOISE * problem.system.eps * sight.terms
+    return abs(stop_gradient(sight.value)) > noises, noises
 
 
 def _wanted(problem: Problem, side: Components) -> Components:
     """Whether a crossing from these sides, along the motion, is in the section's direction."""
     assert problem.watched is not None
-    each = zip(problem.watched.directions, side, strict=True)
-    forward = problem.grid.direction
-    return tuple((s * forward * d < 0) | (d == 0) for d, s in each)
+    wanted = Components(problem.watched.directions)
+    return (side * problem.grid.direction * wanted < 0) | (wanted == 0)
 
 
 def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components:
     """The sides that sections start from: of one that the motion starts on, the one it takes."""
-    least, sides = problem.system.eps**0.5, []
-    each = zip(watch.side, watch.rate, sight.value, sight.rate, strict=True)
-    for side, rate, then, last in each:
-        then = stop_gradient(then)
-        tells = abs(h * rate) > least * (abs(then) + abs(h * last))
-        sides.append(select(side == 0, jnp.sign(select(tells, h * rate, then)), side))
-    return tuple(sides)
+    before, after, then = h * watch.rate, h * sight.rate, stop_gradient(sight.value)
+    tells = abs(before) > problem.system.eps**0.5 * (abs(then) + abs(after))
+    return where(watch.side == 0, sign(where(tells, before, then)), watch.side)
 
 
 def _find(
@@ -197,30 +195,24 @@ def _find(
     which length, and the section that is crossed there."""
     h = stop_gradient(length) - watch.start
     sides, (_, noises) = _sides(problem, watch, sight, h), _told(problem, sight)
-    first = lowest = jnp.asarray(NEVER, h.dtype)
-    thetas = []
-    for j, wanted in enumerate(_wanted(problem, sides)):
-        side, away = sides[j], watch.away[j]
-        g0 = select(away, side * watch.value[j], 0.0)
-        g1 = side * stop_gradient(sight.value[j])
-        ends = g0, side * h * watch.rate[j], g1, side * h * sight.rate[j]
-        near = ~(away & stays_off(*ends, noises[j])) & (side != 0)
-        find = ft.partial(_first_of_one, wanted=wanted)
-        args = (*ends, away, noises[j])
-        theta, low = problem.system.where_any(near, find, _nothing, *args)
-        theta = select(near, select(watch.owed[j], 0.0, theta), NEVER)
+    wanted = _wanted(problem, sides)
+    start = where(watch.away, sides * watch.value, 0.0)
+    end = sides * stop_gradient(sight.value)
+    ends = start, sides * h * watch.rate, end, sides * h * sight.rate
+    near = ~(watch.away & on_each(stays_off, *ends, noises)) & (sides != 0)
+    thetas, lows = [], []
+    for each in zip(*(v.parts for v in (near, *ends, watch.away, noises, wanted)), strict=True):
+        theta, low = problem.system.where_any(each[0], _first_of_one, _nothing, *each[1:])
         thetas.append(theta)
-        first = jnp.minimum(first, theta)
-        lowest = jnp.minimum(lowest, select(near, low, NEVER))
+        lows.append(low)
+    thetas = where(near, where(watch.owed, 0.0, Components(thetas)), NEVER)
+    first, lowest = least(thetas), least(where(near, Components(lows), NEVER))
     # One look at a time, and none before a crossing that is known.
     lowest = select(watch.seeking, NEVER, lowest)
     crossed = (first < NEVER) & (first <= lowest)
-    aim, left = [], crossed
-    for theta in thetas:
-        aim.append(left & (theta <= first))
-        left = left & ~aim[-1]
     theta = jnp.minimum(first, lowest)
-    return theta < NEVER, watch.start + theta * h, tuple(aim)
+    aim = first_set(crossed & (thetas <= first))
+    return theta < NEVER, watch.start + theta * h, aim
 
 
 def _first_of_one(
@@ -248,16 +240,11 @@ def _approach(
     here, and whether that is all that is missing."""
     system, grid, watch = problem.system, problem.grid, state.watch
     assert watch is not None
-    small, zero = system.eps ** (2 / 3), jnp.zeros_like(state.tau)
-    g, rate, rate0, noise = zero, zero, zero, zero
-    owed, sides = jnp.zeros((), bool), _sides(problem, watch, sight, watch.length - watch.start)
-    _, noises = _told(problem, sight)
-    for j, aimed in enumerate(watch.aim):
-        g = select(aimed, sides[j] * sight.value[j], g)
-        rate = select(aimed, sides[j] * sight.rate[j], rate)
-        rate0 = select(aimed, sides[j] * watch.rate[j], rate0)
-        noise = select(aimed, noises[j], noise)
-        owed = owed | (aimed & watch.owed[j])
+    small = system.eps ** (2 / 3)
+    sides = _sides(problem, watch, sight, watch.length - watch.start)
+    of_aim = sides * sight.value, sides * sight.rate, sides * watch.rate, _told(problem, sight)[1]
+    g, rate, rate0, noise = (total(where(watch.aim, v, 0.0)) for v in of_aim)
+    owed = any_of(watch.aim & watch.owed)
     falls = grid.direction * rate < 0
     delta = select(falls, -g / select(falls, rate, 1.0), 0.0)
     at, size = watch.length, abs(stop_gradient(delta))
@@ -286,25 +273,20 @@ def _crossed(
     it."""
     assert problem.watched is not None and watch is not None
     wanted, (away, _) = _wanted(problem, watch.side), _told(problem, sight)
-    counted = tuple(a & w & done & counts for a, w in zip(watch.aim, wanted, strict=True))
+    counted = watch.aim & wanted & done & counts
     recorded = any_of(counted)
-    zero = jnp.zeros_like(watch.length)
     # What has jumped is on its other side at once.
-    settled = tuple(a & ~owed for a, owed in zip(watch.aim, watch.owed, strict=True))
+    settled = watch.aim & ~watch.owed
     after = dataclasses.replace(
         watch,
-        side=tuple(select(a, -s, s) for a, s in zip(watch.aim, watch.side, strict=True)),
-        value=tuple(
-            select(a, zero, stop_gradient(v)) for a, v in zip(settled, sight.value, strict=True)
-        ),
+        side=where(watch.aim, -watch.side, watch.side),
+        value=where(settled, 0.0, stop_gradient(sight.value)),
         rate=sight.rate,
-        away=tuple(far & ~a for far, a in zip(away, settled, strict=True)),
-        owed=tuple(o & ~a for o, a in zip(watch.owed, watch.aim, strict=True)),
+        away=away & ~settled,
+        owed=watch.owed & ~watch.aim,
         start=stop_gradient(watch.length),
         seeking=jnp.zeros_like(watch.seeking),
-        counts=tuple(
-            c + one.astype(jnp.int32) for c, one in zip(watch.counts, counted, strict=True)
-        ),
+        counts=watch.counts + counted.astype(jnp.int32),
         total=watch.total + recorded.astype(jnp.int32),
     )
     return recorded, after
@@ -318,7 +300,7 @@ def _result(
     recorded: Array,
 ) -> RESULTS:
     """What a crossing makes of the run."""
-    each = zip(aim, counts, watched.terminal, watched.bounds, strict=True)
+    each = zip(aim.parts, counts.parts, watched.terminal, watched.bounds, strict=True)
     for aimed, count, last, bound in each:
         if last is not None:
             outcome = RESULTS.out_of_bounds if bound else RESULTS.section_reached
@@ -329,16 +311,9 @@ def _result(
 def _moved_on(problem: Problem, watch: Watch, sight: Sight, jumped: Array) -> Watch:
     """The watch of a lane that has gone on to where the sections are seen so; `jumped`: at once, by
     a reset or another mode."""
-    away, _ = _told(problem, sight)
-    value = tuple(stop_gradient(v) for v in sight.value)
-    across = tuple(
-        jumped & far & (s * v < 0) for far, s, v in zip(away, watch.side, value, strict=True)
-    )
-    owed = tuple(a & w for a, w in zip(across, _wanted(problem, watch.side), strict=True))
-    side = tuple(
-        select(far & ~due, jnp.sign(v), s)
-        for far, due, v, s in zip(away, owed, value, watch.side, strict=True)
-    )
+    (away, _), value = _told(problem, sight), stop_gradient(sight.value)
+    owed = jumped & away & (watch.side * value < 0) & _wanted(problem, watch.side)
+    side = where(away & ~owed, sign(value), watch.side)
     return dataclasses.replace(
         watch,
         side=side,
@@ -358,7 +333,7 @@ def follow(
     after: LoopState,
     end: StepEnd,
     seen: Seen | None,
-    went: Components,
+    went: tuple[Array, Array, Array, Array],
 ) -> LoopState:
     """`after`, to which `state` has gone on, with its sections: `went` says whether it has moved to
     the end of the step, landed near it by the time δ, or switched there, and δ."""
@@ -368,13 +343,12 @@ def follow(
     system, watch = problem.system, state.watch
     assert watch is not None
     total, sight = watch.total, seen.sight
-    corrected = tuple(
-        select(lands, stop_gradient(v + delta * r), v)
-        for v, r in zip(sight.value, sight.rate, strict=True)
-    )
+    landed = stop_gradient(sight.value + delta * sight.rate)
+    corrected = where(lands, landed, sight.value)
     sight = dataclasses.replace(sight, value=corrected)
     there = _moved_on(problem, watch, sight, switched)
-    watch = _chosen(seen.seeks, seen.watch, _chosen(moved | lands, there, watch))
+    watch = select_all(moved | lands, there, watch)
+    watch = select_all(seen.seeks, seen.watch, watch)
     result = RESULTS.where(seen.recorded & seen.seeks, seen.result, after.result)
     recorded = seen.recorded & seen.seeks
     table = after.crossings

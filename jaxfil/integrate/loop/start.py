@@ -22,8 +22,16 @@ from jaxfil.integrate.lane.recording import empty_saves, empty_table
 from jaxfil.integrate.lane.state import LoopState, Start
 from jaxfil.integrate.loop import section_search
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
-from jaxfil.integrate.surfaces.weights import Corners, CornerTable, every_side
-from jaxfil.integrate.system.components import Components, all_finite, any_of, where
+from jaxfil.integrate.surfaces.corners import Corners, corner_sides, every_side, on_corners
+from jaxfil.integrate.system.components import (
+    Components,
+    all_finite,
+    any_of,
+    maximum,
+    side_of,
+    sign,
+    where,
+)
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select
@@ -36,15 +44,15 @@ def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction:
     """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
     the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
     rates, seconds, thirds = _all_rates(system, t, x)
-    scales = [sliding_weights.size_of(rates, j) for j in system.surfaces]
+    scales = rates.sizes()
+    tiny = where(scales > 0, system.eps * scales, 1.0)
 
-    def resolved(j: int, rate: Array, second_: Array, third: Array) -> Array:
-        tiny = select(scales[j] > 0, system.eps * scales[j], 1.0)
-        sign = select(second_ != 0, direction * jnp.sign(second_), jnp.sign(third))
-        flat = abs(rate) <= _RATE_NOISE * system.eps * scales[j]
-        return select(flat, tiny * sign, rate)
+    def resolved(rate: Components, second: Components, third: Components) -> Components:
+        signs = where(second != 0, direction * sign(second), sign(third))
+        flat = abs(rate) <= _RATE_NOISE * system.eps * scales
+        return where(flat, tiny * signs, rate)
 
-    return sliding_weights.map_components(resolved, rates, seconds, thirds)
+    return rates.map(resolved, seconds, thirds)
 
 
 def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corners, ...]:
@@ -53,13 +61,12 @@ def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corner
     # One program for all of them, be they few: it holds third derivatives of the field.
     three = ft.partial(_three_rates, system, t, x)
     if system.structure.separate:
-        rows = [system.for_each_surface(jnp.asarray(s, system.dtype)) for s in (1.0, -1.0)]
-        return tuple(map(list, zip(*map(three, rows), strict=True)))
-    columns = every_side(system.m).T.astype(system.dtype)
-    each = jax.vmap(lambda *sides: three(sides))(*columns)
+        return on_corners(three, system, corner_sides(system))
+    sides = every_side(system.m)
+    tables = [Corners.table(v) for v in jax.vmap(three)(Components(sides.T.astype(system.dtype)))]
     if system.m > 2:
-        return tuple(map(CornerTable, each))
-    return tuple([tuple(v[k] for v in rates) for k in range(4)] for rates in each)
+        return (*tables,)
+    return tuple(Corners(table[k] for k in range(len(sides))) for table in tables)
 
 
 def _three_rates(
@@ -82,20 +89,19 @@ def _three_rates(
 
 def _first_mode(
     problem: Problem, x: Components, h: Components, noise: Components
-) -> tuple[Components, Components, Components, Array, Array | None]:
+) -> tuple[Components, Components, Components | None, Array, Array | None]:
     """The mode at t0, the surfaces the state starts on, those whose reset comes first, the number
     of admissible modes, and the determinant of the weights."""
     system, grid = problem.system, problem.grid
-    sides = tuple(select(v < 0, -jnp.ones_like(v), jnp.ones_like(v)) for v in h)
-    on = tuple(abs(v) <= size for v, size in zip(h, noise, strict=True))
+    sides, on = side_of(h), abs(h) <= noise
     # Which mode it is has no derivative.
     rates = _resolved_rates(*stop_gradient((system, grid.t0, x, grid.direction)))
-    owed: Components = ()
+    owed = None
     if system.resets:
-        start = resets.begin(problem, x, on, sides, sliding_weights.first_corner(rates))
-        free = tuple(o & ~known for o, known in zip(on, start.known, strict=True))
+        start = resets.begin(problem, x, on, sides, rates[0])
+        free = on & ~start.known
         mode, count = filippov.choose(system.m, rates, start.sides, free, grid.direction)
-        mode = tuple(select(r, 2 * s, s) for r, s in zip(start.rests, mode, strict=True))
+        mode = where(start.rests, 2 * mode, mode)
         count = select(start.consistent, count, 0)
         # In backward time a rest may have begun at any time.
         count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
@@ -112,33 +118,29 @@ def _first_mode(
 def _start(problem: Problem, x: Components) -> Start:
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     if system.m == 0:
-        f = system.field(t, x, ())
-        return Start(f, (), (), (), (), (), (), jnp.ones((), jnp.int32), None)
+        none = Components(())
+        f = system.field(t, x, none)
+        return Start(f, none, none, none, none, none, None, jnp.ones((), jnp.int32), None)
     h, h_t, normals = system.gradients(t, x)
-    size = tuple(map(abs, stop_gradient(x)))
+    size = abs(stop_gradient(x))
     if system.resets:
         # A state that an earlier run has left on the surface has the rounding of its steps.
-        f = system.field(t, x, tuple(jnp.ones_like(v) for v in h))
-        dt = problem.grid.dt
-        size = tuple(s + stop_gradient(abs(dt * v)) for s, v in zip(size, f, strict=True))
+        f = system.field(t, x, h.like(jnp.ones_like(t)))
+        size = size + stop_gradient(abs(problem.grid.dt * f))
     noise = surface_noise(system, t, size, h_t, normals)
     mode, on, owed, count, determinant = _first_mode(problem, x, h, noise)
     if problem.kept is not None:
         met = ~problem.kept.on
-        mode = where(met, mode, problem.kept.mode)
-        on, owed = (tuple(v & met for v in flags) for flags in (on, owed))
+        mode, on = where(met, mode, problem.kept.mode), on & met
+        owed = None if owed is None else owed & met
     moving = mode if system.slides else unilateral.sides_of(mode)
     f = filippov.free_field(system, t, x, moving)
     f = with_reactions(system, t, x, mode, f)
     known = stop_gradient((system, t, x, f, mode, noise))
     g, rate, noise = guards(*known, stop_gradient(system.forcing_at(t)))
-    stays = stays_on(system, mode)
-    armed = tuple(s | ~on_j for s, on_j in zip(stays, on, strict=True))
-    g = tuple(select(a, jnp.maximum(v, 0.0), 0.0) for a, v in zip(armed, g, strict=True))
-    rate = tuple(
-        select(a, r, direction * jnp.maximum(direction * r, 0.0))
-        for a, r in zip(armed, rate, strict=True)
-    )
+    armed = stays_on(system, mode) | ~on
+    g = where(armed, maximum(g, 0.0), 0.0)
+    rate = where(armed, rate, direction * maximum(direction * rate, 0.0))
     start = Start(f, mode, g, rate, armed, noise, owed, count, determinant)
     return unguarded(problem.kept, start)
 
@@ -156,7 +158,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         rest=tau,
         x=x,
         f=start.f,
-        size=tuple(map(abs, stop_gradient(x))),
+        size=abs(stop_gradient(x)),
         mode=start.mode,
         first_mode=start.mode,
         g=start.g,
@@ -166,8 +168,8 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         noise=start.noise,
         cut=tau,
         aim=system.for_each_surface(false),
-        pending=any_of(start.owed),
-        hit=start.owed if system.resets else system.for_each_surface(false),
+        pending=false if start.owed is None else any_of(start.owed),
+        hit=system.for_each_surface(false) if start.owed is None else start.owed,
         graze=false,
         jumped=false,
         settled=false if system.resets else None,
@@ -185,7 +187,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         saves=empty_saves(system, recording),
         period_start=None if problem.grid.forcing is None else zero,
         ticks=ticks,
-        left=() if ticks is None or system.m == 0 else tuple(map(jnp.zeros_like, x)),
+        left=None if ticks is None or system.m == 0 else x.like(tau),
     )
     state = section_search.begin(problem, state)
     return state if system.m == 0 else _varied(state)
@@ -201,11 +203,10 @@ def _varied(state: LoopState) -> LoopState:
     def kept(state: LoopState) -> list:
         kept = (state.table, state.saves, state.crossings)
         records = [record for record in kept if record is not None]
-        return [state.tau, *state.x, *(v for record in records for v in (record.ts, record.xs))]
+        return [state.tau, *state.x.parts, *(v for r in records for v in (r.ts, r.xs))]
 
-    return eqx.tree_at(
-        kept, state, [_with_rate_of(jnp.ravel(state.f[0])[0], v) for v in kept(state)]
-    )
+    first = jnp.ravel(state.f.parts[0])[0]
+    return eqx.tree_at(kept, state, [_with_rate_of(first, v) for v in kept(state)])
 
 
 @jax.custom_jvp
@@ -229,7 +230,7 @@ def _first_result(problem: Problem, x: Components, start: Start) -> RESULTS:
     result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)
     result = RESULTS.where(count < 1, RESULTS.mode_undecided, result)
     if not problem.system.slides:
-        slid = any_of(tuple(s == 0 for s in start.mode)) & (count == 1)
+        slid = any_of(start.mode == 0) & (count == 1)
         result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
-    fine = all_finite(x, start.f, (grid.t0, grid.length, grid.dt))
+    fine = all_finite(x, start.f, grid.t0, grid.length, grid.dt)
     return RESULTS.where(fine, result, RESULTS.nonfinite)

@@ -20,9 +20,8 @@ from jaxtyping import Array
 
 from jaxfil.integrate.steppers.explicit import Tableau, Trial
 from jaxfil.integrate.steppers.rosenbrock import RosenbrockTableau
-from jaxfil.integrate.system.components import Components, any_of, is_array
+from jaxfil.integrate.system.components import Components, any_of, maximum, minimum, where
 from jaxfil.integrate.system.lowered import ComponentSystem
-from jaxfil.xla.select import select
 
 # Estimated errors of a step up to this part of what it does are left to the user to judge.
 _GROSS = 0.1
@@ -51,15 +50,17 @@ class Step(eqx.Module):
 def may_be_too_long(tableau: Tableau, step: Step) -> Array:
     """Whether a step should be looked at by `is_too_long`: cheap, and never False in error, as the
     state at its end is part of what the error is compared with."""
-    each = zip(_missed(tableau, step), step.trial.x, strict=True)
-    return any_of(tuple(missed > _GROSS * stop_gradient(abs(x)) for missed, x in each))
+    missed = _missed(tableau, step)
+    if missed is None:
+        return jnp.zeros((), bool)
+    return any_of(missed > _GROSS * stop_gradient(abs(step.trial.x)))
 
 
 def is_too_long(system: ComponentSystem, tableau: Tableau, step: Step, sides: Components) -> Array:
     """Whether a step of a lane on these sides cannot be trusted: see the top of this file."""
-    if not _estimates(tableau):
+    if step.trial.error is None:
         return jnp.zeros((), bool)
-    step = jax.tree.map(stop_gradient, step)
+    step = stop_gradient(step)
     suspect = may_be_too_long(tableau, step)
 
     def gross(step: Step, sides: Components) -> Array:
@@ -73,22 +74,18 @@ def is_too_long(system: ComponentSystem, tableau: Tableau, step: Step, sides: Co
 
 def _is_gross(system: ComponentSystem, tableau: Tableau, step: Step, sides: Components) -> Array:
     """Whether a step has missed by a tenth of what it does, and by more than rounding."""
-    h, x1 = step.h, step.trial.x
-    t, x = step.t + 0.5 * h, tuple(0.5 * (a + b) for a, b in zip(step.x0, x1, strict=True))
+    missed = _missed(tableau, step)
+    assert missed is not None
+    h, x0, x1 = step.h, step.x0, step.trial.x
+    t, x = step.t + 0.5 * h, 0.5 * (x0 + x1)
     middle = system.field(t, x, sides)
     rounded = _terms(system, t, x, h, sides, middle)
-    ends = list(zip(step.x0, x1, step.f0, step.f1, strict=True))
-    measures = tuple(_measure(h, *end) for end in ends)
-    faint = tuple(jnp.zeros_like(v) for v in measures)
+    measure = _measure(h, x0, x1, step.f0, step.f1)
+    faint = measure.like(jnp.zeros_like(t))
     if system.n > _CHAIN:
-        faint = _reached(system, t, x, h, sides, measures)
-    gross = []
-    each = zip(_missed(tableau, step), ends, measures, rounded, faint, strict=True)
-    for missed, (a, b, *_), measure, size, least in each:
-        rounding = _ROUNDING * system.eps * (size + jnp.maximum(abs(a), abs(b)))
-        allowed = jnp.maximum(jnp.maximum(_GROSS * measure, rounding), _FAINT * least)
-        gross.append(missed > allowed)
-    return any_of(tuple(gross))
+        faint = _reached(system, t, x, h, sides, measure)
+    rounding = _ROUNDING * system.eps * (rounded + maximum(abs(x0), abs(x1)))
+    return any_of(missed > maximum(maximum(_GROSS * measure, rounding), _FAINT * faint))
 
 
 def _reached(
@@ -101,23 +98,25 @@ def _reached(
     def passed_on(_: Array | int, now: tuple[Components, Array]) -> tuple[Components, Array]:
         size, _grows = now
         _, change = jax.jvp(lambda x: system.field(t, x, sides), (x,), (_generic(size),))
-        after = tuple(jnp.maximum(v, abs(h * c)) for v, c in zip(size, change, strict=True))
-        return after, any_of(tuple(b > a for a, b in zip(size, after, strict=True)))
+        after = maximum(size, abs(h * change))
+        return after, any_of(after > size)
 
     # A way through all components is n − 1 long.
     first = size, jnp.zeros((), bool)
     size, grows = jax.lax.fori_loop(0, system.n, passed_on, first)
-    return tuple(select(grows, 0.0, v) for v in size)
+    return where(grows, 0.0, size)
 
 
-def _measure(h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
-    """What the error of a step is compared with, of one component."""
+def _measure(
+    h: Array, x0: Components, x1: Components, f0: Components, f1: Components
+) -> Components:
+    """What the error of each component is compared with."""
     # A jump of the field that no surface tells of costs a step a part of what it does, however
     # short it is: beside a state that is not zero that is left to the user too.
-    state = jnp.maximum(abs(x0), abs(x1))
+    state = maximum(abs(x0), abs(x1))
     # The field at the end of an unstable step is no measure: it may be a thousand times the state.
-    moved = jnp.maximum(abs(x1 - x0), abs(h) * jnp.minimum(abs(f0), abs(f1)))
-    return jnp.maximum(moved, state)
+    moved = maximum(abs(x1 - x0), abs(h) * minimum(abs(f0), abs(f1)))
+    return maximum(moved, state)
 
 
 def _terms(
@@ -132,28 +131,22 @@ def _terms(
     def passed_on(size: Components) -> Components:
         generic = _generic(size)
         _, change = jax.jvp(lambda t, x: system.field(t, x, sides), (t, x), (abs(t), generic))
-        return tuple(v + abs(h * c) for v, c in zip(size, change, strict=True))
+        return size + abs(h * change)
 
-    size = tuple(abs(v) + abs(h * g) for v, g in zip(x, f, strict=True))
+    size = abs(x) + abs(h * f)
     return jax.lax.fori_loop(0, min(system.n, _DEEP), lambda _, size: passed_on(size), size)
 
 
 def _generic(size: Components) -> Components:
     """Numbers of these sizes of which no two are alike."""
-    if is_array(size):
-        (v,) = size
-        return (jnp.asarray(1 + (0.618 * np.arange(v.shape[0])) % 1, v.dtype) * v,)
-    return tuple((1 + (0.618 * i) % 1) * v for i, v in enumerate(size))
+    if size.is_array:
+        (v,) = size.parts
+        return jnp.asarray(1 + (0.618 * np.arange(v.shape[0])) % 1, v.dtype) * size
+    return Components((1 + (0.618 * i) % 1) * v for i, v in enumerate(size.parts))
 
 
-def _estimates(tableau: Tableau) -> bool:
-    """Whether a step of this method says something of its error."""
-    return not isinstance(tableau, RosenbrockTableau) and bool(tableau.d)
-
-
-def _missed(tableau: Tableau, step: Step) -> list[Array]:
-    """The estimated errors of a step; zeros of a method that estimates none."""
-    if isinstance(tableau, RosenbrockTableau) or not tableau.d:
-        return list(map(jnp.zeros_like, step.x0))
-    each = zip(step.trial.error, step.f1, strict=True)
-    return [abs(step.h * (e + tableau.d[-1] * stop_gradient(f))) for e, f in each]
+def _missed(tableau: Tableau, step: Step) -> Components | None:
+    """The estimated errors of a step; None of a method without an estimate."""
+    if isinstance(tableau, RosenbrockTableau) or step.trial.error is None:
+        return None
+    return abs(step.h * (step.trial.error + tableau.d[-1] * stop_gradient(step.f1)))

@@ -5,6 +5,7 @@ what the method says of its error. Nothing here knows of surfaces.
 """
 
 import functools as ft
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import diffrax
@@ -21,7 +22,7 @@ from jaxfil.integrate.steppers.rosenbrock import (
     RosenbrockTableau,
     rosenbrock_step,
 )
-from jaxfil.integrate.system.components import Components, Forcing, SmoothField
+from jaxfil.integrate.system.components import Components, Forcing, SmoothField, on_each
 from jaxfil.xla.select import select
 
 
@@ -81,8 +82,8 @@ class Trial(eqx.Module):
 
     x: Components
     """The state."""
-    error: Components
-    """What is known of its error: all but the share of the field at the end; empty: nothing."""
+    error: Components | None
+    """Its estimated error without the share of the field at the end; None without an estimate."""
     forcing: list[Forcing]
     """The forcing at the times within the step, its end last."""
 
@@ -143,20 +144,18 @@ def tableau_of(stepper: Stepper) -> Tableau:
     return ExplicitTableau(c, a, b, d, name)
 
 
-def _sum(coefficients: tuple[float, ...], slopes: list[Components], i: int) -> Any:
-    """Σ coefficients·slopes of component i, skipping the zeros of the tableau."""
-    total: Any = 0.0
-    for c, k in zip(coefficients, slopes, strict=True):
-        if c != 0:
-            total = c * k[i] + total
-    return total
-
-
-def _combine(
-    x: Components, h: Array, coefficients: tuple[float, ...], slopes: list[Components]
-) -> Components:
+def _combined(x: Components, h: Array, coefficients: Sequence[float], slopes: list) -> Components:
     """x + h Σ coefficients·slopes."""
-    return tuple(x_i + h * _sum(coefficients, slopes, i) for i, x_i in enumerate(x))
+    return x + h * weighted(coefficients, slopes)
+
+
+def weighted(coefficients: Sequence[float], slopes: Sequence[Components]) -> Any:
+    """Σ coefficients·slopes, without the zeros of the tableau."""
+    out: Any = 0.0
+    for c, slope in zip(coefficients, slopes, strict=True):
+        if c != 0:
+            out = c * slope + out
+    return out
 
 
 def _stage(
@@ -177,18 +176,18 @@ def step(
     """A step of length h from (t, x), where the field is `f`; `forcing` is what
     `ComponentSystem.forcing` has found for `tableau.times`."""
     if isinstance(tableau, RosenbrockTableau):
-        return Trial(rosenbrock_step(tableau, field, t, x, f, h), (), forcing)
+        return Trial(rosenbrock_step(tableau, field, t, x, f, h), None, forcing)
     slopes = [f]
     known = dict(zip(tableau.times, forcing, strict=True))
     for c, row in zip(tableau.c, tableau.a, strict=True):
-        inner = _combine(x, h, row, slopes)
+        inner = _combined(x, h, row, slopes)
         # `once`: else each stage would be computed again inside every later one that uses it.
         slopes.append(field.once(ft.partial(_stage, field, c), t, h, inner, known[c]))
-    end = _combine(x, h, tableau.b, slopes)
-    n, d = len(x), tableau.d
-    error = [stop_gradient(_sum(d[:-1], slopes, i)) for i in range(n if d else 0)]
-    held = field.once(lambda *held: held, *end, *error)
-    return Trial(held[:n], held[n:], forcing)
+    end, error = _combined(x, h, tableau.b, slopes), None
+    if tableau.d:
+        error = stop_gradient(weighted(tableau.d[:-1], slopes))
+    end, error = field.once(lambda held: held, (end, error))
+    return Trial(end, error, forcing)
 
 
 def _column(v: Any, rows: Array) -> Any:
@@ -196,9 +195,9 @@ def _column(v: Any, rows: Array) -> Any:
     return v.reshape(-1, *(1,) * (rows.ndim - 1))
 
 
-def _weighted(weights: Any, rows: Array) -> Array:
+def _sum_of_rows(weights: Any, slopes: Components) -> Components:
     """Σ weights·rows. Not a product of matrices, which would end the kernel."""
-    return jnp.sum(_column(weights, rows) * rows, axis=0)
+    return on_each(lambda rows: jnp.sum(_column(weights, rows) * rows, axis=0), slopes)
 
 
 def compact_step(
@@ -223,18 +222,19 @@ def compact_step(
     known = dict(zip(tableau.times, forcing, strict=True))
     forced = list(map(jnp.stack, zip(*(known[c] for c in tableau.c), strict=True)))
 
+    def put(k: Any, rows: Array, v: Array) -> Array:
+        return select(_column(number == k, rows), v, rows)
+
     def stage(k: Array, slopes: Components) -> Components:
         row, time = (jax.lax.dynamic_index_in_dim(v, k, keepdims=False) for v in (rows, times))
-        inner = tuple(v + h * _weighted(row, s) for v, s in zip(x, slopes, strict=True))
         own = [jax.lax.dynamic_index_in_dim(v, k - 1, keepdims=False) for v in forced]
-        new = field(t + time * h, inner, own)
-        each = zip(new, slopes, strict=True)
-        return tuple(select(_column(number == k, s), v, s) for v, s in each)
+        new = field(t + time * h, x + h * _sum_of_rows(row, slopes), own)
+        return on_each(ft.partial(put, k), slopes, new)
 
-    first = tuple(select(_column(number == 0, v[None]), v, 0.0) for v in f)
+    first = on_each(lambda v: select(_column(number == 0, v[None]), v, 0.0), f)
     slopes = jax.lax.fori_loop(1, stages, stage, first)
-    b = np.asarray(tableau.b, h.dtype)
-    end = tuple(v + h * _weighted(b, s) for v, s in zip(x, slopes, strict=True))
+    end = x + h * _sum_of_rows(np.asarray(tableau.b, h.dtype), slopes)
+    if not tableau.d:
+        return Trial(end, None, forcing)
     d = np.asarray(tableau.d[:-1], h.dtype)
-    error = tuple(stop_gradient(_weighted(d, s)) for s in slopes) if tableau.d else ()
-    return Trial(end, error, forcing)
+    return Trial(end, stop_gradient(_sum_of_rows(d, slopes)), forcing)

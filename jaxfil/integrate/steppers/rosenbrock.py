@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.system.components import Components, SmoothField, axpy, is_array, scalars
+from jaxfil.integrate.system.components import Components, SmoothField, on_each, scalars
 from jaxfil.xla.small_linear import Factors, factored
 
 
@@ -131,27 +131,6 @@ RODAS5P = _table(
 # fmt: on
 
 
-class _LargeFactors(eqx.Module):
-    """L and U of a large regular matrix, by LAPACK. No kernel holds that: n³ operations take longer
-    than to start some."""
-
-    lu: tuple[Array, Array]
-
-    def solve(self, right: Sequence[Array]) -> list[Array]:
-        """x of A x = b."""
-        return [jax.scipy.linalg.lu_solve(self.lu, right[0])]
-
-
-class _StackedFactors(eqx.Module):
-    """Those of a small matrix, of a state that is one array."""
-
-    factors: Factors
-
-    def solve(self, right: Sequence[Array]) -> list[Array]:
-        """x of A x = b."""
-        return [jnp.stack(self.factors.solve(scalars(right[0])))]
-
-
 # Rows of a matrix that is factored number by number, at most.
 _FEW = 12
 
@@ -164,10 +143,19 @@ class _Linearised(eqx.Module):
     f: Components
     """The field there."""
     h: Array
-    factors: Factors | _StackedFactors | _LargeFactors
-    """Of I − γhJ."""
+    factors: Factors | tuple[Array, Array]
+    """Of I − γhJ: of a few rows number by number, else L and U by LAPACK. No kernel holds these,
+    but n³ operations take longer than to start some kernels."""
     drift: Components
     """h ∂F/∂t."""
+
+    def solve(self, right: Components) -> Components:
+        """k of (I − γhJ) k = b."""
+        if not isinstance(self.factors, Factors):
+            return on_each(lambda b: jax.scipy.linalg.lu_solve(self.factors, b), right)
+        if right.is_array:
+            return Components([jnp.stack(self.factors.solve(scalars(right.parts[0])))])
+        return Components(self.factors.solve(right.parts))
 
 
 def rosenbrock_step(
@@ -187,37 +175,34 @@ def _linearised(
     """J and ∂F/∂t at the start of a step, by automatic differentiation."""
     _, push = jax.linearize(field, t, x)
     one, zero = jnp.ones_like(t), jnp.zeros_like(t)
-    n = len(x)
-    drift = push(one, tuple(map(jnp.zeros_like, x)))
-    if is_array(x):
-        eye = jnp.eye(x[0].shape[0], dtype=t.dtype)
-        matrix = eye - gamma * h * jax.vmap(lambda v: push(zero, (v,))[0], out_axes=1)(eye)
+    drift = h * push(one, x.like(zero))
+    if x.is_array:
+        eye = jnp.eye(x.parts[0].shape[0], dtype=t.dtype)
+        columns = jax.vmap(lambda v: push(zero, Components([v])).parts[0], out_axes=1)(eye)
+        matrix = eye - gamma * h * columns
         if len(eye) > _FEW:
-            factors = _LargeFactors(jax.scipy.linalg.lu_factor(matrix))
-        else:
-            factors = _StackedFactors(factored([list(scalars(row)) for row in matrix]))
-        return _Linearised(t, x, f, h, factors, tuple(h * v for v in drift))
-    columns = [push(zero, tuple(one if i == k else zero for i in range(n))) for k in range(n)]
-    matrix = [
-        [float(i == k) - gamma * h * column[i] for k, column in enumerate(columns)]
-        for i in range(n)
-    ]
-    return _Linearised(t, x, f, h, factored(matrix), tuple(h * v for v in drift))
+            return _Linearised(t, x, f, h, jax.scipy.linalg.lu_factor(matrix), drift)
+        rows = [list(scalars(row)) for row in matrix]
+    else:
+        units = range(len(x.parts))
+        columns = [push(zero, Components(one if i == k else zero for i in units)) for k in units]
+        rows = [
+            [float(i == k) - gamma * h * column.parts[i] for k, column in enumerate(columns)]
+            for i in units
+        ]
+    return _Linearised(t, x, f, h, factored(rows), drift)
 
 
-def _sum(coefficients: Sequence[float], slopes: Sequence[Components]) -> Components:
-    """Σ coefficients·slopes, of one slope at least."""
-    out: list[Any] = []
-    for component in zip(*slopes, strict=True):
-        out.append(sum(c * k for c, k in zip(coefficients, component, strict=True)))
-    return tuple(out)
+def _sum(coefficients: Sequence[float], slopes: Sequence[Components]) -> Any:
+    """Σ coefficients·slopes."""
+    return sum(c * k for c, k in zip(coefficients, slopes, strict=True))
 
 
 def _advanced(
     coefficients: Sequence[float], x: Components, h: Array, slopes: list[Components]
 ) -> Components:
     """x + h Σ coefficients·slopes."""
-    return axpy(x, h, _sum(coefficients, slopes))
+    return x + h * _sum(coefficients, slopes)
 
 
 _Row = tuple[float, float, tuple[float, ...], tuple[float, ...]]
@@ -230,10 +215,7 @@ def _stage(
     """The next k, from v = k + Σ coupling·slopes."""
     c, sum_, alpha, coupling = row
     if not slopes:
-        right = [k + sum_ * v for k, v in zip(start.f, start.drift, strict=True)]
-        return tuple(start.factors.solve(right))
+        return start.solve(start.f + sum_ * start.drift)
     slope = field(start.t + c * start.h, _advanced(alpha, start.x, start.h, slopes))
     known = _sum(coupling, slopes)
-    right = [k + w + sum_ * v for k, w, v in zip(slope, known, start.drift, strict=True)]
-    v = start.factors.solve(right)
-    return tuple(a - w for a, w in zip(v, known, strict=True))
+    return start.solve(slope + known + sum_ * start.drift) - known

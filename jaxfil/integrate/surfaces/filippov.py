@@ -12,7 +12,7 @@ Filippov's convex combination with λ = (1 + w)/2.
 Where surfaces are separate (`Structure.separate`: each is switched by its own side alone, as
 those of two oscillators that do not touch each other's switches), so are their weights and modes:
 each is that of one surface, and two corners, all sides + and all −, say everything. Where the field
-is affine in its sides (`Structure.affine`) m + 1 do: see `sliding_weights.Corners`.
+is affine in its sides (`Structure.affine`) m + 1 do: see `corners`.
 """
 
 import functools as ft
@@ -27,21 +27,15 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces import unilateral
-from jaxfil.integrate.surfaces.weights import (
-    Corners,
-    CornerTable,
-    blend,
-    every_side,
-    mix,
-    size_of,
-    weights,
-)
+from jaxfil.integrate.surfaces.corners import Corners, corner_sides, on_corners
+from jaxfil.integrate.surfaces.weights import weights
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
     SmoothField,
     any_of,
-    is_array,
+    largest,
+    least,
     pack,
     scalars,
     where,
@@ -50,44 +44,32 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.moves import taken
 from jaxfil.xla.select import select
 
-# Combinations of sides at most that are written out; more are a table. One of five or fewer would
-# take longer to compile.
-_WRITTEN_OUT = 5
-
 
 def blend_fields(
     system: ComponentSystem, fields: Corners, mode: Components, weights: Components
 ) -> Components:
-    """`blend` of the corner fields; components that no side enters are taken as they are."""
-    if isinstance(fields, CornerTable):
-        return blend(fields, mode, weights)
-    if system.structure.separate:
-        above, below = fields
-        if is_array(above):
-            return _blend_arrays(system, above[0], below[0], mode, weights)
-        return tuple(
-            mix(mode[seen[0]], weights[seen[0]], (a,), (b,))[0] if seen else a
-            for seen, a, b in zip(system.structure.switched, above, below, strict=True)
-        )
-    if is_array(fields[0]):
-        return blend(fields, mode, weights)
-    switched = [i for i, seen in enumerate(system.structure.switched) if seen]
-    parts = blend([tuple(f[i] for i in switched) for f in fields], mode, weights)
-    mixed = dict(zip(switched, parts, strict=True))
-    return tuple(mixed.get(i, component) for i, component in enumerate(fields[0]))
+    """`Corners.blend` of fields; components that no side enters are taken as they are."""
+    if fields.are_of_one:
+        mode, weights = (_of_owners(system, v, fields[0].is_array) for v in (mode, weights))
+    if fields.is_table or fields[0].is_array:
+        return fields.blend(mode, weights)
+    switched = [i for i, sides in enumerate(system.structure.switched) if sides]
+    parts = fields.map(lambda f: Components(f.parts[i] for i in switched)).blend(mode, weights)
+    mixed = dict(zip(switched, parts.parts, strict=True))
+    return Components(mixed.get(i, v) for i, v in enumerate(fields[0].parts))
 
 
-def _blend_arrays(
-    system: ComponentSystem, above: Array, below: Array, mode: Components, weights: Components
-) -> Components:
-    """The same of fields that are arrays. A number that no side enters is that of both fields."""
+def _of_owners(system: ComponentSystem, v: Components, as_array: bool) -> Any:
+    """Of numbers of separate surfaces that of the one surface that switches it, for each number of
+    the field that one does; in a row with all others if it is to be an array."""
+    switched = system.structure.switched
+    if not as_array:
+        return Components(v.parts[sides[0]] for sides in switched if sides)
     if system.m == 1:
-        return mix(mode[0], weights[0], (above,), (below,))
-    # Any surface for a number that no side enters, but in a row with others.
-    switched = enumerate(system.structure.switched)
-    seen = np.array([surfaces[0] if surfaces else i % system.m for i, surfaces in switched])
-    s, w = (taken(pack(v, above.dtype), seen) for v in (mode, weights))
-    return mix(s, w, (above,), (below,))
+        return v.number(0)
+    # A number that no side enters takes any surface, but one that makes a row with its neighbours.
+    owners = [sides[0] if sides else i % system.m for i, sides in enumerate(switched)]
+    return Components([taken(pack(v, system.dtype), np.array(owners))])
 
 
 def corners(
@@ -100,29 +82,11 @@ def corners(
     """The field on the combinations of sides that say everything of it, and dH/dt along each;
     `alone` and `forcing` as in `ComponentSystem.field`."""
 
-    def fields_on(*sides: Array) -> Components:
-        return system.field(t, x, sides, alone, forcing)
+    def field_and_rate(sides: Components) -> tuple[Components, Components]:
+        f = system.field(t, x, sides, alone, forcing)
+        return f, system.rate(t, x, f)
 
-    sides = corner_sides(system)
-    if len(sides) > _WRITTEN_OUT:
-        fields = jax.vmap(fields_on)(*sides.T.astype(system.dtype))
-        rates = jax.vmap(lambda *f: system.rate(t, x, f))(*fields)
-        return CornerTable(fields), CornerTable(rates)
-    # Of numbers, not of an array: one that is known would be an argument of the kernel, and its
-    # ones would not be multiplied out.
-    rows = [jnp.stack([jnp.asarray(float(v), system.dtype) for v in row]) for row in sides]
-    each = [fields_on(*system.of_surfaces(row)) for row in rows]
-    return each, [system.rate(t, x, f) for f in each]
-
-
-def corner_sides(system: ComponentSystem) -> np.ndarray:
-    """The combinations of sides of `sliding_weights.Corners`, a row for each."""
-    m = system.m
-    if system.structure.separate:
-        return np.array([[1.0] * m, [-1.0] * m])
-    if system.structure.affine:
-        return np.concatenate([np.ones((1, m)), 1 - 2 * np.eye(m)])
-    return every_side(m)
+    return on_corners(field_and_rate, system, corner_sides(system))
 
 
 def field(
@@ -182,8 +146,7 @@ def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) ->
         return off
     f = free_field(system, t, x, mode)
     _, force = unilateral.held_field(system, t, x, mode, f)
-    rests = unilateral.rests_of(mode)
-    return tuple(select(r, v, g) for r, v, g in zip(rests, force, off, strict=True))
+    return where(unilateral.rests_of(mode), force, off)
 
 
 def free_guard(
@@ -194,13 +157,12 @@ def free_guard(
     forcing: Forcing | None = None,
 ) -> Components:
     """`guard` of a mode that does not rest; `forcing` as in `ComponentSystem.field`."""
-    h = system.switching(t, x)
-    off = tuple(s * v for s, v in zip(mode, h, strict=True))
+    off = mode * system.switching(t, x)
     if not system.slides:
         return off
     _, rates = corners(system, t, x, forcing=forcing)
     w = weights(mode, rates)
-    return tuple(select(s == 0, (1 - v) * (1 + v), g) for s, v, g in zip(mode, w, off, strict=True))
+    return where(mode == 0, (1 - w) * (1 + w), off)
 
 
 def _admissible(
@@ -209,24 +171,21 @@ def _admissible(
     mode: Components,
     on: Components,
     direction: Array,
-    least: Array | float,
+    threshold: Array | float,
 ) -> Array:
     """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
     surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
-    ok = ~any_of(tuple(~o & (a != b) for o, a, b in zip(on, mode, candidate, strict=True)))
+    ok = ~any_of(~on & (mode != candidate))
     # The weights of what is no candidate are not looked for.
-    w = weights(where(ok, candidate, tuple(map(jnp.ones_like, candidate))), rates)
-    rate = blend(rates, candidate, w)
+    w = weights(where(ok, candidate, 1.0), rates)
+    rate, scale = rates.blend(candidate, w), rates.sizes()
     eps = jnp.finfo(direction.dtype).eps
     # Where no side moves the state off a surface, nothing but a slide on all of them stays there.
-    stays = ~any_of(tuple(o & (c != 0) for o, c in zip(on, candidate, strict=True)))
-    for j, c in enumerate(candidate):
-        scale = size_of(rates, j)
-        solved = (abs(rate[j]) <= 64 * eps * scale) & ((scale > 0) | stays)
-        slides = (abs(w[j]) <= 1) & solved
-        leaves = c * direction * rate[j] > least * scale
-        ok = ok & (~on[j] | select(c == 0, slides, leaves))
-    return ok
+    stays = ~any_of(on & (candidate != 0))
+    solved = (abs(rate) <= 64 * eps * scale) & ((scale > 0) | stays)
+    slides = (abs(w) <= 1) & solved
+    leaves = candidate * direction * rate > threshold * scale
+    return ok & ~any_of(on & ~where(candidate == 0, slides, leaves))
 
 
 def choose(
@@ -235,27 +194,23 @@ def choose(
     mode: Components,
     on: Components,
     direction: Array,
-    least: Array | float = 0.0,
+    threshold: Array | float = 0.0,
 ) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
 
     One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a
     tangency that first derivatives do not decide. An intersection is left at a rate of more than
-    `least`, relative to all rates there.
+    `threshold`, relative to all rates there.
     """
-    if not isinstance(rates, CornerTable) and len(rates) == 2:
-        each = [
-            _choose_on_one(above, below, s, on_j, direction)
-            for above, below, s, on_j in zip(*rates, mode, on, strict=True)
-        ]
-        return tuple(s for s, _ in each), _count_of_all([count for _, count in each])
+    if rates.are_of_one:
+        return _choose_on_one(rates[0], rates[1], mode, on, direction)
     # One after the other: side by side they would be arrays of 3^m numbers in the loop's body.
     candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)), direction.dtype)
 
     def test(found: tuple[Components, Array], row: Array) -> tuple[tuple[Components, Array], None]:
         chosen, count = found
-        candidate = scalars(row)
-        ok = _admissible(candidate, rates, mode, on, direction, least)
+        candidate = Components(scalars(row))
+        ok = _admissible(candidate, rates, mode, on, direction, threshold)
         chosen = where(ok & (count == 0), candidate, chosen)
         return (chosen, count + ok.astype(jnp.int32)), None
 
@@ -264,20 +219,20 @@ def choose(
     return found
 
 
-def _count_of_all(counts: list[Array]) -> Array:
-    """The number of admissible modes, given that of each surface; of surfaces that are one array no
-    more than 1, 0 and more are told apart."""
-    if counts[0].ndim:
-        return select(jnp.min(counts[0]) > 0, jnp.max(counts[0]), 0)
-    return ft.reduce(jnp.multiply, counts, jnp.ones((), jnp.int32))
-
-
 def _choose_on_one(
-    above: Array, below: Array, mode: Array, on: Array, direction: Array
-) -> tuple[Array, Array]:
-    """`choose` on a single surface, where the rates on its two sides say it all."""
+    above: Components, below: Components, mode: Components, on: Components, direction: Array
+) -> tuple[Components, Array]:
+    """`choose` on surfaces that are separate, where the rates on both sides say it all."""
     plus, minus = direction * above > 0, direction * below < 0
     slide = (above * below <= 0) & (above != below)
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
-    side = select(plus, 1.0, select(minus, -1.0, 0.0)).astype(direction.dtype)
-    return select(on & (count > 0), side, mode), select(on, count, 1)
+    side = where(plus, 1.0, where(minus, -1.0, 0.0)).astype(direction.dtype)
+    return where(on & (count > 0), side, mode), _count_of_all(where(on, count, 1))
+
+
+def _count_of_all(counts: Components) -> Array:
+    """The number of admissible modes, given that of each surface. Of very many surfaces, held as an
+    array, the product might overflow: there it is the largest, if none is zero."""
+    if counts.is_array:
+        return select(least(counts) > 0, largest(counts), 0)
+    return ft.reduce(jnp.multiply, counts.parts)

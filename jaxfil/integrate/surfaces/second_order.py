@@ -13,7 +13,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.filippov import ModeField, guard
-from jaxfil.integrate.system.components import Components, total
+from jaxfil.integrate.system.components import Components, total, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
@@ -25,8 +25,7 @@ def beyond_newton(
     with the second derivatives that are missing, whose value and first derivatives are zero."""
 
     def gap(system: ComponentSystem, t: Array, x: Components) -> Any:
-        each = zip(met, guard(system, t, x, mode), strict=True)
-        return total(tuple(select(is_met, g, 0.0) for is_met, g in each))
+        return total(where(met, guard(system, t, x, mode), 0.0))
 
     return beyond_newton_to(gap, lambda system: system, system, (t, x), mode)
 
@@ -58,5 +57,4 @@ def beyond_newton_to(
     f, turn = along(field, *here)
     fixed, delta = stop_gradient(slope), -g / slope
     beyond = delta + g / fixed - 0.5 * bend / fixed * delta * delta
-    curved = tuple(beyond * v + 0.5 * delta * delta * w for v, w in zip(f, turn, strict=True))
-    return beyond, curved
+    return beyond, beyond * f + 0.5 * delta * delta * turn

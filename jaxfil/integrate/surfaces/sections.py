@@ -15,11 +15,10 @@ from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.surfaces.second_order import beyond_newton_to
-from jaxfil.integrate.system.components import Components, dot, pack
+from jaxfil.integrate.system.components import Components, dot, pack, total, where
 from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section
-from jaxfil.xla.select import select
 from jaxfil.xla.trace import Traced
 
 
@@ -111,9 +110,10 @@ def see(
         value, pull = jax.vjp(watched.value(j, system, mode), t, x)
         by_t, by_x = pull(jnp.ones_like(value))
         values.append(value)
-        rates.append(stop_gradient(by_t + dot(by_x, f)))
-        terms.append(stop_gradient(dot(tuple(map(abs, by_x)), size) + abs(by_t * t)))
-    return Sight(system.hold(*values), system.hold(*rates), tuple(terms))
+        rates.append(by_t + dot(by_x, f))
+        terms.append(dot(abs(by_x), size) + abs(by_t * t))
+    held, rates = system.hold(Components(values)), system.hold(stop_gradient(Components(rates)))
+    return Sight(held, rates, stop_gradient(Components(terms)))
 
 
 def beyond_newton(
@@ -128,7 +128,7 @@ def beyond_newton(
 
     def gap(given: tuple[WatchedSections, ComponentSystem], t: Array, x: Components) -> Any:
         watched, system = given
-        values = [watched.value(j, system, mode)(t, x) for j in range(len(aim))]
-        return sum(select(aimed, v, 0.0) for aimed, v in zip(aim, values, strict=True))
+        functions = [watched.value(j, system, mode) for j in range(len(aim.parts))]
+        return total(where(aim, Components(s(t, x) for s in functions), 0.0))
 
     return beyond_newton_to(gap, lambda given: given[1], (watched, system), at, mode)

@@ -29,8 +29,9 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.system.components import Components, any_of, axpy, dot, where
+from jaxfil.integrate.system.components import Components, any_of, dot, side_of, where
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
 from jaxfil.xla.small_linear import solve_small
 
@@ -39,22 +40,22 @@ _NOISE = 64
 
 
 class Constraints(eqx.Module):
-    """The surfaces as constraints, at one state on given sides. Components are m."""
+    """The surfaces as constraints, at one state on given sides."""
 
     rate: Components
-    """ψ_j = dH_j/dt."""
-    gradients: tuple[Components, ...]
+    """ψ_j = dH_j/dt, m components."""
+    gradients: Rows
     """∇ψ_j, n components each."""
-    directions: tuple[Components, ...]
+    directions: Rows
     """d_j, n components each; zero where the reset does nothing."""
-    gains: tuple[Components, ...]
-    """Rows of ∇ψ_i·d_j."""
+    gains: Rows
+    """∇ψ_i·d_j, m components each."""
 
     @property
     def throws_back(self) -> Components:
         """Whether the reset of a surface turns the motion back, e_j ≥ 0."""
-        least = 1 - 64 * jnp.finfo(self.rate[0].dtype).eps
-        return tuple(stop_gradient(row[j]) >= least for j, row in enumerate(self.gains))
+        own = stop_gradient(self.gains.diagonal())
+        return own >= 1 - 64 * jnp.finfo(own.parts[0].dtype).eps
 
 
 def contact_rates(
@@ -67,28 +68,19 @@ def contact_rates(
 def constraints(system: ComponentSystem, t: Array, x: Components, sides: Components) -> Constraints:
     """The surfaces as constraints at (t, x), for a motion on `sides`."""
     rate, pull = jax.vjp(lambda x: contact_rates(system, t, x, sides), x)
-    gradients, directions = [], []
-    for j in range(system.m):
-        pick = tuple(jnp.asarray(float(i == j), system.dtype) for i in range(system.m))
-        (gradient,) = pull(pick)
-        gradients.append(gradient)
-        directions.append(_direction(system, t, x, sides, rate, gradient, j))
-    zero = jnp.zeros_like(t)
-    gains = tuple(tuple(zero + dot(row, d) for d in directions) for row in gradients)
-    return Constraints(rate, tuple(gradients), tuple(directions), gains)
-
-
-def _terms(a: Components, b: Components) -> Array:
-    """Σ |a b|."""
-    return dot(tuple(map(abs, a)), tuple(map(abs, b)))
+    gradients = Rows(pull(unit)[0] for unit in system.units)
+    each = zip(sides.parts, rate.parts, gradients.rows, strict=True)
+    directions = Rows(_direction(system, t, x, *of_j, j) for j, of_j in enumerate(each))
+    products = Rows(jnp.zeros_like(t) + gradients @ d for d in directions.rows)
+    return Constraints(rate, gradients, directions, products.transposed())
 
 
 def _direction(
     system: ComponentSystem,
     t: Array,
     x: Components,
-    sides: Components,
-    rate: Components,
+    side: Array,
+    rate: Array,
     gradient: Components,
     j: int,
 ) -> Components:
@@ -97,12 +89,12 @@ def _direction(
     inverse = select(size > 0, 1 / select(size > 0, size, 1), 0.0)
     # A reset may be written for motions that come in only: its derivative is that at such a state,
     # by so little that nothing else is told of it.
-    terms = _terms(gradient, x)
+    terms = dot(abs(gradient), abs(x))
     least = float(np.finfo(system.dtype).tiny) ** 0.5
-    depth = stop_gradient(_NOISE * system.eps * terms + least + sides[j] * rate[j])
-    moving = axpy(x, -sides[j] * depth * stop_gradient(inverse), stop_gradient(gradient))
+    depth = stop_gradient(_NOISE * system.eps * terms + least + side * rate)
+    moving = x + -side * depth * stop_gradient(inverse) * stop_gradient(gradient)
     _, moved = jax.jvp(lambda x: system.reset(t, x, jnp.int32(j)), (moving,), (gradient,))
-    return tuple((v - w) * inverse for v, w in zip(gradient, moved, strict=True))
+    return (gradient - moved) * inverse
 
 
 def accelerations(
@@ -120,49 +112,32 @@ def rate_noise(
     f: Components,
     c: Constraints,
     a: Components,
-    surfaces: tuple[Components, tuple[Components, ...]],
+    surfaces: tuple[Components, Rows],
 ) -> Components:
     """What rounding does to ψ: of t and x, of the terms that it is made of, and of the steps by
     which the state has come here. `surfaces` are ∂H/∂t and ∂H/∂x."""
-    out = []
-    for h_t, normal, gradient, a_j in zip(*surfaces, c.gradients, a, strict=True):
-        by_time = a_j - dot(gradient, f)
-        # Of bodies that fall side by side ψ stays zero, and its terms do not.
-        gained = _terms(gradient, f)
-        terms = abs(h_t) + _terms(normal, f)
-        terms = terms + dot(tuple(map(abs, gradient)), x)
-        terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
-        out.append(stop_gradient(_NOISE * jnp.finfo(t.dtype).eps * terms))
-    return tuple(out)
+    h_t, normals = surfaces
+    by_time = a - c.gradients @ f
+    # Of bodies that fall side by side ψ stays zero, and its terms do not.
+    gained = abs(c.gradients) @ abs(f)
+    terms = abs(h_t) + abs(normals) @ abs(f) + abs(c.gradients) @ x
+    terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
+    return stop_gradient(_NOISE * jnp.finfo(t.dtype).eps * terms)
 
 
-def multipliers(gains: tuple[Components, ...], a: Components, rests: Components) -> Components:
+def multipliers(gains: Rows, a: Components, rests: Components) -> Components:
     """λ of the surfaces rested on, 0 of others, given the accelerations a without reactions."""
-    m = len(a)
-    matrix = [
-        [
-            select(rests[i] & rests[j] if i != j else rests[i], gains[i][j], float(i == j))
-            for j in range(m)
-        ]
-        for i in range(m)
-    ]
-    right = [select(on, -v, 0.0) for on, v in zip(rests, a, strict=True)]
-    return tuple(solve_small(matrix, right))
+    matrix, on = [], rests.parts
+    for i, row in enumerate(gains.rows):
+        both = [on[i] if i == j else on[i] & other for j, other in enumerate(on)]
+        entries = enumerate(zip(both, row.parts, strict=True))
+        matrix.append([select(flag, gain, float(i == j)) for j, (flag, gain) in entries])
+    return Components(solve_small(matrix, where(rests, -a, 0.0).parts))
 
 
-def answered(gains: tuple[Components, ...], a: Components, force: Components) -> Components:
+def answered(gains: Rows, a: Components, force: Components) -> Components:
     """Rates or accelerations a, with what pushes along the directions add: a + Σ_k λ_k ∇ψ·d_k."""
-    return tuple(
-        v + sum(g * p for g, p in zip(row, force, strict=True))
-        for v, row in zip(a, gains, strict=True)
-    )
-
-
-def pushed(f: Components, directions: tuple[Components, ...], force: Components) -> Components:
-    """f + Σ_j λ_j d_j."""
-    for d, v in zip(directions, force, strict=True):
-        f = axpy(f, v, d)
-    return f
+    return a + gains @ force
 
 
 def held_field(
@@ -173,8 +148,8 @@ def held_field(
     sides, rests = sides_of(mode), rests_of(mode)
     c = constraints(system, t, x, sides)
     force = multipliers(c.gains, accelerations(system, t, x, sides, f), rests)
-    held = where(any_of(rests), pushed(f, c.directions, force), f)
-    return held, tuple(s * v for s, v in zip(sides, force, strict=True))
+    held = where(any_of(rests), c.directions.added(f, force), f)
+    return held, sides * force
 
 
 def reaction_scale(
@@ -183,30 +158,27 @@ def reaction_scale(
     """The size of the terms that the reactions of a mode are made of, m components."""
     c = constraints(system, t, x, sides_of(mode))
     f = system.field(t, x, sides_of(mode))
-    sizes = []
-    for j, (gradient, row) in enumerate(zip(c.gradients, c.gains, strict=True)):
-        terms = _terms(gradient, f)
-        sizes.append(terms / select(row[j] > 0, row[j], 1))
-    return tuple(sizes)
+    own = c.gains.diagonal()
+    return abs(c.gradients) @ abs(f) / where(own > 0, own, 1)
 
 
 def rests_of(mode: Components) -> Components:
     """The surfaces that a mode rests on: ±2, by the side it is on."""
-    return tuple(abs(s) == 2 for s in mode)
+    return abs(mode) == 2
 
 
 def beside(mode: Components) -> Components:
     """The mode that does not rest where this one does: ±1 in place of ±2."""
-    return tuple(select(r, 0.5 * s, s) for r, s in zip(rests_of(mode), mode, strict=True))
+    return where(rests_of(mode), 0.5 * mode, mode)
 
 
 def sides_of(mode: Components) -> Components:
     """The sides of a mode, + where it slides: rates of constraints do not depend on that."""
-    return tuple(select(s < 0, -jnp.ones_like(s), jnp.ones_like(s)) for s in mode)
+    return side_of(mode)
 
 
 def pressed(
-    gains: tuple[Components, ...], a: Components, sides: Components, candidates: Components
+    gains: Rows, a: Components, sides: Components, candidates: Components
 ) -> tuple[Components, Array]:
     """Which of the surfaces at rest stay so, and whether that is consistent: λ_j pushes away from
     each surface that holds, and a_j leads away from each that does not.
@@ -214,17 +186,12 @@ def pressed(
     Surfaces that would have to pull, or need not push, let go, all of them at once, until none
     would.
     """
-    gains, a, sides = jax.tree.map(stop_gradient, (gains, a, sides))
-    m = len(a)
+    gains, a, sides = stop_gradient((gains, a, sides))
+    m = len(a.parts)
 
     def let_go(_: Array | int, on: Components) -> Components:
-        force = multipliers(gains, a, on)
-        each = zip(on, sides, force, strict=True)
-        return tuple(o & (s * v > 0) for o, s, v in each)
+        return on & (sides * multipliers(gains, a, on) > 0)
 
     on = let_go(0, candidates) if m == 1 else jax.lax.fori_loop(0, m, let_go, candidates)
-    force = multipliers(gains, a, on)
-    fine, left = jnp.ones((), bool), answered(gains, a, force)
-    for i, (candidate, o) in enumerate(zip(candidates, on, strict=True)):
-        fine = fine & (~candidate | o | (sides[i] * left[i] >= 0))
-    return on, fine
+    left = answered(gains, a, multipliers(gains, a, on))
+    return on, ~any_of(candidates & ~on & ~(sides * left >= 0))

@@ -1,29 +1,232 @@
-"""Components: the numbers of a state or of its surfaces, as the loop carries them.
+"""Components: the numbers of a state, or one for each surface, as the loop carries them.
 
-Tuples of scalars, or of one array, enter and leave: sums, choices and the like of them. How a state
-is held, and why, says `component_system`.
+A vector is held number by number, each a scalar (in a batch one contiguous array of lanes, which
+XLA turns into vector instructions), or as one array of all numbers, whose program does not grow
+with them. `lowered` says which and why. Formulas are the same for both: operators and the functions
+here act number by number, and a scalar stands for as many equal numbers.
 """
 
 import abc
-import itertools
-from collections.abc import Callable
+import functools as ft
+import operator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.xla.select import select
 
-Components = tuple[Array, ...]
-"""The components of a vector: n (state) or m (surface) scalars; of a state of many numbers one
-array of all of them, (n,)."""
-Normals = tuple[Components, ...]
-"""The m gradients of H, n components each; of surfaces that are one array their sum, in which each
-number is that of one surface."""
 Forcing = list[Array]
-"""What a field takes of time alone, at one time: see `ComponentSystem.forcing`."""
+"""The expensive values of a field that depend on time alone, at one time: see
+`ComponentSystem.forcing`."""
+
+
+@jax.tree_util.register_pytree_node_class
+class Components:
+    """A vector of numbers with operators that act on each."""
+
+    __slots__ = ("parts",)
+    __hash__ = None  # pyright: ignore[reportAssignmentType]
+    __array_ufunc__ = None  # NumPy's numbers leave operations to this class
+
+    parts: tuple[Array, ...]
+    """The numbers as scalars, or one array of all of them."""
+
+    def __init__(self, parts: Iterable[Any]):
+        self.parts = tuple(parts)
+
+    def tree_flatten(self) -> tuple[tuple, None]:
+        return self.parts, None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, parts: Iterable[Any]) -> "Components":
+        return cls(parts)
+
+    def __repr__(self) -> str:
+        return f"Components({self.parts!r})"
+
+    @property
+    def is_array(self) -> bool:
+        """Whether all numbers are one array."""
+        return len(self.parts) == 1 and self.parts[0].ndim > 0
+
+    def number(self, i: int) -> Array:
+        """Number i."""
+        return self.parts[0][i] if self.is_array else self.parts[i]
+
+    def like(self, value: Array) -> "Components":
+        """As many numbers, all of them this scalar."""
+        return on_each(lambda v: value if v.ndim == 0 else jnp.full(v.shape, value), self)
+
+    def astype(self, dtype: Any) -> "Components":
+        """The same numbers as those of another type."""
+        return on_each(lambda v: v.astype(dtype), self)
+
+    def __add__(self, other: Any) -> "Components":
+        return on_each(operator.add, self, other)
+
+    def __radd__(self, other: Any) -> "Components":
+        return on_each(operator.add, other, self)
+
+    def __sub__(self, other: Any) -> "Components":
+        return on_each(operator.sub, self, other)
+
+    def __rsub__(self, other: Any) -> "Components":
+        return on_each(operator.sub, other, self)
+
+    def __mul__(self, other: Any) -> "Components":
+        return on_each(operator.mul, self, other)
+
+    def __rmul__(self, other: Any) -> "Components":
+        return on_each(operator.mul, other, self)
+
+    def __truediv__(self, other: Any) -> "Components":
+        return on_each(operator.truediv, self, other)
+
+    def __rtruediv__(self, other: Any) -> "Components":
+        return on_each(operator.truediv, other, self)
+
+    def __and__(self, other: Any) -> "Components":
+        return on_each(operator.and_, self, other)
+
+    def __rand__(self, other: Any) -> "Components":
+        return on_each(operator.and_, other, self)
+
+    def __or__(self, other: Any) -> "Components":
+        return on_each(operator.or_, self, other)
+
+    def __ror__(self, other: Any) -> "Components":
+        return on_each(operator.or_, other, self)
+
+    def __lt__(self, other: Any) -> "Components":
+        return on_each(operator.lt, self, other)
+
+    def __le__(self, other: Any) -> "Components":
+        return on_each(operator.le, self, other)
+
+    def __gt__(self, other: Any) -> "Components":
+        return on_each(operator.gt, self, other)
+
+    def __ge__(self, other: Any) -> "Components":
+        return on_each(operator.ge, self, other)
+
+    def __eq__(self, other: Any) -> "Components":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return on_each(operator.eq, self, other)
+
+    def __ne__(self, other: Any) -> "Components":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return on_each(operator.ne, self, other)
+
+    def __neg__(self) -> "Components":
+        return on_each(operator.neg, self)
+
+    def __abs__(self) -> "Components":
+        return on_each(abs, self)
+
+    def __invert__(self) -> "Components":
+        return on_each(operator.invert, self)
+
+
+def on_each(function: Callable[..., Any], *values: Any) -> Components:
+    """`function` number by number, of vectors and of scalars; of those held as arrays on the whole
+    array at once."""
+    (length,) = {len(v.parts) for v in values if isinstance(v, Components)}
+    columns = [v.parts if isinstance(v, Components) else (v,) * length for v in values]
+    return Components(tuple(map(function, *columns)))
+
+
+def where(condition: Any, yes: Any, no: Any) -> Components:
+    """`yes` where the condition holds, else `no`, number by number."""
+    return on_each(select, condition, yes, no)
+
+
+def maximum(a: Any, b: Any) -> Components:
+    """The larger of two numbers."""
+    return on_each(jnp.maximum, a, b)
+
+
+def minimum(a: Any, b: Any) -> Components:
+    """The smaller of two numbers."""
+    return on_each(jnp.minimum, a, b)
+
+
+def sign(v: Components) -> Components:
+    """±1 or 0 by the sign of each number."""
+    return on_each(jnp.sign, v)
+
+
+def side_of(v: Components) -> Components:
+    """−1 where a number is negative, else +1."""
+    return on_each(lambda u: select(u < 0, -jnp.ones_like(u), jnp.ones_like(u)), v)
+
+
+def scalars(x: Array) -> tuple[Array, ...]:
+    """The numbers of an (n,) array."""
+    return tuple(x[i] for i in range(x.shape[0]))
+
+
+def pack(components: Components, dtype: Any) -> Array:
+    """Components as an (n,) array; of shape (0,) and the given dtype if there are none."""
+    if not components.parts:
+        return jnp.zeros((0,), dtype)
+    return components.parts[0] if components.is_array else jnp.stack(components.parts)
+
+
+def _sum(v: Array) -> Array:
+    return v if v.ndim == 0 else jnp.sum(v)
+
+
+def total(v: Components) -> Any:
+    """The sum of all numbers, of which there is one at least."""
+    first, *others = map(_sum, v.parts)
+    return sum(others, start=first)
+
+
+def dot(a: Components, b: Components) -> Any:
+    """Σ a·b."""
+    return total(a * b)
+
+
+def least(v: Components) -> Array:
+    """The least number."""
+    return ft.reduce(jnp.minimum, (p if p.ndim == 0 else jnp.min(p) for p in v.parts))
+
+
+def largest(v: Components) -> Array:
+    """The largest number."""
+    return ft.reduce(jnp.maximum, (p if p.ndim == 0 else jnp.max(p) for p in v.parts))
+
+
+def first_set(flags: Components) -> Components:
+    """The first flag that is set, alone."""
+    if flags.is_array:
+        (flag,) = flags.parts
+        number = jnp.arange(len(flag), dtype=jnp.int32)
+        return Components([flag & (number == jax.lax.argmax(flag, 0, jnp.int32))])
+    found, first = jnp.zeros((), bool), []
+    for flag in flags.parts:
+        first.append(flag & ~found)
+        found = found | flag
+    return Components(first)
+
+
+def any_of(flags: Components) -> Array:
+    """Whether any of the flags is set; False if there are none."""
+    found = jnp.zeros((), bool)
+    for flag in flags.parts:
+        found = found | (flag if flag.ndim == 0 else jnp.any(flag))
+    return found
+
+
+def all_finite(*values: Any) -> Array:
+    """Whether all numbers of all vectors and arrays are finite."""
+    result: Any = 0.0
+    for number in stop_gradient(jax.tree.leaves(values)):
+        result = result + _sum(number * 0)  # NaN and inf both give NaN: one test for all
+    return jnp.asarray(result == 0)
 
 
 class SmoothField(eqx.Module):
@@ -31,75 +234,8 @@ class SmoothField(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components:
-        """Its value, given what `ComponentSystem.forcing` has found for that time, if anything."""
+        """f(t, x); `forcing` are the values of `ComponentSystem.forcing` for this time."""
 
     @abc.abstractmethod
     def once(self, function: Callable, *args: Any) -> Any:
         """As `ComponentSystem.once`."""
-
-
-def scalars(x: Array) -> Components:
-    """The numbers of an (n,) array, of the modes of m surfaces say."""
-    return tuple(x[i] for i in range(x.shape[0]))
-
-
-def pack(components: Components, dtype: Any) -> Array:
-    """The (n,) array of components; of shape (0,) and the given dtype if there are none."""
-    if not components:
-        return jnp.zeros((0,), dtype)
-    return components[0] if is_array(components) else jnp.stack(components)
-
-
-def is_array(x: Components) -> bool:
-    """Whether a state, or what there is of each surface, is one array."""
-    return len(x) == 1 and x[0].ndim > 0
-
-
-def number(x: Components, i: int) -> Array:
-    """Number i of components, of a state or of one for each surface."""
-    return x[0][i] if is_array(x) else x[i]
-
-
-def dot(a: Components, b: Components) -> Any:
-    """Σ a·b, over all numbers of two states."""
-    return sum(_total(u * v) for u, v in zip(a, b, strict=True))
-
-
-def _total(v: Array) -> Array:
-    return v if v.ndim == 0 else jnp.sum(v)
-
-
-def axpy(x: Components, h: Array, f: Components) -> Components:
-    """x + h f."""
-    return tuple(a + h * b for a, b in zip(x, f, strict=True))
-
-
-def where(condition: Array, a: Components, b: Components) -> Components:
-    """Componentwise choice between two vectors."""
-    return tuple(select(condition, u, v) for u, v in zip(a, b, strict=True))
-
-
-def least(v: Array) -> Array:
-    """The least number of a component."""
-    return v if v.ndim == 0 else jnp.min(v)
-
-
-def total(components: Components) -> Any:
-    """The sum of all numbers of all components."""
-    return sum(map(_total, components))
-
-
-def any_of(flags: Components) -> Array:
-    """Whether any of the flags is set; False if there are none."""
-    total = jnp.zeros((), bool)
-    for flag in flags:
-        total = total | (flag if flag.ndim == 0 else jnp.any(flag))
-    return total
-
-
-def all_finite(*vectors: Components) -> Array:
-    """Whether all components of all vectors are finite."""
-    total: Any = 0.0
-    for component in stop_gradient([*itertools.chain(*vectors)]):
-        total = total + _total(component * 0)  # NaN and inf both give NaN: one test for all
-    return jnp.asarray(total == 0)

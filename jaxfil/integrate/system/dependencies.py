@@ -8,11 +8,11 @@ ones.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import numpy as np
 
+from jaxfil.integrate.system.components import Components
 from jaxfil.xla.trace import Traced
 
 
@@ -54,9 +54,9 @@ def of(
     )
 
 
-def _flat(flags: Any) -> list[bool]:
+def _flat(flags: Components) -> list[bool]:
     """The flags of all numbers of a vector."""
-    return [bool(flag) for v in flags for flag in np.ravel(v)]
+    return [bool(flag) for v in flags.parts for flag in np.ravel(v)]
 
 
 def _are_separate(switched: Sequence[tuple[int, ...]], steers: Sequence[list[bool]]) -> bool:

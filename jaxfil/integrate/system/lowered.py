@@ -21,8 +21,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.system import dependencies
-from jaxfil.integrate.system.components import Components, Forcing, Normals, pack, scalars
+from jaxfil.integrate.system.components import Components, Forcing, on_each, pack, scalars
 from jaxfil.integrate.system.dependencies import Structure
+from jaxfil.integrate.system.rows import Rows
 from jaxfil.model import check
 from jaxfil.model.system import System, has_resets
 from jaxfil.xla.select import select
@@ -33,10 +34,10 @@ from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 _FEW, _FEW_SURFACES = (12, 2), (1, 1)
 
 
-def _unpacked(numbers: Any, compact: bool) -> tuple:
+def _unpacked(numbers: Any, compact: bool) -> Components:
     """Numbers in an (n,) array as the components of a state are held."""
     few = _FEW[compact]
-    return (numbers,) if len(numbers) > few else tuple(numbers[i] for i in range(len(numbers)))
+    return Components([numbers] if len(numbers) > few else scalars(numbers))
 
 
 class ParametrizedFunction(eqx.Module):
@@ -128,9 +129,9 @@ class ComponentSystem(eqx.Module):
             return function(*args)
         return jax.lax.cond(eqxi.unvmap_any(flag), function, otherwise, *args)
 
-    def hold(self, *values: Array) -> Components:
+    def hold(self, values: Any) -> Any:
         """The same values, each computed once."""
-        return self.once(lambda *held: held, *values)
+        return self.once(lambda held: held, values)
 
     def forcing(self, t: Array, h: Array, times: Sequence[float]) -> list[Forcing]:
         """What the field takes of time alone and is dear, at t + c·h for each c of `times`: both
@@ -180,34 +181,35 @@ class ComponentSystem(eqx.Module):
 
     def constant(self, numbers: np.ndarray) -> Components:
         """The components of a state of known numbers, shape (n,)."""
-        return tuple(jnp.asarray(v, self.dtype) for v in _unpacked(numbers, self.compact))
+        return on_each(lambda v: jnp.asarray(v, self.dtype), _unpacked(numbers, self.compact))
 
-    @property
-    def surfaces(self) -> range:
-        """The components of what there is of each surface: m of them, or one array."""
-        return range(1 if self.packed else self.m)
-
-    def of_surfaces(self, numbers: Array) -> Components:
+    def of_surfaces(self, numbers: Any) -> Components:
         """Numbers in an (m,) array as components."""
-        return (numbers,) if self.packed else scalars(numbers)
+        return Components([numbers] if self.packed else scalars(numbers))
 
     def for_each_surface(self, number: Array) -> Components:
         """The same number for each of the surfaces."""
-        return (jnp.full((self.m,), number),) if self.packed else (number,) * self.m
+        return Components([jnp.full((self.m,), number)] if self.packed else (number,) * self.m)
 
     def rate(self, t: Array, x: Components, f: Components) -> Components:
         """dH/dt along the direction (1, f)."""
         _, rate = jax.jvp(self.switching, (t, x), (jnp.ones_like(t), f))
         return rate
 
-    def gradients(self, t: Array, x: Components) -> tuple[Components, Components, Normals]:
+    def gradients(self, t: Array, x: Components) -> tuple[Components, Components, Rows]:
         """H, ∂H/∂t and the gradients ∂H_j/∂x."""
         h, pull = jax.vjp(self.switching, t, x)
         if self.packed:
             _, h_t = jax.jvp(lambda t: self.switching(t, x), (t,), (jnp.ones_like(t),))
-            return h, h_t, pull((jnp.ones_like(h[0]),))[1:]
-        rows = [pull(tuple(jnp.asarray(v, self.dtype) for v in row)) for row in np.eye(self.m)]
-        return h, tuple(r[0] for r in rows), tuple(r[1] for r in rows)
+            _, row = pull(h.like(jnp.ones_like(t)))
+            return h, h_t, Rows([row], self.structure.members)
+        by_t, rows = zip(*(pull(unit) for unit in self.units), strict=True)
+        return h, Components(by_t), Rows(rows)
+
+    @property
+    def units(self) -> list[Components]:
+        """The unit vectors of the surfaces, as m components each."""
+        return [Components(jnp.asarray(v, self.dtype) for v in row) for row in np.eye(self.m)]
 
 
 def build(system: System, x0: Array, *, compact: bool, transposed: bool = False) -> ComponentSystem:
@@ -239,7 +241,7 @@ def _build(
     resets = has_resets(system) and m > 0
     leaves, static = eqx.partition(system, eqx.is_array)
     field, switching, reset = _on_components(static, h_shape, dtype, compact, packed)
-    sides = (jnp.ones((m,), dtype),) if packed else (jnp.ones((), dtype),) * m
+    sides = Components([jnp.ones((m,), dtype)] if packed else (jnp.ones((), dtype),) * m)
     traced = ft.partial(Traced, transposed=transposed, fast=not compact)
     when = (FIRST, EARLY, LATE, LATE)
     traced_field = traced(field, leaves, t0, x, sides, when=when)
@@ -249,7 +251,7 @@ def _build(
         (traced_field, traced_switching),
         jax.tree.map(lambda _: False, (leaves, t0)),
         [_unpacked(row, compact) for row in np.eye(n, dtype=bool)],
-        [(row,) if packed else tuple(row) for row in np.eye(m, dtype=bool)],
+        [Components([row] if packed else row) for row in np.eye(m, dtype=bool)],
     )
     traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
     on_cpu = jax.default_backend() == "cpu"
@@ -307,14 +309,14 @@ def _on_components(
     m = 1 if h_shape == () else h_shape[0]
 
     def field(leaves: System, t: Array, x: Components, sides: Components) -> Components:
-        side = sides[0] if h_shape == () else pack(sides, dtype)
+        side = sides.parts[0] if h_shape == () else pack(sides, dtype)
         f = eqx.combine(leaves, static).vector_field(t, pack(x, dtype), side)
         return _unpacked(f, compact)
 
     def switching(leaves: System, t: Array, x: Components) -> Components:
         h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
         h = jnp.reshape(h, (m,))
-        return (h,) if packed else scalars(h)
+        return Components([h] if packed else scalars(h))
 
     def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
         return _unpacked(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface), compact)

@@ -13,6 +13,9 @@ from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
+from jaxfil.integrate.surfaces import weights as sliding_weights
+from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.system.components import Components
 from tests.problems import PROBLEMS, tagged
 
 REVERSE = diffrax.RecursiveCheckpointAdjoint()
@@ -201,10 +204,11 @@ def test_weights_on_an_intersection_to_every_order():
     # p - 2 s1 + a s1 s2 = 0 and q - 2 s2 + b s1 s2 = 0: a quadratic equation for s1.
     def weights(p):
         zero, corners = jnp.zeros(()), [(1, 1), (1, -1), (-1, 1), (-1, -1)]
-        rates = [
-            (p[0] - 2 * s1 + p[2] * s1 * s2, p[1] - 2 * s2 + p[3] * s1 * s2) for s1, s2 in corners
-        ]
-        return jnp.stack(weights.weights((zero, zero), rates))
+        rates = Corners(
+            Components([p[0] - 2 * s1 + p[2] * s1 * s2, p[1] - 2 * s2 + p[3] * s1 * s2])
+            for s1, s2 in corners
+        )
+        return jnp.stack(sliding_weights.weights(Components([zero, zero]), rates).parts)
 
     def exact(p):
         p, q, a, b = p

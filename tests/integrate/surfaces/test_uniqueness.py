@@ -10,7 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
-from jaxfil.integrate.surfaces import filippov
+from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
+from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.system.components import Components
 from tests.results import run, table
 
 
@@ -134,14 +136,14 @@ def test_weights_of_random_intersections_are_those_inside():
     roots = [inside(rows) for rows in tables]
     # What is left has one root inside: the indices of all modes that go on add up to 1.
     assert {len(found) for found in roots} == {1} and len(tables) > 1000
-    slides, on = (jnp.zeros(()),) * 2, (jnp.ones((), bool),) * 2
+    slides, on = Components([jnp.zeros(())] * 2), Components([jnp.ones((), bool)] * 2)
 
     @jax.jit
     @jax.vmap
     def found(rows):
-        rates = [tuple(row) for row in rows]
+        rates = Corners(map(Components, rows))
         modes = [filippov.choose(2, rates, slides, on, d)[1] for d in jnp.array([1, -1.0])]
-        return jnp.stack(weights.weights(slides, rates)), *modes
+        return jnp.stack(sliding_weights.weights(slides, rates).parts), *modes
 
     weights, forward, _ = found(jnp.asarray(tables))
     assert_allclose(weights, np.asarray(roots)[:, 0], rtol=0, atol=1e-11)
@@ -156,12 +158,12 @@ def test_weights_of_three_surfaces_are_those_inside():
     noise = draw.normal(size=(4000, 8, 3))
     shares = np.prod((1 + sides * roots[:, None]) / 2, axis=2)
     rates = noise - np.einsum("ks,ksj->kj", shares, noise)[:, None] - sides + roots[:, None]
-    slides = (jnp.zeros(()),) * 3
+    slides = Components([jnp.zeros(())] * 3)
 
     @jax.jit
     @jax.vmap
     def found(rows):
-        return jnp.stack(weights.weights(slides, [tuple(row) for row in rows]))
+        return jnp.stack(sliding_weights.weights(slides, Corners(map(Components, rows))).parts)
 
     weights = np.asarray(found(jnp.asarray(rates)))
     assert np.abs(weights).max() <= 1
@@ -170,11 +172,11 @@ def test_weights_of_three_surfaces_are_those_inside():
 
 
 def test_derivative_of_the_weights_inside_is_the_implicit_one():
-    slides = (jnp.zeros(()), jnp.zeros(()))
+    slides = Components([jnp.zeros(())] * 2)
     rows = jnp.asarray(TABLES[0])
 
     def weights(rows):
-        return jnp.stack(weights.weights(slides, [tuple(row) for row in rows]))
+        return jnp.stack(sliding_weights.weights(slides, Corners(map(Components, rows))).parts)
 
     (w,) = inside(np.asarray(rows))
     shares = np.outer((1 + w[0] * np.array([1, -1])) / 2, (1 + w[1] * np.array([1, -1])) / 2)

@@ -13,7 +13,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil.integrate.system.components import is_array
 from jaxfil.integrate.system.lowered import build
 from jaxfil.xla.compiler import makes_whole_kernels
 
@@ -76,7 +75,7 @@ def test_contacts_and_states_are_those_of_the_few(name, compact):
     x = wide(x0)
     built = build(big, x, compact=False)
     separate = build(system, jnp.array(x0), compact=False).structure.separate
-    assert is_array(built.unpack(x)) and built.structure.separate == separate
+    assert built.unpack(x).is_array and built.structure.separate == separate
     # Written out, fewer stages compile sooner.
     stepper = diffrax.Dopri8() if compact else diffrax.Tsit5()
     options = {"compact": compact, "throw": False, "stepper": stepper}

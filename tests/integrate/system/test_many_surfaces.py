@@ -12,7 +12,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil.integrate.surfaces.normals import products, project
+from jaxfil.integrate.surfaces.normals import project
+from jaxfil.integrate.system.components import Components
 from jaxfil.integrate.system.lowered import build
 
 FRICTION = np.array([0.3, 0.3, 0.35, 0.4, 0.45, 0.5, 0.9])
@@ -134,13 +135,14 @@ def test_an_orbit_has_the_multipliers_of_each():
 
 def test_projection_on_the_surfaces():
     built, rng = build(SYSTEM, together(), compact=False), np.random.default_rng(0)
-    x = (jnp.asarray(rng.normal(size=2 * COUNT + 1)),)
+    x = Components([jnp.asarray(rng.normal(size=2 * COUNT + 1))])
     _, _, normals = built.gradients(jnp.zeros(()), x)
-    rows = np.asarray(jax.jacfwd(lambda x: SYSTEM.switching(0.0, x))(x[0]))
-    assert_allclose(products(built, normals, x)[0], rows @ x[0], rtol=1e-13)
+    rows = np.asarray(jax.jacfwd(lambda x: SYSTEM.switching(0.0, x))(x.parts[0]))
+    assert_allclose((normals @ x).parts[0], rows @ x.parts[0], rtol=1e-13)
     on, h = rng.random(COUNT) < 0.6, rng.normal(size=COUNT)
-    (moved,) = project(built, x, (jnp.asarray(h),), normals, (jnp.asarray(on),))
-    gap = np.asarray(moved - x[0])
+    height, flags = Components([jnp.asarray(h)]), Components([jnp.asarray(on)])
+    (moved,) = project(built, x, height, normals, flags).parts
+    gap = np.asarray(moved - x.parts[0])
     assert_allclose(rows[on] @ gap, -h[on], rtol=1e-12)
     # At right angles to the surfaces, and of those marked alone.
     assert_allclose(gap, -np.linalg.pinv(rows[on]) @ h[on], rtol=1e-12, atol=1e-15)

@@ -67,9 +67,14 @@ PROGRAMS = {
 
 @pytest.fixture(scope="module", autouse=True)
 def nothing_is_compiled_yet():
-    """What other files have compiled is not compiled again, and is not seen to be."""
+    """What other files have compiled is not compiled again, and is not seen to be; and lines keep
+    more of their callers than ten."""
     jax.clear_caches()
     eqx.clear_caches()
+    before = jax.config.jax_traceback_in_locations_limit
+    jax.config.update("jax_traceback_in_locations_limit", 40)
+    yield
+    jax.config.update("jax_traceback_in_locations_limit", before)
 
 
 @pytest.fixture(scope="module")
@@ -104,22 +109,22 @@ def text(system, **options):
     "source, declared, other",
     [
         # The search for contacts, and what a contact leads to.
-        ("event_location.find_contact", "crossing", "smooth"),
-        ("event_location.land", "crossing", "smooth"),
-        ("mode_switch._chosen", "crossing", "smooth"),
+        ("locate.find_contact", "crossing", "smooth"),
+        ("locate.land", "crossing", "smooth"),
+        ("switch._chosen", "crossing", "smooth"),
         ("filippov._choose_on_one", "crossing", "smooth"),
         # Sliding: the blend's weights, the return to the surface, whether it draws the state back.
-        ("sliding_weights.determinant", "sliding", "crossing"),
+        ("weights.determinant", "sliding", "crossing"),
         ("normals.project", "sliding", "crossing"),
-        ("event_location._to_singular_point", "sliding", "crossing"),
+        ("locate._to_singular_point", "sliding", "crossing"),
         # Impacts, events, and saved states.
         ("test_pay_for_use.Impact.reset", "impact", "crossing"),
         ("recording.record_event", "events", "crossing"),
         ("recording._kind", "events", "crossing"),
         ("recording.save_state", "ts", "crossing"),
         # Sections and clocks.
-        ("crossing.look", "section", "crossing"),
-        ("crossing.follow", "section", "crossing"),
+        ("section_search.look", "section", "crossing"),
+        ("section_search.follow", "section", "crossing"),
         ("clocks._met", "clock", "crossing"),
         ("clocks._moved", "clock", "crossing"),
     ],
