@@ -24,7 +24,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxfil.integrate.lane.problem import NOTHING, KeptMode, Problem, even_grid
+from jaxfil.integrate.lane.problem import KeptMode, even_grid
+from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import integrate
 from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.integrate.surfaces import filippov
@@ -272,13 +273,17 @@ class _Flow(eqx.Module):
         options = self.options
         count = jnp.ceil(options.steps * abs(stop_gradient(length / self.period)))
         num_steps = jnp.clip(jnp.nan_to_num(count), 1, 8 * options.steps).astype(jnp.int32)
-        problem = Problem(
+        problem = problem_of(
             self.system,
             tableau_of(options.stepper),
             even_grid(t0, length, num_steps, options.max_events),
-            NOTHING,
             kept=self.kept,
         )
         state = integrate(problem, self.system.unpack(x))
-        size = jnp.maximum(pack(state.size, x.dtype), abs(x))
-        return pack(state.x, x.dtype), stop_gradient(size), state.num_events, state.result
+        size = jnp.maximum(pack(state.motion.scale, x.dtype), abs(x))
+        return (
+            pack(state.motion.x, x.dtype),
+            stop_gradient(size),
+            state.counts.num_events,
+            state.result,
+        )

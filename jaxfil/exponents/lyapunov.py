@@ -14,8 +14,9 @@ from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.card import average_card
 from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
 from jaxfil.exponents.variational import Variation, propagate, vary
-from jaxfil.integrate.lane.problem import NOTHING, Problem, period_outcome
+from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.lane.state import LoopState, is_running
+from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import advance, finish
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
@@ -154,11 +155,11 @@ def _spectrum(
     def run(x0: Array) -> LyapunovSpectrum:
         between = interval.of(system, x0)
         grid = between.grid(counts[0] + counts[1], counts[2])
-        problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
+        problem = problem_of(build(system, x0, compact=compact), tableau_of(stepper), grid)
         ends = batch_ends(counts[0], batches)
         state, growth = _grown(problem, counts, ends, x0)
         times = ends.astype(x0.dtype) * between.length
-        growth = select(state.index >= grid.num_steps, growth, jnp.nan)
+        growth = select(state.counts.index >= grid.num_steps, growth, jnp.nan)
         exponents, running, error, settled = averages(growth, times)
         return LyapunovSpectrum(
             exponents=exponents,
@@ -166,7 +167,7 @@ def _spectrum(
             running=running,
             times=times,
             x0=x0,
-            x_final=pack(state.x, x0.dtype),
+            x_final=pack(state.motion.x, x0.dtype),
             settled=settled,
             result=period_outcome(between.length, state.result),
             compact=compact,

@@ -18,8 +18,9 @@ from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
-from jaxfil.integrate.lane.problem import NOTHING, Problem, period_outcome
+from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.lane.state import is_running
+from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import advance, finish, integrate
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
@@ -134,11 +135,11 @@ def _settle(
     def run(x0: Array) -> tuple[Interval, Array, RESULTS]:
         between = interval.of(system, x0)
         grid = between.grid(jnp.maximum(transient, 1), steps)
-        problem = Problem(build(system, x0, compact=compact), tableau_of(stepper), grid, NOTHING)
+        problem = problem_of(build(system, x0, compact=compact), tableau_of(stepper), grid)
         state = integrate(problem, problem.system.unpack(x0))
         # A grid needs a step: without a transient one period is run, and forgotten.
         moved = transient > 0
-        x = select(moved, pack(state.x, x0.dtype), x0)
+        x = select(moved, pack(state.motion.x, x0.dtype), x0)
         return between, x, RESULTS.where(moved, state.result, RESULTS.successful)
 
     return kernel_if_it_fits(run, compact)(x0)
@@ -172,7 +173,7 @@ def _threshold(
         z = jnp.concatenate([x, _away(x, 0.01)[0]])
         grid = interval.grid(periods, steps, transient)
         pair = build(drive_response(system, coupling), z, compact=compact)
-        problem = Problem(pair, tableau_of(stepper), grid, NOTHING)
+        problem = problem_of(pair, tableau_of(stepper), grid)
 
         def on(carry: tuple) -> Array:
             state, nearest, _ = carry
@@ -181,13 +182,13 @@ def _threshold(
         def go(carry: tuple) -> tuple:
             state, nearest, left = carry
             after = advance(problem, state)
-            left = left - (after.index - state.index)
-            due = (left <= 0) & (after.index > state.index)
-            nearest = select(due, jnp.minimum(nearest, _distance(after.x)), nearest)
+            left = left - (after.counts.index - state.counts.index)
+            due = (left <= 0) & (after.counts.index > state.counts.index)
+            nearest = select(due, jnp.minimum(nearest, _distance(after.motion.x)), nearest)
             return after, nearest, select(due, steps, left)
 
         begun = initial_state(problem, pair.unpack(z))
-        state, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.x), steps))
+        state, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.motion.x), steps))
         met = (nearest <= tolerance) & (state.result == RESULTS.successful)
         result = RESULTS.where(met, state.result, finish(grid, state).result)
         result = RESULTS.where(settled == RESULTS.successful, result, settled)
@@ -302,7 +303,7 @@ def _transverse(
         def problem(k: Array) -> Problem:
             _, transient, steps = counts
             grid = interval.grid(jnp.ones_like(steps), steps, transient + k)
-            return Problem(pair, tableau_of(stepper), grid, NOTHING)
+            return problem_of(pair, tableau_of(stepper), grid)
 
         z, result, growth = _parted(problem, z, separation, ends, settled)
         times = ends.astype(x.dtype) * interval.length
@@ -338,8 +339,8 @@ def _parted(
         k, z, growth, _ = carry
         now = problem(k)
         state = integrate(now, now.system.unpack(z))
-        end = pack(state.x, z.dtype)
-        distance = _distance(state.x)
+        end = pack(state.motion.x, z.dtype)
+        distance = _distance(state.motion.x)
         # Below this nothing of the distance is known, and a wrong rate would look like any other.
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
         growth = growth + select(resolved, jnp.log(distance / separation), jnp.nan)

@@ -71,34 +71,35 @@ def _push(problem: Problem, variation: Variation) -> Variation:
     """One iteration of the loop."""
     system, state = problem.system, variation.state
 
-    def through(x: Components, tau: Array = state.tau) -> tuple:
-        f = filippov.field(system, problem.grid.t0 + tau, x, state.mode)
-        after = advance(problem, dataclasses.replace(state, x=x, f=f, tau=tau))
-        return (after.x, after.tau), after
+    def through(x: Components, tau: Array = state.motion.tau) -> tuple:
+        f = filippov.field(system, problem.grid.t0 + tau, x, state.motion.mode)
+        motion = dataclasses.replace(state.motion, x=x, f=f, tau=tau)
+        after = advance(problem, dataclasses.replace(state, motion=motion))
+        return (after.motion.x, after.motion.tau), after
 
     # A reset may take place at a time that differs; without one a switch leaves the state alone.
-    given = (state.x, state.tau) if system.resets else (state.x,)
+    given = (state.motion.x, state.motion.tau) if system.resets else (state.motion.x,)
     _, derivative, after = jax.linearize(through, *given, has_aux=True)
 
     def push(v: Components, dt: Array) -> tuple[Components, Array]:
         pushed, late = derivative(*(v, dt)[: len(given)])
         if system.m > 0:
-            switched = state.pending & ~after.pending
+            switched = state.pending.waits & ~after.pending.waits
             met, moment = (pushed, late) if system.resets else (v, dt)
             pushed = where(switched, _apply_saltation(problem, after, met, moment), pushed)
-            late = select(after.pending, late, 0.0)
+            late = select(after.pending.waits, late, 0.0)
         return pushed, late
 
     frame, delay = for_each(push, variation.frame, variation.delay)
     # A slide takes directions away, and so may a reset: only then is a lost one of length zero.
     moved = after.held
     if system.resets:
-        moved = moved | after.pending
+        moved = moved | after.pending.waits
     return Variation(
         after,
         frame,
         delay,
-        variation.left - (after.index - state.index),
+        variation.left - (after.counts.index - state.counts.index),
         variation.dropped | moved,
         variation.growth,
     )
@@ -107,13 +108,13 @@ def _push(problem: Problem, variation: Variation) -> Variation:
 def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Array) -> Components:
     """A tangent after a switch. It was carried to the contact itself, whose time moves by dt, and
     through its resets: it holds f⁻ dt already, and gives up f⁺ dt to be at a fixed time again."""
-    system, t = problem.system, problem.grid.t0 + after.tau
-    v = v + -dt * after.f
+    system, t = problem.system, problem.grid.t0 + after.motion.tau
+    v = v + -dt * after.motion.f
     if system.slides or system.resets:
-        _, _, normals = system.gradients(t, after.x)
+        _, _, normals = system.gradients(t, after.motion.x)
         # On a surface a tangent has no component across it: two motions that slide there differ
         # along it alone. What is removed is the direction that sticking takes away.
-        on = stays_on(system, after.mode)
+        on = stays_on(system, after.motion.mode)
         v = project(system, v, normals @ v, normals, on)
     return v
 
@@ -122,7 +123,7 @@ def _orthonormalised(
     system: ComponentSystem, every: Array, before: LoopState, variation: Variation
 ) -> Variation:
     """The same, with its frame orthonormalised where that is due."""
-    due = (variation.left <= 0) & (variation.state.index > before.index)
+    due = (variation.left <= 0) & (variation.state.counts.index > before.counts.index)
 
     def as_it_is(frame: Frame, _: Array) -> tuple[Frame, Components]:
         return frame, zeros(system)

@@ -16,6 +16,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxfil.integrate.lane.problem import NOTHING, Problem, Recording, even_grid, period_outcome
+from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import integrate
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.run.solution import Events, events_of
@@ -48,9 +49,9 @@ class ShootingOptions(eqx.Module):
         """One of `arcs` arcs of equal length, from `t0`."""
         num_steps = jnp.asarray(-(-self.steps // arcs), jnp.int32)
         grid = even_grid(t0, length, num_steps, self.max_events)
-        recording = Recording("none", self.max_events)
+        recording = Recording(max_events=self.max_events)
         field = build(system, x0, compact=self.compact)
-        return Problem(field, tableau_of(self.stepper), grid, recording)
+        return problem_of(field, tableau_of(self.stepper), grid, recording)
 
 
 class Shot(eqx.Module):
@@ -94,12 +95,12 @@ def shoot(
             t0 = options.t0 + number * length
             problem = options.problem(system, z[:n], t0, length, options.arcs)
             state = integrate(problem, problem.system.unpack(z[:n]))
-            x = pack(state.x, z.dtype)
+            x = pack(state.motion.x, z.dtype)
             # Of the states at the steps: what a component is measured by, and no more than that.
-            size = jnp.maximum(pack(state.size, z.dtype), abs(x))
+            size = jnp.maximum(pack(state.motion.scale, z.dtype), abs(x))
             mode = pack(state.first_mode, z.dtype).astype(jnp.int8)
             result = period_outcome(period, state.result)
-            more = (x, size, events_of(state.table), state.num_events, mode, result)
+            more = (x, size, events_of(state.table), state.counts.num_events, mode, result)
             return x, jax.tree.map(stop_gradient, more)
 
         def slopes(z: Array) -> tuple:
@@ -175,7 +176,7 @@ def flow_map(
         problem = options.problem(system, x, options.t0 + number * length, length, arcs)
         problem = dataclasses.replace(problem, recording=NOTHING)
         state = integrate(problem, problem.system.unpack(x))
-        return select(state.result == RESULTS.successful, pack(state.x, x.dtype), x)
+        return select(state.result == RESULTS.successful, pack(state.motion.x, x.dtype), x)
 
     return kernel_if_it_fits(forward, options.compact)
 
@@ -185,4 +186,4 @@ def velocity(setting: Setting, options: ShootingOptions, x0: Float[Array, " n"],
     system, period = setting(q)
     problem = options.problem(system, x0, options.t0, period, options.arcs)
     problem = dataclasses.replace(problem, recording=NOTHING)
-    return pack(initial_state(problem, problem.system.unpack(x0)).f, x0.dtype)
+    return pack(initial_state(problem, problem.system.unpack(x0)).motion.f, x0.dtype)

@@ -20,7 +20,9 @@ from jaxfil.integrate.lane.problem import (
     grid_of_periods,
     iteration_budget,
 )
+from jaxfil.integrate.lane.recorders import SaveSamples
 from jaxfil.integrate.lane.state import LoopState, SavedStates
+from jaxfil.integrate.loop.extensions import problem_of, sections_in
 from jaxfil.integrate.run.observed import Observable, checked_observable, observed
 from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
 from jaxfil.integrate.surfaces.sections import watch_sections
@@ -72,7 +74,7 @@ class Sampling(eqx.Module):
         field, tableau = build(system, x0, compact=self.compact), tableau_of(self.stepper)
         if self.section is not None:
             grid = self._until_crossed(period)
-            recording = Recording("none", None, num_crossings=self.samples)
+            recording = Recording(num_crossings=self.samples)
             sections = watch_sections((self.section,), field, x0)
             assert sections is not None
             last = self.transient + self.samples
@@ -82,18 +84,16 @@ class Sampling(eqx.Module):
                 ((last,), self.transient, self.transient_time),
                 is_leaf=lambda v: v is None,
             )
-            return Problem(field, tableau, grid, recording, watched)
+            return problem_of(field, tableau, grid, recording, watched)
         count = self.transient + self.samples
         grid = grid_of_periods(period, count, self.steps, repeats=anew)
-        recording = Recording(
-            save="samples",
-            max_events=None,
-            num_saves=self.samples,
+        recorder = SaveSamples(
+            size=self.samples,
+            modes=self.observable is not None,
             first=(self.transient + 1) * self.steps,
             every=self.steps,
-            modes=self.observable is not None,
         )
-        return Problem(field, tableau, grid, recording)
+        return problem_of(field, tableau, grid, Recording(recorder))
 
     def _until_crossed(self, unit: Array) -> TimeGrid:
         """The grid of a run to its last crossing."""
@@ -109,17 +109,18 @@ class Sampling(eqx.Module):
     def outcome(self, state: LoopState) -> tuple[SavedStates, RESULTS, Array]:
         """What is sampled of a lane, or of many, outcome, and the last state (n,): of the samples
         the states, at a section their times, and the modes if there is something to be observed."""
-        kept = state.saves if self.section is None else state.crossings
+        sections = sections_in(state)
+        kept = state.saves if sections is None else sections.table
         assert kept is not None
         xs = jnp.where(jnp.isfinite(kept.xs), kept.xs, jnp.nan)
         seen = self.observable is not None
         timed = seen or self.section is not None
         samples = SavedStates(kept.ts if timed else None, xs, kept.modes if seen else None)
         # Components are numbers, or one array of them.
-        rows = [v.reshape(*xs.shape[:-2], -1) for v in state.x.parts]
+        rows = [v.reshape(*xs.shape[:-2], -1) for v in state.motion.x.parts]
         result = state.result
         if self.section is not None:
-            result = (jax.vmap(_at_section) if state.tau.ndim else _at_section)(result)
+            result = (jax.vmap(_at_section) if state.motion.tau.ndim else _at_section)(result)
         return samples, result, jnp.concatenate(rows, axis=-1)
 
     def seen(

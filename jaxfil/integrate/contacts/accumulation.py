@@ -19,12 +19,13 @@ other predict the same limit to within rounding, in time and in every component 
 import dataclasses
 import functools as ft
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import Problem
-from jaxfil.integrate.lane.state import LoopState, StepEnd, Turn
+from jaxfil.integrate.lane.state import LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.system.components import (
     Components,
@@ -45,6 +46,36 @@ _AGREE = 4
 _TOLD = 1 / 16
 
 
+class Turn(eqx.Module):
+    """A turn through the sides of coupled surfaces, from one contact to the next of its kind."""
+
+    kind: Array
+    """The kind of the contact that it began with; −1: there has been none."""
+    tau: Array
+    """Elapsed time of that contact."""
+    tau_low: Array
+    """Low-order part of this time."""
+    x: Components
+    """State at that contact, n components."""
+    length: Array
+    """The time that the turn before took; 0: there is none."""
+    move: Components
+    """How far that has moved the state, n components."""
+    left: Array
+    """Time from that contact to the limit of turns, as the turn before has predicted it; inf if it
+    has predicted none."""
+    limit: Components
+    """State at this limit, n components."""
+    met: Components
+    """The surfaces met since, m components."""
+    late: Array
+    """How uncertain the times of these contacts are."""
+    contacts: Array
+    """How many contacts there have been since."""
+    completed: Array
+    """Whether the next switch is the one at the limit."""
+
+
 def has_turns(system: ComponentSystem) -> bool:
     """Whether contacts may accumulate by turns: through the sides of coupled surfaces, or from one
     wall to another."""
@@ -59,7 +90,7 @@ def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
     return Turn(
         kind=zero - 1,
         tau=zero,
-        rest=zero,
+        tau_low=zero,
         x=x,
         length=zero,
         move=x.like(zero),
@@ -79,37 +110,43 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
     if turn is None:
         return end
     turn, jump, x = problem.system.where_any(
-        state.pending, _turned, _as_before, problem, state, length, end
+        state.pending.waits, _turned, _as_before, problem, state, length, end
     )
     done = turn.completed
     upcoming = done & turn.met
     if end.jump is not None and end.next is not None:
         jump, upcoming = select(done, jump, end.jump), where(done, upcoming, end.next)
-    return dataclasses.replace(end, x=where(done, x, end.x), turn=turn, jump=jump, next=upcoming)
+    return dataclasses.replace(
+        end,
+        motion=dataclasses.replace(end.motion, x=where(done, x, end.motion.x)),
+        turn=turn,
+        jump=jump,
+        next=upcoming,
+    )
 
 
 def _as_before(
     problem: Problem, state: LoopState, length: Length, end: StepEnd
 ) -> tuple[Turn | None, Array, Components]:
-    return state.turn, jnp.zeros_like(end.tau), end.x
+    return state.turn, jnp.zeros_like(end.motion.tau), end.motion.x
 
 
 def _turned(
     problem: Problem, state: LoopState, length: Length, end: StepEnd
 ) -> tuple[Turn, Array, Components]:
     """The turn after a switch, and the time and the state of the limit of turns."""
-    turn, same = state.turn, problem.grid.same_time(end.tau)
+    turn, same = state.turn, problem.grid.same_time(end.motion.tau)
     assert turn is not None
     # What follows the limit of turns begins anew.
-    switches = state.pending & ~state.graze & ~turn.completed
-    kind = _kind(state.hit, end.mode)
-    time = (end.tau - turn.tau) + stop_gradient(state.rest - turn.rest)
+    switches = state.pending.waits & ~state.pending.grazes & ~turn.completed
+    kind = _kind(state.pending.surfaces, end.motion.mode)
+    time = (end.motion.tau - turn.tau) + stop_gradient(state.tau_low - turn.tau_low)
     again = switches & (kind == turn.kind) & (time > 0)
     shrinks = again & (time < turn.length)
     ratio = select(shrinks, time, 0) / select(shrinks, turn.length, 1)
     left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
-    move = end.x - turn.x
-    limit = end.x + on_each(_rest_of_series, move, turn.move, ratio)
+    move = end.motion.x - turn.x
+    limit = end.motion.x + on_each(_rest_of_series, move, turn.move, ratio)
     agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit)
     # At a grid point it may be late by the rounding of its prediction.
     late = jnp.maximum(stop_gradient(left) - length.room, 0)
@@ -119,12 +156,12 @@ def _turned(
         # Of one wall `impact` knows more; of several, speeds are soon as small as rounding leaves.
         completed = completed & (left <= problem.system.eps**0.5 * abs(problem.grid.dt))
     starts = switches & (again | (turn.contacts >= _LONGEST))
-    met = switches & (turn.met | state.hit)
+    met = switches & (turn.met | state.pending.surfaces)
     now = Turn(
         kind=select(starts, kind, turn.kind),
-        tau=select(starts, end.tau, turn.tau),
-        rest=select(starts, state.rest, turn.rest),
-        x=where(starts, end.x, turn.x),
+        tau=select(starts, end.motion.tau, turn.tau),
+        tau_low=select(starts, state.tau_low, turn.tau_low),
+        x=where(starts, end.motion.x, turn.x),
         length=select(starts, select(again, time, 0), turn.length),
         move=where(starts, move, turn.move),
         left=select(starts, stop_gradient(left), turn.left),
@@ -144,9 +181,9 @@ def _clear(
     assert state.turn is not None
     if problem.system.m == 2:
         return jnp.ones((), bool)
-    t = problem.grid.t0 + end.tau + select(jnp.isfinite(left), left, 0)
+    t = problem.grid.t0 + end.motion.tau + select(jnp.isfinite(left), left, 0)
     h = problem.system.switching(t, limit)
-    return ~any_of(~(state.hit | state.turn.met | (end.mode * h >= 0)))
+    return ~any_of(~(state.pending.surfaces | state.turn.met | (end.motion.mode * h >= 0)))
 
 
 def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
@@ -167,7 +204,11 @@ def _lateness(state: LoopState) -> Array:
     """How much later or earlier rounding may have put the contacts of a turn: the time of each is
     as good as its guard."""
     assert state.turn is not None
-    late = where(state.hit & (state.rate != 0), state.noise / abs(state.rate), 0)
+    late = where(
+        state.pending.surfaces & (state.motion.rate != 0),
+        state.motion.noise / abs(state.motion.rate),
+        0,
+    )
     return stop_gradient(jnp.maximum(state.turn.late, largest(late)))
 
 
@@ -182,13 +223,16 @@ def _agrees(
 ) -> tuple[Array, Array]:
     """Whether the limit is the one that the turn before has predicted, to within rounding, and this
     rounding of its time."""
-    turn, same = state.turn, problem.grid.same_time(state.tau)
+    turn, same = state.turn, problem.grid.same_time(state.motion.tau)
     assert turn is not None
     # A ratio of two times gains 1/(1 − q) twice on their rounding.
     shrink = 1 - ratio
     rounding = _AGREE * (same / shrink + _lateness(state) / (shrink * shrink))
     # Where rounding is much of a turn, all predictions agree.
     agrees = (abs(left - (turn.left - time)) <= rounding) & (rounding <= _TOLD * time)
-    size, speed = maximum(abs(limit), abs(end.x)), maximum(abs(end.f), abs(state.f))
+    size, speed = (
+        maximum(abs(limit), abs(end.motion.x)),
+        maximum(abs(end.motion.f), abs(state.motion.f)),
+    )
     apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
     return agrees & ~any_of(~(abs(limit - turn.limit) <= apart)), rounding

@@ -5,22 +5,20 @@ after a step which of them count as left.
 """
 
 import dataclasses
-from typing import TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import KeptMode, Problem
-from jaxfil.integrate.lane.state import LoopState, Start, StepEnd
+from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd
 from jaxfil.integrate.surfaces import filippov, unilateral
 from jaxfil.integrate.system.components import Components, Forcing, any_of, maximum, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
-
-_At = TypeVar("_At", Start, StepEnd)
 
 # A guard is zero to rounding below this many eps times the size of its terms.
 NOISE = 32
@@ -29,6 +27,28 @@ NOISE = 32
 _FADE = 15 / 16
 # A turn of four contacts may make a state twenty times as small.
 _FADE_IN_TURN = 1 / 4
+
+
+class Surfaces(eqx.Module):
+    """The surfaces at the end of a step. Components are m, unless said otherwise."""
+
+    h: Components
+    """H there, after a reset."""
+    h_t: Components
+    """∂H/∂t."""
+    normals: Rows
+    """∂H/∂x."""
+    scale: Components
+    """Running maximum of |x|, n components."""
+    noise: Components
+    """What rounding of this step does to H: it decides whether a contact is here."""
+    gathered: Components
+    """What all rounding since t0 may have done to H, which is of the largest state of late: it
+    decides whether a touch is more than rounding."""
+    jumped: Components
+    """Surfaces whose H has jumped away from zero."""
+    carried: Components | None
+    """Surfaces that a reset has carried the state off; None without resets."""
 
 
 def surface_noise(
@@ -106,37 +126,43 @@ def _guards_of_rest(
     return system.where_any(any_of(rests), reactions, lambda t, x, f, known: known, t, x, f, known)
 
 
-def unguarded(kept: KeptMode | None, at: _At) -> _At:
-    """What is known at a point, with guards that are far from zero where a lane keeps its mode."""
+def unguarded(kept: KeptMode | None, motion: Motion, num_modes: Array) -> tuple[Motion, Array]:
+    """A motion and the number of modes that could go on, with guards that are far from zero where a
+    lane keeps its mode."""
     if kept is None:
-        return at
-    g, rate = where(kept.on, 1.0, at.g), where(kept.on, 0.0, at.rate)
-    determinant = at.determinant
-    if determinant is not None:
-        determinant = select(kept.on, 1.0, determinant)
-    num_modes = select(kept.on, 1, at.num_modes)
-    return dataclasses.replace(at, g=g, rate=rate, num_modes=num_modes, determinant=determinant)
+        return motion, num_modes
+    free = dataclasses.replace(
+        motion,
+        g=where(kept.on, 1.0, motion.g),
+        rate=where(kept.on, 0.0, motion.rate),
+        determinant=jax.tree.map(lambda v: select(kept.on, 1.0, v), motion.determinant),
+    )
+    return free, select(kept.on, 1, num_modes)
 
 
-def rearm_guards(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Components, ...]:
-    """Guards, rates, arming and noise at the start of the next step.
+def rearmed(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Motion, Components]:
+    """The motion at the start of the next step, and which of its guards are armed.
 
     A surface just met counts as left only when its guard has risen above rounding. Until then the
     guard starts at exactly zero, and its rate at zero or above.
     """
-    system, direction = problem.system, problem.grid.direction
-    hit, before = state.pending & state.hit, stays_on(system, state.mode)
-    sliding = stays_on(system, end.mode)
+    system, direction, motion = problem.system, problem.grid.direction, end.motion
+    hit, before = state.pending.waits & state.pending.surfaces, stays_on(system, state.motion.mode)
     # The rounding of the landing counts until the surface is left, also where the state has
     # become smaller since.
     kept = (hit | ~state.armed) & ~before
-    noise = maximum(end.noise, where(kept, state.noise, 0.0))
-    armed = sliding | (~hit & state.armed) | (end.g > noise)
+    noise = maximum(motion.noise, where(kept, state.motion.noise, 0.0))
+    armed = stays_on(system, motion.mode) | (~hit & state.armed) | (motion.g > noise)
     # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
     # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
-    double = hit & (before | state.graze)
-    if system.resets:
+    double = hit & (before | state.pending.grazes)
+    if end.still is not None:
         double = double | end.still
-    rising = direction * maximum(direction * end.rate, 0.0)
-    g = where(armed, maximum(end.g, 0.0), 0.0)
-    return stop_gradient(g), where(armed, end.rate, where(double, 0.0, rising)), armed, noise
+    rising = direction * maximum(direction * motion.rate, 0.0)
+    start = dataclasses.replace(
+        motion,
+        g=stop_gradient(where(armed, maximum(motion.g, 0.0), 0.0)),
+        rate=where(armed, motion.rate, where(double, 0.0, rising)),
+        noise=noise,
+    )
+    return start, armed

@@ -215,13 +215,13 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     system, h = problem.system, stop_gradient(length.h)  # nothing here has a derivative
     # A slide or a rest that ends at a grid point ends beside it, by rounding of times. There the
     # field may still point back, and the surface is not met again for that.
-    rounding, dt = problem.grid.same_time(end.tau), abs(problem.grid.dt)
+    rounding, dt = problem.grid.same_time(end.motion.tau), abs(problem.grid.dt)
     brief = ~length.cutting & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
     # A guard just met has its own rounding; one left long ago may have gathered all of t0 to here,
     # in the state that it is made of.
-    older = where(state.armed, end.touch, state.noise)
-    noise = maximum(end.noise, older)
-    ends = state.g, h * state.rate, stop_gradient(end.g), h * end.rate
+    older = where(state.armed, end.gathered, state.motion.noise)
+    noise = maximum(end.motion.noise, older)
+    ends = state.motion.g, h * state.motion.rate, stop_gradient(end.motion.g), h * end.motion.rate
     near = ~(state.armed & on_each(stays_off, *ends, noise))
     search = ft.partial(_searched, system)
     found = on_each(search, near, *ends, state.armed, noise)
@@ -240,7 +240,9 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     surfaces = first & (thetas <= contact * (1 + _TOGETHER))
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, lowest)
-    stalled = (theta < NEVER) & (state.tries >= _STALLED) & (state.tries % 4 == 3)
+    stalled = (
+        (theta < NEVER) & (state.search.rejections >= _STALLED) & (state.search.rejections % 4 == 3)
+    )
     return Contact(select(stalled, 0.5 * theta, theta), surfaces, thetas < NEVER, singular)
 
 
@@ -254,12 +256,12 @@ def _to_singular_point(
     and in a step across it they are 0/0: the point is neared by steps of a part of the distance.
     The last of them is long enough to be told apart from rounding, and steps over it.
     """
-    assert state.determinant is not None and end.determinant is not None
-    least = _LAST_LOOK * problem.grid.same_time(end.tau)
-    repels, fades = end.num_modes > 1, end.determinant < _FADED * state.determinant
-    singular = (repels | fades) & ~state.pending & (abs(h) > least)
-    then = select(repels, -end.determinant, end.determinant)
-    known = state.determinant, then, jnp.maximum(_LEAST_NEARER * abs(h), 0.5 * least), abs(h)
+    assert state.motion.determinant is not None and end.motion.determinant is not None
+    least = _LAST_LOOK * problem.grid.same_time(end.motion.tau)
+    repels, fades = end.num_modes > 1, end.motion.determinant < _FADED * state.motion.determinant
+    singular = (repels | fades) & ~state.pending.waits & (abs(h) > least)
+    then = select(repels, -end.motion.determinant, end.motion.determinant)
+    known = state.motion.determinant, then, jnp.maximum(_LEAST_NEARER * abs(h), 0.5 * least), abs(h)
     return singular, problem.system.where_any(singular, _nearer, _not_nearer, *known)
 
 
@@ -307,16 +309,22 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     # Of several surfaces the one met first gives δ, and those within the rounding of times are met
     # with it; a later one is left to a step of its own.
     delta, best, first = _first_of(hits, times, direction)
-    same = problem.grid.same_time(end.tau)
+    same = problem.grid.same_time(end.motion.tau)
     hits = hits & ((kinds >= _HERE) | (direction * stop_gradient(times) <= best + same))
     # Rounding can put a contact just past the end of the span it belongs to.
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
     late_delta = delta - stop_gradient(delta) + stop_gradient(room)
     delta = system.hold(select(late, late_delta, delta))
-    linear, moves = (delta, end.x + delta * end.f), first & (kinds != _JUMPED)
+    linear, moves = (delta, end.motion.x + delta * end.motion.f), first & (kinds != _JUMPED)
     delta, x = add_second_derivative(
-        beyond_newton, linear, system, problem.grid.t0 + end.tau, end.x, end.mode, moves
+        beyond_newton,
+        linear,
+        system,
+        problem.grid.t0 + end.motion.tau,
+        end.motion.x,
+        end.motion.mode,
+        moves,
     )
     surfaces, jumped = hits | (touched & (kinds == _BRUSHED)), any_of(hits & (kinds == _JUMPED))
     return Landing(landed | touched, surfaces, touched, delta, x, jumped)
@@ -345,44 +353,44 @@ def _kinds_of_end(
 ) -> tuple[Components, Components]:
     """What the end of a step is to each surface, as floats, and the times missing to contacts."""
     system, grid, h = problem.system, problem.grid, length.h
-    direction, same = grid.direction, grid.same_time(end.tau)
+    direction, same = grid.direction, grid.same_time(end.motion.tau)
     small = system.eps ** (2 / 3)
-    rate, aimed = end.rate, length.cutting & state.aim
+    rate, aimed = end.motion.rate, length.cutting & state.search.surfaces
     falls = direction * rate < 0
-    missing = -end.g / where(falls, rate, -direction)
+    missing = -end.motion.g / where(falls, rate, -direction)
     size = abs(stop_gradient(missing))
     # g̈ h, from the rates at both ends: what Newton's step leaves out is of the order of δ g̈/ġ.
-    bend = direction * (rate - state.rate)
+    bend = direction * (rate - state.motion.rate)
     close = (size <= small * abs(grid.dt)) & (size * abs(bend) <= small * abs(rate * h))
     inside = (length.room - stop_gradient(missing)) * direction >= 0
     # Rounding of t hides what is missing to the end of a slide or a rest, whose guard is made of
     # fields. A state knows its surface better: it is there when all that is left of g is rounding.
-    g = stop_gradient(end.g)
-    bound = end.mode == 0 if system.slides else end.mode.like(jnp.zeros((), bool))
+    g = stop_gradient(end.motion.g)
+    bound = end.motion.mode == 0 if system.slides else end.motion.mode.like(jnp.zeros((), bool))
     if system.resets:
-        bound = bound | (abs(end.mode) == 2)
-    zero = abs(g) <= end.noise
+        bound = bound | (abs(end.motion.mode) == 2)
+    zero = abs(g) <= end.motion.noise
     # So do several surfaces: those met within the rounding of times are met together.
     loose = bound | (system.m > 1)
     reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)
     # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step has
     # gone past it by no more than the search takes for rounding.
-    past = (g < 0) & (-g <= end.touch)
+    past = (g < 0) & (-g <= end.gathered)
     here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
     hit = falls & (here | ((state.armed | aimed) & reached))
     # H jumps at a known time, as that of a ramp or of a clock: however short the step, it is past.
-    across = aimed & (abs(h) <= same) & (g < -end.touch - 2 * same * abs(rate)) & state.armed
-    jumped = across & (abs(g) > 2 * same * abs(state.rate)) & ~bound
+    across = aimed & (abs(h) <= same) & (g < -end.gathered - 2 * same * abs(rate)) & state.armed
+    jumped = across & (abs(g) > 2 * same * abs(state.motion.rate)) & ~bound
     # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
-    vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.touch * bend)
-    touch = state.armed & (abs(g) <= end.touch) & ~bound & vertex
+    vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.gathered * bend)
+    touch = state.armed & (abs(g) <= end.gathered) & ~bound & vertex
     kinds = where(hit, where(here, _HERE, _HIT), where(touch, _BRUSHED, _NOTHING))
     return where(jumped, _JUMPED, kinds).astype(h.dtype), missing
 
 
 def missing_time(grid: TimeGrid, state: LoopState, end: StepEnd) -> Array:
     """The signed time from here to the contact aimed at, by Newton; 0 if it is not ahead."""
-    falls = grid.direction * end.rate < 0
-    ahead = stop_gradient(end.g / abs(where(falls, end.rate, 1.0)))
-    first = least(where(state.aim & falls & (end.g > 0), ahead, jnp.inf))
+    falls = grid.direction * end.motion.rate < 0
+    ahead = stop_gradient(end.motion.g / abs(where(falls, end.motion.rate, 1.0)))
+    first = least(where(state.search.surfaces & falls & (end.motion.g > 0), ahead, jnp.inf))
     return select(first < jnp.inf, grid.direction * first, 0.0)

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.contacts.guards import Surfaces
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.lane.step_length import Length
@@ -92,10 +93,10 @@ class View(eqx.Module):
 def make_reset(system: ComponentSystem, state: LoopState, t: Array, x: Components) -> Reset:
     """The reset of the first surface met on which it moves the state."""
     assert state.settled is not None
-    due = state.pending & ~state.graze & ~state.settled
+    due = state.pending.waits & ~state.pending.grazes & ~state.settled
     # What ends a rest is no impact.
-    resting = unilateral.rests_of(state.mode)
-    asked = due & state.hit & ~resting
+    resting = unilateral.rests_of(state.motion.mode)
+    asked = due & state.pending.surfaces & ~resting
 
     def made(t: Array, x: Components, asked: Components) -> Reset:
         ends = [system.reset(t, x, jnp.int32(j)) for j in range(system.m)]
@@ -119,28 +120,24 @@ def lead(
     reset: Reset,
     t: Array,
     x: Components,
-    surfaces: tuple[Components, Rows],
-    h: Components,
-    touch: Components,
+    at: Surfaces,
 ) -> tuple[Components, Impact]:
     """The state with no rate against the surfaces that it rests on, and what follows from a reset;
-    nothing of a lane that neither rests nor waits for its switch. `surfaces` are ∂H/∂t and ∂H/∂x,
-    `touch` is what rounding does to H."""
+    nothing of a lane that neither rests nor waits for its switch."""
     system = problem.system
 
     def led(t: Array, x: Components, *given: Any) -> tuple[Components, Impact]:
-        state, length, reset, surfaces, h, touch = given
-        seen = _view(problem, state, t, x, surfaces)
+        state, length, reset, at = given
+        seen = _view(problem, state, t, x, (at.h_t, at.normals))
         x, seen = _held(state, reset, seen, x)
-        return x, _follow(problem, state, length, reset, seen, h, touch)
+        return x, _follow(problem, state, length, reset, seen, at)
 
     def nothing(t: Array, x: Components, *_: Any) -> tuple[Components, Impact]:
-        zero, no = jnp.zeros_like(t), state.mode.like(jnp.zeros((), bool))
+        zero, no = jnp.zeros_like(t), state.motion.mode.like(jnp.zeros((), bool))
         return x, Impact(no, no, no, no, jnp.ones((), bool), zero, x.like(zero))
 
-    engaged = state.pending | any_of(unilateral.rests_of(state.mode))
-    given = state, length, reset, surfaces, h, touch
-    return system.where_any(engaged, led, nothing, t, x, *given)
+    engaged = state.pending.waits | any_of(unilateral.rests_of(state.motion.mode))
+    return system.where_any(engaged, led, nothing, t, x, state, length, reset, at)
 
 
 def _view(
@@ -151,11 +148,13 @@ def _view(
     surfaces: tuple[Components, Rows],
 ) -> View:
     """The surfaces as constraints."""
-    system, sides = problem.system, unilateral.sides_of(state.mode)
+    system, sides = problem.system, unilateral.sides_of(state.motion.mode)
     c = unilateral.constraints(system, t, x, sides)
-    f = filippov.free_field(system, t, x, state.mode)
+    f = filippov.free_field(system, t, x, state.motion.mode)
     a = unilateral.accelerations(system, t, x, sides, f)
-    size, fast = (maximum(abs(now), abs(old)) for now, old in ((x, state.x), (f, state.f)))
+    size, fast = (
+        maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))
+    )
     return View(c, a, unilateral.rate_noise(t, size, problem.grid.dt, fast, c, a, surfaces))
 
 
@@ -163,7 +162,9 @@ def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Co
     """The state with no rate against the surfaces that it rests on, and how they see it then."""
     c = seen.constraints
     # Impacts that have died out by turns have left no rates against the surfaces met.
-    rests = (unilateral.rests_of(state.mode) & ~reset.moved) | (at_limit(state) & c.throws_back)
+    rests = (unilateral.rests_of(state.motion.mode) & ~reset.moved) | (
+        at_limit(state) & c.throws_back
+    )
     push = unilateral.multipliers(c.gains, c.rate, rests)
     c = dataclasses.replace(c, rate=unilateral.answered(c.gains, c.rate, push))
     seen = dataclasses.replace(seen, constraints=c)
@@ -173,8 +174,8 @@ def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Co
 def at_limit(state: LoopState) -> Components:
     """The surfaces at which the impacts of a lane have just died out by turns."""
     if state.turn is None:
-        return state.hit.like(jnp.zeros((), bool))
-    return state.turn.completed & state.pending & state.hit
+        return state.pending.surfaces.like(jnp.zeros((), bool))
+    return state.turn.completed & state.pending.waits & state.pending.surfaces
 
 
 def _follow(
@@ -183,18 +184,17 @@ def _follow(
     length: Length,
     reset: Reset,
     seen: View,
-    h: Components,
-    touch: Components,
+    at: Surfaces,
 ) -> Impact:
-    """What follows from a reset, given H after it and what rounding does to H."""
+    """What follows from a reset, given the surfaces after it."""
     c, direction = seen.constraints, problem.grid.direction
     assert state.settled is not None
-    switching = state.pending & ~state.graze
-    sides, resting = unilateral.sides_of(state.mode), unilateral.rests_of(state.mode)
+    switching = state.pending.waits & ~state.pending.grazes
+    sides, resting = unilateral.sides_of(state.motion.mode), unilateral.rests_of(state.motion.mode)
     limit, (rate, noise) = at_limit(state), (stop_gradient(c.rate), seen.noise)
-    there = (abs(stop_gradient(h)) <= touch) | (state.settled & state.hit)
+    there = (abs(stop_gradient(at.h)) <= at.gathered) | (state.settled & state.pending.surfaces)
     on = switching & c.throws_back & there
-    leaves = state.hit & resting & ~reset.moved & ~limit
+    leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves
     outward = direction * sides * rate
     away = reset.moved & resting & (outward > noise)
@@ -202,8 +202,8 @@ def _follow(
     owed = reset.waits | acts
     rests, consistent = unilateral.pressed(c.gains, seen.a, sides, still)
     more = any_of(owed)
-    jump, kick = _chattering(problem, state, length, reset, seen, h, touch, rests, more)
-    upcoming = where(jump > 0, reset.acted, owed | (more & state.hit & ~reset.acted))
+    jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
+    upcoming = where(jump > 0, reset.acted, owed | (more & state.pending.surfaces & ~reset.acted))
     return Impact(upcoming, still, rests, away, consistent | ~switching, jump, kick)
 
 
@@ -213,8 +213,7 @@ def _chattering(
     length: Length,
     reset: Reset,
     seen: View,
-    h: Components,
-    touch: Components,
+    at: Surfaces,
     rests: Components,
     more: Array,
 ) -> tuple[Array, Components]:
@@ -222,25 +221,25 @@ def _chattering(
     field does not change, or their height within rounding of H, and how far they carry the state
     besides the field."""
     system, grid, c = problem.system, problem.grid, seen.constraints
-    sides = unilateral.sides_of(state.mode)
-    same = grid.same_time(state.tau)
+    sides = unilateral.sides_of(state.motion.mode)
+    same = grid.same_time(state.motion.tau)
     # What is left out is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * abs(grid.dt))
     held = unilateral.answered(c.gains, seen.a, unilateral.multipliers(c.gains, seen.a, rests))
     away, fall = sides * c.rate, -sides * held * (2 - c.gains.diagonal())  # 2 − gain = 1 − e
     bounces = reset.acted & c.throws_back & (away > seen.noise) & (fall > 0) & ~more
     times = 2 * away / where(bounces, fall, 1)
-    low = away * away <= 2 * abs(held) * touch
+    low = away * away <= 2 * abs(held) * at.gathered
     ends = bounces & (low | (times <= longest)) & (times <= abs(length.room) + same)
     ends = ends & (grid.direction > 0)
     # Bounces that are low for longer are left out: rest begins earlier, by a time that nothing but
     # these could tell, and the field carries the state no further than it is constant to rounding.
     times = minimum(times, _LEAP * longest)
-    total_time, found, ending = jnp.zeros_like(state.tau), jnp.zeros((), bool), []
+    total_time, found, ending = jnp.zeros_like(state.motion.tau), jnp.zeros((), bool), []
     for j, (end, time) in enumerate(zip(ends.parts, times.parts, strict=True)):
         # Unless another surface is met before.
-        ahead = sides * (h + time * (c.rate + 0.5 * time * held))
-        clear = (ahead >= -touch) | rests | Components(i == j for i in range(system.m))
+        ahead = sides * (at.h + time * (c.rate + 0.5 * time * held))
+        clear = (ahead >= -at.gathered) | rests | Components(i == j for i in range(system.m))
         end = end & ~found & ~any_of(~clear)
         total_time, found = select(end, time, total_time), found | end
         ending.append(end)
@@ -249,7 +248,9 @@ def _chattering(
     stopped = found & (rests | Components(ending))
     left = c.rate + total_time * held
     impulses = unilateral.multipliers(c.gains, left, stopped)
-    return total_time, c.directions.added(state.x.like(jnp.zeros_like(state.tau)), impulses)
+    return total_time, c.directions.added(
+        state.motion.x.like(jnp.zeros_like(state.motion.tau)), impulses
+    )
 
 
 class Beginning(eqx.Module):

@@ -8,20 +8,72 @@ therefore given a time that is in between by more than rounding.
 
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Problem, TimeGrid
-from jaxfil.integrate.lane.state import LoopState, StepEnd
-from jaxfil.integrate.system.components import Components, any_of, where
+from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd
+from jaxfil.integrate.system.components import Components, where
 from jaxfil.model.clock import Ticks
 from jaxfil.xla.select import select
 
 
-def is_contact(state: LoopState) -> Array:
-    """Whether a switch waits that is one of a contact, and not of a clock alone."""
-    return state.pending if state.ticks is None else state.pending & any_of(state.hit)
+class ClockState(eqx.Module):
+    """What a lane knows of its clocks."""
+
+    ticks: Ticks
+    """The next tick of each clock, counted."""
+    field: Components | None
+    """The field with which a tick was reached that waits for its switch, n components; None where
+    there are no surfaces, and a tick is passed at once."""
+
+
+class Clocks(Extension):
+    """The clocks of a system: steps end on ticks, and functions see what is between two of them."""
+
+    def before_step(self, problem: Problem, own: ClockState | None) -> Problem:
+        ticks = first_ticks(problem) if own is None else own.ticks
+        tick = next_tick(problem, ticks)
+        return dataclasses.replace(between_ticks(problem, ticks), tick=tick)
+
+    def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, ClockState]:
+        still = state.motion.x.like(jnp.zeros_like(state.motion.tau))
+        return state, ClockState(first_ticks(problem), still if problem.system.m else None)
+
+    def after_step(
+        self,
+        problem: Problem,
+        state: LoopState,
+        after: LoopState,
+        own: ClockState,
+        step: Step,
+        verdict: Verdict | None,
+    ) -> tuple[LoopState, ClockState]:
+        assert step.length.ticking is not None
+        ticking = step.length.ticking & step.accepted & step.moved
+        ticks = _passed(problem, own, ticking, step.end.motion.tau)
+        if own.field is None:
+            motion = _behind(problem, after.motion, ticks, ticking)
+            return dataclasses.replace(after, motion=motion), ClockState(ticks, None)
+        # A switch waits, in which everything is taken just after the tick.
+        end, pending = step.end.motion, after.pending
+        kick = _moved(problem, ticks, end.tau, own.field, end.f)
+        x = where(step.switched, after.motion.x + kick, after.motion.x)
+        after = dataclasses.replace(
+            after,
+            motion=dataclasses.replace(after.motion, x=x),
+            pending=dataclasses.replace(
+                pending,
+                waits=pending.waits | ticking,
+                surfaces=where(ticking, _met(problem, state, step.end, ticks), pending.surfaces),
+                grazes=pending.grazes & ~ticking,
+                jumped=pending.jumped | ticking,
+            ),
+        )
+        return after, ClockState(ticks, where(ticking, end.f, own.field))
 
 
 def first_ticks(problem: Problem) -> Ticks:
@@ -50,58 +102,27 @@ def next_tick(problem: Problem, ticks: Ticks) -> Array:
     return first
 
 
-def follow(
-    problem: Problem, state: LoopState, after: LoopState, end: StepEnd, what: tuple[Array, Array]
-) -> LoopState:
-    """`after`, to which `state` has gone on, with its clocks. A step that has ended on a tick waits
-    for a switch, in which everything is taken just after it."""
-    ticking, switched = what
-    ticks = _passed(problem, state, ticking, end.tau)
-    met = _met(problem, state, end, ticks)
-    assert state.left is not None
-    kick = _moved(problem, ticks, end.tau, state.left, end.f)
-    return dataclasses.replace(
-        after,
-        ticks=ticks,
-        left=where(ticking, end.f, state.left),
-        x=where(switched, after.x + kick, after.x),
-        pending=after.pending | ticking,
-        hit=where(ticking, met, after.hit),
-        graze=after.graze & ~ticking,
-        jumped=after.jumped | ticking,
-    )
+def _behind(problem: Problem, motion: Motion, ticks: Ticks, ticking: Array) -> Motion:
+    """A motion without surfaces just behind a tick, given the ticks that come next."""
+    system, t = between_ticks(problem, ticks).system, problem.grid.t0 + motion.tau
+    f = system.field(t, motion.x, motion.mode)
+    x = motion.x + _moved(problem, ticks, motion.tau, motion.f, f)
+    x, f = where(ticking, x, motion.x), where(ticking, f, motion.f)
+    return dataclasses.replace(motion, x=x, f=f)
 
 
-def tick(
-    problem: Problem, state: LoopState, end: StepEnd, ticking: Array | None, moved: Array
-) -> tuple[Ticks | None, Components, Components]:
-    """The next ticks, the state and the field behind the end of a step where there are no
-    surfaces."""
-    if ticking is None:
-        return None, end.x, end.f
-    ticking = ticking & moved
-    ticks = _passed(problem, state, ticking, end.tau)
-    behind = between_ticks(problem, ticks).system
-    f = behind.field(problem.grid.t0 + end.tau, end.x, end.mode)
-    x = end.x + _moved(problem, ticks, end.tau, end.f, f)
-    return ticks, where(ticking, x, end.x), where(ticking, f, end.f)
-
-
-def _passed(problem: Problem, state: LoopState, ticking: Array, tau: Array) -> Ticks:
+def _passed(problem: Problem, own: ClockState, ticking: Array, tau: Array) -> Ticks:
     """The next ticks behind an elapsed time at which a lane's step has ended on one."""
-    assert state.ticks is not None
     grid, same = problem.grid, problem.grid.same_time(tau)
     after = []
-    for k, at in zip(state.ticks, _taus(problem, state.ticks), strict=True):
+    for k, at in zip(own.ticks, _taus(problem, own.ticks), strict=True):
         here = ticking & ((stop_gradient(at) - tau) * grid.direction <= same)
         after.append(select(here, k + grid.direction, k))
     return tuple(after)
 
 
-def between_ticks(problem: Problem, ticks: Ticks | None) -> Problem:
+def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
     """The problem whose functions look no further than from the last ticks to the next."""
-    if ticks is None:
-        return problem
     grid, lows, highs = problem.grid, [], []
     last = tuple(k - grid.direction for k in ticks)
     for a, b in zip(_taus(problem, last), _taus(problem, ticks), strict=True):
@@ -131,8 +152,8 @@ def _met(problem: Problem, state: LoopState, end: StepEnd, ticks: Ticks) -> Comp
     """The surfaces that jump across the state at a tick, or away from one that slides on them,
     given the ticks that come next."""
     after = between_ticks(problem, ticks)
-    h = after.system.switching(problem.grid.t0 + end.tau, end.x)
-    met = (abs(h) > end.touch) & (state.mode * h <= 0)
+    h = after.system.switching(problem.grid.t0 + end.motion.tau, end.motion.x)
+    met = (abs(h) > end.gathered) & (state.motion.mode * h <= 0)
     return met if problem.kept is None else ~problem.kept.on & met
 
 

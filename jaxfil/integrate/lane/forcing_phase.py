@@ -54,20 +54,17 @@ def next_period(grid: TimeGrid, state: LoopState) -> LoopState:
     """The lane, in the next period of the forcing if it has come to the end of one."""
     if grid.forcing is None:
         return state
-    assert state.period_start is not None
-    period, turn = grid.forcing.length, state.turn
-    over = state.index - state.period_start >= grid.forcing.steps
-    if turn is not None:
-        turn = dataclasses.replace(turn, tau=select(over, turn.tau - period, turn.tau))
+    period, over = grid.forcing.length, state.counts.in_period >= grid.forcing.steps
+
+    def back(tau: Array) -> Array:
+        return select(over, tau - period, tau)
+
+    start = select(over, state.counts.index, state.counts.period_start)
+    turn = state.turn and dataclasses.replace(state.turn, tau=back(state.turn.tau))
     return dataclasses.replace(
         state,
-        tau=select(over, 0.0, state.tau),
-        contact_tau=select(over, state.contact_tau - period, state.contact_tau),
+        motion=dataclasses.replace(state.motion, tau=select(over, 0.0, state.motion.tau)),
+        pending=dataclasses.replace(state.pending, tau=back(state.pending.tau)),
+        counts=dataclasses.replace(state.counts, period_start=start),
         turn=turn,
-        period_start=select(over, state.index, state.period_start),
     )
-
-
-def steps_in_period(state: LoopState) -> Array:
-    """Grid steps completed in this period of the forcing; since t0 where time goes on."""
-    return state.index if state.period_start is None else state.index - state.period_start

@@ -4,13 +4,14 @@ A system on components, a tableau, a grid of steps and what is to be recorded en
 together from here on as a `Problem`.
 """
 
+from typing import Any, ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.steppers.explicit import Tableau
-from jaxfil.integrate.surfaces.sections import WatchedSections
 from jaxfil.integrate.system.components import Components
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.model.outcomes import RESULTS
@@ -115,27 +116,46 @@ def grid_of_periods(
     )
 
 
+class Recorder(eqx.Module):
+    """What is saved of the states of a lane: the one that saves nothing, unless overridden."""
+
+    name: ClassVar[str] = "t1"
+    """What `diffrax.SaveAt` calls it."""
+    at_known_times: ClassVar[bool] = True
+    """Whether it saves at times that do not depend on the steps."""
+    with_t0: bool = eqx.field(static=True, default=False)
+    """Whether the state at t0 is saved too."""
+
+    def since(self, t0: Array) -> "Recorder":
+        """The same with elapsed times in place of times."""
+        return self
+
+    def empty(self, system: ComponentSystem) -> Any:
+        """Space for what is saved, as `SavedStates`; None if nothing is."""
+        return None
+
+    def next_time(self, num_saved: Array) -> tuple[Array, Array] | None:
+        """The elapsed time that a step must end at to be saved next, and whether there is one;
+        None if steps may go to their grid points."""
+        return None
+
+    def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:
+        """`after`, the `LoopState` that a `Step` has led to from `state`, with what is saved."""
+        return after
+
+
 class Recording(eqx.Module):
-    """What is kept on the way.
+    """What is kept on the way."""
 
-    `save` is "none", "ts" (the elapsed times `ts`, sorted along the direction of time), "steps"
-    (every state between two iterations) or "samples" (every `every`-th grid point from `first`
-    on, with the modes if `modes`), and there is space for `num_saves` of them. `max_events` is the
-    length of the event table, and `num_crossings` that of the table of crossings; None keeps none
-    and sets no limit.
-    """
-
-    save: str = eqx.field(static=True)
-    max_events: int | None = eqx.field(static=True)
-    num_saves: int = eqx.field(static=True, default=0)
+    recorder: Recorder = Recorder()
+    """What is saved of the states."""
+    max_events: int | None = eqx.field(static=True, default=None)
+    """Length of the table of events; None keeps none and sets no limit."""
     num_crossings: int | None = eqx.field(static=True, default=None)
-    modes: bool = eqx.field(static=True, default=False)
-    ts: Array | None = None
-    first: Array | None = None
-    every: Array | None = None
+    """Length of the table of crossings of sections; None keeps none and sets no limit."""
 
 
-NOTHING = Recording("none", None)
+NOTHING = Recording()
 """Neither states nor events are kept: the end alone is of interest."""
 
 
@@ -146,6 +166,14 @@ class KeptMode(eqx.Module):
     on: Array
 
 
+class Look(eqx.Module):
+    """A trial step that only looks for a crossing of a section, where one is sought."""
+
+    seeking: Array
+    length: Array
+    """Its signed length."""
+
+
 class Problem(eqx.Module):
     """A system to be integrated over a grid by a method, and what is to be recorded."""
 
@@ -153,10 +181,14 @@ class Problem(eqx.Module):
     tableau: Tableau
     grid: TimeGrid
     recording: Recording
-    watched: WatchedSections | None = None
-    """Sections whose crossings are located; None: nothing that does is compiled."""
+    extensions: tuple[Any, ...] = ()
+    """Features with a state of their own, `Extension`s."""
     kept: KeptMode | None = None
     """A mode to stay in; None: contacts are met."""
+    tick: Array | None = None
+    """The elapsed time of the next tick of a clock, that no step goes beyond."""
+    look: Look | None = None
+    """How far a step goes to look for a crossing."""
 
     @property
     def compact(self) -> bool:

@@ -1,20 +1,14 @@
-"""What is kept on the way: saved states and the event table.
+"""The table of events, and how an entry is written into a table."""
 
-A lane before and after an iteration enters; its buffers with one more entry leave.
-"""
-
-import dataclasses
 from typing import Any
 
-import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.lane.problem import Problem, Recording
-from jaxfil.integrate.lane.state import EventTable, LoopState, SavedStates, StepEnd
-from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import EventTable, LoopState, StepEnd
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
@@ -55,19 +49,6 @@ def empty_table(system: ComponentSystem, size: int | None) -> EventTable | None:
     )
 
 
-def empty_saves(system: ComponentSystem, recording: Recording) -> SavedStates | None:
-    """Space for what is to be saved; times and states not reached stay inf, as in diffrax."""
-    if recording.save == "none":
-        return None
-    size = recording.num_saves
-    sampled = recording.save == "samples"
-    return SavedStates(
-        ts=jnp.full((0 if sampled else size,), jnp.inf, system.dtype),
-        xs=jnp.full((size, system.n), jnp.inf, system.dtype),
-        modes=jnp.zeros((0 if sampled and not recording.modes else size, system.m), jnp.int8),
-    )
-
-
 def mode_codes(mode: Components) -> Array:
     """The modes as an (m,) array of small integers."""
     return pack(mode, jnp.int8).astype(jnp.int8)
@@ -75,7 +56,7 @@ def mode_codes(mode: Components) -> Array:
 
 def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
     """What the switch just made was, told from the modes of the surfaces hit."""
-    old, new = state.mode, end.mode
+    old, new = state.motion.mode, end.motion.mode
     left, held = old == 0, new == 0
     if problem.system.resets:
         left, held = left | (abs(old) == 2), held | (abs(new) == 2)
@@ -108,8 +89,8 @@ def _infinite_rate_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
 
 def _event_time(problem: Problem, state: LoopState, end: StepEnd) -> Array:
-    late = on_each(_infinite_rate, end.g, state.graze & state.hit)
-    return problem.grid.t0 + state.tau + total(late)
+    late = on_each(_infinite_rate, end.motion.g, state.pending.grazes & state.pending.surfaces)
+    return problem.grid.t0 + state.motion.tau + total(late)
 
 
 def record_event(
@@ -122,104 +103,10 @@ def record_event(
     size = table.ts.shape[0]
     entry = EventTable(
         ts=_event_time(problem, state, end),
-        xs=pack(state.x, problem.system.dtype),
+        xs=pack(state.motion.x, problem.system.dtype),
         members=pack(end.members, bool),
         kinds=_kind(problem, state, end),
-        modes=mode_codes(end.mode),
+        modes=mode_codes(end.motion.mode),
     )
-    i = jnp.minimum(state.num_events, size - 1)
-    return entered(table, i, made & (state.num_events < size), entry)
-
-
-def keep_sample(
-    problem: Problem, state: LoopState, after: LoopState, x: Components, gridded: Array
-) -> LoopState:
-    """`after`, to which `state` has gone on, with its state x saved if it is `gridded`, at a grid
-    point just reached, and that is a sample."""
-    recording = problem.recording
-    assert state.saves is not None and recording.first is not None and recording.every is not None
-    # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
-    save = gridded & (after.index == recording.first + state.num_saved * recording.every)
-    saves = {"xs": state.saves.xs}, {"xs": pack(x, problem.system.dtype)}
-    if recording.modes:
-        saves[0]["modes"], saves[1]["modes"] = state.saves.modes, mode_codes(after.mode)
-    kept = masked_write(saves[0], state.num_saved, saves[1], save)
-    return dataclasses.replace(
-        after,
-        saves=dataclasses.replace(state.saves, **kept),
-        num_saved=state.num_saved + save.astype(jnp.int32),
-    )
-
-
-class _InTime(eqx.Module):
-    """A vector field as the rate of time and state together."""
-
-    field: ModeField
-
-    def __call__(self, at: Any) -> Any:
-        t, x = at
-        return jnp.ones_like(t), self.field(t, x)
-
-
-class _Linearised(eqx.Module):
-    """A field together with its linearisation, as the rate of what moves and of its tangent."""
-
-    field: Any
-    by_field: Any
-
-    def __call__(self, at: Any) -> Any:
-        now, rate = eqx.filter_jvp(lambda f, v: f(v), (self.field, at[0]), (self.by_field, at[1]))
-        return now, _or_zero(rate, now)
-
-
-def _or_zero(rate: Any, of: Any) -> Any:
-    """A tangent, zero where equinox has left it out."""
-    return eqx.combine(rate, jax.tree.map(jnp.zeros_like, of))
-
-
-@eqx.filter_custom_jvp
-def _moved(gap: Array, at: Any, field: Any) -> Any:
-    """`at`, which moves along the field with a gap that is zero but for its derivatives. The field
-    is computed for these alone."""
-    return at
-
-
-@_moved.def_jvp
-def _moved_jvp(primals: tuple, tangents: tuple) -> tuple:
-    gap, at, field = primals
-    by_gap, rate, by_field = tangents
-    rate = _or_zero(rate, at)
-    # Both move themselves, which gives the second derivatives, and so on.
-    at, rate = _moved(gap, (at, rate), _Linearised(field, by_field))
-    if by_gap is not None:
-        rate = jax.tree.map(lambda own, f: own + by_gap * f, rate, field(at))
-    return at, rate
-
-
-def _at_saving_time(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Array, Components]:
-    """Time and state at the end of a step to a saving time. A grid point there does not move with
-    the saving time; what is saved does."""
-    ts = problem.recording.ts
-    t = problem.grid.t0 + end.tau
-    if ts is None:
-        return t, end.x
-    gap = ts[jnp.minimum(state.num_saved, ts.shape[0] - 1)] - end.tau
-    return _moved(gap, (t, end.x), _InTime(ModeField(problem.system, end.mode)))
-
-
-def save_state(
-    problem: Problem, state: LoopState, after: LoopState, end: StepEnd, save: Array
-) -> LoopState:
-    """`after`, to which `state` has gone on, with what is known at the end of the step saved where
-    `save` is set and space is left."""
-    saves = state.saves
-    assert saves is not None
-    size = saves.ts.shape[0]
-    t, x = _at_saving_time(problem, state, end)
-    entry = SavedStates(t, pack(x, problem.system.dtype), mode_codes(end.mode))
-    i = jnp.minimum(state.num_saved, size - 1)
-    return dataclasses.replace(
-        after,
-        saves=entered(saves, i, save & (state.num_saved < size), entry),
-        num_saved=state.num_saved + save.astype(jnp.int32),
-    )
+    i = jnp.minimum(state.counts.num_events, size - 1)
+    return entered(table, i, made & (state.counts.num_events < size), entry)

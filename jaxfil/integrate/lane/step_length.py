@@ -3,15 +3,11 @@
 A `Problem` and the `LoopState` of a lane enter; the `Length` of the next trial step leaves.
 """
 
-import dataclasses
-
 import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.lane.clocks import next_tick
-from jaxfil.integrate.lane.forcing_phase import steps_in_period
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.xla.select import select
@@ -25,63 +21,62 @@ class Length(eqx.Module):
     end: Array
     """Elapsed time at its end."""
     room: Array
-    """Signed time from there to the next grid or saving time."""
+    """Signed time from there to the next grid point, saving time or tick."""
     cutting: Array
-    """Whether an expected contact is at its end,"""
+    """Whether an expected contact is at its end."""
     gridded: Array
-    """a grid point,"""
+    """Whether a grid point is."""
     saving: Array
-    """or a time to be saved."""
+    """Whether a time to be saved is."""
     ticking: Array | None = None
-    """Whether a clock ticks there; None without clocks."""
+    """Whether a tick of a clock is; None without clocks."""
 
 
 def choose_length(problem: Problem, state: LoopState) -> Length:
-    """To the next grid point or saving time, or to the contact expected before it."""
-    grid, recording = problem.grid, problem.recording
-    target, gridded, saving = grid.grid_point(steps_in_period(state) + 1), True, jnp.zeros((), bool)
-    if recording.save == "ts":
-        assert recording.ts is not None
-        count = recording.ts.shape[0]
-        at = recording.ts[jnp.minimum(state.num_saved, count - 1)]
+    """To the next grid point, saving time or tick, or to the contact expected before it."""
+    grid, counts = problem.grid, state.counts
+    target, gridded, saving = grid.grid_point(counts.in_period + 1), True, jnp.zeros((), bool)
+    wanted, ticking = problem.recording.recorder.next_time(counts.num_saved), None
+    if wanted is not None:
+        (at, due), same = wanted, grid.same_time(target)
         ahead = (at - target) * grid.direction
-        same = grid.same_time(target)
-        saving = (state.num_saved < count) & (ahead <= same)
+        saving = due & (ahead <= same)
         gridded = ~saving | (ahead >= -same)
         target = select(gridded, target, at)
-    ticking = None
-    if state.ticks is not None:
-        tick = next_tick(problem, state.ticks)
-        ahead = stop_gradient(tick - target) * grid.direction
-        same = grid.same_time(target)
+    if problem.tick is not None:
+        ahead, same = stop_gradient(problem.tick - target) * grid.direction, grid.same_time(target)
         ticking, before = ahead <= same, ahead < -same
-        target = select(before, tick, target)
+        target = select(before, problem.tick, target)
         gridded, saving = gridded & ~before, saving & ~before
-    full = target - state.tau
+    full = target - state.motion.tau
     if problem.system.m == 0:
         gridded = (saving & False) | gridded
-        return _to_crossing(
-            state, Length(full, target, full * 0, saving & False, gridded, saving, ticking)
-        )
-    full = full - state.rest
-    cutting = (state.cut != 0) & (abs(state.cut) < abs(full)) & ~state.pending
-    whole = ~state.pending & ~cutting
-    h = select(cutting, state.cut, select(state.pending, 0.0, full))
-    end = select(whole, target, state.tau + h)
-    length = Length(h, end, full - h, cutting, gridded & whole, saving & whole)
-    if ticking is not None:
-        length = dataclasses.replace(length, ticking=ticking & whole)
-    return _to_crossing(state, length)
+        length = Length(full, target, full * 0, saving & False, gridded, saving, ticking)
+        return _to_crossing(problem, state, length)
+    full, aimed, waits = full - state.tau_low, state.search.length, state.pending.waits
+    cutting = (aimed != 0) & (abs(aimed) < abs(full)) & ~waits
+    whole = ~waits & ~cutting
+    h = select(cutting, aimed, select(waits, 0.0, full))
+    length = Length(
+        h=h,
+        end=select(whole, target, state.motion.tau + h),
+        room=full - h,
+        cutting=cutting,
+        gridded=gridded & whole,
+        saving=saving & whole,
+        ticking=None if ticking is None else ticking & whole,
+    )
+    return _to_crossing(problem, state, length)
 
 
-def _to_crossing(state: LoopState, length: Length) -> Length:
+def _to_crossing(problem: Problem, state: LoopState, length: Length) -> Length:
     """The length of a trial step that only looks for a crossing, where one is sought."""
-    if state.watch is None:
+    if problem.look is None:
         return length
-    seeking, h = state.watch.seeking, state.watch.length
+    seeking, h = problem.look.seeking, problem.look.length
     return Length(
         h=select(seeking, h, length.h),
-        end=select(seeking, state.tau + h, length.end),
+        end=select(seeking, state.motion.tau + h, length.end),
         room=select(seeking, length.h + length.room - h, length.room),
         cutting=length.cutting & ~seeking,
         gridded=length.gridded & ~seeking,

@@ -76,8 +76,7 @@ def _count(flag: Array) -> Array:
 def _integrate_together(problem: Problem, x0: Components) -> LoopState:
     """One lane of a batch, which asks after the others by `_count`."""
     # Nothing to meet, or too much to coast for long; one loop is less than three.
-    watched = problem.watched is not None or problem.system.clocks
-    if problem.system.m == 0 or problem.compact or watched:
+    if problem.system.m == 0 or problem.compact or problem.extensions:
         return integrate(problem, x0)
     few_stopped, few_near = _SLIDING if problem.system.slides else _CROSSING
 

@@ -17,25 +17,25 @@ from jaxfil.integrate.contacts.guards import larger, surface_noise
 from jaxfil.integrate.contacts.locate import stays_off
 from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem
-from jaxfil.integrate.lane.recording import keep_sample
+from jaxfil.integrate.lane.recorders import SaveSamples
 from jaxfil.integrate.lane.state import FreeStep, LoopState
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.steppers.error_estimate import Step, may_be_too_long
 from jaxfil.integrate.steppers.explicit import step
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import all_finite, any_of, on_each, side_of, where
-from jaxfil.xla.select import select
+from jaxfil.integrate.system.components import all_finite, any_of, on_each, side_of
+from jaxfil.xla.select import select, select_all
 
 
 def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeStep:
     """A trial step on the sides that a lane is on; where it slides, on side +1, which is not where
     it goes."""
     system, grid, h = problem.system, problem.grid, length.h
-    sides = side_of(state.mode)
-    start, t = grid.t0 + state.tau, grid.t0 + length.end
+    sides = side_of(state.motion.mode)
+    start, t = grid.t0 + state.motion.tau, grid.t0 + length.end
     forcing = system.forcing(start, h, problem.tableau.times)
     field = ModeField(system, sides, blended=False)
-    trial = step(problem.tableau, field, start, state.x, state.f, h, forcing)
+    trial = step(problem.tableau, field, start, state.motion.x, state.motion.f, h, forcing)
     f = system.hold(system.field(t, trial.x, sides, forcing=forcing[-1]))
     value, slope = jax.jvp(system.switching, (t, trial.x), (jnp.ones_like(t), f))
     return FreeStep(trial, f, system.hold(sides * value), system.hold(sides * slope))
@@ -43,20 +43,20 @@ def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeSte
 
 def is_near_surface(state: LoopState) -> Array:
     """Whether a lane slides or rests, or is at or near a contact."""
-    return state.held | state.pending | (state.cut != 0) | any_of(~state.armed)
+    return state.held | state.pending.waits | (state.search.length != 0) | any_of(~state.armed)
 
 
 def is_event_free(problem: Problem, state: LoopState, length: Length, free: FreeStep) -> Array:
     """Whether a step is all there is: on no surface, and no guard comes near zero in it."""
     x, h = free.trial.x, length.h
-    t, size = problem.grid.t0 + length.end, larger(state.size, x)
+    t, size = problem.grid.t0 + length.end, larger(state.motion.scale, x)
     _, h_t, normals = problem.system.gradients(t, x)
     touch = surface_noise(problem.system, t, size, h_t, normals)
     clear = ~is_near_surface(state) & all_finite(x, free.f, free.g)
-    start = problem.grid.t0 + state.tau
-    taken = Step(t=start, h=h, x0=state.x, f0=state.f, f1=free.f, trial=free.trial)
+    start = problem.grid.t0 + state.motion.tau
+    taken = Step(t=start, h=h, x0=state.motion.x, f0=state.motion.f, f1=free.f, trial=free.trial)
     clear = clear & ~may_be_too_long(problem.tableau, taken)
-    off = on_each(stays_off, state.g, h * state.rate, free.g, h * free.rate, touch)
+    off = on_each(stays_off, state.motion.g, h * state.motion.rate, free.g, h * free.rate, touch)
     return clear & ~any_of(~off)
 
 
@@ -65,18 +65,28 @@ def accept_free_step(
 ) -> LoopState:
     """The lane at the end of a step where it is `clear` of events, its sample kept; the same lane
     otherwise."""
-    x, one = free.trial.x, clear.astype(jnp.int32)
+    x, one, before, counts = free.trial.x, clear.astype(jnp.int32), state.motion, state.counts
+    moved = dataclasses.replace(
+        before,
+        tau=length.end,
+        x=x,
+        f=free.f,
+        scale=larger(before.scale, x),
+        g=stop_gradient(free.g),
+        rate=free.rate,
+    )
     after = dataclasses.replace(
         state,
-        tau=select(clear, length.end, state.tau),
-        rest=select(clear, 0.0, state.rest),
-        x=where(clear, x, state.x),
-        f=where(clear, free.f, state.f),
-        size=where(clear, larger(state.size, x), state.size),
-        g=where(clear, stop_gradient(free.g), state.g),
-        rate=where(clear, free.rate, state.rate),
-        index=state.index + one,
-        num_iterations=state.num_iterations + one,
-        num_accepted=state.num_accepted + one,
+        motion=select_all(clear, moved, before),
+        tau_low=select(clear, 0.0, state.tau_low),
+        counts=dataclasses.replace(
+            counts,
+            index=counts.index + one,
+            num_iterations=counts.num_iterations + one,
+            num_accepted=counts.num_accepted + one,
+        ),
     )
-    return next_period(problem.grid, keep_sample(problem, state, after, x, clear))
+    recorder = problem.recording.recorder
+    if isinstance(recorder, SaveSamples):
+        after = recorder.keep(problem, state, after, x, clear)
+    return next_period(problem.grid, after)

@@ -27,9 +27,10 @@ from jaxtyping import Array
 
 from jaxfil.integrate.contacts.guards import NOISE
 from jaxfil.integrate.contacts.locate import NEVER, first_contact, stays_off
-from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.extension import Extension, Step, Verdict
+from jaxfil.integrate.lane.problem import Look, Problem
 from jaxfil.integrate.lane.recording import entered, mode_codes
-from jaxfil.integrate.lane.state import CrossingTable, LoopState, StepEnd, Watch, later
+from jaxfil.integrate.lane.state import CrossingTable, LoopState, Motion, is_running, later
 from jaxfil.integrate.surfaces.sections import Sight, WatchedSections, beyond_newton, see
 from jaxfil.integrate.system.components import (
     Components,
@@ -51,6 +52,48 @@ from jaxfil.xla.select import select, select_all
 _NEWTON, _TRIES = 12, 60
 
 
+class Watch(eqx.Module):
+    """How far a lane has been watched for crossings of k sections. Lengths are signed times from
+    the lane's state; components are k."""
+
+    side: Components
+    """Last sign of S, beyond rounding; 0: there has been none."""
+    value: Components
+    """S where it has been watched up to."""
+    rate: Components
+    """dS/dt there along the motion."""
+    away: Components
+    """Whether |S| exceeds its rounding there."""
+    owed: Components
+    """Whether S has jumped across zero there."""
+    start: Array
+    """Length up to there."""
+    seeking: Array
+    """Whether the next trial step is one to a crossing, looked at and taken back."""
+    length: Array
+    """Length of that step."""
+    aim: Components
+    """The section that it is to cross; none for a minimum of |S| to be looked at."""
+    low: Array
+    """Length before the crossing."""
+    high: Array
+    """Length after the crossing."""
+    tries: Array
+    """Trial steps that this crossing has taken."""
+    counts: Components
+    """Crossings so far of each section, in its direction."""
+    total: Array
+    """Crossings of all sections."""
+
+
+class SectionState(eqx.Module):
+    """What a lane knows of its sections."""
+
+    watch: Watch
+    table: CrossingTable | None
+    """Crossings so far; None where none are kept."""
+
+
 class Seen(eqx.Module):
     """What is known of the sections at the end of a trial step."""
 
@@ -60,25 +103,58 @@ class Seen(eqx.Module):
     watch: Watch
     """How the search goes on."""
     recorded: Array
-    """Whether a crossing has been located,"""
+    """Whether a crossing has been located."""
     number: Array
-    """of which section,"""
+    """The section that is crossed."""
     tau: Array
-    """at what elapsed time,"""
-    rest: Array
-    """what its rounding has left out,"""
+    """Elapsed time of the crossing."""
+    tau_low: Array
+    """Low-order part of this time."""
     x: Components
-    """in what state,"""
+    """State at the crossing."""
     result: RESULTS
-    """and what that makes of the run."""
+    """What the crossing makes of the run."""
 
 
-def begin(problem: Problem, state: LoopState) -> LoopState:
+class SectionSearch(Extension):
+    """The search for crossings of sections."""
+
+    watched: WatchedSections
+
+    def before_step(self, problem: Problem, own: SectionState | None) -> Problem:
+        if own is None:
+            return problem
+        return dataclasses.replace(problem, look=Look(own.watch.seeking, own.watch.length))
+
+    def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, SectionState]:
+        return _begin(self.watched, problem, state)
+
+    def at_end(self, problem: Problem, state: LoopState, own: SectionState, step: Step) -> Verdict:
+        h = step.length.h + select(step.lands, step.delta, 0.0)
+        passes = step.lands | step.accepted
+        seen = _look(self.watched, problem, state, own.watch, step.end.motion, (h, passes))
+        seen = dataclasses.replace(seen, seeks=seen.seeks & is_running(problem.grid, state))
+        return Verdict(seen.seeks, ~all_finite(seen.sight.value), seen)
+
+    def after_step(
+        self,
+        problem: Problem,
+        state: LoopState,
+        after: LoopState,
+        own: SectionState,
+        step: Step,
+        verdict: Verdict | None,
+    ) -> tuple[LoopState, SectionState]:
+        assert verdict is not None
+        return _follow(self.watched, problem, after, own, step, verdict.note)
+
+
+def _begin(
+    watched: WatchedSections, problem: Problem, state: LoopState
+) -> tuple[LoopState, SectionState]:
     """A lane at t0, watched from there on."""
-    watched = problem.watched
-    if watched is None:
-        return state
-    zero, false = jnp.zeros_like(state.tau), jnp.zeros((), bool)
+    motion = state.motion
+    zero, false = jnp.zeros_like(motion.tau), jnp.zeros((), bool)
     none, k = jnp.zeros((), jnp.int32), len(watched.functions)
     nothing, flags = Components((zero,) * k), Components((false,) * k)
     watch = Watch(
@@ -97,16 +173,14 @@ def begin(problem: Problem, state: LoopState) -> LoopState:
         counts=Components((none,) * k),
         total=none,
     )
-    at, motion = (problem.grid.t0 + state.tau, state.x), (state.mode, state.f)
-    sight = see(watched, problem.system, at, motion, state.size)
-    watch = _moved_on(problem, watch, sight, false)
-    result, (_, noises) = state.result, _told(problem, sight)
-    each = zip(watched.bounds, sight.value.parts, noises.parts, strict=True)
-    for bound, value, noise in each:
+    at = problem.grid.t0 + motion.tau, motion.x
+    sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale)
+    watch = _moved_on(watched, problem, watch, sight, false)
+    result, (_, noises) = state.result, _resolved(problem, sight)
+    for bound, value, noise in zip(watched.bounds, sight.value.parts, noises.parts, strict=True):
         outside = bound & (value < -noise) & (result == RESULTS.successful)
         result = RESULTS.where(outside, RESULTS.out_of_bounds, result)
-    size = problem.recording.num_crossings
-    table = None
+    table, size = None, problem.recording.num_crossings
     if size is not None:
         table = CrossingTable(
             ts=jnp.full((size,), jnp.inf, problem.system.dtype),
@@ -114,18 +188,24 @@ def begin(problem: Problem, state: LoopState) -> LoopState:
             sections=jnp.full((size,), -1, jnp.int32),
             modes=jnp.zeros((size, problem.system.m), jnp.int8),
         )
-    return dataclasses.replace(state, watch=watch, crossings=table, result=result)
+    return dataclasses.replace(state, result=result), SectionState(watch, table)
 
 
-def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Array) -> Seen:
-    """The sections at the end of a trial step. `passes`: the loop would go on with it to the
-    length h, which its landing has corrected."""
-    watched, watch = problem.watched, state.watch
-    assert watched is not None and watch is not None
-    at, motion = (problem.grid.t0 + end.tau, end.x), (end.mode, end.f)
-    sight = see(watched, problem.system, at, motion, end.size)
+def _look(
+    watched: WatchedSections,
+    problem: Problem,
+    state: LoopState,
+    watch: Watch,
+    end: Motion,
+    would: tuple[Array, Array],
+) -> Seen:
+    """The sections at the end of a trial step; `would` are the length of the step, corrected by its
+    landing, and whether the loop would go on with it."""
+    h, passes = would
+    at = problem.grid.t0 + end.tau, end.x
+    sight = see(watched, problem.system, at, (end.mode, end.f), end.scale)
     here = select(watch.seeking, watch.length, h)
-    found, length, aim = _find(problem, watch, sight, here)
+    found, length, aim = _find(watched, problem, watch, sight, here)
     aimed = any_of(watch.aim)
     looks = watch.seeking & ~aimed
     begins = found & (looks | (passes & ~watch.seeking))
@@ -138,18 +218,18 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
         high=stop_gradient(here),
         tries=jnp.zeros_like(watch.tries),
     )
-    closer, delta, done = _approach(problem, state, sight, end)
+    closer, delta, done = _approach(problem, watch, sight, end.tau)
     located = watch.aim & ~watch.owed
     linear, given = (delta, end.x + delta * end.f), (watched, problem.system)
     delta, x = add_second_derivative(beyond_newton, linear, *given, at, end.mode, located)
-    tau, rest = later(state.tau, state.rest, watch.length + delta)
+    tau, tau_low = later(state.motion.tau, state.tau_low, watch.length + delta)
     counts = True if watched.since is None else problem.grid.t0 + tau >= watched.since
-    recorded, after = _crossed(problem, closer, sight, done, counts)
+    recorded, after = _crossed(watched, problem, closer, sight, (done, counts))
     goes_on = dataclasses.replace(
         watch,
         value=sight.value,
         rate=sight.rate,
-        away=_told(problem, sight)[0],
+        away=_resolved(problem, sight)[0],
         start=watch.length,
         seeking=jnp.zeros_like(found),
     )
@@ -162,22 +242,21 @@ def look(problem: Problem, state: LoopState, end: StepEnd, h: Array, passes: Arr
         recorded=recorded & finite,
         number=total(Components(range(len(watch.aim.parts))) * watch.aim.astype(jnp.int32)),
         tau=tau,
-        rest=rest,
+        tau_low=tau_low,
         x=x,
         result=_result(watched, state.result, watch.aim, after.counts, recorded & finite),
     )
 
 
-def _told(problem: Problem, sight: Sight) -> tuple[Components, Components]:
+def _resolved(problem: Problem, sight: Sight) -> tuple[Components, Components]:
     """Whether |S| exceeds its rounding, and this rounding."""
     noises = NOISE * problem.system.eps * sight.terms
     return abs(stop_gradient(sight.value)) > noises, noises
 
 
-def _wanted(problem: Problem, side: Components) -> Components:
+def _wanted(watched: WatchedSections, problem: Problem, side: Components) -> Components:
     """Whether a crossing from these sides, along the motion, is in the section's direction."""
-    assert problem.watched is not None
-    wanted = Components(problem.watched.directions)
+    wanted = Components(watched.directions)
     return (side * problem.grid.direction * wanted < 0) | (wanted == 0)
 
 
@@ -189,13 +268,13 @@ def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components
 
 
 def _find(
-    problem: Problem, watch: Watch, sight: Sight, length: Array
+    watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, length: Array
 ) -> tuple[Array, Array, Components]:
     """Whether there is something to be looked at between the start of the watch and a `length`, at
     which length, and the section that is crossed there."""
     h = stop_gradient(length) - watch.start
-    sides, (_, noises) = _sides(problem, watch, sight, h), _told(problem, sight)
-    wanted = _wanted(problem, sides)
+    sides, (_, noises) = _sides(problem, watch, sight, h), _resolved(problem, sight)
+    wanted = _wanted(watched, problem, sides)
     start = where(watch.away, sides * watch.value, 0.0)
     end = sides * stop_gradient(sight.value)
     ends = start, sides * h * watch.rate, end, sides * h * sight.rate
@@ -234,15 +313,18 @@ def _nothing(g0: Array, *_: Array) -> tuple[Array, Array]:
 
 
 def _approach(
-    problem: Problem, state: LoopState, sight: Sight, end: StepEnd
+    problem: Problem, watch: Watch, sight: Sight, tau: Array
 ) -> tuple[Watch, Array, Array]:
-    """After a trial step to where a crossing was expected: the next one, Newton's step in time from
-    here, and whether that is all that is missing."""
-    system, grid, watch = problem.system, problem.grid, state.watch
-    assert watch is not None
-    small = system.eps ** (2 / 3)
+    """After a trial step to where a crossing was expected, at an elapsed time: the next one,
+    Newton's step in time from here, and whether that is all that is missing."""
+    grid, small = problem.grid, problem.system.eps ** (2 / 3)
     sides = _sides(problem, watch, sight, watch.length - watch.start)
-    of_aim = sides * sight.value, sides * sight.rate, sides * watch.rate, _told(problem, sight)[1]
+    of_aim = (
+        sides * sight.value,
+        sides * sight.rate,
+        sides * watch.rate,
+        _resolved(problem, sight)[1],
+    )
     g, rate, rate0, noise = (total(where(watch.aim, v, 0.0)) for v in of_aim)
     owed = any_of(watch.aim & watch.owed)
     falls = grid.direction * rate < 0
@@ -254,7 +336,7 @@ def _approach(
     inside = ((newton - low) * grid.direction >= 0) & ((high - newton) * grid.direction >= 0)
     bend = size * abs(rate - rate0) <= small * abs(rate * (at - watch.start))
     close = falls & inside & (size <= small * abs(grid.dt)) & bend
-    narrow = abs(high - low) <= grid.same_time(end.tau)
+    narrow = abs(high - low) <= grid.same_time(tau)
     done = close | (abs(g) <= noise) | narrow | owed | (watch.tries >= _TRIES)
     halved = ~inside | (watch.tries >= _NEWTON)
     length = select(halved, 0.5 * (low + high), newton)
@@ -262,17 +344,21 @@ def _approach(
         watch, side=sides, length=length, low=low, high=high, tries=watch.tries + 1
     )
     # Where S only touches zero, its rate says nothing of the time.
-    told = (inside | (size <= small * abs(grid.dt))) & ~owed
-    return closer, select(told, delta, 0.0), done & watch.seeking & any_of(watch.aim)
+    timed = (inside | (size <= small * abs(grid.dt))) & ~owed
+    return closer, select(timed, delta, 0.0), done & watch.seeking & any_of(watch.aim)
 
 
 def _crossed(
-    problem: Problem, watch: Watch, sight: Sight, done: Array, counts: Array | bool
+    watched: WatchedSections,
+    problem: Problem,
+    watch: Watch,
+    sight: Sight,
+    which: tuple[Array, Array | bool],
 ) -> tuple[Array, Watch]:
-    """Whether a crossing that is `done` counts, if one at this time `counts`, and the watch behind
-    it."""
-    assert problem.watched is not None and watch is not None
-    wanted, (away, _) = _wanted(problem, watch.side), _told(problem, sight)
+    """Whether a crossing counts, and the watch behind it; `which` are whether it has been located
+    and whether crossings at this time count."""
+    (done, counts), (away, _) = which, _resolved(problem, sight)
+    wanted = _wanted(watched, problem, watch.side)
     counted = watch.aim & wanted & done & counts
     recorded = any_of(counted)
     # What has jumped is on its other side at once.
@@ -308,11 +394,13 @@ def _result(
     return result
 
 
-def _moved_on(problem: Problem, watch: Watch, sight: Sight, jumped: Array) -> Watch:
+def _moved_on(
+    watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, jumped: Array
+) -> Watch:
     """The watch of a lane that has gone on to where the sections are seen so; `jumped`: at once, by
     a reset or another mode."""
-    (away, _), value = _told(problem, sight), stop_gradient(sight.value)
-    owed = jumped & away & (watch.side * value < 0) & _wanted(problem, watch.side)
+    (away, _), value = _resolved(problem, sight), stop_gradient(sight.value)
+    owed = jumped & away & (watch.side * value < 0) & _wanted(watched, problem, watch.side)
     side = where(away & ~owed, sign(value), watch.side)
     return dataclasses.replace(
         watch,
@@ -327,48 +415,33 @@ def _moved_on(problem: Problem, watch: Watch, sight: Sight, jumped: Array) -> Wa
     )
 
 
-def follow(
+def _follow(
+    watched: WatchedSections,
     problem: Problem,
-    state: LoopState,
     after: LoopState,
-    end: StepEnd,
-    seen: Seen | None,
-    went: tuple[Array, Array, Array, Array],
-) -> LoopState:
-    """`after`, to which `state` has gone on, with its sections: `went` says whether it has moved to
-    the end of the step, landed near it by the time δ, or switched there, and δ."""
-    if seen is None:
-        return after
-    moved, lands, switched, delta = went
-    system, watch = problem.system, state.watch
-    assert watch is not None
-    total, sight = watch.total, seen.sight
-    landed = stop_gradient(sight.value + delta * sight.rate)
-    corrected = where(lands, landed, sight.value)
-    sight = dataclasses.replace(sight, value=corrected)
-    there = _moved_on(problem, watch, sight, switched)
-    watch = select_all(moved | lands, there, watch)
+    own: SectionState,
+    step: Step,
+    seen: Seen,
+) -> tuple[LoopState, SectionState]:
+    """The lane and its sections after a step."""
+    sight, watch, end = seen.sight, own.watch, step.end.motion
+    landed = stop_gradient(sight.value + step.delta * sight.rate)
+    sight = dataclasses.replace(sight, value=where(step.lands, landed, sight.value))
+    there = _moved_on(watched, problem, watch, sight, step.switched)
+    watch = select_all(step.moved | step.lands, there, watch)
     watch = select_all(seen.seeks, seen.watch, watch)
-    result = RESULTS.where(seen.recorded & seen.seeks, seen.result, after.result)
-    recorded = seen.recorded & seen.seeks
-    table = after.crossings
+    recorded, table = seen.recorded & seen.seeks, own.table
+    result = RESULTS.where(recorded, seen.result, after.result)
     if table is not None:
-        assert problem.watched is not None and problem.recording.num_crossings is not None
-        size, unseen = problem.recording.num_crossings, problem.watched.unseen
-        i = total if unseen is None else total - unseen
-        t, x = problem.grid.t0 + seen.tau, pack(seen.x, system.dtype)
+        size, i = table.ts.shape[0], own.watch.total
+        i = i if watched.unseen is None else i - watched.unseen
+        t, x = problem.grid.t0 + seen.tau, pack(seen.x, problem.system.dtype)
         entry = CrossingTable(ts=t, xs=x, sections=seen.number, modes=mode_codes(end.mode))
         table = entered(table, jnp.clip(i, 0, size - 1), recorded & (i >= 0) & (i < size), entry)
-        full = recorded & (i >= size)
-        result = RESULTS.where(full, RESULTS.max_events_reached, result)
-    ends = recorded & (result != RESULTS.successful)
-    return dataclasses.replace(
-        after,
-        tau=select(ends, seen.tau, after.tau),
-        rest=select(ends, seen.rest, after.rest),
-        x=where(ends, seen.x, after.x),
-        f=where(ends, end.f, after.f),
-        watch=watch,
-        crossings=table,
-        result=result,
-    )
+        result = RESULTS.where(recorded & (i >= size), RESULTS.max_events_reached, result)
+    ends, motion = recorded & (result != RESULTS.successful), after.motion
+    here = seen.tau, seen.tau_low, seen.x, end.f
+    tau, tau_low, x, f = select_all(ends, here, (motion.tau, after.tau_low, motion.x, motion.f))
+    motion = dataclasses.replace(motion, tau=tau, x=x, f=f)
+    after = dataclasses.replace(after, motion=motion, tau_low=tau_low, result=result)
+    return after, SectionState(watch, table)

@@ -4,6 +4,7 @@ A problem and an initial state enter; a `LoopState` ready for the loop leaves. O
 mode is the side. On a surface it is what the fields there say, never the sign of a zero.
 """
 
+import dataclasses
 import functools as ft
 
 import equinox as eqx
@@ -16,11 +17,16 @@ from jaxtyping import Array
 from jaxfil.integrate.contacts import accumulation, resets
 from jaxfil.integrate.contacts.guards import guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.contacts.switch import with_reactions
-from jaxfil.integrate.lane import clocks
 from jaxfil.integrate.lane.problem import Problem
-from jaxfil.integrate.lane.recording import empty_saves, empty_table
-from jaxfil.integrate.lane.state import LoopState, Start
-from jaxfil.integrate.loop import section_search
+from jaxfil.integrate.lane.recording import empty_table
+from jaxfil.integrate.lane.state import (
+    ContactSearch,
+    Counts,
+    LoopState,
+    Motion,
+    Pending,
+    tables_of,
+)
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, every_side, on_corners
 from jaxfil.integrate.system.components import (
@@ -115,14 +121,27 @@ def _first_mode(
     return mode, on, owed, count, determinant
 
 
+class Start(eqx.Module):
+    """What is known of a lane at t0."""
+
+    motion: Motion
+    armed: Components
+    """Surfaces that it does not start on, or slides or rests on, m flags."""
+    owed: Components | None
+    """Surfaces whose reset comes first, m flags; None without resets."""
+    num_modes: Array
+    """How many modes could go on from there; 1: the motion is unique."""
+
+
 def _start(problem: Problem, x: Components) -> Start:
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
+    tau, scale = jnp.zeros((), system.dtype), abs(stop_gradient(x))
     if system.m == 0:
         none = Components(())
-        f = system.field(t, x, none)
-        return Start(f, none, none, none, none, none, None, jnp.ones((), jnp.int32), None)
+        motion = Motion(tau, x, system.field(t, x, none), scale, none, none, none, none, None)
+        return Start(motion, none, None, jnp.ones((), jnp.int32))
     h, h_t, normals = system.gradients(t, x)
-    size = abs(stop_gradient(x))
+    size = scale
     if system.resets:
         # A state that an earlier run has left on the surface has the rounding of its steps.
         f = system.field(t, x, h.like(jnp.ones_like(t)))
@@ -141,55 +160,45 @@ def _start(problem: Problem, x: Components) -> Start:
     armed = stays_on(system, mode) | ~on
     g = where(armed, maximum(g, 0.0), 0.0)
     rate = where(armed, rate, direction * maximum(direction * rate, 0.0))
-    start = Start(f, mode, g, rate, armed, noise, owed, count, determinant)
-    return unguarded(problem.kept, start)
+    motion = Motion(tau, x, f, scale, mode, g, rate, noise, determinant)
+    motion, count = unguarded(problem.kept, motion, count)
+    return Start(motion, armed, owed, count)
 
 
 def initial_state(problem: Problem, x: Components) -> LoopState:
     """The lane at t0."""
-    ticks = clocks.first_ticks(problem) if problem.system.clocks else None
-    problem = clocks.between_ticks(problem, ticks)
+    for extension in problem.extensions:
+        problem = extension.before_step(problem, None)
     system, recording = problem.system, problem.recording
     start = _start(problem, x)
-    tau = jnp.zeros((), system.dtype)
-    zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+    zero, false, tau = jnp.zeros((), jnp.int32), jnp.zeros((), bool), start.motion.tau
+    nowhere = system.for_each_surface(false)
     state = LoopState(
-        tau=tau,
-        rest=tau,
-        x=x,
-        f=start.f,
-        size=abs(stop_gradient(x)),
-        mode=start.mode,
-        first_mode=start.mode,
-        g=start.g,
-        rate=start.rate,
-        determinant=start.determinant,
+        motion=start.motion,
+        tau_low=tau,
+        first_mode=start.motion.mode,
         armed=start.armed,
-        noise=start.noise,
-        cut=tau,
-        aim=system.for_each_surface(false),
-        pending=false if start.owed is None else any_of(start.owed),
-        hit=system.for_each_surface(false) if start.owed is None else start.owed,
-        graze=false,
-        jumped=false,
-        settled=false if system.resets else None,
-        turn=accumulation.no_turn(system, x),
-        index=zero,
-        tries=zero,
-        frozen=zero,
-        contact_tau=tau - jnp.inf,
-        num_iterations=zero,
-        num_accepted=zero,
-        num_events=zero,
-        num_saved=zero,
+        search=ContactSearch(length=tau, surfaces=nowhere, rejections=zero),
+        pending=Pending(
+            waits=false if start.owed is None else any_of(start.owed),
+            surfaces=nowhere if start.owed is None else start.owed,
+            grazes=false,
+            jumped=false,
+            repeats=zero,
+            tau=tau - jnp.inf,
+        ),
+        counts=Counts(zero, zero, zero, zero, zero, None if problem.grid.forcing is None else zero),
         result=_first_result(problem, x, start),
         table=empty_table(system, recording.max_events),
-        saves=empty_saves(system, recording),
-        period_start=None if problem.grid.forcing is None else zero,
-        ticks=ticks,
-        left=None if ticks is None or system.m == 0 else x.like(tau),
+        saves=recording.recorder.empty(system),
+        settled=false if system.resets else None,
+        turn=accumulation.no_turn(system, x),
     )
-    state = section_search.begin(problem, state)
+    own = []
+    for extension in problem.extensions:
+        state, first = extension.begin(problem, state)
+        own.append(first)
+    state = dataclasses.replace(state, extensions=tuple(own))
     return state if system.m == 0 else _varied(state)
 
 
@@ -201,11 +210,10 @@ def _varied(state: LoopState) -> LoopState:
     """
 
     def kept(state: LoopState) -> list:
-        kept = (state.table, state.saves, state.crossings)
-        records = [record for record in kept if record is not None]
-        return [state.tau, *state.x.parts, *(v for r in records for v in (r.ts, r.xs))]
+        rows = [v for table in tables_of(state) for v in (table.ts, table.xs)]
+        return [state.motion.tau, *state.motion.x.parts, *rows]
 
-    first = jnp.ravel(state.f.parts[0])[0]
+    first = jnp.ravel(state.motion.f.parts[0])[0]
     return eqx.tree_at(kept, state, [_with_rate_of(first, v) for v in kept(state)])
 
 
@@ -230,7 +238,7 @@ def _first_result(problem: Problem, x: Components, start: Start) -> RESULTS:
     result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)
     result = RESULTS.where(count < 1, RESULTS.mode_undecided, result)
     if not problem.system.slides:
-        slid = any_of(start.mode == 0) & (count == 1)
+        slid = any_of(start.motion.mode == 0) & (count == 1)
         result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
-    fine = all_finite(x, start.f, grid.t0, grid.length, grid.dt)
+    fine = all_finite(x, start.motion.f, grid.t0, grid.length, grid.dt)
     return RESULTS.where(fine, result, RESULTS.nonfinite)

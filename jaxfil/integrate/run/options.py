@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.lane.problem import SAME_TIME
+from jaxfil.integrate.lane.problem import SAME_TIME, Recorder
+from jaxfil.integrate.lane.recorders import SaveDense, SaveSteps, SaveTimes
 from jaxfil.model import check
 from jaxfil.model.types import Scalar
 from jaxfil.xla.known import power_of_two
@@ -30,24 +31,15 @@ _MANY_EVENTS = 256
 
 
 class Options(eqx.Module):
-    """What to save ("t1", "ts", "steps" or "dense", with the state at t0 or without it), the limits
-    on contacts and iterations, the checkpoints of reverse mode, and whether steps are compact."""
+    """What to save, at times of the user, the limits on contacts and iterations, the checkpoints of
+    reverse mode, and whether steps are compact."""
 
-    save: str = eqx.field(static=True)
-    with_t0: bool = eqx.field(static=True)
+    recorder: Recorder
     max_events: int | None = eqx.field(static=True)
     budget: int | None = eqx.field(static=True)
     reverse: bool = eqx.field(static=True)
     checkpoints: int | None = eqx.field(static=True)
     compact: bool = eqx.field(static=True)
-    ts: Array | None
-
-    @property
-    def num_saves(self) -> int:
-        """Space needed for what is saved on the way."""
-        if self.ts is not None:
-            return self.ts.shape[0]
-        return self.budget or 0 if self.save in ("steps", "dense") else 0
 
     def at_half_the_step(self) -> "Options":
         """Those of the run at half the step, which nothing differentiates."""
@@ -67,23 +59,29 @@ def options_of(
     """The options of a solve over the span (t0, t1, dt), numbers as the user gave them: under `jit`
     they are known as long as they are no arrays of JAX."""
     save, ts = _save_kind(saveat, dtype)
+    by_steps = save in ("steps", "dense")
     span = _known_span(times, dtype)
     if span is not None:
         _check_span(span, saveat)
     max_events = check.count("max_events", max_events, optional=True)
     budget = check.count("max_steps", max_steps, optional=True)
     reverse = _is_reverse(adjoint)
-    if budget is None and (save in ("steps", "dense") or reverse):
+    if budget is None and (by_steps or reverse):
         budget = _default_budget(span, max_events)
+    recorder = Recorder()
+    if ts is not None:
+        recorder = SaveTimes(ts=ts)
+    elif by_steps:
+        with_t0 = save == "dense" or (saveat.subs is not None and bool(saveat.subs.t0))
+        kind = SaveDense if save == "dense" else SaveSteps
+        recorder = kind(size=budget or 0, with_t0=with_t0)
     return Options(
-        save=save,
-        with_t0=saveat.subs is not None and bool(saveat.subs.t0),
+        recorder=recorder,
         max_events=max_events,
         budget=budget,
         reverse=reverse,
         checkpoints=getattr(adjoint, "checkpoints", None),
         compact=compact,
-        ts=ts,
     )
 
 

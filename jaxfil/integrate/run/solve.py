@@ -14,8 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import Problem, Recording, TimeGrid, iteration_budget
+from jaxfil.integrate.lane.recorders import SaveDense, SaveTimes
 from jaxfil.integrate.lane.recording import mode_codes
 from jaxfil.integrate.lane.state import LoopState, SavedStates
+from jaxfil.integrate.loop.extensions import problem_of, sections_in
 from jaxfil.integrate.loop.iterate import integrate, integrate_with_checkpoints
 from jaxfil.integrate.run.failure import raise_unless_successful
 from jaxfil.integrate.run.observed import Observable, Observe, checked_observable, observed
@@ -140,15 +142,16 @@ def solve(
     stepper = checked_stepper(stepper)
     compact = is_compact_run(compact, (system, x, start, stop, length))
     options = options_of(saveat, max_events, max_steps, adjoint, compact, (t0, t1, step), dtype)
-    if estimate_error and options.save not in ("t1", "ts"):
+    recorder = options.recorder
+    if estimate_error and not recorder.at_known_times:
         raise ValueError(
-            f"`estimate_error` must be False with a `saveat` of {options.save}: errors are "
+            f"`estimate_error` must be False with a `saveat` of {recorder.name}: errors are "
             "estimated at times that do not depend on the step, t1 or ts; got True."
         )
     observable = None
     if observe is not None:
         observable = checked_observable("observe", observe, system, x)
-        if options.save == "dense":
+        if isinstance(recorder, SaveDense):
             raise ValueError(
                 "`observe` must be None with a `saveat` of dense, which saves no times; got "
                 f"{observe!r}."
@@ -209,7 +212,7 @@ def _solve(
     if observable is not None:
         problem, saves = problem_over(x0, t0, t1, dt), SavedStates(sol.ts, sol.xs, sol.modes)
         return dataclasses.replace(sol, observed=observed(observable, problem, system, x0, saves))
-    if options.save != "dense":
+    if not isinstance(options.recorder, SaveDense):
         return sol
     dense = Dense(system, t0, sol.t_final, sol.ts, sol.xs, sol.modes, stepper, options.compact)
     return dataclasses.replace(sol, ts=None, xs=None, modes=None, _dense=dense)
@@ -226,18 +229,11 @@ def _problem(
     dt: Array,
 ) -> Problem:
     """A solve as the loop is given it."""
-    saved = {"t1": "none", "ts": "ts", "steps": "steps", "dense": "steps"}[options.save]
-    recording = Recording(
-        save=saved,
-        max_events=options.max_events,
-        num_saves=options.num_saves,
-        num_crossings=options.max_events,
-        ts=None if options.ts is None else options.ts - t0,
-    )
+    recording = Recording(options.recorder.since(t0), options.max_events, options.max_events)
     field = build(system, x0, compact=options.compact, transposed=options.reverse)
     watched = watch_sections(sections, field, x0, options.reverse)
     grid = _time_grid(t0, t1, dt, options)
-    return Problem(field, tableau_of(stepper), grid, recording, watched)
+    return problem_of(field, tableau_of(stepper), grid, recording, watched)
 
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
@@ -245,7 +241,8 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     which is an outcome."""
     length = t1 - t0
     valid = dt > resolution(t0, t1)
-    valid = valid if options.ts is None else valid & valid_ts(options.ts, t0, t1)
+    if isinstance(options.recorder, SaveTimes):
+        valid = valid & valid_ts(options.recorder.ts, t0, t1)
     dt = select(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
     most = min(_MOST, float(jnp.finfo(dt.dtype).max))
@@ -261,32 +258,37 @@ def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -
     """The result of a finished lane, as the user sees it. One that has kept nothing has kept its
     end, infinite unless it is the end asked for."""
     t0 = problem.grid.t0
-    t, x, mode = t0 + state.tau, pack(state.x, problem.system.dtype), mode_codes(state.mode)
+    t, x, mode = (
+        t0 + state.motion.tau,
+        pack(state.motion.x, problem.system.dtype),
+        mode_codes(state.motion.mode),
+    )
     if state.saves is None:
         done = is_good(state.result)
         ts, xs = select(done, t, jnp.inf)[None], select(done, x, jnp.inf)[None]
         modes = mode[None]
     else:
         ts, xs, modes = state.saves.ts, state.saves.xs, state.saves.modes
-    if options.with_t0 or options.save == "dense":
+    if options.recorder.with_t0:
         ts, xs = jnp.append(t0[None], ts), jnp.append(x0[None], xs, axis=0)
         modes = jnp.append(mode_codes(state.first_mode)[None], modes, axis=0)
+    sections = sections_in(state)
     return Solution(
         ts=ts,
         xs=xs,
         modes=modes,
         events=events_of(state.table),
-        num_events=state.num_events,
+        num_events=state.counts.num_events,
         result=state.result,
         stats={
-            "num_steps": state.num_accepted,
-            "num_iterations": state.num_iterations,
-            "num_saved": state.num_saved,
+            "num_steps": state.counts.num_accepted,
+            "num_iterations": state.counts.num_iterations,
+            "num_saved": state.counts.num_saved,
         },
         t_final=t,
         x_final=x,
         mode_final=mode,
-        crossings=crossings_of(state.crossings),
-        num_crossings=None if state.watch is None else state.watch.total,
+        crossings=crossings_of(sections and sections.table),
+        num_crossings=sections and sections.watch.total,
         compact=problem.compact,
     )

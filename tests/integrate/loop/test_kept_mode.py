@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil.integrate.lane.problem import NOTHING, KeptMode, Problem, even_grid
+from jaxfil.integrate.lane.problem import KeptMode, even_grid
+from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import integrate
 from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.integrate.system.components import pack
@@ -50,11 +51,10 @@ class Ball(jf.System):
 def run(system, x0, mode, on, compact):
     """The state of the loop at the end."""
     on_components = build(system, x0, compact=compact)
-    problem = Problem(
+    problem = problem_of(
         on_components,
         tableau_of(diffrax.Dopri8()),
         even_grid(jnp.asarray(0.0), jnp.asarray(END), jnp.int32(100)),
-        NOTHING,
         kept=KeptMode(on_components.of_surfaces(jnp.asarray([mode])), jnp.asarray(on)),
     )
     return integrate(problem, on_components.unpack(x0))
@@ -95,8 +95,8 @@ def test_the_motion_is_that_of_the_mode(case, compact):
 
     def end(x0):
         state = run(system, x0, mode, True, compact)
-        x = pack(state.x, x0.dtype)
-        return x, (x, state.result, state.num_events)
+        x = pack(state.motion.x, x0.dtype)
+        return x, (x, state.result, state.counts.num_events)
 
     found, (x, result, contacts) = jax.jit(jax.jacfwd(end, has_aux=True))(x0)
     assert result == RESULTS.successful and contacts == 0
@@ -110,5 +110,5 @@ def test_a_lane_that_keeps_no_mode_meets_its_contacts(case):
     x0 = jnp.asarray(x0)
     state = jax.jit(lambda x: run(system, x, mode, False, True))(x0)
     found = jf.solve(system, x0, 0.0, END, END / 100, throw=False)
-    assert state.num_events > 0 and state.num_events == found.num_events
-    np.testing.assert_array_equal(pack(state.x, x0.dtype), found.xs[-1])
+    assert state.counts.num_events > 0 and state.counts.num_events == found.num_events
+    np.testing.assert_array_equal(pack(state.motion.x, x0.dtype), found.xs[-1])

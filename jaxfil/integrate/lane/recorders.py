@@ -1,0 +1,175 @@
+"""Recorders: which states of a lane are saved, and where.
+
+One for each kind of `diffrax.SaveAt`, and one for the samples of a sweep. A new kind is a subclass
+of `Recorder`.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.extension import Step
+from jaxfil.integrate.lane.problem import Problem, Recorder
+from jaxfil.integrate.lane.recording import entered, mode_codes
+from jaxfil.integrate.lane.state import LoopState, SavedStates
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.system.components import Components, pack
+from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.masked_write import masked_write
+
+
+class SaveSamples(Recorder):
+    """Every `every`-th state at a grid point from number `first` on."""
+
+    name = "samples"
+    size: int = eqx.field(static=True, kw_only=True)
+    """How many there are."""
+    modes: bool = eqx.field(static=True, kw_only=True)
+    """Whether modes are saved too."""
+    first: Array = eqx.field(kw_only=True)
+    every: Array = eqx.field(kw_only=True)
+
+    def empty(self, system: ComponentSystem) -> SavedStates:
+        return _empty(system, self.size, 0, self.size if self.modes else 0)
+
+    def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
+        return self.keep(problem, state, after, step.end.motion.x, step.gridded)
+
+    def keep(
+        self, problem: Problem, state: LoopState, after: LoopState, x: Components, gridded: Array
+    ) -> LoopState:
+        """`after`, with the state x saved if it is at a grid point just reached and a sample."""
+        saves, number = state.saves, state.counts.num_saved
+        assert saves is not None
+        # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
+        save = gridded & (after.counts.index == self.first + number * self.every)
+        rows, row = {"xs": saves.xs}, {"xs": pack(x, problem.system.dtype)}
+        if self.modes:
+            rows["modes"], row["modes"] = saves.modes, mode_codes(after.motion.mode)
+        written = masked_write(rows, number, row, save)
+        return _with(after, dataclasses.replace(saves, **written), save)
+
+
+def _empty(system: ComponentSystem, size: int, ts: int, modes: int) -> SavedStates:
+    """Space for so many states, times and modes; what is not reached stays inf, as in diffrax."""
+    return SavedStates(
+        ts=jnp.full((ts,), jnp.inf, system.dtype),
+        xs=jnp.full((size, system.n), jnp.inf, system.dtype),
+        modes=jnp.zeros((modes, system.m), jnp.int8),
+    )
+
+
+def _with(after: LoopState, saves: SavedStates, save: Array) -> LoopState:
+    """`after` with what is saved, one state more if `save`."""
+    number = after.counts.num_saved + save.astype(jnp.int32)
+    counts = dataclasses.replace(after.counts, num_saved=number)
+    return dataclasses.replace(after, saves=saves, counts=counts)
+
+
+class _InTime(eqx.Module):
+    """A vector field as the rate of time and state together."""
+
+    field: ModeField
+
+    def __call__(self, at: Any) -> Any:
+        t, x = at
+        return jnp.ones_like(t), self.field(t, x)
+
+
+class _Linearised(eqx.Module):
+    """A field together with its linearisation, as the rate of what moves and of its tangent."""
+
+    field: Any
+    by_field: Any
+
+    def __call__(self, at: Any) -> Any:
+        now, rate = eqx.filter_jvp(lambda f, v: f(v), (self.field, at[0]), (self.by_field, at[1]))
+        return now, _or_zero(rate, now)
+
+
+def _or_zero(rate: Any, of: Any) -> Any:
+    """A tangent, zero where equinox has left it out."""
+    return eqx.combine(rate, jax.tree.map(jnp.zeros_like, of))
+
+
+@eqx.filter_custom_jvp
+def _moved(gap: Array, at: Any, field: Any) -> Any:
+    """`at`, which moves along the field with a gap that is zero but for its derivatives. The field
+    is computed for these alone."""
+    return at
+
+
+@_moved.def_jvp
+def _moved_jvp(primals: tuple, tangents: tuple) -> tuple:
+    gap, at, field = primals
+    by_gap, rate, by_field = tangents
+    rate = _or_zero(rate, at)
+    # Both move themselves, which gives the second derivatives, and so on.
+    at, rate = _moved(gap, (at, rate), _Linearised(field, by_field))
+    if by_gap is not None:
+        rate = jax.tree.map(lambda own, f: own + by_gap * f, rate, field(at))
+    return at, rate
+
+
+def _entered(
+    state: LoopState, after: LoopState, system: ComponentSystem, end: tuple, save: Array
+) -> LoopState:
+    """`after` with a time, a state and a mode saved if `save`, and space is left."""
+    saves, number = state.saves, state.counts.num_saved
+    assert saves is not None
+    (t, x, mode), size = end, saves.ts.shape[0]
+    entry = SavedStates(t, pack(x, system.dtype), mode_codes(mode))
+    yes = save & (number < size)
+    return _with(after, entered(saves, jnp.minimum(number, size - 1), yes, entry), save)
+
+
+class SaveTimes(Recorder):
+    """The states at given times, sorted along the direction of time."""
+
+    name = "ts"
+    ts: Array = eqx.field(kw_only=True)
+
+    def since(self, t0: Array) -> "SaveTimes":
+        return dataclasses.replace(self, ts=self.ts - t0)
+
+    def empty(self, system: ComponentSystem) -> SavedStates:
+        return _empty(system, *self.ts.shape * 3)
+
+    def next_time(self, num_saved: Array) -> tuple[Array, Array]:
+        count = self.ts.shape[0]
+        return self.ts[jnp.minimum(num_saved, count - 1)], num_saved < count
+
+    def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
+        motion = step.end.motion
+        t, (at, _) = problem.grid.t0 + motion.tau, self.next_time(state.counts.num_saved)
+        # A grid point does not move with a saving time that is there; what is saved does.
+        field = _InTime(ModeField(problem.system, motion.mode))
+        t, x = _moved(at - motion.tau, (t, motion.x), field)
+        return _entered(state, after, problem.system, (t, x, motion.mode), step.saving)
+
+
+class SaveSteps(Recorder):
+    """The state after every step, contacts included."""
+
+    name = "steps"
+    at_known_times = False
+    size: int = eqx.field(static=True, kw_only=True)
+    """How many there is space for."""
+
+    def empty(self, system: ComponentSystem) -> SavedStates:
+        return _empty(system, self.size, self.size, self.size)
+
+    def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
+        motion = step.end.motion
+        end = problem.grid.t0 + motion.tau, motion.x, motion.mode
+        return _entered(state, after, problem.system, end, step.moved)
+
+
+class SaveDense(SaveSteps):
+    """The same, from which states at all times are computed."""
+
+    name = "dense"

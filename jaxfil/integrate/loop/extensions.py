@@ -1,0 +1,38 @@
+"""The extensions of a run: which there are, and where to find the state of one.
+
+A new one is a subclass of `Extension`, and a line in `problem_of`.
+"""
+
+from typing import Any
+
+from jaxfil.integrate.lane.clocks import Clocks
+from jaxfil.integrate.lane.extension import Extension
+from jaxfil.integrate.lane.problem import NOTHING, KeptMode, Problem, Recording, TimeGrid
+from jaxfil.integrate.lane.state import LoopState
+from jaxfil.integrate.loop.section_search import SectionSearch, SectionState
+from jaxfil.integrate.steppers.explicit import Tableau
+from jaxfil.integrate.surfaces.sections import WatchedSections
+from jaxfil.integrate.system.lowered import ComponentSystem
+
+
+def problem_of(
+    system: ComponentSystem,
+    tableau: Tableau,
+    grid: TimeGrid,
+    recording: Recording = NOTHING,
+    sections: WatchedSections | None = None,
+    kept: KeptMode | None = None,
+) -> Problem:
+    """The problem of one lane, with the extensions that its system and its sections need."""
+    extensions: list[Extension] = []
+    if system.clocks:
+        extensions.append(Clocks())
+    if sections is not None:
+        extensions.append(SectionSearch(sections))
+    return Problem(system, tableau, grid, recording, tuple(extensions), kept)
+
+
+def sections_in(state: LoopState) -> SectionState | None:
+    """What a lane knows of its sections; None if it has none."""
+    own: list[Any] = [v for v in state.extensions if isinstance(v, SectionState)]
+    return own[0] if own else None
