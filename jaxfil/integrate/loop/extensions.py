@@ -9,7 +9,8 @@ from jaxfil.integrate.lane.clocks import Clocks
 from jaxfil.integrate.lane.extension import Extension
 from jaxfil.integrate.lane.problem import NOTHING, KeptMode, Problem, Recording, TimeGrid
 from jaxfil.integrate.lane.state import LoopState
-from jaxfil.integrate.loop.section_search import SectionSearch, SectionState
+from jaxfil.integrate.loop.section_search import SectionSearch
+from jaxfil.integrate.loop.section_state import SectionState
 from jaxfil.integrate.steppers.explicit import Tableau
 from jaxfil.integrate.surfaces.sections import WatchedSections
 from jaxfil.integrate.system.lowered import ComponentSystem

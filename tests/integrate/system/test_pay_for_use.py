@@ -121,10 +121,10 @@ def text(system, **options):
         ("test_pay_for_use.Impact.reset", "impact", "crossing"),
         ("recording.record_event", "events", "crossing"),
         ("recording._kind", "events", "crossing"),
-        ("recording.save_state", "ts", "crossing"),
+        ("recorders.SaveTimes.record", "ts", "crossing"),
         # Sections and clocks.
-        ("section_search.look", "section", "crossing"),
-        ("section_search.follow", "section", "crossing"),
+        ("section_search._look", "section", "crossing"),
+        ("section_search._follow", "section", "crossing"),
         ("clocks._met", "clock", "crossing"),
         ("clocks._moved", "clock", "crossing"),
     ],
