@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from jaxfil.model import check
 from jaxfil.model.clock import Clocks
-from jaxfil.model.system import System, has_resets
+from jaxfil.model.system import System
 from jaxfil.model.types import Scalar
 from jaxfil.xla.select import select
 
@@ -41,17 +41,6 @@ class _DriveResponse(System):
             [jnp.atleast_1d(self.system.switching(t, half)) for half in _halves(x)]
         )
 
-    @property
-    def period(self) -> Array | float | None:
-        return self.system.period
-
-    @property
-    def clocks(self) -> Clocks:
-        return self.system.clocks
-
-
-# A class of its own: that a class defines `reset` is what has the code for impacts compiled.
-class _ImpactingDriveResponse(_DriveResponse):
     def reset(self, t: Array, x: Array, surface: Array) -> Array:
         # Surfaces 0 … m − 1 are the drive's, m … 2m − 1 the response's; an impact of one leaves the
         # other where it is.
@@ -63,6 +52,18 @@ class _ImpactingDriveResponse(_DriveResponse):
             jnp.concatenate([self.system.reset(t, drive, own), response]),
             jnp.concatenate([drive, self.system.reset(t, response, own)]),
         )
+
+    @property
+    def resets(self) -> bool:
+        return self.system.resets
+
+    @property
+    def period(self) -> Array | float | None:
+        return self.system.period
+
+    @property
+    def clocks(self) -> Clocks:
+        return self.system.clocks
 
 
 def drive_response(system: System, coupling: Scalar) -> System:
@@ -92,5 +93,4 @@ def drive_response(system: System, coupling: Scalar) -> System:
     [0, 0]
     """
     check.system("system", system)
-    coupling = jnp.asarray(coupling)
-    return (_ImpactingDriveResponse if has_resets(system) else _DriveResponse)(system, coupling)
+    return _DriveResponse(system, jnp.asarray(coupling))

@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from jaxfil.model.clock import Clock, Clocks
 from jaxfil.model.parameter import parameters
-from jaxfil.model.system import System, has_resets
+from jaxfil.model.system import System
 from jaxfil.xla.known import array_of
 
 # Steps are counted in 32 bits, on every device and in every precision.
@@ -180,7 +180,7 @@ def shapes(value: System, x: Array) -> tuple[int, ...]:
             f"(m,), got shape {h}."
         )
     _same_as_state(value, "vector_field", t=t, x=x, side=jnp.ones(h, x.dtype))
-    if has_resets(value):
+    if value.resets:
         _same_as_state(value, "reset", t=t, x=x, surface=jnp.zeros((), jnp.int32))
     return h
 

@@ -30,6 +30,8 @@ class System(eqx.Module):
     differentiated, batched, and new values never recompile.
 
     `reset` is there for impacts: without it none are compiled. `period` is that of the forcing.
+    One that wraps another system gives `slides`, `resets`, `period` and `clocks` of that, as
+    properties.
 
     **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer
     (1988), for what a solution is on a surface.
@@ -92,7 +94,14 @@ class System(eqx.Module):
         runs into none. A surface that throws back bounds the region H ≥ 0: a run that starts on it
         and moves towards H < 0 starts with an impact, one that moves away has left it.
         """
-        return x  # never called: `has_resets` looks whether a class has its own
+        return x  # never called: a system without a `reset` of its own has no `resets`
+
+    @property
+    def resets(self) -> bool:
+        """Whether contacts are impacts: by default if the class defines `reset`. Where this is
+        False the code for impacts is not compiled and `reset` is never called, so that a wrapper
+        may define `reset` for any system, and give that system's `resets` here."""
+        return type(self).reset is not System.reset
 
     @property
     def period(self) -> Array | float | None:
@@ -104,11 +113,6 @@ class System(eqx.Module):
     def clocks(self) -> Clocks:
         """The `Clock`s at whose ticks the field or H jumps; none by default."""
         return ()
-
-
-def has_resets(system: System) -> bool:
-    """Whether the class of `system` defines `reset`."""
-    return type(system).reset is not System.reset
 
 
 class _Piecewise(System):
@@ -259,6 +263,6 @@ def smoothed(system: System, width: Array | float) -> System:
         raise ValueError(f"`system` must be a jaxfil.System, got {type(system).__name__}.")
     if not isinstance(width, jax.core.Tracer) and not np.all(np.asarray(width) > 0):
         raise ValueError(f"`width` must be positive, got {width!r}.")
-    if has_resets(system):
+    if system.resets:
         raise ValueError("`system` must have no `reset`: an impact cannot be smoothed.")
     return _Smoothed(system, jnp.asarray(width))

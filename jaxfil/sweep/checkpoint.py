@@ -31,7 +31,7 @@ from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.section import Section
-from jaxfil.model.system import System, has_resets
+from jaxfil.model.system import System
 from jaxfil.model.types import Dataset, PathLike
 from jaxfil.model.warning import warn
 from jaxfil.sweep.conditions import Conditions
@@ -220,7 +220,7 @@ def equations(system: System, x: np.ndarray) -> str:
     def everything(leaves: System, t: Array, x: Array) -> tuple[Any, ...]:
         s = eqx.combine(leaves, static)
         field = s.vector_field(t, x, jnp.ones(h, x.dtype))
-        after = s.reset(t, x, jnp.zeros((), jnp.int32)) if has_resets(s) else None
+        after = s.reset(t, x, jnp.zeros((), jnp.int32)) if s.resets else None
         return field, s.switching(t, x), after, s.period, s.clocks
 
     text = jax.jit(everything).lower(leaves, jnp.zeros((), state.dtype), state).as_text()

@@ -11,7 +11,7 @@ from jaxfil.exponents.frame import generic_frame, gram_schmidt
 from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.lowered import build
 from tests.exponents.test_lyapunov import ONCE, Linear, MovingTable, rows_of
-from tests.integrate.system.test_large_state import MORE, padded, wide
+from tests.integrate.system.test_large_state import MORE, Padded, wide
 
 FEW, MANY = 4, 20
 
@@ -62,10 +62,10 @@ def test_many_directions_go_through_contacts_as_few_do():
     more = np.arange(MORE + 1).sum() / 8
     # An impact at a time that the state moves: the volume shrinks by it as it does alone.
     system, x0 = MovingTable(jnp.asarray(0.8)), jnp.array([1.0, 0.0])
-    found = jf.lyapunov_spectrum(padded(system), wide(x0), **ONCE, interval=2.0)
+    found = jf.lyapunov_spectrum(Padded(system), wide(x0), **ONCE, interval=2.0)
     assert_allclose(found.exponents.sum(), np.log(0.8) - 0.1 - more, rtol=1e-7)
     # One direction is lost where the block sticks, and no other one is.
     found = jf.lyapunov_spectrum(
-        padded(jf.systems.MovingBelt()), wide(jnp.array([3.0, 0.0])), **ONCE, interval=12.0
+        Padded(jf.systems.MovingBelt()), wide(jnp.array([3.0, 0.0])), **ONCE, interval=12.0
     )
     assert np.isneginf(found.exponents).sum() == 1

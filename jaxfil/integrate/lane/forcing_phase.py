@@ -18,7 +18,7 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import TimeGrid
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.model import check
-from jaxfil.model.system import System, has_resets
+from jaxfil.model.system import System
 from jaxfil.xla.select import select
 
 # When the system is looked at, in periods: at both, forces of another period are not zero.
@@ -36,7 +36,7 @@ def repeats(system: System, period: Array, x: Array) -> Array:
 
     def values(t: Array, side: Array) -> Array:
         own = system.vector_field(t, x, side * jnp.ones(m, x.dtype)), system.switching(t, x)
-        if has_resets(system):
+        if system.resets:
             count = m[0] if m else 1
             own += tuple(system.reset(t, x, jnp.asarray(j)) for j in range(count))
         return jnp.concatenate([jnp.ravel(v) for v in own])

@@ -23,7 +23,7 @@ from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.clock import Clocks
 from jaxfil.model.parameter import cast
-from jaxfil.model.system import System, has_resets
+from jaxfil.model.system import System
 from jaxfil.xla.select import select
 
 Observe: TypeAlias = Callable[[Array, Array, Array], Any]
@@ -55,7 +55,7 @@ class Observable(eqx.Module):
 
 
 class _WithRate(System):
-    """A system with more components behind its state, which no surface sees."""
+    """A system with more components behind its state, that no surface sees and no reset changes."""
 
     system: System
     function: Observe
@@ -73,23 +73,22 @@ class _WithRate(System):
     def slides(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.system.slides
 
+    def reset(self, t: Array, x: Array, surface: Array) -> Array:
+        after = self.system.reset(t, x[: self.n], surface)
+        return jnp.concatenate([after, x[self.n :]])
+
+    @property
+    def resets(self) -> bool:
+        return self.system.resets
+
     @property
     def clocks(self) -> Clocks:
         return self.system.clocks
 
 
-class _WithImpacts(_WithRate):
-    """The same of a system with impacts, which do not change these components."""
-
-    def reset(self, t: Array, x: Array, surface: Array) -> Array:
-        after = self.system.reset(t, x[: self.n], surface)
-        return jnp.concatenate([after, x[self.n :]])
-
-
 def with_rate(system: System, observable: Observable, x: Array) -> tuple[System, Array]:
     """A system with more components, whose rate is what is observed; its state, x and zeros."""
-    make = _WithImpacts if has_resets(system) else _WithRate
-    wider = make(system, observable.function, x.shape[0])
+    wider = _WithRate(system, observable.function, x.shape[0])
     return wider, jnp.concatenate([x, jnp.zeros((observable.size,), x.dtype)])
 
 

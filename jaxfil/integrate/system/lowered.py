@@ -25,7 +25,7 @@ from jaxfil.integrate.system.components import Components, Forcing, on_each, pac
 from jaxfil.integrate.system.dependencies import Structure
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.model import check
-from jaxfil.model.system import System, has_resets
+from jaxfil.model.system import System
 from jaxfil.xla.select import select
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 
@@ -219,7 +219,7 @@ def build(system: System, x0: Array, *, compact: bool, transposed: bool = False)
     _check_sharding(x0)
     h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
-    if len(x0) > _FEW[compact] and m > _FEW_SURFACES[compact] and not has_resets(system):
+    if len(x0) > _FEW[compact] and m > _FEW_SURFACES[compact] and not system.resets:
         packed = _build(system, x0, compact, transposed, h_shape, packed=True)
         if packed.structure.separate and packed.structure.members is not None:
             return packed
@@ -238,7 +238,7 @@ def _build(
     n, dtype = x0.shape[0], x0.dtype
     t0, x = jnp.zeros((), dtype), _unpacked(x0, compact)
     m = 1 if h_shape == () else h_shape[0]
-    resets = has_resets(system) and m > 0
+    resets = system.resets and m > 0
     leaves, static = eqx.partition(system, eqx.is_array)
     field, switching, reset = _on_components(static, h_shape, dtype, compact, packed)
     sides = Components([jnp.ones((m,), dtype)] if packed else (jnp.ones((), dtype),) * m)

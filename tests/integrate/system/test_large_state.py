@@ -41,18 +41,13 @@ class Padded(jf.System):
     def switching(self, t, x):
         return self.of.switching(t, x[: x.size - self.count])
 
-
-class PaddedWall(Padded):
-    """The same with resets."""
-
     def reset(self, t, x, surface):
         own, more = jnp.split(x, [x.size - self.count])
         return jnp.concatenate([self.of.reset(t, own, surface), more])
 
-
-def padded(system):
-    walls = type(system).reset is not jf.System.reset
-    return (PaddedWall if walls else Padded)(system)
+    @property
+    def resets(self):
+        return self.of.resets
 
 
 def wide(x):
@@ -71,7 +66,7 @@ SCENES = {
 @pytest.mark.parametrize("compact", [True, False])
 def test_contacts_and_states_are_those_of_the_few(name, compact):
     system, x0, t1 = SCENES[name]
-    big = padded(system)
+    big = Padded(system)
     x = wide(x0)
     built = build(big, x, compact=False)
     separate = build(system, jnp.array(x0), compact=False).structure.separate
@@ -96,11 +91,11 @@ def test_jacobians_are_those_of_the_few(name):
         return jf.solve(system, x, 0.0, t1 / 2, 0.05, max_events=None).xs[-1]
 
     few = jax.jit(jax.jacfwd(lambda x: end(system, x)))(jnp.array(x0))
-    many = jax.jit(jax.jacfwd(lambda x: end(padded(system), x)))(wide(x0))
+    many = jax.jit(jax.jacfwd(lambda x: end(Padded(system), x)))(wide(x0))
     n = len(x0)
     assert_allclose(many[:n, :n], few, rtol=1e-9, atol=1e-11)
     assert_allclose(many[:n, n:], 0.0, rtol=0, atol=1e-13)
-    back = jax.jit(jax.jacrev(lambda x: end(padded(system), x)))(wide(x0))
+    back = jax.jit(jax.jacrev(lambda x: end(Padded(system), x)))(wide(x0))
     assert_allclose(back, many, rtol=1e-12, atol=1e-13)
 
 
@@ -112,16 +107,16 @@ def test_sweeps_orbits_and_exponents():
     few = jf.bifurcation_diagram(system, "omega", values, x0, compact=True, **options)
     for compact in (True, False):
         many = jf.bifurcation_diagram(
-            padded(system), "of.omega", values, wide(x0), compact=compact, **options
+            Padded(system), "of.omega", values, wide(x0), compact=compact, **options
         )
         assert_allclose(many.xs[..., :2], few.xs, rtol=1e-10, atol=1e-12)
     few, many = (
-        jf.periodic_orbit(s, x, **few_stages) for s, x in ((system, x0), (padded(system), wide(x0)))
+        jf.periodic_orbit(s, x, **few_stages) for s, x in ((system, x0), (Padded(system), wide(x0)))
     )
     assert_allclose(many.x0[:2], few.x0, rtol=1e-11)
     few, many = (
         jf.lyapunov_spectrum(s, x, periods=40, transient=40, **few_stages)
-        for s, x in ((system, x0), (padded(system), wide(x0)))
+        for s, x in ((system, x0), (Padded(system), wide(x0)))
     )
     # The frame need not have turned to each direction for their sum to be the divergence.
     assert_allclose(
@@ -134,7 +129,7 @@ def test_checkpointed_gradients_and_float32():
 
     def end(x, **options):
         options["stepper"] = diffrax.Tsit5()
-        end = jf.solve(padded(system), x, 0.0, t1 / 4, 0.05, **options).xs[-1]
+        end = jf.solve(Padded(system), x, 0.0, t1 / 4, 0.05, **options).xs[-1]
         return end[0], end
 
     adjoint = {"adjoint": diffrax.RecursiveCheckpointAdjoint(), "max_steps": 500}
@@ -150,7 +145,7 @@ def test_stiff_steps():
     system, x0, t1 = SCENES["crossings"]
     few, many = (
         jf.solve(s, jnp.asarray(x), 0.0, t1, 0.05, stepper=jf.Rodas5P()).xs[-1]
-        for s, x in ((system, x0), (padded(system), wide(x0)))
+        for s, x in ((system, x0), (Padded(system), wide(x0)))
     )
     assert_allclose(many[:2], few, rtol=1e-11)
 
