@@ -44,7 +44,8 @@ class Synchronization(eqx.Module):
     """How long drive and response were given."""
     bias: Float[Array, ""]
     """By how much the estimate is expected to lie above λ1: half a step of the grid, and
-    log(d0/tolerance)/time, since the distance must fall from its initial d0 within that time."""
+    log(d0/tolerance)/time, since the distance must fall from its initial d0 within that time. NaN
+    if the lowest coupling synchronises already, or none does: λ1 is then in no step of the grid."""
     x0: Float[Array, " n"]
     """The drive's state before the transient."""
     results: RESULTS
@@ -62,10 +63,16 @@ class Synchronization(eqx.Module):
             return f"Synchronization{told}: a batch of shape {self.exponent.shape}"
         state = np.array2string(np.asarray(self.x0), precision=6, separator=", ")
         low, high = float(self.couplings[0]), float(self.couplings[-1])
+        if not np.any(self.synchronized):
+            exponent = "no exponent, for no coupling synchronises"
+        elif self.synchronized[0]:
+            exponent = f"exponent at most {low:.5g}, the lowest of the couplings"
+        else:
+            bias = f"biased by about {float(self.bias):.2g}"
+            exponent = f"exponent {float(self.exponent):.5g}, {bias}"
         return "\n".join(
             [
-                f"Synchronization{told}: exponent {float(self.exponent):.5g}, biased by "
-                f"about {float(self.bias):.2g}",
+                f"Synchronization{told}: {exponent}",
                 f"  {int(np.sum(self.synchronized))} of {self.couplings.size} couplings from "
                 f"{low:g} to {high:g} synchronise to {float(self.tolerance):.1g} within a time of "
                 f"{float(self.time):.6g}, from x0 = {state}",

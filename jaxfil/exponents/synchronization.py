@@ -198,10 +198,12 @@ def _threshold(
     def told(nearest: Array, results: RESULTS) -> Synchronization:
         met = nearest <= tolerance
         time = periods.astype(x0.dtype) * interval.length
-        # Somewhere in the last step of the grid: its middle is half a step below its end.
-        spacing = jnp.diff(couplings)[jnp.argmax(met) - 1] if couplings.shape[0] > 1 else 0.0
+        first = jnp.argmax(met)  # 0, too, if none has met
+        # λ1 is in the step of the grid that ends at the answer, whose middle is half a step below.
+        # Nothing is known to lie below the lowest coupling: no step ends there.
+        spacing = jnp.diff(couplings, prepend=jnp.nan)[first]
         return Synchronization(
-            exponent=select(jnp.any(met), couplings[jnp.argmax(met)], jnp.nan),
+            exponent=select(jnp.any(met), couplings[first], jnp.nan),
             couplings=couplings,
             distances=nearest,
             synchronized=met,

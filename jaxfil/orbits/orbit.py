@@ -26,14 +26,9 @@ from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.extremum import largest
 from jaxfil.orbits.orbit_arrays import orbit_arrays
-from jaxfil.orbits.shooting import (
-    ShootingOptions,
-)
+from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.known import in_numpy
 from jaxfil.xla.select import select
-
-# An autonomous period below this part of the guess is not looked for.
-_SHORTEST = 1 / 16
 
 
 class Orbit(eqx.Module):

@@ -229,6 +229,22 @@ def test_the_threshold_of_a_linear_system_and_its_bias():
     assert np.isnan(none.exponent) and not np.any(none.synchronized)
 
 
+def test_the_bias_has_half_of_the_step_of_the_grid_that_the_exponent_lies_in():
+    """What synchronises has ε ≥ 0.0195 or so. Where the lowest coupling does already, or none does,
+    no step holds the exponent, and nothing is known of how far off the answer is."""
+    run = {"periods": 100, "transient": 0, "interval": 4.0, "stepper": jf.RK4(), "tolerance": 1e-9}
+    grids = jnp.array([[-0.3, 0.0, 0.06], [0.0, 0.04, 0.5], [0.03, 0.1, 0.4], [-0.9, -0.5, -0.4]])
+    system, x0 = Decay(jnp.asarray(-0.02)), jnp.array([1.0, 0.0])
+    found = [jf.synchronization_exponent(system, x0, grid, **run) for grid in grids]
+    assert_array_equal([f.exponent for f in found], [0.06, 0.04, 0.03, np.nan])
+    late = np.log(1e-2 / 1e-9) / 400
+    assert_allclose([f.bias for f in found], [0.03 + late, 0.02 + late, np.nan, np.nan], rtol=1e-12)
+    told = [repr(f).splitlines()[0] for f in found]
+    assert told[1] == "Synchronization: exponent 0.04, biased by about 0.06"
+    assert told[2] == "Synchronization: exponent at most 0.03, the lowest of the couplings"
+    assert told[3] == "Synchronization: no exponent, for no coupling synchronises"
+
+
 def test_the_rate_of_a_linear_system():
     run = {"periods": 200, "transient": 10, "interval": 0.5, "stepper": jf.RK4()}
     system, x0 = Decay(jnp.asarray(0.02)), jnp.array([1.0, 1.0])

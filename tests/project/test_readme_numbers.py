@@ -72,11 +72,14 @@ def over(values):
 def said():
     """The rows and sentences with numbers, as the results have them."""
     numba, cpp, scenes = "numba vector", "C++ vector", ("belt", "sd")
-    belt, sd = (of("diffrax events", [scene]) for scene in scenes)
-    yield f"`Event` in a loop | {span(belt, 3)} | {span(sd)} |"
-    yield f"with events | {span(of('SciPy events'), 3)} |"
-    yield f"heyoka in batches | {span(of('heyoka'))} |"
-    yield f"numba, one lane at a time | {span(of('numba scalar'))} |"
+    for program, who, digits in (
+        ("`Event` in a loop", "diffrax events", (3, 2)),
+        ("with events", "SciPy events", (3, 3)),
+        ("heyoka in batches", "heyoka", (2, 2)),
+        ("numba, one lane at a time", "numba scalar", (2, 2)),
+    ):
+        belt, sd = (span(of(who, [s]), d) for s, d in zip(scenes, digits, strict=True))
+        yield f"{program} | {belt} | {sd} |"
     # Of the shortest step of RK4, on belt friction that is for 1e-7.
     rk4 = [over(by_method(*row)) for row in RK4]
     dop = [over(by_method(scene, numba, "dop853")) for scene in scenes]

@@ -100,9 +100,9 @@ def solve(
       `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
       or `ts`.
     - `compact`: whether the stages of a step are a loop in the program and not written out: it
-      compiles in two thirds of the time, and runs half as fast again for one lane and three or
-      four times as long for many. By default so for up to 8 lanes of a `jax.vmap` around the call
-      (one around a `jax.jit` that the call is in is not seen).
+      compiles in a third to a half of the time, and runs one and a half times as long for one lane
+      and five to ten times as long for many. By default so for up to 8 lanes of a `jax.vmap` around
+      the call (one around a `jax.jit` that the call is in is not seen).
     - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
       nothing of the motion. The table of them has `max_events` rows too.
     - `observe`: a function of the time, the state, shape (n,), and the sides, as

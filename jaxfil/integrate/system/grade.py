@@ -3,10 +3,10 @@
 What a user asked for, and how much work a call is, enter; whether the stages of a step are a loop
 in the program (`stepper.compact_step`) leaves. Its sines are XLA's own, one operation in place of
 twenty, which do not vectorise (`trace`), but for arrays of them that need time alone: these are
-found once for all stages. A compact program compiles in half the time or a third of it, and runs
-half as long again for one lane. Its lanes are run one after the other, which is the program of one
-lane: a batch of many takes five to seven times as long as in a program that is written out. Where a
-call runs for milliseconds a compact program is the better one, where it runs for seconds the other.
+found once for all stages. A compact program compiles sooner and runs longer, for many lanes above
+all: these are run one after the other, by the program of one lane. How much, the docstring of
+`solve` says. Where a call runs for milliseconds a compact program is the better one, where it runs
+for seconds the other.
 """
 
 from typing import Any
