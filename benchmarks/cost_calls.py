@@ -20,7 +20,7 @@ import numpy as np
 import jaxfil as jf
 from benchmarks.table import Column, table
 from benchmarks.timing import timed
-from benchmarks.worker import Counter
+from tests.oracles.compilations import Counter
 
 # RK4, with fewer stages, compiles faster than both.
 STEPPERS = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5()}

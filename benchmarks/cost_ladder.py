@@ -15,10 +15,11 @@ import jax
 import numpy as np
 
 import jaxfil as jf
-from benchmarks import cost_scenes, hlo
+from benchmarks import cost_scenes
 from benchmarks.table import Column, table
 from jaxfil.sweep.execution import BLOCK, compiled
 from jaxfil.xla.kernel import one_kernel
+from tests.oracles import hlo
 
 LANES, STEPS = 1024, 40
 # Where surfaces are met.

@@ -16,10 +16,10 @@ import numpy as np
 
 import jaxfil as jf
 from benchmarks import RESULTS
-from benchmarks.extreme_systems import Circle, Comb, Parabolas, Ring, Scaled, Spring, Turn
 from benchmarks.pieces import motion
 from benchmarks.table import Column, table
 from jaxfil.model.outcomes import outcome_names
+from tests.oracles.extreme_systems import Circle, Comb, Parabolas, Ring, Scaled, Spring, Turn
 
 COLUMNS = (
     Column("scene"),

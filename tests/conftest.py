@@ -7,8 +7,8 @@ folder, `python -m pytest tests/orbits`, the quick tests of it by `-m "not slow"
 a release must pass (notebooks, figures, long comparisons with exact motions) is marked `release`.
 
 What several rooms use is here: `problems`, a bank of problems with known answers, by name and by
-tag; `results`, what is done with a solution; `pictures`, a picture of each
-kind, and their references. Exact motions of random systems are in `benchmarks.reliability`.
+tag; `oracles`, exact motions and other things to compare with; `results`, what is done with a
+solution; `pictures`, a picture of each kind, and their references.
 """
 
 import gc

@@ -11,8 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from beartype import beartype
-
 DOORS = (
     "jaxfil.model",
     "jaxfil.plot",
@@ -28,6 +26,9 @@ _NAMES = (Path(__file__).parent.parent / "jaxfil" / "__init__.pyi").read_text()
 
 def inner(function: Callable) -> Any:
     """The function with its types checked, unless it is one that checks its arguments itself."""
+    # Programs that import from the tests, as the benchmarks do, may do without it.
+    from beartype import beartype
+
     public = f" {function.__qualname__} as {function.__qualname__}" in _NAMES
     door = any(f"{function.__module__}.".startswith(f"{name}.") for name in DOORS)
     return function if public or door else beartype(function)

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from benchmarks.reliability.relay_motion import Motion
 from benchmarks.reliability.verdict import DECIDED, Verdict
-from benchmarks.reliability.wall_motion import Walls
 from jaxfil import EventKind
 from jaxfil.model.outcomes import outcome_names
+from tests.oracles.random_problems import random_direction
+from tests.oracles.relay_motion import Motion
 
 # Errors allowed, relative to the size of the motion: outright, or times what a change of the
 # problem by 1 does to the motion.
@@ -73,16 +73,6 @@ def values(motion: Motion):
     """The end, and the times of the contacts compared and the states there."""
     before = np.reshape(motion.before, (-1, len(motion.x)))
     return motion.x, np.asarray(motion.ts)[sure(motion)], before[sure(motion)]
-
-
-def random_direction(system, x0, seed):
-    """A change of everything, of order one; what is zero of a system with walls stays so: that
-    coordinates change by their velocities alone, and that a wall throws nothing back."""
-    rng = np.random.default_rng([seed, 1])
-    by = [rng.normal(size=np.shape(v)) for v in system]
-    if isinstance(system, Walls):
-        by = [np.where(np.asarray(v) == 0, 0.0, u) for u, v in zip(by, system, strict=True)]
-    return type(system)(*by), rng.normal(size=x0.shape)
 
 
 def moved(exact, problem, direction, step):

@@ -16,6 +16,7 @@ from benchmarks.reliability.comparison import Lane, counted, structure, values
 from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.verdict import DECIDED, Group, Verdict
 from jaxfil.model.outcomes import outcome_names
+from tests.oracles.random_problems import RelaySystem, random_direction
 
 # Errors allowed, relative to the largest derivative and the size of the motion.
 ALLOWED = 1e-7
@@ -32,7 +33,7 @@ SHAPES = {
 def solver(kind):
     """Solutions of a chunk and their derivatives along directions."""
     make, t1, room = (
-        (relays.RelaySystem, relays.T1, relays.ROOM)
+        (RelaySystem, relays.T1, relays.ROOM)
         if kind == "relays"
         else (walls.WallSystem, walls.T1, walls.ROOM)
     )
@@ -99,7 +100,7 @@ def group(kind, n, m, count, seed):
     """The verdicts on the decided ones of `count` systems."""
     exact = (relays if kind == "relays" else walls).exact
     found = problems_of(kind, n, m, count, seed)
-    directions = [comparison.random_direction(*problem, i) for i, problem, *_ in found]
+    directions = [random_direction(*problem, i) for i, problem, *_ in found]
     inputs = [(p, d) for (_, p, *_), d in zip(found, directions, strict=True)]
     slopes, rest = in_chunks(solver(kind), inputs, np.asarray([dt for *_, dt in found]))
     names, verdicts = outcome_names(rest[0]), []

@@ -6,15 +6,14 @@ and the state and mode at the end.
 """
 
 import equinox as eqx
-import jax
 import numpy as np
 
 import jaxfil as jf
 from benchmarks.reliability import comparison
 from benchmarks.reliability.lanes import counts, in_chunks
-from benchmarks.reliability.relay_modes import Relays
-from benchmarks.reliability.relay_motion import propagate
 from benchmarks.reliability.verdict import Group
+from tests.oracles.random_problems import RelaySystem, random_system
+from tests.oracles.relay_motion import propagate
 
 T1 = 4.0
 # Contacts that a solution keeps, and that an exact motion may have.
@@ -27,37 +26,6 @@ SHAPES = {
     **{(n, 2): 0.095 for n in (2, 3, 4, 5, 6)},
     (3, 3): 0.025,
 }
-
-
-class RelaySystem(jf.System):
-    """x' = A x + b + Σ_j side_j (c_j + g_j H_j), H = N x - d."""
-
-    a: jax.Array
-    b: jax.Array
-    c: jax.Array
-    g: jax.Array
-    n: jax.Array
-    d: jax.Array
-
-    def vector_field(self, t, x, side):
-        relays = self.c + self.g * self.switching(t, x)[:, None]
-        return self.a @ x + self.b + side @ relays
-
-    def switching(self, t, x):
-        return self.n @ x - self.d
-
-
-def random_system(seed, m, n=3):
-    """A system of order one that turns, with surfaces near its state and mostly attracting."""
-    rng = np.random.default_rng(seed)
-    a = rng.normal(size=(n, n))
-    a = 1.5 * (a - a.T) + 0.4 * rng.normal(size=(n, n)) - 0.3 * np.eye(n)
-    normals, c = rng.normal(size=(m, n)), 1.5 * rng.normal(size=(m, n))
-    attracts = rng.random(m) < 0.8
-    c = np.where((attracts & ((normals * c).sum(axis=1) > 0))[:, None], -c, c)
-    g = rng.normal(size=(m, n)) * (rng.random((m, 1)) < 0.5)
-    d = 0.5 * rng.normal(size=m)
-    return Relays(a, rng.normal(size=n), c, g, normals, d), rng.normal(size=n)
 
 
 @eqx.filter_jit

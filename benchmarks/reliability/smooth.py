@@ -13,10 +13,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import jaxfil as jf
-from benchmarks.reliability.comparison import random_direction
 from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.verdict import Group, Verdict
 from jaxfil.model.outcomes import outcome_names
+from tests.oracles.random_problems import random_direction
 
 T1, WAVES = 5.0, 4
 RESOLVED = 0.3

@@ -12,7 +12,7 @@ import jaxfil as jf
 from benchmarks.reliability import comparison
 from benchmarks.reliability.lanes import counts, in_chunks
 from benchmarks.reliability.verdict import Group
-from benchmarks.reliability.wall_motion import Walls, propagate
+from tests.oracles.wall_motion import Walls, propagate
 
 T1 = 6.0
 ROOM, MOST = 512, 2000

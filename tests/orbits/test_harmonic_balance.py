@@ -8,10 +8,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from benchmarks.worker import Counter
 from jaxfil import RESULTS
 from jaxfil.model.outcomes import outcome_names
 from jaxfil.orbits import harmonic_balance as harmonic
+from tests.oracles.compilations import Counter
 from tests.problems import closed_forms
 
 S = jf.systems

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from benchmarks.worker import Counter
+from tests.oracles.compilations import Counter
 
 X0, SPAN = jnp.array([3.0, 0.0]), (0.0, 14.0, 0.1)
 COULOMB = jf.systems.CoulombOscillator()

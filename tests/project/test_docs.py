@@ -16,9 +16,11 @@ import pytest
 
 import jaxfil as jf
 from tests import ROOT
+from tests.project.repository import need
 from tests.project.test_docstrings import CLASSES, FUNCTIONS, SYSTEMS, members
 from tests.project.test_layout import project
 
+need("docs")
 DOCS = ROOT / "docs"
 # A fenced block of Python, indented within a tab, and the text just below it, which it prints.
 FENCED = re.compile(r"^( *)```python\n(.*?)^\1```\n(?:\s*^\1```text\n(.*?)^\1```)?", re.M | re.S)

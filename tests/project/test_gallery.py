@@ -4,8 +4,12 @@ import sys
 
 import diffrax
 import numpy as np
+import pytest
 
 import jaxfil as jf
+
+pytest.importorskip("benchmarks", reason="the sources of a release do not have them")
+
 from benchmarks import gallery
 from tests.pictures import SD, made
 

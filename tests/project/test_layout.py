@@ -239,5 +239,18 @@ def test_an_extra_declares_what_its_folder_imports(extra, folder):
     assert used <= declared(project()["dependencies"] + project()["optional-dependencies"][extra])
 
 
+def test_only_tests_of_the_benchmarks_need_them():
+    """The sources of a release come with the tests and without the benchmarks."""
+    sources = {f.relative_to(ROOT / "tests"): f.read_text() for f in (ROOT / "tests").rglob("*.py")}
+    needy = {
+        str(file): source
+        for file, source in sources.items()
+        if any(name.startswith("benchmarks.") for name in imported(ast.parse(source)))
+    }
+    about = ("gallery", "paper", "programs", "readme_numbers", "reliability")
+    assert {*needy} == {f"project/test_{name}.py" for name in about}
+    assert all('pytest.importorskip("benchmarks"' in source for source in needy.values())
+
+
 def test_the_package_knows_its_version():
     assert jf.__version__ == project()["version"]

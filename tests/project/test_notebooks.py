@@ -12,7 +12,9 @@ import nbformat
 import pytest
 
 from tests import ROOT
+from tests.project.repository import need
 
+need("notebooks")
 FOLDER = ROOT / "notebooks"
 SMALL = {
     "01_first_system": {"POINTS": 5},

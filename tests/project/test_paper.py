@@ -10,6 +10,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
+
+pytest.importorskip("benchmarks", reason="the sources of a release do not have them")
+
 from benchmarks.page import pages
 from benchmarks.paper import canvas, fig4, fig5, fig6, fig8, fig9, fig10, fig11, section5
 from benchmarks.paper.__main__ import RESULTS

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+pytest.importorskip("benchmarks", reason="the sources of a release do not have them")
+
 from benchmarks.work_precision import (
     diffrax_events,
     front,

@@ -9,7 +9,9 @@ import pytest
 
 from tests import ROOT
 from tests.project.readme import LINKS, README, blocks
+from tests.project.repository import need
 
+need("docs", ".ci")  # where links lead, and the command of CI
 # Whom README cites; another host is added here on purpose.
 HOSTS = {"docs.jax.dev", "docs.kidger.site", "docs.scipy.org", "docs.sciml.ai"}
 

@@ -6,8 +6,8 @@ import pytest
 import scipy.optimize
 
 import jaxfil as jf
-from benchmarks.fit import GUESSES, NAMES, TRUE, TS, X0, Block, data, motion, seen, stepped
 from jaxfil.model.outcomes import outcome_names
+from tests.oracles.block import GUESSES, NAMES, TRUE, TS, X0, Block, data, motion, seen, stepped
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from benchmarks.worker import Counter
 from jaxfil.__main__ import main
+from tests.oracles.compilations import Counter
 from tests.problems import PROBLEMS, closed_forms
 
 DTS = [0.1, 0.05, 0.025]

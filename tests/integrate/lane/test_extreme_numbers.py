@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
-from benchmarks.extreme_systems import Circle
 from jaxfil import RESULTS
 from tests.integrate.run.test_solve import Scaled
+from tests.oracles.extreme_systems import Circle
 
 
 def test_grazing_within_1e_14():

@@ -18,11 +18,10 @@ from hypothesis.extra import numpy as arrays
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from benchmarks.reliability import relay_motion as exact
-from benchmarks.reliability.comparison import random_direction
-from benchmarks.reliability.relay_modes import Relays
-from benchmarks.reliability.relays import RelaySystem, random_system
 from jaxfil import RESULTS, EventKind
+from tests.oracles import relay_motion as exact
+from tests.oracles.random_problems import RelaySystem, random_direction, random_system
+from tests.oracles.relay_modes import Relays
 
 T1, MOST, LANES = 4.0, 24, 32
 DECIDED = 1e-7

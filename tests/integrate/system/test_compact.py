@@ -6,8 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from benchmarks import hlo
 from jaxfil.xla.lanes import lanes_of
+from tests.oracles import hlo
 
 X0 = jnp.array([0.1, 0.2])
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from benchmarks import hlo
-from benchmarks.worker import Counter
+from tests.oracles import hlo
+from tests.oracles.compilations import Counter
 
 
 class Smooth(jf.System):

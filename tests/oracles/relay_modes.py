@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.reliability.polynomials import REAL
+from tests.oracles.polynomials import REAL
 
 
 class Relays(NamedTuple):

@@ -8,8 +8,8 @@ import itertools
 
 import numpy as np
 
-from benchmarks.reliability.polynomials import REAL, TERMS, Margin, bisected, turning_points
-from benchmarks.reliability.relay_modes import Relays, mode_field
+from tests.oracles.polynomials import REAL, TERMS, Margin, bisected, turning_points
+from tests.oracles.relay_modes import Relays, mode_field
 
 
 def appearance(rows, terms, length, margin: Margin):

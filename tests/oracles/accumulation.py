@@ -8,7 +8,7 @@ an error of s².
 
 import numpy as np
 
-from benchmarks.reliability.relay_modes import Relays
+from tests.oracles.relay_modes import Relays
 
 CLOSE, NEAR, LONGEST_ROUND, TINY = 1e-9, 1e-3, 8, 1e-300
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.reliability.polynomials import REAL, TERMS, Margin, first_fall, series
-from benchmarks.reliability.relay_modes import Degenerate
-from benchmarks.reliability.relay_motion import Motion
+from tests.oracles.polynomials import REAL, TERMS, Margin, first_fall, series
+from tests.oracles.relay_modes import Degenerate
+from tests.oracles.relay_motion import Motion
 
 SHORT, CHATTER = 1e-11, 1e-2
 

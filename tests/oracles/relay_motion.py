@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.reliability.accumulation import accumulation
-from benchmarks.reliability.polynomials import REAL, TERMS, Margin, first_fall, series
-from benchmarks.reliability.relay_modes import Degenerate, Relays, mode_field, real
-from benchmarks.reliability.rivals import appearance, others
+from tests.oracles.accumulation import accumulation
+from tests.oracles.polynomials import REAL, TERMS, Margin, first_fall, series
+from tests.oracles.relay_modes import Degenerate, Relays, mode_field, real
+from tests.oracles.rivals import appearance, others
 
 LEFT = (-1, 0)
 

@@ -1,4 +1,6 @@
-"""Systems of `benchmarks.extremes`: parameters enter, systems with answers in closed form leave."""
+"""Systems with answers in closed form, for parameters far outside the usual.
+
+Parameters enter, systems leave."""
 
 import jax
 import jax.numpy as jnp
