@@ -17,8 +17,8 @@ import numpy as np
 import jaxfil as jf
 from benchmarks import cost_scenes
 from benchmarks.table import Column, table
-from jaxfil.sweep.execution import BLOCK, compiled
-from jaxfil.xla.kernel import one_kernel
+from jaxfil.sweep.execution import compiled
+from jaxfil.xla.kernel import BLOCK, kernel_if_it_fits
 from tests.oracles import hlo
 
 LANES, STEPS = 1024, 40
@@ -70,7 +70,7 @@ class Program:
         start = time.perf_counter()
         self.whole = derivative != "reverse"
         self.lanes = BLOCK if self.whole else LANES
-        run = compiled(one_kernel(lanes) if self.whole else lanes)
+        run = compiled(kernel_if_it_fits(lanes) if self.whole else lanes)
         self.run = run.lower(*arguments(self.lanes, 0.0)).compile()
         self.compile_seconds = time.perf_counter() - start
 

@@ -6,10 +6,14 @@ The words of this room:
 - parameter grid: the values swept, on a line, on a product grid, or point by point.
 - stroboscopic section: the state once every forcing period, which is what a diagram samples.
 - transient: the forcing periods that run first and are not sampled.
+- plan: every argument of a sweep once, checked.
+- sampling: the part of its motion that each lane samples.
+- point: a point in parameter space, as a lane is given it.
 - chunk: the lanes of one call of the compiled program; chunks run on all cores at a time.
-- block: the lanes within a chunk that share one loop.
+- block: the lanes within a chunk that share one loop, and are one kernel.
 - checkpoint: a folder that keeps every finished chunk, and the record of what was asked for.
 - record: every argument of a sweep by its name, by which a checkpoint knows its own sweep again.
+- identity: a hash of what a function computes, which stands for it in a record.
 - step halving: the same sweep at half the step; the distance of the two estimates the error.
 - following: each value starts from the state in which the last one ended.
 - conditions: what a sweep ran with besides the values swept.

@@ -9,47 +9,34 @@ the disk since, or put in another's place, is found out.
 """
 
 import dataclasses
-import hashlib
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from jaxfil.integrate.run.observed import Observable
-from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
-from jaxfil.model import check, dataset_io
+from jaxfil.model import dataset_io
 from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
-from jaxfil.model.parameter import is_parameter
-from jaxfil.model.section import Section
-from jaxfil.model.system import System
 from jaxfil.model.types import Dataset, PathLike
 from jaxfil.model.warning import warn
-from jaxfil.sweep.conditions import Conditions
-from jaxfil.sweep.parameter_grid import ParameterGrid
+from jaxfil.sweep.record import Record, digest, shown
+from jaxfil.sweep.sampling import Samples
 
 _RECORD = "sweep.zarr"
 _T = TypeVar("_T")
-
-Record = Mapping[str, str | int | np.ndarray]
-"""What a sweep was asked for: every argument by name."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FinishedChunk:
     """Lanes of a chunk that have run to their end."""
 
-    xs: np.ndarray
-    """Samples, shape (lanes, samples, k); of a section with their times behind, k + 1 columns."""
+    samples: Samples[np.ndarray]
+    """Their samples, shape (lanes, samples, k)."""
     codes: np.ndarray
     """Codes of their outcomes, shape (lanes,)."""
     end: np.ndarray
@@ -58,10 +45,13 @@ class FinishedChunk:
 
 
 class Checkpoint:
-    """The folder of one sweep, made if it is not there, refused if it holds another one."""
+    """The folder of one sweep, made if it is not there, refused if it holds another one.
 
-    def __init__(self, path: PathLike, record: Record):
-        self._path = Path(path)
+    The samples of a sweep at a section are `timed`.
+    """
+
+    def __init__(self, path: PathLike, record: Record, timed: bool):
+        self._path, self._timed = Path(path), timed
         self._record = digest(record).hex()
         self._damaged: list[str] = []
         self._path.mkdir(parents=True, exist_ok=True)
@@ -93,8 +83,9 @@ class Checkpoint:
             return None
 
         def unpack(data: Dataset) -> FinishedChunk | None:
-            names = data["outcome"].values
-            chunk = FinishedChunk(data["x"].values, outcome_codes(names), data["end"].values)
+            samples = _from_columns(data["x"].values, self._timed)
+            codes = outcome_codes(data["outcome"].values)
+            chunk = FinishedChunk(samples, codes, data["end"].values)
             same = data.attrs["checksum"] == self._checksum(name, chunk)
             return chunk if same and len(chunk.codes) == stop - start else None
 
@@ -106,7 +97,7 @@ class Checkpoint:
         # A dimension of its own: a chunk that is filled up has more last states than lanes.
         end = ("end_lane", "end_component")[-chunk.end.ndim :]
         variables: dict[str, Variable] = {
-            "x": (("lane", "sample", "component"), chunk.xs),
+            "x": (("lane", "sample", "component"), _columns(chunk.samples)),
             "outcome": (("lane",), _names(chunk)),
             "end": (end, chunk.end),
         }
@@ -126,7 +117,7 @@ class Checkpoint:
     def _checksum(self, name: str, chunk: FinishedChunk) -> str:
         outcomes = " ".join(_names(chunk))
         piece = {"sweep": self._record, "name": name, "outcome": outcomes}
-        return digest({**piece, "x": chunk.xs, "end": chunk.end}).hex()
+        return digest({**piece, "x": _columns(chunk.samples), "end": chunk.end}).hex()
 
     def _intact(self, name: str, unpack: Callable[[Dataset], _T | None]) -> _T | None:
         """A group that is as it was written; another one is put away, and None leaves."""
@@ -164,98 +155,21 @@ class Checkpoint:
             shutil.rmtree(left, ignore_errors=True)
 
 
-def record_of(
-    system: System, grid: ParameterGrid, given: Conditions, *, samples: int, stepper: Stepper
-) -> Record:
-    """All that the numbers of a sweep depend on, by the names that a user knows."""
-    # The coefficients as well as the name: another version of diffrax may have other digits.
-    table = repr(tableau_of(stepper)).encode()
-    columns = grid.values if isinstance(grid.values, tuple) else grid.rows.T
-    return {
-        "system": type(system).__name__,
-        "equations": equations(system, np.zeros(given.x0.shape[-1:], given.x0.dtype)),
-        **{f"system.{key}": value for key, value in given.parameters.items()},
-        "parameter": ", ".join(grid.names),
-        "points": str(grid.shape),
-        **{f"values of {key}": v for key, v in zip(grid.names, columns, strict=True)},
-        "x0": given.x0,
-        "transient": given.transient,
-        "samples": samples,
-        "steps": given.steps,
-        "stepper": given.stepper,
-        "coefficients": hashlib.sha256(table).hexdigest()[:16],
-        "follow": str(given.follow),
-        "compact": str(given.compact),
-        "section": f"{given.section}, {given.max_return}",
-        "observe": str(given.observe),
-        "transient_time": str(given.transient_time),
-        "jaxfil": given.version,
-        # Other versions and other machines give other last bits, and a diagram of two halves that
-        # differ in them is equal to neither.
-        "jax": jax.__version__,
-        "backend": jax.default_backend(),
-    }
-
-
-def digest(record: Record) -> bytes:
-    """A hash of all arguments."""
-    sha = hashlib.sha256()  # and not `hash`, which is another one in each process
-    for name, value in sorted(record.items()):
-        sha.update(f"{name} {_shown(value)} ".encode())
-        sha.update(value.tobytes() if isinstance(value, np.ndarray) else b"")
-    return sha.digest()
-
-
-def equations(system: System, x: np.ndarray) -> str:
-    """A hash of what a system computes from its parameters, a time and a state.
-
-    It is that of the program lowered for XLA: of everything the functions of the system do, their
-    constants included, and of nothing that changes from one process to the next.
-    """
-    # Parameters are arguments of the program and not constants in it: new values are told by name.
-    leaves, static = eqx.partition(system, is_parameter)
-    state = jnp.asarray(x)
-    h = check.shapes(system, state)
-
-    def everything(leaves: System, t: Array, x: Array) -> tuple[Any, ...]:
-        s = eqx.combine(leaves, static)
-        field = s.vector_field(t, x, jnp.ones(h, x.dtype))
-        after = s.reset(t, x, jnp.zeros((), jnp.int32)) if s.resets else None
-        return field, s.switching(t, x), after, s.period, s.clocks
-
-    text = jax.jit(everything).lower(leaves, jnp.zeros((), state.dtype), state).as_text()
-    return hashlib.sha256(f"{text} {system.slides}".encode()).hexdigest()[:16]
-
-
-def identity(section: Section, x: np.ndarray) -> str:
-    """A section in words, and a hash of its function and that function's numbers."""
-    sha = _fingerprint(section.function, jnp.zeros((), x.dtype), jnp.asarray(x))
-    rate = ", of its rate" if section.of_rate else ""
-    return f"function {sha}{rate}, direction {section.direction}"
-
-
-def observed_identity(observable: Observable, system: System, x: np.ndarray) -> str:
-    """The name of what is observed, and the same of its function."""
-    state = jnp.asarray(x)
-    side = jnp.ones(check.shapes(system, state), x.dtype)
-    sha = _fingerprint(observable.function, jnp.zeros((), x.dtype), state, side)
-    return f"{observable.name}, function {sha}"
-
-
-def _fingerprint(function: Any, *example: Array) -> str:
-    """A hash of a function of arrays like these, and of its numbers."""
-    leaves, static = eqx.partition(function, is_parameter)
-
-    def call(leaves: Any, *args: Array) -> Any:
-        return eqx.combine(leaves, static)(*args)
-
-    text = jax.jit(call).lower(leaves, *example).as_text()
-    numbers = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(leaves)]
-    return hashlib.sha256(f"{text} {numbers}".encode()).hexdigest()[:16]
-
-
 def _name(start: int, stop: int) -> str:
     return f"lanes-{start}-{stop}.zarr"
+
+
+def _columns(samples: Samples[np.ndarray]) -> np.ndarray:
+    """Samples as one array, as the files of all versions hold them: times are the last column."""
+    xs = np.asarray(samples.xs)
+    if samples.times is None:
+        return xs
+    return np.concatenate([xs, np.asarray(samples.times)[..., None]], axis=-1)
+
+
+def _from_columns(x: np.ndarray, timed: bool) -> Samples[np.ndarray]:
+    """The samples of which `_columns` made one array."""
+    return Samples(x[..., :-1], x[..., -1]) if timed else Samples(x, None)
 
 
 def _names(chunk: FinishedChunk) -> np.ndarray:
@@ -283,8 +197,8 @@ def _changes(before: Record, now: Record) -> list[str]:
     changes = []
     for name in dict.fromkeys([*now, *before]):
         a, b = before.get(name, "absent"), now.get(name, "absent")
-        if _shown(a) != _shown(b):
-            changes.append(f"{name} was {_shown(a)} and is {_shown(b)}")
+        if shown(a) != shown(b):
+            changes.append(f"{name} was {shown(a)} and is {shown(b)}")
         elif isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
             other = np.argwhere(_bits(a) != _bits(b))
             if len(other):
@@ -297,9 +211,3 @@ def _changes(before: Record, now: Record) -> list[str]:
 def _bits(array: np.ndarray) -> np.ndarray:
     # Compared as integers: NaN is equal to itself, and 0.0 is not -0.0.
     return array.view(f"u{array.dtype.itemsize}")
-
-
-def _shown(value: str | int | np.ndarray) -> str:
-    if isinstance(value, np.ndarray):
-        return f"of shape {value.shape} and dtype {value.dtype}"
-    return str(value)

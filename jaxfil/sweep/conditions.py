@@ -9,8 +9,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.model.dataset import name_of, parameter_entries
 from jaxfil.model.dataset_io import Attribute, NamedArrays, Variable
+from jaxfil.model.parameter import parameters
+from jaxfil.sweep.identity import identity_of_observable, identity_of_section
+from jaxfil.sweep.plan import SweepPlan
+from jaxfil.version import __version__
 
 # Names of a data set that are no parameter's.
 CONDITIONS = {
@@ -48,7 +53,7 @@ class Conditions(eqx.Module):
     version: str = eqx.field(static=True)
     """The version of jaxfil that computed it."""
     compact: bool = eqx.field(static=True, default=False)
-    """Whether the stages of a step were a loop in the program: see `solve`."""
+    """Whether the program was compact: see `solve`."""
     section: str | None = eqx.field(static=True, default=None)
     """The section that was sampled at; None: once a forcing period."""
     max_return: float | None = eqx.field(static=True, default=None)
@@ -57,6 +62,28 @@ class Conditions(eqx.Module):
     """The time before which no crossing of it counted; None: all did."""
     observe: str | None = eqx.field(static=True, default=None)
     """The function that was kept of the samples; None: the states themselves."""
+
+
+def conditions_of(plan: SweepPlan) -> Conditions:
+    """What a diagram says of the plan that it was made by."""
+    each, state = plan.sampling, np.zeros(plan.x0.shape[-1:], plan.x0.dtype)
+    others = {k: np.asarray(v) for k, v in parameters(each.system).items() if k not in each.names}
+    section, observable = each.section, each.observable
+    longest, before = each.max_return, each.transient_time
+    return Conditions(
+        parameters=others,
+        x0=plan.x0,
+        transient=int(each.transient),
+        steps=int(each.steps),
+        stepper=tableau_of(each.stepper).name,
+        follow=plan.follow,
+        version=__version__,
+        compact=each.compact,
+        section=None if section is None else identity_of_section(section, state),
+        max_return=None if longest is None else float(longest),
+        transient_time=None if before is None else float(before),
+        observe=observable and identity_of_observable(observable, each.system, state),
+    )
 
 
 def condition_entries(

@@ -1,17 +1,12 @@
 """Execution: chunks of lanes, compiled once, run on every core, kept as soon as they are finished.
 
-A job, the rows of parameters of its lanes and their initial states enter; samples and outcomes of
-all lanes leave. A job is called as `job(rows, states, lanes, followed=..., whole=...)`: with
-lanes side by side, or, `followed`, one after the other each from the last one's end; compiled into
-one kernel if `whole`. It answers with samples, outcomes and last states, of which the first `lanes`
-count: none are computed if that is 0.
+A plan enters; samples and outcomes of all lanes leave.
 """
 
 import functools as ft
 import os
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,12 +15,13 @@ import numpy as np
 from jaxfil.model.outcomes import RESULTS, code
 from jaxfil.sweep import multiprocess
 from jaxfil.sweep.checkpoint import Checkpoint, FinishedChunk
+from jaxfil.sweep.chunk import Chunk, run_chunk
 from jaxfil.sweep.interrupt import counted
-from jaxfil.xla.kernel import DoesNotFitError
+from jaxfil.sweep.plan import SweepPlan
+from jaxfil.sweep.sampling import Samples
+from jaxfil.xla.compiler import makes_whole_kernels
+from jaxfil.xla.kernel import BLOCK
 
-# Lanes that share a loop, on a CPU: few enough for all of their numbers to stay in the first-level
-# cache, and to wait for few others.
-BLOCK = 64
 # Chunks that a sweep is cut into at least, if it has the blocks, so that many cores get some each;
 # and blocks of a chunk at most, to be a stroke of the progress bar.
 _CHUNKS, _BLOCKS = 64, 16
@@ -45,39 +41,49 @@ def compiled(run: Callable) -> Callable:
     # Cached by function: a jitted function of its own for each sweep would compile each time.
     options = _CPU_OPTIONS if jax.default_backend() == "cpu" else None
     # Equinox's overloads leave out the keywords that it hands on to `jax.jit`.
-    return eqx.filter_jit(run, compiler_options=options)  # pyright: ignore[reportCallIssue]
+    return eqx.filter_jit(_traced(run), compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
-# Jobs that are known not to fit into one kernel: see `one_kernel`.
-_IN_PARTS: set[Any] = set()
+@ft.cache
+def _traced(run: Callable) -> Callable:
+    """`run`, whose trace for arguments of some shapes JAX remembers."""
+    # Without options for the compiler: JAX refuses to trace what has some inside of another trace.
+    return eqx.filter_jit(run)
 
 
-def _compiled_job(
-    job: ft.partial, rows: np.ndarray, n: int, followed: bool
-) -> tuple[Callable, int]:
-    """`job` compiled, as one kernel where that can be, and the lanes of its calls.
+def _compiled_chunk(plan: SweepPlan) -> tuple[Callable[..., Chunk], int]:
+    """The program of a chunk of so many lanes, compiled: a function of points in parameter space,
+    initial states, and the number of lanes that are to be run.
 
-    Their number depends on the sweep and not on the machine's cores, and a call is filled up with
-    copies of a lane: a lane's last bits may depend on the shape that it was compiled in.
+    How many lanes a chunk has depends on the sweep and not on the machine's cores, and a chunk is
+    filled up with copies of a lane: a lane's last bits may depend on the shape that it was compiled
+    in.
     """
-    what = jax.tree.structure((job.args, job.keywords))
-    whole = jax.default_backend() == "cpu" and what not in _IN_PARTS
-    lanes = _FOLLOW if followed else _lanes(len(rows), whole)
-    call = ft.partial(job, followed=followed, whole=whole)
-    nowhere = np.zeros((lanes, rows.shape[1]), rows.dtype)
-    try:
-        call(nowhere, np.zeros((n,) if followed else (lanes, n), rows.dtype), np.int32(0))
-    except DoesNotFitError:
-        _IN_PARTS.add(what)
-        return _compiled_job(job, rows, n, followed)
+    (p, k), n, dtype = plan.grid.rows.shape, plan.x0.shape[-1], plan.x0.dtype
+    followed = plan.follow is not None
+
+    def nowhere(lanes: int) -> tuple[np.ndarray, np.ndarray, np.int32]:
+        states = np.zeros((n,) if followed else (lanes, n), dtype)
+        return np.zeros((lanes, k), dtype), states, np.int32(0)
+
+    traced, call = (
+        ft.partial(function(run_chunk), plan.sampling, followed=followed)
+        for function in (_traced, compiled)
+    )
+    lanes = _FOLLOW if followed else _lanes(p, makes_whole_kernels())
+    many = _FOLLOW if followed else _lanes(p, False)
+    # Known once it is traced, before it is compiled. JAX remembers the trace for the calls.
+    if lanes != many and not eqx.filter_eval_shape(traced, *nowhere(lanes)).in_kernels:
+        lanes = many
+    call(*nowhere(lanes))
     return call, lanes
 
 
-def _lanes(p: int, whole: bool) -> int:
-    """Lanes of a chunk of p. Without a single kernel every operation of the loop starts its own,
+def _lanes(p: int, in_kernels: bool) -> int:
+    """Lanes of a chunk of p. Without single kernels every operation of the loop starts its own,
     and only many lanes make up for that."""
     blocks = -(-p // BLOCK)  # rounded up
-    return BLOCK * min(-(-blocks // _CHUNKS) if whole else blocks, _BLOCKS)
+    return BLOCK * min(-(-blocks // _CHUNKS) if in_kernels else blocks, _BLOCKS)
 
 
 def _cores() -> int:
@@ -95,42 +101,49 @@ _UNFINISHED = code(RESULTS.interrupted)
 class _Lanes:
     """All lanes of a sweep, unfinished at first, and the progress bar that counts them."""
 
-    def __init__(
-        self, p: int, shape: tuple[int, int], dtype: np.dtype, checkpoint: Checkpoint | None
-    ):
-        self.xs = np.full((p, *shape), np.nan, dtype)
-        self.codes = np.full((p,), _UNFINISHED, np.int32)
+    def __init__(self, unfinished: Samples[np.ndarray], checkpoint: Checkpoint | None):
+        self.samples = unfinished
+        self.codes = np.full((len(unfinished.xs),), _UNFINISHED, np.int32)
         self.checkpoint = checkpoint
 
     def finish(
-        self, start: int, lanes: int, run: Callable[[], tuple[Any, ...]]
+        self, start: int, lanes: int, run: Callable[[], Chunk]
     ) -> tuple[FinishedChunk, bool]:
         """The chunk from lane number `start` on as `run` gives it, or as the checkpoint holds it;
         and whether that held it."""
         stop = min(start + lanes, len(self.codes))
         kept = self.checkpoint.read(start, stop) if self.checkpoint else None
         if kept is None:
-            xs, results, end = run()
-            (codes,) = jax.tree.leaves(results)
-            here = slice(stop - start)  # without the lanes that fill the last chunk up
-            chunk = FinishedChunk(np.asarray(xs)[here], np.asarray(codes)[here], np.asarray(end))
+            chunk = _finished(run(), stop - start)
             if self.checkpoint:
                 self.checkpoint.write(start, stop, chunk)
         else:
             chunk = kept
-        self.xs[start:stop] = chunk.xs
+        for own, new in zip(*map(jax.tree.leaves, (self.samples, chunk.samples)), strict=True):
+            own[start:stop] = new
         self.codes[start:stop] = chunk.codes  # last: these say that the lanes are finished
         return chunk, kept is not None
 
-    def finished(self) -> tuple[np.ndarray, np.ndarray]:
+    def finished(self) -> tuple[Samples[np.ndarray], np.ndarray]:
         """Samples and codes of outcomes as they are now; NaN where a lane is not finished."""
         if self.checkpoint:
             self.checkpoint.tell_damaged()  # not in a chunk's thread, which has no caller's line
         codes = self.codes.copy()
         missing = codes == _UNFINISHED
-        if missing.any():  # a chunk under way may still be written
-            return np.where(missing[:, None, None], np.nan, self.xs), codes
-        return self.xs, codes
+        if not missing.any():
+            return self.samples, codes
+
+        def known(own: np.ndarray) -> np.ndarray:  # a chunk under way may still be written
+            return np.where(missing.reshape(-1, *[1] * (own.ndim - 1)), np.nan, own)
+
+        return jax.tree.map(known, self.samples), codes
+
+
+def _finished(chunk: Chunk, lanes: int) -> FinishedChunk:
+    """A chunk without the lanes that fill it up."""
+    (codes,) = jax.tree.leaves(chunk.results)
+    samples, codes = jax.tree.map(lambda v: np.asarray(v)[:lanes], (chunk.samples, codes))
+    return FinishedChunk(samples, codes, np.asarray(chunk.end))
 
 
 class _Bar:
@@ -163,21 +176,17 @@ class _Bar:
 
 
 def side_by_side(
-    job: ft.partial,
-    rows: np.ndarray,
-    states: np.ndarray,
-    shape: tuple[int, int],
-    checkpoint: Checkpoint | None,
-    progress: bool,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Samples, of this shape (samples, k), and outcomes of all lanes, a chunk at a time on each
-    core of each process."""
-    (p, _), n = rows.shape, states.shape[1]
+    plan: SweepPlan, checkpoint: Checkpoint | None, progress: bool
+) -> tuple[Samples[np.ndarray], np.ndarray]:
+    """Samples and outcomes of all lanes: a chunk at a time on each core of each process."""
+    rows = plan.grid.rows
+    p, n = len(rows), plan.x0.shape[-1]
     with counted() as interrupts, _Bar(p, progress) as bar:
-        call, size = _compiled_job(job, rows, n, False)
+        call, size = _compiled_chunk(plan)
         interrupts.keeps = True
-        rows, states = _filled_up(rows, size), _filled_up(np.broadcast_to(states, (p, n)), size)
-        lanes = _Lanes(p, shape, rows.dtype, checkpoint)
+        states = _filled_up(np.broadcast_to(plan.x0.reshape(-1, n), (p, n)), size)
+        rows = _filled_up(rows, size)
+        lanes = _Lanes(plan.unfinished(), checkpoint)
 
         def chunk(start: int) -> tuple[int, bool]:
             if interrupts.count:  # before this chunk has begun
@@ -197,32 +206,29 @@ def side_by_side(
             # Of a second Ctrl-C: chunks under way are not waited for.
             while running and interrupts.count < 2:
                 done, running = wait(running, _HEED, FIRST_COMPLETED)
-                for each in done:
-                    bar.count(*each.result())
+                for future in done:
+                    bar.count(*future.result())
         finally:
             pool.shutdown(wait=interrupts.count < 2, cancel_futures=True)
-    xs, codes = lanes.finished()
-    return multiprocess.gather(xs, size), multiprocess.gather(codes, size)
+    return jax.tree.map(lambda v: multiprocess.gather(v, size), lanes.finished())
 
 
 def one_after_another(
-    job: ft.partial,
-    rows: np.ndarray,
-    state: np.ndarray,
-    shape: tuple[int, int],
-    checkpoint: Checkpoint | None,
-    progress: bool,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Samples, of this shape (samples, k), and outcomes of all lanes, each from the last one's end.
+    plan: SweepPlan, checkpoint: Checkpoint | None, progress: bool
+) -> tuple[Samples[np.ndarray], np.ndarray]:
+    """Samples and outcomes of all lanes, each from the last one's end.
 
     Every process computes all of them, for none could help another, and then takes the first one's.
     """
-    p, n = len(rows), len(state)
-    lanes = _Lanes(p, shape, rows.dtype, checkpoint)
+    rows, state = plan.grid.rows, plan.x0
+    # Stable, so that equal values keep their order and a repeated call gives the same diagram.
+    order = np.argsort(rows[:, 0], kind="stable")
+    order = order if plan.follow == "up" else order[::-1]
+    p, lanes = len(rows), _Lanes(plan.unfinished(), checkpoint)
     with counted() as interrupts, _Bar(p, progress) as bar:
-        call, size = _compiled_job(job, rows, n, True)
+        call, size = _compiled_chunk(plan)
         interrupts.keeps = True
-        rows = _filled_up(rows, size)
+        rows = _filled_up(rows[order], size)
         bar.start(p)
         for start in range(0, p, size):
             if interrupts.count:
@@ -231,8 +237,8 @@ def one_after_another(
             done, kept = lanes.finish(start, size, ft.partial(call, here, state, real))
             state = done.end
             bar.count(len(done.codes), kept)
-    xs, codes = lanes.finished()
-    return multiprocess.from_first(xs), multiprocess.from_first(codes)
+    back = np.argsort(order, kind="stable")
+    return jax.tree.map(lambda v: multiprocess.from_first(v)[back], lanes.finished())
 
 
 def _filled_up(rows: np.ndarray, size: int) -> np.ndarray:

@@ -5,52 +5,31 @@ sampled once a forcing period, leaves. Lanes run in chunks, a chunk on every cor
 each has its own outcome.
 """
 
-import dataclasses
-import functools as ft
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from jaxfil.integrate.lane.problem import period_outcome
-from jaxfil.integrate.lane.state import SavedStates
-from jaxfil.integrate.loop.batch import integrate_batch
-from jaxfil.integrate.loop.iterate import integrate
-from jaxfil.integrate.run.observed import Observable, Observe
-from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
-from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
-from jaxfil.integrate.system.grade import is_compact_sweep
-from jaxfil.model import check
+from jaxfil.integrate.run.observed import Observe
+from jaxfil.integrate.run.step_choice import StepChoice
+from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model.deprecation import renamed_argument
-from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS, code, outcomes
-from jaxfil.model.parameter import cast, get_parameter, parameters
 from jaxfil.model.section import Section
 from jaxfil.model.system import System
 from jaxfil.model.types import PathLike, Scalar, States, SweptValues
 from jaxfil.model.warning import warn
 from jaxfil.sweep import multiprocess, step_halving
-from jaxfil.sweep.checkpoint import (
-    Checkpoint,
-    Record,
-    digest,
-    identity,
-    observed_identity,
-    record_of,
-)
-from jaxfil.sweep.conditions import Conditions
+from jaxfil.sweep.checkpoint import Checkpoint
+from jaxfil.sweep.conditions import conditions_of
 from jaxfil.sweep.diagram import BifurcationDiagram
-from jaxfil.sweep.execution import BLOCK, compiled, one_after_another, side_by_side
-from jaxfil.sweep.initial_states import initial_states, state_type
+from jaxfil.sweep.execution import one_after_another, side_by_side
 from jaxfil.sweep.interrupt import counted
-from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
-from jaxfil.sweep.sampling import Sampling, at_point, checked_observe, checked_section
-from jaxfil.version import __version__
-from jaxfil.xla.kernel import in_blocks, one_kernel
+from jaxfil.sweep.plan import SweepPlan, sweep_plan
+from jaxfil.sweep.record import digest, record_of
+from jaxfil.sweep.sampling import Samples
 
 
 @renamed_argument("name", "parameter")
@@ -159,166 +138,88 @@ def bifurcation_diagram(
     >>> d.errors.shape, bool(d.errors.max() < 1e-2)
     ((2, 2), True)
     """
-    check.system("system", system)
-    dtype = state_type(x0)
-    system = cast(system, dtype)
-    grid = parameter_grid(parameter, values, dtype)
-    for each in grid.names:
-        get_parameter(system, each)
-    if section is not None:
-        section, max_return = checked_section(section, max_return, np.asarray(x0), dtype)
-        if transient_time is not None:
-            longest = check.scalar("transient_time", transient_time, dtype, positive=True)
-            transient_time = float(np.asarray(longest))
-    elif system.period is None:
-        raise ValueError(
-            f"`system` must be forced: a diagram samples once a forcing period, and the period of "
-            f"{type(system).__name__} is None. Give a `section` to sample at."
-        )
-    if section is None and transient_time is not None:
-        raise ValueError(
-            "`transient_time` must be None without a `section`: forcing periods are counted by "
-            f"`transient`; got {transient_time!r}."
-        )
-    if transient is None:
-        transient = 200 if transient_time is None else 0
-    named = labels_of(system, np.shape(x0)[-1])
-    # Titles tell the other parameters too, without units.
-    labels = dataclasses.replace(named.of(grid.names), symbols=named.symbols)
-    observable = None
-    if observe is not None:
-        observable = checked_observe(observe, system, np.asarray(x0), dtype)
-        units = tuple(pair for pair in labels.units if pair[0] in grid.names)
-        labels = Labels(observable.names, labels.symbols, units)
-    _check_follow(follow, grid)
-    steps, stepper = steps_and_stepper(steps, stepper, system)
-    stepper = checked_stepper(stepper)
-    conditions = Conditions(
-        parameters=_others(system, grid.names),
-        x0=initial_states(x0, grid.shape, follow is not None).astype(dtype),
-        transient=check.count("transient", transient, least=0),
+    plan = sweep_plan(
+        system,
+        parameter,
+        values,
+        x0,
+        transient=transient,
+        samples=samples,
         steps=steps,
-        stepper=tableau_of(stepper).name,
-        follow=follow,
-        version=__version__,
-    )
-    samples = check.count("samples", samples)
-    if section is not None:
-        conditions = dataclasses.replace(
-            conditions,
-            section=identity(section, np.zeros(np.shape(x0)[-1:], dtype)),
-            max_return=float(np.asarray(max_return)),
-            transient_time=transient_time,
-        )
-    if observable is not None:
-        identified = observed_identity(observable, system, np.zeros(np.shape(x0)[-1:], dtype))
-        conditions = dataclasses.replace(conditions, observe=identified)
-    each = (conditions.transient + samples) * conditions.steps
-    compact = is_compact_sweep(compact, len(grid.rows), each)
-    conditions = dataclasses.replace(conditions, compact=compact)
-    check.number_of_steps(
-        conditions.steps,
-        runs=2 if estimate_error else 1,
-        transient=conditions.transient,
-        samples=samples,
-    )
-    record = ft.partial(record_of, system, grid, samples=samples, stepper=stepper)
-    how = dict(
-        samples=samples,
         stepper=stepper,
+        follow=follow,
+        compact=compact,
         section=section,
-        observable=observable,
-        progress=progress,
+        max_return=max_return,
+        transient_time=transient_time,
+        observe=observe,
+        runs=2 if estimate_error else 1,
     )
-    run = ft.partial(_swept, system, grid, **how)
-    kept = _begun(checkpoint, ft.partial(record, conditions), estimate_error)
-    found, codes = run(conditions, kept)
-    k = found.shape[-1] - (section is not None)
-    xs, times = found[..., :k], None if section is None else found[..., k]
+    kept = _begun(checkpoint, plan, estimate_error)
+    found, codes = _swept(plan, kept, progress)
     finished = _all_finished("sweep", "samples", codes, checkpoint)
-    errors = np.full_like(xs[:, 0], np.nan) if estimate_error else None
+    errors = np.full_like(found.xs[:, 0], np.nan) if estimate_error else None
     if estimate_error and finished:
-        # The same lanes at half the step and not at twice: where a step is long against the motion
-        # between two contacts, the error at twice the step says little of the error at one.
-        half = dataclasses.replace(conditions, steps=2 * conditions.steps)
-        folder = None if checkpoint is None else Path(checkpoint) / step_halving.FOLDER
-        other_xs, other_codes = run(half, folder and Checkpoint(folder, record(half)))
-        errors = step_halving.errors(xs, codes, other_xs[..., :k], other_codes, half)
-        _all_finished("run at half the step", "errors", other_codes, checkpoint)
+        errors = _errors(plan, found.xs, codes, checkpoint, progress)
+    return _assembled(plan, found, codes, errors)
+
+
+def _swept(
+    plan: SweepPlan, kept: Checkpoint | None, progress: bool
+) -> tuple[Samples[np.ndarray], np.ndarray]:
+    """Samples, shape (p, samples, k), and outcomes (p,) at all points."""
+    run = side_by_side if plan.follow is None else one_after_another
+    return run(plan, kept, progress)
+
+
+def _errors(
+    plan: SweepPlan,
+    xs: np.ndarray,
+    codes: np.ndarray,
+    checkpoint: PathLike | None,
+    progress: bool,
+) -> np.ndarray:
+    """The distance of the samples from those of a second sweep."""
+    # The same lanes at half the step and not at twice: where a step is long against the motion
+    # between two contacts, the error at twice the step says little of the error at one.
+    half = plan.at_half_the_step()
+    kept = None
+    if checkpoint is not None:
+        kept = _checkpoint(Path(checkpoint) / step_halving.FOLDER, half)
+    other, other_codes = _swept(half, kept, progress)
+    errors = step_halving.errors(xs, codes, other.xs, other_codes, half.steps_per_lane)
+    _all_finished("run at half the step", "errors", other_codes, checkpoint)
+    return errors
+
+
+def _assembled(
+    plan: SweepPlan, found: Samples[np.ndarray], codes: np.ndarray, errors: np.ndarray | None
+) -> BifurcationDiagram:
+    """The diagram of all lanes, which it has along the dimensions of the grid."""
+    grid, xs, times = plan.grid, found.xs, found.times
     return BifurcationDiagram(
         values=grid.values,
         xs=xs.reshape(*grid.shape, *xs.shape[1:]),
         results=outcomes(codes.reshape(grid.shape)),
-        parameter=parameter if isinstance(parameter, str) else grid.names,
-        system=type(system).__name__,
-        conditions=conditions,
-        labels=labels,
+        parameter=grid.names[0] if len(grid.names) == 1 else grid.names,
+        system=type(plan.sampling.system).__name__,
+        conditions=conditions_of(plan),
+        labels=plan.labels,
         errors=None if errors is None else errors.reshape(*grid.shape, -1),
         times=None if times is None else times.reshape(*grid.shape, -1),
     )
 
 
-def _swept(
-    system: System,
-    grid: ParameterGrid,
-    given: Conditions,
-    kept: Checkpoint | None,
-    *,
-    samples: int,
-    stepper: Stepper,
-    section: Section | None,
-    observable: Observable | None,
-    progress: bool,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Samples, shape (p, samples, k), and outcomes (p,) at all points; of a section the times of
-    the samples behind them, shape (p, samples, k + 1)."""
-    # Counts are traced, so that new ones compile nothing; `samples` is the shape of the result.
-    longest, before = given.max_return, given.transient_time
-    sampling = Sampling(
-        transient=jnp.asarray(given.transient, jnp.int32),
-        samples=samples,
-        steps=jnp.asarray(given.steps, jnp.int32),
-        stepper=stepper,
-        compact=given.compact,
-        section=section,
-        max_return=None if longest is None else jnp.asarray(longest, grid.rows.dtype),
-        observable=observable,
-        transient_time=None if before is None else jnp.asarray(before, grid.rows.dtype),
-    )
-    k = given.x0.shape[-1] if observable is None else observable.size
-    job = ft.partial(compiled(_run), system, grid.names, sampling)
-    shape = samples, k + (section is not None)
-    if given.follow is None:
-        states = given.x0.reshape(-1, given.x0.shape[-1])
-        return side_by_side(job, grid.rows, states, shape, kept, progress)
-    # Stable, so that equal values keep their order and a repeated call gives the same diagram.
-    order = np.argsort(grid.rows[:, 0], kind="stable")
-    order = order if given.follow == "up" else order[::-1]
-    xs, codes = one_after_another(job, grid.rows[order], given.x0, shape, kept, progress)
-    back = np.argsort(order, kind="stable")
-    return xs[back], codes[back]
-
-
-def _check_follow(follow: object, grid: ParameterGrid) -> None:
-    if follow not in (None, "up", "down"):
-        raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
-    if follow is not None and len(grid.names) > 1:
-        raise ValueError(f"`follow` must be None with several parameters, got {follow!r}.")
-
-
-def _others(system: System, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The parameters that are not swept."""
-    return {key: np.asarray(v) for key, v in parameters(system).items() if key not in names}
-
-
-def _begun(
-    checkpoint: PathLike | None, record: Callable[[], Record], estimate_error: bool
-) -> Checkpoint | None:
+def _begun(checkpoint: PathLike | None, plan: SweepPlan, estimate_error: bool) -> Checkpoint | None:
     """The checkpoint, if one is asked for, after a look whether all processes ask for the same."""
     # Processes with other arguments would wait for each other's chunks for ever.
     if jax.process_count() > 1:
-        multiprocess.same(digest({**record(), "estimate_error": str(estimate_error)}))
-    return None if checkpoint is None else Checkpoint(checkpoint, record())
+        multiprocess.same(digest({**record_of(plan), "estimate_error": str(estimate_error)}))
+    return None if checkpoint is None else _checkpoint(checkpoint, plan)
+
+
+def _checkpoint(path: PathLike, plan: SweepPlan) -> Checkpoint:
+    return Checkpoint(path, record_of(plan), timed=plan.sampling.section is not None)
 
 
 def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike | None) -> bool:
@@ -332,68 +233,3 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike 
             RuntimeWarning,
         )
     return not missing.any()
-
-
-def _run(
-    system: System,
-    names: tuple[str, ...],
-    sampling: Sampling,
-    rows: Array,
-    states: Array,
-    lanes: Array,
-    *,
-    followed: bool,
-    whole: bool,
-) -> tuple[Array, RESULTS, Array]:
-    """A chunk of lanes side by side, or one after the other each from the last one's end; of the
-    first so many."""
-    rows = sampling.rows(system, names, rows, states)
-    problem = ft.partial(sampling.problem, system, names)
-    seen = ft.partial(sampling.seen, system, names)
-    periods = jax.vmap(lambda row: at_point(system, names, row)[1])(rows)
-
-    def lane(row: Array, x0: Array) -> tuple[SavedStates, RESULTS, Array]:
-        own = problem(row, x0)
-        return sampling.outcome(integrate(own, own.system.unpack(x0)))
-
-    def block(rows: Array, states: Array) -> tuple[SavedStates, RESULTS, Array]:
-        return sampling.outcome(integrate_batch(problem, rows, states))
-
-    alone = one_kernel(lane) if whole else lane
-    numbers = jnp.arange(len(rows), dtype=jnp.int32)
-
-    def single(row: Array, x0: Array, i: Array) -> tuple[SavedStates, RESULTS, Array]:
-        # The lanes that fill up a chunk are not run.
-        return _if(i < lanes, alone, row, x0)
-
-    def each(rows: Array, states: Array) -> tuple[SavedStates, RESULTS, Array]:
-        return jax.lax.map(lambda point: single(*point), (rows, states, numbers))
-
-    if not followed:
-        run = jax.vmap(lane)
-        if whole:
-            # One lane after the other is the program of one lane: half the time to compile.
-            run = each if sampling.compact else in_blocks(block, BLOCK)
-        samples, results, end = _if(lanes > 0, run, rows, states)
-        xs = jax.vmap(seen)(rows, states, samples)
-        return xs, jax.vmap(period_outcome)(periods, results), end
-
-    def next_point(x: Array, point: tuple[Array, Array]) -> tuple[Array, tuple]:
-        # A value whose lane failed leaves the next one the last good state to start from.
-        row, i = point
-        samples, result, end = single(row, x, i)
-        return jnp.where((result == RESULTS.successful) & (i < lanes), end, x), (samples, result)
-
-    end, (samples, results) = jax.lax.scan(next_point, states, (rows, numbers))
-    xs = jax.vmap(seen, in_axes=(0, None, 0))(rows, states, samples)
-    return xs, jax.vmap(period_outcome)(periods, results), end
-
-
-def _if(flag: Array, function: Callable, *args: Array) -> Any:
-    """`function(*args)` if the flag is set; otherwise it is not called, and what it gives is 0."""
-
-    def nothing(*args: Array) -> Any:
-        shapes = jax.eval_shape(function, *args)
-        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-
-    return jax.lax.cond(flag, function, nothing, *args)

@@ -28,22 +28,9 @@ from jaxfil.xla.select import select
 
 _Tree = TypeVar("_Tree")
 
-
-class DoesNotFitError(Exception):
-    """A program holds an operation that a single kernel cannot hold."""
-
-
-def one_kernel(function: Callable) -> Callable:
-    """`function` of arrays as a single kernel; a `DoesNotFitError` where it does not fit into one:
-    see `kernel_if_it_fits`."""
-
-    def call(*args: Any) -> Any:
-        program, values, tree = opened(function, args)
-        if not fits(program.jaxpr):
-            raise DoesNotFitError
-        return jax.tree.unflatten(tree, _kernel_of(program)(*values))
-
-    return call
+BLOCK = 64
+"""Lanes that are one kernel together, at most: few enough for all of their numbers to stay in the
+first-level cache, and to wait for few others. A larger batch is so many of them at a time."""
 
 
 def _kernel_of(program: Any) -> Callable:
@@ -102,10 +89,6 @@ def _all_used(values: Sequence[Array]) -> Array:
     return jnp.asarray(sum(firsts), jnp.float32)
 
 
-# Lanes that are one kernel together, at most: a larger batch is so many of them at a time.
-_BLOCK = 64
-
-
 def kernel_if_it_fits(function: Callable, one_by_one: bool = False) -> Callable:
     """`function` of arrays as a single kernel on a CPU, if all of it fits into one.
 
@@ -119,7 +102,7 @@ def kernel_if_it_fits(function: Callable, one_by_one: bool = False) -> Callable:
     def call(*args: Any) -> Any:
         # What the function has closed over becomes an argument: it may come as a batch.
         program, values, tree = opened(function, args)
-        whole = jax.default_backend() == "cpu" and fits(program.jaxpr)
+        whole = fits(program.jaxpr)
         # What derivatives add to the arguments of a program are rates, the last ones of theirs.
         alone = len(values) if one_by_one else 0
         make = ft.partial(_whole, lanes=1, alone=alone) if whole else plainly
@@ -177,14 +160,14 @@ def _batch(
         return _one_by_one(whole, batched, values), out_axes
     run, axes = operations(program), [0 if flag else None for flag in batched]
     # A batch of batches counts all its lanes: more than a block does not stay in the cache.
-    rows = min(size, max(1, _BLOCK // lanes))
+    rows = min(size, max(1, BLOCK // lanes))
     several = jax.vmap(run, axes, out_axes, axis_size=rows)
     some = [v[:rows] if flag else v for v, flag in zip(values, batched, strict=True)]
     together = jax.make_jaxpr(several)(*some)
     if not fits(together.jaxpr):  # sums that are long enough in a batch
         return jax.vmap(run, axes, out_axes, axis_size=size)(*values), out_axes
     block = _whole(together, spread, lanes * rows, alone)
-    return in_turns(block, batched, spreads, size, rows)(*values), out_axes
+    return _in_turns(block, batched, spreads, size, rows)(*values), out_axes
 
 
 kernel_p.def_impl(_run)
@@ -203,27 +186,43 @@ def _one_by_one(function: Callable, batched: Sequence[bool], values: Sequence[An
     return jax.lax.map(turn, [v if flag else None for v, flag in zip(values, batched, strict=True)])
 
 
-def in_blocks(function: Callable, size: int) -> Callable:
-    """A function of arrays with p leading rows, applied to `size` of them at a time, each time as a
-    single kernel."""
-    kernel = one_kernel(function)
+def kernel_of_rows(function: Callable, size: int, *args: Any) -> Callable | None:
+    """A function of `size` leading rows of all its arguments, for any number of rows: applied to so
+    many of them at a time, each time as a single kernel. None where it does not fit into one.
 
-    def blocks(*args: Array) -> Any:
-        (p,) = {a.shape[0] for a in args}
-        return in_turns(kernel, [True] * len(args), None, p, size)(*args)
+    This is for lanes that wait for each other, as those of a sweep do, and have no derivatives:
+    lanes that do not are `kernel_if_it_fits` under `jax.vmap`. `args` are what it will be called
+    with, or arrays of the same shapes but for the number of rows.
+    """
+    some = jax.tree.map(lambda v: jnp.zeros((size, *v.shape[1:]), v.dtype), args)
+    program, values, tree = opened(function, some)
+    if not fits(program.jaxpr):
+        return None
+    count = len(jax.tree.leaves(args))
+    # What the function has closed over comes first, and is the same for all rows.
+    closed = values[: len(values) - count]
+    batched = [False] * len(closed) + [True] * count
+    every = [True] * len(program.out_avals)
+    kernel = _kernel_of(program)
 
-    return blocks
+    def call(*args: Any) -> Any:
+        rows = jax.tree.leaves(args)
+        return jax.tree.unflatten(
+            tree, _in_turns(kernel, batched, every, len(rows[0]), size)(*closed, *rows)
+        )
+
+    return call
 
 
-def in_turns(
-    function: Callable, batched: Sequence[bool], spreads: Sequence[bool] | None, p: int, size: int
+def _in_turns(
+    function: Callable, batched: Sequence[bool], spreads: Sequence[bool], p: int, size: int
 ) -> Callable:
     """A function of `size` rows of those arguments that are `batched`, for p rows: applied to
-    `size` of them at a time. Its results are rows too, all or those that `spreads` flags."""
+    `size` of them at a time. Of its results those that `spreads` flags are rows too."""
     count = -(-p // size)
 
     def call(*args: Any) -> Any:
-        if count == 1:
+        if p == size:
             return function(*args)
         pick = jnp.minimum(jnp.arange(count * size), p - 1).reshape(count, size)
 
@@ -236,8 +235,6 @@ def in_turns(
             return v.reshape(count * size, *v.shape[2:])[:p]
 
         out = jax.lax.map(turn, pick)
-        if spreads is None:
-            return jax.tree.map(joined, out)
         return [joined(v) if flag else v[0] for v, flag in zip(out, spreads, strict=True)]
 
     return call

@@ -71,7 +71,7 @@ def _broadcast(axis_size: int, batched: Any, args: Any) -> Any:
 @custom_vmap
 def _write_lanes(rows: Any, i: Array, row: Any, yes: Array) -> Any:
     """`_write` for lanes along a first axis of all arguments."""
-    # Not `one_kernel`, whose barrier would copy the rows.
+    # Not `kernel_if_it_fits`, whose barrier would copy the rows.
     keep, every = (lambda rows, *_: rows), kernel_of_all(_write_each)
     return jax.lax.cond(jnp.any(yes), every, keep, rows, i, row, yes)
 

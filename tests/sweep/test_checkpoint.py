@@ -19,7 +19,7 @@ import pytest
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
-from jaxfil.sweep import checkpoint, execution, interrupt
+from jaxfil.sweep import checkpoint, execution, identity, interrupt
 from tests import ROOT
 from tests.sweep import runs
 from tests.sweep.runs import ESTIMATED, X0, sweep
@@ -196,7 +196,7 @@ class Gears(System):
 def test_equations_are_told_apart_by_what_they_compute():
     def equations(omega, teeth, scale):
         system = Gears(jnp.asarray(omega), jnp.asarray(teeth), lambda u: scale * jnp.cos(u))
-        return checkpoint.equations(system, X0)
+        return identity.equations(system, X0)
 
     same = equations(1.0, 3, 0.1)
     assert equations(2.0, 3, 0.1) == same
@@ -221,7 +221,7 @@ class Geared(System):
 def test_integers_and_static_fields_are_part_of_the_equations():
     def equations(entry=3, count=2, rule="pull"):
         table = jnp.arange(5000).at[2500].set(entry)
-        return checkpoint.equations(Geared(table, count, rule), X0)
+        return identity.equations(Geared(table, count, rule), X0)
 
     same = equations()
     assert equations() == same
@@ -229,7 +229,7 @@ def test_integers_and_static_fields_are_part_of_the_equations():
 
 
 def test_a_checkpoint_of_another_version_is_refused(begun, monkeypatch):
-    monkeypatch.setattr("jaxfil.sweep.sweep.__version__", "9.9")
+    monkeypatch.setattr("jaxfil.sweep.conditions.__version__", "9.9")
     with pytest.raises(ValueError, match=rf"jaxfil was {jf.__version__} and is 9\.9"):
         sweep([0.7, 0.8], checkpoint=begun)
 
@@ -340,14 +340,14 @@ def test_two_processes_at_one_checkpoint_agree(tmp_path):
 @pytest.mark.usefixtures("ctrl_c_interrupts")
 @pytest.mark.parametrize("follow", [None, "up"])
 def test_ctrl_c_while_a_sweep_compiles_is_heeded_when_it_is_compiled(monkeypatch, follow):
-    before, compiled = execution._compiled_job, []
+    before, compiled = execution._compiled_chunk, []
 
     def pressed(*args):
         signal.raise_signal(signal.SIGINT)
         compiled.append(before(*args))
         return compiled[-1]
 
-    monkeypatch.setattr(execution, "_compiled_job", pressed)
+    monkeypatch.setattr(execution, "_compiled_chunk", pressed)
     handler = signal.getsignal(signal.SIGINT)
     with pytest.warns(RuntimeWarning, match="0 of 3 lanes are finished"):
         part = sweep([0.6, 0.7, 0.8], follow=follow)

@@ -16,14 +16,20 @@ BELT = jf.systems.BeltFriction()
 
 
 @pytest.fixture
-def in_parts(monkeypatch):
-    """The sweeps that have turned out not to fit into one kernel, from this test's begin on."""
-    jobs = set()
-    monkeypatch.setattr(execution, "_IN_PARTS", jobs)
-    return jobs
+def chunks(monkeypatch):
+    """The chunks of sweeps, but for their numbers, from this test's begin on."""
+    found = []
+    before = execution._finished
+
+    def finished(chunk, lanes):
+        found.append(chunk)
+        return before(chunk, lanes)
+
+    monkeypatch.setattr(execution, "_finished", finished)
+    return found
 
 
-def test_a_lane_equals_its_single_run(in_parts):
+def test_a_lane_equals_its_single_run(chunks):
     values = np.linspace(4.25, 4.55, 5)
     d = jf.bifurcation_diagram(
         BELT, "omega", values, jnp.zeros(2), transient=3, samples=2, steps=40, progress=False
@@ -32,7 +38,7 @@ def test_a_lane_equals_its_single_run(in_parts):
         belt = jf.systems.BeltFriction(omega=value)
         sol = jf.solve(belt, jnp.zeros(2), 0.0, 5 * belt.period, belt.period / 40)
         np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
-    assert not in_parts, "its loop is not one kernel"
+    assert chunks[0].in_kernels, "its loop is not one kernel"
 
 
 def test_the_jump_from_rest_is_between_its_neighbours():
@@ -77,10 +83,11 @@ def test_a_bad_lane_harms_no_other():
     np.testing.assert_allclose(mixed.xs[[0, 2]], good.xs, rtol=1e-12)
 
 
-def test_chunks_and_cores_and_other_lanes_make_no_difference(monkeypatch):
+def test_chunks_and_cores_and_other_lanes_make_no_difference(monkeypatch, chunks):
     values = np.linspace(4.2, 4.7, 200)
     run = {"transient": 5, "samples": 3, "progress": False}
     one_block = jf.bifurcation_diagram(BELT, "omega", values, jnp.zeros(2), **run)
+    assert [len(chunk.end) for chunk in chunks] == [64] * 4, "a chunk is a kernel"
     few = jf.bifurcation_diagram(BELT, "omega", values[90:97], jnp.zeros(2), **run)
     np.testing.assert_array_equal(few.xs, one_block.xs[90:97])
     monkeypatch.setattr(execution, "_CHUNKS", 2)
@@ -170,7 +177,7 @@ class Sorted(System):
         return 2 * jnp.pi / self.omega
 
 
-def test_a_field_with_a_sort_is_swept_as_it_is_solved(in_parts):
+def test_a_field_with_a_sort_is_swept_as_it_is_solved(chunks):
     values, x0 = np.array([0.9, 1.1]), jnp.array([0.3, 0.1])
     stepper, options = jf.RK4(), {"transient": 1, "samples": 2, "progress": False}
     d = jf.bifurcation_diagram(
@@ -180,7 +187,7 @@ def test_a_field_with_a_sort_is_swept_as_it_is_solved(in_parts):
         system = Sorted(jnp.asarray(value))
         sol = jf.solve(system, x0, 0.0, 3 * system.period, system.period / 40, stepper=stepper)
         np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
-    assert in_parts
+    assert not chunks[0].in_kernels
 
 
 class Bent(Sorted):
@@ -190,7 +197,7 @@ class Bent(Sorted):
         return super().vector_field(t, x, side) + jnp.arctan(3 * x)
 
 
-def test_an_arctangent_is_in_its_quadrant(in_parts):
+def test_an_arctangent_is_in_its_quadrant(chunks):
     # XLA's own is in wrong quadrants in 512-bit vectors, when there are lanes enough: a field's is
     # replaced.
     values, x0 = np.linspace(0.9, 1.1, 256), jnp.array([0.3, 0.1])
@@ -198,7 +205,8 @@ def test_an_arctangent_is_in_its_quadrant(in_parts):
     d = jf.bifurcation_diagram(
         Bent(jnp.asarray(1.0)), "omega", values, x0, stepper=stepper, **options
     )
-    assert in_parts
+    (chunk,) = chunks
+    assert not chunk.in_kernels and len(chunk.end) == 256, "many lanes make up for many kernels"
     for value, xs in zip(values[::85], d.xs[::85], strict=True):
         system = Bent(jnp.asarray(value))
         sol = jf.solve(system, x0, 0.0, 2 * system.period, system.period / 40, stepper=stepper)

@@ -270,7 +270,29 @@ def test_one_kernel_holds_what_is_said_to_fit():
         return jax.vmap(moved)(x, k)
 
     for function, args in ((everything, (x, k)), (lanes, (jnp.stack([x] * 64), jnp.ones(64)))):
-        jax.jit(kernel.one_kernel(function)).lower(*args).compile()
+        assert is_whole(compiled(kernel.kernel_if_it_fits(function), *args))
+
+
+def test_blocks_of_rows_are_kernels_and_ask_each_other():
+    """Newton's method for roots, until all of a block have converged."""
+    scale = jnp.float64(2.0)
+
+    def roots(a):
+        body = lambda x: 0.5 * (x + scale * a / x)  # noqa: E731
+        return jax.lax.while_loop(lambda x: jnp.any(abs(x * x - scale * a) > 1e-12 * a), body, a)
+
+    def blocks(a):
+        run = kernel.kernel_of_rows(roots, 8, a)
+        assert run is not None
+        return run(a)
+
+    for p in (3, 8, 21):
+        a = jnp.linspace(1.0, 9.0, p)
+        program = compiled(blocks, a)
+        assert is_whole(program) == (p <= 8), "one kernel, or a loop over kernels"
+        assert "xla_cpu_small_call" in program.as_text()
+        np.testing.assert_allclose(program(a), np.sqrt(2 * a), rtol=1e-12)
+    assert kernel.kernel_of_rows(jnp.sort, 8, a) is None
 
 
 def test_an_error_of_the_users_own_is_told():

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxfil.xla import fits
-from jaxfil.xla.kernel import one_kernel
+from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.matrix_product import by_sums
 from tests.xla.operations import names
 
@@ -43,7 +43,10 @@ def test_a_kernel_holds_products(axes, sizes):
         return jax.lax.while_loop(lambda s: s[0] < 2, turn, (0, jnp.zeros(zero.shape)))[1]
 
     a, b = operands(axes, sizes)
-    got = jax.jit(one_kernel(product))(a, b)
+    program = jax.jit(kernel_if_it_fits(product)).lower(a, b).compile()
+    text = program.as_text()
+    assert text is not None and " while(" not in text[text.index("ENTRY") :]
+    got = program(a, b)
     # Of sums in another order.
     assert_allclose(got, 2 * np.einsum(axes, a, b), rtol=0, atol=1e-12)
 

@@ -23,6 +23,7 @@ alone, in a batch of 64 or in another one gives the same samples.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -55,16 +56,16 @@ _CROSSING, _SLIDING = (8, 32), (16, 128)
 
 
 def integrate_batch(
-    problem: Callable[[Array, Array], Problem], rows: Array, states: Array
+    problem: Callable[[Any, Array], Problem], points: Any, states: Array
 ) -> LoopState:
     """`integrate` for b lanes together, to a `LoopState` of b. `problem` makes that of a lane from
-    one of the rows (b, k), its parameters, and one of the states (b, n)."""
+    one of the points in parameter space, arrays of b rows, and one of the states (b, n)."""
 
-    def lane(row: Array, x0: Array) -> LoopState:
-        own = problem(row, x0)
+    def lane(point: Any, x0: Array) -> LoopState:
+        own = problem(point, x0)
         return _integrate_together(own, own.system.unpack(x0))
 
-    return jax.vmap(lane, axis_name=_BATCH)(rows, states)
+    return jax.vmap(lane, axis_name=_BATCH)(points, states)
 
 
 def _count(flag: Array) -> Array:

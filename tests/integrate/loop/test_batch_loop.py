@@ -9,7 +9,7 @@ from hypothesis import example, given, settings, strategies as st
 
 import jaxfil as jf
 from jaxfil.integrate.contacts.locate import NEVER, first_contact, stays_off
-from jaxfil.sweep import execution
+from jaxfil.xla.kernel import BLOCK
 from tests.problems import closed_forms
 
 number = st.floats(-4, 4).map(lambda v: v**3)
@@ -147,4 +147,4 @@ def test_the_others_in_a_block_make_no_difference_to_the_last_bit(name):
     wild = jf.bifurcation_diagram(system, "omega", values, states, **run)
     assert not np.array_equal(wild.xs[::2], calm.xs[::2])
     np.testing.assert_array_equal(wild.xs[1::2], calm.xs[1::2])
-    assert execution.BLOCK >= 40, "they share a block"
+    assert BLOCK >= 40, "they share a block"

@@ -1,0 +1,68 @@
+"""Identities of what has no name of its own: equations, sections, functions observed.
+
+A function enters, of a system or of a user's; a hash of what it computes leaves, which another
+process or another day finds again.
+"""
+
+import hashlib
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.run.observed import Observable
+from jaxfil.model import check
+from jaxfil.model.parameter import is_parameter
+from jaxfil.model.section import Section
+from jaxfil.model.system import System
+
+
+def equations(system: System, x: np.ndarray) -> str:
+    """A hash of what a system computes from its parameters, a time and a state.
+
+    It is that of the program lowered for XLA: of everything the functions of the system do, their
+    constants included, and of nothing that changes from one process to the next.
+    """
+    # Parameters are arguments of the program and not constants in it: a record has their values.
+    leaves, static = eqx.partition(system, is_parameter)
+    state = jnp.asarray(x)
+    h = check.shapes(system, state)
+
+    def everything(leaves: System, t: Array, x: Array) -> tuple[Any, ...]:
+        s = eqx.combine(leaves, static)
+        field = s.vector_field(t, x, jnp.ones(h, x.dtype))
+        after = s.reset(t, x, jnp.zeros((), jnp.int32)) if s.resets else None
+        return field, s.switching(t, x), after, s.period, s.clocks
+
+    text = jax.jit(everything).lower(leaves, jnp.zeros((), state.dtype), state).as_text()
+    return hashlib.sha256(f"{text} {system.slides}".encode()).hexdigest()[:16]
+
+
+def identity_of_section(section: Section, x: np.ndarray) -> str:
+    """A section in words, and a hash of its function and that function's numbers."""
+    sha = _fingerprint(section.function, jnp.zeros((), x.dtype), jnp.asarray(x))
+    rate = ", of its rate" if section.of_rate else ""
+    return f"function {sha}{rate}, direction {section.direction}"
+
+
+def identity_of_observable(observable: Observable, system: System, x: np.ndarray) -> str:
+    """The name of what is observed, and the same of its function."""
+    state = jnp.asarray(x)
+    side = jnp.ones(check.shapes(system, state), x.dtype)
+    sha = _fingerprint(observable.function, jnp.zeros((), x.dtype), state, side)
+    return f"{observable.name}, function {sha}"
+
+
+def _fingerprint(function: Any, *example: Array) -> str:
+    """A hash of a function of arrays like these, and of its numbers."""
+    leaves, static = eqx.partition(function, is_parameter)
+
+    def call(leaves: Any, *args: Array) -> Any:
+        return eqx.combine(leaves, static)(*args)
+
+    text = jax.jit(call).lower(leaves, *example).as_text()
+    numbers = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(leaves)]
+    return hashlib.sha256(f"{text} {numbers}".encode()).hexdigest()[:16]

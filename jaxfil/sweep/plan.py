@@ -1,0 +1,181 @@
+"""The plan of a sweep: every argument of it once, checked.
+
+The arguments of `bifurcation_diagram` enter; a `SweepPlan` leaves. What each lane does
+(`sampling`), what a checkpoint knows its sweep by (`record`) and what a saved diagram says of its
+conditions (`conditions`) are made of it.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.run.observed import Observable, Observe, checked_observable
+from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
+from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
+from jaxfil.integrate.system.grade import is_compact_sweep
+from jaxfil.model import check
+from jaxfil.model.labels import Labels, labels_of
+from jaxfil.model.parameter import cast, get_parameter
+from jaxfil.model.section import Section, sections_of
+from jaxfil.model.system import System
+from jaxfil.model.types import Scalar, States, SweptValues
+from jaxfil.sweep.initial_states import initial_states, state_type
+from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
+from jaxfil.sweep.sampling import Samples, Sampling
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepPlan:
+    """All that the numbers of a sweep depend on."""
+
+    sampling: Sampling
+    """The system, and what each lane does with it."""
+    grid: ParameterGrid
+    """The points in parameter space, a lane each."""
+    x0: np.ndarray
+    """The initial state of all lanes, shape (n,), or one for each."""
+    follow: str | None
+    """"up" or "down" if each value begins where the last one ended."""
+    labels: Labels
+    """What pictures and named arrays call its quantities."""
+
+    @property
+    def steps_per_lane(self) -> int:
+        """Steps of a lane that is sampled once a forcing period."""
+        each = self.sampling
+        return (int(each.transient) + each.samples) * int(each.steps)
+
+    def unfinished(self) -> Samples[np.ndarray]:
+        """Samples of all lanes, none of which is known."""
+        each, observable = self.sampling, self.sampling.observable
+        k = self.x0.shape[-1] if observable is None else observable.size
+        shape, dtype = (len(self.grid.rows), each.samples), self.x0.dtype
+        times = None if each.section is None else np.full(shape, np.nan, dtype)
+        return Samples(np.full((*shape, k), np.nan, dtype), times)
+
+    def at_half_the_step(self) -> "SweepPlan":
+        """The same with twice as many steps."""
+        half = dataclasses.replace(self.sampling, steps=2 * self.sampling.steps)
+        return dataclasses.replace(self, sampling=half)
+
+
+def sweep_plan(
+    system: System,
+    parameter: str | Sequence[str],
+    values: SweptValues,
+    x0: States,
+    *,
+    transient: int | None,
+    samples: int,
+    steps: int | StepChoice,
+    stepper: Stepper | None,
+    follow: str | None,
+    compact: bool | None,
+    section: Section | None,
+    max_return: Scalar | None,
+    transient_time: Scalar | None,
+    observe: Observe | None,
+    runs: int,
+) -> SweepPlan:
+    """The plan that these arguments of `bifurcation_diagram` ask for, with so many `runs` of it:
+    a second one is at half the step."""
+    check.system("system", system)
+    dtype = state_type(x0)
+    state = np.zeros(np.shape(x0)[-1:], dtype)
+    system = cast(system, dtype)
+    grid = parameter_grid(parameter, values, dtype)
+    for name in grid.names:
+        get_parameter(system, name)
+    section, longest, from_time = _sampled_at(system, section, max_return, transient_time, state)
+    observable = None if observe is None else _observable(observe, system, state)
+    labels = _labels(system, grid, observable, state.size)
+    _check_follow(follow, grid)
+    steps, stepper = steps_and_stepper(steps, stepper, system)
+    default = 200 if from_time is None else 0
+    unseen = check.count("transient", default if transient is None else transient, least=0)
+    samples = check.count("samples", samples)
+    states = initial_states(x0, grid.shape, follow is not None).astype(dtype)
+    check.number_of_steps(steps, runs=runs, transient=unseen, samples=samples)
+    count = (unseen + samples) * steps
+    sampling = Sampling(
+        system=system,
+        names=grid.names,
+        transient=jnp.asarray(unseen, jnp.int32),
+        samples=samples,
+        steps=jnp.asarray(steps, jnp.int32),
+        stepper=checked_stepper(stepper),
+        compact=is_compact_sweep(compact, len(grid.rows), count),
+        section=section,
+        max_return=longest,
+        transient_time=from_time,
+        observable=observable,
+    )
+    return SweepPlan(sampling, grid, states, follow, labels)
+
+
+def _sampled_at(
+    system: System,
+    section: Section | None,
+    max_return: Scalar | None,
+    transient_time: Scalar | None,
+    state: np.ndarray,
+) -> tuple[Section | None, Array | None, Array | None]:
+    """The section to sample at, the mean time that a return to it may take, and the transient in
+    time, in the precision of the run; None once a forcing period."""
+    if section is None:
+        if system.period is None:
+            raise ValueError(
+                f"`system` must be forced: a diagram samples once a forcing period, and the period "
+                f"of {type(system).__name__} is None. Give a `section` to sample at."
+            )
+        if transient_time is not None:
+            raise ValueError(
+                "`transient_time` must be None without a `section`: forcing periods are counted by "
+                f"`transient`; got {transient_time!r}."
+            )
+        return None, None, None
+    if not isinstance(section, Section):
+        raise ValueError(f"`section` must be a jaxfil.Section, got {section!r}.")
+    sections_of("section", section, jnp.asarray(state))
+    if section.is_bound:
+        raise ValueError("`section` must be one that motions cross, got a bound.")
+    longest = check.scalar("max_return", max_return, state.dtype, positive=True)
+    section = dataclasses.replace(section, function=cast(section.function, state.dtype))
+    if transient_time is None:
+        return section, longest, None
+    return (
+        section,
+        longest,
+        check.scalar("transient_time", transient_time, state.dtype, positive=True),
+    )
+
+
+def _observable(observe: object, system: System, state: np.ndarray) -> Observable:
+    """What is recorded in place of the samples' states."""
+    observable = checked_observable("observe", observe, system, jnp.asarray(state))
+    if len(observable.shape) > 1:
+        raise ValueError(
+            f"`observe` must return a number, or k of them in a row, got shape {observable.shape}."
+        )
+    return observable
+
+
+def _labels(system: System, grid: ParameterGrid, observable: Observable | None, n: int) -> Labels:
+    """Names of the samples' components, and of the parameters swept."""
+    named = labels_of(system, n)
+    # Titles name the other parameters too, without units.
+    labels = dataclasses.replace(named.of(grid.names), symbols=named.symbols)
+    if observable is None:
+        return labels
+    units = tuple(pair for pair in labels.units if pair[0] in grid.names)
+    return Labels(observable.names, labels.symbols, units)
+
+
+def _check_follow(follow: object, grid: ParameterGrid) -> None:
+    if follow not in (None, "up", "down"):
+        raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
+    if follow is not None and len(grid.names) > 1:
+        raise ValueError(f"`follow` must be None with several parameters, got {follow!r}.")

@@ -1,0 +1,66 @@
+"""The record of a sweep: all arguments that its numbers depend on, by name.
+
+A plan enters; the record leaves by which a checkpoint, or another process, knows the same sweep.
+"""
+
+import hashlib
+from collections.abc import Mapping
+
+import jax
+import numpy as np
+
+from jaxfil.integrate.steppers.explicit import tableau_of
+from jaxfil.sweep.conditions import conditions_of
+from jaxfil.sweep.identity import equations
+from jaxfil.sweep.plan import SweepPlan
+
+Record = Mapping[str, str | int | np.ndarray]
+"""What a sweep was asked for: every argument by name."""
+
+
+def record_of(plan: SweepPlan) -> Record:
+    """All that the numbers of a sweep depend on, by the names that a user knows."""
+    grid, each, given = plan.grid, plan.sampling, conditions_of(plan)
+    # The coefficients as well as the name: another version of diffrax may have other digits.
+    table = repr(tableau_of(each.stepper)).encode()
+    columns = grid.values if isinstance(grid.values, tuple) else grid.rows.T
+    return {
+        "system": type(each.system).__name__,
+        "equations": equations(each.system, np.zeros(given.x0.shape[-1:], given.x0.dtype)),
+        **{f"system.{key}": value for key, value in given.parameters.items()},
+        "parameter": ", ".join(grid.names),
+        "points": str(grid.shape),
+        **{f"values of {key}": v for key, v in zip(grid.names, columns, strict=True)},
+        "x0": given.x0,
+        "transient": given.transient,
+        "samples": each.samples,
+        "steps": given.steps,
+        "stepper": given.stepper,
+        "coefficients": hashlib.sha256(table).hexdigest()[:16],
+        "follow": str(given.follow),
+        "compact": str(given.compact),
+        "section": f"{given.section}, {given.max_return}",
+        "observe": str(given.observe),
+        "transient_time": str(given.transient_time),
+        "jaxfil": given.version,
+        # Other versions and other machines give other last bits, and a diagram of two halves that
+        # differ in them is equal to neither.
+        "jax": jax.__version__,
+        "backend": jax.default_backend(),
+    }
+
+
+def digest(record: Record) -> bytes:
+    """A hash of all arguments."""
+    sha = hashlib.sha256()  # and not `hash`, which is another one in each process
+    for name, value in sorted(record.items()):
+        sha.update(f"{name} {shown(value)} ".encode())
+        sha.update(value.tobytes() if isinstance(value, np.ndarray) else b"")
+    return sha.digest()
+
+
+def shown(value: str | int | np.ndarray) -> str:
+    """An argument in words; of an array its shape and dtype."""
+    if isinstance(value, np.ndarray):
+        return f"of shape {value.shape} and dtype {value.dtype}"
+    return str(value)
