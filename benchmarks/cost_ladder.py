@@ -15,11 +15,10 @@ import jax
 import numpy as np
 
 import jaxfil as jf
-from benchmarks import cost_scenes
 from benchmarks.table import Column, table
 from jaxfil.sweep.execution import compiled
 from jaxfil.xla.kernel import BLOCK, kernel_if_it_fits
-from tests.oracles import hlo
+from tests.oracles import cost_scenes, hlo
 
 LANES, STEPS = 1024, 40
 # Where surfaces are met.

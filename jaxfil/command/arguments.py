@@ -88,7 +88,7 @@ def _add_diagram(parser: _Parser) -> None:
     add("--samples", metavar="N", type=positive, default=100, help="periods seen: %(default)s")
     add("--steps", metavar="N", type=positive, default=40, help="steps a period: %(default)s")
     add("--follow", choices=("up", "down"), help="start each value where its neighbour ended")
-    grade = "a small program or a fast one, as in jaxfil.solve: by the length of the sweep"
+    grade = "a program that compiles fast or one that runs fast, as in jaxfil.solve"
     add("--compact", action=argparse.BooleanOptionalAction, help=grade)
     add("--component", metavar="I", type=whole, default=0, help="of the state: %(default)s")
     add("--quiet", action="store_true", help="no progress bar and no summary")

@@ -111,7 +111,7 @@ def lyapunov_spectrum(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one. Within an interval the ratio of two directions' growths must stay far from 1/eps.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `compact`: as in `solve`; by default so for up to 750,000 steps of all lanes together.
+    - `compact`: as in `solve`.
 
     **Returns** a `LyapunovSpectrum`.
 
@@ -138,7 +138,15 @@ def lyapunov_spectrum(
     steps, stepper = steps_and_stepper(steps, stepper, system)
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
-    compact = is_compact_sweep(compact, lanes_of((system, x)), (transient + periods) * steps)
+    compact = is_compact_sweep(
+        compact,
+        system,
+        x,
+        stages=tableau_of(stepper).stages,
+        lanes=lanes_of((system, x)),
+        steps=(transient + periods) * steps,
+        tangents=x.size,
+    )
     return _spectrum(system, x, between, counts, stepper, min(BATCHES, periods), compact)
 
 

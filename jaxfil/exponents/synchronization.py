@@ -79,7 +79,7 @@ def synchronization_exponent(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `compact`: as in `solve`; by default so for up to 750,000 steps of all lanes together.
+    - `compact`: as in `solve`.
 
     **Returns** a `Synchronization`. `transverse_exponent` is sharper by an order of magnitude.
 
@@ -115,7 +115,15 @@ def synchronization_exponent(
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
     lanes = lanes_of((system, x, grid)) * grid.shape[0]
-    compact = is_compact_sweep(compact, lanes, (transient + periods) * steps)
+    # Drive and response are one system of twice the size.
+    compact = is_compact_sweep(
+        compact,
+        drive_response(system, grid[0]),
+        jnp.concatenate([x, x]),
+        stages=tableau_of(stepper).stages,
+        lanes=lanes,
+        steps=(transient + periods) * steps,
+    )
     return _threshold(system, x, grid, within, between, counts, stepper, compact)
 
 
@@ -248,7 +256,7 @@ def transverse_exponent(
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `compact`: as in `solve`; by default so for up to 750,000 steps of all lanes together.
+    - `compact`: as in `solve`.
 
     **Returns** a `TransverseExponent`.
 
@@ -276,7 +284,14 @@ def transverse_exponent(
     counts = counts_of(periods, transient, steps)
     stepper = checked_stepper(stepper)
     lanes = lanes_of((system, x, strength))
-    compact = is_compact_sweep(compact, lanes, (transient + periods) * steps)
+    compact = is_compact_sweep(
+        compact,
+        drive_response(system, strength),
+        jnp.concatenate([x, x]),
+        stages=tableau_of(stepper).stages,
+        lanes=lanes,
+        steps=(transient + periods) * steps,
+    )
     batches = min(BATCHES, periods)
     return _transverse(system, x, strength, between, counts, stepper, batches, compact)
 

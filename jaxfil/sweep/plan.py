@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.run.observed import Observable, Observe, checked_observable
 from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
-from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
+from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.model import check
 from jaxfil.model.labels import Labels, labels_of
@@ -25,6 +25,7 @@ from jaxfil.model.types import Scalar, States, SweptValues
 from jaxfil.sweep.initial_states import initial_states, state_type
 from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
 from jaxfil.sweep.sampling import Samples, Sampling
+from jaxfil.xla.kernel import BLOCK
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,15 +100,25 @@ def sweep_plan(
     samples = check.count("samples", samples)
     states = initial_states(x0, grid.shape, follow is not None).astype(dtype)
     check.number_of_steps(steps, runs=runs, transient=unseen, samples=samples)
-    count = (unseen + samples) * steps
+    stepper = checked_stepper(stepper)
+    grade = is_compact_sweep(
+        compact,
+        system,
+        jnp.asarray(state),
+        stages=tableau_of(stepper).stages,
+        lanes=len(grid.rows),
+        # At half the step there are twice as many.
+        steps=(unseen + samples) * steps * (3 if runs > 1 else 1),
+        block=BLOCK if follow is None else 1,
+    )
     sampling = Sampling(
         system=system,
         names=grid.names,
         transient=jnp.asarray(unseen, jnp.int32),
         samples=samples,
         steps=jnp.asarray(steps, jnp.int32),
-        stepper=checked_stepper(stepper),
-        compact=is_compact_sweep(compact, len(grid.rows), count),
+        stepper=stepper,
+        compact=grade,
         section=section,
         max_return=longest,
         transient_time=from_time,

@@ -99,7 +99,7 @@ def bifurcation_diagram(
     - `progress`: show a progress bar.
     - `estimate_error`: sweep a second time at half the step, and give the largest distance between
       the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
-    - `compact`: as in `solve`; by default so for up to 750,000 steps of all lanes together.
+    - `compact`: as in `solve`.
     - `section`: a `Section` whose crossings are sampled, such as `jf.maxima(…)`; its `terminal`
       does not matter here.
     - `max_return`: with a `section`, a time that is longer than the mean one from a crossing to the

@@ -85,7 +85,7 @@ def test_a_bad_lane_harms_no_other():
 
 def test_chunks_and_cores_and_other_lanes_make_no_difference(monkeypatch, chunks):
     values = np.linspace(4.2, 4.7, 200)
-    run = {"transient": 5, "samples": 3, "progress": False}
+    run = {"transient": 5, "samples": 3, "progress": False, "compact": False}
     one_block = jf.bifurcation_diagram(BELT, "omega", values, jnp.zeros(2), **run)
     assert [len(chunk.end) for chunk in chunks] == [64] * 4, "a chunk is a kernel"
     few = jf.bifurcation_diagram(BELT, "omega", values[90:97], jnp.zeros(2), **run)

@@ -99,10 +99,12 @@ def solve(
     - `estimate_error`: also run at half the step, and give the distance between the two as
       `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
       or `ts`.
-    - `compact`: whether the stages of a step are a loop in the program and not written out: it
-      compiles in a third to a half of the time, and runs one and a half times as long for one lane
-      and five to ten times as long for many. By default so for up to 8 lanes of a `jax.vmap` around
-      the call (one around a `jax.jit` that the call is in is not seen).
+    - `compact`: whether the program is compact, its stages a loop and its lanes run one after the
+      other. It compiles in a fifth to a half of the time of one that is written out, and takes
+      1.5 to 2 times as long to run for one lane, 5 to 30 times for many. By default a run of up to
+      8 lanes of a `jax.vmap` around it is compact (a `vmap` around a `jax.jit` that the call is in
+      cannot be detected); diagrams, basins and exponents are where that is estimated to take less
+      time, compiling included: up to some 3 to 20 million steps of all lanes together.
     - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
       nothing of the motion. The table of them has `max_events` rows too.
     - `observe`: a function of the time, the state, shape (n,), and the sides, as

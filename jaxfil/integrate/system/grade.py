@@ -1,37 +1,171 @@
-"""Compact programs: which of the two grades of a step a call compiles.
+"""The grade of a program: compact, or written out.
 
-What a user asked for, and how much work a call is, enter; whether the stages of a step are a loop
-in the program (`stepper.compact_step`) leaves. Its sines are XLA's own, one operation in place of
-twenty, which do not vectorise (`trace`), but for arrays of them that need time alone: these are
-found once for all stages. A compact program compiles sooner and runs longer, for many lanes above
-all: these are run one after the other, by the program of one lane. How much, the docstring of
-`solve` says. Where a call runs for milliseconds a compact program is the better one, where it runs
-for seconds the other.
+In a *compact* program the stages of a step are a loop (`compact_step`), a state
+is an array, and sines are XLA's own functions: one operation in place of twenty. Its lanes run one
+after the other, by the program of one lane. One that is *written out* has each stage and each
+number of a state by itself, and its lanes run in blocks of 64 that share vector instructions. It
+takes longer to compile and less time to run.
+
+A run of a few lanes (`is_compact_run`) is compact: it is called again and again, as by optimisers,
+and steps are often not known. Of a call that is made once with a known number of steps, as a sweep
+is, both are estimated (`is_compact_sweep`): the seconds that a compact program saves when it is
+compiled, and those that it loses when it runs. Processor time on one core of x86-64 with AVX-512,
+jaxlib 0.10.2, of 256 lanes, 40 steps a period, "operations" the product that `ProgramSize` has:
+
+    system, stepper              operations   saved, s        lost, µs a step of a lane
+                                              measured model  measured model
+    linear, Dopri8                      195        1.2   1.3      0.56  0.53
+    SD oscillator, Dopri8               247        4.0   4.1      0.66  0.67
+    SD oscillator, Tsit5                114        3.3   3.2      0.30  0.31
+    impact oscillator, Dopri8           247        6.0   6.5      0.60  0.67
+    belt friction, Dopri8               507        5.5   6.2      0.89  1.37
+    belt friction, Tsit5                234        3.8   4.4      0.46  0.63
+    belt friction, RK4                  156        3.2   3.8      0.34  0.42
+    two blocks on belts, Dopri8         676        9.4   9.3      1.69  1.83
+    two blocks on belts, RK4            208        6.3   6.2      0.82  0.56
+    belt and wall, Dopri8               234        9.9  11.6      1.19  0.63
+    the same coupled, Dopri8            858       16.1  15.7      2.12  2.32
+    rotor and stator, Dopri8           3120       33.1  29.7     12.1   8.4
+    rotor and stator, Tsit5            1440       26.1  18.6      6.9   3.9
+    rotor and stator, RK4               960       18.2  15.4      5.2   2.6
+
+    chain of 10 numbers, Dopri8         897       21.6   8.5      1.34  2.44
+    chain of 20 numbers, Dopri8        1430       47.5  12.0      0.17  0.41
+
+The rotor has two coupled surfaces and is at one of them in most of its steps; how often a system is
+at a surface is not known before it runs. The two estimates balance at 2 to 20 million steps of all
+lanes. A state of more than 12 numbers, as the last one, is an array in both grades: its own numbers
+fill the vectors, and a compact program loses a tenth. With two tangent vectors belt friction takes
+4.2 µs a step in a compact program, in one lane, and half of that if it is written out.
 """
 
+import dataclasses
+import math
+from collections.abc import Callable
 from typing import Any
 
-from jaxfil.xla.lanes import lanes_of
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
 
-# Lanes of one run at most. Runs are what users call again and again, as optimisers do.
+from jaxfil.integrate.system.lowered import build
+from jaxfil.model import check
+from jaxfil.model.system import System
+from jaxfil.xla.kernel import BLOCK
+from jaxfil.xla.lanes import lanes_of
+from jaxfil.xla.program import programs
+
+# Lanes of one run at most.
 _FEW = 8
-# Steps of all lanes of a sweep at most: in a compact program so many take 0.5 s more, with tangent
-# vectors 2.4 s; a first call takes 6 s less of processor time, with tangent vectors 9 s.
-_MOST = 750_000
+# Seconds that a compact program saves when it is compiled: for each operation, for each operation
+# of H, and for each surface, twice where there are resets.
+_OPERATION, _GUARD, _SURFACE = 6.6e-3, 0.2, 2.0
+# Seconds that a step of a lane takes in a compact program for each operation; with tangent vectors
+# so many times more for each.
+_STEP, _TANGENT = 2.9e-9, 1.5
+# What a block takes in a program that is written out, as a multiple of one lane in a compact one:
+# a block of any size, and more for each lane in it; for each lane whose state is an array anyhow.
+_BLOCK, _LANE, _LANE_OF_ARRAY = 0.5, 0.055, 0.9
+# Numbers of a state, or of another array, that a program spells out one by one: see `lowered`.
+_SPELLED = 12
+
+
+@dataclasses.dataclass(frozen=True)
+class ProgramSize:
+    """How large the program of a lane will be, known from the functions of a system alone."""
+
+    operations: int
+    """Operations in all fields that a step evaluates: in one of them, times the stages, and where
+    surfaces are coupled times the combinations of sides that the field is found at."""
+    guards: int
+    """Operations in H."""
+    contacts: int
+    """Surfaces; those with resets twice."""
+    spelled: bool
+    """Whether the numbers of a state are spelled out in a program that is written out."""
+
+    @property
+    def seconds_saved(self) -> float:
+        """Time that a compact program takes less to compile."""
+        guards, contacts = _GUARD * self.guards, _SURFACE * self.contacts
+        return _OPERATION * self.operations + guards + contacts
+
+    def seconds_lost(self, lanes: int, steps: int, block: int, tangents: int) -> float:
+        """Time that a compact program takes more to run. `block`: lanes that share the vectors of a
+        program that is written out."""
+        one = _STEP * self.operations * (1 + _TANGENT * tangents) * steps
+        share = _BLOCK + _LANE * block if self.spelled else _LANE_OF_ARRAY * block
+        return one * (lanes - math.ceil(lanes / block) * share)
 
 
 def is_compact_run(asked: object, arguments: Any) -> bool:
-    """That of a run, or of what is made of some: as asked for, and by default for few lanes."""
-    return _checked(asked, lanes_of(arguments) <= _FEW)
+    """The grade of a run, or of what consists of runs: as asked for, and by default compact for few
+    lanes."""
+    return _checked(asked, lambda: lanes_of(arguments) <= _FEW)
 
 
-def is_compact_sweep(asked: object, lanes: int, steps: int) -> bool:
-    """That of a call that is made once: as asked for, and by default if all its lanes take few
-    steps, of which each takes `steps`."""
-    return _checked(asked, lanes * steps <= _MOST)
+def is_compact_sweep(
+    asked: object,
+    system: System,
+    x0: Any,
+    *,
+    stages: int,
+    lanes: int,
+    steps: int,
+    block: int | None = None,
+    tangents: int = 0,
+) -> bool:
+    """The grade of a call that is made once: as asked for, and by default the one that takes less
+    time, compiling included.
+
+    Each of the `lanes` takes so many `steps` of so many `stages`, with so many `tangents` beside
+    the state x0, shape (n,). `block` lanes run at a time if the program is written out, by default
+    all of them, up to 64.
+    """
+
+    def default() -> bool:
+        size = program_size(system, x0, stages)
+        together = min(lanes, BLOCK) if block is None else block
+        return size.seconds_saved >= size.seconds_lost(lanes, steps, together, tangents)
+
+    return _checked(asked, default)
 
 
-def _checked(asked: object, default: bool) -> bool:
+def _checked(asked: object, default: Callable[[], bool]) -> bool:
     if asked is not None and not isinstance(asked, bool):
         raise ValueError(f"`compact` must be True, False or None, got {asked!r}.")
-    return default if asked is None else asked
+    return default() if asked is None else asked
+
+
+def program_size(system: System, x0: Any, stages: int) -> ProgramSize:
+    """The size of the program of a lane of a system, whose state is like x0, shape (n,), and a
+    stepper of so many stages."""
+    # Traced and not run; JAX remembers the trace, so that new values of parameters ask nothing.
+    field, guards, contacts = eqx.filter_eval_shape(_counts, system, x0)
+    return ProgramSize(field * stages, guards, contacts, spelled=len(x0) <= _SPELLED)
+
+
+@eqx.filter_jit
+def _counts(system: System, x0: Array) -> tuple[int, int, int]:
+    """Operations in the fields of one stage, operations in H, contacts."""
+    on_components = build(system, x0, compact=True)
+    structure, m = on_components.structure, on_components.m
+    h, t = check.shapes(system, x0), jnp.zeros((), x0.dtype)
+    field = jax.make_jaxpr(system.vector_field)(t, x0, jnp.ones(h, x0.dtype))
+    guards = jax.make_jaxpr(system.switching)(t, x0)
+    corners = 1 if structure.separate else m + 1 if structure.affine else 2**m
+    contacts = 2 * m if on_components.resets else m
+    return corners * _operations(field.jaxpr), _operations(guards.jaxpr), contacts
+
+
+def _operations(jaxpr: Any) -> int:
+    """Operations in a program on single numbers, or on arrays that are not spelled out."""
+    count = 0
+    for eqn in jaxpr.eqns:
+        inner = [getattr(program, "jaxpr", program) for program in programs(eqn.params)]
+        sizes = (int(np.prod(v.aval.shape)) for v in eqn.outvars)
+        own = sum(size if size <= _SPELLED else 1 for size in sizes)
+        count += sum(map(_operations, inner)) if inner else own
+    return count

@@ -13,7 +13,8 @@ from jaxfil.xla.kernel import BLOCK
 from tests.problems import closed_forms
 
 number = st.floats(-4, 4).map(lambda v: v**3)
-FEW = {"transient": 4, "samples": 6, "progress": False}
+# Written out: lanes of a compact program are in no blocks.
+FEW = {"transient": 4, "samples": 6, "progress": False, "compact": False}
 
 
 @jax.jit
@@ -128,8 +129,9 @@ def test_a_lane_coasts_on_from_a_near_touch_without_losing_time():
     sd, omega = jf.systems.SDOscillator(), float(np.float32(0.86648))
     a, x0 = closed_forms.response(omega), closed_forms.one_sided(omega)
     d = jf.bifurcation_diagram(
-        sd, "omega", [omega], np.float32(x0), transient=200, samples=100, steps=16, progress=False
-    )
+        sd, "omega", [omega], np.float32(x0), transient=200, samples=100, steps=16, progress=False,
+        compact=False,
+    )  # fmt: skip
     rates = omega * a.imag, omega**2 * a.real
     bound = 1.5 * np.finfo(np.float32).eps * 300 * 2 * np.pi / omega * np.max(np.abs(rates))
     np.testing.assert_allclose(d.xs[0], np.broadcast_to(x0, (100, 2)), rtol=0, atol=bound)

@@ -6,8 +6,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
+from jaxfil.integrate.system.grade import is_compact_sweep, program_size
 from jaxfil.xla.lanes import lanes_of
-from tests.oracles import hlo
+from tests.oracles import cost_scenes, hlo
 
 X0 = jnp.array([0.1, 0.2])
 
@@ -94,6 +95,78 @@ def test_diagrams_of_both_grades_agree():
     assert compact.xs.shape == (70, 3, 2)
     assert_allclose(compact.xs, written.xs, rtol=1e-12, atol=1e-12)
     assert (compact.results == written.results).all()
+
+
+class Rotor(jf.System):
+    """A whirling rotor that rubs on a stator: two surfaces, each in the force of the other."""
+
+    omega: jax.Array
+
+    def vector_field(self, t, x, side):
+        q, v = jnp.split(x, 2)
+        away = q / jnp.sqrt(q @ q)
+        along = jnp.stack([-away[1], away[0]])
+        push = jnp.where(side[0] > 0, 20 * (jnp.sqrt(q @ q) - 1), 0.0)
+        whirl = jnp.stack([jnp.cos(self.omega * t), jnp.sin(self.omega * t)])
+        return jnp.concatenate([v, whirl - q - 0.1 * v - push * (away + 0.2 * side[1] * along)])
+
+    def switching(self, t, x):
+        q, v = jnp.split(x, 2)
+        speed = (q[0] * v[1] - q[1] * v[0]) / jnp.sqrt(q @ q)
+        return jnp.stack([jnp.sqrt(q @ q) - 1, speed + 0.3 * self.omega])
+
+
+BELT, ROTOR = jf.systems.BeltFriction(), Rotor(jnp.asarray(1.0))
+SWEEPS = {
+    "a first look": (BELT, 2, {"lanes": 200, "steps": 1600}, True),
+    "a figure": (BELT, 2, {"lanes": 2000, "steps": 12_000}, False),
+    "a rotor whose program is ten times as large": (ROTOR, 4, {"lanes": 300, "steps": 6000}, True),
+    "a figure of it": (ROTOR, 4, {"lanes": 2000, "steps": 12_000}, False),
+    "three lanes that fill a block up": (BELT, 2, {"lanes": 3, "steps": 10**8, "block": 64}, True),
+    "three that follow each other": (BELT, 2, {"lanes": 3, "steps": 10**8, "block": 1}, False),
+    "one lane": (BELT, 2, {"lanes": 1, "steps": 5 * 10**6}, True),
+    "one with its tangents": (BELT, 2, {"lanes": 1, "steps": 5 * 10**6, "tangents": 2}, False),
+    "relays in numbers": (Relays(), 8, {"lanes": 2000, "steps": 12_000}, False),
+    "relays in an array": (Relays(), 16, {"lanes": 2000, "steps": 12_000}, True),
+}
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_a_sweep_has_the_grade_that_takes_less_time(name):
+    """As measured: see the table in `grade`, whose estimates are within a factor of three."""
+    system, n, work, compact = SWEEPS[name]
+    x0 = jnp.linspace(0.5, 1.0, n)
+    assert is_compact_sweep(None, system, x0, stages=13, **work) is compact
+    assert is_compact_sweep(not compact, system, x0, stages=13, **work) is not compact
+
+
+def test_the_size_of_a_program_is_counted_in_stages_and_combinations_of_sides():
+    def size(kind, stages=4):
+        return program_size(kind(jnp.asarray(1.0), jnp.asarray(0.7)), X0, stages)
+
+    belt, apart, coupled = map(
+        size, (cost_scenes.Sliding, cost_scenes.BeltAndWall, cost_scenes.General)
+    )
+    assert size(cost_scenes.Sliding, 12).operations == 3 * belt.operations
+    # Affine in two sides: three fields. Its force has two terms more.
+    assert 3 * apart.operations < coupled.operations < 4 * apart.operations
+    assert (belt.contacts, apart.contacts) == (1, 4), "resets count twice"
+
+
+def test_a_program_of_other_numbers_is_not_counted_again():
+    count = 0
+
+    class Counted(Relays):
+        rate: jax.Array
+
+        def vector_field(self, t, x, side):
+            nonlocal count
+            count += 1
+            return super().vector_field(t, self.rate * x, side)
+
+    program_size(Counted(jnp.asarray(1.0)), X0, 13)
+    before = count
+    assert program_size(Counted(jnp.asarray(2.0)), 2 * X0, 13).contacts == 2 and before == count > 0
 
 
 @pytest.mark.parametrize("value", [1, "yes"])
