@@ -141,35 +141,18 @@ def _look(
     at = problem.grid.t0 + end.tau, end.x
     sight = see(watched, problem.system, at, (end.mode, end.f), end.scale)
     here = select(watch.seeking, watch.length, h)
-    found, length, aim = _find(watched, problem, watch, sight, here)
-    aimed = any_of(watch.aim)
-    looks = watch.seeking & ~aimed
+    looks = watch.seeking & ~any_of(watch.aim)
+    found, begun = _begun(watched, problem, watch, sight, here)
     begins = found & (looks | (passes & ~watch.seeking))
-    begun = dataclasses.replace(
-        watch,
-        seeking=jnp.ones_like(found),
-        length=length,
-        aim=aim,
-        low=select(length * problem.grid.direction > 0, watch.start, 0.0),
-        high=stop_gradient(here),
-        tries=jnp.zeros_like(watch.tries),
-    )
     closer, delta, done = _approach(problem, watch, sight, end.tau)
     located = watch.aim & ~watch.owed
     linear, given = (delta, end.x + delta * end.f), (watched, problem.system)
     delta, x = add_second_derivative(beyond_newton, linear, *given, at, end.mode, located)
     tau, tau_low = later(state.motion.tau, state.tau_low, watch.length + delta)
     counts = True if watched.since is None else problem.grid.t0 + tau >= watched.since
-    recorded, after = _crossed(watched, problem, closer, sight, (done, counts))
-    goes_on = dataclasses.replace(
-        watch,
-        value=sight.value,
-        rate=sight.rate,
-        away=_resolved(problem, sight)[0],
-        start=watch.length,
-        seeking=jnp.zeros_like(found),
-    )
-    sought = select_all(looks, goes_on, select_all(done, after, closer))
+    recorded, behind = _crossed(watched, problem, closer, sight, (done, counts))
+    sought = select_all(done, behind, closer)
+    sought = select_all(looks, _gone_on(problem, watch, sight), sought)
     finite = all_finite(end.x, sight.value, sight.rate)
     return Seen(
         sight=sight,
@@ -180,7 +163,37 @@ def _look(
         tau=tau,
         tau_low=tau_low,
         x=x,
-        result=_result(watched, state.result, watch.aim, after.counts, recorded & finite),
+        result=_result(watched, state.result, watch.aim, behind.counts, recorded & finite),
+    )
+
+
+def _begun(
+    watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, here: Array
+) -> tuple[Array, Watch]:
+    """Whether there is something to be looked at before a length `here`, and the watch of a lane
+    that begins to search for it."""
+    found, length, aim = _find(watched, problem, watch, sight, here)
+    begun = dataclasses.replace(
+        watch,
+        seeking=jnp.ones_like(found),
+        length=length,
+        aim=aim,
+        low=select(length * problem.grid.direction > 0, watch.start, 0.0),
+        high=stop_gradient(here),
+        tries=jnp.zeros_like(watch.tries),
+    )
+    return found, begun
+
+
+def _gone_on(problem: Problem, watch: Watch, sight: Sight) -> Watch:
+    """The watch of a lane that has looked at a minimum of |S|, watched from there on."""
+    return dataclasses.replace(
+        watch,
+        value=sight.value,
+        rate=sight.rate,
+        away=_resolved(problem, sight)[0],
+        start=watch.length,
+        seeking=jnp.zeros_like(watch.seeking),
     )
 
 
