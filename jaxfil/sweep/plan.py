@@ -95,8 +95,7 @@ def sweep_plan(
     labels = _labels(system, grid, observable, state.size)
     _check_follow(follow, grid)
     steps, stepper = steps_and_stepper(steps, stepper, system)
-    default = 200 if from_time is None else 0
-    unseen = check.count("transient", default if transient is None else transient, least=0)
+    unseen = _unseen(transient, from_time)
     samples = check.count("samples", samples)
     states = initial_states(x0, grid.shape, follow is not None).astype(dtype)
     check.number_of_steps(steps, runs=runs, transient=unseen, samples=samples)
@@ -125,6 +124,13 @@ def sweep_plan(
         observable=observable,
     )
     return SweepPlan(sampling, grid, states, follow, labels)
+
+
+def _unseen(transient: int | None, from_time: Array | None) -> int:
+    """Forcing periods, or crossings, before the first sample."""
+    if transient is None:
+        return 200 if from_time is None else 0
+    return check.count("transient", transient, least=0)
 
 
 def _sampled_at(
