@@ -52,12 +52,19 @@ class Surfaces(eqx.Module):
 
 
 def surface_noise(
-    system: ComponentSystem, t: Array, size: Components, h_t: Components, normals: Rows
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    size: Components,
+    h_t: Components,
+    normals: Rows,
 ) -> Components:
-    """What rounding of t and x does to H: a multiple of eps and of the size of its terms, given the
-    size of x."""
-    t, size, h_t, normals = stop_gradient((t, size, h_t, normals))
-    return NOISE * system.eps * (abs(normals) @ size + abs(h_t * t))
+    """What rounding does to H: a multiple of eps and of the size of its terms. These are t and x,
+    whose rounding is that of states of some `size`, and all that H makes of them on the way, as
+    t + φ in a sine with a phase φ."""
+    system, t, x, size, h_t, normals = stop_gradient((system, t, x, size, h_t, normals))
+    terms, inside = abs(normals) @ size + abs(h_t * t), system.rounding(t, x)
+    return NOISE * system.eps * (terms if inside is None else terms + inside)
 
 
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:

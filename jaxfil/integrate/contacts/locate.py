@@ -31,6 +31,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.contacts.cubic import NEVER, first_contact, quotient, stays_off
 from jaxfil.integrate.lane.problem import Problem, TimeGrid
 from jaxfil.integrate.lane.state import LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length
@@ -50,19 +51,11 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select
 
-NEVER = 2.0
-"""θ of a contact that does not happen in this step."""
-
 # A minimum to be looked at is told from a contact by so much: what was found at a surface is then
 # one number, and its cubic is computed once.
 _LOOK = 4.0
-# A minimum this small a part of the guard's range is stepped to and looked at: the cubic's own
-# error could hide a dip below it.
-_SUSPICIOUS = 1 / 64
 # Rejections in a row after which the search is helped along.
 _STALLED = 12
-# A step is cut at such a minimum only well inside it: at its ends the cubic is exact.
-_MARGIN = 0.02
 # A slide nears a singular point in a step by which its determinant falls below this part; the step
 # is cut to that part of the distance, and to no less than this part of itself.
 _FADED, _NEARER, _LEAST_NEARER = 0.25, 0.7, 1e-3
@@ -74,104 +67,6 @@ _LAST_LOOK = 64
 _BRIEF, _BRIEF_PART = 4, 1 / 16
 # Contacts closer than this part of the time to the first are one event.
 _TOGETHER = 1e-6
-
-
-class Cubic(eqx.Module):
-    """g(θ) = g0 + d0 θ + a θ² + b θ³ on [0, 1], its minimum and its maximum."""
-
-    g0: Array
-    d0: Array
-    a: Array
-    b: Array
-    disc: Array
-    low: Array
-    high: Array
-
-    def __init__(self, g0: Array, d0: Array, g1: Array, d1: Array):
-        rise = g1 - g0
-        a, b = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
-        self.g0, self.d0, self.a, self.b = g0, d0, a, b
-        # Roots of 3bθ² + 2aθ + d0, each by the formula that does not cancel. The minimum is the
-        # one where the second derivative 2a + 6bθ = +2√disc.
-        disc = self.disc = a * a - 3 * b * d0
-        root = jnp.sqrt(jnp.maximum(disc, 0))
-        sum_ = select(a >= 0, a + root, a - root)
-        near, far = -_quotient(d0, sum_), -_quotient(sum_, 3 * b)
-        exists = disc > 0
-        self.low = select(exists, select(a >= 0, near, far), NEVER)
-        self.high = select(exists, select(a >= 0, far, near), NEVER)
-
-    def __call__(self, theta: Array) -> Array:
-        return self.g0 + theta * (self.d0 + theta * (self.a + theta * self.b))
-
-    def slope(self, theta: Array) -> Array:
-        return self.d0 + theta * (2 * self.a + 3 * theta * self.b)
-
-    def bend(self, theta: Array) -> Array:
-        return 2 * (self.a + 3 * theta * self.b)
-
-
-def _quotient(a: Array, b: Array) -> Array:
-    """a/b, far outside the step where b = 0."""
-    zero = b == 0
-    return select(zero, NEVER, a / select(zero, 1, b))
-
-
-def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
-    """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
-
-    A guard that starts at zero, at θ = 0, and has its maximum at lo comes back to zero between
-    1.5 lo (where its rate started at zero too) and 2 lo (a parabola). Two of Halley's iterations
-    leave about the cubic's own error; what they leave the next trial step finds.
-    """
-    theta = select(armed, 0.5 * (lo + hi), jnp.minimum(1.75 * lo, hi))
-    for _ in range(2):
-        value, slope = cubic(theta), cubic.slope(theta)
-        bottom = slope * slope - 0.5 * value * cubic.bend(theta)
-        theta = jnp.clip(theta - _quotient(value * slope, bottom), lo, hi)
-    return theta
-
-
-def first_contact(
-    g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array
-) -> tuple[Array, Array]:
-    """θ of the first contact, and θ of a minimum to be looked at; `NEVER` where there is none.
-
-    `d0`, `d1` are rates times the step. `noise` is what rounding does to the guard; a surface not
-    `armed` was left at this step's start or has not been left by more than `noise` since.
-    """
-    cubic = Cubic(g0, d0, g1, d1)
-    inside = (cubic.low > 0) & (cubic.low < 1)
-    low_value = cubic(cubic.low)
-    # The end alone would not do: a dip below zero and back is two contacts, or an impact missed.
-    dips = inside & (low_value < -noise)
-    # One that has not been left and rises is leaving, from however little below zero.
-    contact = dips | ((g1 < -noise) & (armed | (d1 < 0)))
-    # The first root lies before the minimum, if that is below zero, and after the maximum: between
-    # the two the cubic falls, and Halley's iteration cannot leave for another root.
-    hi = select(dips, cubic.low, 1.0)
-    rises_first = (cubic.high > 0) & (cubic.high < hi)
-    lo = select(rises_first, cubic.high, 0.0)
-    root = _descending_root(cubic, lo, hi, armed)
-    # A surface just left must rise before it can be met again. If the cubic does not show that
-    # rise the step is too long for it: look at a quarter.
-    root = select(armed | rises_first, root, 0.25 * hi)
-    reach = abs(d0) + abs(d1)
-    touches = abs(low_value) <= 4 * noise
-    central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
-    near = touches | (central & (low_value <= _SUSPICIOUS * reach))
-    look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
-    # Where squares of guards overflow no contact can be told from none: both are then NaN.
-    known = 0 * cubic.disc
-    theta = select(contact, root, NEVER) + known
-    return theta, select(look & ~contact, cubic.low, NEVER) + known
-
-
-def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array:
-    """Whether an armed guard stays so far above zero that `first_contact` finds nothing. Cheaper,
-    and never true in error: a cubic lies above the least of its Bernstein coefficients."""
-    low = jnp.minimum(jnp.minimum(g0, g1), jnp.minimum(g0 + d0 / 3, g1 - d1 / 3))
-    return low > jnp.maximum(_SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
 
 
 def _found(g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array) -> Array:
@@ -267,7 +162,7 @@ def _to_singular_point(
 
 def _nearer(now: Array, then: Array, least: Array, h: Array) -> Array:
     """θ of a step towards where a determinant vanishes that is `now` here and `then` after h."""
-    return jnp.clip(_NEARER * _quotient(now, now - then), least / h, _NEARER)
+    return jnp.clip(_NEARER * quotient(now, now - then), least / h, _NEARER)
 
 
 def _not_nearer(now: Array, *_: Array) -> Array:

@@ -155,7 +155,8 @@ def _view(
     size, fast = (
         maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))
     )
-    return View(c, a, unilateral.rate_noise(t, size, problem.grid.dt, fast, c, a, surfaces))
+    inside, dt = system.rate_rounding(t, x, sides), problem.grid.dt
+    return View(c, a, unilateral.rate_noise(t, size, inside, dt, fast, c, a, surfaces))
 
 
 def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
@@ -284,7 +285,8 @@ def begin(
     f = system.field(t, x, above)
     a = unilateral.accelerations(system, t, x, above, f)
     _, h_t, normals = system.gradients(t, x)
-    noise = unilateral.rate_noise(t, abs(x), problem.grid.dt, f, c, a, (h_t, normals))
+    inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
+    noise = unilateral.rate_noise(t, abs(x), inside, problem.grid.dt, f, c, a, surfaces)
     flat, wall = abs(c.rate) <= noise, on & c.throws_back
     after = [system.reset(t, x, jnp.int32(j)) for j in range(system.m)]
     led = Components(system.switching(t, y).parts[j] for j, y in enumerate(after))

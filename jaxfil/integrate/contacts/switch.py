@@ -58,8 +58,8 @@ def _surfaces_at(
     h, h_t, normals = system.gradients(t, x)
     scale = larger(state.motion.scale, x, None if state.turn is None else state.pending.waits)
     here = stop_gradient(maximum(abs(state.motion.x), abs(x)))
-    noise = surface_noise(system, t, here, h_t, normals)
-    gathered = surface_noise(system, t, scale, h_t, normals)
+    noise = surface_noise(system, t, x, here, h_t, normals)
+    gathered = surface_noise(system, t, x, scale, h_t, normals)
     if system.slides:
         gathered = select(problem.grid.direction < 0, _BACKWARD, 1.0) * gathered
     same = problem.grid.same_time(state.motion.tau)

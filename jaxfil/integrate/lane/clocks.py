@@ -7,6 +7,7 @@ therefore given a time that is in between by more than rounding.
 """
 
 import dataclasses
+import functools as ft
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
-from jaxfil.integrate.lane.problem import Problem, TimeGrid
+from jaxfil.integrate.lane.problem import SAME_TIME, Problem
 from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd
 from jaxfil.integrate.system.components import Components, where
 from jaxfil.model.clock import Ticks
@@ -81,7 +82,7 @@ def first_ticks(problem: Problem) -> Ticks:
     grid, ticks = problem.grid, []
     for period, phase in problem.system.clocks:
         passed = stop_gradient((grid.t0 - phase) / period)
-        same = grid.same_time(jnp.zeros_like(passed)) / stop_gradient(period)
+        same = _same_time(problem, jnp.zeros_like(passed)) / stop_gradient(period)
         up, down = jnp.floor(passed + same) + 1, jnp.ceil(passed - same) - 1
         ticks.append(select(grid.direction > 0, up, down))
     return tuple(ticks)
@@ -113,8 +114,7 @@ def _behind(problem: Problem, motion: Motion, ticks: Ticks, ticking: Array) -> M
 
 def _passed(problem: Problem, own: ClockState, ticking: Array, tau: Array) -> Ticks:
     """The next ticks behind an elapsed time at which a lane's step has ended on one."""
-    grid, same = problem.grid, problem.grid.same_time(tau)
-    after = []
+    grid, same, after = problem.grid, _same_time(problem, tau), []
     for k, at in zip(own.ticks, _taus(problem, own.ticks), strict=True):
         here = ticking & ((stop_gradient(at) - tau) * grid.direction <= same)
         after.append(select(here, k + grid.direction, k))
@@ -131,7 +131,8 @@ def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
     low, high = lows[0], highs[0]
     for a, b in zip(lows[1:], highs[1:], strict=True):
         low, high = jnp.maximum(low, a), jnp.minimum(high, b)
-    window = low + _margin(grid, low), high - _margin(grid, high)
+    margins = (_same_time(problem, v - grid.t0) for v in (low, high))
+    window = low + next(margins), high - next(margins)
     return dataclasses.replace(problem, system=dataclasses.replace(problem.system, window=window))
 
 
@@ -144,8 +145,12 @@ def just_after(problem: Problem, t: Array) -> Problem:
     return between_ticks(here, first_ticks(here))
 
 
-def _margin(grid: TimeGrid, t: Array) -> Array:
-    return grid.same_time(t - grid.t0)
+def _same_time(problem: Problem, tau: Array) -> Array:
+    """The rounding of ticks near an elapsed time: that of times, and that of phases, which may be
+    much larger, in φ + kT as in a field's own t − φ."""
+    grid, phases = problem.grid, [abs(stop_gradient(phase)) for _, phase in problem.system.clocks]
+    largest = ft.reduce(jnp.maximum, phases)
+    return grid.same_time(tau) + SAME_TIME * problem.system.eps * largest
 
 
 def _met(problem: Problem, state: LoopState, end: StepEnd, ticks: Ticks) -> Components:
@@ -164,7 +169,7 @@ def _moved(
     fields before and after: (f₋ − f₊) δ, with δ zero but for its derivative, as the step has ended
     where it has."""
     last = tuple(k - problem.grid.direction for k in ticks)
-    same, moved = problem.grid.same_time(tau), f.like(jnp.zeros_like(tau))
+    same, moved = _same_time(problem, tau), f.like(jnp.zeros_like(tau))
     for when in _taus(problem, last):
         delta = when - tau
         here = abs(stop_gradient(delta)) <= same

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.contacts.cubic import stays_off
 from jaxfil.integrate.contacts.guards import larger, surface_noise
-from jaxfil.integrate.contacts.locate import stays_off
 from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.recorders import SaveSamples
@@ -51,7 +51,7 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     x, h = free.trial.x, length.h
     t, size = problem.grid.t0 + length.end, larger(state.motion.scale, x)
     _, h_t, normals = problem.system.gradients(t, x)
-    touch = surface_noise(problem.system, t, size, h_t, normals)
+    touch = surface_noise(problem.system, t, x, size, h_t, normals)
     clear = ~is_near_surface(state) & all_finite(x, free.f, free.g)
     start = problem.grid.t0 + state.motion.tau
     taken = Step(t=start, h=h, x0=state.motion.x, f0=state.motion.f, f1=free.f, trial=free.trial)

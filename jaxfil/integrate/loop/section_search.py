@@ -24,8 +24,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.contacts.cubic import NEVER, first_contact, stays_off, stays_within
 from jaxfil.integrate.contacts.guards import NOISE
-from jaxfil.integrate.contacts.locate import NEVER, first_contact, stays_off
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Look, Problem
 from jaxfil.integrate.lane.recording import entered, mode_codes
@@ -66,9 +66,9 @@ class SectionSearch(Extension):
         return _begin(self.watched, problem, state)
 
     def at_end(self, problem: Problem, state: LoopState, own: SectionState, step: Step) -> Verdict:
-        h = step.length.h + select(step.lands, step.delta, 0.0)
-        passes = step.lands | step.accepted
-        seen = _look(self.watched, problem, state, own.watch, step.end.motion, (h, passes))
+        passes, delta = step.lands | step.accepted, select(step.lands, step.delta, 0.0)
+        would = step.length.h + delta, delta, passes
+        seen = _look(self.watched, problem, state, own.watch, step.end.motion, would)
         seen = dataclasses.replace(seen, seeks=seen.seeks & is_running(problem.grid, state))
         return Verdict(seen.seeks, ~all_finite(seen.sight.value), seen)
 
@@ -110,7 +110,7 @@ def _begin(
         total=none,
     )
     at = problem.grid.t0 + motion.tau, motion.x
-    sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale)
+    sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale, problem.grid.dt)
     watch = _moved_on(watched, problem, watch, sight, false)
     result, (_, noises) = state.result, _resolved(problem, sight)
     for bound, value, noise in zip(watched.bounds, sight.value.parts, noises.parts, strict=True):
@@ -133,13 +133,17 @@ def _look(
     state: LoopState,
     watch: Watch,
     end: Motion,
-    would: tuple[Array, Array],
+    would: tuple[Array, Array, Array],
 ) -> Seen:
     """The sections at the end of a trial step; `would` are the length of the step, corrected by its
-    landing, and whether the loop would go on with it."""
-    h, passes = would
+    landing, this correction, and whether the loop would go on with it."""
+    h, correction, passes = would
     at = problem.grid.t0 + end.tau, end.x
-    sight = see(watched, problem.system, at, (end.mode, end.f), end.scale)
+    sight = see(watched, problem.system, at, (end.mode, end.f), end.scale, problem.grid.dt)
+    # At a landing S is what it is at the contact: of a section that coincides with the surface, 0.
+    correction = select(watch.seeking, 0.0, correction)
+    landed = sight.value + stop_gradient(correction * sight.rate)
+    sight = dataclasses.replace(sight, value=landed)
     here = select(watch.seeking, watch.length, h)
     looks = watch.seeking & ~any_of(watch.aim)
     found, begun = _begun(watched, problem, watch, sight, here)
@@ -228,6 +232,8 @@ def _find(
     end = sides * stop_gradient(sight.value)
     ends = start, sides * h * watch.rate, end, sides * h * sight.rate
     near = ~(watch.away & on_each(stays_off, *ends, noises)) & (sides != 0)
+    # One that stays within its rounding, as along a slide or a rest, is not crossed.
+    near = near & ~on_each(stays_within, *ends, noises)
     thetas, lows = [], []
     for each in zip(*(v.parts for v in (near, *ends, watch.away, noises, wanted)), strict=True):
         theta, low = problem.system.where_any(each[0], _first_of_one, _nothing, *each[1:])
@@ -374,8 +380,6 @@ def _follow(
 ) -> tuple[LoopState, SectionState]:
     """The lane and its sections after a step."""
     sight, watch, end = seen.sight, own.watch, step.end.motion
-    landed = stop_gradient(sight.value + step.delta * sight.rate)
-    sight = dataclasses.replace(sight, value=where(step.lands, landed, sight.value))
     there = _moved_on(watched, problem, watch, sight, step.switched)
     watch = select_all(step.moved | step.lands, there, watch)
     watch = select_all(seen.seeks, seen.watch, watch)

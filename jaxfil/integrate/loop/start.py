@@ -146,7 +146,7 @@ def _start(problem: Problem, x: Components) -> Start:
         # A state that an earlier run has left on the surface has the rounding of its steps.
         f = system.field(t, x, h.like(jnp.ones_like(t)))
         size = size + stop_gradient(abs(problem.grid.dt * f))
-    noise = surface_noise(system, t, size, h_t, normals)
+    noise = surface_noise(system, t, x, size, h_t, normals)
     mode, on, owed, count, determinant = _first_mode(problem, x, h, noise)
     if problem.kept is not None:
         met = ~problem.kept.on

@@ -117,6 +117,17 @@ def free_field(
     return blend_fields(system, fields, mode, weights(mode, rates))
 
 
+def field_terms(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, f: Components
+) -> Components:
+    """The size of the terms that the field f of a mode is made of: of all sides where it may be
+    their blend, which cancel where a mass sticks, and of what a reaction takes away."""
+    if system.slides:
+        fields, _ = corners(system, t, x)
+        return abs(f) + fields.sizes()
+    return abs(f) + abs(free_field(system, t, x, mode)) if system.resets else abs(f)
+
+
 class ModeField(SmoothField):
     """The field of a mode as a smooth vector field of time and state; `blended`: the mode may
     slide, `held`: it may rest. Where it is known not to, the fields of the other sides, or the

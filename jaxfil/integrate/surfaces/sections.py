@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.surfaces.filippov import ModeField, field_terms
 from jaxfil.integrate.surfaces.second_order import beyond_newton_to
 from jaxfil.integrate.system.components import Components, dot, pack, total, where
 from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
@@ -101,10 +101,13 @@ def see(
     at: tuple[Array, Components],
     motion: tuple[Components, Components],
     size: Components,
+    dt: Array,
 ) -> Sight:
     """The sections at a time and a state, on a motion of some mode with the field f, where states
-    have been of some size."""
+    have been of some size, and have come here by steps of length dt."""
     (t, x), (mode, f) = at, motion
+    # Where nothing moves, S = 0 of what is held there has the rounding of the fields that hold it.
+    size = size + abs(dt) * field_terms(system, t, x, mode, f)
     values, rates, terms = [], [], []
     for j in range(len(watched.functions)):
         value, pull = jax.vjp(watched.value(j, system, mode), t, x)

@@ -108,6 +108,7 @@ def accelerations(
 def rate_noise(
     t: Array,
     x: Components,
+    inside: Components | None,
     dt: Array,
     f: Components,
     c: Constraints,
@@ -115,13 +116,15 @@ def rate_noise(
     surfaces: tuple[Components, Rows],
 ) -> Components:
     """What rounding does to ψ: of t and x, of the terms that it is made of, and of the steps by
-    which the state has come here. `surfaces` are ∂H/∂t and ∂H/∂x."""
+    which the state has come here. `surfaces` are ∂H/∂t and ∂H/∂x, `inside` is
+    `ComponentSystem.rate_rounding`."""
     h_t, normals = surfaces
     by_time = a - c.gradients @ f
     # Of bodies that fall side by side ψ stays zero, and its terms do not.
     gained = abs(c.gradients) @ abs(f)
     terms = abs(h_t) + abs(normals) @ abs(f) + abs(c.gradients) @ x
     terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
+    terms = terms if inside is None else terms + inside
     return stop_gradient(_NOISE * jnp.finfo(t.dtype).eps * terms)
 
 

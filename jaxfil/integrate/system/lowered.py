@@ -26,6 +26,7 @@ from jaxfil.integrate.system.dependencies import Structure
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.model import check
 from jaxfil.model.system import System
+from jaxfil.xla.rounding import rounding_of
 from jaxfil.xla.select import select
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 
@@ -83,6 +84,8 @@ class ComponentSystem(eqx.Module):
     _field: Any
     _switching: Any
     _reset: Any
+    _rounding: Any
+    _rate_rounding: Any
     clocks: tuple[tuple[Array, Array], ...]
     """Periods and phases of the clocks."""
     _opaque_one: Array | None
@@ -171,6 +174,14 @@ class ComponentSystem(eqx.Module):
         """H(t, x)."""
         return self._switching(self.held(t), x)
 
+    def rounding(self, t: Array, x: Components) -> Components | None:
+        """What rounding inside of H does to it, in eps, besides that of t and x; None: nothing."""
+        return self._rounding and self._rounding(self.held(t), x)
+
+    def rate_rounding(self, t: Array, x: Components, sides: Components) -> Components | None:
+        """The same of dH/dt along the field of some sides, of a system with resets."""
+        return self._rate_rounding and self._rate_rounding(self.held(t), x, sides)
+
     def reset(self, t: Array, x: Components, surface: Array) -> Components:
         """The state after an impact on `surface`."""
         return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
@@ -253,6 +264,15 @@ def _build(
         [_unpacked(row, compact) for row in np.eye(n, dtype=bool)],
         [Components([row] if packed else row) for row in np.eye(m, dtype=bool)],
     )
+    bounds = rounding_of(switching, leaves, t0, x) if m > 0 else None
+    traced_bounds = bounds and traced(bounds, leaves, t0, x)
+
+    def rate(leaves: System, t: Array, x: Components, sides: Components) -> Components:
+        along = jnp.ones_like(t), field(leaves, t, x, sides)
+        return jax.jvp(ft.partial(switching, leaves), (t, x), along)[1]
+
+    rate_bounds = rounding_of(rate, leaves, t0, x, sides) if resets else None
+    traced_rate_bounds = rate_bounds and traced(rate_bounds, leaves, t0, x, sides)
     traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
     on_cpu = jax.default_backend() == "cpu"
     # XLA does not compute a sine of its own again.
@@ -269,6 +289,9 @@ def _build(
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
         _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
+        _rounding=traced_bounds and ParametrizedFunction(traced_bounds, leaves, fence),
+        _rate_rounding=traced_rate_bounds
+        and ParametrizedFunction(traced_rate_bounds, leaves, fence),
         clocks=_clocks(system, dtype),
         _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
     )

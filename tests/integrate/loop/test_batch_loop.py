@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 
 import jaxfil as jf
-from jaxfil.integrate.contacts.locate import NEVER, first_contact, stays_off
+from jaxfil.integrate.contacts.cubic import NEVER, first_contact, stays_off
 from jaxfil.xla.kernel import BLOCK
 from tests.problems import closed_forms
 

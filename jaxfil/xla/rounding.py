@@ -1,0 +1,140 @@
+"""What rounding does to the results of a function, computed from its operations.
+
+A function is traced, and its program is run with a bound beside each value: an operation passes on
+the bounds of its operands, with its derivatives, and adds the rounding of its own result, an eps of
+its size. Arguments are taken as exact: what their own rounding does, the derivatives of the
+function say. Results are taken before they are rounded, so that x − a, of two arguments, is exact:
+near zero, where it matters, it is.
+
+The first-order analysis of Wilkinson, Rounding Errors in Algebraic Processes (1963).
+"""
+
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.xla import elements
+from jaxfil.xla.program import interpreted
+
+# Operations that only move numbers about, chosen by operands that are whole numbers or flags.
+_CHOICES = ("select_n", "gather", "dynamic_slice", "copy", "stop_gradient")
+# Sums of many terms.
+_SUMS = ("reduce_sum", "cumsum", "dot_general")
+# Operations whose results are not rounded.
+_NAMES = """
+abs argmax argmin ceil clamp convert_element_type eq floor ge gt is_finite le lt max min ne neg
+reduce_max reduce_min round sign
+"""
+_EXACT = frozenset(_NAMES.split())
+
+
+class _Rounded(NamedTuple):
+    """A value, and what rounding has done to it, in eps; None: nothing."""
+
+    value: Any
+    passed_on: Array | None = None
+    """By what it was made of."""
+    own: Array | None = None
+    """By its own operation."""
+
+    @property
+    def bound(self) -> Array | None:
+        """Both together."""
+        return _sum([v for v in (self.passed_on, self.own) if v is not None])
+
+
+def rounding_of(function: Callable, *example: Any) -> Callable | None:
+    """A function of the same arguments that gives, for each float result of `function`, a bound of
+    what rounding inside of it does to it, in eps; None if nothing is rounded before the last
+    operation of any result.
+
+    >>> bound = rounding_of(lambda x, shift: (x + shift) - shift, 1.0, 1e6)
+    >>> float(bound(1.0, 1e6)), rounding_of(lambda x, shift: x - shift, 1.0, 1e6)
+    (1000001.0, None)
+    """
+    program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+    tree = jax.tree.structure(shape)
+    abstract = jax.tree.leaves(example)
+    passed_on: list[bool] = []
+
+    def bounds(*args: Any) -> Any:
+        inputs = [_Rounded(v) for v in jax.tree.leaves(args)]
+        out = interpreted(program, inputs, _Rounded, _rounded)
+        passed_on[:] = [v.passed_on is not None for v in out]
+        values = [v.passed_on if v.passed_on is not None else jnp.zeros_like(v.value) for v in out]
+        return jax.tree.unflatten(tree, values)
+
+    jax.eval_shape(lambda *leaves: bounds(*leaves), *abstract)
+    return bounds if any(passed_on) else None
+
+
+def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
+    """What one operation gives."""
+    name = eqn.primitive.name
+    run = ft.partial(_evaluated, eqn)
+    outputs = run([v.value for v in inputs])
+    if not any(jnp.issubdtype(v.dtype, jnp.floating) for v in outputs):
+        return [_Rounded(v) for v in outputs]
+    if name in elements.MOVES or name in _CHOICES:
+        return [_moved(eqn, inputs, outputs[0])]
+    passed_on = _passed_on(run, inputs, len(outputs))
+    if name in _EXACT:
+        return [_Rounded(v, p) for v, p in zip(outputs, passed_on, strict=True)]
+    if name not in _SUMS:
+        return [_Rounded(v, p, abs(v)) for v, p in zip(outputs, passed_on, strict=True)]
+    # Terms of a sum may cancel: its rounding is that of their sizes, also where it is zero.
+    (size,) = run([abs(jnp.asarray(v.value)) for v in inputs])
+    if passed_on[0] is None:
+        return [_Rounded(outputs[0], None, size)]
+    return [_Rounded(outputs[0], passed_on[0] + size)]
+
+
+def _evaluated(eqn: Any, values: Sequence[Any]) -> list[Any]:
+    out = eqn.primitive.bind(
+        *(jnp.asarray(v, x.aval.dtype) for v, x in zip(values, eqn.invars, strict=True)),
+        **eqn.params,
+    )
+    return list(out) if eqn.primitive.multiple_results else [out]
+
+
+def _sum(terms: Sequence[Array]) -> Array | None:
+    return ft.reduce(jnp.add, terms) if terms else None
+
+
+def _moved(eqn: Any, inputs: Sequence[_Rounded], value: Array) -> _Rounded:
+    """Bounds moved as their values are."""
+
+    def along(parts: Sequence[Array | None]) -> Array | None:
+        if all(v is None for v in parts):
+            return None
+        filled = []
+        for part, of in zip(parts, inputs, strict=True):
+            is_float = jnp.issubdtype(jnp.result_type(of.value), jnp.floating)
+            filled.append(of.value if not is_float else _or_zero(part, of.value))
+        return _evaluated(eqn, filled)[0]
+
+    return _Rounded(value, along([v.passed_on for v in inputs]), along([v.own for v in inputs]))
+
+
+def _or_zero(bound: Array | None, value: Any) -> Array:
+    return jnp.zeros_like(value) if bound is None else bound
+
+
+def _passed_on(run: Callable, inputs: Sequence[_Rounded], count: int) -> list[Array | None]:
+    """Σ |∂f/∂v| e over the operands v with bounds e."""
+    values, terms = [v.value for v in inputs], []
+    for i, of in enumerate(inputs):
+        if of.bound is None:
+            continue
+
+        def one(v: Array, i: int = i) -> list[Any]:
+            return run([*values[:i], v, *values[i + 1 :]])
+
+        terms.append(jax.jvp(one, (jnp.asarray(of.value),), (of.bound,))[1])
+    if not terms:
+        return [None] * count
+    return [_sum([abs(v) for v in each]) for each in zip(*terms, strict=True)]
