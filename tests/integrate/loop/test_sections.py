@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import jaxfil as jf
+from jaxfil.model.outcomes import outcome_names
 
 EPS = np.finfo(float).eps
 
@@ -258,3 +259,51 @@ def test_what_is_no_section_is_refused_by_name(make, told):
 def watched(function):
     section = jf.Section(function) if callable(function) else [function]
     jf.solve(Flight(), jnp.zeros(2), 0.0, 1.0, 0.1, sections=section)
+
+
+@pytest.mark.parametrize("stepper", [None, jf.RK4(), diffrax.Tsit5()], ids=repr)
+@pytest.mark.parametrize("start, turns", [(0.1, 0), (0.5, 1), (1.3, 2), (3.0, 4)])
+def test_what_stands_still_is_not_crossed(stepper, start, turns):
+    """A mass under dry friction of 0.4 turns at kπ, each time by 0.8 nearer, until it sticks for
+    good, which is no turn."""
+    sections = jf.maxima(lambda t, x: x[0]), jf.minima(lambda t, x: x[0]), jf.Section(velocity)
+    coulomb, x0 = jf.systems.CoulombOscillator(), jnp.array([start, 0.0])
+    run = {"stepper": stepper, "sections": sections, "throw": False}
+    sol = jf.solve(coulomb, x0, 0.0, 30.0, 0.1, **run)
+    assert sol.result == jf.RESULTS.successful
+    # It starts at its first turn, and the last one is where it sticks.
+    count = max(turns - 1, 0)
+    assert sol.num_crossings == 2 * count
+    times = np.sort(np.asarray(sol.crossings.ts[: 2 * count]))
+    np.testing.assert_allclose(
+        times, np.repeat(np.pi * np.arange(1, turns), 2)[: 2 * count], rtol=1e-4
+    )
+
+
+def velocity(t, x):
+    return x[1]
+
+
+def test_a_ball_at_rest_does_not_turn():
+    ball = jf.systems.BouncingBall(g=1.0, restitution=0.5)
+    sections = jf.maxima(lambda t, x: x[0]), jf.Section(velocity, -1)
+    sol = jf.solve(ball, jnp.array([1.0, 0.0]), 0.0, 40.0, 0.1, sections=sections)
+    last = np.asarray(sol.crossings.ts[: int(sol.num_crossings)]).max()
+    # From 1 the first fall takes √2, each flight half of the one before.
+    assert last <= 3 * np.sqrt(2.0) and sol.mode_final[0] == 2
+
+
+def test_a_diagram_of_a_stuck_mass_has_no_samples():
+    for section in (jf.maxima(lambda t, x: x[0]), jf.Section(velocity)):
+        diagram = jf.bifurcation_diagram(
+            jf.systems.CoulombOscillator(),
+            "friction",
+            np.array([0.4, 1.2]),
+            np.array([3.0, 0.0]),
+            transient=4,
+            samples=6,
+            section=section,
+            max_return=20.0,
+            progress=False,
+        )
+        assert set(outcome_names(diagram.results)) == {"section_not_reached"}

@@ -1,0 +1,68 @@
+"""The rounding of functions, computed from their operations, against exact arithmetic."""
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+from jaxfil.xla.rounding import rounding_of
+
+EPS = np.finfo(float).eps
+
+# A function in JAX and in exact arithmetic, and arguments in which its terms nearly cancel.
+FUNCTIONS = {
+    "offset": (lambda x, a: (x + a) - (a + 0.25), lambda x, a: x - 0.25),
+    "phase": (lambda x, a: x - 0.2 * jnp.sin(x + a), lambda x, a: x - 0.2 * mpmath.sin(x + a)),
+    "powers": (lambda x, a: (x + a) ** 3 - a**3, lambda x, a: (x + a) ** 3 - a**3),
+    "root": (
+        lambda x, a: jnp.sqrt(a * a + x) - a,
+        lambda x, a: mpmath.sqrt(a * a + x) - a,
+    ),
+    "quotient": (lambda x, a: (a + x) / a - 1, lambda x, a: x / a),
+    "exponential": (
+        lambda x, a: jnp.exp(x) * a - jnp.log(a) * a,
+        lambda x, a: mpmath.exp(x) * a - mpmath.log(a) * a,
+    ),
+    "remainder": (
+        lambda x, a: jnp.mod(x - a, 0.3) - 0.1,
+        lambda x, a: (
+            (x - a) - mpmath.floor((x - a) / mpmath.mpf(0.3)) * mpmath.mpf(0.3) - mpmath.mpf(0.1)
+        ),
+    ),
+    "sum": (
+        lambda x, a: jnp.sum(jnp.stack([x * a, -x * a, x + a, -a])),
+        lambda x, a: x,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_no_rounding_exceeds_its_bound_and_few_are_far_below(name):
+    function, exact = FUNCTIONS[name]
+    draw = np.random.default_rng(0)
+    xs, shifts = (
+        draw.uniform(0.1, 1.0, 300),
+        draw.uniform(1.0, 2.0, 300) * 10.0 ** draw.integers(0, 5, 300),
+    )
+    bound = rounding_of(function, 0.5, 10.0)
+    bounds = np.asarray(jax.vmap(bound)(xs, shifts))
+    with mpmath.workdps(60):
+        pairs = zip(np.asarray(jax.vmap(function)(xs, shifts)), xs, shifts, strict=True)
+        found = [mpmath.mpf(float(v)) - exact(mpmath.mpf(x), mpmath.mpf(a)) for v, x, a in pairs]
+    errors, values = abs(np.array(found, float)), abs(np.asarray(jax.vmap(function)(xs, shifts)))
+    # The bound leaves out the rounding of the result itself.
+    assert (errors <= EPS * (bounds + values)).all()
+    assert np.max(errors / (EPS * bounds)) > 0.02
+
+
+def test_what_is_made_of_arguments_at_once_has_no_rounding_of_its_own():
+    assert rounding_of(lambda x, a: x - a, 1.0, 2.0) is None
+    assert rounding_of(lambda x: x[jnp.array([1, 0])][::-1], jnp.ones(2)) is None
+    assert rounding_of(lambda x: jnp.where(x > 0, x, -x) > 1, 1.0) is None
+
+
+def test_bounds_go_where_their_values_go():
+    bound = rounding_of(lambda x: jnp.where(x > 0, jnp.stack([x + 9.0, x, x])[::-1] - 1, 0.0), 1.0)
+    np.testing.assert_array_equal(bound(1.0), [0, 0, 10])
+    np.testing.assert_array_equal(bound(-1.0), [0, 0, 0])
