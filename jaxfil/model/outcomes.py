@@ -1,6 +1,6 @@
 """Outcomes: how a lane ended, and what happened at a contact.
 
-Enters nothing; leaves `RESULTS`, the enumeration every verb answers with (each member carries the
+Takes nothing; gives `RESULTS`, the enumeration every verb answers with (each member carries the
 sentence the user sees), and `EventKind`, the codes of the event table.
 """
 

@@ -2,6 +2,8 @@
 
 - guard: what is positive within a mode and zero at its end: ±H on a side, 1 − w² on a slide of
   weight w, the reaction at rest. A surface just met is armed again once its guard exceeds rounding.
+  A limit that is no surface of the system is a section.
+- cubic: the guard between the ends of a step, by its values and rates there.
 - locate: where in a trial step a guard first becomes negative; a landing is a step that has ended
   there, with its Newton correction in time.
 - switch: reset and choice of the mode at the corrected state.

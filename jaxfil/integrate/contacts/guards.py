@@ -22,6 +22,9 @@ from jaxfil.xla.select import select
 
 # A guard is zero to rounding below this many eps times the size of its terms.
 NOISE = 32
+# What is rounded inside of H is rounded anew by each evaluation: it does not gather, as the
+# rounding of states does. Twice the bound is how far two evaluations may differ.
+_INSIDE = 2
 # What is left after a step of the size of a state that decides on its rounding: a transient from
 # 1e14 is forgotten after some five hundred, a period of forty steps is not.
 _FADE = 15 / 16
@@ -63,8 +66,9 @@ def surface_noise(
     whose rounding is that of states of some `size`, and all that H makes of them on the way, as
     t + φ in a sine with a phase φ."""
     system, t, x, size, h_t, normals = stop_gradient((system, t, x, size, h_t, normals))
-    terms, inside = abs(normals) @ size + abs(h_t * t), system.rounding(t, x)
-    return NOISE * system.eps * (terms if inside is None else terms + inside)
+    noise = NOISE * system.eps * (abs(normals) @ size + abs(h_t * t))
+    inside = system.rounding(t, x)
+    return noise if inside is None else noise + _INSIDE * system.eps * inside
 
 
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:

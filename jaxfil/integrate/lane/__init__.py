@@ -5,5 +5,7 @@
 - forcing phase: elapsed times that start anew in each period of the forcing.
 - clock: times at which fields may jump; a tick is one of them (`clocks`).
 - step length: how far a trial step goes, and what is at its end.
-- recording: saved states and the table of events.
+- recording: the table of events.
+- recorder: which states are saved, and where (`recorders`).
+- extension: a feature with a state of its own, and the hooks that the loop calls.
 """

@@ -23,7 +23,7 @@ SAME_TIME = 8
 
 def iteration_budget(num_steps: Array, max_events: int | None = None) -> Array:
     """Iterations after which a run of `num_steps` steps is given up: 32 for each step, and 64 for
-    each of `max_events` contacts, which take about four. What runs into it does not end."""
+    each of `max_events` contacts, which take about four. A run that needs more would hardly end."""
     contacts = 100_000 if max_events is None else 64 * max_events + 1024
     return 32 * jnp.minimum(num_steps, 2**25) + contacts
 
@@ -40,7 +40,7 @@ class TimeGrid(eqx.Module):
     """The grid: `num_steps` steps of `dt` (signed) from `t0`, the last one ending at `length`.
 
     Times in the loop are elapsed times, so that a huge t0 costs the grid no accuracy. With a
-    `forcing` they start anew from zero at the end of each of its lengths: see `phase`.
+    `forcing` they start anew from zero at the end of each of its lengths: see `forcing_phase`.
     """
 
     t0: Array
@@ -117,12 +117,19 @@ def grid_of_periods(
 
 
 class Recorder(eqx.Module):
-    """What is saved of the states of a lane: the one that saves nothing, unless overridden."""
+    """Decides which states of a lane are saved, and where; this one saves none.
+
+    A subclass says how much space it takes (`empty`), which time a step must end at (`next_time`)
+    and what is saved of a step (`record`).
+    """
 
     name: ClassVar[str] = "t1"
     """What `diffrax.SaveAt` calls it."""
     at_known_times: ClassVar[bool] = True
     """Whether it saves at times that do not depend on the steps."""
+    in_free_steps: ClassVar[bool] = False
+    """Whether it saves at grid points alone, and has a `keep` for steps that meet nothing: lanes of
+    a batch then need no full iteration for them."""
     with_t0: bool = eqx.field(static=True, default=False)
     """Whether the state at t0 is saved too."""
 
@@ -140,8 +147,14 @@ class Recorder(eqx.Module):
         return None
 
     def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:
-        """`after`, the `LoopState` that a `Step` has led to from `state`, with what is saved."""
+        """`after`, the `LoopState` that a `Step` has led to from `state`, with what is saved. It is
+        called before the extensions follow the lane."""
         return after
+
+    def keep(self, problem: "Problem", state: Any, after: Any, x: Any, gridded: Array) -> Any:
+        """`after`, with the state x saved if it is at a grid point just reached (`gridded`) and one
+        of those to be saved."""
+        raise NotImplementedError(f"{type(self).__name__} does not save in free steps.")
 
 
 class Recording(eqx.Module):

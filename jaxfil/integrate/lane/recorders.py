@@ -26,6 +26,7 @@ class SaveSamples(Recorder):
     """Every `every`-th state at a grid point from number `first` on."""
 
     name = "samples"
+    in_free_steps = True
     size: int = eqx.field(static=True, kw_only=True)
     """How many there are."""
     modes: bool = eqx.field(static=True, kw_only=True)
@@ -42,7 +43,6 @@ class SaveSamples(Recorder):
     def keep(
         self, problem: Problem, state: LoopState, after: LoopState, x: Components, gridded: Array
     ) -> LoopState:
-        """`after`, with the state x saved if it is at a grid point just reached and a sample."""
         saves, number = state.saves, state.counts.num_saved
         assert saves is not None
         # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
@@ -170,6 +170,6 @@ class SaveSteps(Recorder):
 
 
 class SaveDense(SaveSteps):
-    """The same, from which states at all times are computed."""
+    """The states after every step, from which those at all times are computed."""
 
     name = "dense"

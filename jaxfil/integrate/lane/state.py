@@ -17,22 +17,22 @@ from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.system.components import Components, any_of
 from jaxfil.model.outcomes import RESULTS
 
-Rows: TypeAlias = Any
+Column: TypeAlias = Any
 """An array with an entry a row, or what stands for it in a loop that keeps checkpoints."""
 
 
 class EventTable(eqx.Module):
     """Events in order."""
 
-    ts: Rows
+    ts: Column
     """Times (k,)."""
-    xs: Rows
+    xs: Column
     """States just before, (k, n)."""
-    members: Rows
+    members: Column
     """Sets of surfaces, (k, m)."""
-    kinds: Rows
+    kinds: Column
     """Codes of `EventKind`, (k,)."""
-    modes: Rows
+    modes: Column
     """Modes just after, (k, m)."""
 
 
@@ -40,21 +40,21 @@ class SavedStates(eqx.Module):
     """Saved times (k,), states (k, n) and modes (k, m); of samples no times, and
     modes only if they are recorded."""
 
-    ts: Rows
-    xs: Rows
-    modes: Rows
+    ts: Column
+    xs: Column
+    modes: Column
 
 
 class CrossingTable(eqx.Module):
     """Crossings of sections in order."""
 
-    ts: Rows
+    ts: Column
     """Times (k,)."""
-    xs: Rows
+    xs: Column
     """States (k, n)."""
-    sections: Rows
+    sections: Column
     """Numbers of sections, (k,)."""
-    modes: Rows
+    modes: Column
     """Modes just after, (k, m)."""
 
 

@@ -2,7 +2,10 @@
 
 - start: the mode at t0.
 - iterate: one trial step, and what is done with it: accept, reject, land, switch.
+- judge: that decision, or the failure that a trial step has met.
 - free step: a trial step on a lane's own sides, which needs no more if it meets nothing.
 - batch: lanes that share a loop; they coast through free steps, and are judged where one is not.
-- section search: crossings of sections, located in steps that the loop has made.
+- section search: crossings of sections, located in steps that the loop has made; what a lane knows
+  of them is in `section_state`.
+- extensions: those of a run, in their order.
 """

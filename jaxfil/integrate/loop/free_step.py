@@ -17,10 +17,9 @@ from jaxfil.integrate.contacts.cubic import stays_off
 from jaxfil.integrate.contacts.guards import larger, surface_noise
 from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem
-from jaxfil.integrate.lane.recorders import SaveSamples
 from jaxfil.integrate.lane.state import FreeStep, LoopState
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.steppers.error_estimate import Step, may_be_too_long
+from jaxfil.integrate.steppers.error_estimate import SmoothStep, may_be_too_long
 from jaxfil.integrate.steppers.explicit import step
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import all_finite, any_of, on_each, side_of
@@ -54,7 +53,9 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     touch = surface_noise(problem.system, t, x, size, h_t, normals)
     clear = ~is_near_surface(state) & all_finite(x, free.f, free.g)
     start = problem.grid.t0 + state.motion.tau
-    taken = Step(t=start, h=h, x0=state.motion.x, f0=state.motion.f, f1=free.f, trial=free.trial)
+    taken = SmoothStep(
+        t=start, h=h, x0=state.motion.x, f0=state.motion.f, f1=free.f, trial=free.trial
+    )
     clear = clear & ~may_be_too_long(problem.tableau, taken)
     off = on_each(stays_off, state.motion.g, h * state.motion.rate, free.g, h * free.rate, touch)
     return clear & ~any_of(~off)
@@ -86,7 +87,5 @@ def accept_free_step(
             num_accepted=counts.num_accepted + one,
         ),
     )
-    recorder = problem.recording.recorder
-    if isinstance(recorder, SaveSamples):
-        after = recorder.keep(problem, state, after, x, clear)
+    after = problem.recording.recorder.keep(problem, state, after, x, clear)
     return next_period(problem.grid, after)

@@ -1,8 +1,8 @@
 """The judgement of a trial step: what an iteration does with it, as one number.
 
-Accept, reject, land and switch are explained in `iterate`. The decision is one float, a number that
-is computed once (`ComponentSystem.hold`), and all that follows needs nothing else of what went into
-it.
+Accept, reject, land and switch are explained in `iterate`; a landing may be a touch, a lane that
+has ended is idle, and extensions may take a step back. The decision is one float, so that it is
+computed once (`ComponentSystem.hold`) and not again by everything that asks for it.
 """
 
 import equinox as eqx
@@ -15,7 +15,7 @@ from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd, is_running
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.steppers.error_estimate import Step as SmoothStep, is_too_long
+from jaxfil.integrate.steppers.error_estimate import SmoothStep, is_too_long
 from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.surfaces.unilateral import sides_of
 from jaxfil.integrate.system.components import all_finite, any_of
@@ -103,39 +103,44 @@ def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array
     action = select(landed, select(landing.touched, TOUCH, LAND), action)
     action = select(state.pending.waits, SWITCH, action)
     failures = _failures(problem, state, judgement, landed)
-    for number, failed in reversed(list(enumerate(failures))):
-        action = select(failed, FAIL + number, action)
+    # The first one counts.
+    for failure, failed in reversed(failures):
+        action = select(failed, FAIL + FAILURES.index(failure), action)
     action = select(is_running(problem.grid, state), action, IDLE)
     return problem.system.hold(action.astype(problem.system.dtype))
 
 
 def _failures(
     problem: Problem, state: LoopState, judgement: Judgement, landed: Array
-) -> list[Array]:
-    """Which of `FAILURES` a trial step has met."""
+) -> list[tuple[RESULTS, Array]]:
+    """Each of `FAILURES`, and whether a trial step has met it."""
     system, end, waits = problem.system, judgement.end, state.pending.waits
     motion, found, no = end.motion, judgement.contact.found, jnp.zeros((), bool)
     most, undecided = problem.recording.max_events, end.num_modes == 0
     # A limit of turns at which no mode goes on is none.
     limit = no if state.turn is None else state.turn.completed & waits
     chain = _CHAIN if system.resets and system.m > 1 else _FROZEN
+    full = no if most is None else _is_contact(state) & (state.counts.num_events >= most)
+    infinite = ~all_finite(motion.x, motion.f, motion.g, judgement.contact.theta)
+    lost = (undecided & ~limit) | (judgement.rejections > _TRIES)
     return [
-        ~all_finite(motion.x, motion.f, motion.g, judgement.contact.theta),
-        no if most is None else _is_contact(state) & (state.counts.num_events >= most),
-        (end.num_modes > 1) & (~found | waits),
-        no if system.slides else any_of(motion.mode == 0),
-        end.moved & (problem.grid.direction < 0),
-        undecided & end.moved,
-        (undecided & ~limit) | (judgement.rejections > _TRIES),
-        (judgement.repeats >= chain) | (undecided & limit),
-        judgement.too_long & ~waits & (landed | ~found),
+        (RESULTS.nonfinite, infinite),
+        (RESULTS.max_events_reached, full),
+        (RESULTS.nonunique, (end.num_modes > 1) & (~found | waits)),
+        (RESULTS.undeclared_sliding, no if system.slides else any_of(motion.mode == 0)),
+        (RESULTS.irreversible_reset, end.moved & (problem.grid.direction < 0)),
+        (RESULTS.reset_undecided, undecided & end.moved),
+        (RESULTS.mode_undecided, lost),
+        (RESULTS.zeno, (judgement.repeats >= chain) | (undecided & limit)),
+        (RESULTS.step_too_long, judgement.too_long & ~waits & (landed | ~found)),
     ]
 
 
 def smooth_action_of(problem: Problem, state: LoopState, end: StepEnd, too_long: Array) -> Array:
     """The same where there are no surfaces."""
     action = select(too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
-    action = select(all_finite(end.motion.x, end.motion.f), action, FAIL)
+    finite = all_finite(end.motion.x, end.motion.f)
+    action = select(finite, action, FAIL + FAILURES.index(RESULTS.nonfinite))
     return select(is_running(problem.grid, state), action, IDLE)
 
 

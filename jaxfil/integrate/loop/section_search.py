@@ -60,6 +60,8 @@ class SectionSearch(Extension):
     def before_step(self, problem: Problem, own: SectionState | None) -> Problem:
         if own is None:
             return problem
+        # One look at a time: a second search would have to wait for the first.
+        assert problem.look is None
         return dataclasses.replace(problem, look=Look(own.watch.seeking, own.watch.length))
 
     def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, SectionState]:

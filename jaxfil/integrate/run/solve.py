@@ -257,8 +257,8 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
 
 
 def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -> Solution:
-    """The result of a finished lane, as the user sees it. One that has kept nothing has kept its
-    end, infinite unless it is the end asked for."""
+    """The result of a finished lane, as the user sees it. Without a recorder the only row is the
+    end, inf if the run has not reached t1."""
     t0 = problem.grid.t0
     t, x, mode = (
         t0 + state.motion.tau,

@@ -36,7 +36,7 @@ _CHAIN = 4
 _DEEP = 4
 
 
-class Step(eqx.Module):
+class SmoothStep(eqx.Module):
     """A step of length h from (t, x0), and its fields at both ends."""
 
     t: Array
@@ -47,7 +47,7 @@ class Step(eqx.Module):
     trial: Trial
 
 
-def may_be_too_long(tableau: Tableau, step: Step) -> Array:
+def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:
     """Whether a step should be looked at by `is_too_long`: cheap, and never False in error, as the
     state at its end is part of what the error is compared with."""
     missed = _missed(tableau, step)
@@ -56,23 +56,27 @@ def may_be_too_long(tableau: Tableau, step: Step) -> Array:
     return any_of(missed > _GROSS * stop_gradient(abs(step.trial.x)))
 
 
-def is_too_long(system: ComponentSystem, tableau: Tableau, step: Step, sides: Components) -> Array:
+def is_too_long(
+    system: ComponentSystem, tableau: Tableau, step: SmoothStep, sides: Components
+) -> Array:
     """Whether a step of a lane on these sides cannot be trusted: see the top of this file."""
     if step.trial.error is None:
         return jnp.zeros((), bool)
     step = stop_gradient(step)
     suspect = may_be_too_long(tableau, step)
 
-    def gross(step: Step, sides: Components) -> Array:
+    def gross(step: SmoothStep, sides: Components) -> Array:
         return _is_gross(system, tableau, step, sides)
 
-    def fine(step: Step, sides: Components) -> Array:
+    def fine(step: SmoothStep, sides: Components) -> Array:
         return jnp.zeros((), bool)
 
     return suspect & system.where_any(suspect, gross, fine, step, sides)
 
 
-def _is_gross(system: ComponentSystem, tableau: Tableau, step: Step, sides: Components) -> Array:
+def _is_gross(
+    system: ComponentSystem, tableau: Tableau, step: SmoothStep, sides: Components
+) -> Array:
     """Whether a step has missed by a tenth of what it does, and by more than rounding."""
     missed = _missed(tableau, step)
     assert missed is not None
@@ -145,7 +149,7 @@ def _generic(size: Components) -> Components:
     return Components((1 + (0.618 * i) % 1) * v for i, v in enumerate(size.parts))
 
 
-def _missed(tableau: Tableau, step: Step) -> Components | None:
+def _missed(tableau: Tableau, step: SmoothStep) -> Components | None:
     """The estimated errors of a step; None of a method without an estimate."""
     if isinstance(tableau, RosenbrockTableau) or step.trial.error is None:
         return None

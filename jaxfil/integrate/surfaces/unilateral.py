@@ -124,8 +124,9 @@ def rate_noise(
     gained = abs(c.gradients) @ abs(f)
     terms = abs(h_t) + abs(normals) @ abs(f) + abs(c.gradients) @ x
     terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
-    terms = terms if inside is None else terms + inside
-    return stop_gradient(_NOISE * jnp.finfo(t.dtype).eps * terms)
+    # What is rounded inside of ψ does not gather: twice its bound is how far evaluations differ.
+    terms = _NOISE * terms if inside is None else _NOISE * terms + 2 * inside
+    return stop_gradient(jnp.finfo(t.dtype).eps * terms)
 
 
 def multipliers(gains: Rows, a: Components, rests: Components) -> Components:

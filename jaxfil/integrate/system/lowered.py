@@ -76,7 +76,7 @@ class ComponentSystem(eqx.Module):
     structure: Structure = eqx.field(static=True)
     """Which numbers of the field and of H depend on which side and state."""
     compact: bool = eqx.field(static=True)
-    """Whether its program is to be small: see `compact`. Sines are then one operation each, and
+    """Whether its program is to be small: see `grade`. Sines are then one operation each, and
     only those of arrays are found ahead."""
     packed: bool = eqx.field(static=True)
     """Whether what there is of each surface is one array, (m,): of several surfaces of a state that
