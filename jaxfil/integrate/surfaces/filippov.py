@@ -59,14 +59,14 @@ def blend_fields(
     return Components(mixed.get(i, v) for i, v in enumerate(fields[0].parts))
 
 
-def _of_owners(system: ComponentSystem, v: Components, as_array: bool) -> Any:
+def _of_owners(system: ComponentSystem, v: Components, as_array: bool) -> Components:
     """Of numbers of separate surfaces that of the one surface that switches it, for each number of
     the field that one does; in a row with all others if it is to be an array."""
     switched = system.structure.switched
     if not as_array:
         return Components(v.parts[sides[0]] for sides in switched if sides)
     if system.m == 1:
-        return v.number(0)
+        return v
     # A number that no side enters takes any surface, but one that makes a row with its neighbours.
     owners = [sides[0] if sides else i % system.m for i, sides in enumerate(switched)]
     return Components([taken(pack(v, system.dtype), np.array(owners))])

@@ -163,7 +163,7 @@ def side_of(v: Components) -> Components:
     return on_each(lambda u: select(u < 0, -jnp.ones_like(u), jnp.ones_like(u)), v)
 
 
-def scalars(x: Array) -> tuple[Array, ...]:
+def scalars(x: Any) -> tuple[Any, ...]:
     """The numbers of an (n,) array."""
     return tuple(x[i] for i in range(x.shape[0]))
 
