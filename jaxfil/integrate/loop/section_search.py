@@ -30,7 +30,13 @@ from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Look, Problem
 from jaxfil.integrate.lane.recording import entered, mode_codes
 from jaxfil.integrate.lane.state import CrossingTable, LoopState, Motion, is_running, later
-from jaxfil.integrate.loop.section_state import SectionState, Seen, Watch
+from jaxfil.integrate.loop.section_state import (
+    SectionState,
+    Seen,
+    Watch,
+    empty_crossings,
+    unwatched,
+)
 from jaxfil.integrate.surfaces.sections import Sight, WatchedSections, beyond_newton, see
 from jaxfil.integrate.system.components import (
     Components,
@@ -92,25 +98,8 @@ def _begin(
 ) -> tuple[LoopState, SectionState]:
     """A lane at t0, watched from there on."""
     motion = state.motion
-    zero, false = jnp.zeros_like(motion.tau), jnp.zeros((), bool)
-    none, k = jnp.zeros((), jnp.int32), len(watched.functions)
-    nothing, flags = Components((zero,) * k), Components((false,) * k)
-    watch = Watch(
-        side=nothing,
-        value=nothing,
-        rate=nothing,
-        away=flags,
-        owed=flags,
-        start=zero,
-        seeking=false,
-        length=zero,
-        aim=flags,
-        low=zero,
-        high=zero,
-        tries=none,
-        counts=Components((none,) * k),
-        total=none,
-    )
+    false = jnp.zeros((), bool)
+    watch = unwatched(len(watched.functions), jnp.zeros_like(motion.tau))
     at = problem.grid.t0 + motion.tau, motion.x
     sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale, problem.grid.dt)
     watch = _moved_on(watched, problem, watch, sight, false)
@@ -118,14 +107,7 @@ def _begin(
     for bound, value, noise in zip(watched.bounds, sight.value.parts, noises.parts, strict=True):
         outside = bound & (value < -noise) & (result == RESULTS.successful)
         result = RESULTS.where(outside, RESULTS.out_of_bounds, result)
-    table, size = None, problem.recording.num_crossings
-    if size is not None:
-        table = CrossingTable(
-            ts=jnp.full((size,), jnp.inf, problem.system.dtype),
-            xs=jnp.full((size, problem.system.n), jnp.inf, problem.system.dtype),
-            sections=jnp.full((size,), -1, jnp.int32),
-            modes=jnp.zeros((size, problem.system.m), jnp.int8),
-        )
+    table = empty_crossings(problem.system, problem.recording.num_crossings)
     return dataclasses.replace(state, result=result), SectionState(watch, table)
 
 

@@ -1,11 +1,13 @@
 """What a lane knows of its sections, and what a trial step shows of them."""
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.state import CrossingTable
 from jaxfil.integrate.surfaces.sections import Sight
 from jaxfil.integrate.system.components import Components
+from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.model.outcomes import RESULTS
 
 
@@ -71,3 +73,37 @@ class Seen(eqx.Module):
     """State at the crossing."""
     result: RESULTS
     """What the crossing makes of the run."""
+
+
+def unwatched(k: int, zero: Array) -> Watch:
+    """The watch of k sections of which nothing is known."""
+    false, none = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
+    nothing, flags = Components((zero,) * k), Components((false,) * k)
+    return Watch(
+        side=nothing,
+        value=nothing,
+        rate=nothing,
+        away=flags,
+        owed=flags,
+        start=zero,
+        seeking=false,
+        length=zero,
+        aim=flags,
+        low=zero,
+        high=zero,
+        tries=none,
+        counts=Components((none,) * k),
+        total=none,
+    )
+
+
+def empty_crossings(system: ComponentSystem, size: int | None) -> CrossingTable | None:
+    """A table without crossings; None if none are kept."""
+    if size is None:
+        return None
+    return CrossingTable(
+        ts=jnp.full((size,), jnp.inf, system.dtype),
+        xs=jnp.full((size, system.n), jnp.inf, system.dtype),
+        sections=jnp.full((size,), -1, jnp.int32),
+        modes=jnp.zeros((size, system.m), jnp.int8),
+    )
