@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.xla import elements
+from jaxfil.xla.masked_product import evaluate_one
 from jaxfil.xla.program import interpreted
 
 # Operations that only move numbers about, chosen by operands that are whole numbers or flags.
@@ -75,9 +76,9 @@ def rounding_of(function: Callable, *example: Any) -> Callable | None:
 def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
     """What one operation gives."""
     name = eqn.primitive.name
-    run = ft.partial(_evaluated, eqn)
+    run = ft.partial(evaluate_one, jaxpr, eqn)
     outputs = run([v.value for v in inputs])
-    if not any(jnp.issubdtype(v.dtype, jnp.floating) for v in outputs):
+    if not any(map(_is_float, outputs)):
         return [_Rounded(v) for v in outputs]
     if name in elements.MOVES or name in _CHOICES:
         return [_moved(eqn, inputs, outputs[0])]
@@ -85,7 +86,8 @@ def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]
     if name in _EXACT:
         return [_Rounded(v, p) for v, p in zip(outputs, passed_on, strict=True)]
     if name not in _SUMS:
-        return [_Rounded(v, p, abs(v)) for v, p in zip(outputs, passed_on, strict=True)]
+        own = [abs(v) if _is_float(v) else None for v in outputs]
+        return [_Rounded(*each) for each in zip(outputs, passed_on, own, strict=True)]
     # Terms of a sum may cancel: its rounding is that of their sizes, also where it is zero.
     (size,) = run([abs(jnp.asarray(v.value)) for v in inputs])
     if passed_on[0] is None:
@@ -93,12 +95,8 @@ def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]
     return [_Rounded(outputs[0], passed_on[0] + size)]
 
 
-def _evaluated(eqn: Any, values: Sequence[Any]) -> list[Any]:
-    out = eqn.primitive.bind(
-        *(jnp.asarray(v, x.aval.dtype) for v, x in zip(values, eqn.invars, strict=True)),
-        **eqn.params,
-    )
-    return list(out) if eqn.primitive.multiple_results else [out]
+def _is_float(v: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(v), jnp.floating)
 
 
 def _sum(terms: Sequence[Array]) -> Array | None:
@@ -113,9 +111,9 @@ def _moved(eqn: Any, inputs: Sequence[_Rounded], value: Array) -> _Rounded:
             return None
         filled = []
         for part, of in zip(parts, inputs, strict=True):
-            is_float = jnp.issubdtype(jnp.result_type(of.value), jnp.floating)
-            filled.append(of.value if not is_float else _or_zero(part, of.value))
-        return _evaluated(eqn, filled)[0]
+            moved = _or_zero(part, of.value) if _is_float(of.value) else of.value
+            filled.append(jnp.asarray(moved, eqn.invars[len(filled)].aval.dtype))
+        return eqn.primitive.bind(*filled, **eqn.params)
 
     return _Rounded(value, along([v.passed_on for v in inputs]), along([v.own for v in inputs]))
 
@@ -137,4 +135,5 @@ def _passed_on(run: Callable, inputs: Sequence[_Rounded], count: int) -> list[Ar
         terms.append(jax.jvp(one, (jnp.asarray(of.value),), (of.bound,))[1])
     if not terms:
         return [None] * count
-    return [_sum([abs(v) for v in each]) for each in zip(*terms, strict=True)]
+    columns = zip(*terms, strict=True)
+    return [_sum([abs(v) for v in each if _is_float(v)]) for each in columns]

@@ -66,3 +66,15 @@ def test_bounds_go_where_their_values_go():
     bound = rounding_of(lambda x: jnp.where(x > 0, jnp.stack([x + 9.0, x, x])[::-1] - 1, 0.0), 1.0)
     np.testing.assert_array_equal(bound(1.0), [0, 0, 10])
     np.testing.assert_array_equal(bound(-1.0), [0, 0, 0])
+
+
+def test_functions_with_rules_of_their_own_pass_bounds_on():
+    # A rule for derivatives, as those of jax.nn have, a loop and a choice.
+    def function(x):
+        y = jax.nn.softplus(x + 9.0)
+        y = jax.lax.fori_loop(0, 3, lambda _, v: 2.0 * v, y)
+        return jax.lax.cond(x > 0, lambda v: v - 1.0, lambda v: v, jax.nn.relu(y))
+
+    bound = rounding_of(function, 1.0)
+    slope = jax.grad(function)(1.0)
+    assert slope * 10.0 <= bound(1.0) <= slope * 10.0 + 4 * function(1.0)
