@@ -59,18 +59,17 @@ def rounding_of(function: Callable, *example: Any) -> Callable | None:
     """
     program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
     tree = jax.tree.structure(shape)
-    abstract = jax.tree.leaves(example)
-    passed_on: list[bool] = []
+
+    def run(leaves: Sequence[Any]) -> list[_Rounded]:
+        return interpreted(program, [_Rounded(v) for v in leaves], _Rounded, _rounded)
 
     def bounds(*args: Any) -> Any:
-        inputs = [_Rounded(v) for v in jax.tree.leaves(args)]
-        out = interpreted(program, inputs, _Rounded, _rounded)
-        passed_on[:] = [v.passed_on is not None for v in out]
-        values = [v.passed_on if v.passed_on is not None else jnp.zeros_like(v.value) for v in out]
+        values = [_or_zero(v.passed_on, v.value) for v in run(jax.tree.leaves(args))]
         return jax.tree.unflatten(tree, values)
 
-    jax.eval_shape(lambda *leaves: bounds(*leaves), *abstract)
-    return bounds if any(passed_on) else None
+    leaves = jax.tree.leaves(example)
+    found = jax.eval_shape(lambda *leaves: [v.passed_on for v in run(leaves)], *leaves)
+    return None if all(v is None for v in found) else bounds
 
 
 def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
