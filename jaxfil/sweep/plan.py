@@ -6,22 +6,21 @@ conditions (`conditions`) are made of it.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.run.observed import Observable, Observe, checked_observable
-from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
-from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.run.observed import Observable, checked_observable
+from jaxfil.integrate.run.step_choice import steps_and_stepper
+from jaxfil.integrate.steppers.explicit import checked_stepper, tableau_of
 from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.model import check
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.parameter import cast, get_parameter
 from jaxfil.model.section import Section, sections_of
 from jaxfil.model.system import System
-from jaxfil.model.types import Scalar, States, SweptValues
 from jaxfil.sweep.initial_states import initial_states, state_type
 from jaxfil.sweep.parameter_grid import ParameterGrid, parameter_grid
 from jaxfil.sweep.sampling import Samples, Sampling
@@ -64,25 +63,25 @@ class SweepPlan:
 
 
 def sweep_plan(
-    system: System,
-    parameter: str | Sequence[str],
-    values: SweptValues,
-    x0: States,
+    system: Any,
+    parameter: Any,
+    values: Any,
+    x0: Any,
     *,
-    transient: int | None,
-    samples: int,
-    steps: int | StepChoice,
-    stepper: Stepper | None,
-    follow: str | None,
-    compact: bool | None,
-    section: Section | None,
-    max_return: Scalar | None,
-    transient_time: Scalar | None,
-    observe: Observe | None,
+    transient: Any,
+    samples: Any,
+    steps: Any,
+    stepper: Any,
+    follow: Any,
+    compact: Any,
+    section: Any,
+    max_return: Any,
+    transient_time: Any,
+    observe: Any,
     runs: int,
 ) -> SweepPlan:
     """The plan that these arguments of `bifurcation_diagram` ask for, with so many `runs` of it:
-    a second one is at half the step."""
+    a second one is at half the step. They are checked here, so that they have no types yet."""
     check.system("system", system)
     dtype = state_type(x0)
     state = np.zeros(np.shape(x0)[-1:], dtype)
@@ -135,9 +134,9 @@ def _unseen(transient: int | None, from_time: Array | None) -> int:
 
 def _sampled_at(
     system: System,
-    section: Section | None,
-    max_return: Scalar | None,
-    transient_time: Scalar | None,
+    section: Any,
+    max_return: Any,
+    transient_time: Any,
     state: np.ndarray,
 ) -> tuple[Section | None, Array | None, Array | None]:
     """The section to sample at, the mean time that a return to it may take, and the transient in
@@ -170,7 +169,7 @@ def _sampled_at(
     )
 
 
-def _observable(observe: object, system: System, state: np.ndarray) -> Observable:
+def _observable(observe: Any, system: System, state: np.ndarray) -> Observable:
     """What is recorded in place of the samples' states."""
     observable = checked_observable("observe", observe, system, jnp.asarray(state))
     if len(observable.shape) > 1:
