@@ -57,6 +57,13 @@ class _DriveResponse(System):
     def resets(self) -> bool:
         return self.system.resets
 
+    def tick(self, t: Array, x: Array, clock: Array) -> Array:
+        return jnp.concatenate([self.system.tick(t, half, clock) for half in _halves(x)])
+
+    @property
+    def ticks(self) -> bool:
+        return self.system.ticks
+
     @property
     def period(self) -> Array | float | None:
         return self.system.period

@@ -182,6 +182,8 @@ def shapes(value: System, x: Array) -> tuple[int, ...]:
     _same_as_state(value, "vector_field", t=t, x=x, side=jnp.ones(h, x.dtype))
     if value.resets:
         _same_as_state(value, "reset", t=t, x=x, surface=jnp.zeros((), jnp.int32))
+    if value.ticks and value.clocks:
+        _same_as_state(value, "tick", t=t, x=x, clock=jnp.zeros((), jnp.int32))
     return h
 
 

@@ -214,3 +214,8 @@ class EventKind(enum.IntEnum):
     """The state was reset: thrown back, let through, carried off, or brought to rest."""
     graze = 5
     """The surface was touched without a change of mode."""
+    tick = 6
+    """The state was changed by the tick of a clock."""
+    carry = 7
+    """The state was carried from one side of the surface to the other, by a reset, a tick or a jump
+    of H."""

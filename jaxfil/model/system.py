@@ -30,8 +30,8 @@ class System(eqx.Module):
     differentiated, batched, and new values never recompile.
 
     `reset` is there for impacts: without it none are compiled. `period` is that of the forcing.
-    One that wraps another system gives `slides`, `resets`, `period` and `clocks` of that, as
-    properties.
+    One that wraps another system gives `slides`, `resets`, `ticks`, `period` and `clocks` of that,
+    as properties.
 
     **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer
     (1988), for what a solution is on a surface.
@@ -103,6 +103,23 @@ class System(eqx.Module):
         may define `reset` for any system, and give that system's `resets` here."""
         return type(self).reset is not System.reset
 
+    def tick(
+        self, t: Float[Array, ""], x: Float[Array, " n"], clock: Int[Array, ""]
+    ) -> Float[Array, " n"]:
+        """The state, shape (n,), just after a tick of clock number `clock` of `clocks`.
+
+        What a sampled controller holds, a latch that is set, a dose, a kick: what changes at known
+        times. Of ticks at one time each has its turn, the clock with the lowest number first. A
+        state that it carries across a surface has a contact there, at that time.
+        """
+        return x  # never called: a system without a `tick` of its own has no `ticks`
+
+    @property
+    def ticks(self) -> bool:
+        """Whether the state changes at ticks: by default if the class defines `tick`. Where this is
+        False `tick` is never called, as with `resets`."""
+        return type(self).tick is not System.tick
+
     @property
     def period(self) -> Array | float | None:
         """Period of the forcing in units of t; None if the system is autonomous. Of several forces
@@ -111,7 +128,7 @@ class System(eqx.Module):
 
     @property
     def clocks(self) -> Clocks:
-        """The `Clock`s at whose ticks the field or H jumps; none by default."""
+        """The `Clock`s at whose ticks the field, H or the state jumps; none by default."""
         return ()
 
 
@@ -209,6 +226,13 @@ class _Smoothed(System):
     @property
     def period(self) -> Array | float | None:
         return self.system.period
+
+    def tick(self, t: Array, x: Array, clock: Array) -> Array:
+        return self.system.tick(t, x, clock)
+
+    @property
+    def ticks(self) -> bool:
+        return self.system.ticks
 
     @property
     def clocks(self) -> Clocks:

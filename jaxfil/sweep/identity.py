@@ -35,7 +35,8 @@ def equations(system: System, x: np.ndarray) -> str:
         s = eqx.combine(leaves, static)
         field = s.vector_field(t, x, jnp.ones(h, x.dtype))
         after = s.reset(t, x, jnp.zeros((), jnp.int32)) if s.resets else None
-        return field, s.switching(t, x), after, s.period, s.clocks
+        ticked = s.tick(t, x, jnp.zeros((), jnp.int32)) if s.ticks else None
+        return field, s.switching(t, x), after, ticked, s.period, s.clocks
 
     text = jax.jit(everything).lower(leaves, jnp.zeros((), state.dtype), state).as_text()
     return hashlib.sha256(f"{text} {system.slides}".encode()).hexdigest()[:16]

@@ -48,10 +48,11 @@ class Surfaces(eqx.Module):
     gathered: Components
     """What all rounding since t0 may have done to H, which is of the largest state of late: it
     decides whether a touch is more than rounding."""
-    jumped: Components
-    """Surfaces whose H has jumped away from zero."""
-    carried: Components | None
-    """Surfaces that a reset has carried the state off; None without resets."""
+    off: Components
+    """Surfaces that a jump of H, or a map, has led the state off."""
+    unsettled: Components | None
+    """Surfaces that the state is on when something has jumped: they are decided anew, whatever the
+    mode was. None where nothing but a contact changes a field, and no more than one."""
 
 
 def surface_noise(
@@ -100,16 +101,33 @@ def guards(
     change = (
         system.once(lambda t: jax.jvp(system.forcing_at, (t,), (one,))[1], t) if forcing else []
     )
+    together = filippov.holds_together(system)
+    guard = filippov.guard_together if together else filippov.free_guard
     g, rate = jax.jvp(
-        lambda t, x, forcing: filippov.free_guard(system, t, x, mode, forcing),
+        lambda t, x, forcing: guard(system, t, x, mode, forcing),
         (t, x, forcing),
         (one, f, change),
     )
     # The guard of a slide, 1 - w², is of order one.
     noise = where(mode == 0, NOISE * system.eps, noise)
-    if system.resets:
+    if together:
+        noise = _noise_of_rest(system, t, x, mode, noise)
+    elif system.resets:
         g, rate, noise = _guards_of_rest(system, t, x, f, mode, (g, rate, noise))
     return system.hold(g), stop_gradient(system.hold(rate)), noise
+
+
+def _noise_of_rest(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, noise: Components
+) -> Components:
+    """The same noise, with that of reactions where a mode rests."""
+    rests = unilateral.rests_of(mode)
+
+    def of_forces(t: Array, x: Components, noise: Components) -> Components:
+        scale = unilateral.reaction_scale(system, t, x, mode)
+        return where(rests, stop_gradient(NOISE * system.eps * scale), noise)
+
+    return system.where_any(any_of(rests), of_forces, lambda t, x, noise: noise, t, x, noise)
 
 
 def _guards_of_rest(
@@ -126,8 +144,7 @@ def _guards_of_rest(
 
     def reactions(t: Array, x: Components, f: Components, known: tuple) -> tuple:
         def force(t: Array, x: Components) -> Components:
-            free = filippov.free_field(system, t, x, mode)
-            return unilateral.held_field(system, t, x, mode, free)[1]
+            return filippov.reaction(system, t, x, mode)
 
         value, slope = jax.jvp(force, (t, x), (jnp.ones_like(t), f))
         scale = unilateral.reaction_scale(system, t, x, mode)
@@ -158,7 +175,9 @@ def rearmed(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Motion, C
     guard starts at exactly zero, and its rate at zero or above.
     """
     system, direction, motion = problem.system, problem.grid.direction, end.motion
-    hit, before = state.pending.waits & state.pending.surfaces, stays_on(system, state.motion.mode)
+    waits, before = state.pending.waits, stays_on(system, state.motion.mode)
+    met = waits & state.pending.surfaces
+    hit = met | (waits & (motion.mode != state.motion.mode))
     # The rounding of the landing counts until the surface is left, also where the state has
     # become smaller since.
     kept = (hit | ~state.armed) & ~before
@@ -166,7 +185,7 @@ def rearmed(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Motion, C
     armed = stays_on(system, motion.mode) | (~hit & state.armed) | (motion.g > noise)
     # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
     # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
-    double = hit & (before | state.pending.grazes)
+    double = met & (before | state.pending.grazes)
     if end.still is not None:
         double = double | end.still
     rising = direction * maximum(direction * motion.rate, 0.0)

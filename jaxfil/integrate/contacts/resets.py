@@ -16,11 +16,12 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.contacts.guards import Surfaces
+from jaxfil.integrate.contacts.guards import Surfaces, stays_on
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.lane.step_length import Length
@@ -32,6 +33,7 @@ from jaxfil.integrate.system.components import (
     first_set,
     maximum,
     minimum,
+    total,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -49,8 +51,10 @@ class Reset(eqx.Module):
 
     x: Components
     """The state after it, n components."""
+    heard: Components
+    """The surface that it was of, if one was due."""
     acted: Components
-    """The surface that it was of; none: nothing has moved."""
+    """The same if it has moved the state, otherwise none."""
     waits: Components
     """Surfaces met with it that wait for theirs."""
     h: Components
@@ -70,7 +74,7 @@ class Impact(eqx.Module):
     still: Components
     """Surfaces where the rate is zero too: rested on, or left with a rate of zero."""
     rests: Components
-    """Those of them that the motion rests on."""
+    """Those of them that the motion rests on; of several surfaces in the fields before."""
     pushed: Components
     """Surfaces rested on that another one's reset has pushed it away from."""
     consistent: Array
@@ -79,6 +83,10 @@ class Impact(eqx.Module):
     """The time that a chattering takes that ends here; 0: there is none."""
     kick: Components
     """How far it carries the state besides the field, n components."""
+    constraints: Constraints | None
+    """The surfaces as constraints, where several are decided together; otherwise None."""
+    by_time: Components | None
+    """∂ψ/∂t of these."""
 
 
 class View(eqx.Module):
@@ -86,29 +94,30 @@ class View(eqx.Module):
 
     constraints: Constraints
     a: Components
+    by_time: Components
+    """∂ψ/∂t, m components."""
     noise: Components
     """Rounding of the rates."""
 
 
 def make_reset(system: ComponentSystem, state: LoopState, t: Array, x: Components) -> Reset:
-    """The reset of the first surface met on which it moves the state."""
+    """The reset of the first surface that is due for it. It is made whether or not it moves the
+    state: a kick of zero has a derivative."""
     assert state.settled is not None
     due = state.pending.waits & ~state.pending.grazes & ~state.settled
-    # What ends a rest is no impact.
-    resting = unilateral.rests_of(state.motion.mode)
-    asked = due & state.pending.surfaces & ~resting
+    # What ends a rest or a slide is no impact.
+    asked = due & state.pending.surfaces & ~stays_on(system, state.motion.mode)
 
     def made(t: Array, x: Components, asked: Components) -> Reset:
-        ends = [system.reset(t, x, jnp.int32(j)) for j in range(system.m)]
-        moves = asked & Components(any_of(y != x) for y in ends)
-        acted, after = first_set(moves), x
-        for first, y in zip(acted.parts, ends, strict=True):
-            after = where(first, y, after)
-        return Reset(after, acted, moves & ~acted, system.switching(t, x))
+        heard = first_set(asked)
+        numbers = Components(select(v, j, 0) for j, v in enumerate(heard.parts))
+        after = where(any_of(heard), system.reset(t, x, total(numbers)), x)
+        acted = heard & any_of(after != x)
+        return Reset(after, heard, acted, asked & ~heard, system.switching(t, x))
 
     def none(t: Array, x: Components, asked: Components) -> Reset:
         no = asked.like(jnp.zeros((), bool))
-        return Reset(x, no, no, asked.like(jnp.zeros_like(t)))
+        return Reset(x, no, no, no, asked.like(jnp.zeros_like(t)))
 
     return system.where_any(any_of(asked), made, none, t, x, asked)
 
@@ -133,8 +142,9 @@ def lead(
         return x, _follow(problem, state, length, reset, seen, at)
 
     def nothing(t: Array, x: Components, *_: Any) -> tuple[Components, Impact]:
-        zero, no = jnp.zeros_like(t), state.motion.mode.like(jnp.zeros((), bool))
-        return x, Impact(no, no, no, no, jnp.ones((), bool), zero, x.like(zero))
+        shapes = jax.eval_shape(led, t, x, state, length, reset, at)
+        _, none = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+        return x, dataclasses.replace(none, consistent=jnp.ones((), bool))
 
     engaged = state.pending.waits | any_of(unilateral.rests_of(state.motion.mode))
     return system.where_any(engaged, led, nothing, t, x, state, length, reset, at)
@@ -156,7 +166,9 @@ def _view(
         maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))
     )
     inside, dt = system.rate_rounding(t, x, sides), problem.grid.dt
-    return View(c, a, unilateral.rate_noise(t, size, inside, dt, fast, c, a, surfaces))
+    return View(
+        c, a, a - c.gradients @ f, unilateral.rate_noise(t, size, inside, dt, fast, c, a, surfaces)
+    )
 
 
 def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
@@ -188,24 +200,38 @@ def _follow(
     at: Surfaces,
 ) -> Impact:
     """What follows from a reset, given the surfaces after it."""
-    c, direction = seen.constraints, problem.grid.direction
+    system, c, direction = problem.system, seen.constraints, problem.grid.direction
     assert state.settled is not None
     switching = state.pending.waits & ~state.pending.grazes
     sides, resting = unilateral.sides_of(state.motion.mode), unilateral.rests_of(state.motion.mode)
     limit, (rate, noise) = at_limit(state), (stop_gradient(c.rate), seen.noise)
     there = (abs(stop_gradient(at.h)) <= at.gathered) | (state.settled & state.pending.surfaces)
+    there = there & ~at.off
     on = switching & c.throws_back & there
     leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves
     outward = direction * sides * rate
     away = reset.moved & resting & (outward > noise)
-    acts = (reset.moved | state.settled) & on & (outward < -noise) & ~reset.acted
-    owed = reset.waits | acts
+    jumped = reset.moved | state.settled | state.pending.jumped
+    acts = jumped & on & (outward < -noise) & ~reset.heard
+    # What a map has carried the state across has a contact there, at this time.
+    across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
+    owed = reset.waits | acts | across
     rests, consistent = unilateral.pressed(c.gains, seen.a, sides, still)
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
-    upcoming = where(jump > 0, reset.acted, owed | (more & state.pending.surfaces & ~reset.acted))
-    return Impact(upcoming, still, rests, away, consistent | ~switching, jump, kick)
+    upcoming = where(jump > 0, reset.acted, owed | (more & state.pending.surfaces & ~reset.heard))
+    return Impact(
+        next=upcoming,
+        still=still,
+        rests=rests,
+        pushed=away,
+        consistent=consistent | ~switching,
+        jump=jump,
+        kick=kick,
+        constraints=c if system.m > 1 else None,
+        by_time=seen.by_time if system.m > 1 else None,
+    )
 
 
 def _chattering(
@@ -263,10 +289,16 @@ class Beginning(eqx.Module):
     """Surfaces on which no mode is to be chosen."""
     owed: Components
     """Surfaces whose reset comes first."""
+    still: Components
+    """Surfaces without a rate, that may be rested on."""
     rests: Components
-    """Surfaces rested on."""
+    """Surfaces rested on; of several surfaces with the field on side + alone."""
     consistent: Array
     """Whether their reactions are all that is needed."""
+    constraints: Constraints
+    """The surfaces as constraints."""
+    by_time: Components
+    """∂ψ/∂t of these."""
 
 
 def begin(
@@ -298,4 +330,13 @@ def begin(
     # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
     lean = where(a * rates > 0, a, where(flat, rates, a))
     rests, consistent = unilateral.pressed(c.gains, lean, above, wall & flat)
-    return Beginning(start, wall | back, owed, rests, consistent)
+    return Beginning(
+        sides=start,
+        known=wall | back,
+        owed=owed,
+        still=wall & flat,
+        rests=rests,
+        consistent=consistent,
+        constraints=c,
+        by_time=a - c.gradients @ f,
+    )

@@ -7,7 +7,6 @@ correction, they left the state right and its derivative wrong in the fourth dig
 """
 
 import dataclasses
-import functools as ft
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,8 +14,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.contacts import accumulation, resets
+from jaxfil.integrate.contacts.decide import Decision, decided, later_contacts
 from jaxfil.integrate.contacts.guards import (
-    NOISE,
     Surfaces,
     guards,
     larger,
@@ -29,34 +28,73 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState, Motion, StepEnd
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
-from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.surfaces.corners import Corners, are_coupled
 from jaxfil.integrate.surfaces.normals import project
+from jaxfil.integrate.surfaces.second_order import beyond_newton
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
     all_finite,
     any_of,
+    first_set,
     maximum,
-    sign,
+    total,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select, select_all
 
-# At a graze a rate is told from zero above this multiple of what is left of the motion's own.
-_TANGENT = 64
 # Backward in time a motion that has left a slide comes to its end with the errors of both ways:
 # this multiple of rounding.
 _BACKWARD = 1024.0
 
 
+class Maps(eqx.Module):
+    """What has been done to the state at this switch: a tick of a clock, a reset."""
+
+    x: Components
+    """The state after it, n components."""
+    h: Components | None
+    """H before it, m components; None where no map can be."""
+    moved: Array
+    """Whether the state has been moved."""
+    ticked: Array | None
+    """Whether by a tick; None where none moves it."""
+    reset: Reset | None
+    """The reset; None without resets."""
+
+
+def _mapped(problem: Problem, state: LoopState, t: Array, x: Components) -> Maps:
+    """The state after the map that is due: that of a tick, or of one surface."""
+    system, no = problem.system, jnp.zeros((), bool)
+    if system.ticks and problem.ticked is not None:
+        due, before = problem.ticked >= 0, x
+
+        def ticked(t: Array, x: Components, number: Array) -> Components:
+            return system.tick(t, x, jnp.maximum(number, 0))
+
+        x = system.where_any(due, ticked, lambda t, x, _: x, t, x, problem.ticked)
+        x = where(due, x, before)
+        moved = any_of(x != before)
+        h = system.switching(t, before)
+    else:
+        moved, h = None, None
+    if not system.resets:
+        return Maps(x, h, no if moved is None else moved, moved, None)
+    reset = resets.make_reset(system, state, t, x)
+    h = reset.h if h is None else where(problem.ticked >= 0, h, reset.h)
+    any_moved = reset.moved if moved is None else reset.moved | moved
+    return Maps(reset.x, h, any_moved, moved, reset)
+
+
 def _surfaces_at(
-    problem: Problem, state: LoopState, t: Array, x: Components, reset: Reset | None
+    problem: Problem, state: LoopState, t: Array, x: Components, maps: Maps
 ) -> Surfaces:
-    """The surfaces at (t, x), where a reset has led to."""
-    system = problem.system
+    """The surfaces at (t, x), where maps have led to."""
+    system, pending = problem.system, state.pending
     h, h_t, normals = system.gradients(t, x)
-    scale = larger(state.motion.scale, x, None if state.turn is None else state.pending.waits)
+    scale = larger(state.motion.scale, x, None if state.turn is None else pending.waits)
     here = stop_gradient(maximum(abs(state.motion.x), abs(x)))
     noise = surface_noise(system, t, x, here, h_t, normals)
     gathered = surface_noise(system, t, x, scale, h_t, normals)
@@ -65,12 +103,18 @@ def _surfaces_at(
     same = problem.grid.same_time(state.motion.tau)
     # Jumped by more than rounding of times explains.
     away = abs(h) > gathered + 2 * same * abs(stop_gradient(state.motion.rate))
-    jumped = state.pending.waits & state.pending.jumped & away
-    carried = None
-    if reset is not None:
-        # Whose H the reset has changed: rounding of one that it has not is no way off its surface.
-        carried = reset.moved & (abs(h) > gathered) & (abs(h - reset.h) > gathered)
-    return Surfaces(h, h_t, normals, scale, noise, gathered, jumped, carried)
+    off, something = pending.waits & pending.jumped & away, pending.waits & pending.jumped
+    if maps.h is not None:
+        # Whose H a map has changed: rounding of one that it has not is no way off its surface.
+        off = off | (maps.moved & (abs(h) > gathered) & (abs(h - maps.h) > gathered))
+        something = something | maps.moved
+    unsettled = None
+    if are_coupled(system):
+        # What happens on one surface may change the field on another.
+        something = something | (pending.waits & ~pending.grazes)
+    if system.m > 1 or system.clocks or system.resets:
+        unsettled = something & (abs(h) <= gathered)
+    return Surfaces(h, h_t, normals, scale, noise, gathered, off, unsettled)
 
 
 def evaluate_step_end(
@@ -90,37 +134,96 @@ def evaluate_step_end(
     t = problem.grid.t0 + length.end
     if system.m == 0:
         return _smooth_end(system, state, length.end, t, x, forcing)
-    reset = resets.make_reset(system, state, t, x) if system.resets else None
-    x = x if reset is None else reset.x
-    # Everything from here on is taken after the reset: sides, rates and modes are those of the
+    maps = _mapped(problem, state, t, x)
+    # Everything from here on is taken after the maps: sides, rates and modes are those of the
     # state that goes on.
-    at, led = _surfaces_at(problem, state, t, x, reset), None
-    x = _held(problem, state, x, at)
-    if reset is not None:
-        x, led = resets.lead(problem, state, length, reset, t, x, at)
+    at, led = _surfaces_at(problem, state, t, maps.x, maps), None
+    later = later_contacts(problem, state) if maps.reset is None else maps.reset.waits
+    x = _held(problem, state, maps.x, at, later)
+    if maps.reset is not None:
+        x, led = resets.lead(problem, state, length, maps.reset, t, x, at)
+        later = led.next
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
-    mode, num_modes = _switch(problem, state, rates, at, led)
-    motion = _motion(problem, length.end, x, at, (fields, rates), (mode, num_modes), forcing)
+    choice = decided(problem, state, (fields, rates), at, led, later)
+    choice, again = _in_turn(problem, state, maps, choice, later)
+    motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
     if free is not None:
         stays, found = ~state.pending.waits & ~state.held, (free.f, free.g, free.rate)
         found = select_all(stays, found, (motion.f, motion.g, motion.rate))
         motion = eqx.tree_at(lambda v: (v.f, v.g, v.rate), motion, found)
-    gathered = where(stays_on(system, mode), motion.noise, at.gathered)
-    motion, num_modes = unguarded(problem.kept, motion, num_modes)
+    gathered = where(stays_on(system, choice.mode), motion.noise, at.gathered)
+    motion, num_modes = unguarded(problem.kept, motion, choice.count)
     end = StepEnd(
         motion=motion,
         gathered=gathered,
         num_modes=num_modes,
-        moved=jnp.zeros((), bool) if reset is None else reset.moved,
-        members=state.pending.surfaces,
-        next=None,
+        moved=maps.moved,
+        ticked=maps.ticked,
+        members=_members(state, maps, motion, later),
+        next=later,
+        again=again,
+        misfit=None,
         jump=None,
         still=None,
         turn=None,
     )
-    if reset is not None and led is not None:
-        end = _led_on(state, end, reset, led)
-    return accumulation.follow_turns(problem, state, length, end)
+    if led is not None:
+        end = _led_on(end, led)
+    return accumulation.follow_turns(problem, state, length, _to_later(problem, state, end))
+
+
+def _in_turn(
+    problem: Problem, state: LoopState, maps: Maps, choice: Decision, later: Components | None
+) -> tuple[Decision, Array | None]:
+    """The decision as far as it is one of this switch, and whether another switch has to follow at
+    once: what a contact or a map changes of other surfaces, as the end of a slide, is an event of
+    its own."""
+    system, mode = problem.system, state.motion.mode
+    if system.m == 1 and maps.ticked is None:
+        return choice, None
+    hit = state.pending.surfaces if later is None else state.pending.surfaces & ~later
+    if maps.reset is not None:
+        hit = where(maps.reset.moved, maps.reset.acted, hit)
+    cause = state.pending.waits & ~state.pending.grazes & (any_of(hit) | maps.moved)
+    others = (choice.mode != mode) & ~hit
+    again = cause & any_of(others)
+    if later is not None:
+        again = again & ~any_of(later)
+    kept = where(others & cause, mode, choice.mode)
+    return Decision(kept, select(again, jnp.maximum(choice.count, 1), choice.count)), again
+
+
+def _members(state: LoopState, maps: Maps, motion: Motion, later: Components | None) -> Components:
+    """The surfaces of the event that a switch is: those hit, or those whose mode it changes."""
+    hit = state.pending.surfaces if later is None else state.pending.surfaces & ~later
+    changed = state.pending.waits & (motion.mode != state.motion.mode)
+    members = hit | changed
+    if maps.reset is not None:
+        members = where(maps.reset.moved, maps.reset.acted, members)
+    return members
+
+
+def _to_later(problem: Problem, state: LoopState, end: StepEnd) -> StepEnd:
+    """The end of a switch, moved to the contact that comes next at the same time: by no time at
+    all, but by one with a derivative of its own."""
+    if end.next is None:
+        return end
+    system, direction = problem.system, problem.grid.direction
+    falls = direction * end.motion.rate < 0
+    comes = state.pending.waits & first_set(end.next) & falls & (abs(end.motion.g) <= end.gathered)
+    missing = -end.motion.g / where(falls, end.motion.rate, -direction)
+    delta = total(where(comes, missing - stop_gradient(missing), 0.0))
+    linear = delta, end.motion.x + delta * end.motion.f
+    t, mode = problem.grid.t0 + end.motion.tau, end.motion.mode
+    delta, x = add_second_derivative(beyond_newton, linear, system, t, end.motion.x, mode, comes)
+    jump = delta if end.jump is None else end.jump + delta
+    misfit = None
+    if state.pending.together is not None:
+        # A contact that would not come, or leads nowhere, is one of several at one point.
+        fine = ~any_of(end.next & ~falls) & (end.num_modes == 1)
+        misfit = state.pending.waits & any_of(end.next) & ~fine
+    motion = dataclasses.replace(end.motion, x=x)
+    return dataclasses.replace(end, motion=motion, jump=jump, misfit=misfit)
 
 
 def _motion(
@@ -129,40 +232,55 @@ def _motion(
     x: Components,
     at: Surfaces,
     on_sides: tuple[Corners, Corners],
-    choice: tuple[Components, Array],
+    choice: Decision,
     forcing: Forcing,
 ) -> Motion:
     """The motion that goes on from x in the mode chosen, given the fields on all sides with their
     rates, and in how many modes it could."""
     system, t = problem.system, problem.grid.t0 + tau
-    (fields, rates), (mode, num_modes) = on_sides, choice
+    (fields, rates), mode = on_sides, choice.mode
+    # Where no mode goes on because a field is not finite, that is what is wrong.
+    blind = (choice.count == 0) & ~all_finite(rates)
+    if filippov.holds_together(system):
+        f, determinant = _held_together(system, t, x, mode, fields, rates)
+        f = system.hold(where(blind, jnp.nan, f))
+        g, rate, noise = guards(system, t, x, f, mode, at.noise, forcing)
+        return Motion(tau, x, f, at.scale, mode, g, rate, noise, determinant)
     shares, determinant = mode, None
     if system.slides:
         shares = sliding_weights.weights(mode, rates)
         known = stop_gradient((mode, rates, shares))
         determinant = system.hold(sliding_weights.determinant(*known))
     f = filippov.blend_fields(system, fields, mode, shares)
-    # Where no mode goes on because a field is not finite, that is what is wrong.
-    blind = (num_modes == 0) & ~all_finite(rates)
     f = system.hold(where(blind, jnp.nan, f))
     f = with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, at.noise, forcing)
     return Motion(tau, x, f, at.scale, mode, g, rate, noise, determinant)
 
 
-def _led_on(state: LoopState, end: StepEnd, reset: Reset, led: Impact) -> StepEnd:
+def _held_together(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    mode: Components,
+    fields: Corners,
+    rates: Corners,
+) -> tuple[Components, Array]:
+    """The field of a mode that may slide and rest, and the determinant of its weights."""
+    fields, rates, _ = filippov.held_corners(system, t, x, mode, fields, rates)
+    sides = unilateral.beside(mode)
+    shares = sliding_weights.weights(sides, rates)
+    known = stop_gradient((sides, rates, shares))
+    determinant = system.hold(sliding_weights.determinant(*known))
+    return fields.blend(sides, shares), determinant
+
+
+def _led_on(end: StepEnd, led: Impact) -> StepEnd:
     """The end of a step with what follows from its reset."""
-    # Surfaces that wait for their reset are met by another switch.
-    met, motion = state.pending.surfaces, end.motion
+    motion = end.motion
     x = where(led.jump > 0, motion.x + led.jump * motion.f + led.kick, motion.x)
-    return dataclasses.replace(
-        end,
-        motion=dataclasses.replace(motion, x=x),
-        members=where(reset.moved, reset.acted | (met & ~led.next), met),
-        next=led.next,
-        jump=led.jump,
-        still=led.still,
-    )
+    motion = dataclasses.replace(motion, x=x)
+    return dataclasses.replace(end, motion=motion, jump=led.jump, still=led.still)
 
 
 def with_reactions(
@@ -191,139 +309,36 @@ def _smooth_end(
     none, one = state.motion.mode, jnp.ones((), jnp.int32)
     f, scale = system.field(t, x, none, forcing=forcing), larger(state.motion.scale, x)
     motion = Motion(tau, x, f, scale, none, none, none, none, None)
-    return StepEnd(motion, none, one, jnp.zeros((), bool), none, None, None, None, None)
+    return StepEnd(
+        motion=motion,
+        gathered=none,
+        num_modes=one,
+        moved=jnp.zeros((), bool),
+        ticked=None,
+        members=none,
+        next=None,
+        again=None,
+        misfit=None,
+        jump=None,
+        still=None,
+        turn=None,
+    )
 
 
-def _held(problem: Problem, state: LoopState, x: Components, at: Surfaces) -> Components:
+def _held(
+    problem: Problem, state: LoopState, x: Components, at: Surfaces, later: Components | None
+) -> Components:
     """The state on the surfaces that it slides or rests on or has just met: a slide is exact in its
-    surface, however long it lasts. Surfaces that have jumped, or were left by a reset, are left
-    out."""
+    surface, however long it lasts. Surfaces that it has been led off, or that have their turn
+    later, are left out."""
     system = problem.system
     if not system.slides and not system.resets:
         return x
-    off = at.jumped if at.carried is None else at.jumped | at.carried
+    off = at.off
     if problem.kept is not None:  # a slide that is kept needs not be on its surface
         off = off | problem.kept.on
     landed = state.pending.waits & ~state.pending.grazes & state.pending.surfaces
+    if later is not None:
+        landed = landed & ~later
     on = (stays_on(system, state.motion.mode) | landed) & ~off
     return system.hold(project(system, x, at.h, at.normals, on))
-
-
-def _switch(
-    problem: Problem, state: LoopState, rates: Corners, at: Surfaces, led: Impact | None
-) -> tuple[Components, Array]:
-    """`_chosen`, computed once."""
-    system = problem.system
-    mode, count = _chosen(problem, state, rates, at, led)
-    number = count.astype(system.dtype)
-    if system.m > 1:
-        mode, number = system.hold((mode, number))
-        return mode, number.astype(jnp.int32)
-    # Of one surface both are one number, |mode| ≤ 2, so that one value is held and not two.
-    both = system.hold(mode + 8 * number)
-    number = jnp.floor(0.125 * both.number(0) + 0.5)
-    return both - 8 * number, number.astype(jnp.int32)
-
-
-def _chosen(
-    problem: Problem, state: LoopState, rates: Corners, at: Surfaces, led: Impact | None
-) -> tuple[Components, Array]:
-    """The mode after a landing and the number of admissible ones; elsewhere the old mode, and of a
-    slide the number of modes on its surfaces, at least 1.
-
-    Where `_left` has not decided, it is chosen among all modes on the surfaces the state is on:
-    those hit, those slid on, and those met or left at the same time.
-    """
-    system, grid, waits = problem.system, problem.grid, state.pending.waits
-    # Which mode goes on is no number that could have a derivative; its field has.
-    rates = stop_gradient(rates)
-    # A graze only touches: it switches nothing, even where two modes could go on. Backward in time
-    # it may be the end of a slide, to which all motions come that have left the slide there.
-    grazes = jnp.zeros((), bool)
-    if system.slides and not system.resets:
-        grazes = waits & state.pending.grazes & (grid.direction < 0)
-        rates = _rates_at_graze(problem, state, rates, at.gathered, grazes)
-    left, met = _left(problem, state, rates, at, led)
-    # A surface that will be met within the rounding of times is met now: its contact could not be
-    # told from this one, and would follow it at once.
-    near = abs(state.motion.rate) * grid.same_time(state.motion.tau)
-    close = (state.motion.mode != 0) & (abs(at.h) < near)
-    if led is not None:
-        close = close & ~led.next & ~led.still & ~unilateral.rests_of(left)
-    decide = waits & ~state.pending.grazes & any_of(met)
-    on = (decide & (met | close)) | (grazes & met)
-    on = on | (left == 0) if system.slides else on
-    # Where a slide on an intersection ends, another mode begins: rounding must not show both.
-    threshold = select(waits, 0.0, NOISE * system.eps)
-    beside = unilateral.beside(left) if system.resets else left
-    chosen, count = _chosen_on(system, rates, beside, on, grid.direction, threshold)
-    count = select(decide, count, jnp.maximum(count, 1))
-    if led is None:
-        return where(decide, chosen, left), count
-    mode = where(decide & ~unilateral.rests_of(left), chosen, left)
-    return mode, select(led.consistent, count, 0)
-
-
-def _left(
-    problem: Problem, state: LoopState, rates: Corners, at: Surfaces, led: Impact | None
-) -> tuple[Components, Components]:
-    """The mode as far as it follows from what was left, and the surfaces met on which it is still
-    to be chosen.
-
-    A slide that has reached the end of its weight leaves to that side; a surface that has jumped
-    away is left to the side that H says; of a reset `led` says what follows.
-    """
-    mode, hit = state.motion.mode, state.pending.surfaces
-    switching, one = state.pending.waits & ~state.pending.grazes, jnp.ones_like(state.motion.tau)
-    current = sliding_weights.weights(mode, rates) if problem.system.slides else mode
-    # A slide ends at w = ±1, where the field of that side has become the blend. A limit of turns is
-    # on their surfaces, and ends nothing.
-    leaving = hit & (mode == 0)
-    if state.turn is not None:
-        leaving = leaving & ~state.turn.completed
-    sides = where(at.jumped, sign(at.h), where(current > 0, one, -one))
-    left, met = where(leaving & switching, sides, mode), hit & ~leaving
-    # A surface that has jumped across the state is left behind.
-    across = at.jumped & met & (left * at.h < 0)
-    left, met = where(across, -left, left), met & ~across
-    if led is None or at.carried is None:
-        return left, met
-    beside = unilateral.sides_of(left)
-    # What ends a rest, and what asks for a reset, leaves to its side.
-    ends = (hit & unilateral.rests_of(left) & ~resets.at_limit(state)) | led.next
-    left = where(at.carried & switching, where(at.h > 0, one, -one), left)
-    left = where((ends | led.pushed) & switching, beside, left)
-    left = where(led.still, where(led.rests, 2 * beside, beside), left)
-    return left, met & ~at.carried & ~ends & ~led.still
-
-
-def _chosen_on(
-    system: ComponentSystem, rates: Corners, mode: Components, on: Components, *rest: Array
-) -> tuple[Components, Array]:
-    """`filippov.choose`, whose many candidates are tried only where the state is on a surface."""
-
-    def same(rates: Corners, mode: Components, on: Components, *rest: Array) -> tuple:
-        return mode, jnp.ones((), jnp.int32)
-
-    choose = ft.partial(filippov.choose, system.m)
-    if system.structure.separate:
-        return choose(rates, mode, on, *rest)
-    return system.where_any(any_of(on), choose, same, rates, mode, on, *rest)
-
-
-def _rates_at_graze(
-    problem: Problem, state: LoopState, rates: Corners, gathered: Components, grazes: Array
-) -> Corners:
-    """dH/dt along the fields of all sides, those of a surface that is grazed told from rounding.
-
-    They vanish on the side of the motion, which stays there: what is no larger than that leads to
-    this side too.
-    """
-    direction, dt = problem.grid.direction, abs(problem.grid.dt)
-    noise = _TANGENT * abs(state.motion.rate) + gathered / dt
-
-    def told(rate: Components) -> Components:
-        small = grazes & state.pending.surfaces & (abs(rate) <= noise)
-        return where(small, state.motion.mode * direction * noise, rate)
-
-    return rates.map(told)

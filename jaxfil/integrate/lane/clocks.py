@@ -16,8 +16,8 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import SAME_TIME, Problem
-from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd
-from jaxfil.integrate.system.components import Components, where
+from jaxfil.integrate.lane.state import LoopState, Motion
+from jaxfil.integrate.system.components import where
 from jaxfil.model.clock import Ticks
 from jaxfil.xla.select import select
 
@@ -27,22 +27,22 @@ class ClockState(eqx.Module):
 
     ticks: Ticks
     """The next tick of each clock, counted."""
-    field: Components | None
-    """The field with which a tick was reached that waits for its switch, n components; None where
-    there are no surfaces, and a tick is passed at once."""
+    waiting: Array
+    """The number of the clock whose tick waits for its switch; −1: none does."""
 
 
 class Clocks(Extension):
-    """The clocks of a system: steps end on ticks, and functions see what is between two of them."""
+    """The clocks of a system: steps end on ticks, each of which is a discontinuity, and functions
+    see what is between two of them."""
 
     def before_step(self, problem: Problem, own: ClockState | None) -> Problem:
         ticks = first_ticks(problem) if own is None else own.ticks
-        tick = next_tick(problem, ticks)
-        return dataclasses.replace(between_ticks(problem, ticks), tick=tick)
+        waiting = None if own is None else own.waiting
+        tick, _ = _next_tick(problem, ticks)
+        return dataclasses.replace(between_ticks(problem, ticks), tick=tick, ticked=waiting)
 
     def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, ClockState]:
-        still = state.motion.x.like(jnp.zeros_like(state.motion.tau))
-        return state, ClockState(first_ticks(problem), still if problem.system.m else None)
+        return state, ClockState(first_ticks(problem), jnp.full((), -1, jnp.int32))
 
     def after_step(
         self,
@@ -55,26 +55,26 @@ class Clocks(Extension):
     ) -> tuple[LoopState, ClockState]:
         assert step.length.ticking is not None
         ticking = step.length.ticking & step.accepted & step.moved
-        ticks = _passed(problem, own, ticking, step.end.motion.tau)
-        if own.field is None:
-            motion = _behind(problem, after.motion, ticks, ticking)
-            return dataclasses.replace(after, motion=motion), ClockState(ticks, None)
-        # A switch waits, in which everything is taken just after the tick.
-        end, pending = step.end.motion, after.pending
-        kick = _moved(problem, ticks, end.tau, own.field, end.f)
-        x = where(step.switched, after.motion.x + kick, after.motion.x)
-        after = dataclasses.replace(
-            after,
-            motion=dataclasses.replace(after.motion, x=x),
-            pending=dataclasses.replace(
-                pending,
-                waits=pending.waits | ticking,
-                surfaces=where(ticking, _met(problem, state, step.end, ticks), pending.surfaces),
-                grazes=pending.grazes & ~ticking,
-                jumped=pending.jumped | ticking,
-            ),
+        _, first = _next_tick(problem, own.ticks)
+        each = enumerate(own.ticks)
+        ticks = tuple(
+            select(ticking & (first == j), k + problem.grid.direction, k) for j, k in each
         )
-        return after, ClockState(ticks, where(ticking, end.f, own.field))
+        none = jnp.full((), -1, jnp.int32)
+        if problem.system.m == 0:
+            motion = _behind(problem, after.motion, ticks, first, ticking)
+            return dataclasses.replace(after, motion=motion), ClockState(ticks, none)
+        # A switch waits, in which everything is taken just after the tick.
+        waiting = select(ticking, first, select(step.switched, none, own.waiting))
+        pending = after.pending
+        pending = dataclasses.replace(
+            pending,
+            waits=pending.waits | ticking,
+            surfaces=pending.surfaces & ~ticking,
+            grazes=pending.grazes & ~ticking,
+            jumped=pending.jumped | ticking,
+        )
+        return dataclasses.replace(after, pending=pending), ClockState(ticks, waiting)
 
 
 def first_ticks(problem: Problem) -> Ticks:
@@ -95,30 +95,27 @@ def _taus(problem: Problem, ticks: Ticks) -> tuple[Array, ...]:
     return tuple((phase - t0) + k * period for (period, phase), k in each)
 
 
-def next_tick(problem: Problem, ticks: Ticks) -> Array:
-    """The elapsed time of the first of the ticks that come next."""
+def _next_tick(problem: Problem, ticks: Ticks) -> tuple[Array, Array]:
+    """The elapsed time of the first of the ticks that come next, and the number of its clock: the
+    lowest of several at one time."""
     first, *others = _taus(problem, ticks)
-    for tau in others:
-        first = select((tau - first) * problem.grid.direction < 0, tau, first)
-    return first
+    number = jnp.zeros((), jnp.int32)
+    for j, tau in enumerate(others, start=1):
+        before = (tau - first) * problem.grid.direction < -_same_time(problem, first)
+        first, number = select(before, tau, first), select(before, j, number)
+    return first, number
 
 
-def _behind(problem: Problem, motion: Motion, ticks: Ticks, ticking: Array) -> Motion:
-    """A motion without surfaces just behind a tick, given the ticks that come next."""
+def _behind(
+    problem: Problem, motion: Motion, ticks: Ticks, number: Array, ticking: Array
+) -> Motion:
+    """A motion without surfaces just behind a tick of a clock, given the ticks that come next."""
     system, t = between_ticks(problem, ticks).system, problem.grid.t0 + motion.tau
-    f = system.field(t, motion.x, motion.mode)
-    x = motion.x + _moved(problem, ticks, motion.tau, motion.f, f)
-    x, f = where(ticking, x, motion.x), where(ticking, f, motion.f)
-    return dataclasses.replace(motion, x=x, f=f)
-
-
-def _passed(problem: Problem, own: ClockState, ticking: Array, tau: Array) -> Ticks:
-    """The next ticks behind an elapsed time at which a lane's step has ended on one."""
-    grid, same, after = problem.grid, _same_time(problem, tau), []
-    for k, at in zip(own.ticks, _taus(problem, own.ticks), strict=True):
-        here = ticking & ((stop_gradient(at) - tau) * grid.direction <= same)
-        after.append(select(here, k + grid.direction, k))
-    return tuple(after)
+    x = system.tick(t, motion.x, number)
+    x = motion.x if x is None else where(ticking, x, motion.x)
+    return dataclasses.replace(
+        motion, x=x, f=where(ticking, system.field(t, x, motion.mode), motion.f)
+    )
 
 
 def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
@@ -151,27 +148,3 @@ def _same_time(problem: Problem, tau: Array) -> Array:
     grid, phases = problem.grid, [abs(stop_gradient(phase)) for _, phase in problem.system.clocks]
     largest = ft.reduce(jnp.maximum, phases)
     return grid.same_time(tau) + SAME_TIME * problem.system.eps * largest
-
-
-def _met(problem: Problem, state: LoopState, end: StepEnd, ticks: Ticks) -> Components:
-    """The surfaces that jump across the state at a tick, or away from one that slides on them,
-    given the ticks that come next."""
-    after = between_ticks(problem, ticks)
-    h = after.system.switching(problem.grid.t0 + end.motion.tau, end.motion.x)
-    met = (abs(h) > end.gathered) & (state.motion.mode * h <= 0)
-    return met if problem.kept is None else ~problem.kept.on & met
-
-
-def _moved(
-    problem: Problem, ticks: Ticks, tau: Array, before: Components, f: Components
-) -> Components:
-    """What ticks that move do to the state just after them, given those that come next and the
-    fields before and after: (f₋ − f₊) δ, with δ zero but for its derivative, as the step has ended
-    where it has."""
-    last = tuple(k - problem.grid.direction for k in ticks)
-    same, moved = _same_time(problem, tau), f.like(jnp.zeros_like(tau))
-    for when in _taus(problem, last):
-        delta = when - tau
-        here = abs(stop_gradient(delta)) <= same
-        moved = moved + select(here, delta - stop_gradient(delta), 0.0) * (before - f)
-    return moved

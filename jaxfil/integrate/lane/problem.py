@@ -200,6 +200,8 @@ class Problem(eqx.Module):
     """A mode to stay in; None: contacts are met."""
     tick: Array | None = None
     """The elapsed time of the next tick of a clock, that no step goes beyond."""
+    ticked: Array | None = None
+    """The number of the clock whose tick waits for its switch; −1: none does."""
     look: Look | None = None
     """How far a step goes to look for a crossing."""
 

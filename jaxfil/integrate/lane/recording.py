@@ -68,6 +68,8 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
     kind = select(any_of(changed), first, graze)
     if problem.system.resets:
         kind = select(end.moved, jnp.asarray(EventKind.impact.value, jnp.int8), kind)
+    if end.ticked is not None:
+        kind = select(end.ticked, jnp.asarray(EventKind.tick.value, jnp.int8), kind)
     return kind
 
 

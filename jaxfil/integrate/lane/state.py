@@ -103,7 +103,10 @@ class Pending(eqx.Module):
     grazes: Array
     """Whether it only touches."""
     jumped: Array
-    """Whether H of one of its surfaces has jumped."""
+    """Whether a field, H or the state has jumped: a tick, or what a map has led to."""
+    together: Array | None
+    """Whether its surfaces are decided together, and not one after the other; None where there is
+    nothing to choose between."""
     repeats: Array
     """Contacts in a row at one and the same time."""
     tau: Array
@@ -183,14 +186,20 @@ class StepEnd(eqx.Module):
     num_modes: Array
     """How many modes could go on from a switch made here; 1: the motion is unique."""
     moved: Array
-    """Whether a reset has moved the state."""
+    """Whether a map has moved the state."""
+    ticked: Array | None
+    """Whether that of a tick has; None where there is none."""
     members: Components
-    """The surfaces of a switch made here."""
+    """The surfaces of a switch made here, or those whose mode it changes."""
     next: Components | None
     """The surfaces that ask for another switch at once; None where no surface can."""
+    again: Array | None
+    """Whether all others do, since something has jumped; None where nothing can."""
+    misfit: Array | None
+    """Whether surfaces cannot be met one after the other; None where they are not."""
     jump: Array | None
-    """The time that it takes besides: a chattering that ends in rest, or all turns that follow;
-    None where there can be neither."""
+    """The time that it takes besides: a chattering that ends in rest, or all turns that follow, or
+    none, with the derivative of the time to the next surface; None where there can be neither."""
     still: Components | None
     """Surfaces that are rested on, or left with a rate of zero; None without resets."""
     turn: Any

@@ -44,10 +44,8 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
         gridded = ~saving | (ahead >= -same)
         target = select(gridded, target, at)
     if problem.tick is not None:
-        ahead, same = stop_gradient(problem.tick - target) * grid.direction, grid.same_time(target)
-        ticking, before = ahead <= same, ahead < -same
-        target = select(before, problem.tick, target)
-        gridded, saving = gridded & ~before, saving & ~before
+        target, ticking = _up_to_tick(problem, state, target)
+        gridded, saving = gridded & ~ticking, saving & ~ticking
     full = target - state.motion.tau
     if problem.system.m == 0:
         gridded = (saving & False) | gridded
@@ -67,6 +65,27 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
         ticking=None if ticking is None else ticking & whole,
     )
     return _to_crossing(problem, state, length)
+
+
+def _up_to_tick(problem: Problem, state: LoopState, target: Array) -> tuple[Array, Array]:
+    """The elapsed time up to which a step goes, which is the next tick if that comes before the
+    target or with it, and whether it does.
+
+    A tick is a discontinuity of its own: what is saved at its time is saved after it, by a step of
+    length zero. So is a time that the tick falls on but for rounding, which then moves with it.
+    """
+    grid, tick = problem.grid, problem.tick
+    assert tick is not None
+    known, tau = stop_gradient((tick, state.motion.tau))
+    ahead = (known - stop_gradient(target)) * grid.direction
+    same = grid.same_time(target)
+    # Backward in time a tick at the end is not in the span, which is open where it is least.
+    last = (grid.direction < 0) & (state.counts.index + 1 >= grid.num_steps)
+    ticking = (ahead < -same) | (ahead <= same) & ~last
+    at = select(abs(ahead) <= same, stop_gradient(target), known)
+    # One of two ticks at one time comes after the other.
+    at = select((at - tau) * grid.direction < 0, tau, at)
+    return select(ticking, at + (tick - known), target), ticking
 
 
 def _to_crossing(problem: Problem, state: LoopState, length: Length) -> Length:

@@ -155,11 +155,22 @@ def _carried_out(
     start, armed = rearmed(problem, state, end)
     h = select(lands, length.h + landing.delta, select(moved, length.h, 0.0))
     waits, surfaces, settled = lands | (before.waits & ~moved), before.surfaces, state.settled
-    if end.jump is not None and end.next is not None:
+    jumped = before.jumped & ~switched
+    if end.next is not None:
+        more = switched & any_of(end.next)
+        waits, surfaces = waits | more, where(switched, end.next, surfaces)
+        # What has jumped has until all that follows from it is done.
+        jumped = jumped | (more & (before.jumped | end.moved))
+    if end.jump is not None:
         h = h + select(switched, end.jump, 0.0)
-        waits = waits | (switched & any_of(end.next))
-        surfaces = where(switched, end.next, surfaces)
         settled = None if settled is None else switched & (end.jump > 0)
+    if end.again is not None:
+        waits = waits | (switched & end.again)
+        surfaces = surfaces & ~(switched & end.again)
+        jumped = jumped | (switched & end.again)
+    together = before.together
+    if together is not None and end.misfit is not None:
+        together = (together | (before.waits & end.misfit)) & ~switched
     tau, tau_low = later(state.motion.tau, state.tau_low, h)
     # The end of a step that is no contact's is a time that is known.
     exact = (taken.accepted & moved & ~length.cutting) | (lands & landing.jumped)
@@ -182,7 +193,8 @@ def _carried_out(
             waits=waits,
             surfaces=where(lands, landing.surfaces, surfaces),
             grazes=select(lands, touches, before.grazes),
-            jumped=select(lands, landing.jumped, before.jumped & ~switched),
+            jumped=select(lands, landing.jumped, jumped),
+            together=together,
             repeats=select(switched, judgement.repeats, before.repeats),
             tau=select(switched, stop_gradient(end.motion.tau), before.tau),
         ),

@@ -102,10 +102,13 @@ def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array
     action = select(contact.found, REJECT, ACCEPT)
     action = select(landed, select(landing.touched, TOUCH, LAND), action)
     action = select(state.pending.waits, SWITCH, action)
+    misfit = judgement.end.misfit
     failures = _failures(problem, state, judgement, landed)
     # The first one counts.
     for failure, failed in reversed(failures):
         action = select(failed, FAIL + FAILURES.index(failure), action)
+    if misfit is not None:
+        action = select(misfit, TAKE_BACK, action)
     action = select(is_running(problem.grid, state), action, IDLE)
     return problem.system.hold(action.astype(problem.system.dtype))
 
@@ -119,8 +122,8 @@ def _failures(
     most, undecided = problem.recording.max_events, end.num_modes == 0
     # A limit of turns at which no mode goes on is none.
     limit = no if state.turn is None else state.turn.completed & waits
-    chain = _CHAIN if system.resets and system.m > 1 else _FROZEN
-    full = no if most is None else _is_contact(state) & (state.counts.num_events >= most)
+    chain = _CHAIN if system.resets and system.m > 1 else _FROZEN + 2 * system.m
+    full = no if most is None else _is_event(state, end) & (state.counts.num_events >= most)
     infinite = ~all_finite(motion.x, motion.f, motion.g, judgement.contact.theta)
     lost = (undecided & ~limit) | (judgement.rejections > _TRIES)
     return [
@@ -151,9 +154,9 @@ def outcome(action: Array, result: RESULTS) -> RESULTS:
     return result
 
 
-def _is_contact(state: LoopState) -> Array:
-    """Whether the switch that waits is one of a contact, and not of a clock alone."""
-    return state.pending.waits & any_of(state.pending.surfaces)
+def _is_event(state: LoopState, end: StepEnd) -> Array:
+    """Whether a switch does something, and is not one of a clock that changes no mode."""
+    return state.pending.waits & (any_of(end.members) | end.moved)
 
 
 def step_of(
@@ -177,7 +180,7 @@ def step_of(
         lands=lands,
         delta=0 * length.h if landing is None else landing.delta,
         switched=switched,
-        made=switched & _is_contact(state),
+        made=switched & _is_event(state, end),
     )
 
 

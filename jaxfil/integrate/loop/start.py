@@ -28,7 +28,14 @@ from jaxfil.integrate.lane.state import (
     tables_of,
 )
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
-from jaxfil.integrate.surfaces.corners import Corners, corner_sides, every_side, on_corners
+from jaxfil.integrate.surfaces.corners import (
+    Corners,
+    are_coupled,
+    corner_sides,
+    every_side,
+    on_corners,
+)
+from jaxfil.integrate.surfaces.decision import Question, decide
 from jaxfil.integrate.system.components import (
     Components,
     all_finite,
@@ -44,21 +51,36 @@ from jaxfil.xla.select import select
 
 # Rounding of a rate at a tangency, in eps of the largest rate there.
 _RATE_NOISE = 64
+# Coupled surfaces at most whose rates are looked at with their derivatives, on all sides.
+_FEW = 3
 
 
 def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction: Array) -> Corners:
     """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
     the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
+    if system.m > _FEW and are_coupled(system):
+        # On so many combinations of sides first derivatives alone are known.
+        return filippov.corners(system, t, x)[1]
     rates, seconds, thirds = _all_rates(system, t, x)
     scales = rates.sizes()
+    resolved = ft.partial(_resolved, system, direction)
+    return rates.map(lambda *three: resolved(*three, scales), seconds, thirds)
+
+
+def _resolved(
+    system: ComponentSystem,
+    direction: Array,
+    rate: Components,
+    second: Components,
+    third: Components,
+    scales: Components,
+) -> Components:
+    """A rate, in whose place an infinitesimal stands where it vanishes among rates of these sizes:
+    of the sign of the first of the higher derivatives that does not."""
     tiny = where(scales > 0, system.eps * scales, 1.0)
-
-    def resolved(rate: Components, second: Components, third: Components) -> Components:
-        signs = where(second != 0, direction * sign(second), sign(third))
-        flat = abs(rate) <= _RATE_NOISE * system.eps * scales
-        return where(flat, tiny * signs, rate)
-
-    return rates.map(resolved, seconds, thirds)
+    signs = where(second != 0, direction * sign(second), sign(third))
+    flat = abs(rate) <= _RATE_NOISE * system.eps * scales
+    return where(flat, tiny * signs, rate)
 
 
 def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corners, ...]:
@@ -98,27 +120,67 @@ def _first_mode(
 ) -> tuple[Components, Components, Components | None, Array, Array | None]:
     """The mode at t0, the surfaces the state starts on, those whose reset comes first, the number
     of admissible modes, and the determinant of the weights."""
-    system, grid = problem.system, problem.grid
+    system, grid, known = problem.system, problem.grid, stop_gradient(problem)
     sides, on = side_of(h), abs(h) <= noise
     # Which mode it is has no derivative.
-    rates = _resolved_rates(*stop_gradient((system, grid.t0, x, grid.direction)))
+    here = stop_gradient((system, grid.t0, x, grid.direction))
+    if system.resets and are_coupled(system):
+        return _first_mode_together(known, stop_gradient(x), on, sides)
+    rates = _resolved_rates(*here)
     owed = None
     if system.resets:
         start = resets.begin(problem, x, on, sides, rates[0])
         free = on & ~start.known
-        mode, count = filippov.choose(system.m, rates, start.sides, free, grid.direction)
+        mode, count = filippov.choose(rates, start.sides, free, grid.direction)
         mode = where(start.rests, 2 * mode, mode)
         count = select(start.consistent, count, 0)
         # In backward time a rest may have begun at any time.
         count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
         owed = start.owed
+    elif are_coupled(system) and rates.flipped is not None:
+        fields, _ = filippov.corners(*here[:3])
+        question = Question(rates, fields, sides, on, None, None, None, grid.direction, 0.0)
+        mode, count = decide(question)
     else:
-        mode, count = filippov.choose(system.m, rates, sides, on, grid.direction)
+        mode, count = filippov.choose(rates, sides, on, grid.direction)
     determinant = None
     if system.slides:
         weights = sliding_weights.weights(mode, rates)
         determinant = sliding_weights.determinant(mode, rates, weights)
     return mode, on, owed, count, determinant
+
+
+def _first_mode_together(
+    problem: Problem, x: Components, on: Components, sides: Components
+) -> tuple[Components, Components, Components | None, Array, Array | None]:
+    """`_first_mode` on several surfaces with resets, whose reactions feel each other."""
+    system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
+    fields, rates = filippov.corners(system, t, x)
+    above = sides.like(jnp.ones_like(t))
+    (first, *higher) = _three_rates(system, t, x, above)
+    resolved = _resolved(system, direction, first, *higher, abs(first))
+    start = resets.begin(problem, x, on, sides, resolved)
+    _, _, normals = system.gradients(t, x)
+    forces = unilateral.forces_of(start.constraints, start.by_time, normals, fields)
+    # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
+    flat = forces.accelerations.sizes() == 0
+    leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))
+    forces = dataclasses.replace(forces, accelerations=leaning)
+    decided = (on & ~start.known) | start.still
+    question = Question(
+        rates, fields, start.sides, decided, start.still, None, forces, direction, 0.0
+    )
+    mode, count = decide(question)
+    count = select(any_of(decided), count, 1)
+    # In backward time a rest may have begun at any time.
+    rests = unilateral.rests_of(mode)
+    count = select(any_of(rests) & (direction < 0), 2, count)
+    determinant = None
+    if system.slides:
+        _, rates, _ = unilateral.held(forces, rates, rests)
+        w = sliding_weights.weights(unilateral.beside(mode), rates)
+        determinant = sliding_weights.determinant(unilateral.beside(mode), rates, w)
+    return mode, on, start.owed, count, determinant
 
 
 class Start(eqx.Module):
@@ -173,6 +235,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
     start = _start(problem, x)
     zero, false, tau = jnp.zeros((), jnp.int32), jnp.zeros((), bool), start.motion.tau
     nowhere = system.for_each_surface(false)
+    alone = system.m <= 1 or system.resets or system.structure.separate
     state = LoopState(
         motion=start.motion,
         tau_low=tau,
@@ -184,6 +247,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
             surfaces=nowhere if start.owed is None else start.owed,
             grazes=false,
             jumped=false,
+            together=None if alone else false,
             repeats=zero,
             tau=tau - jnp.inf,
         ),

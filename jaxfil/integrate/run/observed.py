@@ -81,6 +81,14 @@ class _WithRate(System):
     def resets(self) -> bool:
         return self.system.resets
 
+    def tick(self, t: Array, x: Array, clock: Array) -> Array:
+        after = self.system.tick(t, x[: self.n], clock)
+        return jnp.concatenate([after, x[self.n :]])
+
+    @property
+    def ticks(self) -> bool:
+        return self.system.ticks
+
     @property
     def clocks(self) -> Clocks:
         return self.system.clocks

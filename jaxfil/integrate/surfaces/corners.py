@@ -3,8 +3,8 @@
 How many combinations it takes depends on the surfaces:
 
 - Two, all sides + and all sides −, where surfaces are separate (`Structure.separate`).
-- m + 1, all sides + and those with one side −, where the field is affine in the sides:
-  F = F_0 − Σ_j (1 − s_j)/2 (F_0 − F_j).
+- Where the field is affine in the sides, or reactions make one motion of separate ones, all sides +
+  and those with one side − that enters the field: F = F_0 − Σ_j (1 − s_j)/2 (F_0 − F_j).
 - All 2^m of others, the first surface varying slowest.
 """
 
@@ -36,27 +36,44 @@ def every_side(m: int) -> np.ndarray:
 
 def corner_sides(system: ComponentSystem) -> np.ndarray:
     """The combinations of sides that determine a field on all of them, shape (k, m)."""
-    m = system.m
+    m, flipped = system.m, flipped_sides(system)
+    if flipped is not None:
+        return np.concatenate([np.ones((1, m)), 1 - 2 * np.eye(m)[list(flipped)]])
     if system.structure.separate:
         return np.array([[1.0] * m, [-1.0] * m])
-    if system.structure.affine:
-        return np.concatenate([np.ones((1, m)), 1 - 2 * np.eye(m)])
     return every_side(m)
+
+
+def are_coupled(system: ComponentSystem) -> bool:
+    """Whether the mode on one surface may depend on another's: through their sides, or through
+    reactions, which feel each other."""
+    return system.m > 1 and (system.resets or not system.structure.separate)
+
+
+def flipped_sides(system: ComponentSystem) -> tuple[int, ...] | None:
+    """The surfaces whose sides are switched one by one, where the field is affine in them and they
+    are coupled; otherwise None."""
+    found = system.structure
+    # A number that depends on one side alone is affine in it.
+    if not are_coupled(system) or not (found.affine or found.separate):
+        return None
+    return tuple(sorted(set().union(*found.switched)))
 
 
 def on_corners(
     function: Callable[[Components], Any], system: ComponentSystem, sides: np.ndarray
 ) -> Any:
     """A vector, or several, on combinations of sides: `Corners` for each."""
+    flipped = flipped_sides(system)
     if len(sides) > _WRITTEN_OUT:
         columns = system.of_surfaces(sides.T.astype(system.dtype))
         made = jax.vmap(function)(columns)
-        return jax.tree.map(Corners.table, made, is_leaf=_is_vector)
+        return jax.tree.map(lambda v: Corners([v], True, flipped), made, is_leaf=_is_vector)
     # Of numbers, not of an array: one that is known would be an argument of the kernel, and its
     # ones would not be multiplied out.
     rows = [jnp.stack([jnp.asarray(float(v), system.dtype) for v in row]) for row in sides]
     made = [function(system.of_surfaces(row)) for row in rows]
-    return jax.tree.map(lambda *each: Corners(each), *made, is_leaf=_is_vector)
+    return jax.tree.map(lambda *each: Corners(each, False, flipped), *made, is_leaf=_is_vector)
 
 
 def _is_vector(v: Any) -> bool:
@@ -75,25 +92,32 @@ class Corners:
     """One vector for each of k combinations of sides: k of them, or as a `table` one whose numbers
     have the combinations as a leading axis."""
 
-    __slots__ = ("is_table", "rows")
+    __slots__ = ("flipped", "is_table", "rows")
 
     rows: tuple[Components, ...]
     is_table: bool
+    flipped: tuple[int, ...] | None
+    """The surfaces that have a row with their side −, where the vectors are affine in the sides."""
 
-    def __init__(self, rows: Iterable[Components], is_table: bool = False):
-        self.rows, self.is_table = tuple(rows), is_table
+    def __init__(
+        self,
+        rows: Iterable[Components],
+        is_table: bool = False,
+        flipped: tuple[int, ...] | None = None,
+    ):
+        self.rows, self.is_table, self.flipped = tuple(rows), is_table, flipped
 
     @classmethod
     def table(cls, vectors: Components) -> "Corners":
         """Those whose numbers have the combinations as a leading axis."""
         return cls([vectors], is_table=True)
 
-    def tree_flatten(self) -> tuple[tuple, bool]:
-        return self.rows, self.is_table
+    def tree_flatten(self) -> tuple[tuple, Any]:
+        return self.rows, (self.is_table, self.flipped)
 
     @classmethod
-    def tree_unflatten(cls, is_table: bool, rows: Iterable[Any]) -> "Corners":
-        return cls(rows, is_table)
+    def tree_unflatten(cls, kind: Any, rows: Iterable[Any]) -> "Corners":
+        return cls(rows, *kind)
 
     def __len__(self) -> int:
         return self.rows[0].parts[0].shape[0] if self.is_table else len(self.rows)
@@ -105,11 +129,18 @@ class Corners:
     @property
     def are_of_one(self) -> bool:
         """Whether surfaces are separate: each has its own two sides alone."""
-        return len(self) == 2
+        return self.flipped is None and len(self) == 2
 
     def map(self, function: Callable[..., Components], *others: "Corners") -> "Corners":
-        """`function` of the vectors on each combination."""
-        return Corners(map(function, self.rows, *(c.rows for c in others)), self.is_table)
+        """`function`, which acts number by number, of the vectors on each combination."""
+        rows = map(function, self.rows, *(c.rows for c in others))
+        return Corners(rows, self.is_table, self.flipped)
+
+    def each(self, function: Callable[..., Components], *others: "Corners") -> "Corners":
+        """`function`, of whole vectors, on each combination."""
+        if self.is_table:
+            function = jax.vmap(function)
+        return self.map(function, *others)
 
     def halved(self, function: Callable[[Components, Components], Components]) -> "Corners":
         """`function` of the vectors on side + and on side − of the first surface."""
@@ -130,18 +161,21 @@ class Corners:
         whose vectors each number is of one surface, number by number."""
         if self.are_of_one:
             return mix(mode, weights, self[0], self[1])
-        if len(self) == len(mode.parts) + 1:
-            return self._affine_blend(mode, weights)
+        if self.flipped is not None:
+            return self._affine_blend(self.flipped, mode, weights)
         corners = self
         for s, w in zip(mode.parts, weights.parts, strict=True):
             corners = corners.halved(ft.partial(mix, s, w))
         return corners[0]
 
-    def _affine_blend(self, mode: Components, weights: Components) -> Components:
+    def _affine_blend(
+        self, flipped: tuple[int, ...], mode: Components, weights: Components
+    ) -> Components:
         """F_0 − Σ_j p_j (F_0 − F_j), with p_j the share of side −."""
         shares = where(mode > 0, 0.0, where(mode < 0, 1.0, 0.5 * (1 - weights)))
+        of_rows = [shares.number(j) for j in flipped]
         if self.is_table:
-            table = jnp.stack(shares.parts)
+            table = jnp.stack(of_rows)
 
             def blended(v: Array) -> Array:
                 # What has no share may be no number.
@@ -150,14 +184,16 @@ class Corners:
 
             return on_each(blended, self.rows[0])
         total, first, *others = self.rows[0], *self.rows
-        for share, other in zip(shares.parts, others, strict=True):
+        for share, other in zip(of_rows, others, strict=True):
             total = total - share * (first - other)
         return total
 
     def slope(self, mode: Components, weights: Components, j: int) -> Components:
         """∂ blend/∂w_j, of surfaces that are not separate."""
-        if len(self) == len(mode.parts) + 1:
-            return 0.5 * (self[0] - self[1 + j])
+        if self.flipped is not None:
+            if j not in self.flipped:
+                return 0.0 * self[0]
+            return 0.5 * (self[0] - self[1 + self.flipped.index(j)])
         corners = self
         for i, (s, w) in enumerate(zip(mode.parts, weights.parts, strict=True)):
             corners = corners.halved(_half_difference if i == j else ft.partial(mix, s, w))

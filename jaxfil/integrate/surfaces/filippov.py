@@ -16,7 +16,6 @@ is affine in its sides (`Structure.affine`) m + 1 do: see `corners`.
 """
 
 import functools as ft
-import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -28,6 +27,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, on_corners
+from jaxfil.integrate.surfaces.decision import Question, decide
 from jaxfil.integrate.surfaces.weights import weights
 from jaxfil.integrate.system.components import (
     Components,
@@ -37,7 +37,6 @@ from jaxfil.integrate.system.components import (
     largest,
     least,
     pack,
-    scalars,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -98,8 +97,44 @@ def field(
 ) -> Components:
     """The field of a mode, blended while it slides and held while it rests; `forcing` as in
     `ComponentSystem.field`."""
+    if holds_together(system):
+        fields, rates = corners(system, t, x, True, forcing)
+        fields, rates, _ = held_corners(system, t, x, mode, fields, rates)
+        sides = unilateral.beside(mode)
+        return fields.blend(sides, weights(sides, rates))
     f = free_field(system, t, x, mode, forcing)
     return unilateral.held_field(system, t, x, mode, f)[0] if system.resets else f
+
+
+def holds_together(system: ComponentSystem) -> bool:
+    """Whether weights and reactions may depend on each other: a motion may slide on one surface and
+    rest on another."""
+    return system.resets and system.slides and system.m > 1
+
+
+def held_corners(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    mode: Components,
+    fields: Corners,
+    rates: Corners,
+) -> tuple[Corners, Corners, Corners]:
+    """Fields and rates on all sides with the reactions of the surfaces that a mode rests on, and
+    these reactions λ, m components; without a rest the same fields and rates, and 0."""
+
+    def reacted(
+        t: Array, x: Components, mode: Components, fields: Corners, rates: Corners
+    ) -> tuple:
+        known = unilateral.forces(system, t, x, mode, fields)
+        pushed, _, force = unilateral.held(known, rates, unilateral.rests_of(mode))
+        return fields.each(known.directions.added, force), pushed, force
+
+    def free(t: Array, x: Components, mode: Components, fields: Corners, rates: Corners) -> tuple:
+        return fields, rates, rates.map(lambda rate: 0.0 * rate)
+
+    resting = any_of(unilateral.rests_of(mode))
+    return system.where_any(resting, reacted, free, t, x, mode, fields, rates)
 
 
 def free_field(
@@ -152,12 +187,35 @@ class ModeField(SmoothField):
 def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:
     """What must stay positive in a mode: ±H_j on a side, 1 − w_j² while sliding, the reaction λ_j
     at rest."""
+    if holds_together(system):
+        return guard_together(system, t, x, mode)
     off = free_guard(system, t, x, mode)
     if not system.resets:
         return off
-    f = free_field(system, t, x, mode)
-    _, force = unilateral.held_field(system, t, x, mode, f)
-    return where(unilateral.rests_of(mode), force, off)
+    return where(unilateral.rests_of(mode), reaction(system, t, x, mode), off)
+
+
+def reaction(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:
+    """λ_j of the surfaces that a mode rests on, positive where they push away; 0 of others, of a
+    mode that does not slide."""
+    free = free_field(system, t, x, mode)
+    return unilateral.held_field(system, t, x, mode, free)[1]
+
+
+def guard_together(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    mode: Components,
+    forcing: Forcing | None = None,
+) -> Components:
+    """`guard` of a mode that may slide and rest."""
+    fields, rates = corners(system, t, x, forcing=forcing)
+    _, rates, force = held_corners(system, t, x, mode, fields, rates)
+    sides, off = unilateral.beside(mode), mode * system.switching(t, x)
+    w = weights(sides, rates)
+    pushes = unilateral.sides_of(mode) * force.blend(sides, w)
+    return where(unilateral.rests_of(mode), pushes, where(mode == 0, (1 - w) * (1 + w), off))
 
 
 def free_guard(
@@ -176,31 +234,7 @@ def free_guard(
     return where(mode == 0, (1 - w) * (1 + w), off)
 
 
-def _admissible(
-    candidate: Components,
-    rates: Corners,
-    mode: Components,
-    on: Components,
-    direction: Array,
-    threshold: Array | float,
-) -> Array:
-    """Whether the solution can continue in `candidate` (±1 or 0 per surface): it must leave each
-    surface it is not sliding on, to its own side, and slide with weights in [−1, 1]."""
-    ok = ~any_of(~on & (mode != candidate))
-    # The weights of what is no candidate are not looked for.
-    w = weights(where(ok, candidate, 1.0), rates)
-    rate, scale = rates.blend(candidate, w), rates.sizes()
-    eps = jnp.finfo(direction.dtype).eps
-    # Where no side moves the state off a surface, nothing but a slide on all of them stays there.
-    stays = ~any_of(on & (candidate != 0))
-    solved = (abs(rate) <= 64 * eps * scale) & ((scale > 0) | stays)
-    slides = (abs(w) <= 1) & solved
-    leaves = candidate * direction * rate > threshold * scale
-    return ok & ~any_of(on & ~where(candidate == 0, slides, leaves))
-
-
 def choose(
-    m: int,
     rates: Corners,
     mode: Components,
     on: Components,
@@ -215,19 +249,7 @@ def choose(
     """
     if rates.are_of_one:
         return _choose_on_one(rates[0], rates[1], mode, on, direction)
-    # One after the other: side by side they would be arrays of 3^m numbers in the loop's body.
-    candidates = np.array(list(itertools.product((1.0, -1.0, 0.0), repeat=m)), direction.dtype)
-
-    def test(found: tuple[Components, Array], row: Array) -> tuple[tuple[Components, Array], None]:
-        chosen, count = found
-        candidate = Components(scalars(row))
-        ok = _admissible(candidate, rates, mode, on, direction, threshold)
-        chosen = where(ok & (count == 0), candidate, chosen)
-        return (chosen, count + ok.astype(jnp.int32)), None
-
-    start = (mode, jnp.zeros((), jnp.int32))
-    found, _ = jax.lax.scan(test, start, jnp.asarray(candidates))
-    return found
+    return decide(Question(rates, None, mode, on, None, None, None, direction, threshold))
 
 
 def _choose_on_one(

@@ -29,6 +29,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.system.components import Components, any_of, dot, side_of, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
@@ -56,6 +57,19 @@ class Constraints(eqx.Module):
         """Whether the reset of a surface turns the motion back, e_j ≥ 0."""
         own = stop_gradient(self.gains.diagonal())
         return own >= 1 - 64 * jnp.finfo(own.parts[0].dtype).eps
+
+
+class Forces(eqx.Module):
+    """What the reactions of surfaces do to the rates of all, at one state."""
+
+    gains: Rows
+    """∇ψ_i·d_j, m numbers each."""
+    pushes: Rows
+    """∇H_i·d_j, m numbers each."""
+    directions: Rows
+    """d_j, n numbers each."""
+    accelerations: Corners
+    """dψ/dt, m numbers, along the field on each combination of sides."""
 
 
 def contact_rates(
@@ -137,6 +151,38 @@ def multipliers(gains: Rows, a: Components, rests: Components) -> Components:
         entries = enumerate(zip(both, row.parts, strict=True))
         matrix.append([select(flag, gain, float(i == j)) for j, (flag, gain) in entries])
     return Components(solve_small(matrix, where(rests, -a, 0.0).parts))
+
+
+def forces(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, fields: Corners
+) -> Forces:
+    """What reactions do where the fields on all sides are these."""
+    sides = sides_of(mode)
+    c, first = constraints(system, t, x, sides), fields[0]
+    # ψ does not depend on a side: only the field along which it changes does.
+    by_time = accelerations(system, t, x, sides, first) - c.gradients @ first
+    _, _, normals = system.gradients(t, x)
+    return forces_of(c, by_time, normals, fields)
+
+
+def forces_of(c: Constraints, by_time: Components, normals: Rows, fields: Corners) -> Forces:
+    """The same of surfaces that are known as constraints; `by_time` is ∂ψ/∂t."""
+    zero = jnp.zeros_like(by_time.number(0))
+    pushes = Rows(zero + normals @ d for d in c.directions.rows).transposed()
+    return Forces(c.gains, pushes, c.directions, fields.each(lambda f: by_time + c.gradients @ f))
+
+
+def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Corners, Corners]:
+    """Rates of H, accelerations and reactions λ on each combination of sides, with the reactions of
+    the surfaces rested on: linear in the field, so that they blend as it does."""
+
+    def reaction(a: Components) -> Components:
+        return multipliers(known.gains, a, rests)
+
+    force = known.accelerations.each(reaction)
+    pushed = rates.each(lambda rate, v: rate + known.pushes @ v, force)
+    left = known.accelerations.each(lambda a, v: answered(known.gains, a, v), force)
+    return pushed, left, force
 
 
 def answered(gains: Rows, a: Components, force: Components) -> Components:

@@ -66,7 +66,7 @@ def _implicit_weights(mode: Components, rates: Corners) -> Components:
     """`weights` on several surfaces. Their derivative is the implicit one, made of the weights
     themselves: derivatives of every order are exact."""
     m = len(mode.parts)
-    if len(rates) == m + 1:  # affine: Newton's method takes one step
+    if rates.flipped is not None:  # affine: Newton's method takes one step
         return _newton(mode, rates, mode)
     root = _root_of_two(mode, rates) if m == 2 else _root_of_many(mode, rates)
     return _newton(mode, rates, root)

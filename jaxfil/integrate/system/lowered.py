@@ -84,6 +84,7 @@ class ComponentSystem(eqx.Module):
     _field: Any
     _switching: Any
     _reset: Any
+    _tick: Any
     _rounding: Any
     _rate_rounding: Any
     clocks: tuple[tuple[Array, Array], ...]
@@ -186,6 +187,15 @@ class ComponentSystem(eqx.Module):
         """The state after an impact on `surface`."""
         return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
 
+    def tick(self, t: Array, x: Components, clock: Array) -> Components | None:
+        """The state after a tick of a clock; None where ticks leave it alone."""
+        return self._tick and self._tick(self.held(t), x, jnp.asarray(clock, jnp.int32))
+
+    @property
+    def ticks(self) -> bool:
+        """Whether ticks move the state."""
+        return self._tick is not None
+
     def unpack(self, x: Array) -> Components:
         """The components of a state, shape (n,)."""
         return _unpacked(x, self.compact)
@@ -251,7 +261,7 @@ def _build(
     m = 1 if h_shape == () else h_shape[0]
     resets = system.resets and m > 0
     leaves, static = eqx.partition(system, eqx.is_array)
-    field, switching, reset = _on_components(static, h_shape, dtype, compact, packed)
+    field, switching, *maps = _on_components(static, h_shape, dtype, compact, packed)
     sides = Components([jnp.ones((m,), dtype)] if packed else (jnp.ones((), dtype),) * m)
     traced = ft.partial(Traced, transposed=transposed, fast=not compact)
     when = (FIRST, EARLY, LATE, LATE)
@@ -273,7 +283,12 @@ def _build(
 
     rate_bounds = rounding_of(rate, leaves, t0, x, sides) if resets else None
     traced_rate_bounds = rate_bounds and traced(rate_bounds, leaves, t0, x, sides)
-    traced_reset = traced(reset, leaves, t0, x, jnp.int32(0)) if resets else None
+    clocks = _clocks(system, dtype)
+    there_are = resets, system.ticks and len(clocks) > 0
+    reset, tick = (
+        traced(function, leaves, t0, x, jnp.int32(0)) if there else None
+        for function, there in zip(maps, there_are, strict=True)
+    )
     on_cpu = jax.default_backend() == "cpu"
     # XLA does not compute a sine of its own again.
     fence = _fence(leaves, x0) if on_cpu and not compact else None
@@ -288,11 +303,12 @@ def _build(
         packed=packed,
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
-        _reset=traced_reset and ParametrizedFunction(traced_reset, leaves, fence),
+        _reset=reset and ParametrizedFunction(reset, leaves, fence),
+        _tick=tick and ParametrizedFunction(tick, leaves, fence),
         _rounding=traced_bounds and ParametrizedFunction(traced_bounds, leaves, fence),
         _rate_rounding=traced_rate_bounds
         and ParametrizedFunction(traced_rate_bounds, leaves, fence),
-        clocks=_clocks(system, dtype),
+        clocks=clocks,
         _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
     )
 
@@ -326,9 +342,9 @@ def _check_derivatives(**functions: Traced) -> None:
 
 def _on_components(
     static: System, h_shape: tuple[int, ...], dtype: Any, compact: bool, packed: bool
-) -> tuple[Callable, Callable, Callable]:
-    """The field, the switching function and the reset of a system as functions of its array leaves
-    and of components."""
+) -> tuple[Callable, Callable, Callable, Callable]:
+    """The field, the switching function, the reset and the map of ticks of a system as functions of
+    its array leaves and of components."""
     m = 1 if h_shape == () else h_shape[0]
 
     def field(leaves: System, t: Array, x: Components, sides: Components) -> Components:
@@ -344,7 +360,10 @@ def _on_components(
     def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
         return _unpacked(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface), compact)
 
-    return field, switching, reset
+    def tick(leaves: System, t: Array, x: Components, clock: Array) -> Components:
+        return _unpacked(eqx.combine(leaves, static).tick(t, pack(x, dtype), clock), compact)
+
+    return field, switching, reset, tick
 
 
 def _fence(leaves: Any, x0: Array) -> Array:

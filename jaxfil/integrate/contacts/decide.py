@@ -1,0 +1,208 @@
+"""The decision: which mode goes on after a discontinuity.
+
+The rates of H on all sides at the corrected state enter, with what is known of the surfaces there;
+the mode leaves, and in how many modes the motion could go on. Whatever has brought the lane here, a
+contact, a tick of a clock or a map, all surfaces that the state is on are decided together, in the
+fields that hold from now on; of all others H says the side.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.contacts import resets
+from jaxfil.integrate.contacts.guards import NOISE, Surfaces
+from jaxfil.integrate.contacts.resets import Impact
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import LoopState
+from jaxfil.integrate.surfaces import (
+    decision,
+    filippov,
+    unilateral,
+    weights as sliding_weights,
+)
+from jaxfil.integrate.surfaces.corners import Corners, are_coupled
+from jaxfil.integrate.surfaces.decision import Question
+from jaxfil.integrate.system.components import Components, any_of, first_set, where
+from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.select import select
+
+# At a graze a rate is told from zero above this multiple of what is left of the motion's own.
+_TANGENT = 64
+
+
+class Decision(eqx.Module):
+    """The mode after a switch; elsewhere the one before."""
+
+    mode: Components
+    """m components."""
+    count: Array
+    """How many modes could go on. Of a slide that goes on, on its surfaces, at least 1."""
+
+
+def later_contacts(problem: Problem, state: LoopState) -> Components | None:
+    """Surfaces met together with one that has its turn first, without resets: each is a contact of
+    its own, at a time that has its own derivative. None where there can be none."""
+    pending = state.pending
+    if problem.system.m == 1 or problem.system.resets:
+        return None
+    in_turn = pending.waits & ~(pending.grazes | pending.jumped)
+    if pending.together is not None:
+        in_turn = in_turn & ~pending.together
+    if state.turn is not None:
+        in_turn = in_turn & ~state.turn.completed
+    return in_turn & pending.surfaces & ~first_set(pending.surfaces)
+
+
+def decided(
+    problem: Problem,
+    state: LoopState,
+    on_sides: tuple[Corners, Corners],
+    at: Surfaces,
+    led: Impact | None,
+    later: Components | None,
+) -> Decision:
+    """`_decided`, computed once, given the fields on all sides and the rates of H along them.
+    `later` are surfaces that have their turn in another switch."""
+    system = problem.system
+    mode, count = _decided(problem, state, on_sides, at, led, later)
+    number = count.astype(system.dtype)
+    if system.m > 1:
+        mode, number = system.hold((mode, number))
+        return Decision(mode, number.astype(jnp.int32))
+    # Of one surface both are one number, |mode| ≤ 2, so that one value is held and not two.
+    both = system.hold(mode + 8 * number)
+    number = jnp.floor(0.125 * both.number(0) + 0.5)
+    return Decision(both - 8 * number, number.astype(jnp.int32))
+
+
+def _decided(
+    problem: Problem,
+    state: LoopState,
+    on_sides: tuple[Corners, Corners],
+    at: Surfaces,
+    led: Impact | None,
+    later: Components | None,
+) -> tuple[Components, Array]:
+    system, grid, waits = problem.system, problem.grid, state.pending.waits
+    # Which mode goes on is no number that could have a derivative; its field has.
+    fields, rates = stop_gradient(on_sides)
+    # A graze only touches: it switches nothing, even where two modes could go on. Backward in time
+    # it may be the end of a slide, to which all motions come that have left the slide there.
+    grazes = jnp.zeros((), bool)
+    if system.slides and not system.resets:
+        grazes = waits & state.pending.grazes & (grid.direction < 0)
+        rates = _rates_at_graze(problem, state, rates, at.gathered, grazes)
+    forces, before = None, rates
+    if led is not None and led.constraints is not None:
+        known = stop_gradient((led.constraints, led.by_time, at.normals, fields))
+        forces = unilateral.forces_of(*known)
+        before, _, _ = unilateral.held(forces, rates, unilateral.rests_of(state.motion.mode))
+    left, opened = _known(problem, state, before, at, led, later)
+    on = opened | (grazes & state.pending.surfaces)
+    on = on | (left == 0) if system.slides else on
+    decide = waits & ~state.pending.grazes & any_of(opened)
+    # Where a slide on an intersection ends, another mode begins: rounding must not show both.
+    threshold = select(waits, 0.0, NOISE * system.eps)
+    if are_coupled(system):
+        near, walls = opened & ~state.pending.surfaces & (abs(left) == 1), None
+        if led is not None:
+            walls, near = decide & led.still & opened, near & ~led.still
+        question = Question(rates, fields, left, on, walls, near, forces, grid.direction, threshold)
+        chosen, count = _asked(system, question)
+    else:
+        beside = unilateral.beside(left) if system.resets else left
+        chosen, count = filippov.choose(rates, beside, on, grid.direction)
+    count = select(decide, count, jnp.maximum(count, 1))
+    if led is None or led.constraints is not None:
+        return where(decide, chosen, left), count
+    mode = where(decide & ~unilateral.rests_of(left), chosen, left)
+    return mode, select(led.consistent, count, 0)
+
+
+def _known(
+    problem: Problem,
+    state: LoopState,
+    rates: Corners,
+    at: Surfaces,
+    led: Impact | None,
+    later: Components | None,
+) -> tuple[Components, Components]:
+    """The mode as far as it follows from what has happened, and the surfaces that the state is on
+    and that are still to be decided.
+
+    A slide that has reached the end of its weight leaves to that side; a surface that the state is
+    off is left to the side that H says; of a reset `led` says what follows.
+    """
+    mode, pending = state.motion.mode, state.pending
+    switching, one = pending.waits & ~pending.grazes, jnp.ones_like(state.motion.tau)
+    hit = pending.surfaces if later is None else pending.surfaces & ~later
+    # A slide ends at w = ±1, where the field of that side has become the blend. A limit of turns is
+    # on their surfaces, and ends nothing.
+    leaving = hit & (mode == 0) & ~at.off
+    if state.turn is not None:
+        leaving = leaving & ~state.turn.completed
+    left = where(leaving & switching, _ended_at(problem, state, rates), mode)
+    settles = at.off & switching
+    if later is not None:  # what the state has been carried across has its turn first
+        settles = settles & ~later
+    left = where(settles, where(at.h > 0, one, -one), left)
+    # A surface that will be met within the rounding of times is met now: its contact could not be
+    # told from this one, and would follow it at once.
+    near = abs(state.motion.rate) * problem.grid.same_time(state.motion.tau)
+    close = (state.motion.mode != 0) & (abs(at.h) < near)
+    if later is not None:
+        close = close & ~later
+    on = (hit & ~leaving) | close
+    if at.unsettled is not None:
+        on = on | ((at.unsettled | (left == 0)) & ~leaving)
+    on = switching & on & ~at.off
+    if led is None:
+        return left, on
+    beside = unilateral.sides_of(left)
+    # What ends a rest, and what asks for a reset, leaves to its side.
+    ends = hit & unilateral.rests_of(left) & ~resets.at_limit(state)
+    ends = ends if later is None else ends | later
+    left = where((ends | led.pushed) & switching & ~settles, beside, left)
+    if led.constraints is not None:
+        left = where(led.still, beside, left)
+        return left, (on & ~ends & ~unilateral.rests_of(left)) | (switching & led.still)
+    left = where(led.still, where(led.rests, 2 * beside, beside), left)
+    return left, on & ~ends & ~led.still & ~unilateral.rests_of(left)
+
+
+def _ended_at(problem: Problem, state: LoopState, rates: Corners) -> Components:
+    """The side at which each slide ends, where its weight has come to an end."""
+    mode, one = state.motion.mode, jnp.ones_like(state.motion.tau)
+    if not problem.system.slides:
+        return mode
+    current = sliding_weights.weights(unilateral.beside(mode), rates)
+    return where(current > 0, one, -one)
+
+
+def _asked(system: ComponentSystem, question: Question) -> tuple[Components, Array]:
+    """`decision.decide`, asked only where the state is on a surface."""
+
+    def same(question: Question) -> tuple[Components, Array]:
+        return question.mode, jnp.ones((), jnp.int32)
+
+    return system.where_any(any_of(question.on), decision.decide, same, question)
+
+
+def _rates_at_graze(
+    problem: Problem, state: LoopState, rates: Corners, gathered: Components, grazes: Array
+) -> Corners:
+    """dH/dt along the fields of all sides, those of a surface that is grazed told from rounding.
+
+    They vanish on the side of the motion, which stays there: what is no larger than that leads to
+    this side too.
+    """
+    direction, dt = problem.grid.direction, abs(problem.grid.dt)
+    noise = _TANGENT * abs(state.motion.rate) + gathered / dt
+
+    def told(rate: Components) -> Components:
+        small = grazes & state.pending.surfaces & (abs(rate) <= noise)
+        return where(small, state.motion.mode * direction * noise, rate)
+
+    return rates.map(told)

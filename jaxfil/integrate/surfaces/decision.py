@@ -1,0 +1,268 @@
+"""The decision: in which mode a motion goes on from a point on several surfaces.
+
+The fields on all sides enter, with the surfaces that the state is on; a mode leaves, and in how
+many modes the motion could go on. On each surface the unknown is a weight w in [−1, 1] where it can
+be slid on, a reaction λ ≥ 0 where it can be rested on. With the rates ψ = dH/dt along the field of
+all weights and reactions, and the accelerations a = dψ/dt,
+
+    ψ_i = 0 inside of −1 < w_i < 1,    ψ_i ≥ 0 at w_i = 1,    ψ_i ≤ 0 at w_i = −1,
+    a_j = 0 where λ_j > 0,             a_j ≥ 0 at λ_j = 0.
+
+That is one variational inequality on a box. Where few surfaces are active each combination is
+tried: (w = 1, w = −1, slide) or (off, rest). Where many are, and the field is affine in its sides,
+pivoting solves it (`xla.complementarity`). Several solutions that are one motion, as of blocks that
+rub on the ground and on each other, count as one. Where rounding leaves none, the mass at the very
+limit of its friction, one that holds to within rounding is taken: the motions agree to that order.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.surfaces.unilateral import Forces, held, rests_of
+from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.surfaces.weights import weights
+from jaxfil.integrate.system.components import (
+    Components,
+    any_of,
+    maximum,
+    minimum,
+    pack,
+    total,
+    where,
+)
+from jaxfil.xla.complementarity import is_monotone, solve_on_box
+from jaxfil.xla.select import select
+
+# Active surfaces whose combinations are tried, at most, where pivoting can do it instead.
+_FEW = 3
+# Rounding of rates, accelerations and fields, in eps of the sizes of all that they are made of.
+_NOISE = 64
+# Times over which velocities are one, in rounding: weights of coupled surfaces magnify it.
+_ONE_MOTION = 1024
+
+
+class Question(eqx.Module):
+    """What is to be decided. Components are m."""
+
+    rates: Corners
+    """ψ, on each combination of sides."""
+    fields: Corners | None
+    """The fields of these, n components; None: all modes are taken for different motions."""
+    mode: Components
+    """The mode where nothing is to be decided, rests included; of a surface that is, its side."""
+    on: Components
+    """Surfaces to be decided."""
+    walls: Components | None
+    """Those of them that can be rested on and not slid on; None where none can."""
+    near: Components | None
+    """Those of them that keep their side if they can; None where none do."""
+    forces: Forces | None
+    """Reactions; None without walls."""
+    direction: Array
+    """+1 forward in time, −1 backward."""
+    threshold: Array | float
+    """A surface is left at a rate of more than this, relative to all rates there."""
+
+
+class _Found(eqx.Module):
+    """What has been found when so many combinations have been tried."""
+
+    mode: Components
+    count: Array
+    velocity: Components | None
+    number: Array
+
+
+def decide(question: Question) -> tuple[Components, Array]:
+    """The mode that goes on, and how many could: one where the motion is unique."""
+    if question.rates.flipped is None or len(question.mode.parts) <= _FEW:
+        return _by_trial(question)
+    active = total(question.on.astype(jnp.int32))
+    few = active <= _FEW
+
+    def tried(question: Question) -> tuple[Components, Array]:
+        return _by_trial(question, few)
+
+    # Both are programs of a size that does not grow; in a batch both run.
+    return jax.lax.cond(few, tried, _by_pivoting, question)
+
+
+def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Components, Array]:
+    """The first combination in which the motion can go on, and how many there are. A second round
+    asks all surfaces, and a third one what holds to within rounding."""
+    on, mode = question.on, question.mode
+    powers, power = [], jnp.ones((), mode.parts[0].dtype)
+    for flag in on.parts:
+        powers.append(power)
+        power = select(flag, 3 * power, power)
+    size = power.astype(jnp.int32)
+
+    def goes_on(found: _Found) -> Array:
+        rounds = found.number // size
+        inside = found.number % size != 0
+        return wanted & (rounds < 3) & (inside | (found.count == 0))
+
+    def next_one(found: _Found) -> _Found:
+        number, rounds = (found.number % size).astype(power.dtype), found.number // size
+        candidate = []
+        for flag, one, now in zip(on.parts, powers, mode.parts, strict=True):
+            digit = jnp.floor(number / one + 1e-3) % 3
+            side = select(digit == 0, 1.0, select(digit == 1, -1.0, 0.0))
+            candidate.append(select(flag, side.astype(now.dtype), now))
+        return _try(question, found, Components(candidate), rounds)
+
+    zero = jnp.zeros((), jnp.int32)
+    still = None if question.fields is None else question.fields[0] * 0.0
+    start = _Found(mode, zero, still, zero)
+    found = jax.lax.while_loop(goes_on, next_one, start)
+    return found.mode, found.count
+
+
+def _try(question: Question, found: _Found, candidate: Components, rounds: Array) -> _Found:
+    """What has been found with one more combination tried."""
+    ok, mode, velocity = _continues(question, candidate, rounds)
+    first, new = ok & (found.count == 0), ok
+    if velocity is not None and found.velocity is not None and question.fields is not None:
+        eps = jnp.finfo(question.direction.dtype).eps
+        size = question.fields.sizes() + abs(velocity) + abs(found.velocity)
+        apart = any_of(abs(velocity - found.velocity) > _ONE_MOTION * eps * size)
+        new = ok & ((found.count == 0) | apart)
+        velocity = where(first, velocity, found.velocity)
+    # What holds to within rounding only is the same motion to that order.
+    new = new & ((rounds < 2) | first)
+    return _Found(
+        where(first, mode, found.mode),
+        found.count + new.astype(jnp.int32),
+        velocity,
+        found.number + 1,
+    )
+
+
+def _continues(
+    question: Question, candidate: Components, rounds: Array
+) -> tuple[Array, Components, Components | None]:
+    """Whether the motion can go on in a combination, the mode that it is, and its velocity."""
+    on, walls, forces = question.on, question.walls, question.forces
+    rates, ok = question.rates, jnp.ones((), bool)
+    direction, eps = question.direction, jnp.finfo(question.direction.dtype).eps
+    lenient = rounds == 2
+    if question.near is not None:
+        ok = ok & ((rounds > 0) | ~any_of(question.near & (candidate != question.mode)))
+    if walls is None or forces is None:
+        sides, rests, accelerations, force = candidate, None, None, None
+    else:
+        # A wall has two ways: −1 is none of them.
+        ok = ok & ~any_of(on & walls & (candidate == -1))
+        rests = where(on, walls & (candidate == 0), rests_of(candidate))
+        sides = where(walls & on, question.mode, candidate)
+        sides = where(rests_of(sides), 0.5 * sides, sides)
+        rates, accelerations, force = held(forces, rates, rests)
+    slid = on if walls is None else on & ~walls
+    w = weights(where(ok, sides, 1.0), rates)
+    inside = minimum(maximum(w, -1.0), 1.0)
+    w = where(lenient & slid & (sides == 0), inside, w)
+    rate, scale = rates.blend(sides, w), rates.sizes()
+    # Where no side moves the state off a surface, nothing but a slide on all of them stays there.
+    stays = ~any_of(slid & (sides != 0))
+    solved = (abs(rate) <= _NOISE * eps * scale) & ((scale > 0) | stays)
+    slides = (abs(w) <= 1) & solved
+    outward = sides * direction * rate
+    leaves = outward > question.threshold * scale
+    rounded = (abs(rate) <= _NOISE * eps * scale) & (scale > 0)
+    keeps = lenient if question.near is None else lenient | ((rounds == 0) & question.near)
+    leaves = leaves | (keeps & rounded)
+    ok = ok & ~any_of(slid & ~where(sides == 0, slides, leaves))
+    mode = sides
+    if rests is not None and accelerations is not None and force is not None and forces is not None:
+        fine, pushes = _rests(question, rests, accelerations.blend(sides, w), force.blend(sides, w))
+        fine = fine | (lenient & pushes)
+        ok = ok & ~any_of(on & walls & ~fine)
+        mode = where(rests, 2 * sides, sides)
+    velocity = None
+    if question.fields is not None:
+        velocity = question.fields.blend(sides, w)
+        if forces is not None and force is not None:
+            velocity = forces.directions.added(velocity, force.blend(sides, w))
+    return ok, mode, velocity
+
+
+def _rests(
+    question: Question, rests: Components, a: Components, force: Components
+) -> tuple[Components, Components]:
+    """Whether reactions push away from the surfaces rested on, and accelerations lead away from
+    others; and the same to within rounding."""
+    assert question.forces is not None
+    sides, eps = question.mode, jnp.finfo(question.direction.dtype).eps
+    known = question.forces.accelerations
+    noise = _NOISE * eps * (known.sizes() + abs(question.forces.gains) @ force)
+    fine = where(rests, sides * force > 0, sides * a >= 0)
+    own = question.forces.gains.diagonal()
+    small = where(rests, abs(force * own) <= noise, abs(a) <= noise)
+    return fine, fine | small
+
+
+def _by_pivoting(question: Question) -> tuple[Components, Array]:
+    """The same for many surfaces, with a field that is affine in its sides. Unique where the
+    symmetric part of the matrix is positive definite; where it is not, one solution is all that is
+    known."""
+    q, matrix, low, high = _inequality(question)
+    z, found = solve_on_box(q, matrix, low, high)
+    on, mode = pack(question.on, bool), pack(question.mode, q.dtype)
+    walls = jnp.zeros_like(on) if question.walls is None else pack(question.walls, bool) & on
+    weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
+    decided = select(walls, select(z > 0, 2 * mode, mode), weight)
+    chosen = select(on, decided, mode)
+    # Backward in time a slide may have begun at any time before.
+    repels = (question.direction < 0) & jnp.any(on & (chosen == 0)) & ~is_monotone(matrix, on)
+    count = select(found, select(repels, 2, 1), 0)
+    return Components(chosen[j] for j in range(len(mode))), count
+
+
+def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
+    """q, M and the bounds: with z the weights, and the sizes of reactions, F = −ψ where z is a
+    weight and a where it is a reaction. What is not decided has equal bounds."""
+    mode, on, rates = question.mode, question.on, question.rates
+    dtype, flipped = mode.parts[0].dtype, rates.flipped
+    assert flipped is not None
+    m = len(mode.parts)
+    side = pack(mode, dtype)
+    active = pack(on, bool)
+    wall = jnp.zeros(m, bool) if question.walls is None else pack(question.walls, bool) & active
+
+    def table(corners: Corners) -> Array:
+        return jnp.stack([pack(corners[k], dtype) for k in range(len(corners))])
+
+    psi = table(rates)
+    # By row: with all sides +, and what a weight of each side adds.
+    base = psi[0]
+    slopes = (
+        jnp.zeros((m, m), dtype)
+        .at[:, jnp.asarray(flipped, jnp.int32)]
+        .set(0.5 * (psi[:1] - psi[1:]).T)
+        if flipped
+        else jnp.zeros((m, m), dtype)
+    )
+    if question.forces is not None:
+        a = table(question.forces.accelerations)
+        by_weight = jnp.zeros((m, m), dtype)
+        if flipped:
+            by_weight = by_weight.at[:, jnp.asarray(flipped, jnp.int32)].set(
+                0.5 * (a[:1] - a[1:]).T
+            )
+        gains = jnp.stack([pack(row, dtype) for row in question.forces.gains.rows])
+        pushes = jnp.stack([pack(row, dtype) for row in question.forces.pushes.rows])
+        base = select(wall, side * a[0], -question.direction * base)
+        by_weight = select(wall[:, None], side[:, None] * by_weight, -question.direction * slopes)
+        by_force = select(wall[:, None], side[:, None] * gains, -question.direction * pushes)
+        matrix = select(wall[None, :], by_force * side[None, :], by_weight)
+    else:
+        base, matrix = -question.direction * base, -question.direction * slopes
+        by_weight = matrix
+    # All sides + are w = 1; a wall's own side does not change.
+    q = base - by_weight @ jnp.ones(m, dtype) + by_weight @ select(wall, side, 0.0)
+    fixed = select(active, 0.0, side)
+    low = select(wall, 0.0, select(active, -1.0, fixed))
+    high = select(wall, jnp.inf, select(active, 1.0, fixed))
+    return q, matrix, low, high

@@ -1,0 +1,123 @@
+"""Affine variational inequalities on a box, by complementary pivoting.
+
+    find z in [l, u] with   F_i(z) = 0  where l_i < z_i < u_i,
+                            F_i(z) ≥ 0  where z_i = l_i,     F = q + M z.
+                            F_i(z) ≤ 0  where z_i = u_i,
+
+With z = l + y and a multiplier t ≥ 0 of each upper bound it is a linear complementarity problem of
+twice the size,
+
+    s = q + M l + M y + t ≥ 0,   s·y = 0,       r = u − l − y ≥ 0,   r·t = 0,
+
+which Lemke's method solves in about as many pivots as there are unknowns that are not at their
+lower bound. It finds a solution if the symmetric part of M is positive semidefinite, as for dry
+friction and frictionless contacts, and ends without one on a ray otherwise, or finds one. (R. W.
+Cottle, J.-S. Pang and R. E. Stone, The Linear Complementarity Problem, 1992, section 4.4.)
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxfil.xla.select import select
+
+# Rounding of F at a solution, in eps of its terms.
+_NOISE = 4096
+# Pivots at most, in unknowns of the linear complementarity problem.
+_PIVOTS = 8
+
+
+def solve_on_box(
+    q: Float[Array, " k"],
+    matrix: Float[Array, "k k"],
+    low: Float[Array, " k"],
+    high: Float[Array, " k"],
+) -> tuple[Float[Array, " k"], Bool[Array, ""]]:
+    """z, and whether one was found. Bounds may be infinite above; where both are the same, z is
+    that bound, whatever F is."""
+    k = len(q)
+    free = high > low
+    size = select(free & jnp.isfinite(high), high - low, 1.0)
+    # An unknown that cannot move, and a bound that is not there, take no part.
+    open_ = select(free[:, None] & free[None, :], matrix, 0.0)
+    bounded = (free & jnp.isfinite(high)).astype(q.dtype)
+    start = select(free, q + matrix @ low, 1.0)
+    # Unknowns of very different sizes, weights and reactions, share the covering vector.
+    scale = jnp.sum(abs(open_), axis=1) + abs(start)
+    scale = select(free, select(scale == 0, 1.0, scale), 1.0)
+    open_, start, link = open_ / scale[:, None], start / scale, jnp.diag(bounded / scale)
+    upper = jnp.concatenate([open_, link], axis=1)
+    lower = jnp.concatenate([-jnp.diag(bounded), jnp.zeros_like(open_)], axis=1)
+    y, found = _lemke(jnp.concatenate([upper, lower]), jnp.concatenate([start, size]))
+    z = low + y[:k]
+    close = _NOISE * jnp.finfo(q.dtype).eps
+    z = select(z >= high - close * size, high, select(z <= low + close * size, low, z))
+    z = select(free, z, low)
+    # Where M is singular, what is left of a pivot may be rounding.
+    value = q + matrix @ z
+    noise = _NOISE * jnp.finfo(q.dtype).eps * (abs(q) + abs(matrix) @ abs(z))
+    wrong = ((value < -noise) & (z < high)) | ((value > noise) & (z > low))
+    return z, found & ~jnp.any(wrong & free)
+
+
+def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, Array]:
+    """y ≥ 0 with w = q + M y ≥ 0 and w·y = 0, and whether it was found.
+
+    The tableau holds w − M y − d a = q with the artificial variable a, whose column d is all ones
+    but for small differences, so that ties are rare.
+    """
+    size, eps = len(q), jnp.finfo(q.dtype).eps
+    number = jnp.arange(size)
+    cover = 1 + 0.125 * jnp.sin(1.0 + number.astype(q.dtype))
+    table = jnp.concatenate(
+        [jnp.eye(size, dtype=q.dtype), -matrix, -cover[:, None], q[:, None]], axis=1
+    )
+    last, none = 2 * size, jnp.zeros((), bool)
+
+    def pivoted(table: Array, row: Array, column: Array) -> Array:
+        chosen = table[row] / table[row, column]
+        rest = table - table[:, column][:, None] * chosen
+        return select((number == row)[:, None], chosen, rest)
+
+    first = jnp.argmin(q / cover)
+    done = q[first] >= 0
+    basis = select(number == first, last, number)
+    start = pivoted(table, first, jnp.full((), last)), basis, first + size, done, none, 0
+
+    def goes_on(state: tuple) -> Array:
+        *_, done, failed, count = state
+        return ~done & ~failed & (count < _PIVOTS * size)
+
+    def step(state: tuple) -> tuple:
+        table, basis, entering, done, failed, count = state
+        column, right = table[:, entering], table[:, -1]
+        falls = column > 64 * eps * jnp.max(abs(column))
+        ratio = select(falls, jnp.maximum(right, 0) / select(falls, column, 1), jnp.inf)
+        least = jnp.min(ratio)
+        # Among equals the artificial variable leaves, which ends the search.
+        tied = ratio <= least + 64 * eps * (abs(least) + eps)
+        ends = tied & (basis == last) & falls
+        row = select(jnp.any(ends), jnp.argmax(ends), jnp.argmin(ratio))
+        failed = ~jnp.any(falls)
+        leaves = basis[row]
+        after = pivoted(table, row, entering)
+        table = select(failed, table, after)
+        basis = select(failed | (number != row), basis, entering)
+        then = select(leaves < size, leaves + size, leaves - size)
+        return table, basis, then, leaves == last, failed, count + 1
+
+    table, basis, _, done_later, _, _ = jax.lax.while_loop(goes_on, step, start)
+    right = jnp.maximum(table[:, -1], 0)
+    values = jnp.sum(select(basis[None, :] == (number + size)[:, None], right[None, :], 0), axis=1)
+    return select(done, jnp.zeros_like(q), values), done | done_later
+
+
+def is_monotone(matrix: Float[Array, "k k"], taken: Bool[Array, " k"]) -> Bool[Array, ""]:
+    """Whether the symmetric part of the rows and columns that are taken is positive definite, so
+    that the inequality has one solution whatever q is."""
+    both = taken[:, None] & taken[None, :]
+    part = select(both, 0.5 * (matrix + matrix.T), jnp.eye(len(matrix), dtype=matrix.dtype))
+    scale = jnp.sqrt(jnp.maximum(jnp.diag(part), 0))
+    scale = select(scale == 0, 1.0, scale)
+    scaled = part / (scale[:, None] * scale[None, :])
+    return jnp.min(jnp.linalg.eigvalsh(scaled)) > 64 * jnp.finfo(matrix.dtype).eps
