@@ -149,14 +149,15 @@ def _known(
         settles = settles & ~later
     left = where(settles, where(at.h > 0, one, -one), left)
     # A surface that will be met within the rounding of times is met now: its contact could not be
-    # told from this one, and would follow it at once.
+    # told from this one, and would follow it at once. One that has just been left is not.
     near = abs(state.motion.rate) * problem.grid.same_time(state.motion.tau)
-    close = (state.motion.mode != 0) & (abs(at.h) < near)
+    close = (state.motion.mode != 0) & (abs(at.h) < near) & state.armed
     if later is not None:
         close = close & ~later
     on = (hit & ~leaving) | close
     if at.unsettled is not None:
-        on = on | ((at.unsettled | (left == 0)) & ~leaving)
+        here = at.unsettled & (abs(at.h) <= at.gathered)
+        on = on | ((here | (left == 0)) & ~leaving)
     on = switching & on & ~at.off
     if led is None:
         return left, on

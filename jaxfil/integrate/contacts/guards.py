@@ -50,9 +50,10 @@ class Surfaces(eqx.Module):
     decides whether a touch is more than rounding."""
     off: Components
     """Surfaces that a jump of H, or a map, has led the state off."""
-    unsettled: Components | None
-    """Surfaces that the state is on when something has jumped: they are decided anew, whatever the
-    mode was. None where nothing but a contact changes a field, and no more than one."""
+    unsettled: Array | None
+    """Whether something has jumped, so that all surfaces that the state is on are decided anew,
+    whatever the mode was. None where nothing but a contact changes a field, and no more than one.
+    """
 
 
 def surface_noise(

@@ -160,7 +160,8 @@ def _view(
     """The surfaces as constraints."""
     system, sides = problem.system, unilateral.sides_of(state.motion.mode)
     c = unilateral.constraints(system, t, x, sides)
-    f = filippov.free_field(system, t, x, state.motion.mode)
+    field = filippov.field if filippov.holds_together(system) else filippov.free_field
+    f = field(system, t, x, state.motion.mode)
     a = unilateral.accelerations(system, t, x, sides, f)
     size, fast = (
         maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))

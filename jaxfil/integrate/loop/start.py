@@ -214,9 +214,11 @@ def _start(problem: Problem, x: Components) -> Start:
         met = ~problem.kept.on
         mode, on = where(met, mode, problem.kept.mode), on & met
         owed = None if owed is None else owed & met
-    moving = mode if system.slides else unilateral.sides_of(mode)
-    f = filippov.free_field(system, t, x, moving)
-    f = with_reactions(system, t, x, mode, f)
+    if filippov.holds_together(system):
+        f = filippov.field(system, t, x, mode)
+    else:
+        moving = mode if system.slides else unilateral.sides_of(mode)
+        f = with_reactions(system, t, x, mode, filippov.free_field(system, t, x, moving))
     known = stop_gradient((system, t, x, f, mode, noise))
     g, rate, noise = guards(*known, stop_gradient(system.forcing_at(t)))
     armed = stays_on(system, mode) | ~on
