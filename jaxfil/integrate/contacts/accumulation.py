@@ -149,7 +149,7 @@ def _turned(
     limit = end.motion.x + on_each(_rest_of_series, move, turn.move, ratio)
     agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit)
     # At a grid point it may be late by the rounding of its prediction.
-    late = jnp.maximum(stop_gradient(left) - length.room, 0)
+    late = jnp.maximum(stop_gradient(left - length.room), 0)
     completed = shrinks & (agrees & (late <= rounding) | (left <= same) & (late <= same))
     completed = completed & _clear(problem, state, end, left, limit)
     if problem.system.resets:

@@ -100,9 +100,9 @@ def first_contact(
     # rise the step is too long for it: look at a quarter.
     root = select(armed | rises_first, root, 0.25 * hi)
     reach = abs(d0) + abs(d1)
-    # A guard that is rounding all along, as of a mass at the very limit of its friction, has no
-    # minimum to be looked at.
-    touches = (abs(low_value) <= 4 * noise) & ~stays_within(g0, d0, g1, d1, 4 * noise)
+    # A guard that is rounding where it starts, as of a mass at the very limit of its friction,
+    # says no more at a minimum.
+    touches = (abs(low_value) <= 4 * noise) & (abs(g0) > 4 * noise)
     central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
     near = touches | (central & (low_value <= _SUSPICIOUS * reach))
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near

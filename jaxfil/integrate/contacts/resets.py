@@ -206,8 +206,9 @@ def _follow(
     switching = state.pending.waits & ~state.pending.grazes
     sides, resting = unilateral.sides_of(state.motion.mode), unilateral.rests_of(state.motion.mode)
     limit, (rate, noise) = at_limit(state), (stop_gradient(c.rate), seen.noise)
-    there = (abs(stop_gradient(at.h)) <= at.gathered) | (state.settled & state.pending.surfaces)
-    there = there & ~at.off
+    # Rounding of the time of a contact is more than that of H.
+    here = reset.heard | (state.settled & state.pending.surfaces)
+    there = ((abs(stop_gradient(at.h)) <= at.gathered) | here) & ~at.off
     on = switching & c.throws_back & there
     leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves

@@ -118,14 +118,15 @@ def _surfaces_at(
     return Surfaces(h, h_t, normals, scale, noise, gathered, off, unsettled)
 
 
-def _beside_others(
+def _with_rounding_of_forces(
     problem: Problem, state: LoopState, at: Surfaces, fields: Corners
 ) -> Surfaces:
-    """The surfaces with the rounding of a state that is held on others: what holds it there is
-    rounded as the forces are, however small the state. A surface that it cannot leave, for others
-    hold it, is then neither met nor left."""
+    """The surfaces with the rounding of a state that is held on one, or has just left it: what
+    holds it there is rounded as the forces are, however small the state. A surface that it cannot
+    leave, for others hold it, is then neither met nor left."""
     dt = abs(problem.grid.dt)
-    size = state.held.astype(dt.dtype) * dt * stop_gradient(fields.sizes())
+    near = state.held | any_of(~state.armed)
+    size = near.astype(dt.dtype) * dt * stop_gradient(fields.sizes())
     more = NOISE * problem.system.eps * (abs(stop_gradient(at.normals)) @ size)
     return dataclasses.replace(at, noise=at.noise + more, gathered=at.gathered + more)
 
@@ -157,8 +158,8 @@ def evaluate_step_end(
         x, led = resets.lead(problem, state, length, maps.reset, t, x, at)
         later = led.next
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
-    if are_coupled(system):
-        at = _beside_others(problem, state, at, fields)
+    if system.slides or are_coupled(system):
+        at = _with_rounding_of_forces(problem, state, at, fields)
     choice = decided(problem, state, (fields, rates), at, led, later)
     choice, again = _in_turn(problem, state, maps, choice, later)
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
