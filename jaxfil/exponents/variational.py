@@ -77,15 +77,17 @@ def _push(problem: Problem, variation: Variation) -> Variation:
         after = advance(problem, dataclasses.replace(state, motion=motion))
         return (after.motion.x, after.motion.tau), after
 
-    # A reset may take place at a time that differs; without one a switch leaves the state alone.
-    given = (state.motion.x, state.motion.tau) if system.resets else (state.motion.x,)
+    # A map may act at a time that differs, and so may the second of several contacts; without
+    # these a switch leaves the state alone.
+    moves = system.resets or system.ticks or system.m > 1
+    given = (state.motion.x, state.motion.tau) if moves else (state.motion.x,)
     _, derivative, after = jax.linearize(through, *given, has_aux=True)
 
     def push(v: Components, dt: Array) -> tuple[Components, Array]:
         pushed, late = derivative(*(v, dt)[: len(given)])
         if system.m > 0:
             switched = state.pending.waits & ~after.pending.waits
-            met, moment = (pushed, late) if system.resets else (v, dt)
+            met, moment = (pushed, late) if moves else (v, dt)
             pushed = where(switched, _apply_saltation(problem, after, met, moment), pushed)
             late = select(after.pending.waits, late, 0.0)
         return pushed, late
@@ -93,7 +95,7 @@ def _push(problem: Problem, variation: Variation) -> Variation:
     frame, delay = for_each(push, variation.frame, variation.delay)
     # A slide takes directions away, and so may a reset: only then is a lost one of length zero.
     moved = after.held
-    if system.resets:
+    if system.resets or system.ticks:
         moved = moved | after.pending.waits
     return Variation(
         after,
