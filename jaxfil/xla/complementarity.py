@@ -89,7 +89,7 @@ def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, A
         return ~done & ~failed & (count < _PIVOTS * size)
 
     def step(state: tuple) -> tuple:
-        table, basis, entering, done, failed, count = state
+        table, basis, entering, _, failed, count = state
         column, right = table[:, entering], table[:, -1]
         falls = column > 64 * eps * jnp.max(abs(column))
         ratio = select(falls, jnp.maximum(right, 0) / select(falls, column, 1), jnp.inf)

@@ -38,8 +38,54 @@ def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> li
     return x
 
 
-def size_of_determinant(matrix: Sequence[Sequence[Array]]) -> Array:
-    """|det A|, and 0 where a pivot is nothing but rounding."""
+def solve(matrix: Array, right: Array, taken: Array) -> Array:
+    """The same of arrays, (k, k) and (k,), for the unknowns that are taken: the others are 0. It
+    takes as long as these are many."""
+    rows = _equilibrated_rows(jnp.concatenate([matrix, right[:, None]], axis=1))
+    return _reduced_among(rows, taken)[0]
+
+
+def size_of_determinant(
+    matrix: Array | Sequence[Sequence[Array]], taken: Array | None = None
+) -> Array:
+    """|det A|, and 0 where a pivot is nothing but rounding; of an array that of the rows and columns
+    that are taken."""
+    if taken is None:
+        return _size_of_small(matrix)
+    assert isinstance(matrix, jax.Array)
+    scales = jnp.sum(abs(matrix), axis=1)
+    rows = _equilibrated_rows(jnp.concatenate([matrix, scales[:, None]], axis=1))
+    pivots = abs(_reduced_among(rows, taken)[1])
+    kept = select(pivots <= 64 * jnp.finfo(pivots.dtype).eps, 0, pivots)
+    return jnp.prod(select(taken, kept * scales, 1.0))
+
+
+def _reduced_among(rows: Array, taken: Array) -> tuple[Array, Array]:
+    """`_reduced` of the rows and columns that are taken, one after the other; no row is moved."""
+    k = len(rows)
+    number, columns = jnp.arange(k), jnp.arange(k + 1)
+
+    def column(carry: tuple) -> tuple:
+        rows, left, free, places, pivots = carry
+        i = jax.lax.argmax(left, 0, jnp.int32)
+        entries = jnp.sum(select(columns == i, rows, 0), axis=1)
+        best = jnp.argmax(select(free, abs(entries), -1))
+        here = number == best
+        upper = jnp.sum(select(here[:, None], rows, 0), axis=0)
+        pivot = jnp.sum(select(columns == i, upper, 0))
+        upper = _quotient(upper, pivot)
+        rows = select(here[:, None], upper, rows - entries[:, None] * upper)
+        places = places | ((number == i)[:, None] & here)
+        pivots = select(number == i, pivot, pivots)
+        return rows, left & (number != i), free & ~here, places, pivots
+
+    none = jnp.zeros((k, k), bool)
+    start = rows, taken, taken, none, jnp.zeros_like(rows[:, -1])
+    rows, _, _, places, pivots = jax.lax.while_loop(lambda c: jnp.any(c[1]), column, start)
+    return jnp.sum(select(places, rows[:, -1], 0), axis=1), pivots
+
+
+def _size_of_small(matrix: Any) -> Array:
     k = len(matrix)
     scales = [_scale(row) for row in matrix]
     if k > _WRITTEN_OUT:
@@ -57,7 +103,13 @@ def size_of_determinant(matrix: Sequence[Sequence[Array]]) -> Array:
 
 def _equilibrated_array(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> Array:
     """`_equilibrated` of all rows, shape (k, k + 1)."""
-    rows = jnp.stack([jnp.stack([*row, b]) for row, b in zip(matrix, right, strict=True)])
+    return _equilibrated_rows(
+        jnp.stack([jnp.stack([*row, b]) for row, b in zip(matrix, right, strict=True)])
+    )
+
+
+def _equilibrated_rows(rows: Array) -> Array:
+    """Rows with their right-hand side in the last column, with entries of order one."""
     scale = jnp.sum(abs(rows[:, :-1]), axis=1, keepdims=True)
     return rows / select(scale == 0, 1, scale)
 

@@ -21,6 +21,7 @@ import functools as ft
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
@@ -197,6 +198,9 @@ def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
 def _kind(hit: Components, mode: Components) -> Array:
     """The surfaces of a contact and the mode after it, as one number."""
     codes = 2 * (mode + 2) + hit.astype(mode.number(0).dtype)
+    if codes.is_array:  # no two sums of such multiples are the same
+        (numbers,) = stop_gradient(codes).parts
+        return jnp.sum(numbers * np.sqrt(np.arange(2.0, 2.0 + len(numbers))))
     return stop_gradient(ft.reduce(lambda number, code: 10 * number + code, codes.parts))
 
 

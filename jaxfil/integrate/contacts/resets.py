@@ -31,8 +31,10 @@ from jaxfil.integrate.system.components import (
     Components,
     any_of,
     first_set,
+    index_of,
     maximum,
     minimum,
+    pack,
     total,
     where,
 )
@@ -110,8 +112,7 @@ def make_reset(system: ComponentSystem, state: LoopState, t: Array, x: Component
 
     def made(t: Array, x: Components, asked: Components) -> Reset:
         heard = first_set(asked)
-        numbers = Components(select(v, j, 0) for j, v in enumerate(heard.parts))
-        after = where(any_of(heard), system.reset(t, x, total(numbers)), x)
+        after = where(any_of(heard), system.reset(t, x, index_of(heard)), x)
         acted = heard & any_of(after != x)
         return Reset(after, heard, acted, asked & ~heard, system.switching(t, x))
 
@@ -263,23 +264,31 @@ def _chattering(
     ends = ends & (grid.direction > 0)
     # Bounces that are low for longer are left out: rest begins earlier, by a time that nothing but
     # these could tell, and the field carries the state no further than it is constant to rounding.
-    times = minimum(times, _LEAP * longest)
-    total_time, found, ending = jnp.zeros_like(state.motion.tau), jnp.zeros((), bool), []
-    for j, (end, time) in enumerate(zip(ends.parts, times.parts, strict=True)):
-        # Unless another surface is met before.
-        ahead = sides * (at.h + time * (c.rate + 0.5 * time * held))
-        clear = (ahead >= -at.gathered) | rests | Components(i == j for i in range(system.m))
-        end = end & ~found & ~any_of(~clear)
-        total_time, found = select(end, time, total_time), found | end
-        ending.append(end)
+    # It is one surface that has been reset.
+    time = total(where(ends, minimum(times, _LEAP * longest), 0.0))
+    # Unless another surface is met before.
+    ahead = sides * (at.h + time * (c.rate + 0.5 * time * held))
+    found = any_of(ends) & ~any_of(~((ahead >= -at.gathered) | rests | ends))
+    total_time = select(found, time, 0.0)
     # All impacts together take away the rate that is left, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0,
     # with those by which the surfaces that are rested on answer them.
-    stopped = found & (rests | Components(ending))
+    stopped = found & (rests | ends)
     left = c.rate + total_time * held
     impulses = unilateral.multipliers(c.gains, left, stopped)
     return total_time, c.directions.added(
         state.motion.x.like(jnp.zeros_like(state.motion.tau)), impulses
     )
+
+
+def _led_to(system: ComponentSystem, t: Array, x: Components) -> Components:
+    """H of each surface where its own reset leads to."""
+
+    def own(number: Array) -> Array:
+        return pack(system.switching(t, system.reset(t, x, number)), system.dtype)[number]
+
+    if system.packed:
+        return Components([jax.vmap(own)(jnp.arange(system.m, dtype=jnp.int32))])
+    return Components(own(jnp.int32(j)) for j in range(system.m))
 
 
 class Beginning(eqx.Module):
@@ -322,8 +331,7 @@ def begin(
     inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
     noise = unilateral.rate_noise(t, abs(x), inside, problem.grid.dt, f, c, a, surfaces)
     flat, wall = abs(c.rate) <= noise, on & c.throws_back
-    after = [system.reset(t, x, jnp.int32(j)) for j in range(system.m)]
-    led = Components(system.switching(t, y).parts[j] for j, y in enumerate(after))
+    led = _led_to(system, t, x)
     far = stop_gradient(abs(led)) > _NOISE * system.eps * (abs(normals) @ abs(x))
     side = where(led < 0, -1.0, above)
     back = on & ~c.throws_back & far & (direction * side * rates < 0) & ~flat

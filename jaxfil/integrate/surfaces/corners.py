@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.system.components import Components, on_each, where
+from jaxfil.integrate.system.components import Components, on_each, pack, scalars, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
@@ -66,7 +66,8 @@ def on_corners(
     """A vector, or several, on combinations of sides: `Corners` for each."""
     flipped = flipped_sides(system)
     if len(sides) > _WRITTEN_OUT:
-        columns = system.of_surfaces(sides.T.astype(system.dtype))
+        rows = sides.astype(system.dtype)
+        columns = Components([rows]) if system.packed else Components(scalars(rows.T))
         made = jax.vmap(function)(columns)
         return jax.tree.map(lambda v: Corners([v], True, flipped), made, is_leaf=_is_vector)
     # Of numbers, not of an array: one that is known would be an argument of the kernel, and its
@@ -164,8 +165,8 @@ class Corners:
         if self.flipped is not None:
             return self._affine_blend(self.flipped, mode, weights)
         corners = self
-        for s, w in zip(mode.parts, weights.parts, strict=True):
-            corners = corners.halved(ft.partial(mix, s, w))
+        for i in range(mode.size):
+            corners = corners.halved(ft.partial(mix, mode.number(i), weights.number(i)))
         return corners[0]
 
     def _affine_blend(
@@ -188,6 +189,23 @@ class Corners:
             total = total - share * (first - other)
         return total
 
+    def slopes(self) -> Array:
+        """∂ blend/∂w_j in column j, of vectors of numbers one for each of m surfaces that are
+        affine in the sides, shape (m, m)."""
+        assert self.flipped is not None
+        first = pack(self[0], float)
+        m = first.shape[0]
+        if not self.flipped:
+            return jnp.zeros((m, m), first.dtype)
+        if self.is_table and self.rows[0].parts[0].ndim > 1:
+            below = self.rows[0].parts[0][1:]
+        else:
+            below = jnp.stack([pack(self[1 + k], float) for k in range(len(self.flipped))])
+        # A column for each side that enters, put where its surface is.
+        place = np.zeros((len(self.flipped), m))
+        place[np.arange(len(self.flipped)), list(self.flipped)] = 1.0
+        return 0.5 * (first - below).T @ jnp.asarray(place, first.dtype)
+
     def slope(self, mode: Components, weights: Components, j: int) -> Components:
         """∂ blend/∂w_j, of surfaces that are not separate."""
         if self.flipped is not None:
@@ -195,8 +213,9 @@ class Corners:
                 return 0.0 * self[0]
             return 0.5 * (self[0] - self[1 + self.flipped.index(j)])
         corners = self
-        for i, (s, w) in enumerate(zip(mode.parts, weights.parts, strict=True)):
-            corners = corners.halved(_half_difference if i == j else ft.partial(mix, s, w))
+        for i in range(mode.size):
+            mixed = ft.partial(mix, mode.number(i), weights.number(i))
+            corners = corners.halved(_half_difference if i == j else mixed)
         return corners[0]
 
 

@@ -15,19 +15,22 @@ rub on the ground and on each other, count as one. Where rounding leaves none, t
 limit of its friction, one that holds to within rounding is taken: the motions agree to that order.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.surfaces.unilateral import Forces, held, rests_of
 from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.surfaces.unilateral import Forces, held, rests_of
 from jaxfil.integrate.surfaces.weights import weights
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
     maximum,
     minimum,
+    on_each,
     pack,
     total,
     where,
@@ -77,7 +80,7 @@ class _Found(eqx.Module):
 
 def decide(question: Question) -> tuple[Components, Array]:
     """The mode that goes on, and how many could: one where the motion is unique."""
-    if question.rates.flipped is None or len(question.mode.parts) <= _FEW:
+    if question.rates.flipped is None or question.mode.size <= _FEW:
         return _by_trial(question)
     active = total(question.on.astype(jnp.int32))
     few = active <= _FEW
@@ -93,11 +96,9 @@ def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Componen
     """The first combination in which the motion can go on, and how many there are. A second round
     asks all surfaces, and a third one what holds to within rounding."""
     on, mode = question.on, question.mode
-    powers, power = [], jnp.ones((), mode.parts[0].dtype)
-    for flag in on.parts:
-        powers.append(power)
-        power = select(flag, 3 * power, power)
-    size = power.astype(jnp.int32)
+    dtype = question.direction.dtype
+    place, powers = _powers(on, dtype)
+    size = place.astype(jnp.int32)
 
     def goes_on(found: _Found) -> Array:
         rounds = found.number // size
@@ -105,19 +106,30 @@ def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Componen
         return wanted & (rounds < 3) & (inside | (found.count == 0))
 
     def next_one(found: _Found) -> _Found:
-        number, rounds = (found.number % size).astype(power.dtype), found.number // size
-        candidate = []
-        for flag, one, now in zip(on.parts, powers, mode.parts, strict=True):
-            digit = jnp.floor(number / one + 1e-3) % 3
-            side = select(digit == 0, 1.0, select(digit == 1, -1.0, 0.0))
-            candidate.append(select(flag, side.astype(now.dtype), now))
-        return _try(question, found, Components(candidate), rounds)
+        number, rounds = (found.number % size).astype(dtype), found.number // size
+        digit = on_each(lambda power: jnp.floor(number / power + 1e-3) % 3, powers)
+        side = where(digit == 0, 1.0, where(digit == 1, -1.0, 0.0)).astype(dtype)
+        return _try(question, found, where(on, side, mode), rounds)
 
     zero = jnp.zeros((), jnp.int32)
     still = None if question.fields is None else question.fields[0] * 0.0
-    start = _Found(mode, zero, still, zero)
-    found = jax.lax.while_loop(goes_on, next_one, start)
+    found = jax.lax.while_loop(goes_on, next_one, _Found(mode, zero, still, zero))
     return found.mode, found.count
+
+
+def _powers(on: Components, dtype: Any) -> tuple[Array, Components]:
+    """3 to the number of flags that are set, and to the number of those before each."""
+    if on.is_array:
+        flags = on.parts[0].astype(dtype)
+        before = jnp.cumsum(flags) - flags
+        # Beyond what is tried, the number is of no account.
+        powers = jnp.minimum(3.0 ** jnp.minimum(before, 18.0), 3.0**18)
+        return jnp.minimum(3.0 ** jnp.sum(flags), 3.0**18), Components([powers])
+    power, powers = jnp.ones((), dtype), []
+    for flag in on.parts:
+        powers.append(power)
+        power = select(flag, 3 * power, power)
+    return power, Components(powers)
 
 
 def _try(question: Question, found: _Found, candidate: Components, rounds: Array) -> _Found:
@@ -212,57 +224,35 @@ def _by_pivoting(question: Question) -> tuple[Components, Array]:
     on, mode = pack(question.on, bool), pack(question.mode, q.dtype)
     walls = jnp.zeros_like(on) if question.walls is None else pack(question.walls, bool) & on
     weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
-    decided = select(walls, select(z > 0, 2 * mode, mode), weight)
-    chosen = select(on, decided, mode)
+    chosen = select(on, select(walls, select(z > 0, 2 * mode, mode), weight), mode)
     # Backward in time a slide may have begun at any time before.
     repels = (question.direction < 0) & jnp.any(on & (chosen == 0)) & ~is_monotone(matrix, on)
-    count = select(found, select(repels, 2, 1), 0)
+    count = select(found, select(repels, 2, 1), 0).astype(jnp.int32)
+    if question.mode.is_array:
+        return Components([chosen]), count
     return Components(chosen[j] for j in range(len(mode))), count
 
 
 def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
     """q, M and the bounds: with z the weights, and the sizes of reactions, F = −ψ where z is a
     weight and a where it is a reaction. What is not decided has equal bounds."""
-    mode, on, rates = question.mode, question.on, question.rates
-    dtype, flipped = mode.parts[0].dtype, rates.flipped
-    assert flipped is not None
-    m = len(mode.parts)
-    side = pack(mode, dtype)
-    active = pack(on, bool)
-    wall = jnp.zeros(m, bool) if question.walls is None else pack(question.walls, bool) & active
-
-    def table(corners: Corners) -> Array:
-        return jnp.stack([pack(corners[k], dtype) for k in range(len(corners))])
-
-    psi = table(rates)
-    # By row: with all sides +, and what a weight of each side adds.
-    base = psi[0]
-    slopes = (
-        jnp.zeros((m, m), dtype)
-        .at[:, jnp.asarray(flipped, jnp.int32)]
-        .set(0.5 * (psi[:1] - psi[1:]).T)
-        if flipped
-        else jnp.zeros((m, m), dtype)
-    )
-    if question.forces is not None:
-        a = table(question.forces.accelerations)
-        by_weight = jnp.zeros((m, m), dtype)
-        if flipped:
-            by_weight = by_weight.at[:, jnp.asarray(flipped, jnp.int32)].set(
-                0.5 * (a[:1] - a[1:]).T
-            )
-        gains = jnp.stack([pack(row, dtype) for row in question.forces.gains.rows])
-        pushes = jnp.stack([pack(row, dtype) for row in question.forces.pushes.rows])
-        base = select(wall, side * a[0], -question.direction * base)
-        by_weight = select(wall[:, None], side[:, None] * by_weight, -question.direction * slopes)
-        by_force = select(wall[:, None], side[:, None] * gains, -question.direction * pushes)
+    known, direction = question.forces, question.direction
+    active, mode = pack(question.on, bool), pack(question.mode, direction.dtype)
+    side, resting = jnp.sign(mode), ~active & (abs(mode) == 2)
+    base, slopes = -direction * pack(question.rates[0], mode.dtype), question.rates.slopes()
+    matrix, wall = -direction * slopes, jnp.zeros_like(active)
+    by_weight = matrix
+    if known is not None and question.walls is not None:
+        wall = (pack(question.walls, bool) & active) | resting
+        of_wall = side[:, None]
+        a = pack(known.accelerations[0], mode.dtype)
+        base = select(wall, side * a, base)
+        by_weight = select(wall[:, None], of_wall * known.accelerations.slopes(), matrix)
+        forces = [jnp.asarray(v.entries()) for v in (known.gains, known.pushes)]
+        by_force = select(wall[:, None], of_wall * forces[0], -direction * forces[1])
         matrix = select(wall[None, :], by_force * side[None, :], by_weight)
-    else:
-        base, matrix = -question.direction * base, -question.direction * slopes
-        by_weight = matrix
-    # All sides + are w = 1; a wall's own side does not change.
-    q = base - by_weight @ jnp.ones(m, dtype) + by_weight @ select(wall, side, 0.0)
-    fixed = select(active, 0.0, side)
-    low = select(wall, 0.0, select(active, -1.0, fixed))
-    high = select(wall, jnp.inf, select(active, 1.0, fixed))
+    # All sides + are w = 1; the side of a wall does not change.
+    q = base + by_weight @ (select(wall, side, 0.0) - 1.0)
+    low = select(wall, 0.0, select(active, -1.0, side))
+    high = select(wall, jnp.inf, select(active, 1.0, side))
     return q, matrix, low, high

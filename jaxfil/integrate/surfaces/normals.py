@@ -1,7 +1,5 @@
 """Projection along the normals ∇H_j of the surfaces."""
 
-import jax.numpy as jnp
-
 from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.system.components import Components, any_of, where
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -21,8 +19,6 @@ def project(
         return normals.added(x, where(on, -h / where(squares == 0, 1, squares), 0.0))
 
     def together(x: Components, h: Components, normals: Rows, on: Components) -> Components:
-        zero = jnp.zeros_like(h.number(0))
-        gains = Rows(zero + normals @ normal for normal in normals.rows)
-        return normals.added(x, unilateral.multipliers(gains, h, on))
+        return normals.added(x, unilateral.multipliers(normals.products(normals), h, on))
 
     return system.where_any(any_of(on), together, lambda x, *_: x, x, h, normals, on)

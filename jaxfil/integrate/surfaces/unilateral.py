@@ -22,6 +22,8 @@ Simulation and stability analysis of impacting systems with complete chattering,
 58, 2009.)
 """
 
+import functools as ft
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -34,7 +36,7 @@ from jaxfil.integrate.system.components import Components, any_of, dot, side_of,
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
-from jaxfil.xla.small_linear import solve_small
+from jaxfil.xla.small_linear import solve, solve_small
 
 # Rounding of a rate or of an acceleration, in eps of its terms.
 _NOISE = 64
@@ -82,11 +84,16 @@ def contact_rates(
 def constraints(system: ComponentSystem, t: Array, x: Components, sides: Components) -> Constraints:
     """The surfaces as constraints at (t, x), for a motion on `sides`."""
     rate, pull = jax.vjp(lambda x: contact_rates(system, t, x, sides), x)
-    gradients = Rows(pull(unit)[0] for unit in system.units)
-    each = zip(sides.parts, rate.parts, gradients.rows, strict=True)
-    directions = Rows(_direction(system, t, x, *of_j, j) for j, of_j in enumerate(each))
-    products = Rows(jnp.zeros_like(t) + gradients @ d for d in directions.rows)
-    return Constraints(rate, gradients, directions, products.transposed())
+    gradients = system.rows_of(pull)
+    direction = ft.partial(_direction, system, t, x)
+    if gradients.is_array:
+        numbers = jnp.arange(system.m, dtype=jnp.int32)
+        each = jax.vmap(direction)(*sides.parts, *rate.parts, gradients.rows[0], numbers)
+        directions = Rows.array(each.parts[0])
+    else:
+        each = zip(sides.parts, rate.parts, gradients.rows, strict=True)
+        directions = Rows(direction(*of_j, j) for j, of_j in enumerate(each))
+    return Constraints(rate, gradients, directions, gradients.products(directions))
 
 
 def _direction(
@@ -96,7 +103,7 @@ def _direction(
     side: Array,
     rate: Array,
     gradient: Components,
-    j: int,
+    j: int | Array,
 ) -> Components:
     """d_j, from the derivative of the reset along y = ∇ψ_j at a state that comes in."""
     size = dot(gradient, gradient)
@@ -145,12 +152,18 @@ def rate_noise(
 
 def multipliers(gains: Rows, a: Components, rests: Components) -> Components:
     """λ of the surfaces rested on, 0 of others, given the accelerations a without reactions."""
+    right = where(rests, -a, 0.0)
+    if gains.is_array:
+        (on,), (force,), unit = rests.parts, right.parts, jnp.eye(len(rests.parts[0]))
+        both = on[:, None] & on[None, :]
+        matrix = select(both, jnp.asarray(gains.entries()), unit.astype(force.dtype))
+        return Components([solve(matrix, force, on)])
     matrix, on = [], rests.parts
     for i, row in enumerate(gains.rows):
         both = [on[i] if i == j else on[i] & other for j, other in enumerate(on)]
         entries = enumerate(zip(both, row.parts, strict=True))
         matrix.append([select(flag, gain, float(i == j)) for j, (flag, gain) in entries])
-    return Components(solve_small(matrix, where(rests, -a, 0.0).parts))
+    return Components(solve_small(matrix, right.parts))
 
 
 def forces(
@@ -167,8 +180,7 @@ def forces(
 
 def forces_of(c: Constraints, by_time: Components, normals: Rows, fields: Corners) -> Forces:
     """The same of surfaces that are known as constraints; `by_time` is ∂ψ/∂t."""
-    zero = jnp.zeros_like(by_time.number(0))
-    pushes = Rows(zero + normals @ d for d in c.directions.rows).transposed()
+    pushes = normals.products(c.directions)
     return Forces(c.gains, pushes, c.directions, fields.each(lambda f: by_time + c.gradients @ f))
 
 
@@ -237,11 +249,18 @@ def pressed(
     would.
     """
     gains, a, sides = stop_gradient((gains, a, sides))
-    m = len(a.parts)
+    m = a.size
 
-    def let_go(_: Array | int, on: Components) -> Components:
+    def let_go(on: Components) -> Components:
         return on & (sides * multipliers(gains, a, on) > 0)
 
-    on = let_go(0, candidates) if m == 1 else jax.lax.fori_loop(0, m, let_go, candidates)
+    def next_round(rounds: tuple[Components, Components]) -> tuple[Components, Components]:
+        return rounds[1], let_go(rounds[1])
+
+    if m == 1:
+        on = let_go(candidates)
+    else:
+        start = candidates, let_go(candidates)
+        _, on = jax.lax.while_loop(lambda v: any_of(v[0] & ~v[1]), next_round, start)
     left = answered(gains, a, multipliers(gains, a, on))
     return on, ~any_of(candidates & ~on & ~(sides * left >= 0))

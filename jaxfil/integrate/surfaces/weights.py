@@ -56,7 +56,8 @@ def determinant(mode: Components, rates: Corners, w: Components) -> Array:
     """|det ∂(dH/dt)/∂w| of the surfaces slid on with weights w, 1 where there is none. Where that
     vanishes the weights are undetermined: at a two-fold, or where two roots meet."""
     if not rates.are_of_one:
-        return small_linear.size_of_determinant(_matrix(mode, rates, w))
+        slid = (mode == 0).parts[0] if mode.is_array else None
+        return small_linear.size_of_determinant(_matrix(mode, rates, w), slid)
     sizes = where(mode == 0, 0.5 * abs(rates[1] - rates[0]), 1)
     return ft.reduce(jnp.multiply, [v if v.ndim == 0 else jnp.prod(v) for v in sizes.parts])
 
@@ -65,7 +66,7 @@ def determinant(mode: Components, rates: Corners, w: Components) -> Array:
 def _implicit_weights(mode: Components, rates: Corners) -> Components:
     """`weights` on several surfaces. Their derivative is the implicit one, made of the weights
     themselves: derivatives of every order are exact."""
-    m = len(mode.parts)
+    m = mode.size
     if rates.flipped is not None:  # affine: Newton's method takes one step
         return _newton(mode, rates, mode)
     root = _root_of_two(mode, rates) if m == 2 else _root_of_many(mode, rates)
@@ -118,7 +119,7 @@ def _near(a: Array, b: Array) -> Array:
 def _root_of_many(mode: Components, rates: Corners) -> Components:
     """The weights of a mode of three surfaces or more by Newton's method, from 0 and, until a root
     inside is found, from a point in each corner; if none is inside, that from 0."""
-    m, eps = len(mode.parts), jnp.finfo(mode.parts[0].dtype).eps
+    m, eps = mode.size, jnp.finfo(mode.parts[0].dtype).eps
     last = 2**m + 1
 
     def unsettled(state: tuple) -> Array:
@@ -138,7 +139,8 @@ def _root_of_many(mode: Components, rates: Corners) -> Components:
         again = (k % _NEWTON == 0) & ~done
         size = select(attempt == last, 0.0, _START)
         corner = [select(attempt % 2 ** (j + 1) < 2**j, size, -size) for j in range(m)]
-        start = where(mode == 0, Components(corner), mode)
+        corners = Components([jnp.stack(corner)] if mode.is_array else corner)
+        start = where(mode == 0, corners, mode)
         return where(again, start, better), ~done, k
 
     start = (mode, jnp.ones((), bool), jnp.zeros((), jnp.int32))
@@ -155,13 +157,23 @@ def _correction(
     mode: Components, rates: Corners, w: Components, residual: Components
 ) -> Components:
     """What Newton's method takes from the weights of the surfaces slid on, given dH/dt."""
-    right = where(mode == 0, residual, 0.0)
-    return Components(small_linear.solve_small(_matrix(mode, rates, w), right.parts))
+    right, matrix = where(mode == 0, residual, 0.0), _matrix(mode, rates, w)
+    if isinstance(matrix, jax.Array):
+        return Components([small_linear.solve(matrix, right.parts[0], (mode == 0).parts[0])])
+    return Components(small_linear.solve_small(matrix, right.parts))
 
 
-def _matrix(mode: Components, rates: Corners, w: Components) -> list[list[Array]]:
+def _matrix(mode: Components, rates: Corners, w: Components) -> Array | list[list[Array]]:
     """∂(dH_j/dt)/∂w_i of the surfaces slid on, with rows of the identity for the others."""
-    m = len(w.parts)
+    m = w.size
+    if mode.is_array:
+        (slid,) = (mode == 0).parts
+        if rates.flipped is not None:
+            columns = rates.slopes()
+        else:
+            each = [rates.slope(mode, w, i).parts[0] for i in range(m)]
+            columns = jnp.stack(each, axis=1)
+        return select(slid[:, None], columns, jnp.eye(m, dtype=columns.dtype))
     slopes = [rates.slope(mode, w, i).parts for i in range(m)]
     matrix = [
         [select(s == 0, slopes[i][j], float(i == j)) for i in range(m)]

@@ -54,6 +54,11 @@ class Components:
         """Whether all numbers are one array."""
         return len(self.parts) == 1 and self.parts[0].ndim > 0
 
+    @property
+    def size(self) -> int:
+        """How many numbers there are."""
+        return self.parts[0].shape[0] if self.is_array else len(self.parts)
+
     def number(self, i: int) -> Array:
         """Number i."""
         return self.parts[0][i] if self.is_array else self.parts[i]
@@ -211,6 +216,16 @@ def first_set(flags: Components) -> Components:
         first.append(flag & ~found)
         found = found | flag
     return Components(first)
+
+
+def index_of(flags: Components) -> Array:
+    """The place of the first flag that is set; 0 if there is none."""
+    if flags.is_array:
+        return jax.lax.argmax(flags.parts[0], 0, jnp.int32)
+    place = jnp.zeros((), jnp.int32)
+    for i, flag in reversed(list(enumerate(flags.parts))):
+        place = select(flag, jnp.int32(i), place)
+    return place
 
 
 def any_of(flags: Components) -> Array:

@@ -33,12 +33,15 @@ from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 # Numbers of a state, and surfaces of a state that is one array, that are components one by one, at
 # most: in a program that is written out, and in a compact one.
 _FEW, _FEW_SURFACES = (12, 2), (1, 1)
+# Surfaces at most that are components one by one, whatever they have to do with each other.
+_MANY_SURFACES = 3
+# Surfaces at most of a field that is not affine in its sides.
+_MOST_PRODUCTS = 10
 
 
-def _unpacked(numbers: Any, compact: bool) -> Components:
+def _unpacked(numbers: Any, as_array: bool) -> Components:
     """Numbers in an (n,) array as the components of a state are held."""
-    few = _FEW[compact]
-    return Components([numbers] if len(numbers) > few else scalars(numbers))
+    return Components([numbers] if as_array else scalars(numbers))
 
 
 class ParametrizedFunction(eqx.Module):
@@ -78,9 +81,11 @@ class ComponentSystem(eqx.Module):
     compact: bool = eqx.field(static=True)
     """Whether its program is to be small: see `grade`. Sines are then one operation each, and
     only those of arrays are found ahead."""
+    as_array: bool = eqx.field(static=True)
+    """Whether a state is one array."""
     packed: bool = eqx.field(static=True)
-    """Whether what there is of each surface is one array, (m,): of several surfaces of a state that
-    is one array, that are separate, share no number of it, and have no reset."""
+    """Whether what there is of each surface is one array, (m,), as a state then is too: of surfaces
+    that are separate, share no number of it and have no reset, and of many others."""
     _field: Any
     _switching: Any
     _reset: Any
@@ -198,11 +203,11 @@ class ComponentSystem(eqx.Module):
 
     def unpack(self, x: Array) -> Components:
         """The components of a state, shape (n,)."""
-        return _unpacked(x, self.compact)
+        return _unpacked(x, self.as_array)
 
     def constant(self, numbers: np.ndarray) -> Components:
         """The components of a state of known numbers, shape (n,)."""
-        return on_each(lambda v: jnp.asarray(v, self.dtype), _unpacked(numbers, self.compact))
+        return on_each(lambda v: jnp.asarray(v, self.dtype), _unpacked(numbers, self.as_array))
 
     def of_surfaces(self, numbers: Any) -> Components:
         """Numbers in an (m,) array as components."""
@@ -220,15 +225,25 @@ class ComponentSystem(eqx.Module):
     def gradients(self, t: Array, x: Components) -> tuple[Components, Components, Rows]:
         """H, ∂H/∂t and the gradients ∂H_j/∂x."""
         h, pull = jax.vjp(self.switching, t, x)
-        if self.packed:
-            _, h_t = jax.jvp(lambda t: self.switching(t, x), (t,), (jnp.ones_like(t),))
-            _, row = pull(h.like(jnp.ones_like(t)))
-            return h, h_t, Rows([row], self.structure.members)
-        by_t, rows = zip(*(pull(unit) for unit in self.units), strict=True)
-        return h, Components(by_t), Rows(rows)
+        if not self.packed:
+            by_t, rows = zip(*(pull(unit) for unit in self._units), strict=True)
+            return h, Components(by_t), Rows(rows)
+        _, h_t = jax.jvp(lambda t: self.switching(t, x), (t,), (jnp.ones_like(t),))
+        if self.structure.members is None or self.resets:
+            return h, h_t, self.rows_of(lambda unit: pull(unit)[1:])
+        _, row = pull(h.like(jnp.ones_like(t)))
+        return h, h_t, Rows([row], self.structure.members)
+
+    def rows_of(self, pull: Callable) -> Rows:
+        """The gradients of what there is of each surface, given the function that takes m numbers
+        to the gradient of their sum with it, alone in a tuple."""
+        if not self.packed:
+            return Rows(pull(unit)[0] for unit in self._units)
+        units = jnp.eye(self.m, dtype=self.dtype)
+        return Rows.array(jax.vmap(lambda unit: pull(Components([unit]))[0])(units).parts[0])
 
     @property
-    def units(self) -> list[Components]:
+    def _units(self) -> list[Components]:
         """The unit vectors of the surfaces, as m components each."""
         return [Components(jnp.asarray(v, self.dtype) for v in row) for row in np.eye(self.m)]
 
@@ -240,11 +255,24 @@ def build(system: System, x0: Array, *, compact: bool, transposed: bool = False)
     _check_sharding(x0)
     h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
-    if len(x0) > _FEW[compact] and m > _FEW_SURFACES[compact] and not system.resets:
+    several = len(x0) > _FEW[compact] and m > _FEW_SURFACES[compact] and not system.resets
+    if several or m > _MANY_SURFACES:
         packed = _build(system, x0, compact, transposed, h_shape, packed=True)
-        if packed.structure.separate and packed.structure.members is not None:
+        alone = packed.structure.separate and packed.structure.members is not None
+        if alone or m > _MANY_SURFACES:
+            _check_affine(system, packed)
             return packed
     return _build(system, x0, compact, transposed, h_shape, packed=False)
+
+
+def _check_affine(system: System, found: ComponentSystem) -> None:
+    """Says what would end in a lack of memory."""
+    if found.m > _MOST_PRODUCTS and not (found.structure.separate or found.structure.affine):
+        raise ValueError(
+            f"`vector_field` of {type(system).__name__} must be affine in its sides (a + b * side, "
+            f"not side[0] * side[1]) with more than {_MOST_PRODUCTS} surfaces, for otherwise each of "
+            f"the 2**m combinations of sides has a field of its own; got m = {found.m}."
+        )
 
 
 def _build(
@@ -255,13 +283,14 @@ def _build(
     h_shape: tuple[int, ...],
     packed: bool,
 ) -> ComponentSystem:
-    """`build`, with surfaces as one array, if they are `packed` and that can be."""
+    """`build`, with surfaces as one array if they are `packed`."""
     n, dtype = x0.shape[0], x0.dtype
-    t0, x = jnp.zeros((), dtype), _unpacked(x0, compact)
+    as_array = n > _FEW[compact] or packed
+    t0, x = jnp.zeros((), dtype), _unpacked(x0, as_array)
     m = 1 if h_shape == () else h_shape[0]
     resets = system.resets and m > 0
     leaves, static = eqx.partition(system, eqx.is_array)
-    field, switching, *maps = _on_components(static, h_shape, dtype, compact, packed)
+    field, switching, *maps = _on_components(static, h_shape, dtype, as_array, packed)
     sides = Components([jnp.ones((m,), dtype)] if packed else (jnp.ones((), dtype),) * m)
     traced = ft.partial(Traced, transposed=transposed, fast=not compact)
     when = (FIRST, EARLY, LATE, LATE)
@@ -271,7 +300,7 @@ def _build(
     found = dependencies.of(
         (traced_field, traced_switching),
         jax.tree.map(lambda _: False, (leaves, t0)),
-        [_unpacked(row, compact) for row in np.eye(n, dtype=bool)],
+        [_unpacked(row, as_array) for row in np.eye(n, dtype=bool)],
         [Components([row] if packed else row) for row in np.eye(m, dtype=bool)],
     )
     bounds = rounding_of(switching, leaves, t0, x) if m > 0 else None
@@ -300,6 +329,7 @@ def _build(
         dtype=dtype,
         structure=found,
         compact=compact,
+        as_array=as_array,
         packed=packed,
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
@@ -341,7 +371,7 @@ def _check_derivatives(**functions: Traced) -> None:
 
 
 def _on_components(
-    static: System, h_shape: tuple[int, ...], dtype: Any, compact: bool, packed: bool
+    static: System, h_shape: tuple[int, ...], dtype: Any, as_array: bool, packed: bool
 ) -> tuple[Callable, Callable, Callable, Callable]:
     """The field, the switching function, the reset and the map of ticks of a system as functions of
     its array leaves and of components."""
@@ -350,7 +380,7 @@ def _on_components(
     def field(leaves: System, t: Array, x: Components, sides: Components) -> Components:
         side = sides.parts[0] if h_shape == () else pack(sides, dtype)
         f = eqx.combine(leaves, static).vector_field(t, pack(x, dtype), side)
-        return _unpacked(f, compact)
+        return _unpacked(f, as_array)
 
     def switching(leaves: System, t: Array, x: Components) -> Components:
         h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
@@ -358,10 +388,10 @@ def _on_components(
         return Components([h] if packed else scalars(h))
 
     def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
-        return _unpacked(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface), compact)
+        return _unpacked(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface), as_array)
 
     def tick(leaves: System, t: Array, x: Components, clock: Array) -> Components:
-        return _unpacked(eqx.combine(leaves, static).tick(t, pack(x, dtype), clock), compact)
+        return _unpacked(eqx.combine(leaves, static).tick(t, pack(x, dtype), clock), as_array)
 
     return field, switching, reset, tick
 

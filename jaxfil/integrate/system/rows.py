@@ -24,50 +24,82 @@ Members = tuple[tuple[int, ...], ...]
 class Rows:
     """A matrix with a row for each of m surfaces: the gradients of H, or what resets act along.
 
-    Where surfaces are held as one array (`ComponentSystem.packed`), no two share a number of the
-    state, and all rows are one vector: `members` say which of its numbers are of which surface.
+    Where surfaces are held as one array (`ComponentSystem.packed`), the rows are one array too; or
+    if no two share a number of the state, one vector, of whose numbers `members` say which are of
+    which surface.
     """
 
-    __slots__ = ("members", "rows")
+    __slots__ = ("is_array", "members", "rows")
 
     rows: tuple[Components, ...]
     members: Members | None
+    is_array: bool
 
-    def __init__(self, rows: Iterable[Components], members: Members | None = None):
-        self.rows, self.members = tuple(rows), members
-
-    def tree_flatten(self) -> tuple[tuple, Any]:
-        return self.rows, self.members
+    def __init__(
+        self,
+        rows: Iterable[Components],
+        members: Members | None = None,
+        is_array: bool = False,
+    ):
+        self.rows, self.members, self.is_array = tuple(rows), members, is_array
 
     @classmethod
-    def tree_unflatten(cls, members: Any, rows: Iterable[Any]) -> "Rows":
-        return cls(rows, members)
+    def array(cls, rows: Array) -> "Rows":
+        """The rows of an array."""
+        return cls([Components([rows])], is_array=True)
+
+    def tree_flatten(self) -> tuple[tuple, Any]:
+        return self.rows, (self.members, self.is_array)
+
+    @classmethod
+    def tree_unflatten(cls, kind: Any, rows: Iterable[Any]) -> "Rows":
+        return cls(rows, *kind)
+
+    @property
+    def _array(self) -> Array:
+        return self.rows[0].parts[0]
+
+    def entries(self) -> Array | list[list[Array]]:
+        """The numbers, as an array if they are one, or as lists."""
+        return self._array if self.is_array else [list(row.parts) for row in self.rows]
 
     def __abs__(self) -> "Rows":
-        return Rows(map(abs, self.rows), self.members)
+        return Rows(map(abs, self.rows), self.members, self.is_array)
 
     def __matmul__(self, v: Components) -> Components:
         """The product of each row with a vector."""
+        if self.is_array:
+            return Components([self._array @ v.parts[0]])
         if self.members is None:
             return Components(dot(row, v) for row in self.rows)
         return Components([_sum_of_members(self.members, self.rows[0] * v)])
 
     def squares(self) -> Components:
         """The square of the length of each row."""
+        if self.is_array:
+            return Components([jnp.sum(self._array * self._array, axis=1)])
         if self.members is None:
             return Components(dot(row, row) for row in self.rows)
         return self @ self.rows[0]
 
+    def products(self, other: "Rows") -> "Rows":
+        """The products of each row with each row of another, which are numbers one by one."""
+        if self.is_array:
+            return Rows.array(self._array @ other._array.T)
+        columns = [list((self @ row).parts) for row in other.rows]
+        zero = jnp.zeros_like(self.rows[0].number(0))
+        return Rows(Components(zero + v for v in row) for row in zip(*columns, strict=True))
+
     def diagonal(self) -> Components:
         """Number j of row j, of a square matrix."""
+        if self.is_array:
+            return Components([jnp.diagonal(self._array)])
         return Components(row.parts[j] for j, row in enumerate(self.rows))
-
-    def transposed(self) -> "Rows":
-        """The columns as rows, of a matrix whose rows are numbers one by one."""
-        return Rows(map(Components, zip(*(row.parts for row in self.rows), strict=True)))
 
     def added(self, x: Components, shares: Components) -> Components:
         """x + Σ_j s_j row_j."""
+        if self.is_array:
+            return x + Components([shares.parts[0] @ self._array])
         if self.members is not None:
             (row,) = self.rows
             return x + Components([_share_of_owner(self.members, row, shares)]) * row
