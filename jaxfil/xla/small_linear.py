@@ -48,8 +48,8 @@ def solve(matrix: Array, right: Array, taken: Array) -> Array:
 def size_of_determinant(
     matrix: Array | Sequence[Sequence[Array]], taken: Array | None = None
 ) -> Array:
-    """|det A|, and 0 where a pivot is nothing but rounding; of an array that of the rows and columns
-    that are taken."""
+    """|det A|, and 0 where a pivot is nothing but rounding; of an array that of the rows and
+    columns that are taken."""
     if taken is None:
         return _size_of_small(matrix)
     assert isinstance(matrix, jax.Array)

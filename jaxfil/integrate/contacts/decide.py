@@ -24,7 +24,7 @@ from jaxfil.integrate.surfaces import (
 )
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
 from jaxfil.integrate.surfaces.decision import Question
-from jaxfil.integrate.system.components import Components, any_of, first_set, where
+from jaxfil.integrate.system.components import Components, any_of, first_set, maximum, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
@@ -156,7 +156,7 @@ def _known(
         close = close & ~later
     on = (hit & ~leaving) | close
     if at.unsettled is not None:
-        here = at.unsettled & (abs(at.h) <= at.gathered)
+        here = at.unsettled & (abs(at.h) <= maximum(at.gathered, at.noise))
         on = on | ((here | (left == 0)) & ~leaving)
     on = switching & on & ~at.off
     if led is None:

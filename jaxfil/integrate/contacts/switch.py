@@ -128,7 +128,7 @@ def _with_rounding_of_forces(
     near = state.held | any_of(~state.armed)
     size = near.astype(dt.dtype) * dt * stop_gradient(fields.sizes())
     more = NOISE * problem.system.eps * (abs(stop_gradient(at.normals)) @ size)
-    return dataclasses.replace(at, noise=at.noise + more, gathered=at.gathered + more)
+    return dataclasses.replace(at, noise=at.noise + more)
 
 
 def evaluate_step_end(

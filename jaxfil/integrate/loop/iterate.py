@@ -161,6 +161,8 @@ def _carried_out(
         waits, surfaces = waits | more, where(switched, end.next, surfaces)
         # What has jumped has until all that follows from it is done.
         jumped = jumped | (more & (before.jumped | end.moved))
+        if end.jump is not None:  # at the end of chattering or of turns a time has passed
+            jumped = jumped & ~(end.jump > 0)
     if end.jump is not None:
         h = h + select(switched, end.jump, 0.0)
         settled = None if settled is None else switched & (end.jump > 0)

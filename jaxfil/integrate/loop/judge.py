@@ -125,16 +125,18 @@ def _failures(
     chain = _CHAIN if system.resets and system.m > 1 else _FROZEN + 2 * system.m
     full = no if most is None else _is_event(state, end) & (state.counts.num_events >= most)
     infinite = ~all_finite(motion.x, motion.f, motion.g, judgement.contact.theta)
+    # Contacts that fill the table one after the other at one time are an accumulation.
+    many = full & (judgement.repeats >= _FROZEN)
     lost = (undecided & ~limit) | (judgement.rejections > _TRIES)
     return [
         (RESULTS.nonfinite, infinite),
-        (RESULTS.max_events_reached, full),
+        (RESULTS.max_events_reached, full & ~many),
         (RESULTS.nonunique, (end.num_modes > 1) & (~found | waits)),
         (RESULTS.undeclared_sliding, no if system.slides else any_of(motion.mode == 0)),
         (RESULTS.irreversible_reset, end.moved & (problem.grid.direction < 0)),
         (RESULTS.reset_undecided, undecided & end.moved),
         (RESULTS.mode_undecided, lost),
-        (RESULTS.zeno, (judgement.repeats >= chain) | (undecided & limit)),
+        (RESULTS.zeno, (judgement.repeats >= chain) | many | (undecided & limit)),
         (RESULTS.step_too_long, judgement.too_long & ~waits & (landed | ~found)),
     ]
 

@@ -270,8 +270,8 @@ def _check_affine(system: System, found: ComponentSystem) -> None:
     if found.m > _MOST_PRODUCTS and not (found.structure.separate or found.structure.affine):
         raise ValueError(
             f"`vector_field` of {type(system).__name__} must be affine in its sides (a + b * side, "
-            f"not side[0] * side[1]) with more than {_MOST_PRODUCTS} surfaces, for otherwise each of "
-            f"the 2**m combinations of sides has a field of its own; got m = {found.m}."
+            f"not side[0] * side[1]) with more than {_MOST_PRODUCTS} surfaces, for otherwise each "
+            f"of the 2**m combinations of sides has a field of its own; got m = {found.m}."
         )
 
 
