@@ -106,10 +106,21 @@ def _decided(
     # Where a slide on an intersection ends, another mode begins: rounding must not show both.
     threshold = select(waits, 0.0, NOISE * system.eps)
     if are_coupled(system):
-        near, walls = opened & ~state.pending.surfaces & (abs(left) == 1), None
+        kept, walls = opened & ~state.pending.surfaces, None
         if led is not None:
-            walls, near = decide & led.still & opened, near & ~led.still
-        question = Question(rates, fields, left, on, walls, near, forces, grid.direction, threshold)
+            walls, kept = decide & led.still & opened, kept & ~led.pushed
+        question = Question(
+            rates=rates,
+            fields=fields,
+            mode=left,
+            on=on,
+            walls=walls,
+            kept=kept,
+            now=state.motion.mode,
+            forces=forces,
+            direction=grid.direction,
+            threshold=threshold,
+        )
         chosen, count = _asked(system, question)
     else:
         beside = unilateral.beside(left) if system.resets else left

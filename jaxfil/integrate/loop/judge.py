@@ -28,6 +28,9 @@ _FROZEN = 12
 # Resets of surfaces that are met together follow one another at one time, so many at most: three
 # balls on each other come to rest in some hundreds, each of which takes a few percent.
 _CHAIN = 4096
+# A flight that has led no further from its surface than this multiple of rounding: one that is four
+# times as high as rounding, which has hidden its start and its end.
+_LOW = 16
 # What an iteration does with its trial step.
 IDLE, REJECT, ACCEPT, LAND, TOUCH, SWITCH, TAKE_BACK, FAIL = map(float, range(8))
 # What can go wrong in it, in the order in which it is told.
@@ -71,7 +74,12 @@ def judged(
     contact, waits = find_contact(problem, state, end, length), state.pending.waits
     # A flight this short cannot be told from the correction that ends it.
     tau, repeats = end.motion.tau, state.pending.repeats
-    again = abs(tau - state.pending.tau) <= 4 * problem.grid.same_time(tau)
+    flight = abs(tau - state.pending.tau)
+    again = flight <= 4 * problem.grid.same_time(tau)
+    if problem.system.resets and problem.system.m > 1:
+        # Nor one that leads no further from its surface than rounding.
+        low = flight * abs(state.motion.rate) <= _LOW * state.motion.noise
+        again = again | ~any_of(state.pending.surfaces & ~low)
     return Judgement(
         end=end,
         contact=contact,

@@ -35,7 +35,7 @@ from jaxfil.integrate.surfaces.corners import (
     every_side,
     on_corners,
 )
-from jaxfil.integrate.surfaces.decision import Question, decide
+from jaxfil.integrate.surfaces.decision import decide, question_of
 from jaxfil.integrate.system.components import (
     Components,
     all_finite,
@@ -139,8 +139,7 @@ def _first_mode(
         owed = start.owed
     elif are_coupled(system) and rates.flipped is not None:
         fields, _ = filippov.corners(*here[:3])
-        question = Question(rates, fields, sides, on, None, None, None, grid.direction, 0.0)
-        mode, count = decide(question)
+        mode, count = decide(question_of(rates, fields, sides, on, grid.direction))
     else:
         mode, count = filippov.choose(rates, sides, on, grid.direction)
     determinant = None
@@ -167,8 +166,10 @@ def _first_mode_together(
     leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))
     forces = dataclasses.replace(forces, accelerations=leaning)
     decided = (on & ~start.known) | start.still
-    question = Question(
-        rates, fields, start.sides, decided, start.still, None, forces, direction, 0.0
+    question = dataclasses.replace(
+        question_of(rates, fields, start.sides, decided, direction),
+        walls=start.still,
+        forces=forces,
     )
     mode, count = decide(question)
     count = select(any_of(decided), count, 1)

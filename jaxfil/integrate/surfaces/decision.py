@@ -59,14 +59,29 @@ class Question(eqx.Module):
     """Surfaces to be decided."""
     walls: Components | None
     """Those of them that can be rested on and not slid on; None where none can."""
-    near: Components | None
-    """Those of them that keep their side if they can; None where none do."""
+    kept: Components | None
+    """Those of them on which the motion goes on as it was if it can, within rounding; None where
+    there are none."""
+    now: Components | None
+    """The mode of these."""
     forces: Forces | None
     """Reactions; None without walls."""
     direction: Array
     """+1 forward in time, −1 backward."""
     threshold: Array | float
     """A surface is left at a rate of more than this, relative to all rates there."""
+
+
+def question_of(
+    rates: Corners,
+    fields: Corners | None,
+    mode: Components,
+    on: Components,
+    direction: Array,
+    threshold: Array | float = 0.0,
+) -> Question:
+    """That of surfaces without resets, of which all is open."""
+    return Question(rates, fields, mode, on, None, None, None, None, direction, threshold)
 
 
 class _Found(eqx.Module):
@@ -93,8 +108,9 @@ def decide(question: Question) -> tuple[Components, Array]:
 
 
 def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Components, Array]:
-    """The first combination in which the motion can go on, and how many there are. A second round
-    asks all surfaces, and a third one what holds to within rounding."""
+    """The first combination in which the motion can go on, and how many there are. In a first round
+    surfaces that nothing has happened to go on as they were; a second one asks all of them, and a
+    third one what holds to within rounding."""
     on, mode = question.on, question.mode
     dtype = question.direction.dtype
     place, powers = _powers(on, dtype)
@@ -159,9 +175,9 @@ def _continues(
     on, walls, forces = question.on, question.walls, question.forces
     rates, ok = question.rates, jnp.ones((), bool)
     direction, eps = question.direction, jnp.finfo(question.direction.dtype).eps
-    lenient = rounds == 2
-    if question.near is not None:
-        ok = ok & ((rounds > 0) | ~any_of(question.near & (candidate != question.mode)))
+    lenient: Any = rounds == 2
+    if question.kept is not None:
+        lenient = lenient | ((rounds == 0) & question.kept)
     if walls is None or forces is None:
         sides, rests, accelerations, force = candidate, None, None, None
     else:
@@ -174,7 +190,7 @@ def _continues(
     slid = on if walls is None else on & ~walls
     w = weights(where(ok, sides, 1.0), rates)
     inside = minimum(maximum(w, -1.0), 1.0)
-    w = where(lenient & slid & (sides == 0), inside, w)
+    w = where(slid & (sides == 0) & lenient, inside, w)
     rate, scale = rates.blend(sides, w), rates.sizes()
     # Where no side moves the state off a surface, nothing but a slide on all of them stays there.
     stays = ~any_of(slid & (sides != 0))
@@ -183,15 +199,16 @@ def _continues(
     outward = sides * direction * rate
     leaves = outward > question.threshold * scale
     rounded = (abs(rate) <= _NOISE * eps * scale) & (scale > 0)
-    keeps = lenient if question.near is None else lenient | ((rounds == 0) & question.near)
-    leaves = leaves | (keeps & rounded)
+    leaves = leaves | (rounded & lenient)
     ok = ok & ~any_of(slid & ~where(sides == 0, slides, leaves))
     mode = sides
     if rests is not None and accelerations is not None and force is not None and forces is not None:
         fine, pushes = _rests(question, rests, accelerations.blend(sides, w), force.blend(sides, w))
-        fine = fine | (lenient & pushes)
+        fine = fine | (pushes & lenient)
         ok = ok & ~any_of(on & walls & ~fine)
         mode = where(rests, 2 * sides, sides)
+    if question.kept is not None and question.now is not None:
+        ok = ok & ((rounds > 0) | ~any_of(question.kept & (mode != question.now)))
     velocity = None
     if question.fields is not None:
         velocity = question.fields.blend(sides, w)

@@ -26,7 +26,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, on_corners
-from jaxfil.integrate.surfaces.decision import Question, decide
+from jaxfil.integrate.surfaces.decision import decide, question_of
 from jaxfil.integrate.surfaces.weights import weights
 from jaxfil.integrate.system.components import (
     Components,
@@ -248,7 +248,7 @@ def choose(
     """
     if rates.are_of_one:
         return _choose_on_one(rates[0], rates[1], mode, on, direction)
-    return decide(Question(rates, None, mode, on, None, None, None, direction, threshold))
+    return decide(question_of(rates, None, mode, on, direction, threshold))
 
 
 def _choose_on_one(
