@@ -9,7 +9,6 @@ import functools as ft
 import diffrax
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from jaxfil.integrate.run.options import Adjoint
@@ -85,8 +84,12 @@ def poincare_map(
     [1.4, 0.9]
     """
     last = check.count("returns", returns)
-    if not isinstance(section, Section):
-        raise ValueError(f"`section` must be a jaxfil.Section, got {section!r}.")
+    check.instance("section", section, Section)
+    check.flags(throw=throw)
+    states = check.states("x0", x0)
+    # Only looked at: a number stays one, which is known under `jit`.
+    check.scalar("t0", t0, states.dtype)
+    check.scalar("max_time", max_time, states.dtype)
     there = dataclasses.replace(section, terminal=last)
 
     def run(x: jax.Array) -> Returns:
@@ -105,7 +108,6 @@ def poincare_map(
         sol = _back(sol) if throw else sol
         return Returns(sol.x_final, sol.t_final, sol.result, sol.num_events)
 
-    states = jnp.asarray(x0)
     return ft.reduce(lambda f, _: jax.vmap(f), range(states.ndim - 1), run)(states)
 
 

@@ -350,7 +350,7 @@ def _on_components(
 def _fence(leaves: Any, x0: Array) -> Array:
     """A one of each lane that the compiler cannot see through, for its sines: a conditional round a
     single sine, on the one of `ComponentSystem.once`, is dissolved by XLA, a division is not."""
-    numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype]
+    numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype and v.size]
     firsts = [jnp.ravel(v)[0] for v in jax.lax.stop_gradient(numbers)]
     never = sum(firsts) == jnp.finfo(x0.dtype).max
     return select(never, 2.0, 1.0).astype(x0.dtype)
