@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.model.deprecation import warn_renamed
-from jaxfil.xla.known import is_known
+from jaxfil.model.runtime_error import raise_first
+from jaxfil.xla.known import in_numpy, is_known
 
 _Tree = TypeVar("_Tree")
 
@@ -154,7 +155,17 @@ def raise_if_failed(value: _Tree, result: RESULTS) -> _Tree:
     batch the one that comes last in the list of members."""
     if is_known(result) and is_successful(result):
         return value
-    return result.error_if(value, result != RESULTS.successful)
+    return raise_outcome(value, result, RESULTS.successful)
+
+
+def raise_outcome(value: _Tree, result: RESULTS, *good: RESULTS) -> _Tree:
+    """The same value, or an error with the sentence of an outcome that is none of the good ones; of
+    a batch the one that comes last in the list of members."""
+    members = [getattr(RESULTS, name) for name in RESULTS._name_to_item]
+    # Compared as numbers: of arrays, each comparison would be a program.
+    codes, fine = in_numpy(_codes(result)), {code(member) for member in good}
+    bad = [member for member in members if code(member) not in fine]
+    return raise_first(value, [(codes == code(member), RESULTS[member]) for member in bad])
 
 
 def outcome_names(results: RESULTS) -> np.ndarray:

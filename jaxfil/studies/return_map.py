@@ -18,6 +18,7 @@ from jaxfil.integrate.run.step_choice import StepChoice
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.runtime_error import raise_first
 from jaxfil.model.section import Section
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, States
@@ -114,4 +115,4 @@ def poincare_map(
 def _back(sol: Solution) -> Solution:
     """The same solution, or an error where it has not come back."""
     told = "`max_time` must be longer: a motion has not come back to the section within it."
-    return eqx.error_if(sol, sol.result == RESULTS.successful, told)
+    return raise_first(sol, [(sol.result == RESULTS.successful, told)])
