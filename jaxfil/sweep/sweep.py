@@ -97,7 +97,8 @@ def bifurcation_diagram(
     - `checkpoint`: a folder that keeps every chunk of lanes as soon as it is finished. The same
       call goes on from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
       numbers bit for bit. A call with other arguments is refused. Needs xarray and zarr.
-    - `progress`: show a progress bar.
+    - `progress`: show a progress bar, and above it, if all of the first lanes to finish have
+      failed, why the first one has.
     - `estimate_error`: sweep a second time at half the step, and give the largest distance between
       the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
     - `compact`: as in `solve`.
