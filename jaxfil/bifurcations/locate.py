@@ -36,7 +36,7 @@ from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument, renamed_attribute
 from jaxfil.model.outcomes import RESULTS, is_successful, raise_if_failed
-from jaxfil.model.parameter import cast, get_parameter
+from jaxfil.model.parameter import cast, get_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.newton import Root
@@ -163,11 +163,10 @@ def find_bifurcation(
     grazing 0.866716581971
     """
     check.system("system", system)
-    get_parameter(system, parameter)
-    if kind not in FAMILIES:
-        raise ValueError(f"`kind` must be one of {', '.join(FAMILIES)}; got {kind!r}.")
-    if not isinstance(orbit, Orbit):
-        raise ValueError(f"`orbit` must be an Orbit, got {type(orbit).__name__}.")
+    scalar_parameter(system, parameter)
+    check.one_of("kind", kind, BIFURCATION_KINDS)
+    check.instance("orbit", orbit, Orbit)
+    check.flags(throw=throw)
     system = cast(system, orbit.x0.dtype)
     most = array_of(check.count("newton_steps", newton_steps))
     family, code = FAMILIES[kind], BIFURCATION_KINDS.index(kind)

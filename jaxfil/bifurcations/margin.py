@@ -92,8 +92,9 @@ def grazing_margin(
     0.306915 -2.7723
     """
     check.system("system", system)
+    check.flags(throw=throw)
     if not isinstance(orbit, Orbit) or orbit.x0.ndim != 1:
-        raise ValueError(f"`orbit` must be a single Orbit, got {orbit!r}.")
+        raise ValueError(f"`orbit` must be a single Orbit, got {check.told(orbit)}.")
     tangency, missing = guesses(orbit, "grazing")[0][0]
     system = cast(system, orbit.x0.dtype)
     equations, guess = _first_guess(orbit, tangency)

@@ -130,8 +130,8 @@ def nearest_grazing(
     """
     check.system("system", system)
     names = scalar_parameters(system, parameters)
-    if not isinstance(orbit, Orbit):
-        raise ValueError(f"`orbit` must be an Orbit, got {type(orbit).__name__}.")
+    check.flags(throw=throw)
+    check.instance("orbit", orbit, Orbit)
     system = cast(system, orbit.x0.dtype)
     matrix = _matrix(metric, len(names), orbit.x0.dtype)
     one = ft.partial(_find, system, names, matrix)
@@ -165,7 +165,8 @@ def _matrix(metric: Any, k: int, dtype: DTypeLike) -> Array | None:
     """G as a matrix, or None."""
     if metric is None:
         return None
-    matrix = jnp.asarray(metric, dtype)
+    must = f"a symmetric positive definite matrix of shape ({k}, {k}), or its diagonal"
+    matrix = check.numbers("metric", metric, dtype, must)
     matrix = jnp.diag(matrix) if matrix.ndim == 1 else matrix
     known = check.concrete(matrix)
     sound = matrix.shape == (k, k)
@@ -173,10 +174,7 @@ def _matrix(metric: Any, k: int, dtype: DTypeLike) -> Array | None:
         symmetric = np.allclose(known, known.T, rtol=float(16 * jnp.finfo(dtype).eps), atol=0)
         sound = symmetric and np.all(np.linalg.eigvalsh(known) > 0)
     if not sound:
-        raise ValueError(
-            f"`metric` must be a symmetric positive definite matrix of shape ({k}, {k}), or its "
-            f"diagonal, got {metric!r}."
-        )
+        raise ValueError(f"`metric` must be {must}, got {check.told(metric)}.")
     return matrix
 
 

@@ -11,6 +11,7 @@ import equinox as eqx
 
 from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation, find_bifurcation
+from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
@@ -105,6 +106,7 @@ def find_bifurcations(
     ...     print(b.kind, round(float(b.value), 9))
     grazing-sliding 10.904975822
     """
+    check.system("system", system)
     # Numbers of one type: those of another would compile what is known already.
     system = cast(system, orbit.x0.dtype) if isinstance(orbit, Orbit) else system
     branch = continue_orbit(

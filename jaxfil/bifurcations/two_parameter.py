@@ -18,7 +18,7 @@ from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
-from jaxfil.model.parameter import get_parameter
+from jaxfil.model.parameter import get_parameter, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
 from jaxfil.orbits.curve import constraint_across
@@ -158,12 +158,15 @@ def continue_bifurcation(
     True
     """
     check.system("system", system)
-    if len(parameters) != 2 or parameters[0] == parameters[1]:
-        raise ValueError(f"`parameters` must be two different parameters, got {parameters!r}.")
-    for name in parameters:
-        get_parameter(system, name)
+    if len(scalar_parameters(system, parameters)) != 2:
+        raise ValueError(
+            f"`parameters` must be two different parameters, got {check.told(parameters)}."
+        )
+    check.flags(throw=throw)
     if not isinstance(bifurcation, Bifurcation) or bifurcation.value.ndim:
-        raise ValueError(f"`bifurcation` must be a single Bifurcation, got {bifurcation!r}.")
+        raise ValueError(
+            f"`bifurcation` must be a single Bifurcation, got {check.told(bifurcation)}."
+        )
     max_points = check.count("max_points", max_points)
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)

@@ -100,4 +100,4 @@ def drive_response(system: System, coupling: Scalar) -> System:
     [0, 0]
     """
     check.system("system", system)
-    return _DriveResponse(system, jnp.asarray(coupling))
+    return _DriveResponse(system, jnp.asarray(check.leaf("coupling", coupling)))

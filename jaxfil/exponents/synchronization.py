@@ -103,7 +103,8 @@ def synchronization_exponent(
     x = check.state("x0", x0)
     check.system("system", system)
     system = cast(system, x.dtype)
-    grid = jnp.asarray(couplings, x.dtype)  # ascending: the first that synchronises is the answer
+    # Ascending: the first that synchronises is the answer.
+    grid = check.numbers("couplings", couplings, x.dtype, "real numbers of shape (c,) with c ≥ 1")
     if grid.ndim != 1 or grid.shape[0] == 0:
         raise ValueError(f"`couplings` must be of shape (c,) with c ≥ 1, got shape {grid.shape}.")
     values = check.concrete(grid)

@@ -13,7 +13,7 @@ from jaxfil.files.diagram import diagram_from
 from jaxfil.files.orbit import branch_from, orbit_from
 from jaxfil.files.solution import solution_from
 from jaxfil.integrate.run.solution import Solution
-from jaxfil.model import dataset_io
+from jaxfil.model import check, dataset_io
 from jaxfil.model.dataset import TYPE
 from jaxfil.model.dataset_io import NamedArrays
 from jaxfil.model.system import System
@@ -67,7 +67,9 @@ def load(path: PathLike, *, system: System | None = None) -> Any:
     >>> bool((back.xs == d.xs).all()), back.conditions.stepper
     (True, 'RK4')
     """
-    data = dataset_io.load(path)
+    if system is not None:
+        check.system("system", system)
+    data = dataset_io.load(check.path("path", path))
     kind = data.attributes.get(TYPE, _FIRST)
     missing = set()
     if kind == _FIRST:

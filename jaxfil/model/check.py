@@ -1,149 +1,72 @@
 """The door: bad arguments are named before anything is compiled.
 
 Arguments as the user gave them enter; arrays of one dtype leave, or a `ValueError` that names the
-argument, what it must be and what it was.
+argument, what it must be and what it was. What is about any value is that of `argument`; here is
+what a system must be, and what its functions must return.
 """
 
-import inspect
-from typing import Any
-
-import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
+from jaxfil.model.argument import (
+    MOST_STEPS as MOST_STEPS,
+    array_or_none as array_or_none,
+    component as component,
+    concrete as concrete,
+    count as count,
+    finite as finite,
+    flags as flags,
+    function as function,
+    instance as instance,
+    is_real as is_real,
+    is_whole as is_whole,
+    kind_of as kind_of,
+    known_numbers as known_numbers,
+    leaf as leaf,
+    number_called as number_called,
+    number_of_steps as number_of_steps,
+    numbers as numbers,
+    one_of as one_of,
+    path as path,
+    returned as returned,
+    scalar as scalar,
+    state as state,
+    states as states,
+    told as told,
+)
 from jaxfil.model.clock import Clock, Clocks
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
-from jaxfil.xla.known import array_of
-
-# Steps are counted in 32 bits, on every device and in every precision.
-MOST_STEPS = 2**31 - 1
-# Those of NumPy: of others neither eps nor the largest number is known to it.
-_PRECISIONS = (np.dtype(np.float64), np.dtype(np.float32), np.dtype(np.float16))
-
-
-def concrete(value: object) -> np.ndarray | None:
-    """The value as NumPy numbers, or None while it is being traced."""
-    if isinstance(value, jax.core.Tracer):
-        return None
-    return np.asarray(value)
-
-
-def state(name: str, x: Any) -> Array:
-    """A state of shape (n,), in its own float precision (the default one for integers)."""
-    try:
-        array = array_of(x)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"`{name}` must be an array of shape (n,), got {x!r}.") from error
-    if array.ndim != 1 or array.shape[0] == 0:
-        raise ValueError(
-            f"`{name}` must be of shape (n,) with n ≥ 1, got shape {array.shape}. "
-            "Batches come from `jax.vmap` or `equinox.filter_vmap`."
-        )
-    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
-        raise ValueError(f"`{name}` must be of a real dtype, got {array.dtype}.")
-    if not jnp.issubdtype(array.dtype, jnp.floating):
-        array = array.astype(jnp.result_type(float))  # float32 or float64, as JAX is set
-    if array.dtype not in _PRECISIONS:
-        raise ValueError(
-            f"`{name}` must be of dtype {', '.join(v.name for v in _PRECISIONS)}, got "
-            f"{array.dtype}."
-        )
-    return array
-
-
-def finite(name: str, x: Array) -> None:
-    """A state of finite numbers, as far as they are known."""
-    known = concrete(x)
-    if known is not None and not np.isfinite(known).all():
-        raise ValueError(f"`{name}` must be finite, got {known}.")
-
-
-def scalar(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -> Array:
-    """A real number, traced or not."""
-    return _number(f"`{name}`", value, dtype, positive)
 
 
 def period(of: System, dtype: DTypeLike) -> Array:
     """The period of a forced system, a positive number as far as it is known. NaN is that of
     parameters that are NaN, and a run tells it by its outcome."""
-    told = f"`period` of {type(of).__name__}"
-    number = _number(told, of.period, dtype, False)
+    name = f"`period` of {type(of).__name__}"
+    number = number_called(name, of.period, dtype)
     known = concrete(number)
     if known is not None and known <= 0:
-        raise ValueError(f"{told} must be a positive number, got {known}.")
+        raise ValueError(f"{name} must be a positive number, got {known}.")
     return number
 
 
 def clocks(of: System) -> Clocks:
     """The clocks of a system, with positive periods as far as they are known."""
-    told = f"`clocks` of {type(of).__name__}"
-    for clock in (several := tuple(of.clocks)):
-        if not isinstance(clock, Clock):
-            raise ValueError(f"{told} must be a tuple of jaxfil.Clock, got {several!r}.")
+    name, several = f"`clocks` of {type(of).__name__}", of.clocks
+    if not isinstance(several, (tuple, list)) or not all(isinstance(c, Clock) for c in several):
+        raise ValueError(f"{name} must be a tuple of jaxfil.Clock, got {told(several)}.")
+    for clock in several:
+        for what in ("period", "phase"):
+            shape = np.shape(getattr(clock, what))
+            if shape != ():
+                raise ValueError(f"{name} must have one {what} each, got shape {shape}.")
         known = concrete(clock.period)
         if known is not None and not known > 0:
-            raise ValueError(f"{told} must have positive periods, got {known}.")
-    return several
-
-
-def _number(told: str, value: Any, dtype: DTypeLike, positive: bool) -> Array:
-    must = "a positive number" if positive else "a number"
-    # A string would become an array of characters, and True the number one.
-    if isinstance(value, (str, bytes, bool)) or value is None:
-        raise ValueError(f"{told} must be {must}, got {value!r}.")
-    try:
-        array = array_of(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{told} must be {must}, got {value!r}.") from error
-    if array.ndim != 0:
-        raise ValueError(f"{told} must be {must}, got an array of shape {array.shape}.")
-    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
-        raise ValueError(f"{told} must be {must}, got dtype {array.dtype}.")
-    # Under `jit` the value is not known yet: its sign is then the caller's affair.
-    known = concrete(value)
-    if positive and known is not None and not known > 0:
-        raise ValueError(f"{told} must be {must}, got {known}.")
-    return array.astype(dtype) if isinstance(value, jax.Array) else array_of(value, dtype)
-
-
-def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> Any:
-    """A Python integer of at least `least`, or None where that is allowed."""
-    # 40.0 is refused: counts are shapes and lengths of loops, and 40.5 would have to be as well.
-    if value is None and optional:
-        return None
-    whole = isinstance(value, (int, np.integer))  # as True is, to Python
-    if not whole or isinstance(value, bool) or value < least:
-        must = f"an integer of at least {least}" + (" or None" if optional else "")
-        raise ValueError(f"`{name}` must be {must}, got {value!r}.")
-    if value > MOST_STEPS:
-        raise ValueError(f"`{name}` must be an integer below 2³¹, got {value}.")
-    return int(value)
-
-
-def component(name: str, value: Any, n: int) -> int:
-    """The number of one of n components of a state, from 0, or from the end if it is negative."""
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or not -n <= value < n:
-        raise ValueError(f"`{name}` must be an integer from 0 to {n - 1}, got {value!r}.")
-    return int(value)
-
-
-def number_of_steps(steps: int, *, runs: int = 1, **periods: int) -> None:
-    """An error where `steps` steps in each of these periods are more than can be counted. `runs`: a
-    second one, at half the step, has twice as many."""
-    total = sum(periods.values()) * steps * runs
-    if total > MOST_STEPS:
-        names = ", ".join(f"`{name}`" for name in periods)
-        product = f"({' + '.join(map(str, periods.values()))}) × {steps}"
-        twice = " × 2 with `estimate_error`" if runs > 1 else ""
-        raise ValueError(
-            f"{names} and `steps` must make fewer than 2³¹ steps, got {product}{twice}."
-        )
+            raise ValueError(f"{name} must have positive periods, got {known}.")
+    return tuple(several)
 
 
 def system(name: str, value: object) -> None:
@@ -160,13 +83,6 @@ def system(name: str, value: object) -> None:
             f"`period` of {type(value).__name__} must be a number, a property or None, got a "
             "method: write @property above it."
         )
-
-
-def instance(name: str, value: object, *kinds: type) -> None:
-    """A result of one of these public kinds."""
-    if not isinstance(value, kinds):
-        must = " or ".join(f"a jaxfil.{kind.__name__}" for kind in kinds)
-        raise ValueError(f"`{name}` must be {must}, got {_kind(value)}.")
 
 
 def shapes(value: System, x: Array) -> tuple[int, ...]:
@@ -197,26 +113,13 @@ def _same_as_state(value: System, name: str, **args: Array) -> None:
 
 
 def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...]:
-    """The shape of the real numbers that one of the user's functions returns."""
-    function, told = getattr(value, name), f"`{name}` of {type(value).__name__}"
-    # Bound before it is called: a TypeError from inside of the function is another mistake.
+    """The shape of the numbers, in the state's precision, that a function of a system returns."""
+    called = f"`{name}` of {type(value).__name__}"
     try:
-        inspect.signature(function).bind(*args.values())
-    except TypeError as error:
-        was = inspect.signature(function)
-        raise ValueError(f"{told} must take (self, {', '.join(args)}), got {was}.") from error
-    try:
-        out = eqx.filter_eval_shape(function, *args.values())
-    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
-        raise ValueError(
-            f"{told} must be made of jnp functions, for it is compiled, and {', '.join(args)} have "
-            "no values until it runs: jnp.where(side > 0, a, b) instead of `if`, jnp.sin instead "
-            "of math.sin or np.sin, jnp.stack instead of np.array; got "
-            f"{type(error).__name__}."
-        ) from error
+        out = returned(called, getattr(value, name), "self, ", **args)
     except (TypeError, ValueError) as error:
         shaped = {k: np.shape(v) for k, v in parameters(value).items() if np.ndim(v) > 0}
-        if not shaped:
+        if not shaped or str(error).startswith(called):
             raise
         names, got = ", ".join(f"`{k}`" for k in shaped), ", ".join(map(str, shaped.values()))
         raise ValueError(
@@ -225,11 +128,13 @@ def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...
         ) from error
     if not isinstance(out, jax.ShapeDtypeStruct):
         hint = ": write jnp.stack([…])" if isinstance(out, (list, tuple)) else ""
-        raise ValueError(f"{told} must return {must}, got no array but {_kind(out)}{hint}.")
-    if not jnp.issubdtype(out.dtype, jnp.number) or jnp.issubdtype(out.dtype, jnp.complexfloating):
-        raise ValueError(f"{told} must return real numbers, got {out.dtype}.")
+        raise ValueError(f"{called} must return {must}, got no array but {kind_of(out)}{hint}.")
+    if not is_real(out):
+        raise ValueError(f"{called} must return real numbers, got {out.dtype}.")
+    dtype = args["x"].dtype
+    if out.dtype != dtype:
+        raise ValueError(
+            f"{called} must return numbers of the state's dtype, {dtype}, got {out.dtype}: write "
+            "1.0 instead of 1, or .astype(x.dtype)."
+        )
     return out.shape
-
-
-def _kind(value: object) -> str:
-    return "None" if value is None else f"an object of type {type(value).__name__}"

@@ -4,6 +4,8 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
+from jaxfil.model.argument import leaf
+
 
 class Clock(eqx.Module):
     r"""The times at which the field or a switching function jumps, whatever the state is.
@@ -46,6 +48,11 @@ class Clock(eqx.Module):
     """The time from one tick to the next."""
     phase: Float[jax.Array, ""] | float = 0.0
     """The time of a tick."""
+
+    def __check_init__(self):
+        # Of a batch they are arrays: what a run is given is looked at there.
+        leaf("period", self.period, positive=True)
+        leaf("phase", self.phase)
 
 
 Clocks = tuple[Clock, ...]

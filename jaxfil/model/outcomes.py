@@ -5,7 +5,7 @@ sentence the user sees), and `EventKind`, the codes of the event table.
 """
 
 import enum
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.model.deprecation import warn_renamed
-from jaxfil.xla.known import is_known
+from jaxfil.model.runtime_error import raise_first
+from jaxfil.xla.known import in_numpy, is_known
 
 _Tree = TypeVar("_Tree")
 
@@ -23,6 +24,10 @@ class _Outcomes(type(eqx.Enumeration)):
 
     def __dir__(cls) -> list[str]:
         return [*super().__dir__(), *cls._name_to_item]
+
+    def names(cls, results: Any) -> np.ndarray:
+        """The names of outcomes, an array of strings in their shape: see `RESULTS`."""
+        return outcome_names(results)
 
     def __getattr__(cls, item: str):
         if item == "nothing_to_touch":
@@ -36,7 +41,9 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     that was asked to end at a section.
 
     A result has its outcome in `result`, one for each lane in `results`. The value of a member is
-    the sentence that the user reads: `jf.RESULTS[sol.result]`.
+    the sentence that the user reads: `jf.RESULTS[sol.result]`. Outcomes are compared by `==`, under
+    `jit` too. `jf.RESULTS.names(diagram.results)` is the array of the names of those of all lanes,
+    in their shape, to be indexed and counted as any other: outcomes themselves have no index.
 
     - Of every integration: `successful`, `max_steps_reached`, `max_events_reached`, `zeno`,
       `nonunique`, `mode_undecided`, `undeclared_sliding`, `nonfinite`, `step_too_long`;
@@ -50,6 +57,18 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     - Of a fit: `fit_not_converged`.
     - Of a sweep that Ctrl-C ended: `interrupted`.
     - Of sweeps, orbits and exponents, which count forcing periods: `invalid_period`.
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> up = jf.piecewise(lambda t, x: x + 1, lambda t, x: x - 1, lambda t, x: x[0])
+    >>> run = lambda x0: jf.solve(up, x0, 0.0, 1.0, 0.25, stepper=jf.RK4(), throw=False).result
+    >>> results = jax.vmap(run)(jnp.array([[1.0], [0.0], [-1.0]]))
+    >>> names = jf.RESULTS.names(results)
+    >>> print(names[1], (names == "successful").sum())
+    nonunique 2
+    >>> (results == jf.RESULTS.nonunique).tolist()
+    [False, True, False]
     """
 
     successful = ""
@@ -154,7 +173,17 @@ def raise_if_failed(value: _Tree, result: RESULTS) -> _Tree:
     batch the one that comes last in the list of members."""
     if is_known(result) and is_successful(result):
         return value
-    return result.error_if(value, result != RESULTS.successful)
+    return raise_outcome(value, result, RESULTS.successful)
+
+
+def raise_outcome(value: _Tree, result: RESULTS, *good: RESULTS) -> _Tree:
+    """The same value, or an error with the sentence of an outcome that is none of the good ones; of
+    a batch the one that comes last in the list of members."""
+    members = [getattr(RESULTS, name) for name in RESULTS._name_to_item]
+    # Compared as numbers: of arrays, each comparison would be a program.
+    codes, fine = in_numpy(_codes(result)), {code(member) for member in good}
+    bad = [member for member in members if code(member) not in fine]
+    return raise_first(value, [(codes == code(member), RESULTS[member]) for member in bad])
 
 
 def outcome_names(results: RESULTS) -> np.ndarray:

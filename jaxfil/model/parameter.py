@@ -16,6 +16,7 @@ import numpy as np
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array, PyTree
 
+from jaxfil.model.argument import told
 from jaxfil.xla.known import array_of
 
 _Tree = TypeVar("_Tree")
@@ -34,27 +35,37 @@ def _name(path: tuple[Any, ...]) -> str:
     return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
-def get_parameter(system: PyTree, name: str) -> Any:
-    """The leaf called `name`, or the entry of one."""
-    leaf, entry = _found(system, name)
+def get_parameter(system: PyTree, name: str, argument: str = "parameter") -> Any:
+    """The leaf called `name`, or the entry of one; `argument` is where the name was given."""
+    leaf, entry = _found(system, name, argument)
     return leaf if entry is None else jnp.asarray(leaf).reshape(-1)[entry]
 
 
-def _found(system: PyTree, name: str) -> tuple[Any, int | None]:
+def scalar_parameter(system: PyTree, name: str, argument: str = "parameter") -> Any:
+    """The same, if it is a scalar."""
+    leaf = get_parameter(system, name, argument)
+    if np.ndim(leaf):
+        raise ValueError(
+            f"`{argument}` must name a scalar parameter, got {name!r}, which is an array."
+        )
+    return leaf
+
+
+def _found(system: PyTree, name: str, argument: str) -> tuple[Any, int | None]:
     """The leaf that a name speaks of, and which of its entries, in the order of C, or None."""
     known = parameters(system)
-    if name in known:
+    if isinstance(name, str) and name in known:
         return known[name], None
-    base, index = _split(str(name))
+    base, index = _split(name) if isinstance(name, str) else ("", ())
     shape = np.shape(known[base]) if base in known else ()
     if len(index) == len(shape) > 0 and all(-n <= i < n for i, n in zip(index, shape, strict=True)):
         return known[base], int(np.arange(np.prod(shape)).reshape(shape)[index])
-    fields = vars(system) if isinstance(name, str) else {}
-    hint = f", which is {fields[name]!r} and no float" if name in fields else ""
+    other = vars(system).get(name) if isinstance(name, str) else None
+    hint = "" if other is None else f", which is {told(other)} and no float"
     hint = f", and `{base}` is of shape {shape}" if index and base in known else hint
     raise ValueError(
-        f"`parameter` must be a parameter of {type(system).__name__}, one of "
-        f"{', '.join(known) or '(it has none)'}; got {name!r}{hint}."
+        f"`{argument}` must be a parameter of {type(system).__name__}, one of "
+        f"{', '.join(known) or '(it has none)'}; got {told(name)}{hint}."
     )
 
 
@@ -68,12 +79,13 @@ def _split(name: str) -> tuple[str, tuple[int, ...]]:
 
 def scalar_parameters(system: PyTree, names: Any) -> tuple[str, ...]:
     """The names of several parameters, each different and a scalar: an argument `parameters`."""
-    several = isinstance(names, (tuple, list)) and len(names) > 0
-    if not several or len({*names}) != len(names):
-        raise ValueError(f"`parameters` must be the names of different parameters, got {names!r}.")
+    several = isinstance(names, (tuple, list)) and all(isinstance(name, str) for name in names)
+    if not several or len({*names}) != len(names) or not names:
+        raise ValueError(
+            f"`parameters` must be the names of different parameters, got {told(names)}."
+        )
     for name in names:
-        if jnp.ndim(get_parameter(system, name)):
-            raise ValueError(f"`parameters` must be scalars, got {name!r}, which is an array.")
+        scalar_parameter(system, name, "parameters")
     return tuple(names)
 
 
@@ -86,7 +98,7 @@ def replace_parameters(system: _Tree, names: Iterable[str], values: Iterable[Arr
 
 def replace_parameter(system: _Tree, name: str, value: ArrayLike) -> _Tree:
     """`system` with the leaf or entry called `name` replaced, shape and dtype kept."""
-    _, entry = _found(system, name)
+    _, entry = _found(system, name, "parameter")
     base = name if entry is None else _split(name)[0]
 
     def swap(path: tuple[Any, ...], leaf: Any) -> Any:

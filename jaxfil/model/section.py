@@ -5,12 +5,12 @@ which change nothing of its motion.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array
+
+from jaxfil.model import argument
 
 _DIRECTIONS = (-1, 0, 1)
 
@@ -60,16 +60,12 @@ class Section(eqx.Module):
     """Whether to cross it is a failure, as of `bound`."""
 
     def __check_init__(self):
-        if not callable(self.function):
-            raise ValueError(f"`function` must be a callable of (t, x), got {self.function!r}.")
-        if self.direction not in _DIRECTIONS:
-            raise ValueError(f"`direction` must be +1, −1 or 0, got {self.direction!r}.")
-        if self.terminal is not None:
-            whole = isinstance(self.terminal, int) and not isinstance(self.terminal, bool)
-            if not whole or self.terminal < 1:
-                raise ValueError(
-                    f"`terminal` must be an integer of at least 1 or None, got {self.terminal!r}."
-                )
+        argument.function("function", self.function, "(t, x)")
+        if not argument.is_whole(self.direction) or self.direction not in _DIRECTIONS:
+            was = argument.told(self.direction)
+            raise ValueError(f"`direction` must be +1, −1 or 0, got {was}.")
+        argument.count("terminal", self.terminal, optional=True)
+        argument.flags(of_rate=self.of_rate, is_bound=self.is_bound)
 
 
 Sections = Section | Sequence[Section]
@@ -158,18 +154,21 @@ def sections_of(name: str, sections: Sections | None, x0: Array) -> tuple[Sectio
     """The sections that an argument asks for, none for None, each with a scalar function."""
     if sections is None:
         return ()
-    several = (sections,) if isinstance(sections, Section) else tuple(sections)
+    several = (sections,) if isinstance(sections, Section) else sections
+    if not isinstance(several, (tuple, list)) or not all(isinstance(s, Section) for s in several):
+        raise ValueError(
+            f"`{name}` must be a jaxfil.Section or a sequence of them, got "
+            f"{argument.told(sections)}."
+        )
     for number, section in enumerate(several):
-        if not isinstance(section, Section):
-            raise ValueError(
-                f"`{name}` must be a jaxfil.Section or a sequence of them, got {section!r}."
-            )
         _check_scalar(f"{name}[{number}].function", section, x0)
-    return several
+    return tuple(several)
 
 
-def _check_scalar(told: str, section: Section, x0: Array) -> None:
-    out: Any = jax.eval_shape(section.function, jnp.zeros((), x0.dtype), x0)
-    if getattr(out, "shape", None) != () or not jnp.issubdtype(out.dtype, jnp.floating):
+def _check_scalar(name: str, section: Section, x0: Array) -> None:
+    out = argument.returned(f"`{name}`", section.function, t=jnp.zeros((), x0.dtype), x=x0)
+    if getattr(out, "shape", None) != () or out.dtype != x0.dtype:
         was = f"shape {out.shape}, dtype {out.dtype}" if hasattr(out, "shape") else repr(out)
-        raise ValueError(f"`{told}` must return a real scalar, got {was}.")
+        raise ValueError(
+            f"`{name}` must return a real scalar of the state's dtype, {x0.dtype}, got {was}."
+        )

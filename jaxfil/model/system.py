@@ -9,12 +9,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import equinox as eqx
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxfil.model import argument
 from jaxfil.model.clock import Clocks
 from jaxfil.model.fields import check_numbers
 from jaxfil.xla import fast_trig
@@ -201,8 +200,9 @@ def piecewise(
     (0.0, 0)
     """
     for name, value in (("f_plus", f_plus), ("f_minus", f_minus), ("switching", switching)):
-        if not callable(value):
-            raise ValueError(f"`{name}` must be a callable of (t, x), got {value!r}.")
+        argument.function(name, value, "(t, x)")
+    if period is not None:
+        argument.leaf("period", period)
     return _Piecewise(f_plus, f_minus, switching, period)
 
 
@@ -285,8 +285,7 @@ def smoothed(system: System, width: Array | float) -> System:
     """
     if not isinstance(system, System):
         raise ValueError(f"`system` must be a jaxfil.System, got {type(system).__name__}.")
-    if not isinstance(width, jax.core.Tracer) and not np.all(np.asarray(width) > 0):
-        raise ValueError(f"`width` must be positive, got {width!r}.")
+    scale = argument.leaf("width", width, positive=True)
     if system.resets:
         raise ValueError("`system` must have no `reset`: an impact cannot be smoothed.")
-    return _Smoothed(system, jnp.asarray(width))
+    return _Smoothed(system, jnp.asarray(scale))

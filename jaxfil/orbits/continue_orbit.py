@@ -14,7 +14,7 @@ import numpy as np
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
-from jaxfil.model.parameter import cast, get_parameter, replace_parameter
+from jaxfil.model.parameter import cast, get_parameter, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.branch import Branch, SpecialPoint
 from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, contacts_of, orbit_of
@@ -78,8 +78,8 @@ def continue_orbit(
     contacts 10.904976
     """
     check.system("system", system)
-    if np.ndim(get_parameter(system, parameter)):
-        raise ValueError(f"`parameter` must be a scalar parameter, but {parameter!r} is an array.")
+    scalar_parameter(system, parameter)
+    check.flags(throw=throw)
     max_points = check.count("max_points", max_points)
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)
@@ -90,7 +90,9 @@ def continue_orbit(
         given = orbit
         curve, start, result = _on_branch(system, parameter, orbit)
     else:
-        raise ValueError(f"`orbit` must be a single Orbit or a SpecialPoint, got {orbit!r}.")
+        raise ValueError(
+            f"`orbit` must be a single Orbit or a SpecialPoint, got {check.told(orbit)}."
+        )
     if start is None:
         branch = _not_begun(curve, given, result)
     else:

@@ -13,7 +13,7 @@ the integral, and the jump of F at each zero times the rate at which the zero mo
 
 import functools as ft
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -91,6 +91,7 @@ def harmonic_balance(
     [0.    2.973 0.    0.124]
     """
     check.system("system", system)
+    check.flags(throw=throw)
     harmonics = check.count("harmonics", harmonics)
     periods = check.count("periods", periods)
     # Traced: another number compiles nothing.
@@ -110,7 +111,7 @@ def harmonic_balance(
 
 def _first(
     system: System,
-    guess: Orbit | Callable[[Array], Array] | Array | np.ndarray,
+    guess: Any,
     harmonics: int,
     periods: int,
 ) -> Array:
@@ -128,15 +129,15 @@ def _first(
         return project(phases.astype(values.dtype), values, harmonics)
     if callable(guess):
         phases = equal_phases(4 * size, jnp.result_type(float))
-        values = jax.vmap(guess)(array_of(phases * system.period * periods))
+        check.returned("`guess`", guess, t=jnp.zeros((), phases.dtype))
+        values: Any = jax.vmap(guess)(array_of(phases * system.period * periods))
         values = values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)
         return project(phases.astype(values.dtype), values, harmonics)
-    array = jnp.asarray(guess)
-    if array.ndim != 2 or array.shape[0] % 2 == 0:
-        raise ValueError(
-            "`guess` must be an Orbit, a function of t, or coefficients of shape (2K + 1, n), got "
-            f"shape {array.shape}."
-        )
+    must = "an Orbit, a function of t, or coefficients of shape (2K + 1, n)"
+    array = check.array_or_none(guess)
+    if array is None or array.ndim != 2 or array.shape[0] % 2 == 0:
+        was = check.told(guess) if array is None else f"shape {array.shape}"
+        raise ValueError(f"`guess` must be {must}, got {was}.")
     array = array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
     return _resized(array, size)
 

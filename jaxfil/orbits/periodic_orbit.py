@@ -90,6 +90,7 @@ def periodic_orbit(
     2.9729 2 True
     """
     x = check.state("x0", x0)
+    check.flags(throw=throw)
     if throw:
         check.finite("x0", x)
     dtype = x.dtype
@@ -104,7 +105,7 @@ def periodic_orbit(
     if not autonomous and period is not None:
         raise ValueError(
             f"`period` must be None: that of {type(system).__name__} is known (use `periods`); "
-            f"got {period!r}."
+            f"got {check.told(period)}."
         )
     if not autonomous:
         check.period(system, dtype)

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from jaxfil.model import check
 from jaxfil.orbits.curve import Curve, CurvePoint, Special, constraint_across
 
 # Between two points the tangent may turn by this cosine, and they may be so many steps apart: what
@@ -39,12 +40,10 @@ class Range:
 
 def ends_of(stop: Any) -> list[float]:
     """The argument `stop`, a number or a pair, as a list of one or two numbers."""
-    try:
-        ends = np.asarray(stop, float)
-    except (TypeError, ValueError):
-        ends = np.asarray(np.nan)
+    must = "a number or a pair (low, high)"
+    ends = check.known_numbers("stop", stop, must).astype(float)
     if ends.shape not in ((), (2,)) or not np.isfinite(ends).all():
-        raise ValueError(f"`stop` must be a number or a pair (low, high), got {stop!r}.")
+        raise ValueError(f"`stop` must be {must}, got {check.told(stop)}.")
     return np.atleast_1d(ends).tolist()
 
 

@@ -83,6 +83,7 @@ def average(
     """
     x = check.state("x0", x0)
     check.system("system", system)
+    check.flags(throw=throw)
     observable = checked_observable("function", function, system, x)
     wider, start = with_rate(system, observable, x)
     sol = solve(

@@ -20,7 +20,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.run.solve import solve
 from jaxfil.integrate.run.step_choice import StepChoice
-from jaxfil.integrate.steppers.explicit import RK4, Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.steppers.explicit import RK4, Stepper, checked_steppers, tableau_of
 from jaxfil.model import check
 from jaxfil.model.outcomes import (
     RESULTS,
@@ -29,7 +29,7 @@ from jaxfil.model.outcomes import (
     outcomes,
     raise_if_failed,
 )
-from jaxfil.model.parameter import cast, replace_parameter
+from jaxfil.model.parameter import cast, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State, States, SweptValues
 
@@ -176,8 +176,9 @@ def choose_step(
     True
     """
     check.system("system", system)
-    lanes = _Lanes(system, x0, t0, t1, parameter, values)
+    check.flags(throw=throw)
     wanted = float(check.scalar("tolerance", tolerance, float, positive=True))
+    lanes = _Lanes(system, x0, t0, t1, parameter, values)
     ladders = [_Ladder(s, lanes.runner(s), lanes.most) for s in _checked(steppers)]
     for ladder in ladders:
         ladder.double_until(wanted)
@@ -197,9 +198,7 @@ def choose_step(
 def _checked(steppers: Any) -> tuple[Stepper, ...]:
     if steppers is None:
         return _STEPPERS
-    if not isinstance(steppers, (list, tuple)) or not steppers or None in steppers:
-        raise ValueError(f"`steppers` must be a list of steppers, at least one, got {steppers!r}.")
-    return tuple(checked_stepper(stepper) for stepper in steppers)
+    return checked_steppers("steppers", steppers)
 
 
 class _Lanes:
@@ -209,31 +208,34 @@ class _Lanes:
         self,
         system: System,
         x0: Any,
-        t0: Scalar,
-        t1: Scalar,
-        parameter: str | None,
+        t0: Any,
+        t1: Any,
+        parameter: Any,
         values: Any,
     ):
-        states = jnp.atleast_2d(jnp.asarray(x0))
-        first = check.state("x0", states[0])
-        dtype = first.dtype
+        states = jnp.atleast_2d(check.states("x0", x0))
+        n, dtype = states.shape[-1], states.dtype
         self.system = cast(system, dtype)
         self.forced = system.period is not None
+        if parameter is not None:
+            scalar_parameter(self.system, parameter)
         if (parameter is None) != (values is None):
             raise ValueError(
-                f"`parameter` and `values` must be given together, got {parameter!r}, {values!r}."
+                "`values` must be given together with `parameter`, got "
+                f"{check.told(values)} and {check.told(parameter)}."
             )
-        swept = (
-            jnp.zeros(1, dtype) if values is None else jnp.atleast_1d(jnp.asarray(values, dtype))
-        )
+        swept = jnp.zeros(1, dtype)
+        if values is not None:
+            must = "real numbers of shape (p,) with p ≥ 1"
+            swept = jnp.atleast_1d(check.numbers("values", values, dtype, must))
         count = max(swept.shape[0], states.shape[0])
-        if swept.ndim > 1 or {swept.shape[0], states.shape[0]} - {1, count}:
+        if swept.ndim > 1 or states.ndim > 2 or {swept.shape[0], states.shape[0]} - {1, count}:
             raise ValueError(
                 "`values` must be of shape (p,), as many as there are states, got "
                 f"{swept.shape} and states of shape {states.shape}."
             )
         self.parameter = parameter
-        self.x0 = jnp.broadcast_to(states.astype(dtype), (count, first.shape[0]))
+        self.x0 = jnp.broadcast_to(states, (count, n))
         self.values = jnp.broadcast_to(swept, (count,))
         self.span = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
         length = abs(float(self.span[1] - self.span[0]))

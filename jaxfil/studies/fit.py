@@ -140,21 +140,16 @@ def fit(
     0.4
     """
     check.system("system", system)
+    check.flags(throw=throw)
     x = check.state("x0", x0)
     system = cast(system, x.dtype)
     names = scalar_parameters(system, parameters)
     times, measured = _data(ts, data, x.dtype)
-    spread = jnp.ones((), x.dtype) if sigma is None else jnp.asarray(sigma, x.dtype)
-    known = check.concrete(spread)
-    if known is not None and not (np.all(known > 0) and np.all(np.isfinite(known))):
-        raise ValueError(f"`sigma` must be positive, got {sigma!r}.")
+    seen = _whole_state if observe is None else check.function("observe", observe, "(t, x)")
+    _check_seen(seen, observe is None, measured, x)
+    spread = _spread(sigma, measured)
     own = jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names])
-    starts = jnp.atleast_2d(own if guesses is None else jnp.asarray(guesses, x.dtype))
-    if starts.ndim != 2 or starts.shape[1] != len(names):
-        raise ValueError(
-            f"`guesses` must be of shape (g, {len(names)}), a column for each parameter, got "
-            f"{starts.shape}."
-        )
+    starts = own if guesses is None else _guesses(guesses, len(names), x.dtype)
     dt, stepper = dt_and_stepper(dt, stepper)
     model = _Model(
         system,
@@ -163,14 +158,15 @@ def fit(
         check.scalar("dt", dt, x.dtype, positive=True),
         times,
         measured,
-        jnp.broadcast_to(spread, measured.shape),
+        spread,
         names,
-        _whole_state if observe is None else observe,
+        seen,
         checked_stepper(stepper),
     )
     rtol = float(check.scalar("tolerance", tolerance, float, positive=True))
     rtol = max(rtol, 8 * float(jnp.finfo(x.dtype).eps))
-    found = _search(model, starts, rtol, check.count("max_steps", max_steps), sigma is None)
+    most = check.count("max_steps", max_steps)
+    found = _search(model, jnp.atleast_2d(starts), rtol, most, sigma is None)
     if not throw:
         return found
     return raise_if_failed(found, found.result)
@@ -181,16 +177,66 @@ def _whole_state(t: Array, x: Array) -> Array:
 
 
 def _data(ts: Any, data: Any, dtype: Any) -> tuple[Array, Array]:
-    times, measured = jnp.asarray(ts, dtype), jnp.asarray(data, dtype)
-    if times.ndim != 1 or measured.ndim == 0 or measured.shape[0] != times.shape[0]:
+    times = check.numbers("ts", ts, dtype, "times of shape (q,)")
+    measured = check.numbers("data", data, dtype, "real numbers, a row for each of the times")
+    if times.ndim != 1 or times.size == 0:
+        raise ValueError(f"`ts` must be of shape (q,) with q ≥ 1, got shape {times.shape}.")
+    instants = check.concrete(times)
+    if instants is not None and not np.all(np.isfinite(instants)):
+        raise ValueError(f"`ts` must be finite, got {check.told(instants)}.")
+    if measured.ndim == 0 or measured.shape[0] != times.shape[0]:
         raise ValueError(
             f"`data` must have a row for each of the times, got {measured.shape} and `ts` of shape "
             f"{times.shape}."
         )
     known = check.concrete(measured)
     if known is not None and not np.isfinite(known).all():
-        raise ValueError("`data` must be finite: leave out what was not measured, its times too.")
+        raise ValueError(
+            "`data` must be finite: leave out what was not measured, its times too; got "
+            f"{check.told(known)}."
+        )
     return times, measured
+
+
+def _check_seen(seen: Callable[..., Any], whole: bool, measured: Array, x: Array) -> None:
+    """What is measured has the shape of what is computed."""
+    out = check.returned("`observe`", seen, t=jnp.zeros((), x.dtype), x=x)
+    if not hasattr(out, "shape") or not check.is_real(out):
+        raise ValueError(f"`observe` must return an array of real numbers, got {check.told(out)}.")
+    if measured.shape[1:] != out.shape:
+        given = "that of the whole state without `observe`" if whole else "as `observe` returns"
+        raise ValueError(
+            f"`data` must have rows of shape {out.shape}, {given}, got rows of shape "
+            f"{measured.shape[1:]}."
+        )
+
+
+def _spread(sigma: Any, measured: Array) -> Array:
+    """Standard deviations in the shape of the data."""
+    if sigma is None:
+        return jnp.ones_like(measured)
+    must = f"positive, and of a shape that broadcasts to that of `data`, {measured.shape}"
+    spread = check.numbers("sigma", sigma, measured.dtype, must)
+    known = check.concrete(spread)
+    positive = known is None or (np.all(known > 0) and np.all(np.isfinite(known)))
+    try:
+        fits = np.broadcast_shapes(spread.shape, measured.shape) == measured.shape
+    except ValueError:
+        fits = False
+    if not positive or not fits:
+        raise ValueError(f"`sigma` must be {must}, got {check.told(sigma)}.")
+    return jnp.broadcast_to(spread, measured.shape)
+
+
+def _guesses(guesses: Any, k: int, dtype: Any) -> Array:
+    """First guesses of k parameters."""
+    must = f"finite numbers of shape (g, {k}), a column for each parameter"
+    starts = jnp.atleast_2d(check.numbers("guesses", guesses, dtype, must))
+    known = check.concrete(starts)
+    finite = known is None or np.isfinite(known).all()
+    if starts.ndim != 2 or starts.shape[1] != k or len(starts) == 0 or not finite:
+        raise ValueError(f"`guesses` must be {must}, got {check.told(guesses)}.")
+    return starts
 
 
 class _Model(eqx.Module):

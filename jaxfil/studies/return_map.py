@@ -9,7 +9,6 @@ import functools as ft
 import diffrax
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from jaxfil.integrate.run.options import Adjoint
@@ -19,6 +18,7 @@ from jaxfil.integrate.run.step_choice import StepChoice
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.runtime_error import raise_first
 from jaxfil.model.section import Section
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, States
@@ -85,8 +85,12 @@ def poincare_map(
     [1.4, 0.9]
     """
     last = check.count("returns", returns)
-    if not isinstance(section, Section):
-        raise ValueError(f"`section` must be a jaxfil.Section, got {section!r}.")
+    check.instance("section", section, Section)
+    check.flags(throw=throw)
+    states = check.states("x0", x0)
+    # Only looked at: a number stays one, which is known under `jit`.
+    check.scalar("t0", t0, states.dtype)
+    check.scalar("max_time", max_time, states.dtype)
     there = dataclasses.replace(section, terminal=last)
 
     def run(x: jax.Array) -> Returns:
@@ -105,11 +109,10 @@ def poincare_map(
         sol = _back(sol) if throw else sol
         return Returns(sol.x_final, sol.t_final, sol.result, sol.num_events)
 
-    states = jnp.asarray(x0)
     return ft.reduce(lambda f, _: jax.vmap(f), range(states.ndim - 1), run)(states)
 
 
 def _back(sol: Solution) -> Solution:
     """The same solution, or an error where it has not come back."""
     told = "`max_time` must be longer: a motion has not come back to the section within it."
-    return eqx.error_if(sol, sol.result == RESULTS.successful, told)
+    return raise_first(sol, [(sol.result == RESULTS.successful, told)])

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.integrate.run.solve import solve
-from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
+from jaxfil.integrate.steppers.explicit import Stepper, checked_steppers, tableau_of
 from jaxfil.model import check
 from jaxfil.model.card import duration, precision
 from jaxfil.model.drawing import draw
@@ -158,14 +158,14 @@ def work_precision(
     """
     x = check.state("x0", x0)
     steps = _step_lengths(dts)
-    names = _names(steppers)
+    several = checked_steppers("steppers", steppers)
     check.count("repeats", repeats)
     check.count("lanes", lanes)
     check.system("system", system)
     start, stop = (check.scalar(n, v, x.dtype) for n, v in (("t0", t0), ("t1", t1)))
     fine = steps.min() * np.asarray([_FINE, _JUDGING])
     rows, fines = [], []
-    for stepper in steppers:
+    for stepper in several:
         run = _compiled(system, x, (start, stop), stepper, lanes)
         fines.append([_Run(run, dt, x.dtype, lanes, 0) for dt in fine])
         rows.append([_Run(run, dt, x.dtype, lanes, repeats) for dt in steps])
@@ -175,7 +175,7 @@ def work_precision(
     reached = np.asarray([[run.reached for run in row] for row in rows])
     errors = np.max(abs(ends - reference.x), axis=2)
     return WorkPrecision(
-        steppers=names,
+        steppers=tuple(tableau_of(stepper).name for stepper in several),
         dts=steps,
         errors=np.where(reached & np.isfinite(error), errors, np.nan),
         seconds=np.asarray([[run.seconds for run in row] for row in rows]),
@@ -183,7 +183,7 @@ def work_precision(
         outcomes=np.asarray([[run.outcome for run in row] for row in rows]),
         reached=reached,
         reference=reference.x,
-        reference_stepper=names[best],
+        reference_stepper=tableau_of(several[best]).name,
         reference_events=reference.num_events,
         reference_error=error,
         reference_check=other,
@@ -192,16 +192,11 @@ def work_precision(
 
 
 def _step_lengths(dts: Any) -> np.ndarray:
-    steps = np.asarray(dts, float)
+    must = "positive step lengths, at least one"
+    steps = check.known_numbers("dts", dts, must).astype(float)
     if steps.ndim != 1 or steps.size == 0 or not np.all(np.isfinite(steps) & (steps > 0)):
-        raise ValueError(f"`dts` must be positive step lengths, at least one, got {dts!r}.")
+        raise ValueError(f"`dts` must be {must}, got {check.told(dts)}.")
     return steps
-
-
-def _names(steppers: Any) -> tuple[str, ...]:
-    if not isinstance(steppers, (list, tuple)) or not steppers:
-        raise ValueError(f"`steppers` must be a list of steppers, at least one, got {steppers!r}.")
-    return tuple(tableau_of(stepper).name for stepper in steppers)
 
 
 def _compiled(

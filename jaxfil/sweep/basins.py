@@ -196,8 +196,12 @@ def basins_of_attraction(
                 f"period of {type(system).__name__} is None. Give a `section` to look at them at."
             )
         check.period(system, jnp.result_type(float))
-    if len(axes) != 2:
-        raise ValueError(f"`axes` must be a pair, the values of two components, got {axes!r}.")
+    several = axes if isinstance(axes, (tuple, list, np.ndarray)) else ()
+    if len(several) != 2:
+        raise ValueError(
+            f"`axes` must be a pair, the values of two components, got {check.told(axes)}."
+        )
+    tolerance = float(check.scalar("tolerance", tolerance, float, positive=True))
     values = tuple(_axis(i, axis) for i, axis in enumerate(axes))
     rest = np.zeros(2) if x0 is None else np.asarray(check.state("x0", x0), float)
     first, second = _components(components, rest.size)
@@ -237,18 +241,20 @@ def basins_of_attraction(
 
 
 def _axis(i: int, axis: Any) -> np.ndarray:
-    values = np.asarray(axis, float)
+    must = "finite numbers of shape (k,)"
+    values = check.known_numbers(f"axes[{i}]", axis, must).astype(float)
     if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
-        raise ValueError(f"`axes[{i}]` must be numbers of shape (k,), got shape {values.shape}.")
+        raise ValueError(f"`axes[{i}]` must be {must}, got {check.told(axis)}.")
     return values
 
 
-def _components(components: Sequence[Any], n: int) -> tuple[int, int]:
-    pair = tuple(components)
-    whole = all(isinstance(c, (int, np.integer)) and 0 <= c < n for c in pair)
-    if len(pair) != 2 or len(set(pair)) != 2 or not whole:
+def _components(components: Any, n: int) -> tuple[int, int]:
+    pair = tuple(components) if isinstance(components, (tuple, list, np.ndarray)) else ()
+    whole = all(check.is_whole(c) and 0 <= c < n for c in pair)
+    if not whole or len(pair) != 2 or len({*pair}) != 2:
         raise ValueError(
-            f"`components` must be two different ones from 0 to {n - 1}, got {components!r}."
+            f"`components` must be two different ones from 0 to {n - 1}, got "
+            f"{check.told(components)}."
         )
     return pair
 

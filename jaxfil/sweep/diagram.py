@@ -65,7 +65,8 @@ class BifurcationDiagram(eqx.Module):
     """`xs[i, k]` is the state of lane i at its k-th sampled time, a multiple of the forcing period
     or a crossing of the section, or what is observed of it; NaN from where the lane failed."""
     results: RESULTS
-    """The outcome of each lane."""
+    """The outcome of each lane: `jf.RESULTS.names(diagram.results)[i]` is the name of that of lane
+    i."""
     parameter: str | tuple[str, ...] = eqx.field(static=True)
     """The name of the parameter that was swept, or a tuple of names."""
     system: str = eqx.field(static=True)

@@ -5,6 +5,7 @@ A plan enters; samples and outcomes of all lanes leave.
 
 import functools as ft
 import os
+import sys
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
@@ -12,7 +13,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxfil.model.outcomes import RESULTS, code
+from jaxfil.model.outcomes import RESULTS, code, outcomes
 from jaxfil.sweep import multiprocess
 from jaxfil.sweep.checkpoint import Checkpoint, FinishedChunk
 from jaxfil.sweep.chunk import Chunk, run_chunk
@@ -95,7 +96,7 @@ def _cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-_UNFINISHED = code(RESULTS.interrupted)
+_UNFINISHED, _SUCCESSFUL = code(RESULTS.interrupted), code(RESULTS.successful)
 
 
 class _Lanes:
@@ -155,6 +156,7 @@ class _Bar:
 
         shown = progress and jax.process_index() == 0
         self._bar = tqdm(desc="compiling", total=total, unit="lane", disable=not shown)
+        self._begun = False
 
     def __enter__(self) -> "_Bar":
         return self
@@ -167,12 +169,19 @@ class _Bar:
         self._bar.set_description(refresh=False)
         self._bar.reset(total)
 
-    def count(self, lanes: int, kept: bool) -> None:
-        """So many more are finished."""
+    def count(self, codes: np.ndarray, kept: bool) -> None:
+        """Lanes with outcomes of these codes are finished. If all of the first ones have failed,
+        so will the others perhaps, and that is said at once."""
+        if codes.size and not self._begun and not self._bar.disable:
+            self._begun = True
+            if not np.any(codes == _SUCCESSFUL):
+                why = RESULTS[outcomes(codes[0])]
+                told = f"All of the first {codes.size} lanes have failed. The first one: {why}"
+                self._bar.write(told, file=sys.stderr)
         # tqdm takes the rate from what is beyond `initial`.
         if kept and not self._bar.disable:
-            self._bar.initial += lanes
-        self._bar.update(lanes)
+            self._bar.initial += len(codes)
+        self._bar.update(len(codes))
 
 
 def side_by_side(
@@ -188,13 +197,13 @@ def side_by_side(
         rows = _filled_up(rows, size)
         lanes = _Lanes(plan.unfinished(), checkpoint)
 
-        def chunk(start: int) -> tuple[int, bool]:
+        def chunk(start: int) -> tuple[np.ndarray, bool]:
             if interrupts.count:  # before this chunk has begun
-                return 0, False
+                return np.zeros(0, np.int32), False
             here = slice(start, start + size)
             real = np.int32(min(size, p - start))
             done, kept = lanes.finish(start, size, lambda: call(rows[here], states[here], real))
-            return len(done.codes), kept
+            return done.codes, kept
 
         starts = multiprocess.share(range(0, p, size))
         bar.start(sum(min(size, p - s) for s in starts))  # the lanes of this process alone
@@ -236,7 +245,7 @@ def one_after_another(
             here, real = rows[start : start + size], np.int32(min(size, p - start))
             done, kept = lanes.finish(start, size, ft.partial(call, here, state, real))
             state = done.end
-            bar.count(len(done.codes), kept)
+            bar.count(done.codes, kept)
     back = np.argsort(order, kind="stable")
     return jax.tree.map(lambda v: multiprocess.from_first(v)[back], lanes.finished())
 

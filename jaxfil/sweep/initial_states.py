@@ -3,17 +3,17 @@
 What a user gives enters; the precision of the run and the states as an array leave.
 """
 
+from typing import Any
+
 import numpy as np
 
 from jaxfil.model import check
 from jaxfil.model.types import States
 
 
-def state_type(x0: States) -> np.dtype:
+def state_type(x0: Any) -> np.dtype:
     """The float precision of initial states."""
-    # One of them is checked for all: an array has one shape and one dtype.
-    several = np.ndim(x0) > 1 and np.size(x0) > 0
-    return check.state("x0", np.reshape(x0, (-1, np.shape(x0)[-1]))[0] if several else x0).dtype
+    return np.dtype(check.states("x0", x0).dtype)
 
 
 def initial_states(x0: States, shape: tuple[int, ...], follow: bool) -> np.ndarray:

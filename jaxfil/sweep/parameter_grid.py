@@ -1,7 +1,7 @@
 """The parameter grid: what a sweep goes over.
 
-Names of parameters and their values, as a user gives them, enter; the points in parameter space in
-order, and the shape of the result that they make, leave.
+A system, names of its parameters and their values, as a user gives them, enter; the points in
+parameter space in order, and the shape of the result that they make, leave.
 """
 
 import dataclasses
@@ -10,6 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from jax.typing import DTypeLike
 
+from jaxfil.model import check
+from jaxfil.model.parameter import get_parameter
+from jaxfil.model.system import System
 from jaxfil.model.types import SweptValues
 
 
@@ -29,17 +32,21 @@ class ParameterGrid:
 
 
 def parameter_grid(
-    parameter: str | Sequence[str], values: SweptValues, dtype: DTypeLike
+    system: System, parameter: str | Sequence[str], values: SweptValues, dtype: DTypeLike
 ) -> ParameterGrid:
-    """The grid that `parameter` and `values` ask for, in a float precision."""
+    """The grid that `parameter`, of a system, and `values` ask for, in a float precision."""
     if isinstance(parameter, str):
+        get_parameter(system, parameter)
         axis = _axis(values, dtype, "(p,) with p ≥ 1")
         return ParameterGrid((parameter,), axis, axis[:, None], axis.shape)
-    names = tuple(parameter) if np.ndim(parameter) == 1 else ()
+    names = tuple(parameter) if isinstance(parameter, Sequence | np.ndarray) else ()
     if not all(isinstance(n, str) for n in names) or len({*names}) < max(2, len(names)):
         raise ValueError(
-            f"`parameter` must be a string, or two or more different ones, got {parameter!r}."
+            "`parameter` must be a string, or two or more different ones, got "
+            f"{check.told(parameter)}."
         )
+    for name in names:
+        get_parameter(system, name)
     # An array is points one by one, anything else a product grid: k arrays of one length could be
     # either.
     if hasattr(values, "ndim"):
@@ -68,9 +75,9 @@ def _one_by_one(names: tuple[str, ...], rows: np.ndarray, dtype: DTypeLike) -> P
 
 
 def _axis(values: object, dtype: DTypeLike, shape: str) -> np.ndarray:
-    array = np.asarray(values)
+    array = check.known_numbers("values", values, f"real numbers of shape {shape}")
     # Not finite is allowed: such a lane fails by itself and harms no other.
-    if array.ndim != 1 or array.shape[0] == 0 or array.dtype.kind not in "fiu":
+    if array.ndim != 1 or array.shape[0] == 0:
         raise ValueError(
             f"`values` must be real numbers of shape {shape}, got shape {array.shape} of dtype "
             f"{array.dtype}."
@@ -79,4 +86,4 @@ def _axis(values: object, dtype: DTypeLike, shape: str) -> np.ndarray:
 
 
 def _told(values: object) -> str:
-    return f"{len(values)} of them" if isinstance(values, Sequence) else repr(values)
+    return f"{len(values)} of them" if isinstance(values, Sequence) else check.told(values)

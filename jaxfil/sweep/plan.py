@@ -18,7 +18,7 @@ from jaxfil.integrate.steppers.explicit import checked_stepper, tableau_of
 from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.model import check
 from jaxfil.model.labels import Labels, labels_of
-from jaxfil.model.parameter import cast, get_parameter
+from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section, sections_of
 from jaxfil.model.system import System
 from jaxfil.sweep.initial_states import initial_states, state_type
@@ -86,9 +86,7 @@ def sweep_plan(
     dtype = state_type(x0)
     state = np.zeros(np.shape(x0)[-1:], dtype)
     system = cast(system, dtype)
-    grid = parameter_grid(parameter, values, dtype)
-    for name in grid.names:
-        get_parameter(system, name)
+    grid = parameter_grid(system, parameter, values, dtype)
     section, longest, from_time = _sampled_at(system, section, max_return, transient_time, state)
     observable = None if observe is None else _observable(observe, system, state)
     labels = _labels(system, grid, observable, state.size)
@@ -125,7 +123,7 @@ def sweep_plan(
     return SweepPlan(sampling, grid, states, follow, labels)
 
 
-def _unseen(transient: int | None, from_time: Array | None) -> int:
+def _unseen(transient: Any, from_time: Array | None) -> int:
     """Forcing periods, or crossings, before the first sample."""
     if transient is None:
         return 200 if from_time is None else 0
@@ -147,14 +145,18 @@ def _sampled_at(
                 f"`system` must be forced: a diagram samples once a forcing period, and the period "
                 f"of {type(system).__name__} is None. Give a `section` to sample at."
             )
+        if max_return is not None:
+            raise ValueError(
+                "`max_return` must be None without a `section` to return to, got "
+                f"{check.told(max_return)}."
+            )
         if transient_time is not None:
             raise ValueError(
                 "`transient_time` must be None without a `section`: forcing periods are counted by "
-                f"`transient`; got {transient_time!r}."
+                f"`transient`; got {check.told(transient_time)}."
             )
         return None, None, None
-    if not isinstance(section, Section):
-        raise ValueError(f"`section` must be a jaxfil.Section, got {section!r}.")
+    check.instance("section", section, Section)
     sections_of("section", section, jnp.asarray(state))
     if section.is_bound:
         raise ValueError("`section` must be one that motions cross, got a bound.")
@@ -191,7 +193,7 @@ def _labels(system: System, grid: ParameterGrid, observable: Observable | None, 
 
 
 def _check_follow(follow: object, grid: ParameterGrid) -> None:
-    if follow not in (None, "up", "down"):
-        raise ValueError(f'`follow` must be "up", "down" or None, got {follow!r}.')
+    if follow is not None and not (isinstance(follow, str) and follow in ("up", "down")):
+        raise ValueError(f'`follow` must be "up", "down" or None, got {check.told(follow)}.')
     if follow is not None and len(grid.names) > 1:
         raise ValueError(f"`follow` must be None with several parameters, got {follow!r}.")

@@ -15,6 +15,7 @@ import numpy as np
 from jaxfil.integrate.run.observed import Observe
 from jaxfil.integrate.run.step_choice import StepChoice
 from jaxfil.integrate.steppers.explicit import Stepper
+from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.outcomes import RESULTS, code, outcomes
 from jaxfil.model.section import Section
@@ -96,7 +97,8 @@ def bifurcation_diagram(
     - `checkpoint`: a folder that keeps every chunk of lanes as soon as it is finished. The same
       call goes on from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
       numbers bit for bit. A call with other arguments is refused. Needs xarray and zarr.
-    - `progress`: show a progress bar.
+    - `progress`: show a progress bar, and above it, if all of the first lanes to finish have
+      failed, why the first one has.
     - `estimate_error`: sweep a second time at half the step, and give the largest distance between
       the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
     - `compact`: as in `solve`.
@@ -138,6 +140,8 @@ def bifurcation_diagram(
     >>> d.errors.shape, bool(d.errors.max() < 1e-2)
     ((2, 2), True)
     """
+    check.flags(progress=progress, estimate_error=estimate_error)
+    folder = None if checkpoint is None else check.path("checkpoint", checkpoint)
     plan = sweep_plan(
         system,
         parameter,
@@ -155,12 +159,12 @@ def bifurcation_diagram(
         observe=observe,
         runs=2 if estimate_error else 1,
     )
-    kept = _begun(checkpoint, plan, estimate_error)
+    kept = _begun(folder, plan, estimate_error)
     found, codes = _swept(plan, kept, progress)
-    finished = _all_finished("sweep", "samples", codes, checkpoint)
+    finished = _all_finished("sweep", "samples", codes, folder)
     errors = np.full_like(found.xs[:, 0], np.nan) if estimate_error else None
     if estimate_error and finished:
-        errors = _errors(plan, found.xs, codes, checkpoint, progress)
+        errors = _errors(plan, found.xs, codes, folder, progress)
     return _assembled(plan, found, codes, errors)
 
 

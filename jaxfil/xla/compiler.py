@@ -41,6 +41,15 @@ def makes_whole_kernels() -> bool:
     return entry.count(" call(") == 1 and " while(" not in entry
 
 
+def may_be_spread() -> bool:
+    """Whether the arrays of a program that is being traced may be spread over several devices, as
+    those of a `NamedSharding` are: not where there is one, nor under `jax.shard_map`."""
+    if jax.local_device_count() == 1:
+        return False
+    mesh = jax.sharding.get_abstract_mesh()
+    return not (mesh.axis_names and {*mesh.manual_axes} == {*mesh.axis_names})
+
+
 def _probe(x: Any) -> Any:
     with set_xla_metadata(**WHOLE):
         return jax.jit(_loops)(x)

@@ -173,7 +173,22 @@ def _batch(
 kernel_p.def_impl(_run)
 kernel_p.def_abstract_eval(_abstract)
 batching.primitive_batchers[kernel_p] = _batch
-mlir.register_lowering(kernel_p, mlir.lower_fun(_run, multiple_results=True))
+
+
+def _in_parts(*values: Any, program: Any, **_: Any) -> list:
+    return operations(program)(*values)
+
+
+def _lowered(context: Any, *values: Any, **params: Any) -> Any:
+    """A kernel, or its parts where a program is made for several devices: XLA would spread its
+    arrays over them, by functions that kernels are not linked with. Under `jax.shard_map` each
+    device has a program of its own."""
+    several = (getattr(context.module_context.axis_context, "num_devices", None) or 1) > 1
+    lower = mlir.lower_fun(_in_parts if several else _run, multiple_results=True)
+    return lower(context, *values, **params)
+
+
+mlir.register_lowering(kernel_p, _lowered)
 
 
 def _one_by_one(function: Callable, batched: Sequence[bool], values: Sequence[Any]) -> Any:

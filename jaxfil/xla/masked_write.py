@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array
 
+from jaxfil.xla.compiler import may_be_spread
 from jaxfil.xla.kernel import kernel_of_all
 from jaxfil.xla.select import select
 
@@ -72,8 +73,9 @@ def _broadcast(axis_size: int, batched: Any, args: Any) -> Any:
 def _write_lanes(rows: Any, i: Array, row: Any, yes: Array) -> Any:
     """`_write` for lanes along a first axis of all arguments."""
     # Not `kernel_if_it_fits`, whose barrier would copy the rows.
-    keep, every = (lambda rows, *_: rows), kernel_of_all(_write_each)
-    return jax.lax.cond(jnp.any(yes), every, keep, rows, i, row, yes)
+    # XLA would gather arrays that are spread inside of the kernel, which cannot.
+    every = _write_each if may_be_spread() else kernel_of_all(_write_each)
+    return jax.lax.cond(jnp.any(yes), every, lambda rows, *_: rows, rows, i, row, yes)
 
 
 @_write_lanes.def_vmap

@@ -44,7 +44,7 @@ def by_slices(program: Any) -> Any:
 
     def run(*args: Any) -> list:
         unknown = [(v, None) for v in args]
-        made = interpreted(program, unknown, lambda v: (v, _whole(v)), _made)
+        made = interpreted(program, unknown, lambda v: (v, _whole(v)), _made, _shown)
         return [v for v, _ in made]
 
     shapes = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in program.in_avals]
@@ -75,6 +75,11 @@ def _made(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
     if made is None:
         made = evaluate_one(jaxpr, eqn, arrays)
     return [(v, None) for v in made]
+
+
+def _shown(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list:
+    """What has no result, as it is."""
+    return evaluate_one(jaxpr, eqn, [v for v, _ in inputs])
 
 
 def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | None:

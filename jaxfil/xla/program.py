@@ -138,10 +138,17 @@ def names(jaxpr: Any) -> set[str]:
     return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(names, inner))
 
 
-def interpreted(program: Any, args: Sequence[Any], of_known: Callable, rule: Callable) -> list[Any]:
+def interpreted(
+    program: Any,
+    args: Sequence[Any],
+    of_known: Callable,
+    rule: Callable,
+    show: Callable | None = None,
+) -> list[Any]:
     """What becomes of some arguments in a program, operation by operation, those of the functions
     that it calls included: `rule(jaxpr, eqn, inputs)` of each, and `of_known(value)` of what it
-    closes over and of numbers that are written in it."""
+    closes over and of numbers that are written in it. What has no result, as `jax.debug.print`, is
+    left out, unless there is a function to `show` it, of the same arguments."""
     jaxpr = program.jaxpr
     values = dict(zip(jaxpr.constvars, map(of_known, program.consts), strict=True))
     values.update(zip(jaxpr.invars, args, strict=True))
@@ -152,9 +159,11 @@ def interpreted(program: Any, args: Sequence[Any], of_known: Callable, rule: Cal
     for eqn in jaxpr.eqns:
         inputs = [read(v) for v in eqn.invars]
         if eqn.primitive.name in _CALLS:
-            outputs = interpreted(eqn.params["jaxpr"], inputs, of_known, rule)
-        else:
+            outputs = interpreted(eqn.params["jaxpr"], inputs, of_known, rule, show)
+        elif eqn.outvars:
             outputs = rule(jaxpr, eqn, inputs)
+        else:
+            outputs = show(jaxpr, eqn, inputs) if show else []
         values.update(zip(eqn.outvars, outputs, strict=True))
     return [read(v) for v in jaxpr.outvars]
 

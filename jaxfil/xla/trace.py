@@ -96,7 +96,7 @@ class Traced:
 
     def _found(self, leaves: list) -> list:
         late = [None] * (len(self._when) - len(leaves))
-        evaluation = _Evaluation(_FAST, _same, mixed=self._fast)
+        evaluation = _Evaluation(_FAST, _same, mixed=self._fast, shows=False)
         evaluation(self._closed, [*leaves, *late], self._when)
         return evaluation.found
 
@@ -158,7 +158,8 @@ class _Evaluation:
     """A function equation by equation, with `functions` in place of XLA's.
 
     What is dear and early is left in `found`, or taken from `known`, in order. An unknown value is
-    None, and what is made of it too.
+    None, and what is made of it too. What has no result, as `jax.debug.print`, is done if it
+    `shows`.
     """
 
     def __init__(
@@ -168,8 +169,10 @@ class _Evaluation:
         known: Sequence[Array] | None = None,
         masks: bool = False,
         mixed: bool = True,
+        shows: bool = True,
     ):
         self._functions, self._mixed = functions, mixed
+        self._show = self._shown if shows else None
         self._hold = hold
         self._known = None if known is None else iter(known)
         self._masks = masks
@@ -177,8 +180,12 @@ class _Evaluation:
 
     def __call__(self, closed: Any, args: Sequence[Any], when: Sequence[int]) -> list[Any]:
         timed = list(zip(args, when, strict=True))
-        out = interpreted(closed, timed, lambda v: (v, FIRST), self._made_when)
+        out = interpreted(closed, timed, lambda v: (v, FIRST), self._made_when, self._show)
         return [elements.array_of(v) for v, _ in out]
+
+    def _shown(self, jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list:
+        """What has no result, as it is."""
+        return evaluate_one(jaxpr, eqn, [elements.array_of(v) for v, _ in inputs])
 
     def _made_when(self, jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
         """What one equation gives of values with when they are known, and when that is."""

@@ -46,6 +46,19 @@ class Short(jf.System):
         return x
 
 
+class Ticking(jf.System):
+    """A system with a clock of any kind."""
+
+    clock: object
+
+    def vector_field(self, t, x, side):
+        return x
+
+    @property
+    def clocks(self):
+        return (self.clock,)
+
+
 class Gain(jf.System):
     """A system of one's own, with a parameter that nothing converts."""
 
@@ -185,7 +198,9 @@ CALLS = {
     "t0 is an array": (lambda: solve(t0=jnp.zeros(2)), "`t0` must be a number", "(2,)"),
     "t0 is None": (lambda: solve(t0=None), "`t0` must be a number", "None"),
     "t1 is a word": (lambda: solve(t1="later"), "`t1` must be a number", "later"),
-    "t1 is complex": (lambda: solve(t1=1j), "`t1` must be a number", "complex128"),
+    "t0 is not a number": (lambda: solve(t0=math.nan), "`t0` must be finite", "nan"),
+    "t1 is infinite": (lambda: solve(t1=jnp.inf), "`t1` must be finite", "inf"),
+    "t1 is complex": (lambda: solve(t1=1j), "`t1` must be a number", "1j"),
     "dt is zero": (lambda: solve(dt=0.0), "`dt` must be a positive number", "0.0"),
     "dt is negative": (lambda: solve(t1=-1.0, dt=-0.25), "`dt` must be a positive number", "-0.25"),
     "dt is not a number": (lambda: solve(dt=float("nan")), "`dt` must be a positive number", "nan"),
@@ -334,6 +349,71 @@ CALLS = {
         lambda: solve(Short()),
         "`vector_field` of Short must take (self, t, x, side)",
         "(t, x)",
+    ),
+    "field of integers": (
+        lambda: solve(custom(field=lambda x: jnp.array([1, 2]))),
+        "`vector_field` of Custom must return numbers of the state's dtype, float64",
+        "int64: write 1.0 instead of 1",
+    ),
+    "field in single precision": (
+        lambda: solve(custom(field=lambda x: x.astype(jnp.float32))),
+        "`vector_field` of Custom must return numbers of the state's dtype, float64",
+        "float32",
+    ),
+    "reset in single precision": (
+        lambda: solve(custom(after=lambda x: x.astype(jnp.float32))),
+        "`reset` of Custom must return numbers of the state's dtype, float64",
+        "float32",
+    ),
+    "period of a clock is a word": (
+        lambda: jf.Clock("a"),
+        "`period` must be positive and finite",
+        "'a'",
+    ),
+    "clocks are words": (
+        lambda: solve(Ticking("a")),
+        "`clocks` of Ticking must be a tuple of jaxfil.Clock",
+        "('a',)",
+    ),
+    "clock of a batch": (
+        lambda: solve(Ticking(jf.Clock(jnp.ones(3)))),
+        "`clocks` of Ticking must have one period each",
+        "(3,)",
+    ),
+    "sections is a function": (
+        lambda: solve(sections=same),
+        "`sections` must be a jaxfil.Section or a sequence of them",
+        "same",
+    ),
+    "section takes a state alone": (
+        lambda: solve(sections=jf.Section(lambda x: x[0])),
+        "`sections[0].function` must take (t, x)",
+        "(x)",
+    ),
+    "section branches": (
+        lambda: solve(sections=jf.Section(lambda t, x: x[0] if x[1] > 0 else t)),
+        "`sections[0].function` must be made of jnp functions",
+        "TracerBoolConversionError",
+    ),
+    "observed without a side": (
+        lambda: solve(observe=lambda t, x: x),
+        "`observe` must take (t, x, side)",
+        "(t, x)",
+    ),
+    "checkpoint is a number": (
+        lambda: diagram(checkpoint=3),
+        "`checkpoint` must be a path",
+        "3",
+    ),
+    "one number is fitted by two": (
+        lambda: jf.fit(GOOD, ("friction",), [0.5, 0.6], [1.0, 1.1], X0, 0.1),
+        "`data` must have rows of shape (2,), that of the whole state without `observe`",
+        "rows of shape ()",
+    ),
+    "two numbers are fitted by one": (
+        lambda: jf.fit(GOOD, ("friction",), [1.0], X0[None], X0, 0.1, observe=lambda t, x: x[0]),
+        "`data` must have rows of shape (), as `observe` returns",
+        "rows of shape (2,)",
     ),
     "H is a condition": (
         lambda: solve(custom(surface=lambda x: x[0] > 0)),

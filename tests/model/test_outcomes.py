@@ -2,9 +2,11 @@
 
 import ast
 
+import numpy as np
 import pytest
 
 from jaxfil import RESULTS
+from jaxfil.model.outcomes import code, outcomes
 from tests import ROOT
 from tests.problems import PROBLEMS
 
@@ -47,3 +49,12 @@ def test_every_outcome_is_met_or_listed():
 def test_an_outcome_says_what_happened_and_ends_with_a_period(name):
     sentence = RESULTS[getattr(RESULTS, name)]
     assert len(sentence) > 30 and sentence[0].isupper() and sentence.endswith(".")
+
+
+def test_names_of_lanes_are_indexed_and_counted():
+    codes = [code(RESULTS.zeno), code(RESULTS.successful), code(RESULTS.zeno)]
+    results = outcomes(np.array([codes, codes], np.int32))
+    names = RESULTS.names(results)
+    assert names.shape == (2, 3) and names[1, 1] == "successful" and names[0, 2] == "zeno"
+    assert (names == "zeno").sum() == int((results == RESULTS.zeno).sum()) == 4
+    assert RESULTS.names(RESULTS.nonfinite) == "nonfinite"

@@ -121,8 +121,8 @@ def test_what_no_step_meets_is_told():
     [
         ({"tolerance": 0.0}, "`tolerance` must be a positive number"),
         ({"steppers": []}, "`steppers` must be a list of steppers"),
-        ({"steppers": [None]}, "`steppers` must be a list of steppers"),
-        ({"parameter": "omega"}, "`parameter` and `values` must be given together"),
+        ({"steppers": [None]}, r"`steppers\[0\]` must be jaxfil"),
+        ({"parameter": "omega"}, "`values` must be given together with `parameter`"),
         ({"parameter": "omega", "values": np.ones((2, 2))}, r"`values` must be of shape \(p,\)"),
         ({"t1": 0.0}, "`t1` must differ from `t0`"),
     ],

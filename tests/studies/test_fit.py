@@ -67,11 +67,12 @@ def test_the_card_tells_values_and_errors(found):
         ({"data": np.zeros(3)}, "`data` must have a row for each of the times"),
         ({"data": np.full(45, np.nan)}, "`data` must be finite"),
         ({"sigma": 0.0}, "`sigma` must be positive"),
-        ({"guesses": np.zeros((2, 3))}, r"`guesses` must be of shape \(g, 2\)"),
+        ({"guesses": np.zeros((2, 3))}, r"`guesses` must be finite numbers of shape \(g, 2\)"),
         ({"tolerance": -1.0}, "`tolerance` must be a positive number"),
     ],
 )
 def test_a_wrong_argument_is_named(change, told):
     given = {"parameters": NAMES, "ts": TS, "data": data(), "x0": jnp.array(X0), "dt": 0.05}
+    given["observe"] = lambda t, x: x[0]
     with pytest.raises(ValueError, match=told):
         jf.fit(Block(0.1, 0.8), **{**given, **change})

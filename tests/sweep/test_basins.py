@@ -53,7 +53,7 @@ def test_it_prints_and_draws_itself(found):
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"axes": ([[1.0]], [1.0])}, r"`axes\[0\]` must be numbers of shape \(k,\)"),
+        ({"axes": ([[1.0]], [1.0])}, r"`axes\[0\]` must be finite numbers of shape \(k,\)"),
         ({"components": (0, 2)}, "`components` must be two different ones from 0 to 1"),
     ],
 )

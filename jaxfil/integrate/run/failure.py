@@ -4,7 +4,6 @@ A solution that is no success enters; an error leaves, with the sentence of its 
 the state and the surfaces there.
 """
 
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,24 +11,16 @@ from equinox import EquinoxRuntimeError
 from jaxtyping import Array
 
 from jaxfil.integrate.run.solution import Solution
-from jaxfil.model.outcomes import RESULTS, code, is_good
+from jaxfil.model.outcomes import RESULTS, code, raise_outcome
 from jaxfil.model.system import System
 from jaxfil.xla.known import is_known
-from jaxfil.xla.select import select
 
 
 def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solution:
     """The same solution, or an error with the sentence of its outcome; where all values are known
     it says too where the run from x0 stopped."""
     if not is_known((sol, system, x0)):
-        members = [getattr(RESULTS, name) for name in RESULTS._name_to_item]
-        # Not `RESULTS.error_if`, which takes the largest number of a batch: an empty one has none.
-        worst = jnp.zeros((), jnp.int32)
-        for number, member in enumerate(members):
-            worst = select(eqxi.unvmap_any(sol.result == member), number, worst)
-        return eqxi.branched_error_if(
-            sol, ~is_good(sol.result), worst, [RESULTS[m] for m in members]
-        )
+        return raise_outcome(sol, sol.result, RESULTS.successful, RESULTS.section_reached)
     # Compared as numbers: of arrays, each comparison would be a program.
     if code(sol.result) in (code(RESULTS.successful), code(RESULTS.section_reached)):
         return sol

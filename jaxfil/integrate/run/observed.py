@@ -102,13 +102,11 @@ def with_rate(system: System, observable: Observable, x: Array) -> tuple[System,
 
 def checked_observable(name: str, function: Any, system: System, x: Array) -> Observable:
     """A function to be observed in a run from a state like x."""
-    if not callable(function):
-        raise ValueError(f"`{name}` must be a callable of (t, x, side), got {function!r}.")
+    function = cast(check.function(name, function, "(t, x, side)"), x.dtype)
     side = jnp.ones(check.shapes(system, x), x.dtype)
-    function = cast(function, x.dtype)
-    out: Any = jax.eval_shape(function, jnp.zeros((), x.dtype), x, side)
-    if not hasattr(out, "shape"):
-        raise ValueError(f"`{name}` must return an array, got {out!r}.")
+    out = check.returned(f"`{name}`", function, t=jnp.zeros((), x.dtype), x=x, side=side)
+    if not hasattr(out, "shape") or not check.is_real(out):
+        raise ValueError(f"`{name}` must return an array of real numbers, got {check.told(out)}.")
     return Observable(function, tuple(out.shape))
 
 

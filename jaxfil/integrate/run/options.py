@@ -112,7 +112,7 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
     if kinds[0] != "ts":
         return kinds[0], None
     assert sub is not None
-    ts = jnp.asarray(sub.ts, dtype)
+    ts = check.numbers("saveat.ts", sub.ts, dtype, "times of shape (k,) with k ≥ 1")
     if ts.ndim != 1 or ts.shape[0] == 0:
         raise ValueError(f"`saveat.ts` must be of shape (k,) with k ≥ 1, got shape {ts.shape}.")
     return "ts", ts
@@ -208,7 +208,7 @@ def _is_reverse(adjoint: Any) -> bool:
         return True
     raise ValueError(
         "`adjoint` must be diffrax.ForwardMode() or diffrax.RecursiveCheckpointAdjoint(), got "
-        f"{adjoint!r}."
+        f"{check.told(adjoint)}."
     )
 
 

@@ -134,6 +134,7 @@ def solve(
     -0.2 4
     """
     x = check.state("x0", x0)
+    check.flags(throw=throw, estimate_error=estimate_error)
     dtype = x.dtype
     check.system("system", system)
     system = cast(system, dtype)
@@ -156,7 +157,7 @@ def solve(
         if isinstance(recorder, SaveDense):
             raise ValueError(
                 "`observe` must be None with a `saveat` of dense, which saves no times; got "
-                f"{observe!r}."
+                f"{check.told(observe)}."
             )
     watched = sections_of("sections", sections, x)
     if estimate_error and any(s.terminal is not None for s in watched):

@@ -110,6 +110,6 @@ def _its_own(choice: StepChoice, stepper: object) -> Stepper:
     if stepper is not None:
         raise ValueError(
             "`stepper` must be None with a StepChoice, which was made for its own stepper, "
-            f"{type(choice.stepper).__name__}; got {stepper!r}."
+            f"{type(choice.stepper).__name__}; got {check.told(stepper)}."
         )
     return choice.stepper

@@ -23,6 +23,7 @@ from jaxfil.integrate.steppers.rosenbrock import (
     rosenbrock_step,
 )
 from jaxfil.integrate.system.components import Components, Forcing, SmoothField, on_each
+from jaxfil.model.argument import told
 from jaxfil.xla.select import select
 
 
@@ -107,20 +108,31 @@ def checked_stepper(stepper: Stepper | None) -> Stepper:
     return stepper
 
 
-def _refuse_others(stepper: Any) -> None:
+def checked_steppers(name: str, steppers: Any) -> tuple[Stepper, ...]:
+    """The steppers of a list, at least one."""
+    if not isinstance(steppers, (list, tuple)) or not steppers:
+        raise ValueError(
+            f"`{name}` must be a list of steppers, at least one, got {told(steppers)}."
+        )
+    for number, stepper in enumerate(steppers):
+        _refuse_others(stepper, f"{name}[{number}]")
+    return tuple(steppers)
+
+
+def _refuse_others(stepper: Any, name: str = "stepper") -> None:
     """An error for what is no stepper, or of no kind that `tableau_of` reads."""
     if isinstance(stepper, type):
-        raise ValueError(f"`stepper` must be an instance, got the class {stepper.__name__}.")
+        raise ValueError(f"`{name}` must be an instance, got the class {stepper.__name__}.")
     tableau = getattr(stepper, "tableau", None)
     explicit = isinstance(tableau, diffrax.ButcherTableau) and not tableau.implicit
     if not explicit and not isinstance(stepper, RK4 | Rodas5P | diffrax.Euler):
         raise ValueError(
-            "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
-            f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {stepper!r}."
+            f"`{name}` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
+            f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {told(stepper)}."
         )
     kind = getattr(stepper, "scan_kind", None)
     if kind is not None:
-        raise ValueError(f"`stepper.scan_kind` must be None: stages are written out; got {kind!r}.")
+        raise ValueError(f"`{name}.scan_kind` must be None: stages are written out; got {kind!r}.")
 
 
 def tableau_of(stepper: Stepper) -> Tableau:

@@ -135,7 +135,7 @@ def is_compact_sweep(
 
 def _checked(asked: object, default: Callable[[], bool]) -> bool:
     if asked is not None and not isinstance(asked, bool):
-        raise ValueError(f"`compact` must be True, False or None, got {asked!r}.")
+        raise ValueError(f"`compact` must be True, False or None, got {check.told(asked)}.")
     return default() if asked is None else asked
 
 

@@ -252,7 +252,7 @@ def build(system: System, x0: Array, *, compact: bool, transposed: bool = False)
     """The components of a system whose float leaves have the dtype of `x0`, shape (n,), for a
     program that is `compact` or not; to be `transposed`, its functions must not let a side that is
     not taken into their derivatives."""
-    _check_sharding(x0)
+    _check_sharding((system, x0))
     h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
     several = len(x0) > _FEW[compact] and m > _FEW_SURFACES[compact] and not system.resets
@@ -349,13 +349,15 @@ def _clocks(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
     return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)
 
 
-def _check_sharding(x0: Array) -> None:
-    kind = jax.typeof(x0)
+def _check_sharding(tree: Any) -> None:
+    kinds = [jax.typeof(v) for v in jax.tree.leaves(eqx.filter(tree, eqx.is_array))]
     # `vma` until JAX 0.9.
-    varying = getattr(kind, "vma", None) or getattr(
-        getattr(kind, "manual_axis_type", None), "varying", None
+    varying = (
+        getattr(kind, "vma", None)
+        or getattr(getattr(kind, "manual_axis_type", None), "varying", None)
+        for kind in kinds
     )
-    if varying:
+    if any(varying):
         # Derivatives taken inside of the loop would have to say of each number where it differs.
         raise ValueError("`check_vma` of `jax.shard_map` must be False around jaxfil, got True.")
 
@@ -399,7 +401,7 @@ def _on_components(
 def _fence(leaves: Any, x0: Array) -> Array:
     """A one of each lane that the compiler cannot see through, for its sines: a conditional round a
     single sine, on the one of `ComponentSystem.once`, is dissolved by XLA, a division is not."""
-    numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype]
+    numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype and v.size]
     firsts = [jnp.ravel(v)[0] for v in jax.lax.stop_gradient(numbers)]
     never = sum(firsts) == jnp.finfo(x0.dtype).max
     return select(never, 2.0, 1.0).astype(x0.dtype)

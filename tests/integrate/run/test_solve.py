@@ -334,6 +334,26 @@ def test_an_empty_batch_is_solved():
     assert jax.vmap(jax.jacfwd(end))(none).shape == (0, 1, 2, 2)
 
 
+class Tabled(jf.System):
+    """x' = −x, and a table that may be empty."""
+
+    table: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.sum(self.table) - x
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def test_a_parameter_may_be_an_empty_array():
+    def end(x0):
+        system = Tabled(jnp.zeros(0))
+        return jf.solve(system, x0, 0.0, 1.0, 0.25, stepper=jf.RK4(), compact=False).x_final
+
+    assert_allclose(end(jnp.ones(1)), np.exp(-1), rtol=1e-3)
+
+
 def test_more_steps_than_can_be_counted_are_a_budget_used_up():
     x0 = jnp.asarray([9.0, 0.0])
     run = jax.jit(lambda t1: jf.solve(Relay(jnp.asarray(1.0)), x0, 0.0, t1, 0.1, throw=False))

@@ -1,0 +1,268 @@
+"""An argument: a value as the user gave it, whatever it is.
+
+A name and a value enter; the value as an array of one dtype, a whole number, a flag leaves, or a
+`ValueError` of one line that names the argument, what it must be and what it was. What a system
+must be is looked at in `check`.
+"""
+
+import inspect
+import os
+from collections.abc import Callable, Mapping
+from typing import Any, TypeGuard
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array
+
+from jaxfil.xla.known import array_of
+
+# Steps are counted in 32 bits, on every device and in every precision.
+MOST_STEPS = 2**31 - 1
+# Those of NumPy: of others neither eps nor the largest number is known to it.
+_PRECISIONS = (np.dtype(np.float64), np.dtype(np.float32), np.dtype(np.float16))
+# Numbers of an array, and letters of anything else, that a line of an error has room for.
+_NUMBERS, _LETTERS = 8, 160
+
+
+def told(value: object) -> str:
+    """A value in one line: of a large array its shape."""
+    if isinstance(value, (np.ndarray, jax.Array)) and (value.ndim > 1 or value.size > _NUMBERS):
+        return f"an array of shape {value.shape}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _LETTERS else f"{text[: _LETTERS - 1]}…"
+
+
+def kind_of(value: object) -> str:
+    """What kind of thing a value is."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    return "None" if value is None else f"an object of type {type(value).__name__}"
+
+
+def concrete(value: object) -> np.ndarray | None:
+    """The value as NumPy numbers, or None while it is being traced."""
+    if isinstance(value, jax.core.Tracer):
+        return None
+    return np.asarray(value)
+
+
+def is_real(array: Any) -> bool:
+    """Whether an array is of real numbers, which flags are not."""
+    return jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
+
+
+def array_or_none(value: Any) -> Any:
+    """Real numbers as an array, in their own dtype; None if they are none."""
+    # True would be the number one, and words an array of characters.
+    if value is None or isinstance(value, (str, bytes, bool)):
+        return None
+    try:
+        array = array_of(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return array if is_real(array) else None
+
+
+def state(name: str, x: Any) -> Array:
+    """A state of shape (n,), in its own float precision (the default one for integers)."""
+    try:
+        array = array_of(x)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"`{name}` must be an array of shape (n,), got {told(x)}.") from error
+    if array.ndim != 1 or array.shape[0] == 0:
+        raise ValueError(
+            f"`{name}` must be of shape (n,) with n ≥ 1, got shape {array.shape}. "
+            "Batches come from `jax.vmap` or `equinox.filter_vmap`."
+        )
+    if not is_real(array):
+        raise ValueError(f"`{name}` must be of a real dtype, got {array.dtype}.")
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        array = array.astype(jnp.result_type(float))  # float32 or float64, as JAX is set
+    if array.dtype not in _PRECISIONS:
+        raise ValueError(
+            f"`{name}` must be of dtype {', '.join(v.name for v in _PRECISIONS)}, got "
+            f"{array.dtype}."
+        )
+    return array
+
+
+def states(name: str, x: Any) -> Array:
+    """A state of shape (n,), or an array of them, shape (…, n), in their float precision."""
+    array = array_or_none(x)
+    if array is None or array.ndim == 0:
+        raise ValueError(f"`{name}` must be states, of shape (n,) or (…, n), got {told(x)}.")
+    one = state(name, np.zeros(array.shape[-1:], array.dtype))
+    return array.astype(one.dtype)
+
+
+def finite(name: str, x: Array) -> None:
+    """A state of finite numbers, as far as they are known."""
+    known = concrete(x)
+    if known is not None and not np.isfinite(known).all():
+        raise ValueError(f"`{name}` must be finite, got {told(known)}.")
+
+
+def scalar(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -> Array:
+    """A real number, traced or not; finite as far as it is known."""
+    number = number_called(f"`{name}`", value, dtype, positive=positive)
+    known = concrete(value)
+    if known is not None and not np.isfinite(known):
+        raise ValueError(f"`{name}` must be finite, got {known}.")
+    return number
+
+
+def number_called(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -> Array:
+    """A real number, which an error calls by a name of several words; infinite or NaN too."""
+    must = "a positive number" if positive else "a number"
+    array = array_or_none(value)
+    if array is None:
+        was = f"dtype {value.dtype}" if isinstance(value, jax.Array) else told(value)
+        raise ValueError(f"{name} must be {must}, got {was}.")
+    if array.ndim != 0:
+        raise ValueError(f"{name} must be {must}, got an array of shape {array.shape}.")
+    # Under `jit` the value is not known yet: its sign is then the caller's affair.
+    known = concrete(value)
+    if positive and known is not None and not known > 0:
+        raise ValueError(f"{name} must be {must}, got {known}.")
+    return array.astype(dtype) if isinstance(value, jax.Array) else array_of(value, dtype)
+
+
+def leaf(name: str, value: Any, *, positive: bool = False) -> Any:
+    """A parameter of a system to be: a number, or an array of them in a batch, finite as far as
+    they are known."""
+    array = array_or_none(value)
+    known = None if array is None else concrete(array)
+    sound = known is None or np.all(np.isfinite(known) & (known > 0 if positive else True))
+    if array is None or array.size == 0 or not sound:
+        must = "positive" if positive else "a number"
+        raise ValueError(f"`{name}` must be {must} and finite, got {told(value)}.")
+    return array
+
+
+def numbers(name: str, value: Any, dtype: DTypeLike, must: str) -> Array:
+    """An array of real numbers, traced or not, of any shape; `must` says in words what it is to
+    be."""
+    array = array_or_none(value)
+    if array is None:
+        raise ValueError(f"`{name}` must be {must}, got {told(value)}.")
+    return jnp.asarray(array, dtype)
+
+
+def known_numbers(name: str, value: Any, must: str) -> np.ndarray:
+    """The same as NumPy's, in their own dtype, of what is not traced."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{name}` must be {must}, got {told(value)}.") from error
+    if array.dtype.kind not in "fiu":
+        raise ValueError(
+            f"`{name}` must be {must}, got shape {array.shape} of dtype {array.dtype}."
+        )
+    return array
+
+
+def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> Any:
+    """A Python integer of at least `least`, or None where that is allowed."""
+    # 40.0 is refused: counts are shapes and lengths of loops, and 40.5 would have to be as well.
+    if value is None and optional:
+        return None
+    if not is_whole(value) or value < least:
+        must = f"an integer of at least {least}" + (" or None" if optional else "")
+        raise ValueError(f"`{name}` must be {must}, got {told(value)}.")
+    if value > MOST_STEPS:
+        raise ValueError(f"`{name}` must be an integer below 2³¹, got {value}.")
+    return int(value)
+
+
+def is_whole(value: object) -> TypeGuard[int]:
+    """Whether a value is an integer, which True is to Python."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def component(name: str, value: Any, n: int) -> int:
+    """The number of one of n components of a state, from 0, or from the end if it is negative."""
+    if not is_whole(value) or not -n <= value < n:
+        raise ValueError(f"`{name}` must be an integer from 0 to {n - 1}, got {told(value)}.")
+    return int(value)
+
+
+def number_of_steps(steps: int, *, runs: int = 1, **periods: int) -> None:
+    """An error where `steps` steps in each of these periods are more than can be counted. `runs`: a
+    second one, at half the step, has twice as many."""
+    total = sum(periods.values()) * steps * runs
+    if total > MOST_STEPS:
+        names = ", ".join(f"`{name}`" for name in periods)
+        product = f"({' + '.join(map(str, periods.values()))}) × {steps}"
+        twice = " × 2 with `estimate_error`" if runs > 1 else ""
+        raise ValueError(
+            f"{names} and `steps` must make fewer than 2³¹ steps, got {product}{twice}."
+        )
+
+
+def flags(**values: object) -> None:
+    """True or False, by their names."""
+    for name, value in values.items():
+        if not isinstance(value, (bool, np.bool_)):
+            raise ValueError(f"`{name}` must be True or False, got {told(value)}.")
+
+
+def function(name: str, value: Any, args: str) -> Callable[..., Any]:
+    """A function of arguments of these names."""
+    if not callable(value) or isinstance(value, type):
+        raise ValueError(f"`{name}` must be a callable of {args}, got {told(value)}.")
+    return value
+
+
+def returned(name: str, value: Callable[..., Any], first: str = "", **args: Any) -> Any:
+    """The shape and dtype of what a function of the user's returns, given such arguments, or that
+    of which it is a tree. `name` is what an error calls it, `first` stands before its arguments."""
+    # Bound before it is called: a TypeError from inside of the function is another mistake.
+    if (was := _other_arguments(value, args)) is not None:
+        raise ValueError(f"{name} must take ({first}{', '.join(args)}), got {was}.")
+    try:
+        return eqx.filter_eval_shape(value, *args.values())
+    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
+        raise ValueError(
+            f"{name} must be made of jnp functions, for it is compiled, and {', '.join(args)} have "
+            "no values until it runs: jnp.where(side > 0, a, b) instead of `if`, jnp.sin instead "
+            "of math.sin or np.sin, jnp.stack instead of np.array; got "
+            f"{type(error).__name__}."
+        ) from error
+
+
+def _other_arguments(value: Callable[..., Any], args: Mapping[str, Any]) -> str | None:
+    """Those that a function takes, if it cannot take so many."""
+    try:
+        signature = inspect.signature(value)
+    except (TypeError, ValueError):  # of what is written in C, as `max`, nothing is known
+        return None
+    try:
+        signature.bind(*args.values())
+    except TypeError:
+        return str(signature)
+    return None
+
+
+def path(name: str, value: Any) -> str:
+    """A path of a file or a folder."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise ValueError(f"`{name}` must be a path, got {told(value)}.")
+    return os.fspath(value)
+
+
+def one_of(name: str, value: Any, members: tuple[str, ...]) -> str:
+    """One of several words."""
+    if not isinstance(value, str) or value not in members:
+        raise ValueError(f"`{name}` must be one of {', '.join(members)}; got {told(value)}.")
+    return value
+
+
+def instance(name: str, value: object, *kinds: type) -> None:
+    """A result of one of these public kinds."""
+    if not isinstance(value, kinds):
+        must = " or ".join(f"a jaxfil.{kind.__name__}" for kind in kinds)
+        raise ValueError(f"`{name}` must be {must}, got {kind_of(value)}.")
