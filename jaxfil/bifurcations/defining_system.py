@@ -76,7 +76,8 @@ class DefiningSystem(Equations):
         system = replace_parameters(system, self.free, z[n + 1 :])
         if system.period is None:
             return Placed(system, z[n], z[:n], self.tangency.phase)
-        return Placed(system, jnp.asarray(system.period) * self.periods, z[:n], z[n])
+        period = jnp.asarray(system.period, z.dtype) * jnp.asarray(self.periods, z.dtype)
+        return Placed(system, period, z[:n], z[n])
 
     @eqx.filter_jit
     def there(self, system: System, z: Array) -> Placed:

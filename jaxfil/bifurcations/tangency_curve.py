@@ -107,6 +107,8 @@ class TangencyCurve(Curve[TangencyPoint]):
 
     system: System
     equations: DefiningSystem
+    least: np.ndarray | float = 0.0
+    """No scale is below it."""
 
     # Smooth: longer steps than those of orbits, and no end that a short one would have to find.
     steps = StepSizes(first=0.01, least=1e-6, growth=1.5, straight=0.99, easy=12, corner=0.0)
@@ -136,9 +138,13 @@ class TangencyCurve(Curve[TangencyPoint]):
         )
 
     def metric(self, point: TangencyPoint) -> np.ndarray:
-        """A state by its largest value on the orbit, all else by its size."""
-        size, q = point.known.size, abs(point.u[point.known.size.shape[0] :])
-        return np.append(np.where(size == 0, 1, size), np.where(q == 0, 1, q))
+        """A state by its largest value on the orbit, a phase by one period, all else by its
+        size."""
+        size = point.known.size
+        q = abs(point.u[size.shape[0] :])
+        if self.system.period is not None:
+            q[0] = 1.0
+        return np.maximum(np.append(np.where(size == 0, 1, size), q), self.least)
 
     def special_points(
         self, a: TangencyPoint, b: TangencyPoint

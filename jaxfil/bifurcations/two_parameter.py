@@ -4,6 +4,8 @@ A located bifurcation and the names of two parameters enter; the curve on which 
 with its points of codimension two, each located and named.
 """
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
@@ -21,8 +23,8 @@ from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import get_parameter, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
-from jaxfil.orbits.curve import constraint_across
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow
+from jaxfil.orbits.curve import constraint_across, least_scales
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
 
 # A guess taken from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
@@ -176,7 +178,10 @@ def continue_bifurcation(
     if start is None:
         found = _not_begun(bifurcation, free, result, names)
     else:
-        found = _curve(curve, follow(curve, start, ends, max_step, max_points), names)
+        within = range_around(ends, curve.value(start))
+        least = least_scales(curve.metric(start), curve.place, ends)
+        curve = dataclasses.replace(curve, least=least)
+        found = _curve(curve, follow(curve, start, within, max_step, max_points), names)
     if throw:
         # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
         raise_if_failed(found.values, found.result)

@@ -243,16 +243,17 @@ def transverse_exponent(
 
         λ1 = ε + lim (1/t) log (|x − y|(t) / |x − y|(0))    at small distance
 
-    Drive x and response y, as in `drive_response`, start eps^0.4·|x| apart after the drive's
-    `transient` periods from `x0` at t = 0, and the response is set back to that distance once a
-    period. λ1 is the coupling at which the rate is zero, whichever coupling it was measured at.
+    The drive x runs from `x0` at t = 0. For the last quarter of the `transient` periods the
+    response y joins it, as in `drive_response`, at a distance of eps^0.4·|x|, and is set back to
+    that once a period: the direction that grows most is found before growth is counted. λ1 is the
+    coupling at which the rate is zero, whichever coupling it was measured at.
 
     **Arguments**
 
     - `system`: any `System`.
     - `x0`: initial state of the drive, shape (n,).
     - `coupling`: ε, per unit of time.
-    - `periods`, `transient`: forcing periods averaged over, and run before by the drive alone.
+    - `periods`, `transient`: forcing periods averaged over, and run before.
     - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`.
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
@@ -308,7 +309,12 @@ def _transverse(
     batches: int,
     compact: bool,
 ) -> TransverseExponent:
-    interval, x, settled = _settle(system, x0, interval, counts, stepper, compact)
+    # In the last quarter of the transient the pair runs already, and its distance turns into the
+    # direction that grows most: counted, that would be a surplus of its own.
+    periods, transient, steps = counts
+    turning = transient // 4
+    alone = (periods, transient - turning, steps)
+    interval, x, settled = _settle(system, x0, interval, alone, stepper, compact)
 
     def run(x: Array, coupling: Array) -> TransverseExponent:
         # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
@@ -319,11 +325,12 @@ def _transverse(
         ends = batch_ends(counts[0], batches)
 
         def problem(k: Array) -> Problem:
-            _, transient, steps = counts
-            grid = interval.grid(jnp.ones_like(steps), steps, transient + k)
+            grid = interval.grid(jnp.ones_like(steps), steps, alone[1] + k)
             return problem_of(pair, tableau_of(stepper), grid)
 
-        z, result, growth = _parted(problem, z, separation, ends, settled)
+        stops = turning + jnp.append(0, ends)
+        z, result, growth = _parted(problem, z, separation, stops, settled)
+        growth = growth[1:]
         times = ends.astype(x.dtype) * interval.length
         growth = select(result == RESULTS.successful, growth, jnp.nan)
         # The pull shrinks every distance at the rate of the coupling, which is added back.

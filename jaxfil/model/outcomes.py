@@ -51,6 +51,7 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
       `out_of_bounds`, and of sweeps with one `section_not_reached`.
     - Of Newton's method, in orbits, branches and bifurcations: `newton_stalled`,
       `newton_singular`, `newton_max_steps_reached`.
+    - Of orbits: `behind_surface`.
     - Of the search for a bifurcation: `no_tangency_found`, `other_kind`, `orbit_lost`,
       `not_nearest`.
     - Of the choice of a step: `tolerance_not_met`.
@@ -104,6 +105,10 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     )
     newton_max_steps_reached = (
         "Newton's method has not converged in its number of steps. Try a larger `newton_steps`."
+    )
+    behind_surface = (
+        "The orbit found lies behind a surface that throws back, where H < 0 and no motion comes "
+        "from H ≥ 0. Start from a guess with H > 0."
     )
     no_tangency_found = (
         "The orbit has no approach to a surface, or no contact with it, from which a bifurcation "

@@ -58,7 +58,9 @@ class Branch(eqx.Module):
     sequences: tuple = eqx.field(static=True)
     """The contacts of each orbit in order: for each the surfaces met and the modes after it."""
     ended: tuple[str, str] = eqx.field(static=True)
-    """Why the curve ends where it does, at either side."""
+    """Why the curve ends where it does, at either side: in "closed at …" it has come back to its
+    start, in "the branch of half the period was met at …" two orbits of opposite phase become one,
+    at its period doubling."""
     periods: int = eqx.field(static=True)
     """Forcing periods after which an orbit closes."""
     result: RESULTS

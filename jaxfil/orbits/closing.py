@@ -49,7 +49,7 @@ class OrbitProblem(eqx.Module):
             system = replace_parameter(system, self.parameter, q[-1])
         if self.autonomous:
             return system, q[0]
-        return system, jnp.asarray(system.period) * self.periods
+        return system, jnp.asarray(system.period, q.dtype) * self.periods
 
     def split(self, u: Array) -> tuple[Array, Array]:
         """The starts of the arcs, shape (M, n), and q."""

@@ -18,10 +18,11 @@ from jaxfil.model.parameter import cast, get_parameter, replace_parameter, scala
 from jaxfil.model.system import System
 from jaxfil.orbits.branch import Branch, SpecialPoint
 from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, contacts_of, orbit_of
-from jaxfil.orbits.curve import constraint_across
+from jaxfil.orbits.curve import constraint_across, least_scales
+from jaxfil.orbits.half_period import half_gap, may_be_doubled
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_curve import OrbitCurve
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_ahead, range_around
 
 # A guess of a state this small is measured as if it were this large.
 _SMALL = 1e-3
@@ -53,13 +54,17 @@ def continue_orbit(
     - `orbit`: where to start, as `periodic_orbit` gives it; or a period doubling of another branch,
       from which the branch of doubled period is followed.
     - `stop`: the value of the parameter to end at; a pair (low, high) follows the branch both ways.
-      A branch that turns back ends where it leaves this range.
-    - `max_step`: the largest step, relative to the size of the unknowns.
+      A branch that turns back ends where it leaves this range. From a period doubling it goes one
+      way, where a single value bounds one side.
+    - `max_step`: the largest step, relative to the size of the unknowns; of one that goes to zero,
+      to a part of what it is at the start.
     - `max_points`: the most points in either direction.
     - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
       does not begin has the orbit that was given as its only one.
 
-    **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` says why.
+    **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` says why. A
+    closed branch is followed once round, and one of doubled period to where it joins that of half
+    the period.
 
     **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
     the orbit, which then is none of the system, or finds none of doubled period; that of the orbit
@@ -84,10 +89,11 @@ def continue_orbit(
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)
     if isinstance(orbit, SpecialPoint):
-        given = orbit.orbit
+        # From its parent the branch goes one way.
+        given, within = orbit.orbit, range_ahead
         curve, start, result = _off_branch(system, parameter, orbit)
     elif isinstance(orbit, Orbit) and orbit.x0.ndim == 1:
-        given = orbit
+        given, within = orbit, range_around
         curve, start, result = _on_branch(system, parameter, orbit)
     else:
         raise ValueError(
@@ -96,7 +102,9 @@ def continue_orbit(
     if start is None:
         branch = _not_begun(curve, given, result)
     else:
-        branch = _branch(curve, follow(curve, start, ends, max_step, max_points))
+        along = within(ends, curve.value(start))
+        curve, start = _known(curve, start, ends)
+        branch = _branch(curve, follow(curve, start, along, max_step, max_points))
     if throw:
         # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
         raise_if_failed(branch.values, branch.result)
@@ -127,6 +135,19 @@ def _on_branch(
     scale = np.append(np.tile(size, orbit.options.arcs), [abs(v) or 1.0 for v in q])
     constraint = constraint_across(u, scale, curve.axis(u), 0.0)
     return curve, *curve.begin(u, constraint, curve.axis(u))
+
+
+def _known(
+    curve: OrbitCurve, start: OrbitPoint, ends: list[float]
+) -> tuple[OrbitCurve, OrbitPoint]:
+    """A curve and its start, with what follows from that for all of it: the least scales, and that
+    its orbits run through none twice, if the first one does not."""
+    least = least_scales(curve.metric(start), curve.place, ends)
+    curve = dataclasses.replace(curve, least=least)
+    if may_be_doubled(curve.problem):
+        start = dataclasses.replace(start, half_gap=half_gap(curve.problem, start.u, start.shot))
+        curve = dataclasses.replace(curve, prime=not start.is_doubled)
+    return curve, start
 
 
 def _off_branch(

@@ -25,10 +25,20 @@ from jaxfil.xla.known import compiled_if_traced
 
 @dataclasses.dataclass(frozen=True)
 class OrbitPoint(CurvePoint):
-    """A point of a branch: an orbit, with its `Shot` as NumPy arrays."""
+    """A point of a branch: an orbit, with its `Shot` as NumPy arrays. Where a branch of half the
+    period may be met, `half_gap` is x(t0 + T/2) − x(t0), each component in its size; it is empty
+    elsewhere."""
 
     shot: Shot
     residual: float
+    half_gap: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def is_doubled(self) -> bool:
+        """Whether it is an orbit of half the period, run through twice, as far as is known."""
+        if not self.half_gap.size:
+            return False
+        return bool(abs(self.half_gap).max() < np.sqrt(np.finfo(self.u.dtype).eps))
 
     @property
     def sequence(self) -> tuple:

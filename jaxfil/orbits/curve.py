@@ -68,6 +68,20 @@ def tangent_of(root: Root, scale: np.ndarray, along: np.ndarray) -> np.ndarray:
     return tangent if tangent @ along >= 0 else -tangent
 
 
+# What an unknown is measured by on a curve is this part at least of what it is at the start, and a
+# parameter by this part: steps relative to a number that goes to zero would never get there.
+_LEAST, _LEAST_OF_PARAMETER = 0.01, 0.1
+
+
+def least_scales(at_start: np.ndarray, place: int, ends: list[float]) -> np.ndarray:
+    """The least scales of unknowns, by their scales at the start of a curve. That of the parameter,
+    which may start at zero too, is by the least of what it starts from and is to end at."""
+    least = _LEAST * np.where(at_start == 0, 1.0, at_start)
+    values = [abs(v) for v in (at_start[place], *ends) if v != 0]
+    least[place] = _LEAST_OF_PARAMETER * min(values, default=1.0)
+    return least
+
+
 _Point = TypeVar("_Point", bound=CurvePoint)
 
 
@@ -131,6 +145,15 @@ class Curve(abc.ABC, Generic[_Point]):
     def beyond_end(self, here: _Point) -> tuple[_Point, Special[_Point]] | None:
         """The point from which the curve goes on where no step leads on, and what happens there."""
         return None
+
+    def last_between(self, here: _Point, ahead: _Point) -> tuple[_Point, str] | None:
+        """The last point of the curve between two neighbours, and why it is that, although
+        solutions of the equations go on."""
+        return None
+
+    def beside(self, point: _Point, other: _Point) -> np.ndarray:
+        """The unknowns of a point in the form in which they are most like another one's."""
+        return point.u
 
     def refusal(self, ahead: _Point) -> str | None:
         """Why a solution of the equations is none of the curve's."""

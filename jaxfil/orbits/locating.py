@@ -17,6 +17,9 @@ _LOCATED = 1e-12
 # A test function this small is zero: a determinant of numbers of order one, known to rounding.
 _ZERO = 1e-13
 
+# A tangent at this cosine to a chord or more says how the curve leaves it.
+_ALONG = 0.5
+
 _Point = TypeVar("_Point", bound=CurvePoint)
 
 
@@ -73,7 +76,22 @@ def _distance(a: CurvePoint, b: CurvePoint) -> float:
 def _at_part(curve: Curve[_Point], a: _Point, b: _Point, part: float) -> _Point | None:
     """The point that lies this part of the way between two."""
     # Across the chord, so that no fold between them is in the way.
-    normal = (b.u - a.u) / a.scale
+    chord = (b.u - a.u) / a.scale
     base = a.u + part * (b.u - a.u)
-    constraint = constraint_across(base, a.scale, normal / np.linalg.norm(normal), 0.0)
-    return curve.correct(base, constraint, a.tangent)
+    constraint = constraint_across(base, a.scale, chord / np.linalg.norm(chord), 0.0)
+    # Where the curve crosses another one, Newton's method converges from nearby alone: the guess is
+    # on the cubic that has both tangents. How far it is from the chord changes by that.
+    at_a = _slope(a.tangent, chord)
+    at_b = _slope(b.tangent * b.scale / a.scale, chord)
+    off = part * (1 - part) * ((1 - part) * at_a - part * at_b)
+    return curve.correct(base + off * a.scale, constraint, a.tangent)
+
+
+def _slope(tangent: np.ndarray, chord: np.ndarray) -> np.ndarray:
+    """How fast a curve leaves a chord, for each time its length; of one that is far from being
+    along it nothing."""
+    length = np.linalg.norm(chord)
+    along = tangent @ chord / length
+    if along < _ALONG * np.linalg.norm(tangent):
+        return np.zeros_like(chord)
+    return tangent * length / along - chord

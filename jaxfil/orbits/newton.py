@@ -49,10 +49,9 @@ class Evaluation(eqx.Module):
     result: RESULTS
     aux: Any
 
-    @property
-    def size(self) -> Array:
-        """The largest residual, each in its scale; inf where it is not finite."""
-        largest = jnp.max(abs(self.residual) / self.equation_scale)
+    def size(self, scale: Array) -> Array:
+        """The largest residual, each in this scale; inf where it is not finite."""
+        largest = jnp.max(abs(self.residual) / scale)
         return select(jnp.isfinite(largest), largest, jnp.inf)
 
 
@@ -85,7 +84,7 @@ def as_it_is(at: Evaluation, z: Array) -> Evaluation:
 
 class Root(eqx.Module):
     """Where Newton's iteration ended: the unknowns, what is known there, the size of the residual,
-    and the outcome."""
+    in the largest scales on the way, and the outcome."""
 
     z: Float[Array, " N"]
     at: Evaluation
@@ -95,12 +94,15 @@ class Root(eqx.Module):
 
 
 class _State(eqx.Module):
-    """The last point that was taken, its residual and scales, the step there, and the search."""
+    """The last point that was taken, its residual, the largest scales so far, the step there, and
+    the search. By its own scale the residual of what goes to zero would never fall."""
 
     z: Array
     size: Array
+    equation_scale: Array
     unknown_scale: Array
     step: Array
+    length: Array  # of the step
     damping: Array
     least: Array  # the smallest residual so far
     patience: Array
@@ -185,8 +187,10 @@ def _first(z: Array) -> _State:
     return _State(
         z=z,
         size=jnp.asarray(jnp.inf, z.dtype),
-        unknown_scale=jnp.ones_like(z),
+        equation_scale=jnp.zeros_like(z),
+        unknown_scale=jnp.zeros_like(z),
         step=jnp.zeros_like(z),
+        length=jnp.zeros((), z.dtype),
         damping=jnp.ones((), z.dtype),
         least=jnp.asarray(jnp.inf, z.dtype),
         patience=zero,
@@ -207,22 +211,25 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     # By a quarter of what the linear equations promise. A residual that is zero to rounding falls
     # no more.
     eps = jnp.finfo(trial.dtype).eps
-    falls = (at.size <= (1 - 0.25 * state.damping) * state.size) | (at.size <= 4 * eps)
-    sound = (at.result == RESULTS.successful) & jnp.isfinite(at.size)
+    scale = jnp.maximum(state.equation_scale, at.equation_scale)
+    size = at.size(scale)
+    falls = (size <= (1 - 0.25 * state.damping) * state.size) | (size <= 4 * eps)
+    sound = (at.result == RESULTS.successful) & jnp.isfinite(size)
     # Shorter is of no use: what does not fall along so short a step has a kink there.
     forced = state.damping <= _SHORTEST
     accepted = first | (sound & (falls | forced))
-    length = jnp.max(abs(step) / at.unknown_scale)
-    old_length = jnp.max(abs(state.step) / state.unknown_scale)
+    # An unknown that is zero to half the digits of what it has been is zero.
+    unknown_scale = jnp.maximum(jnp.sqrt(eps) * state.unknown_scale, at.unknown_scale)
+    length = jnp.max(abs(step) / unknown_scale)
 
     # No if the step is not finite, or so long that only rounding keeps the Jacobian regular.
     solvable = length <= eps**_ENDLESS
     # The step that would follow is the error of this point, and it is not taken.
     converged = accepted & sound & (length <= _CONVERGED * eps)
     # A full step that is short already and cannot reduce the residual: rounding is all there is.
-    floor = ~accepted & (old_length <= eps ** (2 / 3)) & (state.damping == 1)
+    floor = ~accepted & (state.length <= eps ** (2 / 3)) & (state.damping == 1)
     # An iteration that goes to and fro across a kink reduces nothing in the long run.
-    better = accepted & (at.size < 0.9 * state.least)
+    better = accepted & (size < 0.9 * state.least)
     patience = select(better, 0, state.patience + accepted.astype(jnp.int32))
     # At the guess there is no shorter step to go back to.
     failed = first & ~sound
@@ -236,12 +243,16 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     result = RESULTS.where(converged | floor, RESULTS.successful, result)
     after = _State(
         z=select(accepted, trial, state.z),
-        size=select(accepted, at.size, state.size),
-        unknown_scale=select(accepted, at.unknown_scale, state.unknown_scale),
+        size=select(accepted, size, state.size),
+        equation_scale=select(accepted, scale, state.equation_scale),
+        unknown_scale=select(
+            accepted, jnp.maximum(state.unknown_scale, at.unknown_scale), state.unknown_scale
+        ),
         step=select(accepted & solvable, step, state.step),
+        length=select(accepted, length, state.length),
         # Back to the full step soon: the order is two with that alone.
         damping=select(accepted, jnp.minimum(1, 4 * state.damping), 0.5 * state.damping),
-        least=select(accepted, jnp.minimum(at.size, state.least), state.least),
+        least=select(accepted, jnp.minimum(size, state.least), state.least),
         patience=patience,
         num_steps=state.num_steps + 1,
         running=~(converged | floor | failed | singular | stalled),

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, point_of, solve_across
+from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, orbit_of, point_of, solve_across
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
     Curve,
@@ -23,7 +23,10 @@ from jaxfil.orbits.curve import (
     StepSizes,
     constraint_across,
 )
+from jaxfil.orbits.half_period import half_gap
+from jaxfil.orbits.locating import change_on_curve
 from jaxfil.orbits.newton import Root
+from jaxfil.orbits.phase import phased_like
 from jaxfil.orbits.special_points import special_orbits
 from jaxfil.xla.known import array_of
 
@@ -35,13 +38,19 @@ _DIRECTIONS, _RADIUS = 48, 1e-3
 # A point further away than so many of these distances is on another branch, one at this cosine to
 # the tangent where the branch has come from.
 _REACH, _BACK = 20, -0.95
+# Where an orbit joins one of half the period, what it moves in half a period is located to this
+# part of what that changes by in the step.
+_JOINED = 1e-2
 
 
 @dataclasses.dataclass(frozen=True)
 class OrbitCurve(Curve[OrbitPoint]):
-    """The branch of an `OrbitProblem`. The last unknown is the parameter."""
+    """The branch of an `OrbitProblem`. The last unknown is the parameter. Where its orbits are
+    `prime`, those that run through another one twice are none of it. No scale is below `least`."""
 
     problem: OrbitProblem
+    prime: bool = False
+    least: np.ndarray | float = 0.0
 
     # The branch ends at a corner or a square root, and where it ends is known to the least step.
     steps = StepSizes(first=0.005, least=1e-9, growth=1.6, straight=0.995, easy=5, corner=1e-5)
@@ -60,15 +69,47 @@ class OrbitCurve(Curve[OrbitPoint]):
 
     def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:
         """With its shot."""
-        return point_of(root, constraint, along)
+        point = point_of(root, constraint, along)
+        if not self.prime:
+            return point
+        return dataclasses.replace(point, half_gap=half_gap(self.problem, point.u, point.shot))
+
+    def correct(
+        self, guess: np.ndarray, constraint: ArclengthConstraint, along: np.ndarray
+    ) -> OrbitPoint | None:
+        """Never a point of the branch of half the period, onto which Newton's method may slip."""
+        point = super().correct(guess, constraint, along)
+        return None if point is None or point.is_doubled else point
+
+    def last_between(self, here: OrbitPoint, ahead: OrbitPoint) -> tuple[OrbitPoint, str] | None:
+        """Where the branch joins that of half the period."""
+        if not self.prime or here.half_gap @ ahead.half_gap >= 0:
+            return None
+        moves = here.half_gap - ahead.half_gap
+        # At the point itself the branches cross and the equations are singular: they have a
+        # solution up to where rounding makes them so.
+        point, _ = change_on_curve(self, here, ahead, lambda p: bool(p.half_gap @ moves > 0))
+        if abs(point.half_gap).max() > _JOINED * abs(moves).max():
+            return None  # it has turned without being zero
+        # It meets the other one at right angles to the parameter.
+        tangent = np.append(point.tangent[:-1], 0.0)
+        point = dataclasses.replace(point, tangent=tangent / np.linalg.norm(tangent))
+        return point, f"the branch of half the period was met at {self.told(point)}"
 
     def metric(self, point: OrbitPoint) -> np.ndarray:
         """A state by its largest value on the orbit, a parameter by its size. All arcs together
         count as one state."""
         m = self.problem.options.arcs
         size = np.tile(np.asarray(point.shot.size) * np.sqrt(m), m)
-        q = point.u[size.shape[0] :]
-        return np.append(size, np.where(q == 0, 1.0, abs(q)))
+        q = abs(point.u[size.shape[0] :])
+        return np.maximum(np.append(size, q), self.least)
+
+    def beside(self, point: OrbitPoint, other: OrbitPoint) -> np.ndarray:
+        """The phase of an autonomous orbit drifts along a branch: its starts are taken where it is
+        nearest to the other one."""
+        if not self.problem.autonomous:
+            return point.u
+        return phased_like(orbit_of(self.problem, point), point.u, other.u)
 
     def special_points(self, a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
         """Zeros of test functions and changes of the contacts."""

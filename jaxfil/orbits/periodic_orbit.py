@@ -15,16 +15,18 @@ from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
 from jaxfil.integrate.system.grade import is_compact_run
 from jaxfil.model import check
-from jaxfil.model.outcomes import RESULTS, raise_if_failed
+from jaxfil.model.outcomes import RESULTS, is_successful, raise_if_failed
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.orbits.closing import ClosedOrbit
 from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.newton import Root
+from jaxfil.orbits.one_sided import is_behind
 from jaxfil.orbits.orbit import Orbit
+from jaxfil.orbits.prime_period import times_round
 from jaxfil.orbits.shooting import ShootingOptions, flow_map, starts_from
-from jaxfil.xla.known import array_of, compiled_if_traced
+from jaxfil.xla.known import array_of, compiled_if_traced, is_known
 from jaxfil.xla.select import select
 
 
@@ -57,7 +59,8 @@ def periodic_orbit(
     - `system`: the `System`.
     - `x0`: a guess of the state at `t0`, shape (n,).
     - `periods`: forcing periods after which the orbit closes.
-    - `period`: a guess of the period of an autonomous system; None for a forced one.
+    - `period`: a guess of the period of an autonomous system; None for a forced one. Where it leads
+      to a multiple of the period, the prime one is told; in a batch or under `jit` the multiple.
     - `t0`: the time, and so the phase of the forcing, at which the orbit is looked at.
     - `steps`: steps per forcing period, or per period of an autonomous system; or what
       `choose_step` gives for a forced one, which has its own `stepper`.
@@ -75,8 +78,9 @@ def periodic_orbit(
     float leaves of the system are those of the implicit function, forward and reverse.
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
-    where no orbit was found; and where the guess itself cannot be integrated for a period,
-    `nonfinite`, `max_steps_reached`, `max_events_reached`, `mode_undecided`, `zeno`, `nonunique`,
+    where no orbit was found; `behind_surface` where the one found has H < 0 at a surface that
+    throws back; and where the guess itself cannot be integrated for a period, `nonfinite`,
+    `max_steps_reached`, `max_events_reached`, `mode_undecided`, `zeno`, `nonunique`,
     `reset_undecided`, `undeclared_sliding`, `step_too_long` or `invalid_period`.
 
     **Source**: (multiple) shooting is textbook: R. Seydel, Practical Bifurcation and Stability
@@ -134,6 +138,11 @@ def periodic_orbit(
     budget = array_of(check.count("newton_steps", newton_steps), jnp.int32)
     settle = array_of(transient, jnp.int32) if transient else None
     orbit = _find(system, x, guess, options, periods, settle, budget)
+    if autonomous and is_known(orbit) and is_successful(orbit.result):
+        times = times_round(orbit)
+        if times > 1:
+            once = _find(system, orbit.x0, orbit.period / times, options, periods, None, budget)
+            orbit = once if is_successful(once.result) else orbit
     return raise_if_failed(orbit, orbit.result) if throw else orbit
 
 
@@ -179,6 +188,9 @@ def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbi
     problem, shot = equations.problem(system), root.at.aux
     starts, q = problem.split(z)
     _, period = problem.setting(q)
+    behind = is_behind(system, equations.options.t0, starts[0], shot.first_mode)
+    found = root.result == RESULTS.successful
+    result = RESULTS.where(found & behind, RESULTS.behind_surface, root.result)
     return Orbit(
         x0=starts[0],
         period=jnp.asarray(period, z.dtype),
@@ -188,7 +200,7 @@ def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbi
         events=shot.events,
         num_events=shot.num_events,
         first_mode=shot.first_mode,
-        result=root.result,
+        result=result,
         system=system,
         starts=starts,
         num_steps=root.num_steps,

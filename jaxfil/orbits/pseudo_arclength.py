@@ -22,11 +22,13 @@ _Point = TypeVar("_Point", bound=CurvePoint)
 
 @dataclasses.dataclass(frozen=True)
 class Path(Generic[_Point]):
-    """Points in order, the special ones, and why they end at either side."""
+    """Points in order, the special ones, why they end at either side, and whether the last point is
+    the first one again."""
 
     points: list[_Point]
     special: list[Special[_Point]]
     ended: tuple[str, str]
+    closed: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,26 +63,38 @@ def range_around(ends: list[float], value: float) -> Range:
     return Range(low, high, ways)
 
 
+def range_ahead(ends: list[float], value: float) -> Range:
+    """What they mean for a curve that begins at a value and is followed one way, wherever it goes:
+    a single number bounds one side only."""
+    within = range_around(ends, value)
+    if len(ends) == 1:
+        (way,) = within.ways
+        low, high = (-np.inf, ends[0]) if way > 0 else (ends[0], np.inf)
+        within = dataclasses.replace(within, low=low, high=high)
+    return dataclasses.replace(within, ways=(1.0,))
+
+
 def follow(
-    curve: Curve[_Point], start: _Point, ends: list[float], max_step: float, max_points: int
+    curve: Curve[_Point], start: _Point, within: Range, max_step: float, max_points: int
 ) -> Path[_Point]:
     """The curve from one point on to its ends, ahead being where its tangent points."""
-    within = range_around(ends, curve.value(start))
-    *back, ahead = (
-        _follow(
-            curve,
-            dataclasses.replace(start, tangent=way * start.tangent),
-            within,
-            max_step,
-            max_points,
-        )
-        for way in within.ways
-    )
-    if not back:
-        begin = f"start at {curve.told(start)}"
-        return dataclasses.replace(ahead, ended=(begin, ahead.ended[1]))
-    # What was found on the way back is put in the order of the way ahead.
-    first, shift = back[0], len(back[0].points) - 1
+    paths: list[Path[_Point]] = []
+    for way in within.ways:
+        begin = dataclasses.replace(start, tangent=way * start.tangent)
+        path = _follow(curve, begin, within, max_step, max_points)
+        if path.closed:
+            return dataclasses.replace(path, ended=(path.ended[1],) * 2)
+        paths.append(path)
+    if len(paths) > 1:
+        return _joined(*paths)
+    (path,) = paths
+    return dataclasses.replace(path, ended=(f"start at {curve.told(start)}", path.ended[1]))
+
+
+def _joined(first: Path[_Point], ahead: Path[_Point]) -> Path[_Point]:
+    """Both ways from one point as one path, what was found on the way back in the order of the way
+    ahead."""
+    shift = len(first.points) - 1
     turned = [
         Special(s.kind, s.point, s.after, s.before, shift - s.index + 1)
         for s in reversed(first.special)
@@ -95,8 +109,8 @@ def _follow(
 ) -> Path[_Point]:
     points, special, ds = [start], [], min(curve.steps.first, max_step)
 
-    def end(why: str) -> Path[_Point]:
-        return Path(points, special, ("", why))
+    def end(why: str, closed: bool = False) -> Path[_Point]:
+        return Path(points, special, ("", why), closed)
 
     while len(points) < max_points:
         here = points[-1]
@@ -111,19 +125,52 @@ def _follow(
         refusal = curve.refusal(ahead)
         if refusal is not None:
             return end(f"{refusal} beyond {curve.told(here)}")
+        ahead, why = _last(curve, start, here, ahead)
         edges = (within.low, within.high)
         edge = next((v for v in edges if _passes(curve.value(here), curve.value(ahead), v)), None)
         if edge is not None:
             ahead = curve.at_value(here, ahead, edge) or ahead
+            why = f"{curve.parameter} = {edge:.10g} was reached"
         if corner is not None:
             special.append(dataclasses.replace(corner, index=len(points) - 1))
         else:
             found = curve.special_points(here, ahead)
             special.extend(dataclasses.replace(s, index=len(points)) for s in found)
         points.append(ahead)
-        if edge is not None:
-            return end(f"{curve.parameter} = {edge:.10g} was reached")
+        if why:
+            return end(why, closed=ahead is start)
     return end(f"{max_points} points were made")
+
+
+def _last(curve: Curve[_Point], start: _Point, here: _Point, ahead: _Point) -> tuple[_Point, str]:
+    """The end of a step, and why the curve ends there, if it does."""
+    if _returns(curve, start, here, ahead):
+        return start, f"closed at {curve.told(start)}"
+    return curve.last_between(here, ahead) or (ahead, "")
+
+
+def _returns(curve: Curve[_Point], start: _Point, here: _Point, ahead: _Point) -> bool:
+    """Whether a step passes the start again, in the same direction."""
+    scale, place = start.scale, curve.place
+    reach = np.linalg.norm((ahead.u - here.u) / scale)
+    # In the parameter alone first: it must be near, and not be left behind.
+    towards = (start.u[place] - here.u[place]) / scale[place]
+    if here is start or abs(towards) > reach or towards * start.tangent[place] < -(reach**2):
+        return False
+    a, b = curve.beside(here, start), curve.beside(ahead, start)
+    chord, back = (b - a) / scale, (start.u - a) / scale
+    part = (chord @ back) / (chord @ chord)
+    if not 0 < part <= 1 or chord @ start.tangent <= 0:
+        return False
+    if np.linalg.norm(back - part * chord) > np.linalg.norm(chord):
+        return False
+    # Across the step, where the start is.
+    constraint = constraint_across(start.u, scale, chord / np.linalg.norm(chord), 0.0)
+    point = curve.correct(a + part * (b - a), constraint, here.tangent)
+    if point is None:
+        return False
+    off = np.linalg.norm((point.u - start.u) / scale)
+    return bool(off < np.sqrt(np.finfo(start.u.dtype).eps))
 
 
 def _passes(here: float, ahead: float, edge: float) -> bool:

@@ -126,6 +126,23 @@ def test_an_orbit_grazes_two_gates_at_once_where_they_are_equally_far():
     np.testing.assert_allclose(point.values, [low / reach, low], rtol=0, atol=1e-10)
 
 
+def test_a_parameter_of_a_curve_goes_through_zero():
+    """It touches the wall at 1 where the amplitude A is |1 − Ω² + iΩc|."""
+    z = 0.3 / (1 - 1.2**2 + 0.12j)
+    system = jf.systems.ImpactOscillator(amplitude=0.3, omega=1.2)
+    orbit = jf.periodic_orbit(system, jnp.array([z.real, -1.2 * z.imag]))
+    graze = jf.find_bifurcation(system, "amplitude", orbit, "grazing")
+    curve = jf.continue_bifurcation(
+        system, ("damping", "amplitude"), graze, stop=-0.03, max_step=0.1
+    )
+    assert curve.ended[1] == "damping = -0.03 was reached"
+    # Without damping both multipliers are on the unit circle.
+    assert [point.kind for point in curve.points] == ["neimark-sacker"]
+    np.testing.assert_allclose(curve.points[0].values, [0, 0.44], rtol=0, atol=1e-9)
+    damping, amplitude = curve.values.T
+    np.testing.assert_allclose(amplitude, np.hypot(0.44, 1.2 * damping), rtol=0, atol=1e-11)
+
+
 def point(**values):
     names = "h", "rate", "bend", "other_rate", "slide_rate", "slide_bend"
     found = Conditions(**{name: jnp.float64(values.get(name, 1.0)) for name in names})

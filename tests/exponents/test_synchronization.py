@@ -305,3 +305,28 @@ def test_a_pair_has_the_clocks_of_its_system():
     found = jf.transverse_exponent(saw, jnp.ones(1), coupling=0.2, **options)
     assert_allclose(found.exponent, 0.15 - 0.25, rtol=0, atol=1e-7)
     assert jf.drive_response(saw, 0.2).clocks == saw.clocks
+
+
+class Skewed(jf.System):
+    """Rates −1/10 and −1, along directions that are nearly the same, and a force."""
+
+    angle: jax.Array
+
+    def vector_field(self, t, x, side):
+        drive = jnp.stack([jnp.cos(t), jnp.sin(2 * t)])
+        slope = 0.9 / jnp.tan(self.angle)
+        return jnp.stack([-0.1 * x[0] + slope * x[1], -x[1]]) + drive
+
+    @property
+    def period(self):
+        return 2 * np.pi
+
+
+@pytest.mark.parametrize("angle", [0.05, 1.0, 2.5])
+def test_turning_into_the_growing_direction_is_no_growth(angle):
+    """Of a linear system the rate is that of each period, once the pair has turned: in 10 periods
+    of the transient's last quarter to e^(−0.9·20π) = 3e-25."""
+    run = {"periods": 20, "transient": 40, "steps": 24, "coupling": 0.05}
+    found = jf.transverse_exponent(Skewed(jnp.asarray(angle)), jnp.ones(2), **run)
+    assert_allclose(found.exponent, -0.1, rtol=0, atol=1e-8)
+    assert_allclose(found.running, -0.1, rtol=0, atol=1e-7)

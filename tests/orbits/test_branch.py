@@ -278,6 +278,30 @@ def test_round_the_grazing_of_a_wall():
     assert (branch.orbits.residual < 1e-10).all()
 
 
+@pytest.mark.parametrize("stop", [0.0, -0.03])
+def test_a_parameter_goes_to_zero_and_through_it(stop):
+    # Below the wall x'' + c x' + x = A cos Ωt: without damping the response has no phase.
+    response = lambda c: 0.3 / (1 - 1.2**2 + 1.2j * np.asarray(c))  # noqa: E731
+    z = response(0.1)
+    system = S.ImpactOscillator(omega=1.2, amplitude=0.3)
+    orbit = jf.periodic_orbit(system, jnp.asarray([z.real, -1.2 * z.imag]), steps=16)
+    branch = jf.continue_orbit(system, "damping", orbit, stop=stop, max_step=0.1)
+    assert branch.ended[1] == f"damping = {stop:g} was reached"
+    z = response(branch.values)
+    exact = np.stack([z.real, -1.2 * z.imag], axis=1)
+    assert_allclose(branch.orbits.x0, exact, rtol=0, atol=1e-9)
+
+
+def test_a_force_goes_through_zero_and_the_orbit_with_it():
+    z = 0.3 / (1 - 1.2**2 + 0.12j)
+    system = S.ImpactOscillator(omega=1.2, amplitude=0.3)
+    orbit = jf.periodic_orbit(system, jnp.asarray([z.real, -1.2 * z.imag]), steps=16)
+    branch = jf.continue_orbit(system, "amplitude", orbit, stop=-0.1, max_step=0.1)
+    assert branch.ended[1] == "amplitude = -0.1 was reached"
+    exact = np.outer(branch.values / 0.3, [z.real, -1.2 * z.imag])
+    assert_allclose(branch.orbits.x0, exact, rtol=0, atol=1e-9)
+
+
 def test_a_special_point_is_drawn_on_the_curve():
     # Between the orbits number 1 and 2, halfway.
     point = jf.SpecialPoint("contacts", 1.5, sd_branch().points[0].orbit, 2, (), ())

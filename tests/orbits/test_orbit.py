@@ -421,3 +421,73 @@ def test_bad_calls(change, message):
     call = {"system": S.SDOscillator(), "x0": jnp.zeros(2)} | change
     with pytest.raises(ValueError, match=message):
         jf.periodic_orbit(call.pop("system"), call.pop("x0"), **call)
+
+
+class Rest(jf.System):
+    """x'' + x'/10 + x + c x³ = 0: all comes to rest at zero, forced or not."""
+
+    c: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - 0.1 * x[1] - self.c * x[0] ** 3])
+
+    @property
+    def period(self):
+        return 2.0
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("guess", [[1.0, 0.5], [1e-3, 1.0], [0.0, 0.0]])
+@pytest.mark.parametrize("cubic", [0.0, 1.0])
+def test_an_orbit_that_is_zero_is_found(cubic, guess, dtype):
+    orbit = jf.periodic_orbit(Rest(jnp.asarray(cubic)), jnp.asarray(guess, dtype), steps=20)
+    assert_allclose(orbit.x0, 0, rtol=0, atol=1024 * np.finfo(dtype).eps ** 1.5)
+    # The linear system's multipliers, two periods of 1 with |μ| = exp(-0.05 T).
+    assert_allclose(abs(orbit.multipliers), np.exp(-0.1), rtol=32 * np.finfo(dtype).eps ** 0.75)
+
+
+def test_an_orbit_behind_a_wall_is_told():
+    behind = S.ImpactOscillator(amplitude=2.0, omega=1.2, wall=-1.0)
+    orbit = jf.periodic_orbit(behind, jnp.asarray([1.0, 0.0]), throw=False)
+    assert outcome_names(orbit.result) == "behind_surface" and not bool(orbit.stable)
+    with pytest.raises(Exception, match="lies behind a surface that throws back"):
+        jf.periodic_orbit(behind, jnp.asarray([1.0, 0.0]))
+
+
+class Thermostat(jf.System):
+    """Heats from lo to hi and cools back, towards 35 and 10."""
+
+    lo: jax.Array
+    hi: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([10.0 - x[0] + 25.0 * x[1], 0 * x[1]])
+
+    def switching(self, t, x):
+        return jnp.stack([self.hi - x[0], x[0] - self.lo])
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], jnp.where(surface == 0, 0.0, 1.0)])
+
+
+@pytest.mark.parametrize("guess", [0.7, 1.0, 1.3, 2.0])
+def test_the_period_of_a_thermostat_is_prime(guess):
+    system = Thermostat(jnp.asarray(18.0), jnp.asarray(22.0))
+    orbit = jf.periodic_orbit(system, jnp.asarray([20.0, 1.0]), period=guess)
+    exact = np.log(17 / 13) + np.log(12 / 8)
+    assert_allclose(orbit.period, exact, rtol=1e-12)
+
+
+class Turning(jf.System):
+    """The circle of radius one, once in 2π."""
+
+    def vector_field(self, t, x, side):
+        pull = 1 - x[0] ** 2 - x[1] ** 2
+        return jnp.stack([pull * x[0] - x[1], pull * x[1] + x[0]])
+
+
+@pytest.mark.parametrize("times", [1, 2, 3])
+def test_the_period_of_a_smooth_orbit_is_prime(times):
+    orbit = jf.periodic_orbit(Turning(), jnp.asarray([1.1, 0.0]), period=2 * np.pi * times + 0.1)
+    assert_allclose(orbit.period, 2 * np.pi, rtol=1e-9)

@@ -74,7 +74,7 @@ def from_below(curve, stop, max_points=200):
     axis = curve.axis(u)
     start, result = curve.begin(u, constraint_across(u, np.ones(2), axis, 0.0), axis)
     assert outcome_names(result) == "successful"
-    return follow(curve, start, ends_of(stop), 0.2, max_points)
+    return follow(curve, start, range_around(ends_of(stop), curve.value(start)), 0.2, max_points)
 
 
 def test_both_ways_round_a_fold_are_one_curve():
@@ -111,6 +111,16 @@ def test_a_curve_ends_where_a_point_is_refused_or_the_budget_is_used_up():
     assert low.startswith("it is too high beyond -0.") and ahead == "p = 0.5 was reached"
     path = from_below(Circle(), (-2.0, 2.0), max_points=3)
     assert len(path.points) == 5 and path.ended == ("3 points were made",) * 2
+
+
+def test_a_closed_curve_is_followed_once_round():
+    path = from_below(Circle(), (-2.0, 2.0))
+    us = np.array([point.u for point in path.points])
+    assert path.closed and path.ended == ("closed at 0",) * 2
+    assert (us[-1] == us[0]).all()
+    turns = np.diff(np.unwrap(np.arctan2(us[:, 1], us[:, 0])))
+    assert_allclose(abs(turns.sum()), 2 * np.pi, rtol=1e-12)
+    assert [special.kind for special in path.special].count("fold") == 2
 
 
 def test_where_a_test_function_has_no_value_the_last_point_is_told():

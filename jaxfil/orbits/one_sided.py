@@ -1,0 +1,26 @@
+"""Orbits behind a wall, where no motion is.
+
+A system, a state of an orbit and the mode there enter; whether the state lies on the far side of a
+surface that throws back leaves. Newton's method, which knows nothing of where a motion may come
+from, finds orbits on either side.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxfil.integrate.surfaces import unilateral
+from jaxfil.integrate.system.lowered import build
+from jaxfil.model.system import System
+
+
+def is_behind(
+    system: System, t: Float[Array, ""], x: Float[Array, " n"], mode: Int[Array, " m"]
+) -> Bool[Array, ""]:
+    """Whether some surface that bounds H ≥ 0 has H < 0."""
+    if not system.resets:
+        return jnp.zeros((), bool)
+    on_components = build(system, x, compact=True)
+    far = on_components.of_surfaces(-jnp.ones(mode.shape, x.dtype))
+    found = unilateral.constraints(on_components, t, on_components.unpack(x), far)
+    bounds = jnp.stack([jnp.asarray(v) for v in found.throws_back.parts])
+    return jnp.any((mode < 0) & jnp.reshape(bounds, mode.shape))
