@@ -102,7 +102,8 @@ def first_contact(
     reach = abs(d0) + abs(d1)
     # A guard that is rounding where it starts, as of a mass at the very limit of its friction,
     # says no more at a minimum.
-    touches = (abs(low_value) <= 4 * noise) & (abs(g0) > 4 * noise)
+    starts = jnp.maximum(abs(g0), abs(d0))
+    touches = (abs(low_value) <= 4 * noise) & (starts > 4 * noise)
     central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
     near = touches | (central & (low_value <= _SUSPICIOUS * reach))
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
