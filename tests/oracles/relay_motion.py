@@ -101,10 +101,13 @@ def propagate(system: Relays, x0, t1, most=40, through=False) -> Motion:
             if after is None:
                 outcome = kind
                 break
+            # A slide on another surface that this ends is an event of its own.
+            ends = [j for j, s in enumerate(mode) if j != hit[0] and s == 0 and after[j] != 0]
             mode = after
             margin.next_piece()
-            for column, value in zip(events, (t, hit[0], kind, x), strict=True):
-                column.append(value)
+            for event in ((t, hit[0], kind, x), *((t, j, "slip", x) for j in ends[:1])):
+                for column, value in zip(events, event, strict=True):
+                    column.append(value)
             since = [t > end for _, end in spans[-1:]]
             limit = accumulation(system, *events) if through and all(since) else None
             if limit is not None and limit[1] < t1:

@@ -70,8 +70,8 @@ HAND = {
         "crossing corner float32",
         end=(2, 3),
         mode=(1, 1),
-        ts=(1,),
-        kinds=[CROSS],
+        ts=(1, 1),
+        kinds=[CROSS, CROSS],
     ),
     # Through y = 1/2 without a change of speed, then held at y = 1 for ever.
     "held surface": Problem(

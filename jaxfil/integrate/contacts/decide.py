@@ -167,12 +167,14 @@ def _known(
         close = close & ~later
     on = (hit & ~leaving) | close
     if at.unsettled is not None:
-        here = at.unsettled & (abs(at.h) <= maximum(at.gathered, at.noise))
+        # What the steps before have rounded is in the guard of a side.
+        before = where(abs(mode) == 1, state.motion.noise, 0.0)
+        here = at.unsettled & (abs(at.h) <= maximum(at.gathered, before))
         on = on | ((here | (left == 0)) & ~leaving)
     on = switching & on & ~at.off
     if led is None:
         return left, on
-    beside = unilateral.sides_of(left)
+    beside, on = unilateral.sides_of(left), on & ~led.walls
     # What ends a rest, and what asks for a reset, leaves to its side.
     ends = hit & unilateral.rests_of(left) & ~resets.at_limit(state)
     ends = ends if later is None else ends | later

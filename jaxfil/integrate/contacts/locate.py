@@ -201,11 +201,14 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     touched = any_of(kinds == _BRUSHED) & ~landed
     # A contact that is `_HERE` has δ = 0, but the derivative of its time.
     times = on_each(_time_of, kinds, times)
-    # Of several surfaces the one met first gives δ, and those within the rounding of times are met
-    # with it; a later one is left to a step of its own.
-    delta, best, first = _first_of(hits, times, direction)
+    # Of several surfaces those within the rounding of times of the one met first are met with it; a
+    # later one is left to a step of its own.
+    best = least(where(hits, direction * stop_gradient(times), jnp.inf))
     same = problem.grid.same_time(end.motion.tau)
     hits = hits & ((kinds >= _HERE) | (direction * stop_gradient(times) <= best + same))
+    # Their order is that of their turns.
+    first = first_set(hits)
+    delta = total(where(first, times, 0.0))
     # Rounding can put a contact just past the end of the span it belongs to.
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
@@ -223,17 +226,6 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     )
     surfaces, jumped = hits | (touched & (kinds == _BRUSHED)), any_of(hits & (kinds == _JUMPED))
     return Landing(landed | touched, surfaces, touched, delta, x, jumped)
-
-
-def _first_of(
-    hits: Components, times: Components, direction: Array
-) -> tuple[Array, Array, Components]:
-    """The signed time to the first of several contacts, the same as a number that counts forward
-    (inf: there is none) and has no derivative, and which of the surfaces it is of: one."""
-    ahead = where(hits, direction * stop_gradient(times), jnp.inf)
-    best = least(ahead)
-    first = first_set((ahead == best) & (ahead < jnp.inf))
-    return total(where(first, times, 0.0)), best, first
 
 
 def _time_of(kind: Array, missing: Array) -> Array:

@@ -73,6 +73,8 @@ class Impact(eqx.Module):
 
     next: Components
     """The surfaces that ask for a reset or a choice of mode next, at once."""
+    walls: Components
+    """Surfaces that throw back, which are not slid on."""
     still: Components
     """Surfaces where the rate is zero too: rested on, or left with a rate of zero."""
     rests: Components
@@ -226,6 +228,7 @@ def _follow(
     upcoming = where(jump > 0, reset.acted, owed | (more & state.pending.surfaces & ~reset.heard))
     return Impact(
         next=upcoming,
+        walls=c.throws_back,
         still=still,
         rests=rests,
         pushed=away,

@@ -104,7 +104,7 @@ def _surfaces_at(
     same = problem.grid.same_time(state.motion.tau)
     # Jumped by more than rounding of times explains.
     away = abs(h) > gathered + 2 * same * abs(stop_gradient(state.motion.rate))
-    off, something = pending.waits & pending.jumped & away, pending.waits & pending.jumped
+    off, something = pending.waits & pending.across & away, pending.waits & pending.jumped
     if maps.h is not None:
         # Whose H a map has changed: rounding of one that it has not is no way off its surface.
         off = off | (maps.moved & (abs(h) > gathered) & (abs(h - maps.h) > gathered))
@@ -119,14 +119,15 @@ def _surfaces_at(
 
 
 def _with_rounding_of_forces(
-    problem: Problem, state: LoopState, at: Surfaces, fields: Corners
+    problem: Problem, state: LoopState, length: Length, at: Surfaces, fields: Corners
 ) -> Surfaces:
     """The surfaces with the rounding of a state that is held on one, or has just left it: what
     holds it there is rounded as the forces are, however small the state. A surface that it cannot
     leave, for others hold it, is then neither met nor left."""
-    dt = abs(problem.grid.dt)
-    near = state.held | any_of(~state.armed)
-    size = near.astype(dt.dtype) * dt * stop_gradient(fields.sizes())
+    since = select(any_of(~state.armed), abs(stop_gradient(length.h)), 0.0)
+    # What has gathered while it is held is that of many steps.
+    since = select(state.held, abs(problem.grid.dt), since)
+    size = where(since > 0, since * stop_gradient(fields.sizes()), 0.0)
     more = NOISE * problem.system.eps * (abs(stop_gradient(at.normals)) @ size)
     return dataclasses.replace(at, noise=at.noise + more)
 
@@ -159,7 +160,7 @@ def evaluate_step_end(
         later = led.next
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
     if system.slides or are_coupled(system):
-        at = _with_rounding_of_forces(problem, state, at, fields)
+        at = _with_rounding_of_forces(problem, state, length, at, fields)
     choice = decided(problem, state, (fields, rates), at, led, later)
     choice, again = _in_turn(problem, state, maps, choice, later)
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
@@ -175,6 +176,7 @@ def evaluate_step_end(
         num_modes=num_modes,
         moved=maps.moved,
         ticked=maps.ticked,
+        off=at.off,
         members=_members(state, maps, motion, later),
         next=later,
         again=again,
@@ -204,7 +206,8 @@ def _in_turn(
     others = (choice.mode != mode) & ~hit
     again = cause & any_of(others)
     if later is not None:
-        again = again & ~any_of(later)
+        # What waits for its reset has its side at once.
+        others, again = others & ~later, again & ~any_of(later)
     kept = where(others & cause, mode, choice.mode)
     return Decision(kept, select(again, jnp.maximum(choice.count, 1), choice.count)), again
 
@@ -331,6 +334,7 @@ def _smooth_end(
         num_modes=one,
         moved=jnp.zeros((), bool),
         ticked=None,
+        off=none,
         members=none,
         next=None,
         again=None,

@@ -73,6 +73,7 @@ class Clocks(Extension):
             surfaces=pending.surfaces & ~ticking,
             grazes=pending.grazes & ~ticking,
             jumped=pending.jumped | ticking,
+            across=pending.across | ticking,
         )
         return dataclasses.replace(after, pending=pending), ClockState(ticks, waiting)
 

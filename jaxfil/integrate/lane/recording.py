@@ -62,6 +62,10 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
         left, held = left | (abs(old) == 2), held | (abs(new) == 2)
     slip = where(left, EventKind.slip.value, EventKind.crossing.value)
     kinds = where(held, EventKind.stick.value, slip).astype(jnp.int8)
+    if problem.system.resets or problem.system.ticks:
+        # Across without a zero of H on the way.
+        far = state.pending.jumped & (old * new == -1) & (end.motion.g > end.gathered)
+        kinds = where(far, EventKind.carry.value, kinds).astype(jnp.int8)
     graze = jnp.asarray(EventKind.graze.value, jnp.int8)
     changed = end.members & (old != new)
     first = largest(where(first_set(changed), kinds, 0))

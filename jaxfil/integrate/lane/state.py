@@ -104,6 +104,8 @@ class Pending(eqx.Module):
     """Whether it only touches."""
     jumped: Array
     """Whether a field, H or the state has jumped: a tick, or what a map has led to."""
+    across: Components
+    """Surfaces whose H may have jumped with it, m flags."""
     together: Array | None
     """Whether its surfaces are decided together, and not one after the other; None where there is
     nothing to choose between."""
@@ -189,6 +191,8 @@ class StepEnd(eqx.Module):
     """Whether a map has moved the state."""
     ticked: Array | None
     """Whether that of a tick has; None where there is none."""
+    off: Components
+    """Surfaces that a jump of H, or a map, has led the state off."""
     members: Components
     """The surfaces of a switch made here, or those whose mode it changes."""
     next: Components | None

@@ -55,7 +55,7 @@ from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial, compact_step, step
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.surfaces.unilateral import rests_of
-from jaxfil.integrate.system.components import Components, Forcing, any_of, where
+from jaxfil.integrate.system.components import Components, Forcing, any_of, maximum, where
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select, select_all
 
@@ -155,21 +155,21 @@ def _carried_out(
     start, armed = rearmed(problem, state, end)
     h = select(lands, length.h + landing.delta, select(moved, length.h, 0.0))
     waits, surfaces, settled = lands | (before.waits & ~moved), before.surfaces, state.settled
-    jumped = before.jumped & ~switched
+    jumped, across = before.jumped & ~switched, before.across & ~switched
     if end.next is not None:
         more = switched & any_of(end.next)
         waits, surfaces = waits | more, where(switched, end.next, surfaces)
         # What has jumped has until all that follows from it is done.
-        jumped = jumped | (more & (before.jumped | end.moved))
         if end.jump is not None:  # at the end of chattering or of turns a time has passed
-            jumped = jumped & ~(end.jump > 0)
+            more = more & ~(end.jump > 0)
+        jumped, across = jumped | (more & (before.jumped | end.moved)), across | (more & end.off)
     if end.jump is not None:
         h = h + select(switched, end.jump, 0.0)
         settled = None if settled is None else switched & (end.jump > 0)
     if end.again is not None:
         waits = waits | (switched & end.again)
         surfaces = surfaces & ~(switched & end.again)
-        jumped = jumped | (switched & end.again)
+        jumped, across = jumped | (switched & end.again), across | (switched & end.again & end.off)
     together = before.together
     if together is not None and end.misfit is not None:
         together = (together | (before.waits & end.misfit)) & ~switched
@@ -178,6 +178,7 @@ def _carried_out(
     exact = (taken.accepted & moved & ~length.cutting) | (lands & landing.jumped)
     motion = select_all(moved, start, state.motion)
     noise = where(touches, end.gathered, end.motion.noise)
+    noise = maximum(noise, where(state.armed, 0.0, state.motion.noise))
     at_landing = landing.x, end.motion.rate, noise
     x, rate, noise = select_all(lands, at_landing, (motion.x, motion.rate, motion.noise))
     tau = select(exact, end.motion.tau, tau)
@@ -196,6 +197,7 @@ def _carried_out(
             surfaces=where(lands, landing.surfaces, surfaces),
             grazes=select(lands, touches, before.grazes),
             jumped=select(lands, landing.jumped, jumped),
+            across=where(lands, landing.jumped, across),
             together=together,
             repeats=select(switched, judgement.repeats, before.repeats),
             tau=select(switched, stop_gradient(end.motion.tau), before.tau),
@@ -218,7 +220,9 @@ def _counted(grid: TimeGrid, state: LoopState, taken: Step) -> Counts:
         counts,
         index=counts.index + one(taken.gridded),
         num_iterations=counts.num_iterations + one(is_running(grid, state)),
-        num_accepted=counts.num_accepted + one(taken.moved & taken.accepted),
+        # A step of length zero, from a tick to what is saved there, is none.
+        num_accepted=counts.num_accepted
+        + one(taken.moved & taken.accepted & (taken.length.h != 0)),
         num_events=counts.num_events + one(taken.made),
     )
 

@@ -65,6 +65,8 @@ class Judgement(eqx.Module):
     """Trial steps rejected in a row, if this one is."""
     repeats: Array
     """Contacts in a row at one and the same time, with the one that a switch is made of here."""
+    hidden: Array
+    """Whether rounding hides that there was a flight between the last two of these."""
 
 
 def judged(
@@ -75,11 +77,12 @@ def judged(
     # A flight this short cannot be told from the correction that ends it.
     tau, repeats = end.motion.tau, state.pending.repeats
     flight = abs(tau - state.pending.tau)
-    again = flight <= 4 * problem.grid.same_time(tau)
+    again, hidden = flight <= 4 * problem.grid.same_time(tau), jnp.zeros((), bool)
     if problem.system.resets and problem.system.m > 1:
         # Nor one that leads no further from its surface than rounding.
         low = flight * abs(state.motion.rate) <= _LOW * state.motion.noise
-        again = again | ~any_of(state.pending.surfaces & ~low)
+        hidden = ~again & ~any_of(state.pending.surfaces & ~low)
+        again = again | hidden
     return Judgement(
         end=end,
         contact=contact,
@@ -87,6 +90,7 @@ def judged(
         too_long=too_long(problem, state, length, trial, end),
         rejections=select(contact.found, state.search.rejections + 1, 0),
         repeats=select(waits, select(again, repeats + 1, 0), repeats),
+        hidden=hidden,
     )
 
 
@@ -133,8 +137,8 @@ def _failures(
     chain = _CHAIN if system.resets and system.m > 1 else _FROZEN + 2 * system.m
     full = no if most is None else _is_event(state, end) & (state.counts.num_events >= most)
     infinite = ~all_finite(motion.x, motion.f, motion.g, judgement.contact.theta)
-    # Contacts that fill the table one after the other at one time are an accumulation.
-    many = full & (judgement.repeats >= _FROZEN)
+    # Contacts that fill the table with flights that rounding hides are an accumulation.
+    many = full & judgement.hidden & (judgement.repeats >= _FROZEN)
     lost = (undecided & ~limit) | (judgement.rejections > _TRIES)
     return [
         (RESULTS.nonfinite, infinite),

@@ -250,6 +250,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
             surfaces=nowhere if start.owed is None else start.owed,
             grazes=false,
             jumped=false,
+            across=nowhere,
             together=None if alone else false,
             repeats=zero,
             tau=tau - jnp.inf,

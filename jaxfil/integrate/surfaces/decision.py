@@ -208,7 +208,9 @@ def _continues(
         ok = ok & ~any_of(on & walls & ~fine)
         mode = where(rests, 2 * sides, sides)
     if question.kept is not None and question.now is not None:
-        ok = ok & ((rounds > 0) | ~any_of(question.kept & (mode != question.now)))
+        # Beside a slide that goes on another motion may begin.
+        stays_so = question.kept & (question.now != 0)
+        ok = ok & ((rounds > 0) | ~any_of(stays_so & (mode != question.now)))
     velocity = None
     if question.fields is not None:
         velocity = question.fields.blend(sides, w)

@@ -120,9 +120,11 @@ def test_both_surfaces_at_once(mixed, dt):
     system = corner(lambda s1, s2: corners.get((s1, s2), mixed(s1, s2)))
     sol = run(system, (-1, -1), 2.0, dt)
     ts, kinds = table(sol)
-    assert_allclose(ts, [1.0], rtol=1e-14)
-    assert kinds == [EventKind.crossing]
-    assert_array_equal(sol.events.members[0], True)
+    # One after the other, unless that leads elsewhere.
+    count = len(ts)
+    assert_allclose(ts, [1.0] * count, rtol=1e-14)
+    assert kinds == [EventKind.crossing] * count
+    assert_array_equal(np.asarray(sol.events.members[:count]).sum(axis=0), [1, 1])
     assert sol.events.surfaces[0] == 0
     assert_allclose(sol.xs[-1], [2, 3], rtol=1e-13)
     assert_array_equal(sol.modes[-1], [1, 1])
@@ -133,8 +135,8 @@ def test_both_surfaces_at_once_the_same_surface_listed_twice(dt):
     system = corner(lambda s1, s2: (1, 1.5 + (s1 + s2) / 4), n=LEVELS)
     sol = run(system, (0, -1), 2.0, dt)
     ts, _ = table(sol)
-    assert_allclose(ts, [1.0], rtol=1e-14)
-    assert_array_equal(sol.events.members[0], True)
+    assert_allclose(ts, [1.0, 1.0], rtol=1e-14)
+    assert_array_equal(sol.events.members[:2], np.eye(2, dtype=bool))
     assert_allclose(sol.xs[-1], [2, 2], rtol=1e-13)
     assert_array_equal(sol.modes[-1], [1, 1])
 

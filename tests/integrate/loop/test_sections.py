@@ -247,7 +247,10 @@ def test_crossings_are_those_of_an_independent_program():
         (lambda: jf.Section(3.0), "`function` must be a callable"),
         (lambda: jf.Section(lambda t, x: x[0], direction=2), "`direction` must be"),
         (lambda: jf.Section(lambda t, x: x[0], terminal=0), "`terminal` must be"),
-        (lambda: watched(lambda t, x: x), "must return a real scalar, got shape"),
+        (
+            lambda: watched(lambda t, x: x),
+            "must return a real scalar of the state's dtype, float64, got shape",
+        ),
         (lambda: watched(7), "`sections` must be a jaxfil.Section or a sequence"),
     ],
 )
