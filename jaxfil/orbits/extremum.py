@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.integrate.run.solution import Dense, step_again
+from jaxfil.integrate.run.solution import Dense, step_again, within_step
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.lowered import build
@@ -49,8 +49,9 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
 
     def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
         """State, value and rate of change after a part h of a step."""
-        field = ModeField(system, system.of_surfaces(start.mode.astype(dtype)))
-        end = step_again(dense, system, field, start.t, system.unpack(start.x), h)
+        here = within_step(dense, system, start.t)
+        field = ModeField(here, here.of_surfaces(start.mode.astype(dtype)))
+        end = step_again(dense, here, field, start.t, here.unpack(start.x), h)
         t, f = start.t + h, pack(field(start.t + h, end), dtype)
         x = pack(end, dtype)
         value, rate = jax.jvp(function, (t, x), (jnp.ones_like(t), f))

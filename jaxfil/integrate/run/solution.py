@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxfil.integrate.lane import clocks
+from jaxfil.integrate.lane.problem import NOTHING, Problem, even_grid
 from jaxfil.integrate.lane.state import CrossingTable, EventTable
 from jaxfil.integrate.run.dataset import solution_arrays
 from jaxfil.integrate.steppers.explicit import Stepper, compact_step, step, tableau_of
@@ -218,11 +220,19 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
     i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
     system = build(dense.system, dense.xs[i], compact=dense.compact)
+    system = within_step(dense, system, dense.ts[i])
     field = ModeField(system, system.of_surfaces(dense.modes[i].astype(dtype)))
     start, x = dense.ts[i], system.unpack(dense.xs[i])
     end = step_again(dense, system, field, start, x, t - start)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
     return select(reached, pack(end, dtype), jnp.nan)
+
+
+def within_step(dense: Dense, system: ComponentSystem, t: Array) -> ComponentSystem:
+    """A system in a step from t on: it does not look across a tick of a clock."""
+    grid = even_grid(t, dense.t1 - dense.t0, jnp.int32(1))
+    around = Problem(system, tableau_of(dense.stepper), grid, NOTHING)
+    return clocks.just_after(around, t).system
 
 
 def step_again(
