@@ -154,8 +154,10 @@ def find_bifurcation(
     **Source**: kinds and conditions: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk,
     Piecewise-smooth Dynamical Systems (2008), chapter 8, with time as a state.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> system = jf.systems.SDOscillator(omega=0.84)
     >>> orbit = jf.periodic_orbit(system, jnp.array([1.9, 0.0]))
     >>> b = jf.find_bifurcation(system, "omega", orbit, "grazing")

@@ -85,6 +85,7 @@ def grazing_margin(
 
     >>> import jax, jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> system = jf.systems.SDOscillator(omega=0.8)
     >>> orbit = jf.periodic_orbit(system, jnp.array([1.7, 0.0]))
     >>> slope = jax.grad(lambda s: jf.grazing_margin(s, orbit))(system)

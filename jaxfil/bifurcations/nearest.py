@@ -118,8 +118,10 @@ def nearest_grazing(
     point of a curve or surface: I. Dobson, Computing a closest bifurcation instability in
     multidimensional parameter space, J. Nonlinear Science 3 (1993) 307–327.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> system = jf.systems.ImpactOscillator(amplitude=0.3, omega=1.2)
     >>> orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.5]))
     >>> found = jf.nearest_grazing(system, ("amplitude", "omega", "wall"), orbit)

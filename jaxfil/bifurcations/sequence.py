@@ -98,8 +98,10 @@ def find_bifurcations(
 
     **Source**: that of `continue_orbit` and `find_bifurcation`.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=11.5)
     >>> orbit = jf.periodic_orbit(belt, jnp.array([0.1, 0.0]))
     >>> for b in jf.find_bifurcations(belt, "omega", orbit, stop=10.5):

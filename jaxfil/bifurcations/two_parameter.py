@@ -149,8 +149,10 @@ def continue_bifurcation(
     **Source**: curves and their points of codimension two: P. Kowalczyk et al., Two-parameter
     discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006).
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> system = jf.systems.SDOscillator(omega=0.84)
     >>> orbit = jf.periodic_orbit(system, jnp.array([1.9, 0.0]))
     >>> graze = jf.find_bifurcation(system, "omega", orbit, "grazing")

@@ -28,6 +28,7 @@ class Clock(eqx.Module):
     >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> class Sawtooth(jf.System):
     ...     period_of_ramp: jax.Array
     ...

@@ -139,8 +139,10 @@ def bound(function: Callable[[Array, Array], Array]) -> Section:
     **Source**: L. F. Shampine and S. Thompson, Event location for ordinary differential equations,
     Computers & Mathematics with Applications 39 (2000) 43–54.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> growth = jf.piecewise(lambda t, x: x, lambda t, x: x, lambda t, x: x[0] - 1e9)
     >>> inside = jf.bound(lambda t, x: 8 - x[0])
     >>> sol = jf.solve(growth, jnp.ones(1), 0.0, 9.0, 0.1, sections=inside, throw=False)

@@ -74,8 +74,10 @@ def continue_orbit(
     problems, in: Applications of Bifurcation Theory (1977); H. Dankowicz, F. Schilder, Recipes for
     Continuation (2013).
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=12.0)
     >>> orbit = jf.periodic_orbit(belt, jnp.array([0.1, 0.0]))
     >>> branch = jf.continue_orbit(belt, "omega", orbit, stop=10.0)

@@ -82,8 +82,10 @@ def harmonic_balance(
     **Source**: textbook: M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems
     (2019); that the integrals are taken from zero to zero of H is ours.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> system = jf.systems.SDOscillator(omega=0.7)
     >>> guess = lambda t: jnp.stack([3 * jnp.cos(0.7 * t), -2.1 * jnp.sin(0.7 * t)])
     >>> series = jf.harmonic_balance(system, guess, harmonics=9)

@@ -70,8 +70,10 @@ def explore(
     **Errors**: `ImportError` without ipywidgets; `ValueError` names a parameter that is none of the
     system, or a range that is none.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> box = jf.plot.explore(
     ...     jf.systems.CoulombOscillator(), {"friction": (0.1, 1.0)}, jnp.array([3.0, 0.0]), 0.0,
     ...     14.0, 0.1, jf.plot.time_history, stepper=jf.RK4(), components=1)

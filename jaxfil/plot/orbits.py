@@ -100,8 +100,10 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: 
 
     **Returns** the matplotlib axes.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> system = jf.systems.SDOscillator(omega=0.84)
     >>> orbit = jf.periodic_orbit(system, jnp.array([1.9, 0.0]))
     >>> graze = jf.find_bifurcation(system, "omega", orbit, "grazing")

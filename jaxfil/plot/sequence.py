@@ -38,8 +38,10 @@ def bifurcation_sequence(
 
     **Returns** the matplotlib axes.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=11.5)
     >>> orbit = jf.periodic_orbit(belt, jnp.array([0.1, 0.0]))
     >>> found = jf.find_bifurcations(belt, "omega", orbit, stop=10.5)

@@ -70,8 +70,10 @@ def average(
     **Source**: textbook; E. Hairer, S. P. Nørsett and G. Wanner, Solving Ordinary Differential
     Equations I, Springer (1993), section II.1, where a quadrature is a differential equation.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> spring = jf.piecewise(
     ...     lambda t, x: jnp.stack([x[1], -x[0]]), lambda t, x: jnp.stack([x[1], -4 * x[0]]),
     ...     lambda t, x: x[0])

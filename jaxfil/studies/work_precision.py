@@ -149,8 +149,10 @@ def work_precision(
     **Source**: work–precision diagrams: Hairer, Nørsett and Wanner, Solving Ordinary Differential
     Equations I, Springer 1993, section II.10.
 
+    >>> import jax
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
     >>> scene = jf.systems.CoulombOscillator()
     >>> wp = jf.work_precision(scene, jnp.array([3.0, 0.0]), 2.0, [jf.RK4()], [0.1, 0.05])
     >>> print(wp.errors.round(6).tolist())
