@@ -14,10 +14,11 @@ from jaxtyping import Array, Float
 
 from jaxfil.bifurcations.candidates import guesses
 from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
-from jaxfil.bifurcations.tangency import FLIGHT, Tangency
+from jaxfil.bifurcations.tangency import FLIGHT, Closing, Tangency, conditions
+from jaxfil.integrate.run.solution import switches
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.outcomes import RESULTS, raise_if_failed
+from jaxfil.model.outcomes import RESULTS, is_successful, raise_if_failed
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
@@ -61,7 +62,8 @@ def grazing_margin(
         margin = min_t s H(t, x(t)) on the flight that comes closest to grazing from side s
 
     The flight is followed as if the surface were not there, so that the margin goes on smoothly
-    through zero into negative values, where the orbit would cut the surface.
+    through zero into negative values, where the orbit would cut the surface. Of an orbit that hits
+    the surface this is the orbit without that contact, if there is one.
 
     **Arguments**
 
@@ -74,11 +76,12 @@ def grazing_margin(
     **Returns** the margin, an array of shape (), or with `throw=False` a `GrazingMargin`, which has
     the outcome of each lane of a batch.
 
-    **Outcomes**: `successful`; `no_tangency_found` where the given orbit was not found itself or no
-    flight of it approaches a surface; `newton_stalled`, `newton_singular` or
-    `newton_max_steps_reached` where the system has perhaps no orbit near it; and where the flow
-    cannot be followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
-    `nonunique`, `reset_undecided`, `undeclared_sliding` or `step_too_long`.
+    **Outcomes**: `successful`; `no_tangency_found` where the given orbit was not found itself, no
+    flight of it approaches a surface, or H has no minimum on those found; `newton_stalled`,
+    `newton_singular` or `newton_max_steps_reached` where the system has perhaps no orbit near it;
+    and where the flow cannot be followed from the guess, `nonfinite`, `max_steps_reached`,
+    `mode_undecided`, `zeno`, `nonunique`, `reset_undecided`, `undeclared_sliding` or
+    `step_too_long`.
 
     **Source**: the implicit function theorem (textbook) applied to the defining system of grazing,
     as in `find_bifurcation`.
@@ -96,11 +99,32 @@ def grazing_margin(
     check.flags(throw=throw)
     if not isinstance(orbit, Orbit) or orbit.x0.ndim != 1:
         raise ValueError(f"`orbit` must be a single Orbit, got {check.told(orbit)}.")
-    tangency, missing = guesses(orbit, "grazing")[0][0]
     system = cast(system, orbit.x0.dtype)
-    equations, guess = _first_guess(orbit, tangency)
-    found = _margin_of(*solve_implicit(equations, system, guess), missing)
+    found = _margin_at(system, orbit, *_nearest(orbit))
     return raise_if_failed(found.value, found.result) if throw else found
+
+
+def _nearest(orbit: Orbit) -> tuple[Tangency, Array]:
+    """The nearest tangency from which a margin is found, and whether there is none to start from.
+    From a contact with the surface the search may end at a maximum of the guard."""
+    tangencies = guesses(orbit, "grazing")[0]
+    if switches(orbit.events).size:
+        # Decided for the orbit as it is, also while the system is being traced.
+        with jax.core.eval_context():
+            for tangency, missing in tangencies:
+                found = _margin_at(orbit.system, orbit, tangency, missing)
+                if is_successful(found.result):
+                    return tangency, missing
+    return tangencies[0]
+
+
+def _margin_at(system: System, orbit: Orbit, tangency: Tangency, missing: Array) -> GrazingMargin:
+    """The margin that is found from a tangency."""
+    equations, guess = _first_guess(orbit, tangency)
+    z, root = solve_implicit(equations, system, guess)
+    closing: Closing = root.at.aux[2]
+    there = conditions(system, closing.t, closing.x, tangency)
+    return _margin_of(z, root, missing, there.bend)
 
 
 @eqx.filter_jit
@@ -113,10 +137,12 @@ def _first_guess(orbit: Orbit, tangency: Tangency) -> tuple["_Margin", Array]:
 
 
 @jax.jit
-def _margin_of(z: Array, root: Root, missing: Array) -> GrazingMargin:
-    """The margin that a solution is."""
-    result = RESULTS.where(missing, RESULTS.no_tangency_found, root.result)
-    return GrazingMargin(z[-1], result)
+def _margin_of(z: Array, root: Root, missing: Array, bend: Array) -> GrazingMargin:
+    """The margin that a solution is, if the guard bends up there."""
+    least = bend > 0
+    found = root.result == RESULTS.successful
+    result = RESULTS.where(missing | (found & ~least), RESULTS.no_tangency_found, root.result)
+    return GrazingMargin(select(least, z[-1], jnp.nan), result)
 
 
 class _Margin(Equations):
@@ -148,7 +174,7 @@ def _without_height(at: Evaluation, z: Array) -> Evaluation:
         kept(at.equation_scale),
         at.unknown_scale,
         at.result,
-        (at.residual[n], at.jacobian),
+        (at.residual[n], at.jacobian, at.aux),
     )
 
 
@@ -156,7 +182,7 @@ def _without_height(at: Evaluation, z: Array) -> Evaluation:
 def _with_margin(root: Root) -> tuple[Array, Array]:
     """All unknowns at a root, and the derivative of all equations there."""
     # Without an orbit the last guard is that of nothing.
-    margin, jacobian = root.at.aux
+    margin, jacobian, _ = root.at.aux
     margin = select(root.result == RESULTS.successful, margin, jnp.nan)
     n = jacobian.shape[0] - 2
     by_margin = jnp.zeros((n + 2, 1), margin.dtype).at[n].set(-1)

@@ -467,3 +467,32 @@ def test_a_bifurcation_prints_its_conditions(sd_grazing):
     assert "grazing at omega = 0.86671658197" in card
     assert "d²H/dt² 0.75119" in card
     assert "Bifurcation in float32: grazing at omega = 0.8667" in repr(in_float32(sd_grazing))
+
+
+class WallOnTheLeft(jf.System):
+    """x'' + x'/10 + x = 0.3 cos 1.2t right of a wall at −0.7, where it bounces with e = 0.7."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -0.1 * x[1] - x[0] + 0.3 * jnp.cos(1.2 * t)])
+
+    def switching(self, t, x):
+        return x[0] + 0.7
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], -0.7 * x[1]])
+
+    @property
+    def period(self):
+        return 2 * np.pi / 1.2
+
+
+@pytest.mark.parametrize("jitted", [False, True])
+def test_the_margin_of_an_orbit_that_hits_is_no_maximum(jitted):
+    """Without the wall it reaches A = 0.3/|1 − 1.44 + 0.12i| to either side: the search from the
+    impact ends where H is largest, 0.7 + A."""
+    system = WallOnTheLeft()
+    orbit = jf.periodic_orbit(system, jnp.array([0.77384387, 0.41202521]))
+    assert int(orbit.num_events) == 1
+    margin = lambda s: jf.grazing_margin(s, orbit, throw=False)  # noqa: E731
+    found = (eqx.filter_jit(margin) if jitted else margin)(system)
+    assert outcome_names(found.result) == "no_tangency_found" and np.isnan(found.value)
