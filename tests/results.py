@@ -90,3 +90,44 @@ def in_float32(result):
 def by_imaginary_part(values):
     """Multipliers in order of their imaginary part, then of their size."""
     return np.asarray(sorted(values, key=lambda z: (round(np.imag(z), 6), abs(z))))
+
+
+def with_derivatives(function, order):
+    """The value of a function of one array with its first derivatives, and what the function gives
+    besides its value, from one program."""
+    if order == 0:
+
+        def valued(p):
+            value, more = function(p)
+            return (value,), more
+
+        return valued
+
+    def further(p):
+        values, more = with_derivatives(function, order - 1)(p)
+        return values[-1], (values, more)
+
+    def derived(p):
+        last, (values, more) = jax.jacfwd(further, has_aux=True)(p)
+        return (*values, last), more
+
+    return derived
+
+
+def assert_derivatives(motion, exact, lanes, rounding, order=2):
+    """Assert that numbers of a motion are a closed form of the same parameters, with their first
+    derivatives, in all lanes of a batch; the solutions. `rounding` is in eps of the largest of the
+    numbers compared, or of 1."""
+    lanes = jnp.asarray(lanes, float)
+    got, sols = jax.jit(jax.vmap(with_derivatives(motion, order)))(lanes)
+    known = jax.vmap(with_derivatives(lambda p: (exact(p), None), order))(lanes)
+    assert set(outcome_names(sols.result).ravel()) == {"successful"}
+    for found, want in zip(got, known[0], strict=True):
+        atol = rounding * np.finfo(float).eps * max(1, np.max(abs(want)))
+        assert_within(found, want, atol)
+    return sols
+
+
+def kinds_of(sols):
+    """The kinds of the events of each lane."""
+    return [table(lane(sols, k))[1] for k in range(len(sols.num_events))]

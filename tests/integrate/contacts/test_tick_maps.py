@@ -1,0 +1,354 @@
+"""Maps at known times, of ticks and of resets: what they do, and their derivatives.
+
+A kick, a dose, a latch, a controller that samples and holds. A map that happens to leave the
+numbers as they are, a kick of zero, still has its derivative: multipliers, exponents and fits need
+it. Against closed forms, and against the matrices of the sampled system (K. J. Åström and B.
+Wittenmark, Computer-Controlled Systems, Prentice Hall 1997, chapter 2).
+"""
+
+from typing import ClassVar
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfil as jf
+from jaxfil import EventKind
+from tests.results import assert_derivatives, assert_within, by_imaginary_part, kinds_of
+
+EPS = np.finfo(float).eps
+OPTIONS = dict(stepper=jf.RK4(), compact=True, max_events=16, throw=False)
+
+
+def solve(system, x0, t1, dt=0.1, t0=0.0, **options):
+    x0 = jnp.stack([jnp.asarray(v, float) for v in x0])
+    return jf.solve(system, x0, t0, t1, dt, **(OPTIONS | options))
+
+
+class Kick(jf.System):
+    """x'' = −x until a tick at s, at which the velocity jumps by a kick."""
+
+    kick: jax.Array
+    s: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0]])
+
+    def tick(self, t, x, clock):
+        return jnp.stack([x[0], x[1] + self.kick])
+
+    @property
+    def clocks(self):
+        return (jf.Clock(10.0, self.s),)
+
+
+class KickAtSurface(Kick):
+    """The same by the reset of a surface in time."""
+
+    slides: ClassVar[bool] = False
+
+    def switching(self, t, x):
+        return t - self.s
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], x[1] + self.kick])
+
+    ticks: ClassVar[bool] = False
+    clocks: ClassVar[tuple] = ()
+
+
+KICKS = [[0.5, 1.0], [1e-12, 1.05], [0.0, 1.0], [0.0, 0.85]]
+
+
+@pytest.mark.parametrize("system", [Kick, KickAtSurface])
+def test_a_kick_of_zero_has_the_derivatives_of_any_other(system):
+    """At s = 1 the tick is a grid point, too."""
+
+    def end(p):
+        sol = solve(system(*p), [1.0, 0.0], 2.0, 0.05, stepper=diffrax.Dopri8())
+        return sol.x_final, sol
+
+    def exact(p):
+        kick, s = p
+        sine, cosine = jnp.sin(2 - s), jnp.cos(2 - s)
+        return jnp.stack([jnp.cos(2.0) + kick * sine, -jnp.sin(2.0) + kick * cosine])
+
+    assert_derivatives(end, exact, KICKS, 128)
+
+
+def test_the_loop_is_run_backward_through_a_kick_of_zero():
+    def end(p):
+        adjoint = diffrax.RecursiveCheckpointAdjoint()
+        options = dict(adjoint=adjoint, stepper=diffrax.Dopri8())
+        return solve(Kick(*p), [1.0, 0.0], 2.0, 0.05, **options).x_final[0]
+
+    assert_within(jax.grad(end)(jnp.array([0.0, 1.0])), [np.sin(1), 0.0], 128 * EPS)
+
+
+class Pull(jf.System):
+    """x' = v, v' = 0; at t = 1 the map x ↦ a x, and v ↦ b v."""
+
+    a: jax.Array
+    b: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], 0 * x[1]])
+
+    def switching(self, t, x):
+        return t - 1
+
+    def reset(self, t, x, surface):
+        return jnp.stack([1 + self.a * (x[0] - 1), self.b * x[1]])
+
+
+def test_a_map_at_its_fixed_point_has_its_derivative():
+    """x ↦ x/4 + 3/4 at 1, and a velocity of zero multiplied by −3."""
+
+    def end(p):
+        sol = solve(Pull(p[0], p[1]), p[2:], 2.0)
+        return sol.x_final, sol
+
+    def exact(p):
+        a, b, x, v = p
+        return jnp.stack([1 + a * (x + v - 1) + b * v, b * v])
+
+    lanes = [[0.25, -3.0, 1.0, 0.0], [1.0, -3.0, 0.3, 0.0], [0.25, -3.0, 0.4, 0.1]]
+    assert_derivatives(end, exact, lanes, 64, order=1)
+
+
+class Held(jf.System):
+    """x'' = u, where u is sampled at the ticks: u = k (r − x) − d x'."""
+
+    k: jax.Array
+    d: jax.Array
+    r: jax.Array
+    T: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], x[2], 0 * x[2]])
+
+    def tick(self, t, x, clock):
+        return jnp.stack([x[0], x[1], self.k * (self.r - x[0]) - self.d * x[1]])
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.T),)
+
+    @property
+    def period(self):
+        return self.T
+
+
+class HeldBySurfaces(Held):
+    """The same by a reset at the zeros of a sine."""
+
+    slides: ClassVar[bool] = False
+    ticks: ClassVar[bool] = False
+    clocks: ClassVar[tuple] = ()
+
+    def switching(self, t, x):
+        return jnp.sin(jnp.pi * t / self.T)
+
+    def reset(self, t, x, surface):
+        return Held.tick(self, t, x, surface)
+
+
+def held_exact(p):
+    """Ticks at T, 2T, 3T of a run from 0 with u = 0 to 3.5 T or so."""
+    k, d, r, T, x, v, t1 = p
+    u, t = 0 * x, 0 * x
+    for h in (T, T, T, t1 - 3 * T):
+        x, v = x + h * v + h**2 * u / 2, v + h * u
+        u, t = k * (r - x) - d * v, t + h
+    # The last sample is not taken.
+    return jnp.stack([x, v])
+
+
+def test_a_controller_that_samples_and_holds_has_its_derivatives():
+    """By gains, set point and period, at rest at its set point too."""
+
+    def end(p):
+        k, d, r, T, x, v, t1 = p
+        x0 = jnp.stack([x, v, 0 * x])
+        sol = jf.solve(Held(k, d, r, T), x0, 0 * T, t1, 0.1, **OPTIONS)
+        return sol.x_final[:2], sol
+
+    lanes = [[4, 2.5, 0.2, 0.3, 0.1, 0.4, 1.0], [4, 2.5, 0.2, 0.3, 0.2, 0.0, 1.0]]
+    assert_derivatives(end, held_exact, lanes, 256)
+
+
+@pytest.mark.parametrize("system", [Held, HeldBySurfaces])
+def test_its_orbit_at_rest_has_the_multipliers_of_the_sampled_system(system):
+    T, k, d = 0.3, 4.0, 2.5
+    closed = np.array([[1, T], [0, 1]]) - np.outer([T * T / 2, T], [k, d])
+    held = system(*map(jnp.asarray, (k, d, 0.2, T)))
+    x0 = jnp.array([0.2, 0.0, 0.0])
+    orbit = jf.periodic_orbit(held, x0, t0=0.15, stepper=jf.RK4(), steps=8, throw=False)
+    assert orbit.result == jf.RESULTS.successful
+    want = by_imaginary_part([*np.linalg.eigvals(closed), 0])
+    # A triple of eigenvalues well apart.
+    assert_within(by_imaginary_part(np.asarray(orbit.multipliers)).real, want.real, 256 * EPS)
+    assert_within(by_imaginary_part(np.asarray(orbit.multipliers)).imag, want.imag, 256 * EPS)
+
+
+class Dose(jf.System):
+    """x' = −k x, and a dose at each tick."""
+
+    dose: jax.Array
+    k: jax.Array
+    T: jax.Array
+
+    def vector_field(self, t, x, side):
+        return -self.k * x
+
+    def tick(self, t, x, clock):
+        return x + self.dose
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.T),)
+
+
+def test_a_dose_adds_what_is_left_of_each():
+    """Also with a dose of zero."""
+
+    def end(p):
+        sol = solve(Dose(*p), [1.0], 2.5, 0.05, stepper=diffrax.Dopri8())
+        return sol.x_final, sol
+
+    def exact(p):
+        dose, k, T = p
+        left = [jnp.exp(-k * (2.5 - n * T)) for n in range(1, 4)]
+        return (jnp.exp(-k * 2.5) + dose * sum(left))[None]
+
+    assert_derivatives(end, exact, [[2.0, 0.5, 0.8], [0.0, 0.5, 0.75]], 256)
+
+
+def test_a_dose_is_fitted_from_the_guess_zero():
+    ts = jnp.linspace(0.5, 1.9, 6)
+    data = jnp.exp(-0.5 * ts) + jnp.where(ts > 1, 2 * jnp.exp(-0.5 * (ts - 1)), 0.0)
+    system = Dose(*map(jnp.asarray, (0.0, 0.5, 1.0)))
+    fit = jf.fit(
+        system,
+        ("dose",),
+        ts,
+        data,
+        jnp.ones(1),
+        0.1,
+        observe=lambda t, x: x[0],
+        guesses=jnp.zeros((1, 1)),
+        throw=False,
+    )
+    assert fit.result == jf.RESULTS.successful
+    assert_within(fit.values, [2.0], 1e-6)
+
+
+class Latch(jf.System):
+    """A ramp that a latch turns round: at the first tick behind a level, by the second clock."""
+
+    level: jax.Array
+    T: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([jnp.where(x[1] > 0, -1.0, 1.0), 0 * x[1]])
+
+    def tick(self, t, x, clock):
+        latched = jnp.maximum(x[1], jnp.where(x[0] > self.level, 1.0, 0.0))
+        return jnp.stack([x[0], jnp.where(clock == 1, latched, x[1])])
+
+    @property
+    def clocks(self):
+        return jf.Clock(self.T), jf.Clock(3 * self.T, self.T)
+
+
+def test_a_latch_is_set_by_its_own_clock():
+    """At 0.31 and 1.24, behind the level at the second of them; and at once where they are one."""
+
+    def end(p):
+        sol = solve(Latch(*p), [0.0, 0.0], 2.0)
+        return sol.x_final, sol
+
+    def exact(p):
+        level, T = p
+        turn = jnp.where(level < T, T, 4 * T)
+        return jnp.stack([2 * turn - 2, 1 + 0 * T])
+
+    assert_derivatives(end, exact, [[0.5, 0.31], [0.2, 0.3], [1.1, 0.4]], 64)
+
+
+class Ramp(jf.System):
+    """x'' = 1 − k x' until the tick at s, and −k x' after it."""
+
+    s: jax.Array
+    k: jax.Array
+
+    def vector_field(self, t, x, side):
+        push = jnp.where(jnp.floor((t - self.s) / 10.0) < 0, 1.0, 0.0)
+        return jnp.stack([x[1], push - self.k * x[1]])
+
+    @property
+    def clocks(self):
+        return (jf.Clock(10.0, self.s),)
+
+
+class RampWithSurface(Ramp):
+    """The same with a surface far away."""
+
+    def switching(self, t, x):
+        return x[0] + 5
+
+
+@pytest.mark.parametrize("system", [Ramp, RampWithSurface])
+def test_a_tick_on_a_grid_point_has_its_derivative(system):
+    """By its phase, where the field does not commute with itself."""
+
+    def end(p):
+        s, k = p
+        sol = solve(system(s, k), [0.0, 0.0], 3.0, 0.125, stepper=diffrax.Dopri8())
+        return sol.x_final, sol
+
+    def exact(p):
+        s, k = p
+        v = (1 - jnp.exp(-k * s)) / k
+        left = jnp.exp(-k * (3 - s))
+        return jnp.stack([(s - v) / k + v * (1 - left) / k, v * left])
+
+    lanes = [[1.0, 1.0], [1.1, 1.0], [2.5, 0.8], [1 + 1e-15, 1.0], [1 + 1e-12, 1.0]]
+    assert_derivatives(end, exact, lanes, 512, order=1)
+
+
+class Sampler(jf.System):
+    """A relay whose threshold is sampled: the tick moves the surface, and then the state."""
+
+    T: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([-0.5 * side, 0 * x[1]])
+
+    def switching(self, t, x):
+        return x[0] - x[1]
+
+    def tick(self, t, x, clock):
+        return jnp.stack([x[0], x[1] + 1])
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.T),)
+
+
+def test_a_tick_is_an_event_and_so_is_what_follows_from_it():
+    """A slide at the threshold 0; at the tick it is 1, the slide ends, and is met after 2."""
+
+    def end(p):
+        sol = solve(Sampler(*p), [0.5, 0.0], 4.2)
+        return jnp.concatenate([sol.x_final, sol.events.ts[:3]]), sol
+
+    def exact(p):
+        (T,) = p
+        return jnp.stack([(4.2 - T) / 2, 1 + 0 * T, 1 + 0 * T, T, T])
+
+    sols = assert_derivatives(end, exact, [[2.5], [2.6]], 64, order=1)
+    assert kinds_of(sols) == [[EventKind.stick, EventKind.tick, EventKind.slip]] * 2
