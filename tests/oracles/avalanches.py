@@ -27,7 +27,8 @@ class Network(NamedTuple):
 def propagate(network: Network, v, t1, most=2000):
     """The state at t1 and a list of (time, neuron) of all that has fired."""
     t, fired = 0.0, []
-    ticks = network.phase + network.period * np.arange(-1, t1 / network.period + 1)
+    first, last = ((end - network.phase) / network.period for end in (0, t1))
+    ticks = network.phase + network.period * np.arange(np.floor(first), last + 1)
     ticks = [float(tick) for tick in ticks if 0 < tick < t1] + [t1]
     while ticks:
         spans = reached(network, v)

@@ -128,7 +128,7 @@ def random_clocked(seed, kind, masses, rubs, walls):
 
 def _times(period, phase):
     """The ticks within the span; one at the start has been made."""
-    times = phase + period * np.arange(-2, T1 / period + 2)
+    times = phase + period * np.arange(np.floor(-phase / period), (T1 - phase) / period + 1)
     return [float(t) for t in times if 0 < t < T1]
 
 
