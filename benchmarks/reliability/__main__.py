@@ -12,13 +12,14 @@ import time
 import jax
 
 from benchmarks import RESULTS
-from benchmarks.reliability import cases, derivatives, faults, relays, smooth, walls
+from benchmarks.reliability import cases, derivatives, faults, mechanics, relays, smooth, walls
 from benchmarks.reliability.verdict import COLUMNS, totals
 from benchmarks.table import table
 
 FAMILIES = {
     "relays": relays.groups,
     "impacts": walls.groups,
+    "mechanics": mechanics.groups,
     "smooth": smooth.groups,
     "derivatives": derivatives.groups,
     "cases": cases.groups,
