@@ -95,9 +95,9 @@ def _decided(
         grazes = waits & state.pending.grazes & (grid.direction < 0)
         rates = _rates_at_graze(problem, state, rates, at.gathered, grazes)
     forces, before = None, rates
-    if led is not None and led.constraints is not None:
-        known = stop_gradient((led.constraints, led.by_time, at.normals, fields))
-        forces = unilateral.forces_of(*known)
+    if led is not None and led.constraints is not None and led.by_time is not None:
+        c, by_time, normals = stop_gradient((led.constraints, led.by_time, at.normals))
+        forces = unilateral.forces_of(c, by_time, normals, fields)
         before, _, _ = unilateral.held(forces, rates, unilateral.rests_of(state.motion.mode))
     left, opened = _known(problem, state, before, at, led, later)
     on = opened | (grazes & state.pending.surfaces)

@@ -68,25 +68,23 @@ class Maps(eqx.Module):
 
 def _mapped(problem: Problem, state: LoopState, t: Array, x: Components) -> Maps:
     """The state after the map that is due: that of a tick, or of one surface."""
-    system, no = problem.system, jnp.zeros((), bool)
-    if system.ticks and problem.ticked is not None:
-        due, before = problem.ticked >= 0, x
-
-        def ticked(t: Array, x: Components, number: Array) -> Components:
-            return system.tick(t, x, jnp.maximum(number, 0))
-
-        x = system.where_any(due, ticked, lambda t, x, _: x, t, x, problem.ticked)
-        x = where(due, x, before)
-        moved = any_of(x != before)
-        h = system.switching(t, before)
-    else:
-        moved, h = None, None
+    system, number, before = problem.system, problem.ticked, x
+    h = ticked = None
+    if system.ticks and number is not None:
+        due = number >= 0
+        x = where(due, system.where_any(due, system.tick, _unmoved, t, x, number), x)
+        ticked, h = any_of(x != before), system.switching(t, before)
     if not system.resets:
-        return Maps(x, h, no if moved is None else moved, moved, None)
+        return Maps(x, h, jnp.zeros((), bool) if ticked is None else ticked, ticked, None)
     reset = resets.make_reset(system, state, t, x)
-    h = reset.h if h is None else where(problem.ticked >= 0, h, reset.h)
-    any_moved = reset.moved if moved is None else reset.moved | moved
-    return Maps(reset.x, h, any_moved, moved, reset)
+    if h is None or number is None or ticked is None:
+        return Maps(reset.x, reset.h, reset.moved, None, reset)
+    h = where(number >= 0, h, reset.h)
+    return Maps(reset.x, h, reset.moved | ticked, ticked, reset)
+
+
+def _unmoved(t: Array, x: Components, number: Array) -> Components:
+    return x
 
 
 def _surfaces_at(

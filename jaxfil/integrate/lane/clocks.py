@@ -112,8 +112,9 @@ def _behind(
 ) -> Motion:
     """A motion without surfaces just behind a tick of a clock, given the ticks that come next."""
     system, t = between_ticks(problem, ticks).system, problem.grid.t0 + motion.tau
-    x = system.tick(t, motion.x, number)
-    x = motion.x if x is None else where(ticking, x, motion.x)
+    x = motion.x
+    if system.ticks:
+        x = where(ticking, system.tick(t, x, number), x)
     return dataclasses.replace(
         motion, x=x, f=where(ticking, system.field(t, x, motion.mode), motion.f)
     )

@@ -63,8 +63,11 @@ def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction:
         return filippov.corners(system, t, x)[1]
     rates, seconds, thirds = _all_rates(system, t, x)
     scales = rates.sizes()
-    resolved = ft.partial(_resolved, system, direction)
-    return rates.map(lambda *three: resolved(*three, scales), seconds, thirds)
+
+    def resolved(rate: Components, second: Components, third: Components) -> Components:
+        return _resolved(system, direction, rate, second, third, scales)
+
+    return rates.map(resolved, seconds, thirds)
 
 
 def _resolved(
@@ -156,8 +159,8 @@ def _first_mode_together(
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     fields, rates = filippov.corners(system, t, x)
     above = sides.like(jnp.ones_like(t))
-    (first, *higher) = _three_rates(system, t, x, above)
-    resolved = _resolved(system, direction, first, *higher, abs(first))
+    first, second, third = _three_rates(system, t, x, above)
+    resolved = _resolved(system, direction, first, second, third, abs(first))
     start = resets.begin(problem, x, on, sides, resolved)
     _, _, normals = system.gradients(t, x)
     forces = unilateral.forces_of(start.constraints, start.by_time, normals, fields)

@@ -88,8 +88,8 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
     direction = ft.partial(_direction, system, t, x)
     if gradients.is_array:
         numbers = jnp.arange(system.m, dtype=jnp.int32)
-        each = jax.vmap(direction)(*sides.parts, *rate.parts, gradients.rows[0], numbers)
-        directions = Rows.array(each.parts[0])
+        given = sides.parts[0], rate.parts[0], gradients.rows[0], numbers
+        directions = Rows.array(jax.vmap(direction)(*given).parts[0])
     else:
         each = zip(sides.parts, rate.parts, gradients.rows, strict=True)
         directions = Rows(direction(*of_j, j) for j, of_j in enumerate(each))

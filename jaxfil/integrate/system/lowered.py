@@ -192,9 +192,9 @@ class ComponentSystem(eqx.Module):
         """The state after an impact on `surface`."""
         return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
 
-    def tick(self, t: Array, x: Components, clock: Array) -> Components | None:
-        """The state after a tick of a clock; None where ticks leave it alone."""
-        return self._tick and self._tick(self.held(t), x, jnp.asarray(clock, jnp.int32))
+    def tick(self, t: Array, x: Components, clock: Array) -> Components:
+        """The state after a tick of a clock, the first one for a negative number."""
+        return self._tick(self.held(t), x, jnp.maximum(jnp.asarray(clock, jnp.int32), 0))
 
     @property
     def ticks(self) -> bool:
