@@ -101,7 +101,8 @@ def _decided(
         before, _, _ = unilateral.held(forces, rates, unilateral.rests_of(state.motion.mode))
     left, opened = _known(problem, state, before, at, led, later)
     on = opened | (grazes & state.pending.surfaces)
-    on = on | (left == 0) if system.slides else on
+    if system.slides:
+        on = on | (left == 0 if later is None else (left == 0) & ~later)
     decide = waits & ~state.pending.grazes & any_of(opened)
     # Where a slide on an intersection ends, another mode begins: rounding must not show both.
     threshold = select(waits, 0.0, NOISE * system.eps)
@@ -163,8 +164,6 @@ def _known(
     # told from this one, and would follow it at once. One that has just been left is not.
     near = abs(state.motion.rate) * problem.grid.same_time(state.motion.tau)
     close = (state.motion.mode != 0) & (abs(at.h) < near) & state.armed
-    if later is not None:
-        close = close & ~later
     on = (hit & ~leaving) | close
     if at.unsettled is not None:
         # What the steps before have rounded is in the guard of a side.
@@ -172,6 +171,8 @@ def _known(
         here = at.unsettled & (abs(at.h) <= maximum(at.gathered, before))
         on = on | ((here | (left == 0)) & ~leaving)
     on = switching & on & ~at.off
+    if later is not None:
+        on = on & ~later
     if led is None:
         return left, on
     beside, on = unilateral.sides_of(left), on & ~led.walls

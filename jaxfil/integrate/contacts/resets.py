@@ -170,8 +170,9 @@ def _view(
         maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))
     )
     inside, dt = system.rate_rounding(t, x, sides), problem.grid.dt
+    by_time = a - c.gradients @ f
     return View(
-        c, a, a - c.gradients @ f, unilateral.rate_noise(t, size, inside, dt, fast, c, a, surfaces)
+        c, a, by_time, unilateral.rate_noise(t, size, inside, dt, fast, c, by_time, surfaces)
     )
 
 
@@ -221,7 +222,10 @@ def _follow(
     acts = jumped & on & (outward < -noise) & ~reset.heard
     # What a map has carried the state across has a contact there, at this time.
     across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
-    owed = reset.waits | acts | across
+    # What waits for its reset and has been led back, or is no longer run into, is none any more.
+    back = at.off & (state.motion.mode * at.h > 0)
+    parts = c.throws_back & there & (outward > noise)
+    owed = (reset.waits & ~back & ~(reset.moved & parts)) | acts | across
     rests, consistent = unilateral.pressed(c.gains, seen.a, sides, still)
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
@@ -332,7 +336,8 @@ def begin(
     a = unilateral.accelerations(system, t, x, above, f)
     _, h_t, normals = system.gradients(t, x)
     inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
-    noise = unilateral.rate_noise(t, abs(x), inside, problem.grid.dt, f, c, a, surfaces)
+    by_time, dt = a - c.gradients @ f, problem.grid.dt
+    noise = unilateral.rate_noise(t, abs(x), inside, dt, f, c, by_time, surfaces)
     flat, wall = abs(c.rate) <= noise, on & c.throws_back
     led = _led_to(system, t, x)
     far = stop_gradient(abs(led)) > _NOISE * system.eps * (abs(normals) @ abs(x))
@@ -351,5 +356,5 @@ def begin(
         rests=rests,
         consistent=consistent,
         constraints=c,
-        by_time=a - c.gradients @ f,
+        by_time=by_time,
     )

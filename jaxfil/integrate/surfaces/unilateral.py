@@ -133,14 +133,13 @@ def rate_noise(
     dt: Array,
     f: Components,
     c: Constraints,
-    a: Components,
+    by_time: Components,
     surfaces: tuple[Components, Rows],
 ) -> Components:
     """What rounding does to ψ: of t and x, of the terms that it is made of, and of the steps by
-    which the state has come here. `surfaces` are ∂H/∂t and ∂H/∂x, `inside` is
-    `ComponentSystem.rate_rounding`."""
+    which the state has come here. `surfaces` are ∂H/∂t and ∂H/∂x, `by_time` is ∂ψ/∂t, `inside` is
+    `ComponentSystem.rate_rounding`; x and f are sizes."""
     h_t, normals = surfaces
-    by_time = a - c.gradients @ f
     # Of bodies that fall side by side ψ stays zero, and its terms do not.
     gained = abs(c.gradients) @ abs(f)
     terms = abs(h_t) + abs(normals) @ abs(f) + abs(c.gradients) @ x
@@ -191,10 +190,15 @@ def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Cor
     def reaction(a: Components) -> Components:
         return multipliers(known.gains, a, rests)
 
+    def pushed(rows: Rows, rate: Components, force: Components) -> Components:
+        # What reactions cancel is not rounding of either sign: weights would be made of it.
+        after, size = rate + rows @ force, abs(rate) + abs(rows) @ abs(force)
+        small = abs(after) <= _NOISE * float(jnp.finfo(size.parts[0].dtype).eps) * size
+        return where(small, 0.0, after)
+
     force = known.accelerations.each(reaction)
-    pushed = rates.each(lambda rate, v: rate + known.pushes @ v, force)
-    left = known.accelerations.each(lambda a, v: answered(known.gains, a, v), force)
-    return pushed, left, force
+    rates = rates.each(ft.partial(pushed, known.pushes), force)
+    return rates, known.accelerations.each(ft.partial(pushed, known.gains), force), force
 
 
 def answered(gains: Rows, a: Components, force: Components) -> Components:

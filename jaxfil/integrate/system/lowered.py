@@ -23,6 +23,7 @@ from jaxtyping import Array
 from jaxfil.integrate.system import dependencies
 from jaxfil.integrate.system.components import Components, Forcing, on_each, pack, scalars
 from jaxfil.integrate.system.dependencies import Structure
+from jaxfil.integrate.system.refused import check_affine, check_derivatives, check_sharding
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.model import check
 from jaxfil.model.system import System
@@ -35,8 +36,6 @@ from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 _FEW, _FEW_SURFACES = (12, 2), (1, 1)
 # Surfaces at most that are components one by one, whatever they have to do with each other.
 _MANY_SURFACES = 3
-# Surfaces at most of a field that is not affine in its sides.
-_MOST_PRODUCTS = 10
 
 
 def _unpacked(numbers: Any, as_array: bool) -> Components:
@@ -252,7 +251,7 @@ def build(system: System, x0: Array, *, compact: bool, transposed: bool = False)
     """The components of a system whose float leaves have the dtype of `x0`, shape (n,), for a
     program that is `compact` or not; to be `transposed`, its functions must not let a side that is
     not taken into their derivatives."""
-    _check_sharding((system, x0))
+    check_sharding((system, x0))
     h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
     several = len(x0) > _FEW[compact] and m > _FEW_SURFACES[compact] and not system.resets
@@ -260,19 +259,9 @@ def build(system: System, x0: Array, *, compact: bool, transposed: bool = False)
         packed = _build(system, x0, compact, transposed, h_shape, packed=True)
         alone = packed.structure.separate and packed.structure.members is not None
         if alone or m > _MANY_SURFACES:
-            _check_affine(system, packed)
+            check_affine(system, packed.structure, m)
             return packed
     return _build(system, x0, compact, transposed, h_shape, packed=False)
-
-
-def _check_affine(system: System, found: ComponentSystem) -> None:
-    """Says what would end in a lack of memory."""
-    if found.m > _MOST_PRODUCTS and not (found.structure.separate or found.structure.affine):
-        raise ValueError(
-            f"`vector_field` of {type(system).__name__} must be affine in its sides (a + b * side, "
-            f"not side[0] * side[1]) with more than {_MOST_PRODUCTS} surfaces, for otherwise each "
-            f"of the 2**m combinations of sides has a field of its own; got m = {found.m}."
-        )
 
 
 def _build(
@@ -296,7 +285,7 @@ def _build(
     when = (FIRST, EARLY, LATE, LATE)
     traced_field = traced(field, leaves, t0, x, sides, when=when)
     traced_switching = traced(switching, leaves, t0, x)
-    _check_derivatives(vector_field=traced_field, switching=traced_switching)
+    check_derivatives(vector_field=traced_field, switching=traced_switching)
     found = dependencies.of(
         (traced_field, traced_switching),
         jax.tree.map(lambda _: False, (leaves, t0)),
@@ -347,29 +336,6 @@ def _clocks(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
     """Periods and phases of a system's clocks."""
     pairs = [(clock.period, clock.phase) for clock in check.clocks(system)]
     return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)
-
-
-def _check_sharding(tree: Any) -> None:
-    kinds = [jax.typeof(v) for v in jax.tree.leaves(eqx.filter(tree, eqx.is_array))]
-    # `vma` until JAX 0.9.
-    varying = (
-        getattr(kind, "vma", None)
-        or getattr(getattr(kind, "manual_axis_type", None), "varying", None)
-        for kind in kinds
-    )
-    if any(varying):
-        # Derivatives taken inside of the loop would have to say of each number where it differs.
-        raise ValueError("`check_vma` of `jax.shard_map` must be False around jaxfil, got True.")
-
-
-def _check_derivatives(**functions: Traced) -> None:
-    for name, function in functions.items():
-        found = function.without_derivatives()
-        if found is not None:
-            raise TypeError(
-                f"`{name}` must have forward derivatives, which contacts are located with, got one "
-                f"that calls `{found}`: wrap it in `jax.custom_jvp`."
-            )
 
 
 def _on_components(

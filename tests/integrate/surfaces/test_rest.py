@@ -390,7 +390,7 @@ def test_columns_of_beads_come_to_rest_and_not_through_the_floor():
     # One after the other, of the program that is there; in lanes each waits for the longest.
     sols = [column(jnp.asarray(e), jnp.asarray(start)) for e, start in zip(es, q, strict=True)]
     sol = jax.tree.map(lambda *leaves: np.stack(leaves), *sols)
-    told = np.asarray(sol.result == RESULTS.max_events_reached)
+    told = np.asarray((sol.result == RESULTS.max_events_reached) | (sol.result == RESULTS.zeno))
     assert np.asarray(told | (sol.result == RESULTS.successful)).all()
     # Columns that bounce for longest, 7 in 100, fill the table; all of them have e above 0.62.
     assert not told[es < 0.6].any() and told.sum() <= 4

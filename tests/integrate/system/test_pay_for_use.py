@@ -111,7 +111,7 @@ def text(system, **options):
         # The search for contacts, and what a contact leads to.
         ("locate.find_contact", "crossing", "smooth"),
         ("locate.land", "crossing", "smooth"),
-        ("switch._chosen", "crossing", "smooth"),
+        ("decide._decided", "crossing", "smooth"),
         ("filippov._choose_on_one", "crossing", "smooth"),
         # Sliding: the blend's weights, the return to the surface, whether it draws the state back.
         ("weights.determinant", "sliding", "crossing"),
@@ -125,8 +125,8 @@ def text(system, **options):
         # Sections and clocks.
         ("section_search._look", "section", "crossing"),
         ("section_search._follow", "section", "crossing"),
-        ("clocks._met", "clock", "crossing"),
-        ("clocks._moved", "clock", "crossing"),
+        ("clocks._next_tick", "clock", "crossing"),
+        ("step_length._up_to_tick", "clock", "crossing"),
     ],
 )
 def test_what_is_not_declared_is_not_in_the_program(program, source, declared, other):
