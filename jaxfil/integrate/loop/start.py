@@ -181,7 +181,8 @@ def _first_mode_together(
     count = select(any_of(rests) & (direction < 0), 2, count)
     determinant = None
     if system.slides:
-        _, rates, _ = unilateral.held(forces, rates, rests)
+        # As at the end of a step, so that no rounding tells the two apart.
+        _, rates, _ = filippov.held_corners(system, t, x, mode, fields, rates)
         w = sliding_weights.weights(unilateral.beside(mode), rates)
         determinant = sliding_weights.determinant(unilateral.beside(mode), rates, w)
     return mode, on, start.owed, count, determinant
