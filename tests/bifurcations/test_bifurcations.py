@@ -427,14 +427,14 @@ def test_a_bifurcation_is_found_under_jit(sd, sd_grazing):
 def test_a_curve_that_does_not_begin_is_an_outcome(sd, sd_grazing):
     system, orbits = sd
     call = ("omega", "f0"), {"stop": (0.8, 0.9)}
-    # The state is that of another orbit, which does not close.
-    far = eqx.tree_at(lambda b: b.orbit.system.f0, sd_grazing, jnp.float64(40.0))
+    # With such a damping no orbit is near.
+    far = eqx.tree_at(lambda b: b.orbit.system.zeta, sd_grazing, jnp.float64(-1.0))
     curve = jf.continue_bifurcation(system, call[0], far, **call[1], throw=False)
     assert outcome_names(curve.result) == "newton_stalled"
-    np.testing.assert_allclose(curve.values, [[SD_LOW, 40.0]], rtol=1e-11)
+    np.testing.assert_allclose(curve.values, [[SD_LOW, 0.25]], rtol=1e-11)
     np.testing.assert_array_equal(curve.xs, far.x[None])
     assert curve.points == [] and curve.kinds == ("grazing",)
-    assert curve.ended == ("no curve was found at (0.86671658, 40)",) * 2
+    assert curve.ended == ("no curve was found at (0.86671658, 0.25)",) * 2
     assert "newton_stalled: Newton's method cannot" in repr(curve)
     with pytest.raises(eqx.EquinoxRuntimeError, match="cannot reduce the residual"):
         jf.continue_bifurcation(system, call[0], far, **call[1])
@@ -451,11 +451,11 @@ def test_bad_arguments_are_named(sd, sd_grazing):
         jf.find_bifurcation(system, "omega", orbit, "fold")
     with pytest.raises(ValueError, match=r"`parameter` must be a parameter of SDOscillator"):
         jf.find_bifurcation(system, "freq", orbit, "grazing")
-    with pytest.raises(ValueError, match=r"`orbit` must be an Orbit, got ndarray"):
+    with pytest.raises(ValueError, match=r"`orbit` must be a jaxfil.Orbit, got an object of type ndarray"):
         jf.find_bifurcation(system, "omega", np.zeros(2), "grazing")
     with pytest.raises(ValueError, match=r"`orbit` must be a single Orbit"):
         jf.grazing_margin(system, orbits)
-    with pytest.raises(ValueError, match=r"`parameters` must be two different parameters"):
+    with pytest.raises(ValueError, match=r"`parameters` must be the names of different parameters"):
         jf.continue_bifurcation(system, ("omega", "omega"), sd_grazing, stop=(0.8, 0.9))
     with pytest.raises(ValueError, match=r"`stop` must be \(low, high\) around"):
         jf.continue_bifurcation(system, ("omega", "f0"), sd_grazing, stop=(0.9, 1.0))

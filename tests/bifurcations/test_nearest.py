@@ -153,7 +153,7 @@ def test_its_derivatives_are_those_of_the_formula(orbits):
         ({"parameters": ("a", "b")}, "must be a parameter of Filter"),
         ({"metric": [1.0, -1.0]}, "positive definite matrix of shape"),
         ({"metric": np.eye(3)}, "positive definite matrix of shape"),
-        ({"orbit": 1.0}, "must be an Orbit, got float"),
+        ({"orbit": 1.0}, "must be a jaxfil.Orbit, got"),
     ],
 )
 def test_a_wrong_argument_is_named(orbits, arguments, told):
