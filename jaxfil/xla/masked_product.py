@@ -107,7 +107,7 @@ def masked(function: Callable) -> Callable:
     return broadcast
 
 
-def _slope(function: Callable, args: tuple, k: int) -> Array:
+def _slope(function: Callable, args: tuple, k: int) -> Any:
     """The derivative by argument number k, element by element."""
 
     def slope(*args: Any) -> Array:

@@ -451,7 +451,9 @@ def test_bad_arguments_are_named(sd, sd_grazing):
         jf.find_bifurcation(system, "omega", orbit, "fold")
     with pytest.raises(ValueError, match=r"`parameter` must be a parameter of SDOscillator"):
         jf.find_bifurcation(system, "freq", orbit, "grazing")
-    with pytest.raises(ValueError, match=r"`orbit` must be a jaxfil.Orbit, got an object of type ndarray"):
+    with pytest.raises(
+        ValueError, match=r"`orbit` must be a jaxfil.Orbit, got an object of type ndarray"
+    ):
         jf.find_bifurcation(system, "omega", np.zeros(2), "grazing")
     with pytest.raises(ValueError, match=r"`orbit` must be a single Orbit"):
         jf.grazing_margin(system, orbits)

@@ -72,7 +72,12 @@ def _mapped(problem: Problem, state: LoopState, t: Array, x: Components) -> Maps
     h = ticked = None
     if system.ticks and number is not None:
         due = number >= 0
-        x = where(due, system.where_any(due, system.tick, _unmoved, t, x, number), x)
+
+        # A method of a module is hashed with its arrays.
+        def moved(t: Array, x: Components, number: Array) -> Components:
+            return system.tick(t, x, number)
+
+        x = where(due, system.where_any(due, moved, _unmoved, t, x, number), x)
         ticked, h = any_of(x != before), system.switching(t, before)
     if not system.resets:
         return Maps(x, h, jnp.zeros((), bool) if ticked is None else ticked, ticked, None)
