@@ -5,7 +5,6 @@ import functools as ft
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
