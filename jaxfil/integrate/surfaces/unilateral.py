@@ -40,6 +40,8 @@ from jaxfil.xla.small_linear import solve, solve_small
 
 # Rounding of a rate or of an acceleration, in eps of its terms.
 _NOISE = 64
+# What is left of terms that cancel, in eps of these.
+_CANCELLED = 8
 
 
 class Constraints(eqx.Module):
@@ -193,8 +195,8 @@ def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Cor
     def pushed(rows: Rows, rate: Components, force: Components) -> Components:
         # What reactions cancel is not rounding of either sign: weights would be made of it.
         after, size = rate + rows @ force, abs(rate) + abs(rows) @ abs(force)
-        small = abs(after) <= _NOISE * float(jnp.finfo(size.parts[0].dtype).eps) * size
-        return where(small, 0.0, after)
+        small = abs(after) <= _CANCELLED * float(jnp.finfo(size.parts[0].dtype).eps) * size
+        return after - stop_gradient(where(small, after, 0.0))
 
     force = known.accelerations.each(reaction)
     rates = rates.each(ft.partial(pushed, known.pushes), force)

@@ -201,7 +201,6 @@ def test_the_field_is_that_of_the_side_it_is_carried_to(system):
     assert_within(sols.crossings.ts[0, :2], [1.0, 1.75], 64 * EPS)
 
 
-@pytest.mark.xfail(strict=True, reason="what is carried across is recorded as a crossing")
 @pytest.mark.parametrize("system", [Sided, SidedByTick])
 def test_what_is_carried_across_a_surface_is_told_from_a_crossing(system):
     run = jax.jit(jax.vmap(lambda p: solve(system(*p), [0.5], 2.0)))
