@@ -63,13 +63,13 @@ def size_of_determinant(
 def _reduced_among(rows: Array, taken: Array) -> tuple[Array, Array]:
     """`_reduced` of the rows and columns that are taken, one after the other; no row is moved."""
     k = len(rows)
-    number, columns = jnp.arange(k), jnp.arange(k + 1)
+    number, columns = jnp.arange(k, dtype=jnp.int32), jnp.arange(k + 1, dtype=jnp.int32)
 
     def column(carry: tuple) -> tuple:
         rows, left, free, places, pivots = carry
         i = jax.lax.argmax(left, 0, jnp.int32)
         entries = jnp.sum(select(columns == i, rows, 0), axis=1)
-        best = jnp.argmax(select(free, abs(entries), -1))
+        best = jax.lax.argmax(select(free, abs(entries), -1), 0, jnp.int32)
         here = number == best
         upper = jnp.sum(select(here[:, None], rows, 0), axis=0)
         pivot = jnp.sum(select(columns == i, upper, 0))
