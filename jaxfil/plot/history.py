@@ -17,7 +17,18 @@ from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLACK, COLORS, legend, own_axes, styled, subscript
-from jaxfil.plot.path import BANDS, MARKERS, chosen, contacts, jumps, lanes, path, saved, spans
+from jaxfil.plot.path import (
+    BANDS,
+    JUMPS,
+    MARKERS,
+    chosen,
+    contacts,
+    jumps,
+    lanes,
+    path,
+    saved,
+    spans,
+)
 
 # The height of a surface's strip where there are several, of that of the axes.
 _STRIP = 0.05
@@ -71,7 +82,8 @@ def time_history(
             ours["label"] = sol.labels.component(c)
         for one, (ts, xs) in zip(motions, paths, strict=True):
             (line,) = ax.plot(ts, xs[:, c], **styled(style, **ours))
-            _mark_impacts(ax, one, system, c, line.get_color())
+            for kind in JUMPS:
+                _mark_jumps(ax, one, system, kind, c, line.get_color())
     every = np.concatenate([ts for ts, _ in paths])
     ax.set_xlim(np.nanmin(every), np.nanmax(every))
     legend(ax, _shade_modes(ax, sol) if np.ndim(sol.t_final) == 0 else ())
@@ -80,15 +92,17 @@ def time_history(
     return ax
 
 
-def _mark_impacts(ax: Axes, sol: Solution, system: System | None, c: int, color: ColorType) -> None:
-    """A mark where each impact begins, and a dotted line to where it leads."""
-    ts, before, after = jumps(sol, system)
+def _mark_jumps(
+    ax: Axes, sol: Solution, system: System | None, kind: EventKind, c: int, color: ColorType
+) -> None:
+    """A mark where each jump of a kind begins, and a dotted line to where it leads."""
+    ts, before, after = jumps(sol, system, kind)
     if not ts.size:
         return
-    marker, fill = MARKERS[EventKind.impact]
+    marker, fill = MARKERS[kind]
     pair = np.stack([before[:, c], after[:, c], np.full(ts.size, np.nan)], axis=1)
     ax.plot(np.repeat(ts, 3), pair.ravel(), ":", color=color, linewidth=0.8)
-    ax.plot(ts, before[:, c], marker, color=fill, markeredgecolor=BLACK, label="impact")
+    ax.plot(ts, before[:, c], marker, color=fill, markeredgecolor=BLACK, label=kind.name)
 
 
 def _shade_modes(ax: Axes, sol: Solution) -> list[Patch]:

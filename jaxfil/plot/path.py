@@ -14,7 +14,7 @@ from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
-from jaxfil.plot.canvas import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, WHITE, YELLOW
+from jaxfil.plot.canvas import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW
 from jaxfil.xla.known import part_of
 
 # The colour of each mode, and what the legend calls it.
@@ -26,7 +26,11 @@ MARKERS = {
     EventKind.slip: ("D", GREEN),
     EventKind.impact: ("^", PURPLE),
     EventKind.graze: ("*", YELLOW),
+    EventKind.tick: ("P", VERMILLION),
+    EventKind.carry: ("X", SKY),
 }
+# The kinds of contact at which the state jumps.
+JUMPS = (EventKind.impact, EventKind.tick)
 
 
 class Contacts(NamedTuple):
@@ -93,32 +97,38 @@ def contacts(sol: Solution) -> Contacts:
 
 
 def path(sol: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states saved, with the contacts among them in order and a gap at each impact."""
+    """Times and states saved, with the contacts among them in order and a gap at each jump."""
     ts, xs, _ = saved(sol)
     met = contacts(sol)
-    impacts = met.ts[met.kinds == EventKind.impact]
-    # A state jumps at an impact: a row of NaN keeps its line from being drawn.
-    gaps = np.full((impacts.size, xs.shape[1]), np.nan)
-    every = np.concatenate([met.ts, impacts, ts])  # so at one time: left limit, gap, right limit
+    jump = np.isin(met.kinds, JUMPS)
+    # Of a step that ends on a tick the state before it is saved too.
+    last = np.append(ts[1:] != ts[:-1], True) | ~np.isin(ts, met.ts[jump])
+    ts, xs = ts[last], xs[last]
+    # A row of NaN after it keeps the line of a jump from being drawn.
+    behind = np.flatnonzero(jump) + 1
+    events = np.insert(met.xs, behind, np.nan, axis=0)
+    every = np.concatenate([np.insert(met.ts, behind, met.ts[jump]), ts])
     order = np.argsort(every if ts[0] <= ts[-1] else -every, kind="stable")
-    return every[order], np.concatenate([met.xs, gaps, xs])[order]
+    return every[order], np.concatenate([events, xs])[order]
 
 
-def jumps(sol: Solution, system: System | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each impact its time, and the states before and after it: by the system's reset, or
-    without a system the first state that was saved after it."""
+def jumps(
+    sol: Solution, system: System | None, kind: EventKind
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each impact, or each tick, its time, and the states before and after it: after an impact
+    by the system's reset, or without a system, as after a tick, the first that was saved then."""
     met = contacts(sol)
-    hit = met.kinds == EventKind.impact
+    hit = met.kinds == kind
     times, before = met.ts[hit], met.xs[hit]
     ts, xs, _ = saved(sol)
     forward = ts[0] <= ts[-1]
     after = np.full(before.shape, np.nan)
     for i, t in enumerate(times):
-        if system is not None:
+        if system is not None and kind == EventKind.impact:
             surface = jnp.argmax(met.members[hit][i])
             after[i] = system.reset(jnp.asarray(t), jnp.asarray(before[i]), surface)
         elif (later := np.flatnonzero(ts >= t if forward else ts <= t)).size:
-            after[i] = xs[later[0]]
+            after[i] = xs[ts == ts[later[0]]][-1]
     return times, before, after
 
 

@@ -19,7 +19,18 @@ from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.plot.canvas import BLACK, WHITE, legend, own_axes, styled
 from jaxfil.plot.history import time_history
-from jaxfil.plot.path import BANDS, MARKERS, chosen, contacts, jumps, lanes, path, saved, spans
+from jaxfil.plot.path import (
+    BANDS,
+    JUMPS,
+    MARKERS,
+    chosen,
+    contacts,
+    jumps,
+    lanes,
+    path,
+    saved,
+    spans,
+)
 from jaxfil.plot.surfaces import draw_surfaces
 
 # More contacts than this are marked smaller, or they would bury the motion; more motions than this
@@ -112,11 +123,12 @@ def _draw_motion(
     ax.plot(*xs[:1, shown].T, "o", label="start", **hollow)
     if arrow and len(shown) == 2:
         _draw_arrow(ax, xs[:, shown], color)
-    _, before, after = jumps(sol, system)
-    gap = np.full(before.shape, np.nan)
-    if len(before):
-        jump = np.stack([before, after, gap], axis=1).reshape(-1, xs.shape[1])
-        ax.plot(*jump[:, shown].T, ":", color=color, linewidth=0.8)
+    for kind in JUMPS:
+        _, before, after = jumps(sol, system, kind)
+        gap = np.full(before.shape, np.nan)
+        if len(before):
+            jump = np.stack([before, after, gap], axis=1).reshape(-1, xs.shape[1])
+            ax.plot(*jump[:, shown].T, ":", color=color, linewidth=0.8)
     met = contacts(sol)
     size *= float(np.clip(np.sqrt(_MANY / max(met.ts.size, 1)), 0.3, 1))
     for kind in np.unique(met.kinds):

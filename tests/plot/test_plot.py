@@ -348,6 +348,42 @@ def test_an_impact_breaks_the_line_and_a_dotted_one_leads_to_where_it_goes_on():
         assert_array_equal(hits[:, -len(columns) :], at)
 
 
+class Dosed(jf.System):
+    """It falls at the rate 1/10 and is given 2/5 at each whole time, over the threshold 1."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([-0.1 + 0 * side, -x[1]])
+
+    def switching(self, t, x):
+        return 1 - x[0]
+
+    def tick(self, t, x, clock):
+        return x + jnp.array([0.4, 0.7])
+
+    @property
+    def clocks(self):
+        return (jf.Clock(1.0),)
+
+
+def test_a_tick_breaks_the_line_too_and_has_marks_of_its_own():
+    sol = solved(Dosed(), [0.2, 0.5], 4.0)
+    assert "carry" in repr(sol.events)
+    for picture, kinds in (
+        (jf.plot.phase_portrait(sol), (EventKind.tick, EventKind.carry)),
+        (jf.plot.time_history(sol, components=0), (EventKind.tick,)),
+        (jf.plot.event_timeline(sol), (EventKind.tick, EventKind.carry)),
+    ):
+        told = {text.get_text() for text in picture.get_legend().get_texts()}
+        assert {kind.name for kind in kinds} <= told
+    portrait = jf.plot.phase_portrait(sol)
+    drawn = portrait.lines[0].get_xydata()
+    assert np.nanmax(np.diff(drawn[:, 1])) < 0.1, "no stroke leads through a tick"
+    jumps = [line.get_xydata() for line in portrait.lines if line.get_linestyle() == ":"]
+    before, after, _ = np.reshape(jumps, (-1, 3, 2)).swapaxes(0, 1)
+    assert_allclose(after - before, [[0.4, 0.7]] * 4, rtol=0, atol=1e-15)
+    jf.plot.animation(sol, frames=2).to_jshtml()
+
+
 def test_an_orbit_is_drawn_with_the_wall_it_hits():
     wall = jf.systems.ImpactOscillator(omega=0.8, amplitude=1.5)
     motion = solved(wall, [0.0, 2.0], 3.0)
@@ -536,6 +572,8 @@ def test_another_result_is_refused_by_its_name(name):
         sentence, was = f"`{argument}` must be {must}, got ", type(wrong).__name__
         if argument == "xs" and was == "ndarray":
             was = "shape (3,)"
+        elif isinstance(wrong, type) and argument != "xs":
+            was = f"the class {wrong.__name__}"
         elif argument != "xs":
             was = "None" if wrong is None else f"an object of type {was}"
         assert str(told.value) == f"{sentence}{was}."
