@@ -55,18 +55,8 @@ def later_contacts(problem: Problem, state: LoopState) -> Components | None:
     return in_turn & pending.surfaces & ~first_set(pending.surfaces)
 
 
-def decided(
-    problem: Problem,
-    state: LoopState,
-    on_sides: tuple[Corners, Corners],
-    at: Surfaces,
-    led: Impact | None,
-    later: Components | None,
-) -> Decision:
-    """`_decided`, computed once, given the fields on all sides and the rates of H along them.
-    `later` are surfaces that have their turn in another switch."""
-    system = problem.system
-    mode, count = _decided(problem, state, on_sides, at, led, later)
+def _once(system: ComponentSystem, mode: Components, count: Array) -> Decision:
+    """A decision, computed once."""
     number = count.astype(system.dtype)
     if system.m > 1:
         mode, number = system.hold((mode, number))
@@ -77,14 +67,16 @@ def decided(
     return Decision(both - 8 * number, number.astype(jnp.int32))
 
 
-def _decided(
+def decided(
     problem: Problem,
     state: LoopState,
     on_sides: tuple[Corners, Corners],
     at: Surfaces,
     led: Impact | None,
     later: Components | None,
-) -> tuple[Components, Array]:
+) -> Decision:
+    """The mode that goes on, given the fields on all sides and the rates of H along them. `later`
+    are surfaces that have their turn in another switch."""
     system, grid, waits = problem.system, problem.grid, state.pending.waits
     # Which mode goes on is no number that could have a derivative; its field has.
     fields, rates = stop_gradient(on_sides)
@@ -128,9 +120,9 @@ def _decided(
         chosen, count = filippov.choose(rates, beside, on, grid.direction)
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None or led.constraints is not None:
-        return where(decide, chosen, left), count
+        return _once(system, where(decide, chosen, left), count)
     mode = where(decide & ~unilateral.rests_of(left), chosen, left)
-    return mode, select(led.consistent, count, 0)
+    return _once(system, mode, select(led.consistent, count, 0))
 
 
 def _known(

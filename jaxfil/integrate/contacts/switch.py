@@ -263,38 +263,21 @@ def _motion(
     (fields, rates), mode = on_sides, choice.mode
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (choice.count == 0) & ~all_finite(rates)
-    if filippov.holds_together(system):
-        f, determinant = _held_together(system, t, x, mode, fields, rates)
-        f = system.hold(where(blind, jnp.nan, f))
-        g, rate, noise = guards(system, t, x, f, mode, at.noise, forcing)
-        return Motion(tau, x, f, at.scale, mode, g, rate, noise, determinant)
+    together = filippov.holds_together(system)
     shares, determinant = mode, None
-    if system.slides:
-        shares = sliding_weights.weights(mode, rates)
-        known = stop_gradient((mode, rates, shares))
-        determinant = system.hold(sliding_weights.determinant(*known))
-    f = filippov.blend_fields(system, fields, mode, shares)
+    if together:
+        held = filippov.balance(system, t, x, mode, fields, rates)
+        f, determinant = held.field, system.hold(held.determinant)
+    else:
+        if system.slides:
+            shares = sliding_weights.weights(mode, rates)
+            known = stop_gradient((mode, rates, shares))
+            determinant = system.hold(sliding_weights.determinant(*known))
+        f = filippov.blend_fields(system, fields, mode, shares)
     f = system.hold(where(blind, jnp.nan, f))
-    f = with_reactions(system, t, x, mode, f)
+    f = f if together else with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, at.noise, forcing)
     return Motion(tau, x, f, at.scale, mode, g, rate, noise, determinant)
-
-
-def _held_together(
-    system: ComponentSystem,
-    t: Array,
-    x: Components,
-    mode: Components,
-    fields: Corners,
-    rates: Corners,
-) -> tuple[Components, Array]:
-    """The field of a mode that may slide and rest, and the determinant of its weights."""
-    fields, rates, _ = filippov.held_corners(system, t, x, mode, fields, rates)
-    sides = unilateral.beside(mode)
-    shares = sliding_weights.weights(sides, rates)
-    known = stop_gradient((sides, rates, shares))
-    determinant = system.hold(sliding_weights.determinant(*known))
-    return fields.blend(sides, shares), determinant
 
 
 def _led_on(end: StepEnd, led: Impact) -> StepEnd:

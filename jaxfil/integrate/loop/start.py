@@ -182,9 +182,7 @@ def _first_mode_together(
     determinant = None
     if system.slides:
         # As at the end of a step, so that no rounding tells the two apart.
-        _, rates, _ = filippov.held_corners(system, t, x, mode, fields, rates)
-        w = sliding_weights.weights(unilateral.beside(mode), rates)
-        determinant = sliding_weights.determinant(unilateral.beside(mode), rates, w)
+        determinant = filippov.balance(system, t, x, mode, fields, rates).determinant
     return mode, on, start.owed, count, determinant
 
 

@@ -245,7 +245,8 @@ def _by_pivoting(question: Question) -> tuple[Components, Array]:
     weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
     chosen = select(on, select(walls, select(z > 0, 2 * mode, mode), weight), mode)
     # Backward in time a slide may have begun at any time before.
-    repels = (question.direction < 0) & jnp.any(on & (chosen == 0)) & ~is_monotone(matrix, on)
+    slides = (question.direction < 0) & jnp.any(on & (chosen == 0))
+    repels = jax.lax.cond(slides, lambda: ~is_monotone(matrix, on), lambda: jnp.zeros((), bool))
     count = select(found, select(repels, 2, 1), 0).astype(jnp.int32)
     if question.mode.is_array:
         return Components([chosen]), count

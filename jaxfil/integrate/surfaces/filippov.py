@@ -22,12 +22,13 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, on_corners
 from jaxfil.integrate.surfaces.decision import decide, question_of
-from jaxfil.integrate.surfaces.weights import weights
+from jaxfil.integrate.surfaces.weights import determinant, weights
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
@@ -97,10 +98,7 @@ def field(
     """The field of a mode, blended while it slides and held while it rests; `forcing` as in
     `ComponentSystem.field`."""
     if holds_together(system):
-        fields, rates = corners(system, t, x, True, forcing)
-        fields, rates, _ = held_corners(system, t, x, mode, fields, rates)
-        sides = unilateral.beside(mode)
-        return fields.blend(sides, weights(sides, rates))
+        return balance(system, t, x, mode, *corners(system, t, x, True, forcing)).field
     f = free_field(system, t, x, mode, forcing)
     return unilateral.held_field(system, t, x, mode, f)[0] if system.resets else f
 
@@ -111,16 +109,45 @@ def holds_together(system: ComponentSystem) -> bool:
     return system.resets and system.slides and system.m > 1
 
 
-def held_corners(
+class Balance(eqx.Module):
+    """Weights and reactions of a mode that may slide on some surfaces and rest on others."""
+
+    fields: Corners
+    """The fields on all sides, with the reactions."""
+    rates: Corners
+    """dH/dt along these."""
+    forces: Corners
+    """The reactions λ that go with each."""
+    mode: Components
+    """The mode that does not rest where this one does."""
+    weights: Components
+
+    @property
+    def field(self) -> Components:
+        """The field of the mode."""
+        return self.fields.blend(self.mode, self.weights)
+
+    @property
+    def force(self) -> Components:
+        """Its reactions λ, m components."""
+        return self.forces.blend(self.mode, self.weights)
+
+    @property
+    def determinant(self) -> Array:
+        """`weights.determinant`."""
+        return determinant(*stop_gradient((self.mode, self.rates, self.weights)))
+
+
+def balance(
     system: ComponentSystem,
     t: Array,
     x: Components,
     mode: Components,
     fields: Corners,
     rates: Corners,
-) -> tuple[Corners, Corners, Corners]:
-    """Fields and rates on all sides with the reactions of the surfaces that a mode rests on, and
-    these reactions λ, m components; without a rest the same fields and rates, and 0."""
+) -> Balance:
+    """Weights and reactions of a mode, given the fields on all sides and the rates along them;
+    without a rest these as they are, and no reaction."""
 
     def reacted(
         t: Array, x: Components, mode: Components, fields: Corners, rates: Corners
@@ -133,7 +160,10 @@ def held_corners(
         return fields, rates, rates.map(lambda rate: 0.0 * rate)
 
     resting = any_of(unilateral.rests_of(mode))
-    return system.where_any(resting, reacted, free, t, x, mode, fields, rates)
+    held = system.where_any(resting, reacted, free, t, x, mode, fields, rates)
+    fields, rates, forces = held
+    beside = unilateral.beside(mode)
+    return Balance(fields, rates, forces, beside, weights(beside, rates))
 
 
 def free_field(
@@ -209,11 +239,9 @@ def guard_together(
     forcing: Forcing | None = None,
 ) -> Components:
     """`guard` of a mode that may slide and rest."""
-    fields, rates = corners(system, t, x, forcing=forcing)
-    _, rates, force = held_corners(system, t, x, mode, fields, rates)
-    sides, off = unilateral.beside(mode), mode * system.switching(t, x)
-    w = weights(sides, rates)
-    pushes = unilateral.sides_of(mode) * force.blend(sides, w)
+    held = balance(system, t, x, mode, *corners(system, t, x, forcing=forcing))
+    w, off = held.weights, mode * system.switching(t, x)
+    pushes = unilateral.sides_of(mode) * held.force
     return where(unilateral.rests_of(mode), pushes, where(mode == 0, (1 - w) * (1 + w), off))
 
 

@@ -111,7 +111,7 @@ def text(system, **options):
         # The search for contacts, and what a contact leads to.
         ("locate.find_contact", "crossing", "smooth"),
         ("locate.land", "crossing", "smooth"),
-        ("decide._decided", "crossing", "smooth"),
+        ("decide.decided", "crossing", "smooth"),
         ("filippov._choose_on_one", "crossing", "smooth"),
         # Sliding: the blend's weights, the return to the surface, whether it draws the state back.
         ("weights.determinant", "sliding", "crossing"),
