@@ -6,7 +6,8 @@
 - cubic: the guard between the ends of a step, by its values and rates there.
 - locate: where in a trial step a guard first becomes negative; a landing is a step that has ended
   there, with its Newton correction in time.
-- switch: reset and choice of the mode at the corrected state.
+- switch: the map that is due, of a tick or of a surface, and the mode at the corrected state.
+- decision: which mode goes on, of all surfaces that the state is on together (`decide`).
 - reset: what a surface does to the state at a contact, and what follows: thrown back, let through,
   rest, or complete chattering, infinitely many impacts in a finite time (`resets`).
 - accumulation: contacts that recur at times that shrink in one ratio, completed by their limit.

@@ -1,9 +1,10 @@
 """The switch: what is known at the end of a step, and the mode that goes on after a contact.
 
-A trial step's end enters; a `StepEnd` leaves: the state (reset, and held on the surfaces it slides
-on), the mode, its field, the guards and their rates. Only a lane whose last iteration landed on a
-contact changes its mode, here, where all fields are taken at the corrected state: taken before the
-correction, they left the state right and its derivative wrong in the fourth digit.
+A trial step's end enters; a `StepEnd` leaves: the state (after the map of a tick or a reset, and
+held on the surfaces it slides on), the mode, its field, the guards and their rates. Only a lane
+whose last iteration has come to a contact or a tick changes its mode, here, where all fields are
+taken at the corrected state: taken before the correction, they left the state right and its
+derivative wrong in the fourth digit. Of causes at one time each has a switch of its own.
 """
 
 import dataclasses

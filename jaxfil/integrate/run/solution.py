@@ -39,11 +39,11 @@ class Events(eqx.Module):
     xs: Float[Array, "k n"]
     """States just before (left limits, before a reset)."""
     surfaces: Int[Array, " k"]
-    """The surface; the lowest number where several are met at once."""
+    """The surface, the lowest number where several are decided together; −1 at a tick alone."""
     members: Bool[Array, "k m"]
-    """All surfaces that are met at that time."""
+    """All surfaces of the event: those met, or those whose mode a tick or a reset has changed."""
     kinds: Int[Array, " k"]
-    """`EventKind`: crossing, stick, slip, impact or graze."""
+    """Members of `EventKind`."""
     modes: Int[Array, "k m"]
     """Modes just after, as in `Solution`; 0 in the padding."""
 
@@ -101,7 +101,7 @@ class Solution(eqx.Module):
     events: Events | None
     """The event table; None where none is kept, or there are no surfaces."""
     num_events: Int[Array, ""]
-    """How many contacts there were, in the table or not."""
+    """How many events there were, in the table or not."""
     result: RESULTS
     """How the run ended."""
     stats: dict[str, Array]

@@ -2,6 +2,7 @@
 
 - weight: on a surface slid on, the w in [−1, 1] at which the blend of both sides is tangent to it
   (`weights`); the blend is Filippov's convex combination (`filippov`).
+- decision: the weights and reactions of all surfaces that a state is on, found together.
 - reaction: what holds a motion at rest on a surface with a reset (`unilateral`).
 - normal: ∇H, and projection along it (`normals`).
 - section: a function whose zeros are watched, and its rate along the motion (`sections`).
