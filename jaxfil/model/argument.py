@@ -159,9 +159,8 @@ def known_numbers(name: str, value: Any, must: str) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise ValueError(f"`{name}` must be {must}, got {told(value)}.") from error
     if array.dtype.kind not in "fiu":
-        raise ValueError(
-            f"`{name}` must be {must}, got shape {array.shape} of dtype {array.dtype}."
-        )
+        was = f"shape {array.shape} of dtype {array.dtype}" if array.ndim else told(value)
+        raise ValueError(f"`{name}` must be {must}, got {was}.")
     return array
 
 

@@ -366,7 +366,7 @@ def test_bad_calls(change, message):
 
 
 # The orbits of the SD oscillator are none of this one's.
-OTHER = S.SDOscillator(f0=40.0, zeta=-1.0)
+OTHER = S.SDOscillator(f0=0.4, zeta=-1.0)
 
 
 @pytest.mark.parametrize("start", ["orbit", "period doubling"])
