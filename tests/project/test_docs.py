@@ -28,8 +28,9 @@ FENCED = re.compile(r"^( *)```python\n(.*?)^\1```\n(?:\s*^\1```text\n(.*?)^\1```
 
 def scripts(page):
     """The blocks of Python of a page in order, each with what the page says that it prints."""
-    for _, code, printed in FENCED.findall(page.read_text()):
-        yield textwrap.dedent(code), textwrap.dedent(printed).strip()
+    for indent, code, printed in FENCED.findall(page.read_text()):
+        # What is printed may begin each line with blanks of its own: only the fence's are taken off.
+        yield textwrap.dedent(code), re.sub(f"^{indent}", "", printed, flags=re.M)
 
 
 def lines(text):
@@ -85,7 +86,7 @@ TABBED = """=== "tab"
 def test_a_script_that_prints_something_else_is_seen(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(TABBED)
-    assert list(scripts(page)) == [("print(1)\n", "2")]
+    assert list(scripts(page)) == [("print(1)\n", "2\n")]
     with pytest.raises(AssertionError):
         run(page, types.ModuleType("page"))
     page.write_text(TABBED.replace("2\n", "1\n"))
