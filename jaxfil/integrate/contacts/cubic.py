@@ -12,11 +12,10 @@ from jaxfil.xla.select import select
 NEVER = 2.0
 """θ of a contact that does not happen in this step."""
 
-# A minimum this small a part of the guard's range is stepped to and looked at: the cubic's own
-# error could hide a dip below it.
+# A minimum in the middle of a step this small a part of the guard's range is stepped to and looked
+# at: the cubic's own error could hide a dip below it. Towards the ends of a step that error falls
+# like θ²(1 − θ)², and so does what is looked at.
 _SUSPICIOUS = 1 / 64
-# A step is cut at such a minimum only well inside it: at its ends the cubic is exact.
-_MARGIN = 0.02
 
 
 class Cubic(eqx.Module):
@@ -104,8 +103,8 @@ def first_contact(
     # says no more at a minimum.
     starts = jnp.maximum(abs(g0), abs(d0))
     touches = (abs(low_value) <= 4 * noise) & (starts > 4 * noise)
-    central = (cubic.low > _MARGIN) & (cubic.low < 1 - _MARGIN)
-    near = touches | (central & (low_value <= _SUSPICIOUS * reach))
+    inner = 4 * cubic.low * (1 - cubic.low)
+    near = touches | (low_value <= _SUSPICIOUS * inner * inner * reach)
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
     # Where squares of guards overflow no contact can be told from none: both are then NaN.
     known = 0 * cubic.disc

@@ -125,8 +125,9 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     thetas = minimum(found, NEVER)
     contact = least(thetas)
     lowest = jnp.minimum(least(where(found < _LOOK, NEVER, found - _LOOK)), NEVER)
-    # One look at a time: a step that was cut short is taken as it is.
-    lowest = select(length.cutting, NEVER, lowest)
+    # A dip may be just before the end of a step that was cut at its bottom, which each look finds
+    # more closely.
+    lowest = select(state.search.rejections >= _STALLED, NEVER, lowest)
     singular = jnp.zeros((), bool)
     if system.slides:
         singular, theta = _to_singular_point(problem, state, end, h)

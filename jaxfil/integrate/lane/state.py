@@ -115,6 +115,21 @@ class Pending(eqx.Module):
     """Elapsed time of the last contact."""
 
 
+class Trust(eqx.Module):
+    """How long a trial step may be: see `loop.halving`."""
+
+    longest: Array
+    """Its length at most, of any direction; inf where that of the grid is trusted."""
+    ceiling: Array
+    """The length that was refused last; inf where it has been taken since."""
+    taken: Array
+    """Steps taken since then."""
+    refused: Array
+    """Refusals of the shortest steps since one was taken that was not so short."""
+    halvings: Array
+    """All refusals since t0."""
+
+
 class Counts(eqx.Module):
     """What has been counted since t0."""
 
@@ -148,6 +163,7 @@ class LoopState(eqx.Module):
     armed: Components
     """Whether a surface has been left since the last contact with it, m flags."""
     search: ContactSearch
+    trust: Trust
     pending: Pending
     counts: Counts
     result: RESULTS

@@ -1,6 +1,8 @@
 """How far a trial step goes.
 
-A `Problem` and the `LoopState` of a lane enter; the `Length` of the next trial step leaves.
+A `Problem` and the `LoopState` of a lane enter; the `Length` of the next trial step leaves: to the
+next grid point, saving time or tick, to a contact expected before it, or as far as steps have been
+trusted lately, whichever is nearest.
 """
 
 import equinox as eqx
@@ -33,7 +35,8 @@ class Length(eqx.Module):
 
 
 def choose_length(problem: Problem, state: LoopState) -> Length:
-    """To the next grid point, saving time or tick, or to the contact expected before it."""
+    """To the next grid point, saving time or tick, to the contact expected before it, or as far as
+    a step is trusted."""
     grid, counts = problem.grid, state.counts
     target, gridded, saving = grid.grid_point(counts.in_period + 1), True, jnp.zeros((), bool)
     wanted, ticking = problem.recording.recorder.next_time(counts.num_saved), None
@@ -46,10 +49,15 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     if problem.tick is not None:
         target, ticking = _up_to_tick(problem, state, target)
         gridded, saving = gridded & ~ticking, saving & ~ticking
-    full = target - state.motion.tau
+    known, tau = target, state.motion.tau
+    # The end of a shorter step is a time of its own, which no rounding of its length moves.
+    short = abs(target - tau) > state.trust.longest
+    target = select(short, tau + grid.direction * state.trust.longest, target)
+    gridded, saving = gridded & ~short, saving & ~short
+    ticking = None if ticking is None else ticking & ~short
+    full = target - tau
     if problem.system.m == 0:
-        gridded = (saving & False) | gridded
-        length = Length(full, target, full * 0, saving & False, gridded, saving, ticking)
+        length = Length(full, target, known - target, saving & False, gridded, saving, ticking)
         return _to_crossing(problem, state, length)
     full, aimed, waits = full - state.tau_low, state.search.length, state.pending.waits
     cutting = (aimed != 0) & (abs(aimed) < abs(full)) & ~waits
@@ -58,7 +66,7 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     length = Length(
         h=h,
         end=select(whole, target, state.motion.tau + h),
-        room=full - h,
+        room=(known - target) + (full - h),
         cutting=cutting,
         gridded=gridded & whole,
         saving=saving & whole,

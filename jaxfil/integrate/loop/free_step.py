@@ -19,6 +19,7 @@ from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState
 from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.loop.halving import is_watched
 from jaxfil.integrate.steppers.error_estimate import SmoothStep, may_be_too_long
 from jaxfil.integrate.steppers.explicit import step
 from jaxfil.integrate.surfaces.filippov import ModeField
@@ -41,8 +42,10 @@ def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeSte
 
 
 def is_near_surface(state: LoopState) -> Array:
-    """Whether a lane slides or rests, or is at or near a contact."""
-    return state.held | state.pending.waits | (state.search.length != 0) | any_of(~state.armed)
+    """Whether a lane slides or rests, is at or near a contact, or takes steps shorter than the
+    grid's."""
+    near = state.held | state.pending.waits | (state.search.length != 0) | any_of(~state.armed)
+    return near | (state.trust.longest < jnp.inf)
 
 
 def is_event_free(problem: Problem, state: LoopState, length: Length, free: FreeStep) -> Array:
@@ -54,7 +57,14 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     clear = ~is_near_surface(state) & all_finite(x, free.f, free.g)
     start = problem.grid.t0 + state.motion.tau
     taken = SmoothStep(
-        t=start, h=h, x0=state.motion.x, f0=state.motion.f, f1=free.f, trial=free.trial
+        t=start,
+        h=h,
+        x0=state.motion.x,
+        f0=state.motion.f,
+        f1=free.f,
+        trial=free.trial,
+        scale=state.motion.scale,
+        watched=is_watched(state),
     )
     clear = clear & ~may_be_too_long(problem.tableau, taken)
     off = on_each(stays_off, state.motion.g, h * state.motion.rate, free.g, h * free.rate, touch)

@@ -3,9 +3,10 @@
 A `Problem` and an initial state enter; the `LoopState` at the end leaves, with what was kept on the
 way. Batches come from `vmap`: every lane has its own clock in the one loop and waits for nobody.
 
-An iteration takes one smooth step in the current mode and does one of four things with it:
+An iteration takes one smooth step in the current mode and does one of five things with it:
 
     accept    it can be trusted, and meets nothing
+    refuse    it cannot be trusted: the next one is half as long (`halving`)
     reject    it has run over a contact: the next one is cut there
     land      it has ended on a contact: one Newton correction in time, t += δ, x += δ f
     switch    after a landing, by a step of length zero: reset, and choose the mode at the
@@ -50,6 +51,7 @@ from jaxfil.integrate.lane.state import (
 )
 from jaxfil.integrate.lane.step_length import Length, choose_length
 from jaxfil.integrate.loop import judge as judging
+from jaxfil.integrate.loop.halving import next_trust
 from jaxfil.integrate.loop.judge import Judgement
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial, compact_step, step
@@ -111,12 +113,12 @@ def judge(
 def _go_on_smoothly(problem: Problem, state: LoopState, length: Length, trial: Trial) -> LoopState:
     """The lane after a trial step where there are no surfaces."""
     end = evaluate_step_end(problem, state, length, trial.x, trial.forcing[-1])
-    too_long = judging.too_long(problem, state, length, trial, end)
-    action = judging.smooth_action_of(problem, state, end, too_long)
+    action = judging.smooth_action_of(problem, state, length, trial, end)
     taken, action, verdicts = _heard(problem, state, length, end, action)
     after = dataclasses.replace(
         state,
         motion=select_all(taken.moved, end.motion, state.motion),
+        trust=next_trust(problem.grid, state, taken, action == judging.REFUSE),
         counts=_counted(problem.grid, state, taken),
         result=judging.outcome(action, state.result),
     )
@@ -152,6 +154,7 @@ def _carried_out(
     grid, end, landing, before = problem.grid, judgement.end, judgement.landing, state.pending
     length, lands, moved, switched = taken.length, taken.lands, taken.moved, taken.switched
     touches, rejected = action == judging.TOUCH, action == judging.REJECT
+    refused = action == judging.REFUSE
     start, armed = rearmed(problem, state, end)
     h = select(lands, length.h + landing.delta, select(moved, length.h, 0.0))
     waits, surfaces, settled = lands | (before.waits & ~moved), before.surfaces, state.settled
@@ -188,10 +191,11 @@ def _carried_out(
         tau_low=select(exact, 0.0, tau_low),
         armed=where(moved, armed, state.armed),
         search=ContactSearch(
-            length=judging.next_search_length(problem, state, judgement, taken, rejected),
+            length=judging.next_search_length(problem, state, judgement, taken, action),
             surfaces=where(rejected, judgement.contact.surfaces, state.search.surfaces),
             rejections=select(rejected, state.search.rejections + 1, 0),
         ),
+        trust=next_trust(grid, state, taken, refused),
         pending=Pending(
             waits=waits,
             surfaces=where(lands, landing.surfaces, surfaces),

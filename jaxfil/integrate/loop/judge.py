@@ -15,6 +15,7 @@ from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd, is_running
 from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.loop.halving import Doubt, doubted, is_watched
 from jaxfil.integrate.steppers.error_estimate import SmoothStep, is_too_long
 from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.surfaces.unilateral import sides_of
@@ -32,7 +33,7 @@ _CHAIN = 4096
 # times as high as rounding, which has hidden its start and its end.
 _LOW = 16
 # What an iteration does with its trial step.
-IDLE, REJECT, ACCEPT, LAND, TOUCH, SWITCH, TAKE_BACK, FAIL = map(float, range(8))
+IDLE, REJECT, ACCEPT, LAND, TOUCH, SWITCH, TAKE_BACK, REFUSE, FAIL = map(float, range(9))
 # What can go wrong in it, in the order in which it is told.
 FAILURES = (
     RESULTS.nonfinite,
@@ -59,8 +60,7 @@ class Judgement(eqx.Module):
     end: StepEnd
     contact: Contact
     landing: Landing
-    too_long: Array
-    """Whether the error of the step says that it cannot be trusted."""
+    doubt: Doubt
     rejections: Array
     """Trial steps rejected in a row, if this one is."""
     repeats: Array
@@ -74,6 +74,8 @@ def judged(
 ) -> Judgement:
     """What is known of a trial step."""
     contact, waits = find_contact(problem, state, end, length), state.pending.waits
+    motion, gross = end.motion, too_long(problem, state, length, trial, end)
+    infinite = ~all_finite(motion.x, motion.f, motion.g, contact.theta)
     # A flight this short cannot be told from the correction that ends it.
     tau, repeats = end.motion.tau, state.pending.repeats
     flight = abs(tau - state.pending.tau)
@@ -87,7 +89,7 @@ def judged(
         end=end,
         contact=contact,
         landing=land(problem, state, end, length),
-        too_long=too_long(problem, state, length, trial, end),
+        doubt=doubted(problem.grid, state, length, infinite, gross),
         rejections=select(contact.found, state.search.rejections + 1, 0),
         repeats=select(waits, select(again, repeats + 1, 0), repeats),
         hidden=hidden,
@@ -99,7 +101,16 @@ def too_long(
 ) -> Array:
     """Whether the error of a trial step says that it cannot be trusted."""
     start, t = state.motion, problem.grid.t0 + state.motion.tau
-    taken = SmoothStep(t=t, h=length.h, x0=start.x, f0=start.f, f1=end.motion.f, trial=trial)
+    taken = SmoothStep(
+        t=t,
+        h=length.h,
+        x0=start.x,
+        f0=start.f,
+        f1=end.motion.f,
+        trial=trial,
+        scale=start.scale,
+        watched=is_watched(state),
+    )
     return is_too_long(problem.system, problem.tableau, taken, sides_of(start.mode))
 
 
@@ -119,6 +130,9 @@ def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array
     # The first one counts.
     for failure, failed in reversed(failures):
         action = select(failed, FAIL + FAILURES.index(failure), action)
+    doubt, tries = judgement.doubt, ~state.pending.waits & ~judgement.doubt.given_up
+    # Of one that cannot be trusted it is not known where it has run over a contact, or whether.
+    action = select((doubt.infinite | doubt.too_long) & tries, REFUSE, action)
     if misfit is not None:
         action = select(misfit, TAKE_BACK, action)
     action = select(is_running(problem.grid, state), action, IDLE)
@@ -136,12 +150,11 @@ def _failures(
     limit = no if state.turn is None else state.turn.completed & waits
     chain = _CHAIN if system.resets and system.m > 1 else _FROZEN + 2 * system.m
     full = no if most is None else _is_event(state, end) & (state.counts.num_events >= most)
-    infinite = ~all_finite(motion.x, motion.f, motion.g, judgement.contact.theta)
     # Contacts that fill the table with flights that rounding hides are an accumulation.
     many = full & judgement.hidden & (judgement.repeats >= _FROZEN)
     lost = (undecided & ~limit) | (judgement.rejections > _TRIES)
     return [
-        (RESULTS.nonfinite, infinite),
+        (RESULTS.nonfinite, judgement.doubt.infinite),
         (RESULTS.max_events_reached, full & ~many),
         (RESULTS.nonunique, (end.num_modes > 1) & (~found | waits)),
         (RESULTS.undeclared_sliding, no if system.slides else any_of(motion.mode == 0)),
@@ -149,15 +162,21 @@ def _failures(
         (RESULTS.reset_undecided, undecided & end.moved),
         (RESULTS.mode_undecided, lost),
         (RESULTS.zeno, (judgement.repeats >= chain) | many | (undecided & limit)),
-        (RESULTS.step_too_long, judgement.too_long & ~waits & (landed | ~found)),
+        (RESULTS.step_too_long, judgement.doubt.too_long & ~waits & (landed | ~found)),
     ]
 
 
-def smooth_action_of(problem: Problem, state: LoopState, end: StepEnd, too_long: Array) -> Array:
+def smooth_action_of(
+    problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd
+) -> Array:
     """The same where there are no surfaces."""
-    action = select(too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
-    finite = all_finite(end.motion.x, end.motion.f)
-    action = select(finite, action, FAIL + FAILURES.index(RESULTS.nonfinite))
+    infinite = ~all_finite(end.motion.x, end.motion.f)
+    doubt = doubted(
+        problem.grid, state, length, infinite, too_long(problem, state, length, trial, end)
+    )
+    action = select(doubt.too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
+    action = select(infinite, FAIL + FAILURES.index(RESULTS.nonfinite), action)
+    action = select((infinite | doubt.too_long) & ~doubt.given_up, REFUSE, action)
     return select(is_running(problem.grid, state), action, IDLE)
 
 
@@ -199,9 +218,10 @@ def step_of(
 
 
 def next_search_length(
-    problem: Problem, state: LoopState, judgement: Judgement, step: Step, rejected: Array
+    problem: Problem, state: LoopState, judgement: Judgement, step: Step, action: Array
 ) -> Array:
-    """The signed length to where a contact is expected after this trial step."""
+    """The signed length to where a contact is expected after this trial step; 0 where none is, or
+    where the step cannot be trusted."""
     grid = problem.grid
     least = _LEAST_CUT * grid.same_time(state.motion.tau) * grid.direction
     cut = judgement.contact.theta * step.length.h
@@ -209,4 +229,5 @@ def next_search_length(
     # A step that has ended just short of its contact: Newton says how much is missing.
     missing = missing_time(grid, state, judgement.end)
     ahead = select(step.length.cutting & step.accepted, missing, 0.0)
-    return stop_gradient(select(rejected, cut, select(step.moved, ahead, state.search.length)))
+    length = select(action == REJECT, cut, select(step.moved, ahead, state.search.length))
+    return stop_gradient(select(action == REFUSE, 0.0, length))

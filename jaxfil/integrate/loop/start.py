@@ -26,7 +26,9 @@ from jaxfil.integrate.lane.state import (
     Motion,
     Pending,
     tables_of,
+    Trust,
 )
+from jaxfil.integrate.loop.halving import WATCHED
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
 from jaxfil.integrate.surfaces.corners import (
     Corners,
@@ -247,6 +249,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         first_mode=start.motion.mode,
         armed=start.armed,
         search=ContactSearch(length=tau, surfaces=nowhere, rejections=zero),
+        trust=Trust(tau + jnp.inf, tau + jnp.inf, zero + WATCHED, zero, zero),
         pending=Pending(
             waits=false if start.owed is None else any_of(start.owed),
             surfaces=nowhere if start.owed is None else start.owed,

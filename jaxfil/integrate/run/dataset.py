@@ -53,7 +53,7 @@ DENSE: Fields = {
     "step_begin": ("t0", ""),
     "step_end": ("t1", ""),
 }
-STATS = ("num_steps", "num_iterations", "num_saved")
+STATS = ("num_steps", "num_halvings", "num_iterations", "num_saved")
 # Names of its data set that are no parameter's.
 TAKEN = {*SOLUTION, *EVENTS, *CROSSINGS, *DENSE, *STATS, "event_kind", "outcome", "outcome_code"}
 TAKEN |= {"component", "unit", "jaxfil_type", "jaxfil_version", "system", "symbols", "units"}

@@ -105,7 +105,8 @@ class Solution(eqx.Module):
     result: RESULTS
     """How the run ended."""
     stats: dict[str, Array]
-    """`num_steps` accepted, `num_iterations` of the loop, `num_saved` states."""
+    """`num_steps` accepted, `num_halvings` of steps that could not be trusted, `num_iterations` of
+    the loop, `num_saved` states."""
     t_final: Float[Array, ""]
     """How far the run came: t1, or the time of what `result` tells."""
     x_final: Float[Array, " n"]
@@ -256,7 +257,9 @@ def card(sol: Solution) -> str:
     if sol.ts is not None:
         saved = int(np.isfinite(sol.ts).sum())
         lines.append(f"  {saved} states saved (room for {sol.ts.shape[0]})")
-    lines.append(f"  {int(sol.stats['num_steps'])} steps, {_events_line(sol)}")
+    halved = int(sol.stats["num_halvings"])
+    steps = f"{int(sol.stats['num_steps'])} steps" + (f" ({halved} halved)" if halved else "")
+    lines.append(f"  {steps}, {_events_line(sol)}")
     if sol.num_crossings is not None:
         lines.append(f"  {int(sol.num_crossings)} crossings of sections")
     if sol.errors is not None:

@@ -285,6 +285,7 @@ def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -
         result=state.result,
         stats={
             "num_steps": state.counts.num_accepted,
+            "num_halvings": state.trust.halvings,
             "num_iterations": state.counts.num_iterations,
             "num_saved": state.counts.num_saved,
         },

@@ -1,15 +1,19 @@
 """What an estimated error says of a step: too long to be trusted, or not.
 
 A trial step's ends, its fields there and what the method says of its error enter; whether the step
-is too long leaves. It is if it has missed by a tenth or more of what it does to a component: of its
-displacement, of |h f| at both ends, as round a turning point, or of the state, whichever is most.
-That depends on no units and on no state that is zero: a step of a motion at rest is not too long,
-since what it misses is rounding.
+is too long leaves. It is if it has missed by a thousandth or more of what it does to a component:
+of its displacement, of |h f| at both ends, as round a turning point, or of the state, whichever is
+most. That depends on no units and on no state that is zero: a step of a motion at rest is not too
+long, since what it misses is rounding. The estimates are of a lower order than the step, whose own
+error is far less; and beyond the stability of a method they are half of the state and more, however
+large that is, so that no motion grows by it unseen.
 
 Of a long chain that is pulled at one end, a mass far away begins to move like a high power of time,
 above the method's order: all of its first steps is missed, and means nothing. Where a state is
 that large, a component is compared with what the others do to it, too (`_reached`).
 """
+
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,9 +26,14 @@ from jaxfil.integrate.steppers.explicit import Tableau, Trial
 from jaxfil.integrate.steppers.rosenbrock import RosenbrockTableau
 from jaxfil.integrate.system.components import Components, any_of, maximum, minimum, where
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.select import select
 
-# Estimated errors of a step up to this part of what it does are left to the user to judge.
-_GROSS = 0.1
+# Estimated errors of a step up to this part of what it does are left to the user to judge; after
+# one that was worse, up to the second: an unstable motion grows unseen to what is left to judge.
+_GROSS, _WATCHED = 1e-3, 1e-6
+# The same of what the trapezoidal rule says of a method without an estimate: beyond its stability
+# half of |h λ| > 2, and less than this of any step that is of use.
+_ASTRAY, _ASTRAY_WATCHED = 1.0, 1e-3
 # Rounding of a step, in eps of the terms that it is made of.
 _ROUNDING = 64
 # An error below this part of what other components do to one in a step is none of its own.
@@ -32,8 +41,9 @@ _FAINT = 1e-4
 # A motion begins with a power of time above the order of a method only through many components:
 # at least so many are needed for one above the least order that estimates its error.
 _CHAIN = 4
-# So many components deep rounding is followed from one to the next.
-_DEEP = 4
+# So many components deep rounding is followed from one to the next. A step by which it then still
+# grows by more than this factor is beyond the stability of every explicit method.
+_DEEP, _STABLE = 4, 16
 
 
 class SmoothStep(eqx.Module):
@@ -45,23 +55,23 @@ class SmoothStep(eqx.Module):
     f0: Components
     f1: Components
     trial: Trial
+    scale: Components
+    """The largest |x| of late."""
+    watched: Array
+    """Whether steps were refused of late."""
 
 
 def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:
     """Whether a step should be looked at by `is_too_long`: cheap, and never False in error, as the
     state at its end is part of what the error is compared with."""
-    missed = _missed(tableau, step)
-    if missed is None:
-        return jnp.zeros((), bool)
-    return any_of(missed > _GROSS * stop_gradient(abs(step.trial.x)))
+    missed, share = _missed(tableau, step)
+    return any_of(missed > share * stop_gradient(abs(step.trial.x)))
 
 
 def is_too_long(
     system: ComponentSystem, tableau: Tableau, step: SmoothStep, sides: Components
 ) -> Array:
     """Whether a step of a lane on these sides cannot be trusted: see the top of this file."""
-    if step.trial.error is None:
-        return jnp.zeros((), bool)
     step = stop_gradient(step)
     suspect = may_be_too_long(tableau, step)
 
@@ -77,19 +87,21 @@ def is_too_long(
 def _is_gross(
     system: ComponentSystem, tableau: Tableau, step: SmoothStep, sides: Components
 ) -> Array:
-    """Whether a step has missed by a tenth of what it does, and by more than rounding."""
-    missed = _missed(tableau, step)
-    assert missed is not None
+    """Whether a step has missed by too much of what it does, and by more than rounding."""
+    missed, share = _missed(tableau, step)
     h, x0, x1 = step.h, step.x0, step.trial.x
     t, x = step.t + 0.5 * h, 0.5 * (x0 + x1)
     middle = system.field(t, x, sides)
     rounded = _terms(system, t, x, h, sides, middle)
     measure = _measure(h, x0, x1, step.f0, step.f1)
+    if isinstance(tableau, RosenbrockTableau):
+        # What is damped at once need not be known to a part of itself.
+        measure = maximum(measure, step.scale)
     faint = measure.like(jnp.zeros_like(t))
     if system.n > _CHAIN:
         faint = _reached(system, t, x, h, sides, measure)
     rounding = _ROUNDING * system.eps * (rounded + maximum(abs(x0), abs(x1)))
-    return any_of(missed > maximum(maximum(_GROSS * measure, rounding), _FAINT * faint))
+    return any_of(missed > maximum(maximum(share * measure, rounding), _FAINT * faint))
 
 
 def _reached(
@@ -101,8 +113,7 @@ def _reached(
 
     def passed_on(_: Array | int, now: tuple[Components, Array]) -> tuple[Components, Array]:
         size, _grows = now
-        _, change = jax.jvp(lambda x: system.field(t, x, sides), (x,), (_generic(size),))
-        after = maximum(size, abs(h * change))
+        after = maximum(size, abs(h) * _change(system, t, x, sides, t * 0, size))
         return after, any_of(after > size)
 
     # A way through all components is n − 1 long.
@@ -129,28 +140,48 @@ def _terms(
     """The size of the terms that a step of length h is made of.
 
     Rounding of the state and of h f enters the field with its derivative, and so on from component
-    to component: here along a direction in which terms that cancel in the field do not.
+    to component: here along a direction in which terms that cancel in the field do not. In a step
+    so long that it grows without end, that says nothing, and zero leaves.
     """
 
     def passed_on(size: Components) -> Components:
-        generic = _generic(size)
-        _, change = jax.jvp(lambda t, x: system.field(t, x, sides), (t, x), (abs(t), generic))
-        return size + abs(h * change)
+        return size + abs(h) * _change(system, t, x, sides, abs(t), size)
 
     size = abs(x) + abs(h * f)
-    return jax.lax.fori_loop(0, min(system.n, _DEEP), lambda _, size: passed_on(size), size)
+    size = jax.lax.fori_loop(0, min(system.n, _DEEP), lambda _, size: passed_on(size), size)
+    return where(any_of(passed_on(size) > _STABLE * size), 0.0, size)
 
 
-def _generic(size: Components) -> Components:
-    """Numbers of these sizes of which no two are alike."""
+def _change(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    sides: Components,
+    by_t: Array,
+    size: Components,
+) -> Components:
+    """How much changes of time and state of these sizes change a field: along two directions, so
+    that two terms which cancel in the one do not in the other."""
+    _, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
+    one, other = (push(by_t, _generic(size, sign)) for sign in (1, -1))
+    return abs(one) + abs(other)
+
+
+def _generic(size: Components, sign: int) -> Components:
+    """Numbers of these sizes of which no two are alike, each times a sign by its turn."""
+    n = size.parts[0].shape[0] if size.is_array else len(size.parts)
+    factors = (1 + (0.618 * np.arange(n)) % 1) * sign ** np.arange(n)
     if size.is_array:
-        (v,) = size.parts
-        return jnp.asarray(1 + (0.618 * np.arange(v.shape[0])) % 1, v.dtype) * size
-    return Components((1 + (0.618 * i) % 1) * v for i, v in enumerate(size.parts))
+        return jnp.asarray(factors, size.parts[0].dtype) * size
+    return Components(float(c) * v for c, v in zip(factors, size.parts, strict=True))
 
 
-def _missed(tableau: Tableau, step: SmoothStep) -> Components | None:
-    """The estimated errors of a step; None of a method without an estimate."""
-    if isinstance(tableau, RosenbrockTableau) or step.trial.error is None:
-        return None
-    return abs(step.h * (step.trial.error + tableau.d[-1] * stop_gradient(step.f1)))
+def _missed(tableau: Tableau, step: SmoothStep) -> tuple[Components, Any]:
+    """The estimated errors of a step, and the part of what it does that they may be."""
+    step = stop_gradient(step)
+    if step.trial.error is None:
+        error, shares = step.x0 - step.trial.x, (_ASTRAY_WATCHED, _ASTRAY)
+        error = error + 0.5 * step.h * (step.f0 + step.f1)
+    else:
+        error, shares = step.h * (step.trial.error + tableau.d[-1] * step.f1), (_WATCHED, _GROSS)
+    return abs(error), select(step.watched, *shares).astype(step.h.dtype)

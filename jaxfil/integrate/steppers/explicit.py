@@ -188,7 +188,7 @@ def step(
     """A step of length h from (t, x), where the field is `f`; `forcing` is what
     `ComponentSystem.forcing` has found for `tableau.times`."""
     if isinstance(tableau, RosenbrockTableau):
-        return Trial(rosenbrock_step(tableau, field, t, x, f, h), None, forcing)
+        return Trial(*rosenbrock_step(tableau, field, t, x, f, h), forcing)
     slopes = [f]
     known = dict(zip(tableau.times, forcing, strict=True))
     for c, row in zip(tableau.c, tableau.a, strict=True):

@@ -22,6 +22,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.system.components import Components, SmoothField, on_each, scalars
@@ -60,6 +61,9 @@ class RosenbrockTableau(eqx.Module):
     alpha: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     coupling: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     b: tuple[float, ...] = eqx.field(static=True)
+    d: tuple[float, ...] = eqx.field(static=True)
+    """h Σ d·slopes estimates the error of a step: u of the last stage, without which the method is
+    one of order four. The last entry, of the slope at the end, is zero."""
     name: str = eqx.field(static=True)
 
     @property
@@ -92,6 +96,7 @@ def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> Rosenbr
         alpha=tuple(tuple(map(float, alpha[i, :i])) for i in range(s)),
         coupling=tuple(tuple(map(float, full[i, :i] / gamma)) for i in range(s)),
         b=tuple(map(float, b)),
+        d=(*map(float, full[-1]), 0.0),
         name=name,
     )
 
@@ -160,13 +165,14 @@ class _Linearised(eqx.Module):
 
 def rosenbrock_step(
     tableau: RosenbrockTableau, field: SmoothField, t: Array, x: Components, f: Components, h: Array
-) -> Components:
-    """The state at t + h; `f` is the field at (t, x)."""
+) -> tuple[Components, Components]:
+    """The state at t + h, and what times h estimates its error; `f` is the field at (t, x)."""
     start = field.once(ft.partial(_linearised, field, tableau.gamma), t, x, f, h)
     slopes: list[Components] = []
     for row in zip(tableau.c, tableau.drift, tableau.alpha, tableau.coupling, strict=True):
         slopes.append(field.once(ft.partial(_stage, field, row), start, slopes))
-    return field.once(ft.partial(_advanced, tableau.b), x, h, slopes)
+    end = field.once(ft.partial(_advanced, tableau.b), x, h, slopes)
+    return end, field.once(lambda held: held, stop_gradient(_sum(tableau.d[:-1], slopes)))
 
 
 def _linearised(

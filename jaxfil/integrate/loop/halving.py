@@ -1,0 +1,76 @@
+"""Steps that cannot be trusted: refused, and tried again at half their length.
+
+What is known of a trial step enters; whether it is doubted leaves, and how long the next one may
+be. The step asked for is the longest:
+
+    refused    a trial step from here is at most half as long
+    taken      the next one may be twice as long, up to the length that was refused last: that one is
+               tried again after `_CALM` steps, and if it is taken lengths double from step to step
+
+At the bound of what stability allows that costs a step in nine. Grid points, saving times, ticks
+and contacts are met as ever. Lengths are constants in derivatives, as those of contacts are.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.extension import Step
+from jaxfil.integrate.lane.problem import TimeGrid
+from jaxfil.integrate.lane.state import LoopState, Trust
+from jaxfil.integrate.lane.step_length import Length
+from jaxfil.xla.select import select
+
+# Steps after which a length that was refused is tried again.
+_CALM = 8
+# So many steps after a refusal errors are watched more closely.
+WATCHED = 256
+# A step shorter than this part of the grid's is one of the shortest.
+_SHORTEST = 2.0**-10
+# So many of those are refused before a run is given up: a jump of the field at some time is closed
+# in on in some 50, one that the motion goes to and fro across is never passed.
+MOST_REFUSED = 256
+
+
+class Doubt(eqx.Module):
+    """What speaks against a trial step."""
+
+    infinite: Array
+    """Whether its end is not finite."""
+    too_long: Array
+    """Whether its estimated error says that it cannot be trusted."""
+    given_up: Array
+    """Whether half of it would not be tried any more."""
+
+
+def is_watched(state: LoopState) -> Array:
+    """Whether a step of this lane was refused of late."""
+    return state.trust.taken < WATCHED
+
+
+def doubted(
+    grid: TimeGrid, state: LoopState, length: Length, infinite: Array, too_long: Array
+) -> Doubt:
+    """What speaks against a trial step of this length."""
+    h, least = abs(length.h), grid.same_time(state.motion.tau)
+    return Doubt(infinite, too_long, (h <= least) | (state.trust.refused >= MOST_REFUSED))
+
+
+def next_trust(grid: TimeGrid, state: LoopState, taken: Step, refused: Array) -> Trust:
+    """How long the next trial step may be."""
+    trust, h, dt = state.trust, stop_gradient(abs(taken.length.h)), abs(grid.dt)
+    goes_on = (taken.moved & taken.accepted & (h > 0)) | taken.lands
+    steps = trust.taken + goes_on.astype(jnp.int32)
+    again = steps >= _CALM
+    grows = goes_on & (again | (2 * trust.longest < trust.ceiling))
+    longest = select(grows, 2 * trust.longest, trust.longest)
+    longest = select(longest < dt, longest, jnp.inf)
+    one, short = refused.astype(jnp.int32), h < _SHORTEST * dt
+    return Trust(
+        longest=select(refused, 0.5 * h, longest),
+        ceiling=select(refused, h, select(grows & again, jnp.inf, trust.ceiling)),
+        taken=select(refused, 0, steps),
+        refused=select(goes_on & ~short, 0, trust.refused + (refused & short).astype(jnp.int32)),
+        halvings=trust.halvings + one,
+    )
