@@ -32,6 +32,7 @@ def diagram_from(data: NamedArrays) -> BifurcationDiagram:
         labels=_labels(data, swept),
         errors=data.array("error") if "error" in data else None,
         times=data.array("t") if "t" in data else None,
+        halvings=data.array("halvings") if "halvings" in data else None,
     )
 
 

@@ -83,7 +83,7 @@ class Checkpoint:
             return None
 
         def unpack(data: Dataset) -> FinishedChunk | None:
-            samples = _from_columns(data["x"].values, self._timed)
+            samples = _from_columns(data["x"].values, self._timed, data["halvings"].values)
             codes = outcome_codes(data["outcome"].values)
             chunk = FinishedChunk(samples, codes, data["end"].values)
             same = data.attrs["checksum"] == self._checksum(name, chunk)
@@ -99,6 +99,7 @@ class Checkpoint:
         variables: dict[str, Variable] = {
             "x": (("lane", "sample", "component"), _columns(chunk.samples)),
             "outcome": (("lane",), _names(chunk)),
+            "halvings": (("lane",), chunk.samples.halvings),
             "end": (end, chunk.end),
         }
         checksum = {"checksum": self._checksum(name, chunk)}
@@ -117,7 +118,8 @@ class Checkpoint:
     def _checksum(self, name: str, chunk: FinishedChunk) -> str:
         outcomes = " ".join(_names(chunk))
         piece = {"sweep": self._record, "name": name, "outcome": outcomes}
-        return digest({**piece, "x": _columns(chunk.samples), "end": chunk.end}).hex()
+        numbers = {"x": _columns(chunk.samples), "halvings": chunk.samples.halvings}
+        return digest({**piece, **numbers, "end": chunk.end}).hex()
 
     def _intact(self, name: str, unpack: Callable[[Dataset], _T | None]) -> _T | None:
         """A group that is as it was written; another one is put away, and None leaves."""
@@ -160,16 +162,17 @@ def _name(start: int, stop: int) -> str:
 
 
 def _columns(samples: Samples[np.ndarray]) -> np.ndarray:
-    """Samples as one array, as the files of all versions hold them: times are the last column."""
+    """Samples as one array: times are the last column."""
     xs = np.asarray(samples.xs)
     if samples.times is None:
         return xs
     return np.concatenate([xs, np.asarray(samples.times)[..., None]], axis=-1)
 
 
-def _from_columns(x: np.ndarray, timed: bool) -> Samples[np.ndarray]:
+def _from_columns(x: np.ndarray, timed: bool, halvings: np.ndarray) -> Samples[np.ndarray]:
     """The samples of which `_columns` made one array."""
-    return Samples(x[..., :-1], x[..., -1]) if timed else Samples(x, None)
+    xs, times = (x[..., :-1], x[..., -1]) if timed else (x, None)
+    return Samples(xs, times, halvings)
 
 
 def _names(chunk: FinishedChunk) -> np.ndarray:

@@ -23,8 +23,8 @@ from jaxfil.sweep.sampling import Point, Samples, Sampling
 from jaxfil.xla.kernel import BLOCK, kernel_of_rows
 from jaxfil.xla.program import opened, operations
 
-Saved: TypeAlias = tuple[SavedStates, RESULTS, Array]
-"""What lanes have saved, their outcomes, and their last states."""
+Saved: TypeAlias = tuple[tuple[SavedStates, Array], RESULTS, Array]
+"""What lanes have saved and how often steps were halved, their outcomes, and their last states."""
 
 
 class Chunk(eqx.Module):

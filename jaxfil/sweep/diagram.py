@@ -10,7 +10,7 @@ import math
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxfil.model import dataset_io
 from jaxfil.model.card import counted, precision
@@ -30,7 +30,7 @@ from jaxfil.sweep.conditions import CONDITIONS, Conditions, condition_entries
 
 # Names of its data set that are no parameter's.
 TAKEN = {"x", "t", "outcome", "outcome_code", "error", "sample", "component", "point", "unit"}
-TAKEN |= {"swept", "symbols"} | CONDITIONS
+TAKEN |= {"swept", "symbols", "halvings"} | CONDITIONS
 
 # Components below this many eps of the largest one are rounding.
 _ROUNDING = 1024
@@ -83,6 +83,8 @@ class BifurcationDiagram(eqx.Module):
     times: Float[np.ndarray, "*shape samples"] | None = None
     """The times of the crossings sampled, of which `numpy.diff` gives the times of return; NaN from
     where the lane failed. None once a forcing period."""
+    halvings: Int[np.ndarray, "*shape"] | None = None
+    """How often a step of each lane could not be trusted, and was halved."""
 
     @property
     def successful(self) -> np.ndarray:
@@ -139,6 +141,8 @@ class BifurcationDiagram(eqx.Module):
             variables["error"] = (*dims, "component"), self.errors
         if self.times is not None:
             variables["t"] = (*dims, "sample"), self.times
+        if self.halvings is not None:
+            variables["halvings"] = dims, self.halvings
         arrays, given = condition_entries(self.conditions, TAKEN, dims)
         coordinates["sample"] = "sample", np.arange(samples)
         coordinates |= component_coordinates(self.labels, n)
@@ -195,6 +199,8 @@ class BifurcationDiagram(eqx.Module):
             f"  {samples} samples of {n} components each",
             f"  {', '.join([good, *(f'{count} {name}' for name, count in ended.items())])}",
         ]
+        if self.halvings is not None and self.halvings.any():
+            lines.append(_halvings_line(self.halvings))
         if self.errors is not None:
             lines.append(_errors_line(self.errors))
         return "\n".join(lines)
@@ -202,6 +208,13 @@ class BifurcationDiagram(eqx.Module):
 
 def _range(name: str, axis: np.ndarray) -> str:
     return f"  {name}: {axis.size} values from {axis[0]:g} to {axis[-1]:g}"
+
+
+def _halvings_line(halvings: np.ndarray) -> str:
+    """In how many lanes steps were halved, and how often at most."""
+    return (
+        f"  steps halved in {int(np.sum(halvings > 0))} lanes, {int(halvings.max())} times at most"
+    )
 
 
 def _errors_line(errors: np.ndarray) -> str:

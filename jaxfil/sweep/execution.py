@@ -135,7 +135,8 @@ class _Lanes:
             return self.samples, codes
 
         def known(own: np.ndarray) -> np.ndarray:  # a chunk under way may still be written
-            return np.where(missing.reshape(-1, *[1] * (own.ndim - 1)), np.nan, own)
+            unknown = np.nan if np.issubdtype(own.dtype, np.floating) else 0
+            return np.where(missing.reshape(-1, *[1] * (own.ndim - 1)), unknown, own)
 
         return jax.tree.map(known, self.samples), codes
 

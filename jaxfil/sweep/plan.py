@@ -54,7 +54,8 @@ class SweepPlan:
         k = self.x0.shape[-1] if observable is None else observable.size
         shape, dtype = (len(self.grid.rows), each.samples), self.x0.dtype
         times = None if each.section is None else np.full(shape, np.nan, dtype)
-        return Samples(np.full((*shape, k), np.nan, dtype), times)
+        halvings = np.zeros(shape[:1], np.int32)
+        return Samples(np.full((*shape, k), np.nan, dtype), times, halvings)
 
     def at_half_the_step(self) -> "SweepPlan":
         """The same with twice as many steps."""

@@ -53,6 +53,8 @@ class Samples(eqx.Module, Generic[_Array]):
     """The states, or what is observed of them, shape (…, samples, k)."""
     times: _Array | None
     """The times of the crossings sampled, shape (…, samples); None once a forcing period."""
+    halvings: _Array
+    """How often a step was halved on the way, shape (…,)."""
 
 
 class Sampling(eqx.Module):
@@ -146,9 +148,10 @@ class Sampling(eqx.Module):
         length = num_steps.astype(unit.dtype) * dt
         return TimeGrid(jnp.zeros_like(unit), length, dt, num_steps, iteration_budget(num_steps))
 
-    def outcome(self, state: LoopState) -> tuple[SavedStates, RESULTS, Array]:
-        """What a lane, or many, have saved at its samples; the outcome; the last state (n,). Times
-        are saved at a section alone, and modes if there is something to be observed."""
+    def outcome(self, state: LoopState) -> tuple[tuple[SavedStates, Array], RESULTS, Array]:
+        """What a lane, or many, have saved at its samples, and how often steps were halved; the
+        outcome; the last state (n,). Times are saved at a section alone, and modes if there is
+        something to be observed."""
         sections = sections_in(state)
         saved = state.saves if sections is None else sections.table
         assert saved is not None
@@ -161,16 +164,19 @@ class Sampling(eqx.Module):
         if self.section is not None:
             result = (jax.vmap(_at_section) if state.motion.tau.ndim else _at_section)(result)
         at = SavedStates(saved.ts if timed else None, xs, modes)
-        return at, result, jnp.concatenate(rows, axis=-1)
+        return (at, state.trust.halvings), result, jnp.concatenate(rows, axis=-1)
 
-    def sampled(self, point: Point, x0: Array, saved: SavedStates) -> Samples[Array]:
-        """The samples of a lane that has saved these states."""
+    def sampled(
+        self, point: Point, x0: Array, kept: tuple[SavedStates, Array]
+    ) -> Samples[Array]:
+        """The samples of a lane that has saved these states, with so many halved steps."""
+        saved, halvings = kept
         xs, times = saved.xs, None
         if self.observable is not None:
             xs = self._observed(self.observable, point, x0, saved)
         if self.section is not None:
             times = jnp.where(jnp.isfinite(saved.ts), saved.ts, jnp.nan)
-        return Samples(xs, times)
+        return Samples(xs, times, halvings)
 
     def _observed(
         self, observable: Observable, point: Point, x0: Array, saved: SavedStates

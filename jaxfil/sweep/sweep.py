@@ -211,6 +211,7 @@ def _assembled(
         labels=plan.labels,
         errors=None if errors is None else errors.reshape(*grid.shape, -1),
         times=None if times is None else times.reshape(*grid.shape, -1),
+        halvings=found.halvings.reshape(grid.shape),
     )
 
 
