@@ -100,7 +100,9 @@ def _is_gross(
     faint = measure.like(jnp.zeros_like(t))
     if system.n > _CHAIN:
         faint = _reached(system, t, x, h, sides, measure)
-    rounding = _ROUNDING * system.eps * (rounded + maximum(abs(x0), abs(x1)))
+    # What a state has been of late it is known to.
+    known = maximum(maximum(abs(x0), abs(x1)), step.scale)
+    rounding = _ROUNDING * system.eps * (rounded + known)
     return any_of(missed > maximum(maximum(share * measure, rounding), _FAINT * faint))
 
 
