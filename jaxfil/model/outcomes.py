@@ -74,7 +74,9 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
 
     successful = ""
     max_steps_reached = (
-        "The budget of steps was used up before the end of the time span. Try a larger `max_steps`."
+        "The budget of steps was used up before the end of the time span. Try a larger "
+        "`max_steps`; or, where steps are halved (`stats`) since the field is stiff, "
+        "`stepper=jf.Rodas5P()`."
     )
     max_events_reached = (
         "The event table, or that of crossings of sections, is full. Try a larger `max_events`, or "
@@ -137,9 +139,9 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "inf), or the switching function is too large to be squared."
     )
     step_too_long = (
-        "A step is too long for the motion: the error that the stepper estimates is a tenth of "
-        "what the step does to the state, or more. Try a smaller step, or `stepper=jf.Rodas5P()` "
-        "if the field is stiff."
+        "No step from here can be trusted, however often it is halved: the error that the stepper "
+        "estimates is too large a part of what the step does to the state. The field is stiff (try "
+        "`stepper=jf.Rodas5P()`), or jumps where no surface says so."
     )
     interrupted = "The sweep was interrupted before this lane was finished."
     irreversible_reset = (

@@ -89,7 +89,7 @@ def judged(
         end=end,
         contact=contact,
         landing=land(problem, state, end, length),
-        doubt=doubted(problem.grid, state, length, infinite, gross),
+        doubt=doubted(problem, state, length, infinite, gross),
         rejections=select(contact.found, state.search.rejections + 1, 0),
         repeats=select(waits, select(again, repeats + 1, 0), repeats),
         hidden=hidden,
@@ -171,9 +171,8 @@ def smooth_action_of(
 ) -> Array:
     """The same where there are no surfaces."""
     infinite = ~all_finite(end.motion.x, end.motion.f)
-    doubt = doubted(
-        problem.grid, state, length, infinite, too_long(problem, state, length, trial, end)
-    )
+    gross = too_long(problem, state, length, trial, end)
+    doubt = doubted(problem, state, length, infinite, gross)
     action = select(doubt.too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
     action = select(infinite, FAIL + FAILURES.index(RESULTS.nonfinite), action)
     action = select((infinite | doubt.too_long) & ~doubt.given_up, REFUSE, action)

@@ -13,6 +13,7 @@ from jaxtyping import Array
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.model.outcomes import RESULTS, code, raise_outcome
 from jaxfil.model.system import System
+from jaxfil.xla.jumps import jumps_of
 from jaxfil.xla.known import is_known
 
 
@@ -24,7 +25,23 @@ def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solutio
     # Compared as numbers: of arrays, each comparison would be a program.
     if code(sol.result) in (code(RESULTS.successful), code(RESULTS.section_reached)):
         return sol
-    raise EquinoxRuntimeError(f"{RESULTS[sol.result]} It stopped at {_place(sol, system, x0)}.")
+    told = f"{RESULTS[sol.result]} It stopped at {_place(sol, system, x0)}."
+    if code(sol.result) == code(RESULTS.step_too_long):
+        told += _jumps(system, sol)
+    raise EquinoxRuntimeError(told)
+
+
+def _jumps(system: System, sol: Solution) -> str:
+    """What in the vector field may jump where no surface says so, in a sentence; nothing if
+    nothing does."""
+    side = jnp.ones(np.shape(sol.mode_final), sol.x_final.dtype)
+    if np.ndim(system.switching(sol.t_final, sol.x_final)) == 0:
+        side = side[0]
+    found = jumps_of(lambda x: system.vector_field(sol.t_final, x, side), sol.x_final)
+    if not found:
+        return ""
+    names = " and ".join(f"`{name}`" for name in found)
+    return f" Its vector field jumps by {names} of the state: let `switching` vanish there."
 
 
 def _place(sol: Solution, system: System, x0: Array) -> str:

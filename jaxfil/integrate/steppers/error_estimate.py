@@ -31,9 +31,8 @@ from jaxfil.xla.select import select
 # Estimated errors of a step up to this part of what it does are left to the user to judge; after
 # one that was worse, up to the second: an unstable motion grows unseen to what is left to judge.
 _GROSS, _WATCHED = 1e-3, 1e-6
-# The same of what the trapezoidal rule says of a method without an estimate: beyond its stability
-# half of |h λ| > 2, and less than this of any step that is of use.
-_ASTRAY, _ASTRAY_WATCHED = 1.0, 1e-3
+# The same of a crude estimate: beyond the stability of RK4 it is more than the state.
+_CRUDE = 1.0
 # Rounding of a step, in eps of the terms that it is made of.
 _ROUNDING = 64
 # An error below this part of what other components do to one in a step is none of its own.
@@ -64,6 +63,8 @@ class SmoothStep(eqx.Module):
 def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:
     """Whether a step should be looked at by `is_too_long`: cheap, and never False in error, as the
     state at its end is part of what the error is compared with."""
+    if not tableau.d:
+        return jnp.zeros((), bool)
     missed, share = _missed(tableau, step)
     return any_of(missed > share * stop_gradient(abs(step.trial.x)))
 
@@ -72,6 +73,8 @@ def is_too_long(
     system: ComponentSystem, tableau: Tableau, step: SmoothStep, sides: Components
 ) -> Array:
     """Whether a step of a lane on these sides cannot be trusted: see the top of this file."""
+    if not tableau.d:
+        return jnp.zeros((), bool)
     step = stop_gradient(step)
     suspect = may_be_too_long(tableau, step)
 
@@ -181,9 +184,6 @@ def _generic(size: Components, sign: int) -> Components:
 def _missed(tableau: Tableau, step: SmoothStep) -> tuple[Components, Any]:
     """The estimated errors of a step, and the part of what it does that they may be."""
     step = stop_gradient(step)
-    if step.trial.error is None:
-        error, shares = step.x0 - step.trial.x, (_ASTRAY_WATCHED, _ASTRAY)
-        error = error + 0.5 * step.h * (step.f0 + step.f1)
-    else:
-        error, shares = step.h * (step.trial.error + tableau.d[-1] * step.f1), (_WATCHED, _GROSS)
+    error = step.h * (step.trial.error + tableau.d[-1] * step.f1)
+    shares = (_GROSS, _CRUDE) if tableau.crude else (_WATCHED, _GROSS)
     return abs(error), select(step.watched, *shares).astype(step.h.dtype)

@@ -31,8 +31,8 @@ class RK4(eqx.Module):
     """The classical Runge–Kutta method of order four, for wherever `stepper` is an argument.
 
     k₁ = f(t, x), k₂ = f(t + h/2, x + h k₁/2), k₃ = f(t + h/2, x + h k₂/2), k₄ = f(t + h, x + h k₃);
-    x(t + h) = x + h (k₁ + 2k₂ + 2k₃ + k₄)/6. It estimates no error: a step far too long is not told
-    as `step_too_long`.
+    x(t + h) = x + h (k₁ + 2k₂ + 2k₃ + k₄)/6. It estimates no error: only a step that has gone far
+    astray is halved, one that is unstable, or not finite.
 
     **Source**: Kutta, Beitrag zur näherungsweisen Integration totaler Differentialgleichungen,
     Zeitschrift für Mathematik und Physik 46 (1901).
@@ -48,18 +48,23 @@ class RK4(eqx.Module):
     c = np.array([0.5, 0.5, 1.0])
     a = (np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0]))
     b = np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6])
+    # With the field at the end in the place of k₄ the method is one of order three.
+    d = np.array([0, 0, 0, 1 / 6, -1 / 6])
 
 
 class ExplicitTableau(eqx.Module):
     """c (s−1,), a as s−1 rows, b (s,): the explicit method without its first, trivial row. And d,
     (s + 1,), of which h Σ d·slopes, that at the end of the step included, estimates the error of a
-    step; empty without an estimate of order four or more."""
+    step; empty without an estimate that says anything."""
 
     c: tuple[float, ...] = eqx.field(static=True)
     a: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     b: tuple[float, ...] = eqx.field(static=True)
     d: tuple[float, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
+    crude: bool = eqx.field(static=True, default=False)
+    """Whether the estimate is of so low an order that it is as large as what a step does to a state
+    that starts to move from rest."""
 
     @property
     def stages(self) -> int:
@@ -140,7 +145,8 @@ def tableau_of(stepper: Stepper) -> Tableau:
     _refuse_others(stepper)
     name = type(stepper).__name__
     if isinstance(stepper, RK4):
-        return ExplicitTableau(_floats(RK4.c), tuple(map(_floats, RK4.a)), _floats(RK4.b), (), name)
+        a = tuple(map(_floats, RK4.a))
+        return ExplicitTableau(_floats(RK4.c), a, _floats(RK4.b), _floats(RK4.d), name, crude=True)
     if isinstance(stepper, Rodas5P):
         return RODAS5P
     if isinstance(stepper, diffrax.Euler):

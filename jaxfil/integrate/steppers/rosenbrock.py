@@ -65,6 +65,7 @@ class RosenbrockTableau(eqx.Module):
     """h Σ d·slopes estimates the error of a step: u of the last stage, without which the method is
     one of order four. The last entry, of the slope at the end, is zero."""
     name: str = eqx.field(static=True)
+    crude: bool = eqx.field(static=True, default=False)
 
     @property
     def stages(self) -> int:
