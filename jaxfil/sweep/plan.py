@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil.integrate.lane.problem import FINER
 from jaxfil.integrate.run.observed import Observable, checked_observable
 from jaxfil.integrate.run.step_choice import steps_and_stepper
 from jaxfil.integrate.steppers.explicit import checked_stepper, tableau_of
@@ -59,7 +60,8 @@ class SweepPlan:
 
     def at_half_the_step(self) -> "SweepPlan":
         """The same with twice as many steps."""
-        half = dataclasses.replace(self.sampling, steps=2 * self.sampling.steps)
+        each = self.sampling
+        half = dataclasses.replace(each, steps=2 * each.steps, share=FINER * each.share)
         return dataclasses.replace(self, sampling=half)
 
 
@@ -120,6 +122,7 @@ def sweep_plan(
         max_return=longest,
         transient_time=from_time,
         observable=observable,
+        share=jnp.ones((), dtype),
     )
     return SweepPlan(sampling, grid, states, follow, labels)
 

@@ -76,6 +76,8 @@ class Sampling(eqx.Module):
     stepper: Stepper
     compact: bool = eqx.field(static=True)
     """The grade of the program: see `grade`."""
+    share: Array
+    """The part of the usual error at which a step is halved."""
     section: Section | None = None
     max_return: Array | None = None
     """The longest time from one crossing to the next, on average."""
@@ -113,6 +115,7 @@ class Sampling(eqx.Module):
             return self._to_the_last_crossing(self.section, field, period, x0)
         count = self.transient + self.samples
         grid = grid_of_periods(period, count, self.steps, repeats=point.repeats)
+        grid = dataclasses.replace(grid, share=self.share)
         recorder = SaveSamples(
             size=self.samples,
             modes=self.observable is not None,
@@ -146,7 +149,8 @@ class Sampling(eqx.Module):
         most = jnp.ceil((before + count * self.max_return) / dt)
         num_steps = jnp.minimum(most, 2.0**30).astype(jnp.int32)
         length = num_steps.astype(unit.dtype) * dt
-        return TimeGrid(jnp.zeros_like(unit), length, dt, num_steps, iteration_budget(num_steps))
+        budget, start = iteration_budget(num_steps), jnp.zeros_like(unit)
+        return TimeGrid(start, length, dt, num_steps, budget, share=self.share)
 
     def outcome(self, state: LoopState) -> tuple[tuple[SavedStates, Array], RESULTS, Array]:
         """What a lane, or many, have saved at its samples, and how often steps were halved; the
@@ -166,9 +170,7 @@ class Sampling(eqx.Module):
         at = SavedStates(saved.ts if timed else None, xs, modes)
         return (at, state.trust.halvings), result, jnp.concatenate(rows, axis=-1)
 
-    def sampled(
-        self, point: Point, x0: Array, kept: tuple[SavedStates, Array]
-    ) -> Samples[Array]:
+    def sampled(self, point: Point, x0: Array, kept: tuple[SavedStates, Array]) -> Samples[Array]:
         """The samples of a lane that has saved these states, with so many halved steps."""
         saved, halvings = kept
         xs, times = saved.xs, None

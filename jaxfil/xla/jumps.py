@@ -1,6 +1,7 @@
 """Operations of a function that jump with an argument.
 
-A function and its arguments enter; what it calls that is not continuous in the first of them leaves.
+A function and its arguments enter; what it calls that is not continuous in the first of them
+leaves.
 """
 
 from collections.abc import Callable, Sequence

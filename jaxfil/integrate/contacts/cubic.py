@@ -102,9 +102,9 @@ def first_contact(
     # A guard that is rounding where it starts, as of a mass at the very limit of its friction,
     # says no more at a minimum.
     starts = jnp.maximum(abs(g0), abs(d0))
-    touches = (abs(low_value) <= 4 * noise) & (starts > 4 * noise)
     inner = 4 * cubic.low * (1 - cubic.low)
-    near = touches | (low_value <= _SUSPICIOUS * inner * inner * reach)
+    hidden = _SUSPICIOUS * inner * inner * reach
+    near = ((abs(low_value) <= 4 * noise) | (low_value <= hidden)) & (starts > 4 * noise)
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
     # Where squares of guards overflow no contact can be told from none: both are then NaN.
     known = 0 * cubic.disc

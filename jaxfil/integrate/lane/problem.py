@@ -17,6 +17,9 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select
 
+# In a run at half the step, by which the error of another is known, a step is halved at this part
+# of the error that the other halves it at: where both halve, the lengths of their steps differ.
+FINER = 1 / 64
 # Times closer than this many eps of their size are one time.
 SAME_TIME = 8
 
@@ -49,6 +52,8 @@ class TimeGrid(eqx.Module):
     num_steps: Array
     max_iterations: Array
     forcing: ForcingPeriod | None = None
+    share: Array | None = None
+    """The part of the usual error at which a step is halved; None: all of it."""
 
     @property
     def direction(self) -> Array:

@@ -65,6 +65,7 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
         trial=free.trial,
         scale=state.motion.scale,
         watched=is_watched(state),
+        share=problem.grid.share,
     )
     clear = clear & ~may_be_too_long(problem.tableau, taken)
     off = on_each(stays_off, state.motion.g, h * state.motion.rate, free.g, h * free.rate, touch)

@@ -4,11 +4,12 @@ What is known of a trial step enters; whether it is doubted leaves, and how long
 be. The step asked for is the longest:
 
     refused    a trial step from here is at most half as long
-    taken      the next one may be twice as long, up to the length that was refused last: that one is
-               tried again after `_CALM` steps, and if it is taken lengths double from step to step
+    taken      the next one may be twice as long, up to the length that was refused last: that one
+               is tried again after `_CALM` steps, and if it is taken lengths double each time
 
-At the bound of what stability allows that costs a step in nine. Grid points, saving times, ticks
-and contacts are met as ever. Lengths are constants in derivatives, as those of contacts are.
+At the bound of what stability allows that costs a step in nine. For `WATCHED` steps errors are
+watched more closely. Grid points, saving times, ticks and contacts are met as ever. Lengths are
+constants in derivatives, as those of contacts are.
 """
 
 import equinox as eqx
@@ -25,7 +26,7 @@ from jaxfil.xla.select import select
 # Steps after which a length that was refused is tried again.
 _CALM = 8
 # So many steps after a refusal errors are watched more closely.
-WATCHED = 256
+WATCHED = 128
 # A step shorter than this part of the grid's is one of the shortest.
 _SHORTEST = 2.0**-10
 # So many of those are refused before a run is given up: a jump of the field at some time is closed

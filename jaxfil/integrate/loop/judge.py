@@ -110,6 +110,7 @@ def too_long(
         trial=trial,
         scale=start.scale,
         watched=is_watched(state),
+        share=problem.grid.share,
     )
     return is_too_long(problem.system, problem.tableau, taken, sides_of(start.mode))
 

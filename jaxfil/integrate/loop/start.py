@@ -25,8 +25,8 @@ from jaxfil.integrate.lane.state import (
     LoopState,
     Motion,
     Pending,
-    tables_of,
     Trust,
+    tables_of,
 )
 from jaxfil.integrate.loop.halving import WATCHED
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.integrate.lane.problem import SAME_TIME, Recorder
+from jaxfil.integrate.lane.problem import FINER, SAME_TIME, Recorder
 from jaxfil.integrate.lane.recorders import SaveDense, SaveSteps, SaveTimes
 from jaxfil.model import check
 from jaxfil.model.types import Scalar
@@ -40,11 +40,13 @@ class Options(eqx.Module):
     reverse: bool = eqx.field(static=True)
     checkpoints: int | None = eqx.field(static=True)
     compact: bool = eqx.field(static=True)
+    share: Array
+    """The part of the usual error at which a step is halved."""
 
     def at_half_the_step(self) -> "Options":
         """Those of the run at half the step, which nothing differentiates."""
         budget = None if self.budget is None else 2 * self.budget
-        return dataclasses.replace(self, budget=budget, reverse=False)
+        return dataclasses.replace(self, budget=budget, reverse=False, share=FINER * self.share)
 
 
 def options_of(
@@ -82,6 +84,7 @@ def options_of(
         reverse=reverse,
         checkpoints=getattr(adjoint, "checkpoints", None),
         compact=compact,
+        share=jnp.ones((), dtype),
     )
 
 

@@ -254,7 +254,8 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
     # More steps than an int32 holds are a budget used up at once, never a wrapped number.
     iterations = select(steps > most, 0, iterations)
-    return TimeGrid(t0, length, select(length < 0, -dt, dt), num_steps, iterations)
+    dt = select(length < 0, -dt, dt)
+    return TimeGrid(t0, length, dt, num_steps, iterations, share=options.share)
 
 
 def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -> Solution:

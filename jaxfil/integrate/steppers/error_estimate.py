@@ -1,7 +1,7 @@
 """What an estimated error says of a step: too long to be trusted, or not.
 
 A trial step's ends, its fields there and what the method says of its error enter; whether the step
-is too long leaves. It is if it has missed by a thousandth or more of what it does to a component:
+is too long leaves. It is if it has missed by a hundredth or more of what it does to a component:
 of its displacement, of |h f| at both ends, as round a turning point, or of the state, whichever is
 most. That depends on no units and on no state that is zero: a step of a motion at rest is not too
 long, since what it misses is rounding. The estimates are of a lower order than the step, whose own
@@ -13,6 +13,7 @@ above the method's order: all of its first steps is missed, and means nothing. W
 that large, a component is compared with what the others do to it, too (`_reached`).
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -30,9 +31,9 @@ from jaxfil.xla.select import select
 
 # Estimated errors of a step up to this part of what it does are left to the user to judge; after
 # one that was worse, up to the second: an unstable motion grows unseen to what is left to judge.
-_GROSS, _WATCHED = 1e-3, 1e-6
+_GROSS, _WATCHED = 1e-2, 1e-5
 # The same of a crude estimate: beyond the stability of RK4 it is more than the state.
-_CRUDE = 1.0
+_CRUDE, _CRUDE_WATCHED = 1.0, 1e-3
 # Rounding of a step, in eps of the terms that it is made of.
 _ROUNDING = 64
 # An error below this part of what other components do to one in a step is none of its own.
@@ -58,6 +59,8 @@ class SmoothStep(eqx.Module):
     """The largest |x| of late."""
     watched: Array
     """Whether steps were refused of late."""
+    share: Array | None
+    """The part of the usual error that it may have; None: all of it."""
 
 
 def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:
@@ -94,36 +97,34 @@ def _is_gross(
     missed, share = _missed(tableau, step)
     h, x0, x1 = step.h, step.x0, step.trial.x
     t, x = step.t + 0.5 * h, 0.5 * (x0 + x1)
-    middle = system.field(t, x, sides)
-    rounded = _terms(system, t, x, h, sides, middle)
+    middle, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
+    rounded = _terms(system.n, h, (t, x, middle), push)
     measure = _measure(h, x0, x1, step.f0, step.f1)
     if isinstance(tableau, RosenbrockTableau):
         # What is damped at once need not be known to a part of itself.
         measure = maximum(measure, step.scale)
     faint = measure.like(jnp.zeros_like(t))
     if system.n > _CHAIN:
-        faint = _reached(system, t, x, h, sides, measure)
+        faint = _reached(system.n, h, push, measure)
     # What a state has been of late it is known to.
     known = maximum(maximum(abs(x0), abs(x1)), step.scale)
     rounding = _ROUNDING * system.eps * (rounded + known)
     return any_of(missed > maximum(maximum(share * measure, rounding), _FAINT * faint))
 
 
-def _reached(
-    system: ComponentSystem, t: Array, x: Components, h: Array, sides: Components, size: Components
-) -> Components:
+def _reached(n: int, h: Array, push: Callable, size: Components) -> Components:
     """How far motions of these sizes move each component in a step of length h, through all others:
     s_i = max(size_i, |h Σ_j ∂f_i/∂x_j s_j|). Zero where that grows without end, as it does where
     the step is long beside the rates of the field."""
 
     def passed_on(_: Array | int, now: tuple[Components, Array]) -> tuple[Components, Array]:
         size, _grows = now
-        after = maximum(size, abs(h) * _change(system, t, x, sides, t * 0, size))
+        after = maximum(size, abs(h) * _change(push, 0 * h, size))
         return after, any_of(after > size)
 
     # A way through all components is n − 1 long.
     first = size, jnp.zeros((), bool)
-    size, grows = jax.lax.fori_loop(0, system.n, passed_on, first)
+    size, grows = jax.lax.fori_loop(0, n, passed_on, first)
     return where(grows, 0.0, size)
 
 
@@ -140,34 +141,27 @@ def _measure(
 
 
 def _terms(
-    system: ComponentSystem, t: Array, x: Components, h: Array, sides: Components, f: Components
+    n: int, h: Array, at: tuple[Array, Components, Components], push: Callable
 ) -> Components:
-    """The size of the terms that a step of length h is made of.
+    """The size of the terms that a step of length h is made of, about a time, the state and the
+    field there.
 
     Rounding of the state and of h f enters the field with its derivative, and so on from component
-    to component: here along a direction in which terms that cancel in the field do not. In a step
-    so long that it grows without end, that says nothing, and zero leaves.
+    to component. In a step so long that it grows without end, that says nothing, and zero leaves.
     """
+    t, x, f = at
 
     def passed_on(size: Components) -> Components:
-        return size + abs(h) * _change(system, t, x, sides, abs(t), size)
+        return size + abs(h) * _change(push, abs(t), size)
 
     size = abs(x) + abs(h * f)
-    size = jax.lax.fori_loop(0, min(system.n, _DEEP), lambda _, size: passed_on(size), size)
+    size = jax.lax.fori_loop(0, min(n, _DEEP), lambda _, size: passed_on(size), size)
     return where(any_of(passed_on(size) > _STABLE * size), 0.0, size)
 
 
-def _change(
-    system: ComponentSystem,
-    t: Array,
-    x: Components,
-    sides: Components,
-    by_t: Array,
-    size: Components,
-) -> Components:
+def _change(push: Callable, by_t: Array, size: Components) -> Components:
     """How much changes of time and state of these sizes change a field: along two directions, so
     that two terms which cancel in the one do not in the other."""
-    _, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
     one, other = (push(by_t, _generic(size, sign)) for sign in (1, -1))
     return abs(one) + abs(other)
 
@@ -185,5 +179,6 @@ def _missed(tableau: Tableau, step: SmoothStep) -> tuple[Components, Any]:
     """The estimated errors of a step, and the part of what it does that they may be."""
     step = stop_gradient(step)
     error = step.h * (step.trial.error + tableau.d[-1] * step.f1)
-    shares = (_GROSS, _CRUDE) if tableau.crude else (_WATCHED, _GROSS)
-    return abs(error), select(step.watched, *shares).astype(step.h.dtype)
+    shares = (_CRUDE_WATCHED, _CRUDE) if tableau.crude else (_WATCHED, _GROSS)
+    share = select(step.watched, *shares).astype(step.h.dtype)
+    return abs(error), share if step.share is None else share * step.share
