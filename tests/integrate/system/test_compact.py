@@ -55,9 +55,10 @@ def test_a_forcing_of_arrays_is_found_once_for_all_stages():
     )
     for one, other in zip(compact(x0), written(x0), strict=True):
         assert_allclose(one, other, rtol=1e-12, atol=1e-12)
-    # By sines that vectorise. What is left looks closer at a step of which the error is suspect.
+    # By sines that vectorise. What is left looks closer at a step of which the error is suspect: at
+    # the field in its middle, and at its derivatives there.
     sines = hlo.per_turn(text(lambda x: end(x, True), x0), 1, {"cosine", "sine"})
-    assert sines == 2 * x0.size
+    assert sines <= 3 * x0.size
 
 
 def test_grade_follows_from_the_lanes():
