@@ -20,17 +20,14 @@ from benchmarks.scenes import SCENES
 from benchmarks.table import Column, table
 
 DTYPES = ("float64", "float32")
-# The first ones say most: a crossing, turns and a stick, friction, impacts, several surfaces.
+# Crossings, turns and a stick; snap-through; friction; impacts; an intersection slid on.
 PROBLEMS = (
     "coulomb by everything",
     "sd",
     "belt 1.3",
     "ball by everything",
     "box by everything",
-    "rotating by everything",
     "den hartog",
-    "relays by everything",
-    "leave by everything",
 )
 LANES = (1000, 10_000, 100_000, 1_000_000)
 # Of two sides, the device's first.

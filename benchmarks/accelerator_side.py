@@ -19,7 +19,7 @@ that is compared with a converged run, which has 300 periods in all."""
 # A run longer than this many seconds is not repeated.
 _LONG = 2.0
 # A shorter one is repeated with ten times as many periods.
-_SHORT = 0.6
+_SHORT = 0.2
 
 
 class Side:

@@ -28,7 +28,7 @@ from jaxfil.xla.kernel import BLOCK
 _CHUNKS, _BLOCKS = 64, 16
 # The same on an accelerator: it takes as long for a few thousand lanes as for one, and for all of
 # these what it must keep of them, some kilobytes a lane, is a small part of its memory.
-_BLOCKS_ON_ACCELERATOR = 4096
+_BLOCKS_ON_ACCELERATOR = 2048
 # Lanes of a chunk when each starts from the last one's end: one after the other, they gain nothing
 # from being many, and are kept and counted as often as chunks are.
 _FOLLOW = 16
