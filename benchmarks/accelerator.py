@@ -9,7 +9,6 @@ what was not reached is left empty.
 """
 
 import argparse
-import functools
 import itertools
 import time
 from pathlib import Path
@@ -30,34 +29,45 @@ PROBLEMS = (
     "den hartog",
 )
 LANES = (1000, 10_000, 100_000, 1_000_000)
-# Of two sides, the device's first.
-_SIDES = ("device", "CPU")
 
 
-def _columns(names, form, heading):
-    return [Column(f"{heading}, {name}", form) for name in names]
+def _columns(heading, form):
+    return [Column(f"{heading}, {name}", form) for name in ("device", "CPU")]
 
 
-COLUMNS = {
-    "problem": [
-        Column("problem"),
-        Column("dtype"),
-        *_columns(_SIDES, "<.0e", "error"),
-        *_columns(_SIDES, ">.4f", "s"),
-        *_columns(_SIDES, ">.1f", "first s"),
-        Column("outcome"),
-    ],
-    "sweep": [
-        Column("sweep"),
-        Column("dtype"),
-        Column("lanes", ">,d"),
-        *_columns(_SIDES, ">,.0f", "steps/s"),
-        Column("ratio", ">.2f"),
-        *_columns(_SIDES, ">.1f", "first s"),
-        *_columns(_SIDES, "<.0e", "error"),
-        Column("outcome"),
-    ],
+# Headings, the keys of answers below them, and the form of each: a column for each side.
+CELLS = {
+    "problem": (
+        ("error", "error", "<.0e"),
+        ("s", "seconds", ">.4f"),
+        ("first s", "first", ">.1f"),
+        ("outcome", "outcome", "<"),
+    ),
+    "sweep": (
+        ("steps/s", "rate", ">,.0f"),
+        ("first s", "first", ">.1f"),
+        ("error", "error", "<.0e"),
+        ("failed", "outcome", ">"),
+    ),
 }
+NAMES = {
+    "problem": [Column("problem"), Column("dtype")],
+    "sweep": [Column("sweep"), Column("dtype"), Column("lanes", ">,d")],
+}
+PROBLEM_NOTE = """\
+One run of each. s: the median of later calls; first s: of the first, which compiles.
+error: the largest of the state at the end."""
+SWEEP_NOTE = f"""\
+steps/s: lanes times {TRANSIENT + SAMPLES} forcing periods of {STEPS} steps of Dopri8, a second of
+later calls; ratio: the device's by the CPU's. error: on lanes whose motion is known, after 300
+periods. failed: lanes. One that spends its budget of iterations, 32 for each step and 100,000,
+holds up those that share its loop: on a device up to 131,072, on a CPU 64."""
+
+
+def columns(what):
+    """The columns of a table."""
+    cells = [c for heading, _, form in CELLS[what] for c in _columns(heading, form)]
+    return NAMES[what] + cells + ([Column("ratio", ">.2f")] if what == "sweep" else [])
 
 
 def arguments():
@@ -67,7 +77,7 @@ def arguments():
     parser.add_argument("--problems", nargs="*", default=PROBLEMS, help="names in the bank")
     parser.add_argument("--scenes", nargs="*", default=list(SCENES), choices=list(SCENES))
     parser.add_argument("--dtypes", nargs="+", default=DTYPES, choices=DTYPES)
-    parser.add_argument("--minutes", type=float, default=5.0, help="for all of it (default 5)")
+    parser.add_argument("--minutes", type=float, default=6.0, help="for all of it (default 6)")
     parser.add_argument("--row", type=float, default=90.0, help="seconds of a row, at most")
     parser.add_argument("--output", type=Path, default=RESULTS / "accelerator.txt")
     return parser.parse_args()
@@ -111,39 +121,36 @@ def requests(args):
 
 def row(request, answers):
     """The cells of a row."""
-    each = functools.partial(_each, answers)
-    outcome = ", ".join(dict.fromkeys(_outcome(a) for a in answers if a))
-    if request["what"] == "problem":
-        name = [request["name"], request["dtype"]]
-        return [*name, *each("error"), *each("seconds"), *each("first"), outcome]
-    rates = each("rate")
-    ratio = rates[0] / rates[1] if None not in rates else None
-    name = [request["scene"], request["dtype"], request["lanes"]]
-    return [*name, *rates, ratio, *each("first"), *each("error"), outcome]
+    what, *named = request.values()
+    pairs = {key: [_cell(answer, key) for answer in answers] for _, key, _ in CELLS[what]}
+    cells = [*named, *itertools.chain.from_iterable(pairs.values())]
+    if what == "problem":
+        return cells
+    rates = pairs["rate"]
+    return [*cells, None if None in rates else rates[0] / rates[1]]
 
 
-def _each(answers, key):
-    return [answer.get(key) for answer in answers]
+def _cell(answer, key):
+    """A value of an answer; of one that is an error, its first words."""
+    if key == "outcome" and "failure" in answer:
+        return answer["failure"].partition("\n")[0][:40]
+    return answer.get(key)
 
 
-def _outcome(answer):
-    return answer.get("outcome") or answer["failure"].partition("\n")[0][:60]
+def line(what, cells):
+    """A row for whoever is waiting."""
+    pairs = zip(columns(what), cells, strict=True)
+    return "; ".join(f"{c.heading} {c.cell(v)}" for c, v in pairs if v is not None)
 
 
 def text(about, rows):
     """Both tables."""
     names = [f"{side['platform']} ({side['device']})" for side in about]
     title = f"{' beside '.join(names)}, jax {about[0]['jax']}."
-    notes = {
-        "problem": "One run of each. s: the median of later calls; first s: of the first, which "
-        "compiles.\nerror: the largest of the state at the end.",
-        "sweep": f"steps/s: lanes times {TRANSIENT + SAMPLES} forcing periods of {STEPS} steps of "
-        "Dopri8, a second of later calls.\nerror: on lanes whose motion is known, after 300 "
-        "periods.",
-    }
+    notes = {"problem": PROBLEM_NOTE, "sweep": SWEEP_NOTE}
     parts = [
-        table(COLUMNS[what], [cells for kind, cells in rows if kind == what], note=notes[what])
-        for what in COLUMNS
+        table(columns(what), [cells for kind, cells in rows if kind == what], note=note)
+        for what, note in notes.items()
     ]
     return "\n\n\n".join([title, *parts]) + "\n"
 
@@ -158,9 +165,10 @@ def main():
             if not any(answers):
                 continue
             rows.append((request["what"], row(request, answers)))
-            columns = COLUMNS[request["what"]]
-            cells = zip(columns, rows[-1][1], strict=True)
-            print("; ".join(f"{c.heading} {c.cell(v)}" for c, v in cells if v), flush=True)
+            cells = zip(columns(request["what"]), rows[-1][1], strict=True)
+            print(
+                "; ".join(f"{c.heading} {c.cell(v)}" for c, v in cells if v is not None), flush=True
+            )
             args.output.write_text(text(both.about, rows))
     finally:
         both.close()

@@ -111,7 +111,7 @@ def sweep(scene, dtype, lanes):
         error = float(np.abs(found - reference.load(scene)[:, -SAMPLES:]).max())
     return dict(
         error=error,
-        outcome=f"{int((~diagram.successful).sum())} failed",
+        outcome=str(int((~diagram.successful).sum())),
         first=first,
         seconds=later,
         rate=lanes * (TRANSIENT + SAMPLES) * STEPS / later,
