@@ -165,10 +165,7 @@ def main():
             if not any(answers):
                 continue
             rows.append((request["what"], row(request, answers)))
-            cells = zip(columns(request["what"]), rows[-1][1], strict=True)
-            print(
-                "; ".join(f"{c.heading} {c.cell(v)}" for c, v in cells if v is not None), flush=True
-            )
+            print(line(*rows[-1]), flush=True)
             args.output.write_text(text(both.about, rows))
     finally:
         both.close()
