@@ -35,7 +35,7 @@ def main():
         texts.append(SECTIONS[name].report(args.quick))
         print(texts[-1], f"[{time.perf_counter() - started:.0f} s]\n", sep="\n", flush=True)
     if not args.quick and not args.only:
-        about = "Measured on a CPU; no GPU was available."
+        about = "Measured on a CPU."
         (RESULTS / "cost.txt").write_text("\n\n\n".join([about, *texts]) + "\n")
     print(f"{time.perf_counter() - begun:.0f} s")
 

@@ -39,6 +39,7 @@ SECTIONS = (
         ("fit",),
     ),
     ("What a scene costs", "python -m benchmarks.cost", ("cost",)),
+    ("On a GPU, beside the CPU", "python -m benchmarks.accelerator", ("accelerator",)),
     (
         "Thousands of random problems against independent answers",
         "python -m benchmarks.reliability",

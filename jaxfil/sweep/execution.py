@@ -26,6 +26,9 @@ from jaxfil.xla.kernel import BLOCK
 # Chunks that a sweep is cut into at least, if it has the blocks, so that many cores get some each;
 # and blocks of a chunk at most, to be a stroke of the progress bar.
 _CHUNKS, _BLOCKS = 64, 16
+# The same on an accelerator: an iteration of ten thousand lanes takes an H100 as long as one of a
+# single lane, and from a hundred thousand on more of them gain nothing.
+_BLOCKS_ON_ACCELERATOR = 2048
 # Lanes of a chunk when each starts from the last one's end: one after the other, they gain nothing
 # from being many, and are kept and counted as often as chunks are.
 _FOLLOW = 16
@@ -84,7 +87,8 @@ def _lanes(p: int, in_kernels: bool) -> int:
     """Lanes of a chunk of p. Without single kernels every operation of the loop starts its own,
     and only many lanes make up for that."""
     blocks = -(-p // BLOCK)  # rounded up
-    return BLOCK * min(-(-blocks // _CHUNKS) if in_kernels else blocks, _BLOCKS)
+    most = _BLOCKS if jax.default_backend() == "cpu" else _BLOCKS_ON_ACCELERATOR
+    return BLOCK * min(-(-blocks // _CHUNKS) if in_kernels else blocks, most)
 
 
 def _cores() -> int:

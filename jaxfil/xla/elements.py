@@ -31,8 +31,8 @@ MOVES = (
 """Operations that only move elements about."""
 _NAMES = """
 abs acos acosh add add_any and asin asinh atan atan2 atanh ceil convert_element_type cos cosh div eq
-erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg not
-or pow rem round rsqrt select_n sign sin sinh sqrt square sub tan tanh xor
+erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p log2 logistic lt max min mul ne
+neg not one_minus_square or pow rem round rsqrt select_n sign sin sinh sqrt square sub tan tanh xor
 """
 _ON_EACH = frozenset(_NAMES.split())
 

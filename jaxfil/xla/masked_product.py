@@ -28,10 +28,10 @@ from jaxfil.xla.select import select
 # where their arguments are finite; and others that pass that on to their derivatives.
 _SINGULAR = """
 acos acosh asin atan2 atanh cbrt cosh digamma div erf_inv exp exp2 expm1 integer_pow lgamma log
-log1p pow rem rsqrt sinh sqrt tan
+log1p log2 pow rem rsqrt sinh sqrt tan
 """
 _REGULAR = """
-abs asinh atan clamp cos erf erfc logistic max min mul sin square tanh
+abs asinh atan clamp cos erf erfc logistic max min mul one_minus_square sin square tanh
 """
 SINGULAR = frozenset(_SINGULAR.split())
 ELEMENTWISE = SINGULAR.union(_REGULAR.split())

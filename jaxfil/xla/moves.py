@@ -185,6 +185,13 @@ def _split(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
     return [jax.lax.slice_in_dim(arrays[0], a, b, axis=axis) for a, b in cuts]
 
 
+def _unstack(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
+    """What `list(x)` is from JAX 0.11 on."""
+    (x,), axis = arrays, eqn.params["axis"]
+    one = [jax.lax.slice_in_dim(x, k, k + 1, axis=axis) for k in range(x.shape[axis])]
+    return [jax.lax.squeeze(v, (axis,)) for v in one]
+
+
 def _cumsum(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
     """By doubling: sums of 2, 4, 8, … numbers."""
     (x,), axis, reverse = arrays, eqn.params["axis"], eqn.params["reverse"]
@@ -203,5 +210,6 @@ _RULES: dict[str, Callable] = {
     "gather": _gather,
     "scatter": _scatter,
     "split": _split,
+    "unstack": _unstack,
     **dict.fromkeys(_ADDITIONS, _scatter),
 }

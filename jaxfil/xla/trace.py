@@ -38,7 +38,7 @@ _SAFE = {"atan2": _arctan2}
 # Numbers of an array for which it pays to find it ahead in a program that is to be small.
 _SOME = 3
 # What takes longer than a few multiplications.
-_DEAR = (*_FAST, *_SAFE, "exp", "log", "pow", "tan", "tanh")
+_DEAR = (*_FAST, *_SAFE, "exp", "log", "log2", "pow", "tan", "tanh")
 # What has no forward derivatives, unless a rule of the user's own stands around it.
 _NO_DERIVATIVES = {
     "custom_vjp_call": "jax.custom_vjp",

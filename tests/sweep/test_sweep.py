@@ -135,6 +135,14 @@ def test_new_values_trace_nothing():
     assert count == before
 
 
+def test_an_accelerator_is_given_many_lanes_at_a_time(monkeypatch):
+    """A CPU without single kernels, and where an iteration takes as long for thousands as for
+    one."""
+    assert [execution._lanes(p, False) for p in (100, 1000, 10**6)] == [128, 1024, 1024]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert [execution._lanes(p, False) for p in (100, 1000, 10**6)] == [128, 1024, 131_072]
+
+
 @pytest.mark.parametrize(
     "change, message",
     [

@@ -181,6 +181,7 @@ def everything(x, k):
     unary += [lax.cos, lax.cosh, lax.erf, lax.erf_inv, lax.erfc, lax.exp, lax.exp2, lax.expm1]
     unary += [lax.floor, lax.log, lax.log1p, lax.logistic, lax.neg, lax.round, lax.rsqrt, lax.sign]
     unary += [lax.sin, lax.sinh, lax.sqrt, lax.square, lax.tan, lax.tanh, lax.stop_gradient]
+    unary += [jnp.log2]
     binary = [lax.add, lax.atan2, lax.div, lax.max, lax.min, lax.mul, lax.pow]
     binary += [lax.rem, lax.sub]
     compare = [lax.eq, lax.ge, lax.gt, lax.le, lax.lt, lax.ne]
@@ -229,7 +230,7 @@ def everything(x, k):
 
 # Names that other versions of JAX have for some of them.
 OTHERS = {"pjit", "copy_p", "copy", "stop_gradient", "exp2", "square", "unstack", "stack", "split"}
-OTHERS |= {"empty2", "tile"}
+OTHERS |= {"empty2", "tile", "log2", "one_minus_square"}
 # A zero that stands for a second derivative, compiled as an array of zeros.
 OTHERS |= {"vanishing_map"}
 # Forward derivatives, which `test_forward_jacobian` compiles.

@@ -35,6 +35,7 @@ MOVED = {
     "take two of a matrix": lambda x, v: v * jnp.outer(x, x)[jnp.array([0, 2]), jnp.array([1, 3])],
     "split": lambda x, v: jnp.stack(jnp.split(v * x, 2)),
     "split columns": lambda x, v: jnp.hstack(jnp.split(v * jnp.outer(x, x), [1], axis=1)[::-1]),
+    "unstack columns": lambda x, v: jnp.stack(jnp.unstack(v * jnp.outer(x, x), axis=1)[::-1]),
     "sum up": lambda x, v: jnp.cumsum(v * x),
     "sum up rows from the end": lambda x, v: jax.lax.cumsum(v * jnp.outer(x, x), 0, reverse=True),
 }
@@ -71,7 +72,7 @@ def test_numbers_and_derivatives_are_the_same(name):
 @pytest.mark.parametrize("name", MOVED)
 def test_nothing_is_left_that_a_kernel_does_not_hold(name):
     found = {eqn.primitive.name for eqn in program(MOVED[name]).jaxpr.eqns}
-    left = {"scatter", "scatter-add", "split", "cumsum", "gather"}
+    left = {"scatter", "scatter-add", "split", "unstack", "cumsum", "gather"}
     assert found.isdisjoint(left - {"gather"} if name == "many" else left), found & left
 
 
