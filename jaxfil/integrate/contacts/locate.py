@@ -111,7 +111,7 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     # A slide or a rest that ends at a grid point ends beside it, by rounding of times. There the
     # field may still point back, and the surface is not met again for that.
     rounding, dt = problem.grid.same_time(end.motion.tau), abs(problem.grid.dt)
-    brief = ~length.cutting & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
+    brief = length.known & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
     # A guard just met has its own rounding; one left long ago may have gathered all of t0 to here,
     # in the state that it is made of.
     older = where(state.armed, end.gathered, state.motion.noise)

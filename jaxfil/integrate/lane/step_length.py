@@ -33,6 +33,12 @@ class Length(eqx.Module):
     ticking: Array | None = None
     """Whether a tick of a clock is; None without clocks."""
 
+    @property
+    def known(self) -> Array:
+        """Whether its end is one of these times, which are known."""
+        known = self.gridded | self.saving
+        return known if self.ticking is None else known | self.ticking
+
 
 def choose_length(problem: Problem, state: LoopState) -> Length:
     """To the next grid point, saving time or tick, to the contact expected before it, or as far as
@@ -49,24 +55,24 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     if problem.tick is not None:
         target, ticking = _up_to_tick(problem, state, target)
         gridded, saving = gridded & ~ticking, saving & ~ticking
-    known, tau = target, state.motion.tau
-    # The end of a shorter step is a time of its own, which no rounding of its length moves.
-    short = abs(target - tau) > state.trust.longest
-    target = select(short, tau + grid.direction * state.trust.longest, target)
-    gridded, saving = gridded & ~short, saving & ~short
-    ticking = None if ticking is None else ticking & ~short
+    tau, longest = state.motion.tau, grid.direction * state.trust.longest
     full = target - tau
     if problem.system.m == 0:
-        length = Length(full, target, known - target, saving & False, gridded, saving, ticking)
+        short = abs(full) > abs(longest)
+        end = select(short, tau + longest, target)
+        ends = gridded & ~short, saving & ~short, None if ticking is None else ticking & ~short
+        length = Length(end - tau, end, target - end, saving & False, *ends)
         return _to_crossing(problem, state, length)
     full, aimed, waits = full - state.tau_low, state.search.length, state.pending.waits
-    cutting = (aimed != 0) & (abs(aimed) < abs(full)) & ~waits
-    whole = ~waits & ~cutting
-    h = select(cutting, aimed, select(waits, 0.0, full))
+    short = abs(full) > abs(longest)
+    trusted = select(short, longest, full)
+    cutting = (aimed != 0) & (abs(aimed) < abs(trusted)) & ~waits
+    whole = ~waits & ~cutting & ~short
+    h = select(cutting, aimed, select(waits, 0.0, trusted))
     length = Length(
         h=h,
         end=select(whole, target, state.motion.tau + h),
-        room=(known - target) + (full - h),
+        room=full - h,
         cutting=cutting,
         gridded=gridded & whole,
         saving=saving & whole,

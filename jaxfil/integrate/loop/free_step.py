@@ -59,6 +59,7 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     taken = SmoothStep(
         t=start,
         h=h,
+        longest=problem.grid.dt,
         x0=state.motion.x,
         f0=state.motion.f,
         f1=free.f,

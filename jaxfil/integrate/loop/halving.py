@@ -20,7 +20,6 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem, TimeGrid
 from jaxfil.integrate.lane.state import LoopState, Trust
-from jaxfil.integrate.lane.step_length import Length
 from jaxfil.xla.select import select
 
 # Steps after which a length that was refused is tried again.
@@ -31,7 +30,7 @@ WATCHED = 128
 _SHORTEST = 2.0**-10
 # So many of those are refused before a run is given up: a jump of the field at some time is closed
 # in on in some 50, one that the motion goes to and fro across is never passed.
-_MOST_REFUSED = 256
+_MOST_REFUSED = 96
 
 
 class Doubt(eqx.Module):
@@ -50,17 +49,12 @@ def is_watched(state: LoopState) -> Array:
     return state.trust.taken < WATCHED
 
 
-def doubted(
-    problem: Problem, state: LoopState, length: Length, infinite: Array, too_long: Array
-) -> Doubt:
-    """What speaks against a trial step of this length."""
+def doubted(problem: Problem, state: LoopState, infinite: Array, too_long: Array) -> Doubt:
+    """What speaks against a trial step."""
     # Where nothing is known of errors, an end that is not finite may follow from steps that were.
     if not problem.tableau.d:
         return Doubt(infinite, too_long, jnp.ones((), bool))
-    # A jump of the field at some time is known to the rounding of times alone.
-    least = abs(length.h) <= problem.grid.same_time(state.motion.tau)
-    spent = state.trust.refused >= _MOST_REFUSED
-    return Doubt(infinite, too_long & (spent | ~least), spent | (infinite & least))
+    return Doubt(infinite, too_long, state.trust.refused >= _MOST_REFUSED)
 
 
 def next_trust(grid: TimeGrid, state: LoopState, taken: Step, refused: Array) -> Trust:

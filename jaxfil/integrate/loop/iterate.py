@@ -178,7 +178,7 @@ def _carried_out(
         together = (together | (before.waits & end.misfit)) & ~switched
     tau, tau_low = later(state.motion.tau, state.tau_low, h)
     # The end of a step that is no contact's is a time that is known.
-    exact = (taken.accepted & moved & ~length.cutting) | (lands & landing.jumped)
+    exact = (taken.accepted & moved & length.known) | (lands & landing.jumped)
     motion = select_all(moved, start, state.motion)
     noise = where(touches, end.gathered, end.motion.noise)
     noise = maximum(noise, where(state.armed, 0.0, state.motion.noise))

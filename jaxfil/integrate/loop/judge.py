@@ -89,7 +89,7 @@ def judged(
         end=end,
         contact=contact,
         landing=land(problem, state, end, length),
-        doubt=doubted(problem, state, length, infinite, gross),
+        doubt=doubted(problem, state, infinite, gross),
         rejections=select(contact.found, state.search.rejections + 1, 0),
         repeats=select(waits, select(again, repeats + 1, 0), repeats),
         hidden=hidden,
@@ -104,6 +104,7 @@ def too_long(
     taken = SmoothStep(
         t=t,
         h=length.h,
+        longest=problem.grid.dt,
         x0=start.x,
         f0=start.f,
         f1=end.motion.f,
@@ -173,7 +174,7 @@ def smooth_action_of(
     """The same where there are no surfaces."""
     infinite = ~all_finite(end.motion.x, end.motion.f)
     gross = too_long(problem, state, length, trial, end)
-    doubt = doubted(problem, state, length, infinite, gross)
+    doubt = doubted(problem, state, infinite, gross)
     action = select(doubt.too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
     action = select(infinite, FAIL + FAILURES.index(RESULTS.nonfinite), action)
     action = select((infinite | doubt.too_long) & ~doubt.given_up, REFUSE, action)

@@ -51,6 +51,8 @@ class SmoothStep(eqx.Module):
 
     t: Array
     h: Array
+    longest: Array
+    """The longest that a step may be."""
     x0: Components
     f0: Components
     f1: Components
@@ -108,6 +110,8 @@ def _is_gross(
         faint = _reached(system.n, h, push, measure)
     # What a state has been of late it is known to.
     known = maximum(maximum(abs(x0), abs(x1)), step.scale)
+    # And a length, to the rounding of the longest step: at a jump of the field no step is right.
+    known = known + abs(step.longest / h * (x1 - x0))
     rounding = _ROUNDING * system.eps * (rounded + known)
     return any_of(missed > maximum(maximum(share * measure, rounding), _FAINT * faint))
 
