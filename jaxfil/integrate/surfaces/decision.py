@@ -191,7 +191,8 @@ def _continues(
     w = weights(where(ok, sides, 1.0), rates)
     inside = minimum(maximum(w, -1.0), 1.0)
     w = where(slid & (sides == 0) & lenient, inside, w)
-    rate, scale = rates.blend(sides, w), rates.sizes()
+    # Also where a reaction holds what a friction would hold: its rate is then nothing but rounding.
+    rate, scale = rates.blend(sides, w), question.rates.sizes() + rates.sizes()
     # Where no side moves the state off a surface, nothing but a slide on all of them stays there.
     stays = ~any_of(slid & (sides != 0))
     solved = (abs(rate) <= _NOISE * eps * scale) & ((scale > 0) | stays)
