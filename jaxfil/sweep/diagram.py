@@ -212,9 +212,9 @@ def _range(name: str, axis: np.ndarray) -> str:
 
 def _halvings_line(halvings: np.ndarray) -> str:
     """In how many lanes steps were halved, and how often at most."""
-    return (
-        f"  steps halved in {int(np.sum(halvings > 0))} lanes, {int(halvings.max())} times at most"
-    )
+    lanes = int(np.sum(halvings > 0))
+    plural = "" if lanes == 1 else "s"
+    return f"  steps halved in {lanes} lane{plural}, {int(halvings.max())} times at most"
 
 
 def _errors_line(errors: np.ndarray) -> str:
