@@ -84,6 +84,12 @@ def _searched(system: ComponentSystem, near: Array, *guard: Array) -> Array:
     return system.where_any(near, _found, _nothing, *guard)
 
 
+def _searched_to(state: LoopState, end: StepEnd) -> Components:
+    """What the search takes for rounding: a guard just met has its own; one left long ago may have
+    gathered all of t0 to here, in the state that it is made of."""
+    return maximum(end.motion.noise, where(state.armed, end.gathered, state.motion.noise))
+
+
 class Contact(eqx.Module):
     """What a trial step has run over: θ of the earliest contact or minimum to be looked at
     (`NEVER`: nothing), the surfaces of that contact (none for a minimum), and all those run
@@ -112,10 +118,7 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     # field may still point back, and the surface is not met again for that.
     rounding, dt = problem.grid.same_time(end.motion.tau), abs(problem.grid.dt)
     brief = length.known & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
-    # A guard just met has its own rounding; one left long ago may have gathered all of t0 to here,
-    # in the state that it is made of.
-    older = where(state.armed, end.gathered, state.motion.noise)
-    noise = maximum(end.motion.noise, older)
+    noise = _searched_to(state, end)
     ends = state.motion.g, h * state.motion.rate, stop_gradient(end.motion.g), h * end.motion.rate
     near = ~(state.armed & on_each(stays_off, *ends, noise))
     search = ft.partial(_searched, system)
@@ -263,7 +266,7 @@ def _kinds_of_end(
     reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)
     # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step has
     # gone past it by no more than the search takes for rounding.
-    past = (g < 0) & (-g <= end.gathered)
+    past = (g < 0) & (-g <= maximum(end.gathered, _searched_to(state, end)))
     here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
     hit = falls & (here | ((state.armed | aimed) & reached))
     # H jumps at a known time, as that of a ramp or of a clock: however short the step, it is past.

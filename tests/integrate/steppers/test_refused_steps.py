@@ -17,7 +17,7 @@ from tests.results import outcome_names
 
 STEPPERS = [diffrax.Dopri8(), diffrax.Tsit5(), jf.RK4(), jf.Rodas5P()]
 # Twice the error that a step of a hundredth leaves in a contact, by the order of the method.
-ALLOWED = {"Dopri8": 1e-3, "Tsit5": 2e-3, "RK4": 5e-2, "Rodas5P": 1e-2}
+ALLOWED = {"Dopri8": 1e-3, "Tsit5": 2e-3, "RK4": 5e-2, "Rodas5P": 2e-2}
 
 
 def name(stepper):
