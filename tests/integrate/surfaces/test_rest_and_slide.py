@@ -324,3 +324,44 @@ def test_masses_that_shake_down_to_the_limit_of_their_friction_go_on():
     assert_within(times, CHAIN_TIMES * 2, 1e-10)
     # Of fields linear in time and state and of some hundred pieces.
     assert_within(x[2:], x[:2], 2**14 * EPS)
+
+
+class Slider(jf.System):
+    """Block 1 on dry friction, and block 2 that a force −p + rt pushes against it, and later pulls
+    away: a stop between the two, and a friction slider beside the stop, in the same direction."""
+
+    p: jax.Array
+    r: jax.Array
+    F: jax.Array
+
+    def vector_field(self, t, x, side):
+        force = self.r * t - self.p - self.F[1] * side[1]
+        return jnp.stack([x[2], x[3], -self.F[0] * side[0] + self.F[1] * side[1], force])
+
+    def switching(self, t, x):
+        return jnp.stack([x[2], x[3] - x[2], x[1] - x[0]])
+
+    def reset(self, t, x, surface):
+        mean = 0.5 * (x[2] + x[3])
+        return jnp.where(surface == 2, jnp.stack([x[0], x[1], mean, mean]), x)
+
+
+@pytest.mark.slow
+def test_a_slider_beside_a_stop_holds_with_it():
+    """What the stop holds leaves the slider undetermined. Block 2 moves at t = (p + F₂)/r, or both
+    do from the start, one against the other."""
+
+    def end(p):
+        sol = solve(Slider(p[0], p[1], p[2:]), jnp.zeros(4), 3.0)
+        return sol.x_final, sol
+
+    def exact(p):
+        s = 3.0 - (p[0] + p[3]) / p[1]
+        apart = jnp.stack([0 * s, p[1] * s**3 / 6, 0 * s, p[1] * s**2 / 2])
+        x = (p[2] - p[0]) * 2.25 + p[1] * 2.25
+        v = (p[2] - p[0]) * 1.5 + p[1] * 2.25
+        return jnp.where(p[0] > p[2], jnp.stack([x, x, v, v]), apart)
+
+    lanes = [[0.5, 1.0, 1.0, 0.8], [0.9, 1.5, 1.0, 0.3], [0.0, 0.6, 2.0, 0.9]]
+    lanes += [[2.0, 0.3, 0.5, 0.4], [3.0, 0.5, 1.0, 2.0]]
+    assert_derivatives(end, exact, lanes, 256, order=1)
