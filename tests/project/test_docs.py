@@ -29,7 +29,7 @@ FENCED = re.compile(r"^( *)```python\n(.*?)^\1```\n(?:\s*^\1```text\n(.*?)^\1```
 def scripts(page):
     """The blocks of Python of a page in order, each with what the page says that it prints."""
     for indent, code, printed in FENCED.findall(page.read_text()):
-        # What is printed may begin each line with blanks of its own: only the fence's are taken off.
+        # What is printed may begin each line with blanks of its own: those of the fence go.
         yield textwrap.dedent(code), re.sub(f"^{indent}", "", printed, flags=re.M)
 
 

@@ -67,11 +67,12 @@ class SmoothStep(eqx.Module):
 
 def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:
     """Whether a step should be looked at by `is_too_long`: cheap, and never False in error, as the
-    state at its end is part of what the error is compared with."""
+    states at its ends are part of what the error is compared with."""
     if not tableau.d:
         return jnp.zeros((), bool)
     missed, share = _missed(tableau, step)
-    return any_of(missed > share * stop_gradient(abs(step.trial.x)))
+    ends = stop_gradient(maximum(abs(step.x0), abs(step.trial.x)))
+    return any_of(missed > share * ends)
 
 
 def is_too_long(
