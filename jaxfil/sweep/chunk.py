@@ -53,8 +53,9 @@ def run_chunk(
 
 
 def _lane(sampling: Sampling, point: Point, x0: Array) -> Saved:
-    problem = sampling.problem(point, x0)
-    return sampling.outcome(integrate(problem, problem.system.unpack(x0)))
+    problem, (x, _) = sampling.problem(point, x0), sampling.split(x0)
+    saved, result, end = sampling.outcome(integrate(problem, problem.system.unpack(x)))
+    return saved, result, sampling.ended(point, x0, end)
 
 
 def _row_of_one(sampling: Sampling, lanes: Array, *row: Any) -> Saved:

@@ -63,7 +63,7 @@ def _compiled_chunk(plan: SweepPlan) -> tuple[Callable[..., Chunk], int]:
     filled up with copies of a lane: a lane's last bits may depend on the shape that it was compiled
     in.
     """
-    (p, k), n, dtype = plan.grid.rows.shape, plan.x0.shape[-1], plan.x0.dtype
+    (p, k), n, dtype = plan.grid.rows.shape, plan.start.shape[-1], plan.x0.dtype
     followed = plan.follow is not None
 
     def nowhere(lanes: int) -> tuple[np.ndarray, np.ndarray, np.int32]:
@@ -234,7 +234,7 @@ def one_after_another(
 
     Every process computes all of them, for none could help another, and then takes the first one's.
     """
-    rows, state = plan.grid.rows, plan.x0
+    rows, state = plan.grid.rows, plan.start
     # Stable, so that equal values keep their order and a repeated call gives the same diagram.
     order = np.argsort(rows[:, 0], kind="stable")
     order = order if plan.follow == "up" else order[::-1]

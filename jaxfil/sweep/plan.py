@@ -44,6 +44,12 @@ class SweepPlan:
     """What pictures and named arrays call its quantities."""
 
     @property
+    def start(self) -> np.ndarray:
+        """What lanes start from: the initial states, and where each starts at the phase of the
+        forcing at which the last one ended, a phase of 0 behind it."""
+        return np.append(self.x0, self.x0.dtype.type(0)) if self.sampling.phased else self.x0
+
+    @property
     def steps_per_lane(self) -> int:
         """Steps of a lane that is sampled once a forcing period."""
         each = self.sampling
@@ -123,6 +129,7 @@ def sweep_plan(
         transient_time=from_time,
         observable=observable,
         share=jnp.ones((), dtype),
+        phased=follow is not None and section is not None and system.period is not None,
     )
     return SweepPlan(sampling, grid, states, follow, labels)
 

@@ -85,6 +85,9 @@ class Sampling(eqx.Module):
     """The time before which no crossing counts; None: all do."""
     observable: Observable | None = None
     """What is recorded of each sample; None: the state."""
+    phased: bool = eqx.field(static=True, default=False)
+    """Whether lanes start at the phase of the forcing at which the last one has ended, the last
+    number of their initial states."""
 
     def at(self, values: Array) -> tuple[System, Array]:
         """The system at a point in parameter space, and its period; of an autonomous one the unit
@@ -110,9 +113,10 @@ class Sampling(eqx.Module):
     def problem(self, point: Point, x0: Array) -> Problem:
         """What a lane integrates."""
         system, period = self.at(point.values)
+        x0, phase = self.split(x0)
         field = build(system, x0, compact=self.compact)
         if self.section is not None:
-            return self._to_the_last_crossing(self.section, field, period, x0)
+            return self._to_the_last_crossing(self.section, field, period, (x0, phase))
         count = self.transient + self.samples
         grid = grid_of_periods(period, count, self.steps, repeats=point.repeats)
         grid = dataclasses.replace(grid, share=self.share)
@@ -124,23 +128,30 @@ class Sampling(eqx.Module):
         )
         return problem_of(field, tableau_of(self.stepper), grid, Recording(recorder))
 
+    def split(self, start: Array) -> tuple[Array, Array]:
+        """Of what a lane starts from the state, and the phase of the forcing, a part of 1."""
+        return (start[:-1], start[-1]) if self.phased else (start, jnp.zeros((), start.dtype))
+
     def _to_the_last_crossing(
-        self, section: Section, field: ComponentSystem, unit: Array, x0: Array
+        self, section: Section, field: ComponentSystem, unit: Array, start: tuple[Array, Array]
     ) -> Problem:
         """The problem of a lane that ends with its last sample at a section."""
+        x0, phase = start
         sections = watch_sections((section,), field, x0)
         assert sections is not None
+        t0 = phase * unit
+        since = None if self.transient_time is None else t0 + self.transient_time
         watched = eqx.tree_at(
             lambda s: (s.terminal, s.unseen, s.since),
             sections,
-            ((self.transient + self.samples,), self.transient, self.transient_time),
+            ((self.transient + self.samples,), self.transient, since),
             is_leaf=lambda v: v is None,
         )
         recording = Recording(num_crossings=self.samples)
-        grid = self._longest_grid(unit)
+        grid = self._longest_grid(unit, t0)
         return problem_of(field, tableau_of(self.stepper), grid, recording, watched)
 
-    def _longest_grid(self, unit: Array) -> TimeGrid:
+    def _longest_grid(self, unit: Array, t0: Array) -> TimeGrid:
         """The grid of a lane that returns to its section as seldom as it may."""
         assert self.max_return is not None
         count = (self.transient + self.samples).astype(unit.dtype)
@@ -149,13 +160,12 @@ class Sampling(eqx.Module):
         most = jnp.ceil((before + count * self.max_return) / dt)
         num_steps = jnp.minimum(most, 2.0**30).astype(jnp.int32)
         length = num_steps.astype(unit.dtype) * dt
-        budget, start = iteration_budget(num_steps), jnp.zeros_like(unit)
-        return TimeGrid(start, length, dt, num_steps, budget, share=self.share)
+        return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps), share=self.share)
 
     def outcome(self, state: LoopState) -> tuple[tuple[SavedStates, Array], RESULTS, Array]:
         """What a lane, or many, have saved at its samples, and how often steps were halved; the
-        outcome; the last state (n,). Times are saved at a section alone, and modes if there is
-        something to be observed."""
+        outcome; the last state (n,), and where lanes are `phased` the time since the start (n + 1,).
+        Times are saved at a section alone, and modes if there is something to be observed."""
         sections = sections_in(state)
         saved = state.saves if sections is None else sections.table
         assert saved is not None
@@ -168,7 +178,17 @@ class Sampling(eqx.Module):
         if self.section is not None:
             result = (jax.vmap(_at_section) if state.motion.tau.ndim else _at_section)(result)
         at = SavedStates(saved.ts if timed else None, xs, modes)
+        if self.phased:
+            rows.append(state.motion.tau[..., None])
         return (at, state.trust.halvings), result, jnp.concatenate(rows, axis=-1)
+
+    def ended(self, point: Point, start: Array, end: Array) -> Array:
+        """What the next lane starts from, of one that has started from `start`: its last state, and
+        in place of the time since then the phase of the forcing."""
+        if not self.phased:
+            return end
+        _, period = self.at(point.values)
+        return end.at[-1].set(jnp.mod(start[-1] + end[-1] / period, 1.0))
 
     def sampled(self, point: Point, x0: Array, kept: tuple[SavedStates, Array]) -> Samples[Array]:
         """The samples of a lane that has saved these states, with so many halved steps."""
@@ -184,7 +204,7 @@ class Sampling(eqx.Module):
         self, observable: Observable, point: Point, x0: Array, saved: SavedStates
     ) -> Array:
         """What is observed at the samples, shape (samples, k)."""
-        problem = self.problem(point, x0)
+        problem, (x0, _) = self.problem(point, x0), self.split(x0)
         system, period = self.at(point.values)
         if self.section is None:
             periods = self.transient + jnp.arange(1, self.samples + 1, dtype=jnp.int32)

@@ -93,7 +93,8 @@ def bifurcation_diagram(
       of an autonomous system per unit of time.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `follow`: "up" or "down" starts each value, in ascending or descending order, from the last
-      one's end, which follows an attractor; by default each starts from `x0`.
+      one's end, which follows an attractor; by default each starts from `x0`. At a `section` the
+      phase of the force goes on too: a lane starts at a time of its first period.
     - `checkpoint`: a folder that keeps every chunk of lanes as soon as it is finished. The same
       call goes on from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
       numbers bit for bit. A call with other arguments is refused. Needs xarray and zarr.

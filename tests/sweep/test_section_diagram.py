@@ -208,3 +208,37 @@ def test_chuas_circuit_doubles_its_period_and_comes_to_the_double_scroll():
     # Before it the motion keeps to one side of the origin, on the double scroll it visits both.
     assert (d.xs[:2, :, 0] > 0).all()
     assert d.xs[2, :, 0].min() < -1 and d.xs[2, :, 0].max() > 1
+
+
+class Driven(jf.System):
+    """x'' = −x − 0.02 x' + cos ωt: what a kick excites decays in hundreds of periods."""
+
+    omega: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - 0.02 * x[1] + jnp.cos(self.omega * t)])
+
+    def switching(self, t, x):
+        return x[:0]
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+@pytest.mark.parametrize("observe", [None, lambda t, x: x[0]], ids=["states", "observed"])
+def test_following_at_a_section_goes_on_at_the_phase_of_the_force(observe):
+    omegas = 2.0 + 1e-9 * np.arange(4)
+    z = 1 / (1 - 4.0 + 0.04j)
+    x0 = np.array([z.real, (2j * z).real])
+    run = dict(transient=0, samples=4, follow="up", max_return=10.0, progress=False)
+    top = jf.maxima(lambda t, x: x[0])
+    d = jf.bifurcation_diagram(
+        Driven(2.0), "omega", omegas, x0, section=top, observe=observe, **run
+    )
+    assert d.successful.all()
+    np.testing.assert_allclose(d.xs[..., 0], abs(z), rtol=1e-8)
+    # Maxima at cos(ωt + arg z) = 1; a lane starts at a time of its first period.
+    phases = d.times * omegas[:, None] + np.angle(z)
+    np.testing.assert_allclose(np.exp(1j * phases), 1.0, rtol=0, atol=1e-7)
+    assert (d.times[:, 0] < 2 * np.pi).all() and (d.times[1:, 0] > np.pi).all()
