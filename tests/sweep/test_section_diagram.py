@@ -226,7 +226,7 @@ class Driven(jf.System):
         return 2 * jnp.pi / self.omega
 
 
-@pytest.mark.parametrize("observe", [None, lambda t, x: x[0]], ids=["states", "observed"])
+@pytest.mark.parametrize("observe", [None, lambda t, x, side: x[0]], ids=["states", "observed"])
 def test_following_at_a_section_goes_on_at_the_phase_of_the_force(observe):
     omegas = 2.0 + 1e-9 * np.arange(4)
     z = 1 / (1 - 4.0 + 0.04j)
