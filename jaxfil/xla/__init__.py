@@ -18,6 +18,7 @@ The words of this room:
 - pushforward: results together with their tangents, in one run (`pushforward`).
 - known: not traced; outside of every transformation verbs share compiled functions (`known`).
 - masked write: an entry of a table, written by those lanes that have one (`masked_write`).
+- jump: an operation that is not continuous in an argument, such as a sign (`jumps`).
 - disk cache: compiled programs kept for later processes (`disk_cache`).
 - range reduction: what brings the argument of a sine within a quarter of a turn (`fast_trig`).
 """
