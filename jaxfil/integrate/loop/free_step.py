@@ -19,7 +19,7 @@ from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.loop.halving import is_watched
+from jaxfil.integrate.loop.halving import is_watched, trust_after_free_step
 from jaxfil.integrate.steppers.error_estimate import SmoothStep, may_be_too_long
 from jaxfil.integrate.steppers.explicit import step
 from jaxfil.integrate.surfaces.filippov import ModeField
@@ -92,6 +92,7 @@ def accept_free_step(
         state,
         motion=select_all(clear, moved, before),
         tau_low=select(clear, 0.0, state.tau_low),
+        trust=trust_after_free_step(state.trust, clear),
         counts=dataclasses.replace(
             counts,
             index=counts.index + one,

@@ -12,6 +12,8 @@ watched more closely. Grid points, saving times, ticks and contacts are met as e
 constants in derivatives, as those of contacts are.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -55,6 +57,16 @@ def doubted(problem: Problem, state: LoopState, infinite: Array, too_long: Array
     if not problem.tableau.d:
         return Doubt(infinite, too_long, jnp.ones((), bool))
     return Doubt(infinite, too_long, state.trust.refused >= _MOST_REFUSED)
+
+
+def trust_after_free_step(trust: Trust, clear: Array) -> Trust:
+    """`next_trust` of a lane at the end of a whole step of the grid, where it is `clear`: a lane of a
+    batch halves what it halves alone."""
+    return dataclasses.replace(
+        trust,
+        taken=trust.taken + clear.astype(jnp.int32),
+        refused=select(clear, 0, trust.refused),
+    )
 
 
 def next_trust(grid: TimeGrid, state: LoopState, taken: Step, refused: Array) -> Trust:
