@@ -273,3 +273,15 @@ def test_a_diagram_counts_the_halved_steps_of_its_lanes():
     assert d.successful.all()
     assert d.halvings[0] == 0 and d.halvings[1] > 0
     assert f"steps halved in 1 lane, {d.halvings[1]} times at most" in repr(d)
+
+
+def test_lanes_of_a_batch_halve_what_they_halve_alone():
+    """Free steps and judged ones count alike towards what is watched."""
+    belt, x0 = jf.systems.BeltFriction(), jnp.array([0.3, 0.1])
+    omegas = np.linspace(3, 14, 66)
+    run = dict(transient=10, samples=5, steps=16, stepper=diffrax.Tsit5(), progress=False)
+    all_ = jf.bifurcation_diagram(belt, "omega", omegas, x0, compact=False, **run)
+    few = jf.bifurcation_diagram(belt, "omega", omegas[1::13], x0, compact=False, **run)
+    assert (all_.halvings > 0).any() and (all_.halvings == 0).any()
+    np.testing.assert_array_equal(few.halvings, all_.halvings[1::13])
+    np.testing.assert_array_equal(few.xs, all_.xs[1::13])
