@@ -164,8 +164,8 @@ class Sampling(eqx.Module):
 
     def outcome(self, state: LoopState) -> tuple[tuple[SavedStates, Array], RESULTS, Array]:
         """What a lane, or many, have saved at its samples, and how often steps were halved; the
-        outcome; the last state (n,), where lanes are `phased` with the time since the start (n + 1,).
-        Times are saved at a section alone, and modes if there is something to be observed."""
+        outcome; the last state (n,), and in lanes that are `phased` the time since the start behind
+        it. Times are saved at a section alone, and modes if there is something to be observed."""
         sections = sections_in(state)
         saved = state.saves if sections is None else sections.table
         assert saved is not None

@@ -60,8 +60,8 @@ def doubted(problem: Problem, state: LoopState, infinite: Array, too_long: Array
 
 
 def trust_after_free_step(trust: Trust, clear: Array) -> Trust:
-    """`next_trust` of a lane at the end of a whole step of the grid, where it is `clear`: in a batch
-    it halves what it halves alone."""
+    """`next_trust` of a lane at the end of a whole step of the grid, where it is `clear`, so that
+    in a batch it halves what it halves alone."""
     return dataclasses.replace(
         trust,
         taken=trust.taken + clear.astype(jnp.int32),
