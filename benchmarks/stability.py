@@ -46,9 +46,8 @@ def _figure(found):
     axes = figure.subplots(1, len(found), sharey=True)
     drawn = [_panel(ax, name, *grid) for ax, (name, grid) in zip(axes, found.items(), strict=True)]
     dts = next(iter(found.values()))[0]
-    (limit,) = axes[0].plot(
-        dts, STABLE / dts, color="white", lw=2, ls="--", label=f"stability limit d·dt = {STABLE}"
-    )
+    told = f"stability limit d·dt = {STABLE}; beyond, steps are halved"
+    (limit,) = axes[0].plot(dts, STABLE / dts, color="white", lw=2, ls="--", label=told)
     limit.set_path_effects([Stroke(linewidth=3.5, foreground="black"), Normal()])
     axes[0].set_ylabel("damping d of one side")
     figure.colorbar(drawn[-1], ax=axes, label="error of the state at t = 12")

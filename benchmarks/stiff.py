@@ -120,9 +120,9 @@ FLOORS = (
     Column("exact soft − exact rigid", "<.1e"),
 )
 UNRESOLVED = """\
-The contact lasts π/√k: where dt is longer than that no fixed step resolves the motion
-in the floor: an L-stable method settles there instead of coming back, and at
-half the step it does the same, so that neither outcome nor estimate_error tells."""
+The contact lasts π/√k. Where dt is longer than that no step of its length resolves the
+motion in the floor, where an L-stable method would settle: steps are halved there, until
+their estimated error is a hundredth of what they do, or less."""
 
 
 def smoothed_relay(t1=14.0):

@@ -101,11 +101,15 @@ def _is_gross(
     h, x0, x1 = step.h, step.x0, step.trial.x
     t, x = step.t + 0.5 * h, 0.5 * (x0 + x1)
     middle, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
-    rounded = _terms(system.n, h, (t, x, middle), push)
     measure = _measure(h, x0, x1, step.f0, step.f1)
     if isinstance(tableau, RosenbrockTableau):
         # What is damped at once need not be known to a part of itself.
         measure = maximum(measure, step.scale)
+        # What its stages take of each other, by large numbers that cancel.
+        large = max(sum(map(abs, row)) for row in tableau.coupling)
+        rounded = large * _damped_terms(h, (t, x, middle), push)
+    else:
+        rounded = _terms(system.n, h, (t, x, middle), push)
     faint = measure.like(jnp.zeros_like(t))
     if system.n > _CHAIN:
         faint = _reached(system.n, h, push, measure)
@@ -162,6 +166,25 @@ def _terms(
     size = abs(x) + abs(h * f)
     size = jax.lax.fori_loop(0, min(n, _DEEP), lambda _, size: passed_on(size), size)
     return where(any_of(passed_on(size) > _STABLE * size), 0.0, size)
+
+
+def _damped_terms(h: Array, at: tuple[Array, Components, Components], push: Callable) -> Components:
+    """The same of a step that damps what its field damps: h f_i/(1 + |h ∂f_i/∂x_i|) of the terms of
+    f."""
+    t, x, f = at
+    terms = abs(h) * (abs(f) + _change(push, abs(t), abs(x)))
+    return terms / (1 + abs(h * _diagonal(push, x, 0 * h)))
+
+
+def _diagonal(push: Callable, x: Components, zero: Array) -> Components:
+    """∂f_i/∂x_i."""
+    if x.is_array:
+        eye = jnp.eye(x.parts[0].shape[0], dtype=zero.dtype)
+        columns = jax.vmap(lambda v: push(zero, Components([v])).parts[0])(eye)
+        return Components([jnp.diagonal(columns)])
+    n = len(x.parts)
+    units = [Components(zero + float(i == k) for i in range(n)) for k in range(n)]
+    return Components(push(zero, unit).parts[k] for k, unit in enumerate(units))
 
 
 def _change(push: Callable, by_t: Array, size: Components) -> Components:

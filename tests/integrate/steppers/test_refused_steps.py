@@ -172,6 +172,24 @@ def test_nothing_unstable_is_successful(stepper):
     np.testing.assert_allclose(ends[good], exact[good], rtol=0, atol=ALLOWED[name(stepper)])
 
 
+def test_what_is_damped_at_once_is_known_to_its_rounding():
+    """Short steps up to where the damped velocity, 1e-8 and less, goes through zero."""
+
+    @jax.jit
+    @jax.vmap
+    def run(d):
+        options = dict(stepper=jf.Rodas5P(), compact=True, max_events=4, throw=False)
+        return jf.solve(DampedRelay(d), jnp.array([0.5, 2.0]), 0.0, 1.3, 1e-3, **options)
+
+    ds = 10.0 ** np.array([7.0, 7.5, 8.0])
+    sol = run(jnp.asarray(ds))
+    assert set(outcome_names(sol.result)) == {"successful"}
+    # It comes to rest where 2 cos 1.3t = 0.4 + x, x = 0.5 + 2/d.
+    stops = np.arccos(0.45 + 1 / ds) / 1.3
+    np.testing.assert_allclose(sol.events.ts[:, 0], stops, rtol=0, atol=1e-6)
+    assert (sol.stats["num_halvings"] < 64).all()
+
+
 class Step(jf.System):
     """x' = 1 from a time on that no clock tells of."""
 
