@@ -81,7 +81,7 @@ def motion():
         events=events,
         num_events=np.array(4),
         result=jf.RESULTS.successful,
-        stats={"num_steps": np.array(9)},
+        stats={"num_steps": np.array(9), "num_halvings": np.array(0)},
         t_final=jnp.asarray(8.0),
         x_final=jnp.asarray(xs[-1]),
         mode_final=np.array([1, 1]),

@@ -59,9 +59,10 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     full = target - tau
     if problem.system.m == 0:
         short = abs(full) > abs(longest)
-        end = select(short, tau + longest, target)
+        # The state moves, be it by less than times tell apart.
+        h, end = select(short, longest, full), select(short, tau + longest, target)
         ends = gridded & ~short, saving & ~short, None if ticking is None else ticking & ~short
-        length = Length(end - tau, end, target - end, saving & False, *ends)
+        length = Length(h, end, target - end, saving & False, *ends)
         return _to_crossing(problem, state, length)
     full, aimed, waits = full - state.tau_low, state.search.length, state.pending.waits
     short = abs(full) > abs(longest)

@@ -216,6 +216,25 @@ def test_a_jump_at_an_unknown_time_is_closed_in_on(stepper, dtype):
     np.testing.assert_allclose(ends, 2.0 - at, rtol=0, atol=256 * np.finfo(dtype).eps)
 
 
+class Exploding(jf.System):
+    """x' = x²: from 1 it is infinite at t = 1, and no threshold is before that."""
+
+    def vector_field(self, t, x, side):
+        return x**2
+
+    def switching(self, t, x):
+        return x[:0]
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("stepper", STEPPERS, ids=name)
+def test_an_explosion_without_end_is_told(stepper, dtype):
+    sol = jf.solve(Exploding(), jnp.ones(1, dtype), 0.0, 2.0, 0.1, stepper=stepper, throw=False)
+    assert sol.result in (jf.RESULTS.nonfinite, jf.RESULTS.step_too_long)
+    assert abs(sol.t_final - 1) < ALLOWED[name(stepper)]
+    assert sol.stats["num_iterations"] < 2000
+
+
 class Undeclared(jf.System):
     """A block that dry friction stops, and no surface that says so."""
 
