@@ -19,8 +19,8 @@ from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.loop.halving import is_watched, trust_after_free_step
-from jaxfil.integrate.steppers.error_estimate import SmoothStep, may_be_too_long
+from jaxfil.integrate.loop.halving import smooth_step, trust_after_free_step
+from jaxfil.integrate.steppers.error_estimate import may_be_too_long
 from jaxfil.integrate.steppers.explicit import step
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import all_finite, any_of, on_each, side_of
@@ -55,19 +55,7 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     _, h_t, normals = problem.system.gradients(t, x)
     touch = surface_noise(problem.system, t, x, size, h_t, normals)
     clear = ~is_near_surface(state) & all_finite(x, free.f, free.g)
-    start = problem.grid.t0 + state.motion.tau
-    taken = SmoothStep(
-        t=start,
-        h=h,
-        longest=problem.grid.dt,
-        x0=state.motion.x,
-        f0=state.motion.f,
-        f1=free.f,
-        trial=free.trial,
-        scale=state.motion.scale,
-        watched=is_watched(state),
-        share=problem.grid.share,
-    )
+    taken = smooth_step(problem, state, h, free.f, free.trial)
     clear = clear & ~may_be_too_long(problem.tableau, taken)
     off = on_each(stays_off, state.motion.g, h * state.motion.rate, free.g, h * free.rate, touch)
     return clear & ~any_of(~off)

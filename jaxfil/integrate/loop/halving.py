@@ -22,6 +22,9 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem, TimeGrid
 from jaxfil.integrate.lane.state import LoopState, Trust
+from jaxfil.integrate.steppers.error_estimate import SmoothStep
+from jaxfil.integrate.steppers.explicit import Trial
+from jaxfil.integrate.system.components import Components
 from jaxfil.xla.select import select
 
 # Steps after which a length that was refused is tried again.
@@ -45,10 +48,29 @@ class Doubt(eqx.Module):
     given_up: Array
     """Whether half of it would not be tried any more."""
 
+    @property
+    def refuses(self) -> Array:
+        """Whether half of it is tried."""
+        return (self.infinite | self.too_long) & ~self.given_up
 
-def is_watched(state: LoopState) -> Array:
-    """Whether a step of this lane was refused of late."""
-    return state.trust.taken < WATCHED
+
+def smooth_step(
+    problem: Problem, state: LoopState, h: Array, f1: Components, trial: Trial
+) -> SmoothStep:
+    """A trial step of length h, with the field at its end, as its error is judged."""
+    start, grid = state.motion, problem.grid
+    return SmoothStep(
+        t=grid.t0 + start.tau,
+        h=h,
+        longest=grid.dt,
+        x0=start.x,
+        f0=start.f,
+        f1=f1,
+        trial=trial,
+        scale=start.scale,
+        watched=state.trust.taken < WATCHED,
+        share=grid.share,
+    )
 
 
 def doubted(problem: Problem, state: LoopState, infinite: Array, too_long: Array) -> Doubt:

@@ -154,7 +154,6 @@ def _carried_out(
     grid, end, landing, before = problem.grid, judgement.end, judgement.landing, state.pending
     length, lands, moved, switched = taken.length, taken.lands, taken.moved, taken.switched
     touches, rejected = action == judging.TOUCH, action == judging.REJECT
-    refused = action == judging.REFUSE
     start, armed = rearmed(problem, state, end)
     h = select(lands, length.h + landing.delta, select(moved, length.h, 0.0))
     waits, surfaces, settled = lands | (before.waits & ~moved), before.surfaces, state.settled
@@ -195,7 +194,7 @@ def _carried_out(
             surfaces=where(rejected, judgement.contact.surfaces, state.search.surfaces),
             rejections=select(rejected, state.search.rejections + 1, 0),
         ),
-        trust=next_trust(grid, state, taken, refused),
+        trust=next_trust(grid, state, taken, action == judging.REFUSE),
         pending=Pending(
             waits=waits,
             surfaces=where(lands, landing.surfaces, surfaces),

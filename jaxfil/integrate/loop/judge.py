@@ -15,8 +15,8 @@ from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd, is_running
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.loop.halving import Doubt, doubted, is_watched
-from jaxfil.integrate.steppers.error_estimate import SmoothStep, is_too_long
+from jaxfil.integrate.loop.halving import Doubt, doubted, smooth_step
+from jaxfil.integrate.steppers.error_estimate import is_too_long
 from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.surfaces.unilateral import sides_of
 from jaxfil.integrate.system.components import all_finite, any_of
@@ -100,20 +100,8 @@ def too_long(
     problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd
 ) -> Array:
     """Whether the error of a trial step says that it cannot be trusted."""
-    start, t = state.motion, problem.grid.t0 + state.motion.tau
-    taken = SmoothStep(
-        t=t,
-        h=length.h,
-        longest=problem.grid.dt,
-        x0=start.x,
-        f0=start.f,
-        f1=end.motion.f,
-        trial=trial,
-        scale=start.scale,
-        watched=is_watched(state),
-        share=problem.grid.share,
-    )
-    return is_too_long(problem.system, problem.tableau, taken, sides_of(start.mode))
+    taken = smooth_step(problem, state, length.h, end.motion.f, trial)
+    return is_too_long(problem.system, problem.tableau, taken, sides_of(state.motion.mode))
 
 
 def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array:
@@ -132,9 +120,8 @@ def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array
     # The first one counts.
     for failure, failed in reversed(failures):
         action = select(failed, FAIL + FAILURES.index(failure), action)
-    doubt, tries = judgement.doubt, ~state.pending.waits & ~judgement.doubt.given_up
     # Of one that cannot be trusted it is not known where it has run over a contact, or whether.
-    action = select((doubt.infinite | doubt.too_long) & tries, REFUSE, action)
+    action = select(judgement.doubt.refuses & ~state.pending.waits, REFUSE, action)
     if misfit is not None:
         action = select(misfit, TAKE_BACK, action)
     action = select(is_running(problem.grid, state), action, IDLE)
@@ -177,7 +164,7 @@ def smooth_action_of(
     doubt = doubted(problem, state, infinite, gross)
     action = select(doubt.too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
     action = select(infinite, FAIL + FAILURES.index(RESULTS.nonfinite), action)
-    action = select((infinite | doubt.too_long) & ~doubt.given_up, REFUSE, action)
+    action = select(doubt.refuses, REFUSE, action)
     return select(is_running(problem.grid, state), action, IDLE)
 
 
