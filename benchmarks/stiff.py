@@ -17,10 +17,8 @@ import numpy as np
 import jaxfil as jf
 from benchmarks import RESULTS, stability, stiff_peers
 from benchmarks.stiff_scenes import (
-    FRICTION,
     T1,
     X0,
-    SoftFloor,
     TwoRates,
     floor_exact,
     rates_exact,
@@ -31,6 +29,7 @@ from benchmarks.stiff_scenes import (
 from benchmarks.table import Column, table
 from benchmarks.timing import timed
 from jaxfil.model.outcomes import outcome_names
+from tests.oracles.stiff_systems import FRICTION, SoftFloor
 
 REPEATS = 5
 

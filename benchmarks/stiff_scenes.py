@@ -12,23 +12,9 @@ import mpmath as mp
 
 import jaxfil as jf
 from benchmarks.linear_pieces import Mode, follow
+from tests.oracles.stiff_systems import FRICTION, DampedRelay
 
-X0, T1, FRICTION = (0.5, 2.0), 12.0, 0.4
-
-
-class DampedRelay(jf.System):
-    """x'' = 2 cos 1.3t − x − F sgn w − d max(w, 0), w = x' − v: a contact damped on one side."""
-
-    damping: jax.Array
-    v: jax.Array
-
-    def vector_field(self, t, x, side):
-        w = x[1] - self.v
-        damper = 0.5 * (1 + side) * self.damping * w
-        return jnp.stack([x[1], 2 * jnp.cos(1.3 * t) - x[0] - FRICTION * side - damper])
-
-    def switching(self, t, x):
-        return x[1] - self.v
+X0, T1 = (0.5, 2.0), 12.0
 
 
 class TwoRates(jf.System):
@@ -38,20 +24,6 @@ class TwoRates(jf.System):
 
     def vector_field(self, t, x, side):
         return -jnp.where(side > 0, self.k, 1.0) * (x - jnp.cos(t))
-
-    def switching(self, t, x):
-        return x[0]
-
-
-class SoftFloor(jf.System):
-    """y'' = −1 above a floor, −1 − ky − cy' in it."""
-
-    k: jax.Array
-    c: jax.Array
-
-    def vector_field(self, t, x, side):
-        inside = 0.5 * (1 - side)
-        return jnp.stack([x[1], -1 - inside * (self.k * x[0] + self.c * x[1])])
 
     def switching(self, t, x):
         return x[0]

@@ -13,6 +13,7 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxfil as jf
+from tests.oracles.stiff_systems import DampedRelay, SoftFloor
 from tests.results import outcome_names
 
 STEPPERS = [diffrax.Dopri8(), diffrax.Tsit5(), jf.RK4(), jf.Rodas5P()]
@@ -75,20 +76,6 @@ def test_derivatives_through_halved_steps():
     np.testing.assert_allclose(got, jax.jacfwd(exact)(p), rtol=1e-3, atol=1e-12)
 
 
-class SoftFloor(jf.System):
-    """y'' = −1 above a floor, −1 − ky − cy' in it."""
-
-    k: jax.Array
-    c: jax.Array
-
-    def vector_field(self, t, x, side):
-        inside = 0.5 * (1 - side)
-        return jnp.stack([x[1], -1 - inside * (self.k * x[0] + self.c * x[1])])
-
-    def switching(self, t, x):
-        return x[0]
-
-
 def bounced(k, c, t1):
     """(y, y') at t1 from (1, 0): parabolas, and damped waves about −1/k."""
     t, speed = np.sqrt(2.0), np.sqrt(2.0)
@@ -131,19 +118,6 @@ def test_a_stiff_spring_throws_back(stepper):
     np.testing.assert_allclose(ends, exact, rtol=0, atol=ALLOWED[name(stepper)])
 
 
-class DampedRelay(jf.System):
-    """x'' = 2 cos 1.3t − x − 0.4 sgn x' − d max(x', 0)."""
-
-    d: jax.Array
-
-    def vector_field(self, t, x, side):
-        damper = 0.5 * (1 + side) * self.d * x[1]
-        return jnp.stack([x[1], 2 * jnp.cos(1.3 * t) - x[0] - 0.4 * side - damper])
-
-    def switching(self, t, x):
-        return x[1]
-
-
 @pytest.mark.parametrize("stepper", STEPPERS, ids=name)
 def test_nothing_unstable_is_successful(stepper):
     """Beyond the stability of explicit steps by up to 1e7; the implicit ones are the reference."""
@@ -156,7 +130,7 @@ def test_nothing_unstable_is_successful(stepper):
             options = dict(stepper=stepper, compact=True, max_events=None, throw=False)
             x0 = jnp.array([0.5, 2.0])
             # What takes longer is told too.
-            sol = jf.solve(DampedRelay(d), x0, 0.0, 4.0, dt, max_steps=20_000, **options)
+            sol = jf.solve(DampedRelay(d, 0 * d), x0, 0.0, 4.0, dt, max_steps=20_000, **options)
             return sol.result, sol.x_final
 
         return run(jnp.asarray(ds.ravel()), jnp.asarray(dts.ravel()))
@@ -179,7 +153,7 @@ def test_what_is_damped_at_once_is_known_to_its_rounding():
     @jax.vmap
     def run(d):
         options = dict(stepper=jf.Rodas5P(), compact=True, max_events=4, throw=False)
-        return jf.solve(DampedRelay(d), jnp.array([0.5, 2.0]), 0.0, 1.3, 1e-3, **options)
+        return jf.solve(DampedRelay(d, 0 * d), jnp.array([0.5, 2.0]), 0.0, 1.3, 1e-3, **options)
 
     ds = 10.0 ** np.array([7.0, 7.5, 8.0])
     sol = run(jnp.asarray(ds))
@@ -306,7 +280,7 @@ def test_a_diagram_counts_the_halved_steps_of_its_lanes():
     ds = jnp.array([0.0, 1e3])
     options = dict(transient=2, samples=2, progress=False)
     x0 = jnp.array([0.5, 2.0])
-    d = jf.bifurcation_diagram(Forced(jnp.zeros(())), "d", ds, x0, **options)
+    d = jf.bifurcation_diagram(Forced(jnp.zeros(()), jnp.zeros(())), "damping", ds, x0, **options)
     assert d.successful.all()
     assert d.halvings[0] == 0 and d.halvings[1] > 0
     assert f"steps halved in 1 lane, {d.halvings[1]} times at most" in repr(d)
