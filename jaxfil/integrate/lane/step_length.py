@@ -55,17 +55,18 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     if problem.tick is not None:
         target, ticking = _up_to_tick(problem, state, target)
         gridded, saving = gridded & ~ticking, saving & ~ticking
-    tau, longest = state.motion.tau, grid.direction * state.trust.longest
-    full = target - tau
+    tau, trust = state.motion.tau, state.trust
+    full, longest = target - tau, grid.direction * trust.longest
     if problem.system.m == 0:
-        short = abs(full) > abs(longest)
+        short = abs(full) > trust.longest
         # The state moves, be it by less than times tell apart.
-        h, end = select(short, longest, full), select(short, tau + longest, target)
+        h = select(short, longest, full)
+        end = select(short, tau + h, target)
         ends = gridded & ~short, saving & ~short, None if ticking is None else ticking & ~short
-        length = Length(h, end, target - end, saving & False, *ends)
+        length = Length(h, end, full * 0, saving & False, *ends)
         return _to_crossing(problem, state, length)
     full, aimed, waits = full - state.tau_low, state.search.length, state.pending.waits
-    short = abs(full) > abs(longest)
+    short = abs(full) > trust.longest
     trusted = select(short, longest, full)
     cutting = (aimed != 0) & (abs(aimed) < abs(trusted)) & ~waits
     whole = ~waits & ~cutting & ~short
