@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 from jaxfil.model import check
 from jaxfil.model.clock import Clocks
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of
 from jaxfil.model.types import Scalar
 from jaxfil.xla.select import select
 
@@ -26,15 +26,22 @@ class _DriveResponse(System):
     def slides(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.system.slides
 
-    def vector_field(self, t: Array, x: Array, side: Array) -> Array:
+    def vector_field(self, t: Array, x: Array, side: Array, reaction: Array | None = None) -> Array:
         drive, response = _halves(x)
         scalar = jnp.ndim(self.system.switching(t, drive)) == 0
         sides = (side[0], side[1]) if scalar else _halves(side)
+        reaction = jnp.zeros_like(side) if reaction is None else reaction
+        forces = (reaction[0], reaction[1]) if scalar else _halves(reaction)
         # The response sees its own state and side everywhere: with the drive's in one term it would
         # synchronise at every coupling.
         pull = self.coupling * (drive - response)
-        first = self.system.vector_field(t, drive, sides[0])
-        return jnp.concatenate([first, self.system.vector_field(t, response, sides[1]) + pull])
+        first = field_of(self.system, t, drive, sides[0], forces[0])
+        second = field_of(self.system, t, response, sides[1], forces[1])
+        return jnp.concatenate([first, second + pull])
+
+    @property
+    def feels_reactions(self) -> bool:
+        return self.system.feels_reactions
 
     def switching(self, t: Array, x: Array) -> Array:
         return jnp.concatenate(

@@ -95,7 +95,14 @@ def shapes(value: System, x: Array) -> tuple[int, ...]:
             f"`switching` of {type(value).__name__} must return a scalar or an array of shape "
             f"(m,), got shape {h}."
         )
-    _same_as_state(value, "vector_field", t=t, x=x, side=jnp.ones(h, x.dtype))
+    side = jnp.ones(h, x.dtype)
+    given = {"side": side, "reaction": side} if value.feels_reactions else {"side": side}
+    _same_as_state(value, "vector_field", t=t, x=x, **given)
+    if value.feels_reactions and not value.resets:
+        raise ValueError(
+            f"`vector_field` of {type(value).__name__} must not take `reaction` without a `reset`: "
+            "only surfaces that throw back are rested on, and have one."
+        )
     if value.resets:
         _same_as_state(value, "reset", t=t, x=x, surface=jnp.zeros((), jnp.int32))
     if value.ticks and value.clocks:

@@ -5,6 +5,7 @@ parameters of the problem.
 """
 
 import abc
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
@@ -29,8 +30,8 @@ class System(eqx.Module):
     differentiated, batched, and new values never recompile.
 
     `reset` is there for impacts: without it none are compiled. `period` is that of the forcing.
-    One that wraps another system gives `slides`, `resets`, `ticks`, `period` and `clocks` of that,
-    as properties.
+    One that wraps another system gives `slides`, `resets`, `feels_reactions`, `ticks`, `period` and
+    `clocks` of that, as properties.
 
     **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer
     (1988), for what a solution is on a surface.
@@ -76,7 +77,14 @@ class System(eqx.Module):
     @abc.abstractmethod
     def vector_field(self, t: Float[Array, ""], x: Float[Array, " n"], side: Array) -> Array:
         """F, shape (n,). `side` is exactly +1 or -1: a scalar if `switching` returns a scalar,
-        of shape (m,) if it returns (m,)."""
+        of shape (m,) if it returns (m,).
+
+        With a fourth argument, `reaction`, of the shape of `side`, it is given the force with which
+        each surface holds the motion while it rests there, ≥ 0, and 0 of others; F must be affine
+        in it. F says what that does: of a mass M on a table at y = 0, y″ = −g + reaction/M, and of
+        dry friction there x″ = −μ reaction side/M. Where no reaction enters y″ it is added there,
+        in the direction in which the reset acts, and is the acceleration d²H/dt² that it gives.
+        """
 
     def switching(self, t: Float[Array, ""], x: Float[Array, " n"]) -> Array:
         """H, a scalar or shape (m,): the surfaces are its zeros. Not overridden: smooth."""
@@ -120,6 +128,12 @@ class System(eqx.Module):
         return type(self).tick is not System.tick
 
     @property
+    def feels_reactions(self) -> bool:
+        """Whether the field depends on reactions: by default if `vector_field` has an argument
+        `reaction`."""
+        return takes_reaction(type(self).vector_field)
+
+    @property
     def period(self) -> Array | float | None:
         """Period of the forcing in units of t; None if the system is autonomous. Of several forces
         that of the one to sample by."""
@@ -129,6 +143,24 @@ class System(eqx.Module):
     def clocks(self) -> Clocks:
         """The `Clock`s at whose ticks the field, H or the state jumps; none by default."""
         return ()
+
+
+def takes_reaction(function: Callable) -> bool:
+    """Whether a function has an argument `reaction`."""
+    try:
+        return "reaction" in inspect.signature(function).parameters
+    except (TypeError, ValueError):  # of what is written in C nothing is known
+        return False
+
+
+def field_of(
+    system: System, t: Array, x: Array, side: Array, reaction: Array | None = None
+) -> Array:
+    """F of a system, (n,), whether it feels reactions or not; None: there are none."""
+    if not system.feels_reactions:
+        return system.vector_field(t, x, side)
+    reaction = jnp.zeros_like(side) if reaction is None else reaction
+    return system.vector_field(t, x, side, reaction)  # pyright: ignore[reportCallIssue]
 
 
 class _Piecewise(System):

@@ -26,7 +26,7 @@ from jaxfil.integrate.lane.problem import period_outcome
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of
 from jaxfil.orbits.fourier import FourierOrbit, equal_phases, project, slope_of, waves_at
 from jaxfil.orbits.newton import Evaluation, newton
 from jaxfil.orbits.orbit import Orbit
@@ -181,7 +181,7 @@ class _Balance(eqx.Module):
         """T F, shape (n,)."""
         h_shape = check.shapes(self.system, x)
         side = sides[0] if h_shape == () else sides
-        return self.period * self.system.vector_field(phase * self.period, x, side)
+        return self.period * field_of(self.system, phase * self.period, x, side)
 
 
 @eqx.filter_jit

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of
 from jaxfil.plot.canvas import BLACK, BLUE, GREY, ORANGE, PURPLE, legend, own_axes, styled
 from jaxfil.plot.path import chosen
 from jaxfil.xla.known import array_of
@@ -110,7 +110,7 @@ class _Plane(eqx.Module):
         """F on that side of the surface, (n,)."""
         h = self.system.switching(self.t, x)
         sides = jnp.where(jnp.atleast_1d(h) < 0, -1.0, 1.0).at[self.surface].set(side)
-        return self.system.vector_field(self.t, x, sides[0] if jnp.ndim(h) == 0 else sides)
+        return field_of(self.system, self.t, x, sides[0] if jnp.ndim(h) == 0 else sides)
 
     def height(self, points: np.ndarray) -> np.ndarray:
         """H at points (…, 2)."""

@@ -17,7 +17,7 @@ from jaxfil.integrate.run.observed import Observable
 from jaxfil.model import check
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.section import Section
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of, takes_reaction
 
 
 def equations(system: System, x: np.ndarray) -> str:
@@ -33,7 +33,7 @@ def equations(system: System, x: np.ndarray) -> str:
 
     def everything(leaves: System, t: Array, x: Array) -> tuple[Any, ...]:
         s = eqx.combine(leaves, static)
-        field = s.vector_field(t, x, jnp.ones(h, x.dtype))
+        field = field_of(s, t, x, jnp.ones(h, x.dtype))
         after = s.reset(t, x, jnp.zeros((), jnp.int32)) if s.resets else None
         ticked = s.tick(t, x, jnp.zeros((), jnp.int32)) if s.ticks else None
         return field, s.switching(t, x), after, ticked, s.period, s.clocks
@@ -53,7 +53,8 @@ def identity_of_observable(observable: Observable, system: System, x: np.ndarray
     """The name of what is observed, and the same of its function."""
     state = jnp.asarray(x)
     side = jnp.ones(check.shapes(system, state), x.dtype)
-    sha = _fingerprint(observable.function, jnp.zeros((), x.dtype), state, side)
+    given = (side, side) if takes_reaction(observable.function) else (side,)
+    sha = _fingerprint(observable.function, jnp.zeros((), x.dtype), state, *given)
     return f"{observable.name}, function {sha}"
 
 

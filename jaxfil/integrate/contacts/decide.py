@@ -70,13 +70,14 @@ def _once(system: ComponentSystem, mode: Components, count: Array) -> Decision:
 def decided(
     problem: Problem,
     state: LoopState,
+    here: tuple[Array, Components],
     on_sides: tuple[Corners, Corners],
     at: Surfaces,
     led: Impact | None,
     later: Components | None,
 ) -> Decision:
-    """The mode that goes on, given the fields on all sides and the rates of H along them. `later`
-    are surfaces that have their turn in another switch."""
+    """The mode that goes on from a time and state, given the fields on all sides and the rates of H
+    along them. `later` are surfaces that have their turn in another switch."""
     system, grid, waits = problem.system, problem.grid, state.pending.waits
     # Which mode goes on is no number that could have a derivative; its field has.
     fields, rates = stop_gradient(on_sides)
@@ -89,7 +90,8 @@ def decided(
     forces, before = None, rates
     if led is not None and led.constraints is not None and led.by_time is not None:
         c, by_time, normals = stop_gradient((led.constraints, led.by_time, at.normals))
-        forces = unilateral.forces_of(c, by_time, normals, fields)
+        known, walls = stop_gradient((system, *here)), unilateral.sides_of(state.motion.mode)
+        forces = unilateral.forces_of(*known, walls, c, by_time, normals, fields)
         before, _, _ = unilateral.held(forces, rates, unilateral.rests_of(state.motion.mode))
     left, opened = _known(problem, state, before, at, led, later)
     on = opened | (grazes & state.pending.surfaces)

@@ -183,10 +183,10 @@ def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Co
     rests = (unilateral.rests_of(state.motion.mode) & ~reset.moved) | (
         at_limit(state) & c.throws_back
     )
-    push = unilateral.multipliers(c.gains, c.rate, rests)
-    c = dataclasses.replace(c, rate=unilateral.answered(c.gains, c.rate, push))
+    push = unilateral.multipliers(c.impulse.gains, c.rate, rests)
+    c = dataclasses.replace(c, rate=c.impulse.answered(c.rate, push))
     seen = dataclasses.replace(seen, constraints=c)
-    return c.directions.added(x, push), seen
+    return c.impulse.directions.added(x, push), seen
 
 
 def at_limit(state: LoopState) -> Components:
@@ -226,7 +226,7 @@ def _follow(
     back = at.off & (state.motion.mode * at.h > 0)
     parts = c.throws_back & there & (outward > noise)
     owed = (reset.waits & ~back & ~(reset.moved & parts)) | acts | across
-    rests, consistent = unilateral.pressed(c.gains, seen.a, sides, still)
+    rests, consistent = unilateral.pressed(c.reaction, seen.a, sides, still)
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
     upcoming = where(jump > 0, reset.acted, owed | (more & state.pending.surfaces & ~reset.heard))
@@ -262,8 +262,8 @@ def _chattering(
     same = grid.same_time(state.motion.tau)
     # What is left out is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * abs(grid.dt))
-    held = unilateral.answered(c.gains, seen.a, unilateral.multipliers(c.gains, seen.a, rests))
-    away, fall = sides * c.rate, -sides * held * (2 - c.gains.diagonal())  # 2 − gain = 1 − e
+    held = c.reaction.answered(seen.a, unilateral.multipliers(c.reaction.gains, seen.a, rests))
+    away, fall = sides * c.rate, -sides * held * (2 - c.impulse.gains.diagonal())  # that is 1 − e
     bounces = reset.acted & c.throws_back & (away > seen.noise) & (fall > 0) & ~more
     times = 2 * away / where(bounces, fall, 1)
     low = away * away <= 2 * abs(held) * at.gathered
@@ -281,8 +281,8 @@ def _chattering(
     # with those by which the surfaces that are rested on answer them.
     stopped = found & (rests | ends)
     left = c.rate + total_time * held
-    impulses = unilateral.multipliers(c.gains, left, stopped)
-    return total_time, c.directions.added(
+    impulses = unilateral.multipliers(c.impulse.gains, left, stopped)
+    return total_time, c.impulse.directions.added(
         state.motion.x.like(jnp.zeros_like(state.motion.tau)), impulses
     )
 
@@ -347,7 +347,7 @@ def begin(
     start = where(wall, 1.0, where(back, side, sides))
     # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
     lean = where(a * rates > 0, a, where(flat, rates, a))
-    rests, consistent = unilateral.pressed(c.gains, lean, above, wall & flat)
+    rests, consistent = unilateral.pressed(c.reaction, lean, above, wall & flat)
     return Beginning(
         sides=start,
         known=wall | back,

@@ -165,7 +165,7 @@ def evaluate_step_end(
     fields, rates = filippov.corners(system, t, x, forcing=forcing)
     if system.slides or are_coupled(system):
         at = _with_rounding_of_forces(problem, state, length, at, fields)
-    choice = decided(problem, state, (fields, rates), at, led, later)
+    choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
     choice, again = _in_turn(problem, state, maps, choice, later)
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
     if free is not None:

@@ -18,7 +18,7 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import TimeGrid
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.model import check
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
 
 # When the system is looked at, in periods: at both, forces of another period are not zero.
@@ -35,7 +35,7 @@ def repeats(system: System, period: Array, x: Array) -> Array:
     x, period = stop_gradient(x), stop_gradient(period)
 
     def values(t: Array, side: Array) -> Array:
-        own = system.vector_field(t, x, side * jnp.ones(m, x.dtype)), system.switching(t, x)
+        own = field_of(system, t, x, side * jnp.ones(m, x.dtype)), system.switching(t, x)
         if system.resets:
             count = m[0] if m else 1
             own += tuple(system.reset(t, x, jnp.asarray(j)) for j in range(count))

@@ -165,7 +165,8 @@ def _first_mode_together(
     resolved = _resolved(system, direction, first, second, third, abs(first))
     start = resets.begin(problem, x, on, sides, resolved)
     _, _, normals = system.gradients(t, x)
-    forces = unilateral.forces_of(start.constraints, start.by_time, normals, fields)
+    c, by_time = start.constraints, start.by_time
+    forces = unilateral.forces_of(system, t, x, above, c, by_time, normals, fields)
     # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
     flat = forces.accelerations.sizes() == 0
     leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.model.outcomes import RESULTS, code, raise_outcome
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of
 from jaxfil.xla.jumps import jumps_of
 from jaxfil.xla.known import is_known
 
@@ -37,7 +37,7 @@ def _jumps(system: System, sol: Solution) -> str:
     side = jnp.ones(np.shape(sol.mode_final), sol.x_final.dtype)
     if np.ndim(system.switching(sol.t_final, sol.x_final)) == 0:
         side = side[0]
-    found = jumps_of(lambda x: system.vector_field(sol.t_final, x, side), sol.x_final)
+    found = jumps_of(lambda x: field_of(system, sol.t_final, x, side), sol.x_final)
     if not found:
         return ""
     names = " and ".join(f"`{name}`" for name in found)

@@ -23,12 +23,12 @@ from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.clock import Clocks
 from jaxfil.model.parameter import cast
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of, takes_reaction
 from jaxfil.xla.select import select
 
-Observe: TypeAlias = Callable[[Array, Array, Array], Any]
-"""A function of the time, the state, shape (n,), and the sides, as `System.vector_field` is given
-them, that returns an array."""
+Observe: TypeAlias = Callable[..., Any]
+"""A function of the time, the state, shape (n,), the sides, and if it has an argument of that name
+the `reaction`, as `System.vector_field` is given them, that returns an array."""
 
 
 class Observable(eqx.Module):
@@ -61,10 +61,17 @@ class _WithRate(System):
     function: Observe
     n: int = eqx.field(static=True)
 
-    def vector_field(self, t: Array, x: Array, side: Array) -> Array:
-        state = x[: self.n]
-        rate = jnp.ravel(jnp.asarray(self.function(t, state, side), x.dtype))
-        return jnp.concatenate([self.system.vector_field(t, state, side), rate])
+    def vector_field(self, t: Array, x: Array, side: Array, reaction: Array | None = None) -> Array:
+        state, given = x[: self.n], ()
+        if takes_reaction(self.function):
+            given = (jnp.zeros_like(side) if reaction is None else reaction,)
+        rate = jnp.ravel(jnp.asarray(self.function(t, state, side, *given), x.dtype))
+        return jnp.concatenate([field_of(self.system, t, state, side, reaction), rate])
+
+    @property
+    def feels_reactions(self) -> bool:
+        asked = self.system.resets and takes_reaction(self.function)
+        return self.system.feels_reactions or asked
 
     def switching(self, t: Array, x: Array) -> Array:
         return self.system.switching(t, x[: self.n])
@@ -104,7 +111,8 @@ def checked_observable(name: str, function: Any, system: System, x: Array) -> Ob
     """A function to be observed in a run from a state like x."""
     function = cast(check.function(name, function, "(t, x, side)"), x.dtype)
     side = jnp.ones(check.shapes(system, x), x.dtype)
-    out = check.returned(f"`{name}`", function, t=jnp.zeros((), x.dtype), x=x, side=side)
+    given = {"side": side, "reaction": side} if takes_reaction(function) else {"side": side}
+    out = check.returned(f"`{name}`", function, t=jnp.zeros((), x.dtype), x=x, **given)
     if not hasattr(out, "shape") or not check.is_real(out):
         raise ValueError(f"`{name}` must return an array of real numbers, got {check.told(out)}.")
     return Observable(function, tuple(out.shape))

@@ -64,17 +64,32 @@ def on_corners(
     function: Callable[[Components], Any], system: ComponentSystem, sides: np.ndarray
 ) -> Any:
     """A vector, or several, on combinations of sides: `Corners` for each."""
+    made, is_table = _of_each(function, system, sides), _is_table(sides)
     flipped = flipped_sides(system)
-    if len(sides) > _WRITTEN_OUT:
+    return jax.tree.map(lambda *each: Corners(each, is_table, flipped), *made, is_leaf=_is_vector)
+
+
+def for_each_corner(function: Callable[[Components], Any], system: ComponentSystem) -> list[Any]:
+    """What a function makes of the combinations of sides that determine a field on all of them: of
+    each, or where these are held as a table, one whose numbers have them as a leading axis."""
+    return _of_each(function, system, corner_sides(system))
+
+
+def _is_table(sides: np.ndarray) -> bool:
+    return len(sides) > _WRITTEN_OUT
+
+
+def _of_each(
+    function: Callable[[Components], Any], system: ComponentSystem, sides: np.ndarray
+) -> list[Any]:
+    if _is_table(sides):
         rows = sides.astype(system.dtype)
         columns = Components([rows]) if system.packed else Components(scalars(rows.T))
-        made = jax.vmap(function)(columns)
-        return jax.tree.map(lambda v: Corners([v], True, flipped), made, is_leaf=_is_vector)
+        return [jax.vmap(function)(columns)]
     # Of numbers, not of an array: one that is known would be an argument of the kernel, and its
     # ones would not be multiplied out.
     rows = [jnp.stack([jnp.asarray(float(v), system.dtype) for v in row]) for row in sides]
-    made = [function(system.of_surfaces(row)) for row in rows]
-    return jax.tree.map(lambda *each: Corners(each, False, flipped), *made, is_leaf=_is_vector)
+    return [function(system.of_surfaces(row)) for row in rows]
 
 
 def _is_vector(v: Any) -> bool:
@@ -142,6 +157,10 @@ class Corners:
         if self.is_table:
             function = jax.vmap(function)
         return self.map(function, *others)
+
+    def all_of(self, vector: Components) -> "Corners":
+        """The same vector on each combination."""
+        return self.map(lambda v: on_each(lambda a, b: jnp.broadcast_to(b, a.shape), v, vector))
 
     def halved(self, function: Callable[[Components, Components], Components]) -> "Corners":
         """`function` of the vectors on side + and on side − of the first surface."""

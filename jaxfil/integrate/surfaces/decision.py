@@ -23,8 +23,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
-from jaxfil.integrate.surfaces.unilateral import Forces, held, rests_of
-from jaxfil.integrate.surfaces.weights import weights
+from jaxfil.integrate.surfaces.unilateral import Forces, rests_of
+from jaxfil.integrate.surfaces.weights import held_together, weights
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
@@ -93,9 +93,17 @@ class _Found(eqx.Module):
     number: Array
 
 
+class _Velocity(eqx.Module):
+    """A velocity, n components, and the size of what it is made of."""
+
+    f: Components
+    size: Components
+
+
 def decide(question: Question) -> tuple[Components, Array]:
     """The mode that goes on, and how many could: one where the motion is unique."""
-    if question.rates.flipped is None or question.mode.size <= _FEW:
+    of_sides = question.forces is not None and question.forces.of_corners is not None
+    if question.rates.flipped is None or question.mode.size <= _FEW or of_sides:
         return _by_trial(question)
     active = total(question.on.astype(jnp.int32))
     few = active <= _FEW
@@ -150,14 +158,14 @@ def _powers(on: Components, dtype: Any) -> tuple[Array, Components]:
 
 def _try(question: Question, found: _Found, candidate: Components, rounds: Array) -> _Found:
     """What has been found with one more combination tried."""
-    ok, mode, velocity = _continues(question, candidate, rounds)
-    first, new = ok & (found.count == 0), ok
-    if velocity is not None and found.velocity is not None and question.fields is not None:
+    ok, mode, made = _continues(question, candidate, rounds)
+    first, new, velocity = ok & (found.count == 0), ok, None
+    if made is not None and found.velocity is not None:
         eps = jnp.finfo(question.direction.dtype).eps
-        size = question.fields.sizes() + abs(velocity) + abs(found.velocity)
-        apart = any_of(abs(velocity - found.velocity) > _ONE_MOTION * eps * size)
+        size = made.size + abs(made.f) + abs(found.velocity)
+        apart = any_of(abs(made.f - found.velocity) > _ONE_MOTION * eps * size)
         new = ok & ((found.count == 0) | apart)
-        velocity = where(first, velocity, found.velocity)
+        velocity = where(first, made.f, found.velocity)
     # What holds to within rounding only is the same motion to that order.
     new = new & ((rounds < 2) | first)
     return _Found(
@@ -170,7 +178,7 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
 
 def _continues(
     question: Question, candidate: Components, rounds: Array
-) -> tuple[Array, Components, Components | None]:
+) -> tuple[Array, Components, _Velocity | None]:
     """Whether the motion can go on in a combination, the mode that it is, and its velocity."""
     on, walls, forces = question.on, question.walls, question.forces
     rates, ok = question.rates, jnp.ones((), bool)
@@ -186,7 +194,8 @@ def _continues(
         rests = where(on, walls & (candidate == 0), rests_of(candidate))
         sides = where(walls & on, question.mode, candidate)
         sides = where(rests_of(sides), 0.5 * sides, sides)
-        rates, accelerations, force = held(forces, rates, rests)
+        held = held_together(forces, rates, where(ok, sides, 1.0), rests)
+        rates, accelerations, force = held
     slid = on if walls is None else on & ~walls
     w = weights(where(ok, sides, 1.0), rates)
     inside = minimum(maximum(w, -1.0), 1.0)
@@ -206,18 +215,33 @@ def _continues(
     if rests is not None and accelerations is not None and force is not None and forces is not None:
         fine, pushes = _rests(question, rests, accelerations.blend(sides, w), force.blend(sides, w))
         fine = fine | (pushes & lenient)
-        ok = ok & ~any_of(on & walls & ~fine)
+        asked = on & walls
+        if forces is not None and forces.of_corners is not None:
+            # A friction on its other side may ask a reaction to pull.
+            asked = asked | rests
+        ok = ok & ~any_of(asked & ~fine)
         mode = where(rests, 2 * sides, sides)
     if question.kept is not None and question.now is not None:
         # Beside a slide that goes on another motion may begin.
         stays_so = question.kept & (question.now != 0)
         ok = ok & ((rounds > 0) | ~any_of(stays_so & (mode != question.now)))
-    velocity = None
-    if question.fields is not None:
-        velocity = question.fields.blend(sides, w)
-        if forces is not None and force is not None:
-            velocity = forces.directions.added(velocity, force.blend(sides, w))
-    return ok, mode, velocity
+    if question.fields is None:
+        return ok, mode, None
+    return ok, mode, _velocity(question.fields, forces, force, sides, w)
+
+
+def _velocity(
+    fields: Corners, forces: Forces | None, force: Corners | None, sides: Components, w: Components
+) -> _Velocity:
+    """The velocity of a combination with these weights and reactions."""
+    if forces is None or force is None:
+        return _Velocity(fields.blend(sides, w), fields.sizes())
+    if forces.of_corners is not None:
+        f = forces.pushed(fields, force).blend(sides, w)
+        return _Velocity(f, forces.sizes_of_fields(fields, force))
+    pushes, directions = force.blend(sides, w), forces.response.directions
+    f = directions.added(fields.blend(sides, w), pushes)
+    return _Velocity(f, abs(directions).added(fields.sizes(), abs(pushes)))
 
 
 def _rests(
@@ -228,9 +252,9 @@ def _rests(
     assert question.forces is not None
     sides, eps = question.mode, jnp.finfo(question.direction.dtype).eps
     known = question.forces.accelerations
-    noise = _NOISE * eps * (known.sizes() + abs(question.forces.gains) @ force)
+    noise = _NOISE * eps * (known.sizes() + question.forces.sizes(force))
     fine = where(rests, sides * force > 0, sides * a >= 0)
-    own = question.forces.gains.diagonal()
+    own = question.forces.response.gains.diagonal()
     small = where(rests, abs(force * own) <= noise, abs(a) <= noise)
     return fine, fine | small
 
@@ -269,7 +293,9 @@ def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
         a = pack(known.accelerations[0], mode.dtype)
         base = select(wall, side * a, base)
         by_weight = select(wall[:, None], of_wall * known.accelerations.slopes(), matrix)
-        forces = [jnp.asarray(v.entries()) for v in (known.gains, known.pushes)]
+        of = known.response
+        pushes = known.normals.products(of.directions)
+        forces = [jnp.asarray(v.entries()) for v in (of.gains, pushes)]
         by_force = select(wall[:, None], of_wall * forces[0], -direction * forces[1])
         matrix = select(wall[None, :], by_force * side[None, :], by_weight)
     # All sides + are w = 1; the side of a wall does not change.

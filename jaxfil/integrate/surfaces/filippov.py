@@ -28,7 +28,7 @@ from jaxtyping import Array
 from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, on_corners
 from jaxfil.integrate.surfaces.decision import decide, question_of
-from jaxfil.integrate.surfaces.weights import determinant, weights
+from jaxfil.integrate.surfaces.weights import determinant, held_together, weights
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
@@ -153,8 +153,9 @@ def balance(
         t: Array, x: Components, mode: Components, fields: Corners, rates: Corners
     ) -> tuple:
         known = unilateral.forces(system, t, x, mode, fields)
-        pushed, _, force = unilateral.held(known, rates, unilateral.rests_of(mode))
-        return fields.each(known.directions.added, force), pushed, force
+        rests, sides = unilateral.rests_of(mode), unilateral.beside(mode)
+        pushed, _, force = held_together(known, rates, sides, rests)
+        return known.pushed(fields, force), pushed, force
 
     def free(t: Array, x: Components, mode: Components, fields: Corners, rates: Corners) -> tuple:
         return fields, rates, rates.map(lambda rate: 0.0 * rate)

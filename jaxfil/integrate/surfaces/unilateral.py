@@ -15,6 +15,12 @@ and ∇ψ_j·d_j is 1 + e_j: a reset with e_j ≥ 0 throws back, any other lets 
 
 over the surfaces rested on; the rest ends where λ_j ceases to push away from the surface.
 
+A field that is given its reactions, F(t, x, side, r), affine in r, may say by itself what they do
+to their own surfaces: d_j is then ∂F/∂r_j, and r_j = |λ_j|. Otherwise they act as the reset does,
+and ∂F/∂r_j is what they do besides, with r_j = (1 + e_j) |λ_j|. Either depends on the sides, as dry
+friction does: such a motion is held on each combination of sides by itself, and what is blended are
+the held fields.
+
 Impacts that follow each other ever faster end in rest: with the pressing acceleration a and the
 rate ψ just after an impact the flights last 2ψ/|a|, e of that, e² of that, so that the rest begins
 after T = 2ψ/(|a| (1 − e)), up to a part T ȧ/a. (Complete chattering: Nordmark and Piiroinen,
@@ -23,6 +29,7 @@ Simulation and stability analysis of impacting systems with complete chattering,
 """
 
 import functools as ft
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -31,7 +38,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.surfaces.corners import Corners, for_each_corner
 from jaxfil.integrate.system.components import Components, any_of, dot, side_of, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
@@ -51,29 +58,73 @@ class Constraints(eqx.Module):
     """ψ_j = dH_j/dt, m components."""
     gradients: Rows
     """∇ψ_j, n components each."""
-    directions: Rows
-    """d_j, n components each; zero where the reset does nothing."""
-    gains: Rows
-    """∇ψ_i·d_j, m components each."""
+    impulse: "Response"
+    """What resets do."""
+    reaction: "Response"
+    """What reactions do: the same, unless the field says it."""
 
     @property
     def throws_back(self) -> Components:
         """Whether the reset of a surface turns the motion back, e_j ≥ 0."""
-        own = stop_gradient(self.gains.diagonal())
-        return own >= 1 - 64 * jnp.finfo(own.parts[0].dtype).eps
+        own = stop_gradient(self.impulse.gains.diagonal())
+        # Of e = 0 more than rounding is left: the derivative of the reset is that at a state that
+        # comes in (`_direction`). No reset lets through this little.
+        return own >= 1 - float(jnp.finfo(own.parts[0].dtype).eps) ** 0.5
+
+
+class Response(eqx.Module):
+    """What pushes on surfaces do to the state, and to the rates of all surfaces."""
+
+    directions: Rows
+    """d_j, n numbers each; zero where the reset does nothing."""
+    gains: Rows
+    """∇ψ_i·d_j, m numbers each."""
+
+    def answered(self, a: Components, force: Components) -> Components:
+        """Rates or accelerations a, with what pushes add: a + Σ_k λ_k ∇ψ·d_k."""
+        return a + self.gains @ force
 
 
 class Forces(eqx.Module):
     """What the reactions of surfaces do to the rates of all, at one state."""
 
-    gains: Rows
-    """∇ψ_i·d_j, m numbers each."""
-    pushes: Rows
-    """∇H_i·d_j, m numbers each."""
-    directions: Rows
-    """d_j, n numbers each."""
+    response: Response
+    """That on the sides of the mode."""
+    of_corners: tuple[Response, ...] | None
+    """That on each combination of sides, one by one or as the rows of arrays; None: the same."""
+    normals: Rows
+    """∇H_i, n numbers each."""
     accelerations: Corners
     """dψ/dt, m numbers, along the field on each combination of sides."""
+
+    def each(self, function: Callable[..., Components], *corners: Corners) -> Corners:
+        """`function`, of the response and of whole vectors, on each combination."""
+        first, *others = corners
+        if self.of_corners is None:
+            return first.each(ft.partial(function, self.response), *others)
+        if first.is_table:
+            function = jax.vmap(function)
+        rows = map(function, self.of_corners, *(c.rows for c in corners))
+        return Corners(rows, first.is_table, first.flipped)
+
+    def pushed(self, fields: Corners, force: Corners) -> Corners:
+        """Fields with the reactions λ."""
+        return self.each(lambda of, f, force: of.directions.added(f, force), fields, force)
+
+    def sizes_of_fields(self, fields: Corners, force: Corners) -> Components:
+        """The size of what fields with the reactions λ are made of, over all sides."""
+
+        def made(of: Response, f: Components, force: Components) -> Components:
+            return abs(of.directions).added(abs(f), abs(force))
+
+        return self.each(made, fields, force).sizes()
+
+    def sizes(self, force: Components) -> Components:
+        """The size of what reactions do to accelerations, over all sides."""
+        if self.of_corners is None:
+            return abs(self.response.gains) @ force
+        each = self.accelerations.all_of(force)
+        return self.each(lambda of, force: abs(of.gains) @ force, each).sizes()
 
 
 def contact_rates(
@@ -95,7 +146,31 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
     else:
         each = zip(sides.parts, rate.parts, gradients.rows, strict=True)
         directions = Rows(direction(*of_j, j) for j, of_j in enumerate(each))
-    return Constraints(rate, gradients, directions, gradients.products(directions))
+    impulse = Response(directions, gradients.products(directions))
+    reaction = impulse
+    if system.feels_reactions:
+        reaction = _felt(system, (t, x), sides, sides, gradients, impulse)
+    return Constraints(rate, gradients, impulse, reaction)
+
+
+def _felt(
+    system: ComponentSystem,
+    at: tuple[Array, Components],
+    walls: Components,
+    sides: Components,
+    gradients: Rows,
+    impulse: Response,
+) -> Response:
+    """What reactions do where the field on some sides feels them, of `walls` on their sides."""
+    alone = system.of_surfaces(jnp.asarray(system.holds_itself))
+    sizes = where(alone, walls, walls * impulse.gains.diagonal())
+
+    def felt(unit: Components) -> Components:
+        return system.felt(*at, sides, sizes * unit)
+
+    directions = system.for_units(felt)
+    directions = directions.where(system.holds_itself, directions.plus(impulse.directions))
+    return Response(directions, gradients.products(directions))
 
 
 def _direction(
@@ -176,21 +251,45 @@ def forces(
     # ψ does not depend on a side: only the field along which it changes does.
     by_time = accelerations(system, t, x, sides, first) - c.gradients @ first
     _, _, normals = system.gradients(t, x)
-    return forces_of(c, by_time, normals, fields)
+    return forces_of(system, t, x, sides, c, by_time, normals, fields)
 
 
-def forces_of(c: Constraints, by_time: Components, normals: Rows, fields: Corners) -> Forces:
-    """The same of surfaces that are known as constraints; `by_time` is ∂ψ/∂t."""
-    pushes = normals.products(c.directions)
-    return Forces(c.gains, pushes, c.directions, fields.each(lambda f: by_time + c.gradients @ f))
+def forces_of(
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    walls: Components,
+    c: Constraints,
+    by_time: Components,
+    normals: Rows,
+    fields: Corners,
+) -> Forces:
+    """The same of surfaces that are known as constraints, of walls on their sides; `by_time` is
+    ∂ψ/∂t."""
+    of_corners = None
+    if system.feels_reactions:
+
+        def of(sides: Components) -> Response:
+            return _felt(system, (t, x), walls, sides, c.gradients, c.impulse)
+
+        of_corners = tuple(for_each_corner(of, system))
+    a = fields.each(lambda f: by_time + c.gradients @ f)
+    return Forces(c.reaction, of_corners, normals, a)
 
 
 def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Corners, Corners]:
     """Rates of H, accelerations and reactions λ on each combination of sides, with the reactions of
     the surfaces rested on: linear in the field, so that they blend as it does."""
 
-    def reaction(a: Components) -> Components:
-        return multipliers(known.gains, a, rests)
+    def reaction(of: Response, a: Components) -> Components:
+        return multipliers(of.gains, a, rests)
+
+    force = known.each(reaction, known.accelerations)
+    return (*answered(known, rates, force), force)
+
+
+def answered(known: Forces, rates: Corners, force: Corners) -> tuple[Corners, Corners]:
+    """Rates of H and accelerations on each combination of sides, with these reactions."""
 
     def pushed(rows: Rows, rate: Components, force: Components) -> Components:
         # What reactions cancel is not rounding of either sign: weights would be made of it.
@@ -198,14 +297,13 @@ def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Cor
         small = abs(after) <= _CANCELLED * float(jnp.finfo(size.parts[0].dtype).eps) * size
         return after - stop_gradient(where(small, after, 0.0))
 
-    force = known.accelerations.each(reaction)
-    rates = rates.each(ft.partial(pushed, known.pushes), force)
-    return rates, known.accelerations.each(ft.partial(pushed, known.gains), force), force
+    def moved(of: Response, rate: Components, force: Components) -> Components:
+        return pushed(known.normals.products(of.directions), rate, force)
 
+    def gained(of: Response, a: Components, force: Components) -> Components:
+        return pushed(of.gains, a, force)
 
-def answered(gains: Rows, a: Components, force: Components) -> Components:
-    """Rates or accelerations a, with what pushes along the directions add: a + Σ_k λ_k ∇ψ·d_k."""
-    return a + gains @ force
+    return known.each(moved, rates, force), known.each(gained, known.accelerations, force)
 
 
 def held_field(
@@ -214,9 +312,9 @@ def held_field(
     """The field f of a mode at (t, x) with the reactions of the surfaces that it rests on, and
     their sizes λ, positive where they push away; without a rest f as it was, and 0."""
     sides, rests = sides_of(mode), rests_of(mode)
-    c = constraints(system, t, x, sides)
-    force = multipliers(c.gains, accelerations(system, t, x, sides, f), rests)
-    held = where(any_of(rests), c.directions.added(f, force), f)
+    of = constraints(system, t, x, sides).reaction
+    force = multipliers(of.gains, accelerations(system, t, x, sides, f), rests)
+    held = where(any_of(rests), of.directions.added(f, force), f)
     return held, sides * force
 
 
@@ -226,7 +324,7 @@ def reaction_scale(
     """The size of the terms that the reactions of a mode are made of, m components."""
     c = constraints(system, t, x, sides_of(mode))
     f = system.field(t, x, sides_of(mode))
-    own = c.gains.diagonal()
+    own = abs(c.reaction.gains.diagonal())
     return abs(c.gradients) @ abs(f) / where(own > 0, own, 1)
 
 
@@ -246,7 +344,7 @@ def sides_of(mode: Components) -> Components:
 
 
 def pressed(
-    gains: Rows, a: Components, sides: Components, candidates: Components
+    of: Response, a: Components, sides: Components, candidates: Components
 ) -> tuple[Components, Array]:
     """Which of the surfaces at rest stay so, and whether that is consistent: λ_j pushes away from
     each surface that holds, and a_j leads away from each that does not.
@@ -254,11 +352,11 @@ def pressed(
     Surfaces that would have to pull, or need not push, let go, all of them at once, until none
     would.
     """
-    gains, a, sides = stop_gradient((gains, a, sides))
+    of, a, sides = stop_gradient((of, a, sides))
     m = a.size
 
     def let_go(on: Components) -> Components:
-        return on & (sides * multipliers(gains, a, on) > 0)
+        return on & (sides * multipliers(of.gains, a, on) > 0)
 
     def next_round(rounds: tuple[Components, Components]) -> tuple[Components, Components]:
         return rounds[1], let_go(rounds[1])
@@ -268,5 +366,5 @@ def pressed(
     else:
         start = candidates, let_go(candidates)
         _, on = jax.lax.while_loop(lambda v: any_of(v[0] & ~v[1]), next_round, start)
-    left = answered(gains, a, multipliers(gains, a, on))
+    left = of.answered(a, multipliers(of.gains, a, on))
     return on, ~any_of(candidates & ~on & ~(sides * left >= 0))

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.surfaces.unilateral import Forces, answered, held
 from jaxfil.integrate.system.components import Components, largest, on_each, total, where
 from jaxfil.xla import small_linear
 from jaxfil.xla.select import select
@@ -50,6 +51,23 @@ def weights(mode: Components, rates: Corners) -> Components:
     if rates.are_of_one:
         return on_each(_single_weight, mode, rates[0], rates[1])
     return _implicit_weights(mode, rates)
+
+
+def held_together(
+    known: Forces, rates: Corners, mode: Components, rests: Components
+) -> tuple[Corners, Corners, Corners]:
+    """`unilateral.held`, for a mode that slides or is on its sides where it does not rest.
+
+    Where the field feels reactions they differ from one combination of sides to the next. Blends of
+    the held fields fill all that hold, so that one of them is the motion's, with its reactions; its
+    weights as those of a friction, from −1 to 1, are known with these reactions on all sides.
+    """
+    held_rates, accelerations, force = held(known, rates, rests)
+    if known.of_corners is None:
+        return held_rates, accelerations, force
+    one = force.blend(mode, weights(mode, held_rates))
+    force = force.all_of(one)
+    return (*answered(known, rates, force), force)
 
 
 def determinant(mode: Components, rates: Corners, w: Components) -> Array:

@@ -32,26 +32,40 @@ class Structure:
 
 
 def of(
-    functions: tuple[Traced, Traced], nothing: tuple, of_number: Sequence, of_side: Sequence
+    functions: tuple[Traced, Traced],
+    at: tuple,
+    of_number: Sequence,
+    of_side: Sequence,
+    reacting: bool = False,
 ) -> Structure:
-    """The structure of a field (leaves, t, x, sides) and a switching function (leaves, t, x).
-    `nothing` flags no leaf and no time; `of_number` flag one number of the state each, `of_side`
-    one side each."""
+    """The structure of a field (leaves, t, x, sides), or if it is `reacting` (leaves, t, x, sides,
+    reaction), and a switching function (leaves, t, x). `at` are leaves and a time; `of_number` flag
+    one number of the state each, `of_side` one side each."""
     field, switching = functions
     n, m = len(of_number), len(of_side)
-    still = jax.tree.map(lambda _: False, of_number[0])
-    seen = [_flat(field.depends(*nothing, still, side)) for side in of_side]
+    nothing, still = jax.tree.map(lambda _: False, (at, of_number[0]))
+    all_sides, no_side = (jax.tree.map(flag, of_side[0]) for flag in (np.ones_like, np.zeros_like))
+    none = (no_side,) if reacting else ()
+    seen = [_flat(field.depends(*nothing, still, side, *none)) for side in of_side]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     if m < 2:
         return Structure(switched, separate=m == 1, affine=False, members=None)
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
-    all_sides = jax.tree.map(lambda _: True, of_side[0])
+    # Reactions on different sides are different ones: what is held is affine in one side at most.
+    single = len(set().union(*switched)) < 2
+    affine = single if reacting else field.is_affine(*nothing, still, all_sides)
     return Structure(
         switched=switched,
-        separate=_are_separate(switched, steers),
-        affine=field.is_affine(*nothing, still, all_sides),
+        separate=not reacting and _are_separate(switched, steers),
+        affine=affine,
         members=_members(np.array(steers)),
     )
+
+
+def of_own_reactions(second: Traced, at: tuple, of_side: Sequence) -> tuple[bool, ...]:
+    """Which numbers of a function (*at, reaction), one of each surface, depend on its reaction."""
+    nothing = jax.tree.map(lambda _: False, at)
+    return tuple(_flat(second.depends(*nothing, unit))[j] for j, unit in enumerate(of_side))
 
 
 def _flat(flags: Components) -> list[bool]:

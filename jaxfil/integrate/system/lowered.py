@@ -23,10 +23,15 @@ from jaxtyping import Array
 from jaxfil.integrate.system import dependencies
 from jaxfil.integrate.system.components import Components, Forcing, on_each, pack, scalars
 from jaxfil.integrate.system.dependencies import Structure
-from jaxfil.integrate.system.refused import check_affine, check_derivatives, check_sharding
+from jaxfil.integrate.system.refused import (
+    check_affine,
+    check_derivatives,
+    check_reactions,
+    check_sharding,
+)
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.model import check
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of
 from jaxfil.xla.rounding import rounding_of
 from jaxfil.xla.select import select
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
@@ -82,11 +87,14 @@ class ComponentSystem(eqx.Module):
     only those of arrays are found ahead."""
     as_array: bool = eqx.field(static=True)
     """Whether a state is one array."""
+    holds_itself: tuple[bool, ...] = eqx.field(static=True)
+    """On which surfaces the field says all that the reaction does; empty where it feels none."""
     packed: bool = eqx.field(static=True)
     """Whether what there is of each surface is one array, (m,), as a state then is too: of surfaces
     that are separate, share no number of it and have no reset, and of many others."""
     _field: Any
     _switching: Any
+    _felt: Any
     _reset: Any
     _tick: Any
     _rounding: Any
@@ -175,6 +183,15 @@ class ComponentSystem(eqx.Module):
         `alone`: all that is made of it is one vector, blended or not."""
         return self._field(self.held(t), x, sides, alone=alone, known=forcing)
 
+    @property
+    def feels_reactions(self) -> bool:
+        """Whether the field depends on reactions."""
+        return self._felt is not None
+
+    def felt(self, t: Array, x: Components, sides: Components, reaction: Components) -> Components:
+        """What reactions, m numbers, add to the field, which is affine in them."""
+        return self._felt(self.held(t), x, sides, reaction)
+
     def switching(self, t: Array, x: Components) -> Components:
         """H(t, x)."""
         return self._switching(self.held(t), x)
@@ -236,10 +253,14 @@ class ComponentSystem(eqx.Module):
     def rows_of(self, pull: Callable) -> Rows:
         """The gradients of what there is of each surface, given the function that takes m numbers
         to the gradient of their sum with it, alone in a tuple."""
+        return self.for_units(lambda unit: pull(unit)[0])
+
+    def for_units(self, row: Callable[[Components], Components]) -> Rows:
+        """A row for each surface, n numbers, made of the unit vector of the surface."""
         if not self.packed:
-            return Rows(pull(unit)[0] for unit in self._units)
+            return Rows(map(row, self._units))
         units = jnp.eye(self.m, dtype=self.dtype)
-        return Rows.array(jax.vmap(lambda unit: pull(Components([unit]))[0])(units).parts[0])
+        return Rows.array(jax.vmap(lambda unit: row(Components([unit])))(units).parts[0])
 
     @property
     def _units(self) -> list[Components]:
@@ -286,12 +307,17 @@ def _build(
     traced_field = traced(field, leaves, t0, x, sides, when=when)
     traced_switching = traced(switching, leaves, t0, x)
     check_derivatives(vector_field=traced_field, switching=traced_switching)
-    found = dependencies.of(
-        (traced_field, traced_switching),
-        jax.tree.map(lambda _: False, (leaves, t0)),
-        [_unpacked(row, as_array) for row in np.eye(n, dtype=bool)],
-        [Components([row] if packed else row) for row in np.eye(m, dtype=bool)],
-    )
+    of_numbers = [_unpacked(row, as_array) for row in np.eye(n, dtype=bool)]
+    of_sides = [Components([row] if packed else row) for row in np.eye(m, dtype=bool)]
+    seen, felt, holds_itself = traced_field, None, ()
+    if resets and system.feels_reactions:
+        at = leaves, t0, x, sides
+        seen, felt = _reacting(field, traced, at)
+        check_reactions(system, seen, at)
+        second = _accelerations(field, switching, traced, at)
+        holds_itself = dependencies.of_own_reactions(second, at, of_sides)
+    functions = seen, traced_switching
+    found = dependencies.of(functions, (leaves, t0), of_numbers, of_sides, felt is not None)
     bounds = rounding_of(switching, leaves, t0, x) if m > 0 else None
     traced_bounds = bounds and traced(bounds, leaves, t0, x)
 
@@ -319,9 +345,11 @@ def _build(
         structure=found,
         compact=compact,
         as_array=as_array,
+        holds_itself=holds_itself,
         packed=packed,
         _field=ParametrizedFunction(traced_field, leaves, fence),
         _switching=ParametrizedFunction(traced_switching, leaves, fence),
+        _felt=felt and ParametrizedFunction(felt, leaves, fence),
         _reset=reset and ParametrizedFunction(reset, leaves, fence),
         _tick=tick and ParametrizedFunction(tick, leaves, fence),
         _rounding=traced_bounds and ParametrizedFunction(traced_bounds, leaves, fence),
@@ -330,6 +358,35 @@ def _build(
         clocks=clocks,
         _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
     )
+
+
+def _reacting(
+    field: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
+) -> tuple[Traced, Traced]:
+    """A field that feels reactions, as a function (leaves, t, x, sides, reaction), and what they
+    add to it, as a function of the same."""
+
+    def felt(*given: Any) -> Components:
+        *at, reaction = given
+        return jax.jvp(ft.partial(field, *at), (0.0 * reaction,), (reaction,))[1]
+
+    return traced(field, *at, at[-1]), traced(felt, *at, at[-1])
+
+
+def _accelerations(
+    field: Callable, switching: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
+) -> Traced:
+    """d²H/dt² along a field that feels reactions, as a function of the same."""
+
+    def second(leaves: System, t: Array, x: Components, sides: Components, reaction: Any) -> Any:
+        def rate(t: Array, x: Components) -> Components:
+            along = jnp.ones_like(t), field(leaves, t, x, sides)
+            return jax.jvp(ft.partial(switching, leaves), (t, x), along)[1]
+
+        along = jnp.ones_like(t), field(leaves, t, x, sides, reaction)
+        return jax.jvp(rate, (t, x), along)[1]
+
+    return traced(second, *at, at[-1])
 
 
 def _clocks(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
@@ -345,9 +402,18 @@ def _on_components(
     its array leaves and of components."""
     m = 1 if h_shape == () else h_shape[0]
 
-    def field(leaves: System, t: Array, x: Components, sides: Components) -> Components:
-        side = sides.parts[0] if h_shape == () else pack(sides, dtype)
-        f = eqx.combine(leaves, static).vector_field(t, pack(x, dtype), side)
+    def of_surfaces(numbers: Components) -> Array:
+        return numbers.parts[0] if h_shape == () else pack(numbers, dtype)
+
+    def field(
+        leaves: System,
+        t: Array,
+        x: Components,
+        sides: Components,
+        reaction: Components | None = None,
+    ) -> Components:
+        given = (of_surfaces(v) for v in (sides, reaction) if v is not None)
+        f = field_of(eqx.combine(leaves, static), t, pack(x, dtype), *given)
         return _unpacked(f, as_array)
 
     def switching(leaves: System, t: Array, x: Components) -> Components:

@@ -23,6 +23,18 @@ def check_affine(system: System, structure: Structure, m: int) -> None:
         )
 
 
+def check_reactions(system: System, field: Traced, at: tuple) -> None:
+    """Refuses a field (*at, reaction) that is not affine in its reactions, which then could not be
+    found from two values."""
+    nothing, all_reactions = jax.tree.map(lambda _: False, at), jax.tree.map(lambda _: True, at[-1])
+    if not field.is_affine(*nothing, all_reactions):
+        raise ValueError(
+            f"`vector_field` of {type(system).__name__} must be affine in its reactions "
+            "(a + b * reaction, not jnp.maximum(reaction, 0.0), for they are never negative), got "
+            "one that is not."
+        )
+
+
 def check_sharding(tree: Any) -> None:
     """Refuses arrays that `jax.shard_map` says to differ between devices."""
     kinds = [jax.typeof(v) for v in jax.tree.leaves(eqx.filter(tree, eqx.is_array))]

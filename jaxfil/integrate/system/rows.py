@@ -4,7 +4,7 @@ Gradients of H, and the directions in which resets act, are held so: products wi
 state give one number for each surface, and sums of rows with shares give vectors of the state.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
@@ -65,6 +65,19 @@ class Rows:
 
     def __abs__(self) -> "Rows":
         return Rows(map(abs, self.rows), self.members, self.is_array)
+
+    def plus(self, other: "Rows") -> "Rows":
+        """The sum with another matrix, neither of which has `members`."""
+        rows = (a + b for a, b in zip(self.rows, other.rows, strict=True))
+        return Rows(rows, None, self.is_array)
+
+    def where(self, chosen: Sequence[bool], other: "Rows") -> "Rows":
+        """The rows that are chosen, and those of another matrix in the place of others."""
+        if self.is_array:
+            mask = np.array(chosen)[:, None]
+            return Rows.array(select(mask, self._array, other._array))
+        each = zip(chosen, self.rows, other.rows, strict=True)
+        return Rows(own if flag else others for flag, own, others in each)
 
     def __matmul__(self, v: Components) -> Components:
         """The product of each row with a vector."""
