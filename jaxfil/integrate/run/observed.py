@@ -112,7 +112,7 @@ def checked_observable(name: str, function: Any, system: System, x: Array) -> Ob
     function = cast(check.function(name, function, "(t, x, side)"), x.dtype)
     side = jnp.ones(check.shapes(system, x), x.dtype)
     given = {"side": side, "reaction": side} if takes_reaction(function) else {"side": side}
-    out = check.returned(f"`{name}`", function, t=jnp.zeros((), x.dtype), x=x, **given)
+    out = check.returned(f"`{name}`", function, "", t=jnp.zeros((), x.dtype), x=x, **given)
     if not hasattr(out, "shape") or not check.is_real(out):
         raise ValueError(f"`{name}` must return an array of real numbers, got {check.told(out)}.")
     return Observable(function, tuple(out.shape))

@@ -44,7 +44,8 @@ def of(
     field, switching = functions
     n, m = len(of_number), len(of_side)
     nothing, still = jax.tree.map(lambda _: False, (at, of_number[0]))
-    all_sides, no_side = (jax.tree.map(flag, of_side[0]) for flag in (np.ones_like, np.zeros_like))
+    no_side = jax.tree.map(lambda _: False, of_side[0])
+    all_sides = jax.tree.map(lambda _: True, of_side[0])
     none = (no_side,) if reacting else ()
     seen = [_flat(field.depends(*nothing, still, side, *none)) for side in of_side]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
