@@ -40,6 +40,7 @@ from .files.load import load as load
 from .integrate.run.solution import Crossings as Crossings, Events as Events, Solution as Solution
 from .integrate.run.solve import solve as solve
 from .integrate.run.step_choice import StepChoice as StepChoice
+from .integrate.steppers.adaptive import Adaptive as Adaptive
 from .integrate.steppers.explicit import RK4 as RK4
 from .integrate.steppers.rosenbrock import Rodas5P as Rodas5P
 from .model.clock import Clock as Clock

@@ -19,7 +19,7 @@ from jaxfil.integrate.lane.state import LoopState, is_running
 from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import advance, finish
 from jaxfil.integrate.loop.start import initial_state
-from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
+from jaxfil.integrate.run.step_choice import StepCount, expected_steps, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.grade import is_compact_sweep
@@ -84,7 +84,7 @@ def lyapunov_spectrum(
     *,
     periods: int = 1000,
     transient: int = 200,
-    steps: int | StepChoice = 40,
+    steps: StepCount = 40,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
     compact: bool | None = None,
@@ -144,7 +144,7 @@ def lyapunov_spectrum(
         x,
         stages=tableau_of(stepper).stages,
         lanes=lanes_of((system, x)),
-        steps=(transient + periods) * steps,
+        steps=(transient + periods) * expected_steps(steps, stepper),
         tangents=x.size,
     )
     return _spectrum(system, x, between, counts, stepper, min(BATCHES, periods), compact)

@@ -23,7 +23,7 @@ from jaxfil.integrate.lane.state import is_running
 from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import advance, finish, integrate
 from jaxfil.integrate.loop.start import initial_state
-from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
+from jaxfil.integrate.run.step_choice import StepCount, expected_steps, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.system.components import Components, pack
 from jaxfil.integrate.system.grade import is_compact_sweep
@@ -48,7 +48,7 @@ def synchronization_exponent(
     *,
     periods: int = 1500,
     transient: int = 200,
-    steps: int | StepChoice = 40,
+    steps: StepCount = 40,
     tolerance: Scalar = 1e-10,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
@@ -123,7 +123,7 @@ def synchronization_exponent(
         jnp.concatenate([x, x]),
         stages=tableau_of(stepper).stages,
         lanes=lanes,
-        steps=(transient + periods) * steps,
+        steps=(transient + periods) * expected_steps(steps, stepper),
     )
     return _threshold(system, x, grid, within, between, counts, stepper, compact)
 
@@ -234,7 +234,7 @@ def transverse_exponent(
     coupling: Scalar = 0.0,
     periods: int = 2000,
     transient: int = 200,
-    steps: int | StepChoice = 40,
+    steps: StepCount = 40,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
     compact: bool | None = None,
@@ -292,7 +292,7 @@ def transverse_exponent(
         jnp.concatenate([x, x]),
         stages=tableau_of(stepper).stages,
         lanes=lanes,
-        steps=(transient + periods) * steps,
+        steps=(transient + periods) * expected_steps(steps, stepper),
     )
     batches = min(BATCHES, periods)
     return _transverse(system, x, strength, between, counts, stepper, batches, compact)

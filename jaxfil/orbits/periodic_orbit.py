@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.run.step_choice import StepChoice, steps_and_stepper
+from jaxfil.integrate.run.step_choice import StepCount, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
 from jaxfil.integrate.system.grade import is_compact_run
 from jaxfil.model import check
@@ -37,7 +37,7 @@ def periodic_orbit(
     periods: int = 1,
     period: Scalar | None = None,
     t0: Scalar = 0.0,
-    steps: int | StepChoice = 40,
+    steps: StepCount = 40,
     stepper: Stepper | None = None,
     segments: int = 1,
     transient: int = 0,

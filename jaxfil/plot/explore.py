@@ -20,7 +20,7 @@ from matplotlib.image import imsave
 
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.integrate.run.solve import solve
-from jaxfil.integrate.run.step_choice import StepChoice
+from jaxfil.integrate.run.step_choice import StepLength
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
@@ -41,7 +41,7 @@ def explore(
     x0: State,
     t0: Scalar,
     t1: Scalar,
-    dt: Scalar | StepChoice,
+    dt: StepLength,
     picture: Callable[..., Any] = phase_portrait,
     figure: Figure | None = None,
     stepper: Stepper | None = None,

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jaxfil.integrate.run.observed import Observe, checked_observable, with_rate
 from jaxfil.integrate.run.options import Adjoint
 from jaxfil.integrate.run.solve import solve
-from jaxfil.integrate.run.step_choice import StepChoice
+from jaxfil.integrate.run.step_choice import StepLength
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
@@ -40,7 +40,7 @@ def average(
     x0: State,
     t0: Scalar,
     t1: Scalar,
-    dt: Scalar | StepChoice,
+    dt: StepLength,
     *,
     stepper: Stepper | None = None,
     adjoint: Adjoint = diffrax.ForwardMode(),  # noqa: B008

@@ -17,7 +17,8 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from jaxfil.integrate.run.solve import solve
-from jaxfil.integrate.run.step_choice import StepChoice, dt_and_stepper
+from jaxfil.integrate.run.step_choice import StepLength, dt_and_stepper
+from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
@@ -82,7 +83,7 @@ def fit(
     ts: Any,
     data: Any,
     x0: State,
-    dt: Scalar | StepChoice,
+    dt: StepLength,
     *,
     t0: Scalar = 0.0,
     observe: Callable[[Array, Array], Array] | None = None,
@@ -150,18 +151,22 @@ def fit(
     spread = _spread(sigma, measured)
     own = jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names])
     starts = own if guesses is None else _guesses(guesses, len(names), x.dtype)
-    dt, stepper = dt_and_stepper(dt, stepper)
+    step, method = dt_and_stepper(dt, stepper)
+    if step is None:  # by a tolerance, which `solve` is given
+        step, method = dt, stepper
+    else:
+        step = check.scalar("dt", step, x.dtype, positive=True)
     model = _Model(
         system,
         x,
         check.scalar("t0", t0, x.dtype),
-        check.scalar("dt", dt, x.dtype, positive=True),
+        step,
         times,
         measured,
         spread,
         names,
         seen,
-        checked_stepper(stepper),
+        checked_stepper(method),
     )
     rtol = float(check.scalar("tolerance", tolerance, float, positive=True))
     rtol = max(rtol, 8 * float(jnp.finfo(x.dtype).eps))
@@ -245,7 +250,7 @@ class _Model(eqx.Module):
     system: System
     x0: Array
     t0: Array
-    dt: Array
+    dt: Array | Adaptive
     ts: Array
     data: Array
     sigma: Array

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from jaxfil.integrate.run.options import Adjoint
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.integrate.run.solve import solve
-from jaxfil.integrate.run.step_choice import StepChoice
+from jaxfil.integrate.run.step_choice import StepLength
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
@@ -41,7 +41,7 @@ def poincare_map(
     system: System,
     x0: States,
     section: Section,
-    dt: Scalar | StepChoice,
+    dt: StepLength,
     *,
     max_time: Scalar,
     t0: Scalar = 0.0,

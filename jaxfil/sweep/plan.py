@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import FINER
 from jaxfil.integrate.run.observed import Observable, checked_observable
-from jaxfil.integrate.run.step_choice import steps_and_stepper
+from jaxfil.integrate.run.step_choice import expected_steps, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import checked_stepper, tableau_of
 from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.model import check
@@ -113,7 +113,7 @@ def sweep_plan(
         stages=tableau_of(stepper).stages,
         lanes=len(grid.rows),
         # At half the step there are twice as many.
-        steps=(unseen + samples) * steps * (3 if runs > 1 else 1),
+        steps=(unseen + samples) * expected_steps(steps, stepper) * (3 if runs > 1 else 1),
         block=BLOCK if follow is None else 1,
     )
     sampling = Sampling(

@@ -160,6 +160,8 @@ class Sampling(eqx.Module):
         most = jnp.ceil((before + count * self.max_return) / dt)
         num_steps = jnp.minimum(most, 2.0**30).astype(jnp.int32)
         length = num_steps.astype(unit.dtype) * dt
+        if tableau_of(self.stepper).tolerance is not None:
+            num_steps, dt = jnp.ones_like(num_steps), length
         return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps), share=self.share)
 
     def outcome(self, state: LoopState) -> tuple[tuple[SavedStates, Array], RESULTS, Array]:

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxfil.integrate.run.observed import Observe
-from jaxfil.integrate.run.step_choice import StepChoice
+from jaxfil.integrate.run.step_choice import StepCount
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
@@ -43,7 +43,7 @@ def bifurcation_diagram(
     *,
     transient: int | None = None,
     samples: int = 100,
-    steps: int | StepChoice = 40,
+    steps: StepCount = 40,
     stepper: Stepper | None = None,
     follow: Literal["up", "down"] | None = None,
     checkpoint: PathLike | None = None,

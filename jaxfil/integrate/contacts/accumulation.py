@@ -27,7 +27,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd
-from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
@@ -155,7 +155,8 @@ def _turned(
     completed = completed & _clear(problem, state, end, left, limit)
     if problem.system.resets:
         # Of one wall `impact` knows more; of several, speeds are soon as small as rounding leaves.
-        completed = completed & (left <= problem.system.eps**0.5 * abs(problem.grid.dt))
+        soon = problem.system.eps**0.5 * typical_step(problem, state)
+        completed = completed & (left <= soon)
     starts = switches & (again | (turn.contacts >= _LONGEST))
     met = switches & (turn.met | state.pending.surfaces)
     now = Turn(

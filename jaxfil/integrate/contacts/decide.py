@@ -16,6 +16,7 @@ from jaxfil.integrate.contacts.guards import NOISE, Surfaces
 from jaxfil.integrate.contacts.resets import Impact
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
+from jaxfil.integrate.lane.step_length import typical_step
 from jaxfil.integrate.surfaces import (
     decision,
     filippov,
@@ -207,7 +208,7 @@ def _rates_at_graze(
     They vanish on the side of the motion, which stays there: what is no larger than that leads to
     this side too.
     """
-    direction, dt = problem.grid.direction, abs(problem.grid.dt)
+    direction, dt = problem.grid.direction, typical_step(problem, state)
     noise = _TANGENT * abs(state.motion.rate) + gathered / dt
 
     def told(rate: Components) -> Components:

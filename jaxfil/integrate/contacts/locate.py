@@ -34,7 +34,7 @@ from jaxtyping import Array
 from jaxfil.integrate.contacts.cubic import NEVER, first_contact, quotient, stays_off
 from jaxfil.integrate.lane.problem import Problem, TimeGrid
 from jaxfil.integrate.lane.state import LoopState, StepEnd
-from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.surfaces.second_order import beyond_newton
 from jaxfil.integrate.system.components import (
     Components,
@@ -116,7 +116,7 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     system, h = problem.system, stop_gradient(length.h)  # nothing here has a derivative
     # A slide or a rest that ends at a grid point ends beside it, by rounding of times. There the
     # field may still point back, and the surface is not met again for that.
-    rounding, dt = problem.grid.same_time(end.motion.tau), abs(problem.grid.dt)
+    rounding, dt = problem.grid.same_time(end.motion.tau), typical_step(problem, state)
     brief = length.known & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
     noise = _searched_to(state, end)
     ends = state.motion.g, h * state.motion.rate, stop_gradient(end.motion.g), h * end.motion.rate
@@ -252,7 +252,8 @@ def _kinds_of_end(
     size = abs(stop_gradient(missing))
     # g̈ h, from the rates at both ends: what Newton's step leaves out is of the order of δ g̈/ġ.
     bend = direction * (rate - state.motion.rate)
-    close = (size <= small * abs(grid.dt)) & (size * abs(bend) <= small * abs(rate * h))
+    known = small * typical_step(problem, state)
+    close = (size <= known) & (size * abs(bend) <= small * abs(rate * h))
     inside = (length.room - stop_gradient(missing)) * direction >= 0
     # Rounding of t hides what is missing to the end of a slide or a rest, whose guard is made of
     # fields. A state knows its surface better: it is there when all that is left of g is rounding.

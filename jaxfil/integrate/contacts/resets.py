@@ -24,7 +24,7 @@ from jaxtyping import Array
 from jaxfil.integrate.contacts.guards import Surfaces, stays_on
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
-from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.surfaces import filippov, unilateral
 from jaxfil.integrate.surfaces.unilateral import Constraints
 from jaxfil.integrate.system.components import (
@@ -169,7 +169,7 @@ def _view(
     size, fast = (
         maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))
     )
-    inside, dt = system.rate_rounding(t, x, sides), problem.grid.dt
+    inside, dt = system.rate_rounding(t, x, sides), typical_step(problem, state)
     by_time = a - c.gradients @ f
     return View(
         c, a, by_time, unilateral.rate_noise(t, size, inside, dt, fast, c, by_time, surfaces)
@@ -261,7 +261,7 @@ def _chattering(
     sides = unilateral.sides_of(state.motion.mode)
     same = grid.same_time(state.motion.tau)
     # What is left out is a part T ȧ/a of T.
-    longest = jnp.maximum(same, system.eps**0.5 * abs(grid.dt))
+    longest = jnp.maximum(same, system.eps**0.5 * typical_step(problem, state))
     held = c.reaction.answered(seen.a, unilateral.multipliers(c.reaction.gains, seen.a, rests))
     away, fall = sides * c.rate, -sides * held * (2 - c.impulse.gains.diagonal())  # that is 1 − e
     bounces = reset.acted & c.throws_back & (away > seen.noise) & (fall > 0) & ~more
@@ -336,7 +336,7 @@ def begin(
     a = unilateral.accelerations(system, t, x, above, f)
     _, h_t, normals = system.gradients(t, x)
     inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
-    by_time, dt = a - c.gradients @ f, problem.grid.dt
+    by_time, dt = a - c.gradients @ f, typical_step(problem)
     noise = unilateral.rate_noise(t, abs(x), inside, dt, f, c, by_time, surfaces)
     flat, wall = abs(c.rate) <= noise, on & c.throws_back
     led = _led_to(system, t, x)

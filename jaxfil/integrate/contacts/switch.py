@@ -28,7 +28,7 @@ from jaxfil.integrate.contacts.guards import (
 from jaxfil.integrate.contacts.resets import Impact, Reset
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState, Motion, StepEnd
-from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
 from jaxfil.integrate.surfaces.normals import project
@@ -130,7 +130,7 @@ def _with_rounding_of_forces(
     leave, for others hold it, is then neither met nor left."""
     since = select(any_of(~state.armed), abs(stop_gradient(length.h)), 0.0)
     # What has gathered while it is held is that of many steps.
-    since = select(state.held, abs(problem.grid.dt), since)
+    since = select(state.held, typical_step(problem, state), since)
     size = where(since > 0, since * stop_gradient(fields.sizes()), 0.0)
     more = NOISE * problem.system.eps * (abs(stop_gradient(at.normals)) @ size)
     return dataclasses.replace(at, noise=at.noise + more)

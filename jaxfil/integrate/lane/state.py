@@ -128,6 +128,8 @@ class Trust(eqx.Module):
     """Refusals of the shortest steps since one was taken that was not so short."""
     halvings: Array
     """All refusals since t0."""
+    error: Array | None = None
+    """The relative error of the last step; None where no tolerance is asked for."""
 
 
 class Counts(eqx.Module):

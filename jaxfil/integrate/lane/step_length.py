@@ -14,6 +14,9 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.xla.select import select
 
+# Where a tolerance says how long steps are, one at the start is taken for this part of the grid's.
+_AT_START = 2.0**-6
+
 
 class Length(eqx.Module):
     """How far a trial step goes, and what is at its end."""
@@ -38,6 +41,15 @@ class Length(eqx.Module):
         """Whether its end is one of these times, which are known."""
         known = self.gridded | self.saving
         return known if self.ticking is None else known | self.ticking
+
+
+def typical_step(problem: Problem, state: LoopState | None = None) -> Array:
+    """The length of steps here: that of the grid, or where a tolerance says it the one that it
+    allows now; without a state, at the start, a small part of the grid's."""
+    dt = abs(problem.grid.dt)
+    if problem.tableau.tolerance is None:
+        return dt
+    return _AT_START * dt if state is None else jnp.minimum(state.trust.longest, dt)
 
 
 def choose_length(problem: Problem, state: LoopState) -> Length:

@@ -78,7 +78,10 @@ def _integrate_together(problem: Problem, x0: Components) -> LoopState:
     """One lane of a batch, which asks after the others by `_count`."""
     # Nothing to meet, or too much to coast for long; one loop is less than three.
     coasts_alone = problem.recording.recorder.in_free_steps and not problem.extensions
-    if problem.system.m == 0 or problem.compact or not coasts_alone:
+    given = (
+        problem.tableau.tolerance is None
+    )  # steps of a tolerance are no longer those of the grid
+    if problem.system.m == 0 or problem.compact or not coasts_alone or not given:
         return integrate(problem, x0)
     few_stopped, few_near = _SLIDING if problem.system.slides else _CROSSING
 

@@ -3,7 +3,10 @@
 A new one is a subclass of `Extension`, and a line in `problem_of`.
 """
 
+import dataclasses
 from typing import Any
+
+import jax.numpy as jnp
 
 from jaxfil.integrate.lane.clocks import Clocks
 from jaxfil.integrate.lane.extension import Extension
@@ -15,6 +18,10 @@ from jaxfil.integrate.steppers.explicit import Tableau
 from jaxfil.integrate.surfaces.sections import WatchedSections
 from jaxfil.integrate.system.lowered import ComponentSystem
 
+# Iterations at least of a run whose steps follow a tolerance, and more of each step of the grid, as
+# a period is, counted up to so many.
+_LEAST, _OF_EACH, _MOST_GRID_STEPS = 2**20, 4096, 2**18
+
 
 def problem_of(
     system: ComponentSystem,
@@ -23,8 +30,14 @@ def problem_of(
     recording: Recording = NOTHING,
     sections: WatchedSections | None = None,
     kept: KeptMode | None = None,
+    limited: bool = False,
 ) -> Problem:
-    """The problem of one lane, with the extensions that its system and its sections need."""
+    """The problem of one lane, with the extensions that its system and its sections need. Unless it
+    is `limited`, iterations are enough where a tolerance says how many steps there are."""
+    if tableau.tolerance is not None and not limited:
+        most = jnp.minimum(grid.num_steps, _MOST_GRID_STEPS)
+        enough = jnp.maximum(grid.max_iterations, _LEAST + _OF_EACH * most)
+        grid = dataclasses.replace(grid, max_iterations=enough)
     extensions: list[Extension] = []
     if system.clocks:
         extensions.append(Clocks())

@@ -20,10 +20,13 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.extension import Step
-from jaxfil.integrate.lane.problem import Problem, TimeGrid
-from jaxfil.integrate.lane.state import LoopState, Trust
-from jaxfil.integrate.steppers.error_estimate import SmoothStep
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import LoopState, StepEnd, Trust
+from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.loop.controller import controlled
+from jaxfil.integrate.steppers.error_estimate import SmoothStep, is_too_long, relative_error
 from jaxfil.integrate.steppers.explicit import Trial
+from jaxfil.integrate.surfaces.unilateral import sides_of
 from jaxfil.integrate.system.components import Components
 from jaxfil.xla.select import select
 
@@ -34,7 +37,8 @@ WATCHED = 128
 # A step shorter than this part of the grid's is one of the shortest.
 _SHORTEST = 2.0**-10
 # So many of those are refused before a run is given up: a jump of the field at some time is closed
-# in on in some 50, one that the motion goes to and fro across is never passed.
+# in on in some 50, one that the motion goes to and fro across is never passed. Where a tolerance
+# says how long steps are, so many in a row.
 _MOST_REFUSED = 96
 
 
@@ -47,6 +51,8 @@ class Doubt(eqx.Module):
     """Whether its estimated error says that it cannot be trusted."""
     given_up: Array
     """Whether half of it would not be tried any more."""
+    error: Array | None
+    """Its error relative to the tolerance; None where none is asked for."""
 
     @property
     def refuses(self) -> Array:
@@ -73,12 +79,22 @@ def smooth_step(
     )
 
 
-def doubted(problem: Problem, state: LoopState, infinite: Array, too_long: Array) -> Doubt:
+def doubted(
+    problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd, infinite: Array
+) -> Doubt:
     """What speaks against a trial step."""
+    tableau = problem.tableau
     # Where nothing is known of errors, an end that is not finite may follow from steps that were.
-    if not problem.tableau.d:
-        return Doubt(infinite, too_long, jnp.ones((), bool))
-    return Doubt(infinite, too_long, state.trust.refused >= _MOST_REFUSED)
+    if not tableau.d:
+        no = jnp.zeros((), bool)
+        return Doubt(infinite, no, ~no, None)
+    step = smooth_step(problem, state, length.h, end.motion.f, trial)
+    given_up = state.trust.refused >= _MOST_REFUSED
+    if tableau.tolerance is not None:
+        error = relative_error(tableau, step)
+        return Doubt(infinite, ~(error <= 1), given_up, error)
+    too_long = is_too_long(problem.system, tableau, step, sides_of(state.motion.mode))
+    return Doubt(infinite, too_long, given_up, None)
 
 
 def trust_after_free_step(trust: Trust, clear: Array) -> Trust:
@@ -91,8 +107,13 @@ def trust_after_free_step(trust: Trust, clear: Array) -> Trust:
     )
 
 
-def next_trust(grid: TimeGrid, state: LoopState, taken: Step, refused: Array) -> Trust:
+def next_trust(
+    problem: Problem, state: LoopState, taken: Step, refused: Array, doubt: Doubt
+) -> Trust:
     """How long the next trial step may be."""
+    if doubt.error is not None:
+        return controlled(problem, state, taken, refused, doubt.error)
+    grid = problem.grid
     trust, h, dt = state.trust, stop_gradient(abs(taken.length.h)), abs(grid.dt)
     goes_on = (taken.moved & taken.accepted & (h > 0)) | taken.lands
     steps = trust.taken + goes_on.astype(jnp.int32)

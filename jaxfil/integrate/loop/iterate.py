@@ -51,13 +51,20 @@ from jaxfil.integrate.lane.state import (
 )
 from jaxfil.integrate.lane.step_length import Length, choose_length
 from jaxfil.integrate.loop import judge as judging
-from jaxfil.integrate.loop.halving import next_trust
+from jaxfil.integrate.loop.halving import doubted, next_trust
 from jaxfil.integrate.loop.judge import Judgement
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial, compact_step, step
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.surfaces.unilateral import rests_of
-from jaxfil.integrate.system.components import Components, Forcing, any_of, maximum, where
+from jaxfil.integrate.system.components import (
+    Components,
+    Forcing,
+    all_finite,
+    any_of,
+    maximum,
+    where,
+)
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select, select_all
 
@@ -113,12 +120,14 @@ def judge(
 def _go_on_smoothly(problem: Problem, state: LoopState, length: Length, trial: Trial) -> LoopState:
     """The lane after a trial step where there are no surfaces."""
     end = evaluate_step_end(problem, state, length, trial.x, trial.forcing[-1])
-    action = judging.smooth_action_of(problem, state, length, trial, end)
+    infinite = ~all_finite(end.motion.x, end.motion.f)
+    doubt = doubted(problem, state, length, trial, end, infinite)
+    action = judging.smooth_action_of(problem, state, doubt)
     taken, action, verdicts = _heard(problem, state, length, end, action)
     after = dataclasses.replace(
         state,
         motion=select_all(taken.moved, end.motion, state.motion),
-        trust=next_trust(problem.grid, state, taken, action == judging.REFUSE),
+        trust=next_trust(problem, state, taken, action == judging.REFUSE, doubt),
         counts=_counted(problem.grid, state, taken),
         result=judging.outcome(action, state.result),
     )
@@ -194,7 +203,7 @@ def _carried_out(
             surfaces=where(rejected, judgement.contact.surfaces, state.search.surfaces),
             rejections=select(rejected, state.search.rejections + 1, 0),
         ),
-        trust=next_trust(grid, state, taken, action == judging.REFUSE),
+        trust=next_trust(problem, state, taken, action == judging.REFUSE, judgement.doubt),
         pending=Pending(
             waits=waits,
             surfaces=where(lands, landing.surfaces, surfaces),

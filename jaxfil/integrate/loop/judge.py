@@ -15,10 +15,8 @@ from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd, is_running
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.loop.halving import Doubt, doubted, smooth_step
-from jaxfil.integrate.steppers.error_estimate import is_too_long
+from jaxfil.integrate.loop.halving import Doubt, doubted
 from jaxfil.integrate.steppers.explicit import Trial
-from jaxfil.integrate.surfaces.unilateral import sides_of
 from jaxfil.integrate.system.components import all_finite, any_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select
@@ -74,7 +72,7 @@ def judged(
 ) -> Judgement:
     """What is known of a trial step."""
     contact, waits = find_contact(problem, state, end, length), state.pending.waits
-    motion, gross = end.motion, too_long(problem, state, length, trial, end)
+    motion = end.motion
     infinite = ~all_finite(motion.x, motion.f, motion.g, contact.theta)
     # A flight this short cannot be told from the correction that ends it.
     tau, repeats = end.motion.tau, state.pending.repeats
@@ -89,19 +87,11 @@ def judged(
         end=end,
         contact=contact,
         landing=land(problem, state, end, length),
-        doubt=doubted(problem, state, infinite, gross),
+        doubt=doubted(problem, state, length, trial, end, infinite),
         rejections=select(contact.found, state.search.rejections + 1, 0),
         repeats=select(waits, select(again, repeats + 1, 0), repeats),
         hidden=hidden,
     )
-
-
-def too_long(
-    problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd
-) -> Array:
-    """Whether the error of a trial step says that it cannot be trusted."""
-    taken = smooth_step(problem, state, length.h, end.motion.f, trial)
-    return is_too_long(problem.system, problem.tableau, taken, sides_of(state.motion.mode))
 
 
 def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array:
@@ -155,15 +145,10 @@ def _failures(
     ]
 
 
-def smooth_action_of(
-    problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd
-) -> Array:
+def smooth_action_of(problem: Problem, state: LoopState, doubt: Doubt) -> Array:
     """The same where there are no surfaces."""
-    infinite = ~all_finite(end.motion.x, end.motion.f)
-    gross = too_long(problem, state, length, trial, end)
-    doubt = doubted(problem, state, infinite, gross)
     action = select(doubt.too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
-    action = select(infinite, FAIL + FAILURES.index(RESULTS.nonfinite), action)
+    action = select(doubt.infinite, FAIL + FAILURES.index(RESULTS.nonfinite), action)
     action = select(doubt.refuses, REFUSE, action)
     return select(is_running(problem.grid, state), action, IDLE)
 

@@ -30,6 +30,7 @@ from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Look, Problem
 from jaxfil.integrate.lane.recording import entered, mode_codes
 from jaxfil.integrate.lane.state import CrossingTable, LoopState, Motion, is_running, later
+from jaxfil.integrate.lane.step_length import typical_step
 from jaxfil.integrate.loop.section_state import (
     SectionState,
     Seen,
@@ -101,7 +102,8 @@ def _begin(
     false = jnp.zeros((), bool)
     watch = unwatched(len(watched.functions), jnp.zeros_like(motion.tau))
     at = problem.grid.t0 + motion.tau, motion.x
-    sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale, problem.grid.dt)
+    dt = typical_step(problem, state)
+    sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale, dt)
     watch = _moved_on(watched, problem, watch, sight, false)
     result, (_, noises) = state.result, _resolved(problem, sight)
     for bound, value, noise in zip(watched.bounds, sight.value.parts, noises.parts, strict=True):
@@ -123,7 +125,8 @@ def _look(
     landing, this correction, and whether the loop would go on with it."""
     h, correction, passes = would
     at = problem.grid.t0 + end.tau, end.x
-    sight = see(watched, problem.system, at, (end.mode, end.f), end.scale, problem.grid.dt)
+    dt = typical_step(problem, state)
+    sight = see(watched, problem.system, at, (end.mode, end.f), end.scale, dt)
     # At a landing S is what it is at the contact: of a section that coincides with the surface, 0.
     correction = select(watch.seeking, 0.0, correction)
     landed = sight.value + stop_gradient(correction * sight.rate)
@@ -132,7 +135,7 @@ def _look(
     looks = watch.seeking & ~any_of(watch.aim)
     found, begun = _begun(watched, problem, watch, sight, here)
     begins = found & (looks | (passes & ~watch.seeking))
-    closer, delta, done = _approach(problem, watch, sight, end.tau)
+    closer, delta, done = _approach(problem, state, watch, sight, end.tau)
     located = watch.aim & ~watch.owed
     linear, given = (delta, end.x + delta * end.f), (watched, problem.system)
     delta, x = add_second_derivative(beyond_newton, linear, *given, at, end.mode, located)
@@ -252,11 +255,12 @@ def _nothing(g0: Array, *_: Array) -> tuple[Array, Array]:
 
 
 def _approach(
-    problem: Problem, watch: Watch, sight: Sight, tau: Array
+    problem: Problem, state: LoopState, watch: Watch, sight: Sight, tau: Array
 ) -> tuple[Watch, Array, Array]:
     """After a trial step to where a crossing was expected, at an elapsed time: the next one,
     Newton's step in time from here, and whether that is all that is missing."""
     grid, small = problem.grid, problem.system.eps ** (2 / 3)
+    known = small * typical_step(problem, state)
     sides = _sides(problem, watch, sight, watch.length - watch.start)
     of_aim = (
         sides * sight.value,
@@ -274,7 +278,7 @@ def _approach(
     newton = at + stop_gradient(delta)
     inside = ((newton - low) * grid.direction >= 0) & ((high - newton) * grid.direction >= 0)
     bend = size * abs(rate - rate0) <= small * abs(rate * (at - watch.start))
-    close = falls & inside & (size <= small * abs(grid.dt)) & bend
+    close = falls & inside & (size <= known) & bend
     narrow = abs(high - low) <= grid.same_time(tau)
     done = close | (abs(g) <= noise) | narrow | owed | (watch.tries >= _TRIES)
     halved = ~inside | (watch.tries >= _NEWTON)
@@ -283,7 +287,7 @@ def _approach(
         watch, side=sides, length=length, low=low, high=high, tries=watch.tries + 1
     )
     # Where S only touches zero, its rate says nothing of the time.
-    timed = (inside | (size <= small * abs(grid.dt))) & ~owed
+    timed = (inside | (size <= known)) & ~owed
     return closer, select(timed, delta, 0.0), done & watch.seeking & any_of(watch.aim)
 
 

@@ -28,6 +28,8 @@ from jaxfil.integrate.lane.state import (
     Trust,
     tables_of,
 )
+from jaxfil.integrate.lane.step_length import typical_step
+from jaxfil.integrate.loop.controller import first_length
 from jaxfil.integrate.loop.halving import WATCHED
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
 from jaxfil.integrate.surfaces.corners import (
@@ -213,7 +215,7 @@ def _start(problem: Problem, x: Components) -> Start:
     if system.resets:
         # A state that an earlier run has left on the surface has the rounding of its steps.
         f = system.field(t, x, h.like(jnp.ones_like(t)))
-        size = size + stop_gradient(abs(problem.grid.dt * f))
+        size = size + stop_gradient(abs(typical_step(problem) * f))
     noise = surface_noise(system, t, x, size, h_t, normals)
     mode, on, owed, count, determinant = _first_mode(problem, x, h, noise)
     if problem.kept is not None:
@@ -250,7 +252,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         first_mode=start.motion.mode,
         armed=start.armed,
         search=ContactSearch(length=tau, surfaces=nowhere, rejections=zero),
-        trust=Trust(tau + jnp.inf, tau + jnp.inf, zero + WATCHED, zero, zero),
+        trust=_first_trust(problem, start.motion),
         pending=Pending(
             waits=false if start.owed is None else any_of(start.owed),
             surfaces=nowhere if start.owed is None else start.owed,
@@ -274,6 +276,14 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         own.append(first)
     state = dataclasses.replace(state, extensions=tuple(own))
     return state if system.m == 0 else _varied(state)
+
+
+def _first_trust(problem: Problem, motion: Motion) -> Trust:
+    zero, one = jnp.zeros((), jnp.int32), jnp.ones_like(motion.tau)
+    longest, error = one * jnp.inf, None
+    if problem.tableau.tolerance is not None:
+        longest, error = first_length(problem, motion), one
+    return Trust(longest, one * jnp.inf, zero + WATCHED, zero, zero, error)
 
 
 def _varied(state: LoopState) -> LoopState:

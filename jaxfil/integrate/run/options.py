@@ -28,6 +28,8 @@ Adjoint: TypeAlias = diffrax.ForwardMode | diffrax.RecursiveCheckpointAdjoint
 _SAVE_STATE = diffrax.SubSaveAt(t1=True).fn
 # Contacts that a default budget leaves room for where their number has no limit.
 _MANY_EVENTS = 256
+# Steps of a run that follow a tolerance: all iterations, and where an array of that length is kept.
+_MANY_STEPS, _KEPT_STEPS = 2**20, 4096
 
 
 class Options(eqx.Module):
@@ -57,9 +59,11 @@ def options_of(
     compact: bool,
     times: tuple[Scalar, Scalar, Scalar],
     dtype: np.dtype,
+    adaptive: bool,
 ) -> Options:
     """The options of a solve over the span (t0, t1, dt), numbers as the user gave them: under `jit`
-    they are known as long as they are no arrays of JAX."""
+    they are known as long as they are no arrays of JAX. Of one that is `adaptive` it is not known
+    how many steps it takes."""
     save, ts = _save_kind(saveat, dtype)
     by_steps = save in ("steps", "dense")
     span = _known_span(times, dtype)
@@ -68,7 +72,11 @@ def options_of(
     max_events = check.count("max_events", max_events, optional=True)
     budget = check.count("max_steps", max_steps, optional=True)
     reverse = _is_reverse(adjoint)
-    if budget is None and (by_steps or reverse):
+    kept = by_steps or reverse
+    if budget is None and adaptive:
+        rows = power_of_two(enough_iterations(_KEPT_STEPS, max_events or _MANY_EVENTS))
+        budget = rows if kept else _MANY_STEPS
+    elif budget is None and kept:
         budget = _default_budget(span, max_events)
     recorder = Recorder()
     if ts is not None:

@@ -29,7 +29,7 @@ from jaxfil.integrate.run.options import (
     valid_ts,
 )
 from jaxfil.integrate.run.solution import Dense, Solution, crossings_of, errors, events_of
-from jaxfil.integrate.run.step_choice import StepChoice, dt_and_stepper
+from jaxfil.integrate.run.step_choice import StepLength, dt_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.surfaces.sections import watch_sections
 from jaxfil.integrate.system.components import pack
@@ -56,7 +56,7 @@ def solve(
     x0: State,
     t0: Scalar,
     t1: Scalar,
-    dt: Scalar | StepChoice,
+    dt: StepLength,
     *,
     stepper: Stepper | None = None,
     saveat: diffrax.SaveAt = diffrax.SaveAt(t1=True),  # noqa: B008
@@ -72,16 +72,18 @@ def solve(
     r"""Integrate a nonsmooth system from `x0` at `t0` to `t1`.
 
     ẋ = F(t, x, side), side_j = sgn H_j(t, x), in Filippov's sense where the solution stays on a
-    surface. Steps have the fixed length `dt`; one is cut only at a contact, and the grid is met
-    again after it. Contacts are located to a few eps and the order of the stepper is kept.
+    surface. Steps have the fixed length `dt`, or one that follows a tolerance; one is cut only at a
+    contact, and the grid is met again after it. Contacts are located to a few eps and the order of
+    the stepper is kept.
 
     **Arguments**
 
     - `system`: a `System`; its float leaves are cast to the dtype of `x0`.
     - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
     - `t0`, `t1`: the span of time; backward if t1 < t0.
-    - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|); or what
-      `choose_step` gives, which has its own `stepper`.
+    - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|); or `Adaptive`, a
+      tolerance by which each step has its own length; or what `choose_step` gives, which has its
+      own `stepper`.
     - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`, or for
       stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
@@ -141,10 +143,14 @@ def solve(
     labels = labels_of(system, x.shape[0])
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
     step, stepper = dt_and_stepper(dt, stepper)
-    length = check.scalar("dt", step, dtype, positive=True)
+    length = _whole(start, stop)
+    if step is not None:
+        length = check.scalar("dt", step, dtype, positive=True)
     stepper = checked_stepper(stepper)
     compact = is_compact_run(compact, (system, x, start, stop, length))
-    options = options_of(saveat, max_events, max_steps, adjoint, compact, (t0, t1, step), dtype)
+    adaptive = step is None
+    times = t0, t1, length if adaptive else step
+    options = options_of(saveat, max_events, max_steps, adjoint, compact, times, dtype, adaptive)
     recorder = options.recorder
     if estimate_error and not recorder.at_known_times:
         raise ValueError(
@@ -175,6 +181,12 @@ def solve(
         sol = dataclasses.replace(sol, errors=errors(sol, finer))
     sol = dataclasses.replace(sol, labels=labels)
     return raise_unless_successful(sol, system, x) if throw else sol
+
+
+def _whole(start: Array, stop: Array) -> Array:
+    """The length of the one step of a grid on which a tolerance says how long steps are."""
+    length = jax.lax.stop_gradient(abs(stop - start))
+    return select(length > 0, length, 1.0)
 
 
 def _constant(tree: Any) -> Any:
@@ -236,7 +248,7 @@ def _problem(
     field = build(system, x0, compact=options.compact, transposed=options.reverse)
     watched = watch_sections(sections, field, x0, options.reverse)
     grid = _time_grid(t0, t1, dt, options)
-    return problem_of(field, tableau_of(stepper), grid, recording, watched)
+    return problem_of(field, tableau_of(stepper), grid, recording, watched, limited=True)
 
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:

@@ -4,19 +4,23 @@ What `choose_step` has measured enters; a card and a picture leave, and for a ve
 choice in place of a step, both the step and the stepper.
 """
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxfil.integrate.steppers.explicit import Stepper
+from jaxfil.integrate.steppers.adaptive import Adaptive
+from jaxfil.integrate.steppers.explicit import Controlled, Stepper, controlled
 from jaxfil.model import check
 from jaxfil.model.card import duration, outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes
+from jaxfil.model.types import Axes, Scalar
+
+# Steps of a period where a tolerance says how long they are.
+_EXPECTED = 40
 
 
 class StepChoice(eqx.Module):
@@ -88,9 +92,17 @@ class StepChoice(eqx.Module):
         return k if k < real.sum() else None
 
 
+StepLength: TypeAlias = Scalar | Adaptive | StepChoice
+"""`dt`: the length of a step, or what says it."""
+StepCount: TypeAlias = int | Adaptive | StepChoice
+"""`steps`: how many there are in a period, or what says it."""
+
+
 def steps_and_stepper(steps: Any, stepper: Any, system: System) -> tuple[int, Any]:
     """`steps`, a whole number, and `stepper`, still to be checked, as a verb that counts steps by
     periods was given them, or those of a `StepChoice`."""
+    if isinstance(steps, Adaptive):
+        return 1, controlled(steps, stepper)
     if not isinstance(steps, StepChoice):
         return check.count("steps", steps), stepper
     if not steps.forced or system.period is None:
@@ -102,8 +114,16 @@ def steps_and_stepper(steps: Any, stepper: Any, system: System) -> tuple[int, An
 
 
 def dt_and_stepper(dt: Any, stepper: Any) -> tuple[Any, Any]:
-    """`dt` and `stepper` as they were given, still to be checked, or those of a `StepChoice`."""
+    """`dt` and `stepper` as they were given, still to be checked, or those of a `StepChoice`; of an
+    `Adaptive`, None in place of a step."""
+    if isinstance(dt, Adaptive):
+        return None, controlled(dt, stepper)
     return (dt.dt, _its_own(dt, stepper)) if isinstance(dt, StepChoice) else (dt, stepper)
+
+
+def expected_steps(steps: int, stepper: Stepper) -> int:
+    """How many steps a period may take, of which so many are given."""
+    return _EXPECTED * steps if isinstance(stepper, Controlled) else steps
 
 
 def _its_own(choice: StepChoice, stepper: object) -> Stepper:

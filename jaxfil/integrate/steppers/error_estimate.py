@@ -25,7 +25,14 @@ from jaxtyping import Array
 
 from jaxfil.integrate.steppers.explicit import Tableau, Trial
 from jaxfil.integrate.steppers.rosenbrock import RosenbrockTableau
-from jaxfil.integrate.system.components import Components, any_of, maximum, minimum, where
+from jaxfil.integrate.system.components import (
+    Components,
+    any_of,
+    dot,
+    maximum,
+    minimum,
+    where,
+)
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
@@ -34,6 +41,8 @@ from jaxfil.xla.select import select
 _GROSS, _WATCHED = 1e-2, 1e-5
 # The same of a crude estimate: beyond the stability of RK4 it is more than the state.
 _CRUDE, _CRUDE_WATCHED = 1.0, 1e-3
+# The least relative tolerance, in eps.
+_LEAST_RTOL = 16
 # Rounding of a step, in eps of the terms that it is made of.
 _ROUNDING = 64
 # An error below this part of what other components do to one in a step is none of its own.
@@ -63,6 +72,21 @@ class SmoothStep(eqx.Module):
     """Whether steps were refused of late."""
     share: Array | None
     """The part of the usual error that it may have; None: all of it."""
+
+
+def relative_error(tableau: Tableau, step: SmoothStep) -> Array:
+    """The estimated error of a step relative to the tolerance of its tableau, as `Adaptive` has it:
+    NaN where it is not finite."""
+    assert tableau.tolerance is not None
+    step = stop_gradient(step)
+    error = abs(step.h * (step.trial.error + tableau.d[-1] * step.f1))
+    rtol = max(tableau.tolerance.rtol, _LEAST_RTOL * float(jnp.finfo(step.h.dtype).eps))
+    allowed = tableau.tolerance.atol + rtol * maximum(abs(step.x0), abs(step.trial.x))
+    # Of a number that stays zero nothing is missed, be no absolute error allowed.
+    missed = where(error > 0, error / where(allowed > 0, allowed, 1), 0.0 * error)
+    missed = where((error > 0) & (allowed == 0), jnp.inf, missed)
+    norm = jnp.sqrt(dot(missed, missed) / missed.size)
+    return norm if step.share is None else norm / step.share
 
 
 def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:

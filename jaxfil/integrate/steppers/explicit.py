@@ -4,6 +4,7 @@ A field on components, a state and a step length enter; the state at the end of 
 what the method says of its error. Nothing here knows of surfaces.
 """
 
+import dataclasses
 import functools as ft
 from collections.abc import Sequence
 from typing import Any, TypeAlias
@@ -16,6 +17,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.steppers.rosenbrock import (
     RODAS5P,
     Rodas5P,
@@ -65,6 +67,9 @@ class ExplicitTableau(eqx.Module):
     crude: bool = eqx.field(static=True, default=False)
     """Whether the estimate is of so low an order that it is as large as what a step does to a state
     that starts to move from rest."""
+    order: int = eqx.field(static=True, default=4)
+    tolerance: Adaptive | None = eqx.field(static=True, default=None)
+    """What the lengths of steps are made by; None: they are given."""
 
     @property
     def stages(self) -> int:
@@ -79,8 +84,19 @@ class ExplicitTableau(eqx.Module):
 
 Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau
 """What a step needs to know of a stepper."""
-Stepper: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P
+Method: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P
 """What the user chooses: a one-step method."""
+
+
+class Controlled(eqx.Module):
+    """A method whose steps are as long as a tolerance allows."""
+
+    method: "Stepper"
+    tolerance: Adaptive = eqx.field(static=True)
+
+
+Stepper: TypeAlias = Method | Controlled
+"""A method, as the loop is given it."""
 
 
 class Trial(eqx.Module):
@@ -113,6 +129,19 @@ def checked_stepper(stepper: Stepper | None) -> Stepper:
     return stepper
 
 
+def controlled(tolerance: Adaptive, stepper: Any) -> Controlled:
+    """A stepper asked for, checked, with a tolerance."""
+    method = checked_stepper(stepper)
+    tableau = tableau_of(method)
+    if tableau.crude or not tableau.d:
+        raise ValueError(
+            "`stepper` must estimate its error where steps follow a tolerance, as "
+            "diffrax.Dopri8(), Dopri5(), Tsit5() and jaxfil.Rodas5P() do; got "
+            f"{told(stepper)}."
+        )
+    return Controlled(method, tolerance)
+
+
 def checked_steppers(name: str, steppers: Any) -> tuple[Stepper, ...]:
     """The steppers of a list, at least one."""
     if not isinstance(steppers, (list, tuple)) or not steppers:
@@ -130,6 +159,8 @@ def _refuse_others(stepper: Any, name: str = "stepper") -> None:
         raise ValueError(f"`{name}` must be an instance, got the class {stepper.__name__}.")
     tableau = getattr(stepper, "tableau", None)
     explicit = isinstance(tableau, diffrax.ButcherTableau) and not tableau.implicit
+    if isinstance(stepper, Controlled):
+        return
     if not explicit and not isinstance(stepper, RK4 | Rodas5P | diffrax.Euler):
         raise ValueError(
             f"`{name}` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
@@ -143,6 +174,9 @@ def _refuse_others(stepper: Any, name: str = "stepper") -> None:
 def tableau_of(stepper: Stepper) -> Tableau:
     """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
     _refuse_others(stepper)
+    if isinstance(stepper, Controlled):
+        own, tolerance = tableau_of(stepper.method), stepper.tolerance
+        return dataclasses.replace(own, tolerance=tolerance, name=f"{own.name}, {tolerance!r}")
     name = type(stepper).__name__
     if isinstance(stepper, RK4):
         a = tuple(map(_floats, RK4.a))
@@ -159,7 +193,7 @@ def tableau_of(stepper: Stepper) -> Tableau:
         c, a, b = c[:-1], a[:-1], b[:-1]
     elif d:
         d = (*d, 0.0)
-    return ExplicitTableau(c, a, b, d, name)
+    return ExplicitTableau(c, a, b, d, name, order=order)
 
 
 def _combined(x: Components, h: Array, coefficients: Sequence[float], slopes: list) -> Components:

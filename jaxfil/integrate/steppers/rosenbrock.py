@@ -25,6 +25,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.system.components import Components, SmoothField, on_each, scalars
 from jaxfil.xla.small_linear import Factors, factored
 
@@ -66,6 +67,9 @@ class RosenbrockTableau(eqx.Module):
     one of order four. The last entry, of the slope at the end, is zero."""
     name: str = eqx.field(static=True)
     crude: bool = eqx.field(static=True, default=False)
+    order: int = eqx.field(static=True, default=5)
+    tolerance: Adaptive | None = eqx.field(static=True, default=None)
+    """What the lengths of steps are made by; None: they are given."""
 
     @property
     def stages(self) -> int:

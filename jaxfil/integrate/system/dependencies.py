@@ -44,9 +44,7 @@ def of(
     field, switching = functions
     n, m = len(of_number), len(of_side)
     nothing, still = jax.tree.map(lambda _: False, (at, of_number[0]))
-    no_side = jax.tree.map(lambda _: False, of_side[0])
-    all_sides = jax.tree.map(lambda _: True, of_side[0])
-    none = (no_side,) if reacting else ()
+    none = (jax.tree.map(lambda _: False, of_side[0]),) if reacting else ()
     seen = [_flat(field.depends(*nothing, still, side, *none)) for side in of_side]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     if m < 2:
@@ -54,6 +52,7 @@ def of(
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
     # Reactions on different sides are different ones: what is held is affine in one side at most.
     single = len(set().union(*switched)) < 2
+    all_sides = jax.tree.map(lambda _: True, of_side[0])
     affine = single if reacting else field.is_affine(*nothing, still, all_sides)
     return Structure(
         switched=switched,

@@ -1,0 +1,253 @@
+"""Steps that follow a tolerance: their errors, how many they are, and that all verbs take them."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import jaxfil as jf
+from jaxfil import RESULTS
+
+STEPPERS = {
+    "Dopri8": diffrax.Dopri8(),
+    "Dopri5": diffrax.Dopri5(),
+    "Tsit5": diffrax.Tsit5(),
+    "Rodas5P": jf.Rodas5P(),
+}
+
+
+class Orbit(jf.System):
+    """A planet and its sun, which it meets no surface round."""
+
+    def vector_field(self, t, x, side):
+        r3 = jnp.sqrt(x[0] ** 2 + x[1] ** 2) ** 3
+        return jnp.stack([x[2], x[3], -x[0] / r3, -x[1] / r3])
+
+
+def planet(e, t):
+    """The state of a planet of eccentricity e, at time t after its perihelion."""
+    u = brentq(lambda u: u - e * np.sin(u) - t, t - 2, t + 2, xtol=1e-15)
+    b, c = np.sqrt(1 - e * e), 1 - e * np.cos(u)
+    return np.array([np.cos(u) - e, b * np.sin(u), -np.sin(u) / c, b * np.cos(u) / c])
+
+
+@pytest.mark.parametrize("name", STEPPERS)
+def test_an_eccentric_orbit_is_right_to_the_tolerance(name):
+    e, t = 0.95, 2 * np.pi + 1.0
+    x0 = jnp.asarray(planet(e, 0.0))
+    for rtol in (1e-5, 1e-8):
+        sol = jf.solve(
+            Orbit(), x0, 0.0, t, jf.Adaptive(rtol, rtol), stepper=STEPPERS[name],
+            estimate_error=True, throw=False,
+        )  # fmt: skip
+        assert sol.result == RESULTS.successful
+        error = np.max(abs(sol.x_final - planet(e, t)))
+        # What an error at perihelion becomes behind it: the condition of the orbit.
+        condition = (1 + e) / (1 - e) ** 2
+        assert error < 10 * condition * rtol
+        assert_allclose(np.max(sol.errors), error, rtol=0.5, atol=0)
+
+
+def test_steps_vary_by_orders():
+    x0 = jnp.asarray(planet(0.99, 0.0))
+    at = diffrax.SaveAt(steps=True)
+    sol = jf.solve(Orbit(), x0, 0.0, 6.0, jf.Adaptive(1e-8, 1e-8), saveat=at)
+    h = np.diff(np.asarray(sol.ts)[: int(sol.stats["num_saved"])])
+    assert h.max() > 1000 * h.min()
+    longest = jf.solve(Orbit(), x0, 0.0, 6.0, jf.Adaptive(1e-8, 1e-8, dtmax=0.1), saveat=at)
+    h = np.diff(np.asarray(longest.ts)[: int(longest.stats["num_saved"])])
+    assert 0.09 < h.max() <= 0.1 * (1 + 1e-12)
+
+
+class Wall(jf.System):
+    """x'' = −sin x, thrown back at x = 0 by a clock's kick as well."""
+
+    e: jax.Array
+    every: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.sin(x[0]) - 0.1 * x[1]])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-self.e)
+
+    def tick(self, t, x, clock):
+        return x.at[1].add(0.3)
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.every),)
+
+
+def pendulum(e, period, t1):
+    """The state of `Wall` at t1, by SciPy between impacts and kicks."""
+    t, x, k = 0.0, np.array([1.0, 0.0]), 1
+
+    def hits(t, x):
+        return x[0]
+
+    hits.terminal, hits.direction = True, -1
+    while t < t1:
+        end = min(k * period, t1)
+        run = solve_ivp(lambda t, x: [x[1], -np.sin(x[0]) - 0.1 * x[1]], (t, end), x, "DOP853",
+                        events=hits, rtol=1e-13, atol=1e-13)  # fmt: skip
+        t, x = run.t[-1], run.y[:, -1].copy()
+        if run.t_events[0].size:
+            x = np.array([0.0, -e * x[1]])
+        elif t == k * period:
+            x[1] += 0.3
+            k += 1
+    return x
+
+
+def test_impacts_and_clocks_with_their_derivatives():
+    e, period = jnp.array([0.5, 0.8]), jnp.array([0.9, 1.3])
+
+    def end(e, period):
+        sol = jf.solve(
+            Wall(e, period), jnp.array([1.0, 0.0]), 0.0, 5.0, jf.Adaptive(1e-11, 1e-12), throw=False
+        )
+        return sol.x_final, (sol.result, sol.stats)
+
+    jacobian = jax.jacfwd(end, argnums=(0, 1), has_aux=True)
+    slopes, (result, stats) = jax.vmap(jacobian)(e, period)
+    x, _ = jax.vmap(end)(e, period)
+    assert np.all(np.asarray(result == RESULTS.successful))
+    for i in range(2):
+        point = np.array([e[i], period[i]])
+        assert_allclose(x[i], pendulum(*point, 5.0), rtol=0, atol=2e-10)
+        for j in range(2):
+            step = np.eye(2)[j] * 1e-5
+            high, low = (pendulum(*(point + k * step), 5.0) for k in (1, -1))
+            assert_allclose(slopes[j][i], (high - low) / 2e-5, rtol=0, atol=1e-7)
+    # A lane alone takes the same steps.
+    _, (_, alone) = end(e[1], period[1])
+    assert int(alone["num_steps"]) == int(stats["num_steps"][1])
+
+
+def test_what_is_saved():
+    wall, x0, tolerance = Wall(jnp.array(0.6), jnp.array(1.1)), jnp.array([1.0, 0.0]), 1e-10
+    ts = jnp.linspace(0.0, 4.0, 9)
+
+    def run(saveat, **options):
+        step = jf.Adaptive(tolerance, tolerance)
+        return jf.solve(wall, x0, 0.0, 4.0, step, saveat=saveat, **options)
+
+    saved = run(diffrax.SaveAt(ts=ts))
+    dense = run(diffrax.SaveAt(dense=True))
+    steps = run(diffrax.SaveAt(steps=True))
+    right = np.stack([pendulum(0.6, 1.1, t) if t > 0 else x0 for t in np.asarray(ts)])
+    assert_allclose(saved.xs, right, rtol=0, atol=1e-8)
+    assert_allclose([dense.evaluate(t) for t in ts], right, rtol=0, atol=1e-8)
+    rows = int(steps.stats["num_saved"])
+    assert np.all(np.isinf(steps.ts[rows:]))
+    assert_allclose(steps.xs[rows - 1], right[-1], rtol=0, atol=1e-8)
+
+
+def test_reverse_mode_and_backward_time():
+    def end(e, adjoint):
+        wall = Wall(e, jnp.array(1.1))
+        step = jf.Adaptive(1e-9, 1e-9)
+        return jf.solve(wall, jnp.array([1.0, 0.0]), 0.0, 3.0, step, adjoint=adjoint).x_final[0]
+
+    backward = diffrax.RecursiveCheckpointAdjoint()
+    e = jnp.array(0.6)
+    assert_allclose(
+        jax.grad(end)(e, backward), jax.jacfwd(end)(e, diffrax.ForwardMode()), rtol=1e-9
+    )
+    x0, step = jnp.asarray(planet(0.5, 1.0)), jf.Adaptive(1e-10, 1e-10)
+    back = jf.solve(Orbit(), x0, 1.0, 0.0, step).x_final
+    assert_allclose(back, planet(0.5, 0.0), rtol=0, atol=1e-8)
+
+
+def test_single_precision():
+    x0 = jnp.asarray(planet(0.9, 0.0), jnp.float32)
+    sol = jf.solve(Orbit(), x0, 0.0, 5.0, jf.Adaptive(1e-5, 1e-6))
+    assert sol.x_final.dtype == jnp.float32
+    assert_allclose(sol.x_final, planet(0.9, 5.0), rtol=0, atol=1e-2)
+    # A tolerance below rounding asks for the least error there is.
+    fine = jf.solve(Orbit(), x0, 0.0, 5.0, jf.Adaptive(1e-12, 0.0), throw=False)
+    assert fine.result == RESULTS.successful
+
+
+def test_diagrams_take_a_tolerance():
+    system, values = jf.systems.ImpactOscillator(), np.linspace(0.3, 0.5, 5)
+
+    def diagram(steps, **options):
+        return jf.bifurcation_diagram(
+            system, "amplitude", values, jnp.zeros(2), transient=60, samples=4, steps=steps,
+            progress=False, **options,
+        )  # fmt: skip
+
+    fixed, free = diagram(100), diagram(jf.Adaptive(1e-10, 1e-12))
+    assert_allclose(free.xs, fixed.xs, rtol=0, atol=1e-7)
+    section = jf.Section(lambda t, x: x[1], direction=-1)
+    at = {"section": section, "max_return": 20.0}
+    fixed, free = (diagram(s, **at) for s in (100, jf.Adaptive(1e-10, 1e-12)))
+    assert_allclose(free.xs, fixed.xs, rtol=0, atol=1e-7)
+
+
+def test_orbits_and_exponents_take_a_tolerance():
+    system, step = jf.systems.ImpactOscillator(amplitude=0.4), jf.Adaptive(1e-11, 1e-12)
+    x0 = jnp.zeros(2)
+    fixed = jf.periodic_orbit(system, x0, transient=60, steps=100)
+    free = jf.periodic_orbit(system, x0, transient=60, steps=step)
+    assert_allclose(free.x0, fixed.x0, rtol=0, atol=1e-9)
+    assert_allclose(free.multipliers, fixed.multipliers, rtol=0, atol=1e-8)
+    options = {"periods": 40, "transient": 20}
+    fixed = jf.lyapunov_spectrum(system, fixed.x0, steps=100, **options)
+    free = jf.lyapunov_spectrum(system, free.x0, steps=step, **options)
+    assert_allclose(free.exponents, fixed.exponents, rtol=0, atol=1e-6)
+
+
+def test_returns_averages_and_fits_take_a_tolerance():
+    block, x0, step = jf.systems.CoulombOscillator(), jnp.array([3.0, 0.0]), jf.Adaptive(1e-10)
+    back = jf.poincare_map(block, x0, jf.Section(lambda t, x: x[0]), step, max_time=9.0)
+    # A quarter of a turn about 0.4: x = 0.4 + 2.6 cos t.
+    assert_allclose(back.ts, np.arccos(-0.4 / 2.6), rtol=0, atol=1e-8)
+    mean = jf.average(block, lambda t, x, side: x[0], x0, 0.0, np.pi, step)
+    assert_allclose(mean.value, 0.4, rtol=0, atol=1e-8)
+    ts = jnp.linspace(0.5, 2.5, 5)
+    data = 0.4 + 2.6 * jnp.cos(ts)
+    guess = jf.systems.CoulombOscillator(friction=0.3)
+    found = jf.fit(guess, ("friction",), ts, data, x0, step, observe=lambda t, x: x[0])
+    assert_allclose(found.values, [0.4], rtol=0, atol=1e-8)
+
+
+def test_a_budget_that_is_too_small_is_told():
+    x0 = jnp.asarray(planet(0.99, 0.0))
+    sol = jf.solve(Orbit(), x0, 0.0, 6.0, jf.Adaptive(1e-8), max_steps=20, throw=False)
+    assert sol.result == RESULTS.max_steps_reached
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: jf.Adaptive(0.0), r"`rtol` must be a positive number, got 0"),
+        (lambda: jf.Adaptive(1e-6, -1.0), r"`atol` must not be negative, got -1"),
+        (lambda: jf.Adaptive(dtmax=0.0), r"`dtmax` must be a positive number, got 0"),
+        (lambda: jax.jit(lambda r: jf.Adaptive(r).rtol)(1e-6), r"`rtol` must be known"),
+    ],
+)
+def test_a_tolerance_is_checked(make, told):
+    with pytest.raises(ValueError, match=told):
+        make()
+
+
+@pytest.mark.parametrize("stepper", [jf.RK4(), diffrax.Euler(), diffrax.Heun()])
+def test_a_stepper_without_an_estimate_is_refused(stepper):
+    told = r"`stepper` must estimate its error where steps follow a tolerance"
+    with pytest.raises(ValueError, match=told):
+        jf.solve(Orbit(), jnp.ones(4), 0.0, 1.0, jf.Adaptive(), stepper=stepper)
+
+
+def test_a_tolerance_is_one_number_each():
+    assert_array_equal([jf.Adaptive().rtol, jf.Adaptive().atol], [1e-6, 1e-9])
+    assert repr(jf.Adaptive(1e-4, dtmax=2.0)) == "Adaptive(rtol=0.0001, atol=1e-09, dtmax=2)"
