@@ -15,7 +15,7 @@ NEVER = 2.0
 # A minimum in the middle of a step this small a part of the guard's range is stepped to and looked
 # at: the cubic's own error could hide a dip below it. Towards the ends of a step that error falls
 # like θ²(1 − θ)², and so does what is looked at.
-_SUSPICIOUS = 1 / 64
+SUSPICIOUS = 1 / 64
 
 
 class Cubic(eqx.Module):
@@ -103,7 +103,7 @@ def first_contact(
     # says no more at a minimum.
     starts = jnp.maximum(abs(g0), abs(d0))
     inner = 4 * cubic.low * (1 - cubic.low)
-    hidden = _SUSPICIOUS * inner * inner * reach
+    hidden = SUSPICIOUS * inner * inner * reach
     near = ((abs(low_value) <= 4 * noise) | (low_value <= hidden)) & (starts > 4 * noise)
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
     # Where squares of guards overflow no contact can be told from none: both are then NaN.
@@ -116,7 +116,7 @@ def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array
     """Whether an armed guard stays so far above zero that `first_contact` finds nothing. Cheaper,
     and never true in error: a cubic lies above the least of its Bernstein coefficients."""
     low = jnp.minimum(jnp.minimum(g0, g1), jnp.minimum(g0 + d0 / 3, g1 - d1 / 3))
-    return low > jnp.maximum(_SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
+    return low > jnp.maximum(SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
 
 
 def stays_within(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array:

@@ -3,6 +3,11 @@
 The relative error q of a trial step enters (`error_estimate.relative_error`); the length of the
 next one leaves, by the formulas of `steppers.adaptive.Adaptive`. A step that was cut short, at a
 contact or a saving time, says nothing against a longer one.
+
+A state that is known to its tolerance does not say that contacts are seen: while a mass sticks, any
+step is exact, and the force that ends it may go up and down in one. So each guard is looked at in
+the middle of a step too, where the cubic that contacts are found on must be right to what the
+search allows for, or be far from zero. That error is of order four.
 """
 
 import dataclasses
@@ -11,16 +16,28 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.contacts.cubic import SUSPICIOUS
 from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem
-from jaxfil.integrate.lane.state import LoopState, Motion, Trust
-from jaxfil.integrate.system.components import Components, dot
+from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd, Trust
+from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.surfaces.filippov import guard
+from jaxfil.integrate.system.components import (
+    Components,
+    dot,
+    largest,
+    maximum,
+    minimum,
+    where,
+)
 from jaxfil.xla.select import select
 
 # Exponents of q and of the last q, times the order; what is kept of a length that would just do.
 _NOW, _LAST, _SAFETY = 0.7, 0.4, 0.9
 # By how much a length changes at most.
 _SHRINKS, _GROWS = 0.2, 10.0
+# A guard that is off by less than this part of its least value is far from zero.
+_CLEAR = 1 / 4
 # The least q: a step without any error.
 _EXACT = 1e-12
 # The first step is of this part of the time in which the state changes by itself; of a state that
@@ -43,6 +60,24 @@ def first_length(problem: Problem, motion: Motion) -> Array:
     length = select(told, _FIRST * x / select(told, f, 1), _BLIND * span)
     longest = jnp.inf if tolerance.dtmax is None else tolerance.dtmax
     return stop_gradient(jnp.minimum(jnp.minimum(length, longest), span))
+
+
+def hidden(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> Array:
+    """By how much a guard in the middle of a trial step is off its cubic, relative to what may be
+    off, as an error of the order of the stepper."""
+    system, start, stop, h = problem.system, state.motion, end.motion, length.h
+    t, x0, x1, f0, f1 = problem.grid.t0 + start.tau + 0.5 * h, start.x, stop.x, start.f, stop.f
+    middle = 0.5 * (x0 + x1) + 0.125 * h * (f0 - f1)
+    known = stop_gradient((system, t, middle, start.mode))
+    g0, d0, g1, d1 = stop_gradient((start.g, h * start.rate, stop.g, h * stop.rate))
+    off = abs(guard(*known) - (0.5 * (g0 + g1) + 0.125 * (d0 - d1)))
+    # All of the cubic is above the least of its Bernstein coefficients.
+    low = minimum(minimum(g0, g1), minimum(g0 + d0 / 3, g1 - d1 / 3))
+    allowed = maximum(SUSPICIOUS * (abs(d0) + abs(d1)), _CLEAR * low)
+    allowed = maximum(allowed, 4 * maximum(start.noise, stop.noise))
+    # Where a guard is no number, this says nothing.
+    ratio = largest(where(off > 0, off / where(allowed > 0, allowed, 1), 0.0))
+    return ratio ** (problem.tableau.order / 4)
 
 
 def controlled(

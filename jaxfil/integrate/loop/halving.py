@@ -23,7 +23,7 @@ from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd, Trust
 from jaxfil.integrate.lane.step_length import Length
-from jaxfil.integrate.loop.controller import controlled
+from jaxfil.integrate.loop.controller import controlled, hidden
 from jaxfil.integrate.steppers.error_estimate import SmoothStep, is_too_long, relative_error
 from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.surfaces.unilateral import sides_of
@@ -92,6 +92,8 @@ def doubted(
     given_up = state.trust.refused >= _MOST_REFUSED
     if tableau.tolerance is not None:
         error = relative_error(tableau, step)
+        if problem.system.m > 0:
+            error = jnp.maximum(error, hidden(problem, state, length, end))
         return Doubt(infinite, ~(error <= 1), given_up, error)
     too_long = is_too_long(problem.system, tableau, step, sides_of(state.motion.mode))
     return Doubt(infinite, too_long, given_up, None)

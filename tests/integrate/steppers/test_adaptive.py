@@ -63,6 +63,35 @@ def test_steps_vary_by_orders():
     assert 0.09 < h.max() <= 0.1 * (1 + 1e-12)
 
 
+class Dragged(jf.System):
+    """A block on a rough table, pulled to and fro: it sticks and slips."""
+
+    pull: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], self.pull * jnp.cos(t) - side])
+
+    def switching(self, t, x):
+        return x[1]
+
+
+def test_what_ends_a_stick_is_seen_in_any_step():
+    # While it sticks all steps are exact, be they as long as ten turns of the force.
+    pulls, x0, t1 = jnp.linspace(1.005, 1.6, 12), jnp.zeros(2), 200.0
+
+    def run(pull, step):
+        sol = jf.solve(Dragged(pull), x0, 0.0, t1, step, throw=False)
+        return sol.num_events, sol.x_final, sol.result
+
+    fixed = jax.vmap(lambda pull: run(pull, 0.05))(pulls)
+    for rtol in (1e-2, 1e-4, 1e-6):
+        step = jf.Adaptive(rtol, rtol)
+        events, x, result = jax.vmap(lambda pull, step=step: run(pull, step))(pulls)
+        assert np.all(np.asarray(result == RESULTS.successful))
+        assert_array_equal(events, fixed[0])
+        assert_allclose(x, fixed[1], rtol=0, atol=100 * rtol)
+
+
 class Wall(jf.System):
     """x'' = −sin x, thrown back at x = 0 by a clock's kick as well."""
 
