@@ -34,6 +34,11 @@ SECTIONS = (
         ("step_choice",),
     ),
     (
+        "Fixed steps and a tolerance where steps must vary by orders",
+        "python -m benchmarks.varying",
+        ("varying",),
+    ),
+    (
         "Friction and restitution from noisy measurements, beside SciPy",
         "python -m benchmarks.fit",
         ("fit",),

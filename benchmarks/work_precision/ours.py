@@ -9,6 +9,8 @@ import functools as ft
 from benchmarks.work_precision.program import LANES, Curve, Run, spread
 
 NAME = "jaxfil"
+# Relative tolerances, of which the absolute ones are a thousandth.
+TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 # How often a problem's longest step is halved.
 HALVINGS = {
     "Dopri8": range(6),
@@ -52,6 +54,16 @@ def curves(problem):
         run = _compiled(system, problem, steppers[method], lanes)
         steps = [longest / 2**k for k in HALVINGS[method]]
         yield Curve(NAME, method, steps, ft.partial(_build, run), lanes, unit="dt")
+    for method, lanes in (("Dopri8", 1), ("Tsit5", 1), ("Dopri8", LANES)):
+        build = ft.partial(_adaptive, system, problem, steppers[method], lanes)
+        yield Curve(NAME, f"{method}, tolerance", TOLERANCES, build, lanes)
+
+
+def _adaptive(system, problem, stepper, lanes, rtol):
+    """A function of no arguments for one tolerance, which is compiled for it."""
+    import jaxfil as jf
+
+    return _compiled(system, problem, stepper, lanes, jf.Adaptive(rtol, 1e-3 * rtol))
 
 
 def _build(run, dt):
@@ -61,19 +73,20 @@ def _build(run, dt):
     return ft.partial(run, jnp.asarray(dt))
 
 
-def _compiled(system, problem, stepper, lanes):
-    """A function of the step length, compiled at its first call."""
+def _compiled(system, problem, stepper, lanes, tolerance=None):
+    """A function of the step length, or with a tolerance of nothing, compiled at its first call."""
     import jax
     import jax.numpy as jnp
 
     import jaxfil as jf
 
-    def lane(x0, dt):
+    def lane(x0, dt=tolerance):
         sol = jf.solve(
             system, x0, 0.0, problem.t1, dt, stepper=stepper, max_events=None, throw=False
         )
         x = jnp.where(sol.result == jf.RESULTS.successful, sol.x_final, jnp.nan)
         return Run(x, sol.num_events, sol.stats["num_iterations"])
 
-    many = lane if lanes == 1 else jax.vmap(lane, (0, None))
+    axes = 0 if tolerance else (0, None)
+    many = lane if lanes == 1 else jax.vmap(lane, axes)
     return ft.partial(jax.jit(many), jnp.asarray(spread(problem.x0, lanes)))

@@ -24,6 +24,7 @@ MARKS = {
     "Radau": "D",
     "Kvaerno5": "D",
     "LSODA": "v",
+    "tolerance": "P",
 }
 LINES = {
     "one lane": {"ls": "-"},
@@ -68,7 +69,8 @@ def _curve(ax, program, method, rows):
     """Points in the order of settings; a run that failed has none."""
     name = method.split(",")[0]
     kind = 2 if rows[0].lanes > 1 else 1 if NOTE in method else 0
-    style = {"color": PROGRAMS[program][0], "marker": MARKS[name], "ms": 3.5, "lw": 0.9}
+    mark = MARKS["tolerance" if "tolerance" in method else name]
+    style = {"color": PROGRAMS[program][0], "marker": mark, "ms": 3.5, "lw": 0.9}
     points = [(r.error, 1e3 * r.seconds) for r in rows if 0 < r.error < math.inf]
     ax.plot(*zip(*points, strict=True), **{**style, **list(LINES.values())[kind]})
 
@@ -102,6 +104,7 @@ def _beside(ax, rows):
 def _handles(rows):
     """The entries of the legend."""
     shown = {(r.program, r.method.split(",")[0]) for r in rows}
+    shown |= {(r.program, "tolerance") for r in rows if "tolerance" in r.method}
     for program, (color, _) in PROGRAMS.items():
         for method, mark in MARKS.items():
             if (program, method) in shown:

@@ -107,7 +107,8 @@ def lyapunov_spectrum(
     - `system`: any `System`.
     - `x0`: initial state, shape (n,).
     - `periods`, `transient`: forcing periods averaged over, and run before.
-    - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`.
+    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or what `choose_step` gives,
+      which has its own `stepper`.
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one. Within an interval the ratio of two directions' growths must stay far from 1/eps.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.

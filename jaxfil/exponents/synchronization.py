@@ -72,7 +72,8 @@ def synchronization_exponent(
     - `periods`: forcing periods that drive and response are given; short runs find too large an
       exponent, as `Synchronization.bias` tells.
     - `transient`: forcing periods that the drive runs before.
-    - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`.
+    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or what `choose_step` gives,
+      which has its own `stepper`.
     - `tolerance`: the distance that counts as synchronised, positive, in units of the state. Too
       large a one is met by chance in the middle of chaos: 1e-3 finds almost any coupling to
       synchronise.
@@ -254,7 +255,8 @@ def transverse_exponent(
     - `x0`: initial state of the drive, shape (n,).
     - `coupling`: ε, per unit of time.
     - `periods`, `transient`: forcing periods averaged over, and run before.
-    - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`.
+    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or what `choose_step` gives,
+      which has its own `stepper`.
     - `interval`: the time that takes the place of the forcing period; an autonomous system needs
       one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.

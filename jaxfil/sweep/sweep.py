@@ -89,7 +89,8 @@ def bifurcation_diagram(
     - `transient`: forcing periods, or crossings, before the first sample, 0 or more; by default
       200, and with a `transient_time` 0.
     - `samples`: forcing periods, or crossings, sampled, 1 or more.
-    - `steps`: steps per forcing period, or what `choose_step` gives, which has its own `stepper`;
+    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or what `choose_step` gives,
+      which has its own `stepper`;
       of an autonomous system per unit of time.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `follow`: "up" or "down" starts each value, in ascending or descending order, from the last

@@ -51,8 +51,11 @@ class Adaptive(eqx.Module):
     """
 
     rtol: float = eqx.field(static=True)
+    """The relative tolerance."""
     atol: float = eqx.field(static=True)
+    """The absolute tolerance."""
     dtmax: float | None = eqx.field(static=True)
+    """The longest step; None: no limit."""
 
     def __init__(self, rtol: Scalar = 1e-6, atol: Scalar = 1e-9, dtmax: Scalar | None = None):
         self.rtol = _known("rtol", rtol, positive=True)

@@ -92,7 +92,9 @@ class Controlled(eqx.Module):
     """A method whose steps are as long as a tolerance allows."""
 
     method: "Stepper"
+    """What a step is made by."""
     tolerance: Adaptive = eqx.field(static=True)
+    """What its length is made by."""
 
 
 Stepper: TypeAlias = Method | Controlled
