@@ -62,8 +62,8 @@ def periodic_orbit(
     - `period`: a guess of the period of an autonomous system; None for a forced one. Where it leads
       to a multiple of the period, the prime one is told; in a batch or under `jit` the multiple.
     - `t0`: the time, and so the phase of the forcing, at which the orbit is looked at.
-    - `steps`: steps per forcing period, or per period of an autonomous system; or `Adaptive`; or what
-      `choose_step` gives for a forced one, which has its own `stepper`.
+    - `steps`: steps per forcing period, or per period of an autonomous system; or `Adaptive`, a
+      tolerance; or what `choose_step` gives for a forced one, which has its own `stepper`.
     - `stepper`: as in `solve`; None is `diffrax.Dopri8()`.
     - `segments`: arcs of multiple shooting: more than one for orbits that are very unstable.
     - `transient`: forcing periods integrated from `x0` before Newton's method starts, for a poor

@@ -152,7 +152,7 @@ def fit(
     own = jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names])
     starts = own if guesses is None else _guesses(guesses, len(names), x.dtype)
     step, method = dt_and_stepper(dt, stepper)
-    if step is None:  # by a tolerance, which `solve` is given
+    if isinstance(dt, Adaptive):  # which `solve` is given
         step, method = dt, stepper
     else:
         step = check.scalar("dt", step, x.dtype, positive=True)

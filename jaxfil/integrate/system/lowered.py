@@ -21,8 +21,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.system import dependencies
-from jaxfil.integrate.system.components import Components, Forcing, on_each, pack, scalars
+from jaxfil.integrate.system.components import Components, Forcing, on_each, scalars
 from jaxfil.integrate.system.dependencies import Structure
+from jaxfil.integrate.system.functions import accelerations, on_components, reacting, unpacked
 from jaxfil.integrate.system.refused import (
     check_affine,
     check_derivatives,
@@ -31,7 +32,7 @@ from jaxfil.integrate.system.refused import (
 )
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.model import check
-from jaxfil.model.system import System, field_of
+from jaxfil.model.system import System
 from jaxfil.xla.rounding import rounding_of
 from jaxfil.xla.select import select
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
@@ -41,11 +42,6 @@ from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 _FEW, _FEW_SURFACES = (12, 2), (1, 1)
 # Surfaces at most that are components one by one, whatever they have to do with each other.
 _MANY_SURFACES = 3
-
-
-def _unpacked(numbers: Any, as_array: bool) -> Components:
-    """Numbers in an (n,) array as the components of a state are held."""
-    return Components([numbers] if as_array else scalars(numbers))
 
 
 class ParametrizedFunction(eqx.Module):
@@ -219,11 +215,11 @@ class ComponentSystem(eqx.Module):
 
     def unpack(self, x: Array) -> Components:
         """The components of a state, shape (n,)."""
-        return _unpacked(x, self.as_array)
+        return unpacked(x, self.as_array)
 
     def constant(self, numbers: np.ndarray) -> Components:
         """The components of a state of known numbers, shape (n,)."""
-        return on_each(lambda v: jnp.asarray(v, self.dtype), _unpacked(numbers, self.as_array))
+        return on_each(lambda v: jnp.asarray(v, self.dtype), unpacked(numbers, self.as_array))
 
     def of_surfaces(self, numbers: Any) -> Components:
         """Numbers in an (m,) array as components."""
@@ -296,25 +292,25 @@ def _build(
     """`build`, with surfaces as one array if they are `packed`."""
     n, dtype = x0.shape[0], x0.dtype
     as_array = n > _FEW[compact] or packed
-    t0, x = jnp.zeros((), dtype), _unpacked(x0, as_array)
+    t0, x = jnp.zeros((), dtype), unpacked(x0, as_array)
     m = 1 if h_shape == () else h_shape[0]
     resets = system.resets and m > 0
     leaves, static = eqx.partition(system, eqx.is_array)
-    field, switching, *maps = _on_components(static, h_shape, dtype, as_array, packed)
+    field, switching, *maps = on_components(static, h_shape, dtype, as_array, packed)
     sides = Components([jnp.ones((m,), dtype)] if packed else (jnp.ones((), dtype),) * m)
     traced = ft.partial(Traced, transposed=transposed, fast=not compact)
     when = (FIRST, EARLY, LATE, LATE)
     traced_field = traced(field, leaves, t0, x, sides, when=when)
     traced_switching = traced(switching, leaves, t0, x)
     check_derivatives(vector_field=traced_field, switching=traced_switching)
-    of_numbers = [_unpacked(row, as_array) for row in np.eye(n, dtype=bool)]
+    of_numbers = [unpacked(row, as_array) for row in np.eye(n, dtype=bool)]
     of_sides = [Components([row] if packed else row) for row in np.eye(m, dtype=bool)]
     seen, felt, holds_itself = traced_field, None, ()
     if resets and system.feels_reactions:
         at = leaves, t0, x, sides
-        seen, felt = _reacting(field, traced, at)
+        seen, felt = reacting(field, traced, at)
         check_reactions(system, seen, at)
-        second = _accelerations(field, switching, traced, at)
+        second = accelerations(field, switching, traced, at)
         holds_itself = dependencies.of_own_reactions(second, at, of_sides)
     functions = seen, traced_switching
     found = dependencies.of(functions, (leaves, t0), of_numbers, of_sides, felt is not None)
@@ -360,74 +356,10 @@ def _build(
     )
 
 
-def _reacting(
-    field: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
-) -> tuple[Traced, Traced]:
-    """A field that feels reactions, as a function (leaves, t, x, sides, reaction), and what they
-    add to it, as a function of the same."""
-
-    def felt(*given: Any) -> Components:
-        *at, reaction = given
-        return jax.jvp(ft.partial(field, *at), (0.0 * reaction,), (reaction,))[1]
-
-    return traced(field, *at, at[-1]), traced(felt, *at, at[-1])
-
-
-def _accelerations(
-    field: Callable, switching: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
-) -> Traced:
-    """d²H/dt² along a field that feels reactions, as a function of the same."""
-
-    def second(leaves: System, t: Array, x: Components, sides: Components, reaction: Any) -> Any:
-        def rate(t: Array, x: Components) -> Components:
-            along = jnp.ones_like(t), field(leaves, t, x, sides)
-            return jax.jvp(ft.partial(switching, leaves), (t, x), along)[1]
-
-        along = jnp.ones_like(t), field(leaves, t, x, sides, reaction)
-        return jax.jvp(rate, (t, x), along)[1]
-
-    return traced(second, *at, at[-1])
-
-
 def _clocks(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
     """Periods and phases of a system's clocks."""
     pairs = [(clock.period, clock.phase) for clock in check.clocks(system)]
     return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)
-
-
-def _on_components(
-    static: System, h_shape: tuple[int, ...], dtype: Any, as_array: bool, packed: bool
-) -> tuple[Callable, Callable, Callable, Callable]:
-    """The field, the switching function, the reset and the map of ticks of a system as functions of
-    its array leaves and of components."""
-    m = 1 if h_shape == () else h_shape[0]
-
-    def of_surfaces(numbers: Components) -> Array:
-        return numbers.parts[0] if h_shape == () else pack(numbers, dtype)
-
-    def field(
-        leaves: System,
-        t: Array,
-        x: Components,
-        sides: Components,
-        reaction: Components | None = None,
-    ) -> Components:
-        given = (of_surfaces(v) for v in (sides, reaction) if v is not None)
-        f = field_of(eqx.combine(leaves, static), t, pack(x, dtype), *given)
-        return _unpacked(f, as_array)
-
-    def switching(leaves: System, t: Array, x: Components) -> Components:
-        h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
-        h = jnp.reshape(h, (m,))
-        return Components([h] if packed else scalars(h))
-
-    def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
-        return _unpacked(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface), as_array)
-
-    def tick(leaves: System, t: Array, x: Components, clock: Array) -> Components:
-        return _unpacked(eqx.combine(leaves, static).tick(t, pack(x, dtype), clock), as_array)
-
-    return field, switching, reset, tick
 
 
 def _fence(leaves: Any, x0: Array) -> Array:

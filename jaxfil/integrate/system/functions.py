@@ -1,0 +1,87 @@
+"""The user's functions as functions of array leaves and of components.
+
+A `System` without its arrays, and how its numbers are held, enter; functions leave that can be
+traced (`xla.trace`), and what is made of those of a field that feels reactions.
+"""
+
+import functools as ft
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.system.components import Components, pack, scalars
+from jaxfil.model.system import System, field_of
+from jaxfil.xla.trace import Traced
+
+
+def unpacked(numbers: Any, as_array: bool) -> Components:
+    """Numbers in an (n,) array as the components of a state are held."""
+    return Components([numbers] if as_array else scalars(numbers))
+
+
+def on_components(
+    static: System, h_shape: tuple[int, ...], dtype: Any, as_array: bool, packed: bool
+) -> tuple[Callable, Callable, Callable, Callable]:
+    """The field, the switching function, the reset and the map of ticks of a system as functions of
+    its array leaves and of components."""
+    m = 1 if h_shape == () else h_shape[0]
+
+    def of_surfaces(numbers: Components) -> Array:
+        return numbers.parts[0] if h_shape == () else pack(numbers, dtype)
+
+    def field(
+        leaves: System,
+        t: Array,
+        x: Components,
+        sides: Components,
+        reaction: Components | None = None,
+    ) -> Components:
+        given = (of_surfaces(v) for v in (sides, reaction) if v is not None)
+        f = field_of(eqx.combine(leaves, static), t, pack(x, dtype), *given)
+        return unpacked(f, as_array)
+
+    def switching(leaves: System, t: Array, x: Components) -> Components:
+        h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
+        h = jnp.reshape(h, (m,))
+        return Components([h] if packed else scalars(h))
+
+    def reset(leaves: System, t: Array, x: Components, surface: Array) -> Components:
+        return unpacked(eqx.combine(leaves, static).reset(t, pack(x, dtype), surface), as_array)
+
+    def tick(leaves: System, t: Array, x: Components, clock: Array) -> Components:
+        return unpacked(eqx.combine(leaves, static).tick(t, pack(x, dtype), clock), as_array)
+
+    return field, switching, reset, tick
+
+
+def reacting(
+    field: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
+) -> tuple[Traced, Traced]:
+    """A field that feels reactions, as a function (leaves, t, x, sides, reaction), and what they
+    add to it, as a function of the same."""
+
+    def felt(*given: Any) -> Components:
+        *at, reaction = given
+        return jax.jvp(ft.partial(field, *at), (0.0 * reaction,), (reaction,))[1]
+
+    return traced(field, *at, at[-1]), traced(felt, *at, at[-1])
+
+
+def accelerations(
+    field: Callable, switching: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
+) -> Traced:
+    """d²H/dt² along a field that feels reactions, as a function of the same."""
+
+    def second(leaves: System, t: Array, x: Components, sides: Components, reaction: Any) -> Any:
+        def rate(t: Array, x: Components) -> Components:
+            along = jnp.ones_like(t), field(leaves, t, x, sides)
+            return jax.jvp(ft.partial(switching, leaves), (t, x), along)[1]
+
+        along = jnp.ones_like(t), field(leaves, t, x, sides, reaction)
+        return jax.jvp(rate, (t, x), along)[1]
+
+    return traced(second, *at, at[-1])
