@@ -11,6 +11,22 @@ import jax.core
 from jax.custom_batching import custom_vmap
 
 
+def is_batch_first(tree: Any) -> bool:
+    """Whether `jax.vmap` is the first transformation around a call with these arguments: its
+    derivative is then that of the batch.
+
+    >>> import jax.numpy as jnp
+    >>> seen = []
+    >>> f = lambda x: seen.append(is_batch_first(x)) or x
+    >>> _ = jax.grad(lambda x: jax.vmap(f)(x).sum())(jnp.zeros(3))
+    >>> _ = jax.vmap(jax.grad(f))(jnp.zeros(3))
+    >>> seen
+    [True, False]
+    """
+    # The class is not public.
+    return any(type(leaf).__name__ == "BatchTracer" for leaf in jax.tree.leaves(tree))
+
+
 def lanes_of(tree: Any) -> int:
     """The number of lanes of the batch that the arrays of `tree` belong to: 1 outside of `vmap`.
 

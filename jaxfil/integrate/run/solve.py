@@ -43,6 +43,7 @@ from jaxfil.model.section import Section, Sections, sections_of
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
+from jaxfil.xla.lanes import is_batch_first
 from jaxfil.xla.select import select
 
 # Steps that end this close to the end of the span (in steps) are its last.
@@ -173,7 +174,12 @@ def solve(
         )
     if throw:
         check.finite("x0", x)
-    sol = _solve(system, x, start, stop, length, stepper, options, watched, observable)
+    run = _solve
+    # JAX (0.10) cannot batch Equinox's loop with checkpoints within a `jit` and then differentiate
+    # it: it takes the rule of one lane for that of the batch.
+    if options.reverse and is_batch_first((system, x, start, stop, length)):
+        run = _run
+    sol = run(system, x, start, stop, length, stepper, options, watched, observable)
     if estimate_error:
         half = options.at_half_the_step()
         still, x, start, stop, half = _constant((system, x, start, stop, half))
@@ -195,8 +201,7 @@ def _constant(tree: Any) -> Any:
     return eqx.combine(jax.lax.stop_gradient(arrays), rest)
 
 
-@eqx.filter_jit
-def _solve(
+def _run(
     system: System,
     x0: Array,
     t0: Array,
@@ -231,6 +236,9 @@ def _solve(
         return sol
     dense = Dense(system, t0, sol.t_final, sol.ts, sol.xs, sol.modes, stepper, options.compact)
     return dataclasses.replace(sol, ts=None, xs=None, modes=None, _dense=dense)
+
+
+_solve = eqx.filter_jit(_run)
 
 
 def _problem(

@@ -379,3 +379,38 @@ def test_second_derivatives_by_a_saving_time(time):
     by = curvatures_of_what_is_saved(np.asarray(time), np.asarray(1.0))
     cos, sin = np.cos(2 * time), np.sin(2 * time)
     assert_allclose(jax.tree.leaves(by), [-4 * cos, -2 * sin, -2 * sin, 0], rtol=0, atol=1e-9)
+
+
+class Costed(jf.System):
+    """x' = −k x, faster by a half below 1, and the cost ∫ x² dt that nothing depends on."""
+
+    k: jax.Array
+
+    def vector_field(self, t, x, side):
+        rate = self.k * (1.25 - 0.25 * side)
+        return jnp.stack([-rate * x[0], x[0] ** 2])
+
+    def switching(self, t, x):
+        return x[0] - 1.0
+
+
+def test_reverse_mode_of_a_batch():
+    starts, t1 = jnp.array([1.5, 2.0]), 2.0
+
+    def end(k, x0):
+        return jf.solve(Costed(k), jnp.stack([x0, 0.0]), 0.0, t1, 0.05, adjoint=REVERSE).x_final
+
+    def exact(k, x0):
+        # Until t = log(x0)/k, and from there on.
+        meets = jnp.log(x0) / k
+        x = jnp.exp(-1.5 * k * (t1 - meets))
+        return jnp.stack([x, (x0**2 - 1) / (2 * k) + (1 - x**2) / (3 * k)])
+
+    def total(f, number):
+        return lambda k: jax.vmap(lambda x0: f(k, x0)[number])(starts).sum()
+
+    k = jnp.array(0.6)
+    for number in range(2):
+        slope, right = (jax.grad(total(f, number))(k) for f in (end, exact))
+        assert_allclose(slope, right, rtol=1e-10, atol=0)
+        assert_allclose(jax.jit(jax.grad(total(end, number)))(k), right, rtol=1e-10, atol=0)
