@@ -185,3 +185,12 @@ class ClosedOrbit(Equations):
         by_theta = shot.by_global[:, :, k:].reshape(starts.size, -1)
         # The condition on the phase is that of the guess, and does not move.
         return jnp.concatenate([by_theta, jnp.zeros((k, theta.shape[0]), theta.dtype)])
+
+    @eqx.filter_jit
+    def by_unknowns(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """The same by one shot, without the condition on the phase, which is constant."""
+        problem = self.problem(system_of(theta))
+        starts, period = problem.split(z)
+        _, jacobian = _closing(shoot(problem.setting, self.options, starts, period), starts)
+        rows = jnp.zeros((period.shape[0], z.shape[0]), z.dtype)
+        return jnp.concatenate([jacobian, rows])

@@ -2,6 +2,7 @@
 
 Equations r(z; θ) = 0, a system whose float leaves are θ, and a guess of z enter; the solution z
 leaves, with the derivative of the implicit function, dz/dθ = −(∂r/∂z)⁻¹ ∂r/∂θ, forward and reverse.
+With S = dz/dθ, that of S along any direction is −(∂r/∂z)⁻¹ (d(∂r/∂θ) + d(∂r/∂z) S), along θ and z.
 
 `jax.lax.custom_root` has the same rule but differentiates r along one tangent of θ, which reverse
 mode would have to transpose, through an integrator's loop that only has forward derivatives. Here
@@ -41,6 +42,11 @@ class Equations(eqx.Module):
     @abc.abstractmethod
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
         """∂r/∂θ, shape (N, p)."""
+
+    def by_unknowns(self, system_of: SystemOf, theta: Array, z: Array) -> Array | None:
+        """∂r/∂z, shape (N, N), as a function of θ and z but for a constant: what second derivatives
+        of the solution are made of. None: these are NaN."""
+        return None
 
 
 class _SystemOf(eqx.Module):
@@ -94,6 +100,38 @@ def _sensitivity(
 
 
 @eqx.filter_custom_jvp
+def _slopes(
+    theta: Array, z: Array, *, equations: Equations, system_of: _SystemOf, by_z: Array
+) -> Array:
+    """S = dz/dθ, given ∂r/∂z; only its derivative asks for those of ∂r/∂θ and ∂r/∂z."""
+    return _sensitivity(theta, equations, system_of, z, by_z)
+
+
+@_slopes.def_jvp
+def _slopes_jvp(
+    primals: tuple,
+    tangents: tuple,
+    *,
+    equations: Equations,
+    system_of: _SystemOf,
+    by_z: Array,
+) -> tuple[Array, Array]:
+    slopes = _slopes(*primals, equations=equations, system_of=system_of, by_z=by_z)
+    moved = tuple(
+        jnp.zeros_like(v) if d is None else d for v, d in zip(primals, tangents, strict=True)
+    )
+
+    def matrices(theta: Array, z: Array) -> tuple[Array, Array | None]:
+        by_theta = equations.by_parameters(system_of, theta, z)
+        return by_theta, equations.by_unknowns(system_of, theta, z)
+
+    _, (by_theta, turned) = jax.jvp(matrices, primals, moved)
+    if turned is None:
+        return slopes, jnp.full_like(slopes, jnp.nan)
+    return slopes, -jnp.linalg.solve(by_z, by_theta + turned @ slopes)
+
+
+@eqx.filter_custom_jvp
 def _solution(theta: Array, *, equations: Equations, system_of: _SystemOf, guess: Array) -> tuple:
     return _solve(theta, equations, system_of, guess)
 
@@ -111,4 +149,5 @@ def _solution_jvp(
     )
     if direction is None:
         return (z, by_z, more), (jnp.zeros_like(z), *none)
-    return (z, by_z, more), (_sensitivity(theta, equations, system_of, z, by_z) @ direction, *none)
+    known = {"equations": equations, "system_of": system_of, "by_z": stop_gradient(by_z)}
+    return (z, by_z, more), (_slopes(theta, z, **known) @ direction, *none)

@@ -74,8 +74,9 @@ def periodic_orbit(
     - `compact`: as in `solve`.
 
     **Returns** an `Orbit`. For a batch use `equinox.filter_vmap` with `throw=False`: each lane
-    then has its own outcome. The derivatives of `orbit.x0` and `orbit.period` with respect to the
-    float leaves of the system are those of the implicit function, forward and reverse.
+    then has its own outcome. The first and second derivatives of `orbit.x0` and `orbit.period` with
+    respect to the float leaves of the system are those of the implicit function, forward and
+    reverse; those of all else are NaN.
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
     where no orbit was found; `behind_surface` where the one found has H < 0 at a surface that

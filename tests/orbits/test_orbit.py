@@ -491,3 +491,42 @@ class Turning(jf.System):
 def test_the_period_of_a_smooth_orbit_is_prime(times):
     orbit = jf.periodic_orbit(Turning(), jnp.asarray([1.1, 0.0]), period=2 * np.pi * times + 0.1)
     assert_allclose(orbit.period, 2 * np.pi, rtol=1e-9)
+
+
+class Pushed(jf.System):
+    """x'' = cos t − k x − c x', whose orbit is a sum of sines."""
+
+    k: jax.Array
+    c: jax.Array
+    period = 2 * jnp.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.cos(t) - self.k * x[0] - self.c * x[1]])
+
+
+def test_second_derivatives_of_an_orbit():
+    def start(p):
+        return jf.periodic_orbit(Pushed(p[0], p[1]), jnp.zeros(2), steps=30).x0
+
+    def exact(p):
+        k, c = p
+        below = (k - 1) ** 2 + c * c
+        return jnp.stack([(k - 1) / below, c / below])
+
+    p = jnp.array([2.0, 0.3])
+    found, right = (jax.jacfwd(jax.jacfwd(f))(p) for f in (start, exact))
+    assert_allclose(found, right, rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_second_derivative_of_a_period():
+    def period(lo):
+        return jf.periodic_orbit(Thermostat(lo, jnp.array(22.0)), jnp.array([20.0, 1.0]), period=0.7).period
+
+    def exact(lo):
+        return jnp.log(12.0 / (lo - 10.0)) + jnp.log((35.0 - lo) / 13.0)
+
+    lo, one = jnp.array(18.0), jnp.array(1.0)
+    first, second = jax.jvp(lambda lo: jax.jvp(period, (lo,), (one,))[1], (lo,), (one,))
+    assert_allclose(first, jax.grad(exact)(lo), rtol=1e-11, atol=0)
+    assert_allclose(second, jax.grad(jax.grad(exact))(lo), rtol=1e-9, atol=0)

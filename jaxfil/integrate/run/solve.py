@@ -30,6 +30,7 @@ from jaxfil.integrate.run.options import (
 )
 from jaxfil.integrate.run.solution import Dense, Solution, crossings_of, errors, events_of
 from jaxfil.integrate.run.step_choice import StepLength, dt_and_stepper
+from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
 from jaxfil.integrate.surfaces.sections import watch_sections
 from jaxfil.integrate.system.components import pack
@@ -144,12 +145,11 @@ def solve(
     labels = labels_of(system, x.shape[0])
     start, stop = check.scalar("t0", t0, dtype), check.scalar("t1", t1, dtype)
     step, stepper = dt_and_stepper(dt, stepper)
-    length = _whole(start, stop)
-    if step is not None:
+    adaptive, length = isinstance(dt, Adaptive), _whole(start, stop)
+    if not adaptive:
         length = check.scalar("dt", step, dtype, positive=True)
     stepper = checked_stepper(stepper)
     compact = is_compact_run(compact, (system, x, start, stop, length))
-    adaptive = step is None
     times = t0, t1, length if adaptive else step
     options = options_of(saveat, max_events, max_steps, adjoint, compact, times, dtype, adaptive)
     recorder = options.recorder
