@@ -48,8 +48,12 @@ class Residual(eqx.Module):
     family: Int[Array, ""]
 
     def tangency_at(self, at: Placed) -> Tangency:
-        """The tangency that is placed."""
-        return dataclasses.replace(self.tangency, x=at.x, phase=at.phase)
+        """The tangency that is placed. Its flight moves with it, so that it never leaves that."""
+        known = self.tangency
+        moved = at.phase - known.phase
+        return dataclasses.replace(
+            known, x=at.x, phase=at.phase, start=known.start + moved, stop=known.stop + moved
+        )
 
     def __call__(self, at: Placed) -> tuple[Float[Array, " M"], Closing]:
         """Closing and the two conditions."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.optimize
+from numpy.testing import assert_allclose
 
 import jaxfil as jf
 from jaxfil.bifurcations.tangency import FAMILY_NAMES, Conditions
@@ -163,3 +164,21 @@ def point(**values):
 def test_a_change_of_the_kind_has_the_name_of_what_vanishes(family, vanishes, name):
     told, test = _degeneracy(FAMILY_NAMES.index(family), point(), point(**{vanishes: -1.0}))
     assert told == name and test(point(**{vanishes: -2.5})) == -2.5
+
+
+@pytest.mark.parametrize(("omega", "wall", "stop"), [(1.2, 1.0, 0.9), (0.8, 2.0, 1.6)])
+def test_a_tangency_moves_through_the_whole_period(omega, wall, stop):
+    # Below the wall the orbit is that of x'' + 0.1 x' + x = A cos ωt, whose size has one curve,
+    # without any point of codimension two, through the resonance and its turn of the phase.
+    def size(omega):
+        return abs(1 - omega**2 + 0.1j * omega)
+
+    system = jf.systems.ImpactOscillator(amplitude=0.3, omega=omega, restitution=0.7, wall=wall)
+    z = 0.3 / (1 - omega**2 + 0.1j * omega)
+    orbit = jf.periodic_orbit(system, jnp.array([z.real, -omega * z.imag]))
+    graze = jf.find_bifurcation(system, "amplitude", orbit, "grazing")
+    curve = jf.continue_bifurcation(system, ("omega", "amplitude"), graze, stop=stop)
+    assert curve.points == []
+    assert curve.ended[1] == f"omega = {stop} was reached"
+    exact = [wall * size(w) for w in curve.values[:, 0]]
+    assert_allclose(curve.values[:, 1], exact, rtol=1e-9, atol=0)

@@ -521,7 +521,8 @@ def test_second_derivatives_of_an_orbit():
 @pytest.mark.slow
 def test_second_derivative_of_a_period():
     def period(lo):
-        return jf.periodic_orbit(Thermostat(lo, jnp.array(22.0)), jnp.array([20.0, 1.0]), period=0.7).period
+        room = Thermostat(lo, jnp.array(22.0))
+        return jf.periodic_orbit(room, jnp.array([20.0, 1.0]), period=0.7).period
 
     def exact(lo):
         return jnp.log(12.0 / (lo - 10.0)) + jnp.log((35.0 - lo) / 13.0)
