@@ -22,6 +22,7 @@ from jaxfil.orbits.curve import constraint_across, least_scales
 from jaxfil.orbits.half_period import half_gap, may_be_doubled
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_curve import OrbitCurve
+from jaxfil.orbits.phase_shift import problem_at
 from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_ahead, range_around
 
 # A guess of a state this small is measured as if it were this large.
@@ -200,7 +201,7 @@ def _doubled(
 def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
     """A path as the `Branch` it is."""
     problem = curve.problem
-    orbits = [orbit_of(problem, point) for point in path.points]
+    orbits = [_orbit(curve, _at_the_phase(curve, point)) for point in path.points]
     dynamic = [eqx.filter(orbit, eqx.is_array) for orbit in orbits]
     # By NumPy: there is another number of points each time.
     stacked = jax.device_put(jax.tree.map(lambda *v: np.stack(v), *dynamic))
@@ -210,7 +211,7 @@ def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
         orbits=eqx.combine(stacked, eqx.filter(orbits[0], eqx.is_array, inverse=True)),
         points=[
             SpecialPoint(
-                s.kind, curve.value(s.point), orbit_of(problem, s.point), s.index, s.before, s.after
+                s.kind, curve.value(s.point), _orbit(curve, s.point), s.index, s.before, s.after
             )
             for s in path.special
         ],
@@ -219,6 +220,20 @@ def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
         periods=problem.periods,
         result=RESULTS.successful,
     )
+
+
+def _orbit(curve: OrbitCurve, point: OrbitPoint) -> Orbit:
+    """A point as the orbit it is, at the phase at which it was shot."""
+    problem = curve.problem
+    return orbit_of(problem if point.t0 is None else problem_at(problem, point.t0), point)
+
+
+def _at_the_phase(curve: OrbitCurve, point: OrbitPoint) -> OrbitPoint:
+    """A point seen from the phase of the branch, if it was shot from another one, and no contact
+    falls on that."""
+    if point.t0 is None:
+        return point
+    return curve.seen_again(problem_at(curve.problem, point.t0), point) or point
 
 
 def _not_begun(curve: OrbitCurve, orbit: Orbit, result: RESULTS) -> Branch:

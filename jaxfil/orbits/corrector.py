@@ -27,11 +27,12 @@ from jaxfil.xla.known import compiled_if_traced
 class OrbitPoint(CurvePoint):
     """A point of a branch: an orbit, with its `Shot` as NumPy arrays. Where a branch of half the
     period may be met, `half_gap` is x(t0 + T/2) − x(t0), each component in its size; it is empty
-    elsewhere."""
+    elsewhere. `t0` is the phase at which it is shot, where that is not the problem's."""
 
     shot: Shot
     residual: float
     half_gap: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    t0: float | None = None
 
     @property
     def is_doubled(self) -> bool:

@@ -146,6 +146,13 @@ class Curve(abc.ABC, Generic[_Point]):
         """The point from which the curve goes on where no step leads on, and what happens there."""
         return None
 
+    def elsewhere(
+        self, here: _Point, start: _Point
+    ) -> "tuple[Curve[_Point], _Point, _Point] | None":
+        """The same curve in other unknowns, in which it may go on where no step leads on, with the
+        point here and the start."""
+        return None
+
     def last_between(self, here: _Point, ahead: _Point) -> tuple[_Point, str] | None:
         """The last point of the curve between two neighbours, and why it is that, although
         solutions of the equations go on."""

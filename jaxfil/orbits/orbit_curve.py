@@ -27,6 +27,7 @@ from jaxfil.orbits.half_period import half_gap
 from jaxfil.orbits.locating import change_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase import phased_like
+from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
 from jaxfil.orbits.special_points import special_orbits
 from jaxfil.xla.known import array_of
 
@@ -38,6 +39,8 @@ _DIRECTIONS, _RADIUS = 48, 1e-3
 # A point further away than so many of these distances is on another branch, one at this cosine to
 # the tangent where the branch has come from.
 _REACH, _BACK = 20, -0.95
+# How far back the way is looked at where the phase is changed, in scaled unknowns.
+_AWAY = 1e-4
 # Where an orbit joins one of half the period, what it moves in half a period is located to this
 # part of what that changes by in the step.
 _JOINED = 1e-2
@@ -51,6 +54,8 @@ class OrbitCurve(Curve[OrbitPoint]):
     problem: OrbitProblem
     prime: bool = False
     least: np.ndarray | float = 0.0
+    t0: float | None = None
+    """The phase of the problem, where points are to be seen from another one in the end."""
 
     # The branch ends at a corner or a square root, and where it ends is known to the least step.
     steps = StepSizes(first=0.005, least=1e-9, growth=1.6, straight=0.995, easy=5, corner=1e-5)
@@ -69,7 +74,7 @@ class OrbitCurve(Curve[OrbitPoint]):
 
     def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:
         """With its shot."""
-        point = point_of(root, constraint, along)
+        point = dataclasses.replace(point_of(root, constraint, along), t0=self.t0)
         if not self.prime:
             return point
         return dataclasses.replace(point, half_gap=half_gap(self.problem, point.u, point.shot))
@@ -114,6 +119,53 @@ class OrbitCurve(Curve[OrbitPoint]):
     def special_points(self, a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
         """Zeros of test functions and changes of the contacts."""
         return special_orbits(self, a, b)
+
+    def elsewhere(
+        self, here: OrbitPoint, start: OrbitPoint
+    ) -> "tuple[OrbitCurve, OrbitPoint, OrbitPoint] | None":
+        """Shot from a phase far from contacts, where one has come to fall on this one."""
+        part = quiet_phase(self.problem, here)
+        if part is None:
+            return None
+        t0 = float(self.problem.options.t0) + part * period_of(self.problem, here)
+        curve = dataclasses.replace(self, problem=problem_at(self.problem, t0), t0=t0)
+        # The way on: where a point a little further back lies, seen from there.
+        back = self._seen(curve, here, -_AWAY * here.tangent)
+        if back is None:
+            return None
+        guess = seen_from(self.problem, here, part)
+        scale = self.metric(here)
+        along = (guess - back) / scale
+        along = along / np.linalg.norm(along)
+        point = curve.correct(guess, constraint_across(guess, scale, along, 0.0), along)
+        if point is None:
+            return None
+        first = curve.seen_again(self.problem, start)
+        return curve, point, start if first is None else first
+
+    def _seen(self, curve: "OrbitCurve", here: OrbitPoint, step: np.ndarray) -> np.ndarray | None:
+        """The unknowns, seen by another curve, of the point of this one a step from here."""
+        constraint = constraint_across(here.u, here.scale, step, float(step @ step))
+        point = self.correct(here.u + step * here.scale, constraint, here.tangent)
+        if point is None:
+            return None
+        return seen_from(self.problem, point, self._part_to(curve, point))
+
+    def _part_to(self, other: "OrbitCurve", point: OrbitPoint) -> float:
+        """The time from this phase to that of another curve, in parts of the period."""
+        away = float(other.problem.options.t0) - float(self.problem.options.t0)
+        return (away / period_of(self.problem, point)) % 1.0
+
+    def seen_again(self, problem: OrbitProblem, point: OrbitPoint) -> OrbitPoint | None:
+        """A point of the problem, which is this one's at another phase, as one of this curve."""
+        other = dataclasses.replace(self, problem=problem)
+        guess = seen_from(problem, point, other._part_to(self, point))
+        constraint = constraint_across(guess, point.scale, self.axis(guess), 0.0)
+        found = self.correct(guess, constraint, self.axis(guess))
+        if found is None:
+            return None
+        sign = 1.0 if found.tangent[-1] * point.tangent[-1] >= 0 else -1.0
+        return dataclasses.replace(found, tangent=sign * found.tangent)
 
     def beyond_end(self, here: OrbitPoint) -> tuple[OrbitPoint, Special[OrbitPoint]] | None:
         """The nearest way on round a corner: at a small distance in random directions, the nearest

@@ -115,6 +115,10 @@ def _follow(
     while len(points) < max_points:
         here = points[-1]
         ahead, ds = _advance(curve, here, ds, max_step)
+        moved = curve.elsewhere(here, start) if ahead is None else None
+        if moved is not None:
+            curve, here, start = moved
+            ahead, ds = _advance(curve, here, min(curve.steps.first, max_step), max_step)
         corner = None
         if ahead is None:
             beyond = curve.beyond_end(here)

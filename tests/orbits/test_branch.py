@@ -4,6 +4,7 @@ import functools
 from types import SimpleNamespace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import matplotlib
 import matplotlib.figure
@@ -395,3 +396,46 @@ def test_an_orbit_that_was_not_found_keeps_its_outcome(omega, x):
     assert len(found) == 0 and "nonfinite: The state" in repr(found)
     with pytest.raises(eqx.EquinoxRuntimeError, match="is not finite"):
         jf.find_bifurcations(S.SDOscillator(), "omega", lost, stop=0.8)
+
+
+class Thrown(jf.System):
+    """A ball under unit gravity on a table at a sin t, of restitution 1/2."""
+
+    a: jax.Array
+    slides = False
+    period = 2 * jnp.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return x[0] - self.a * jnp.sin(t)
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], 1.5 * self.a * jnp.cos(t) - 0.5 * x[1]])
+
+
+def thrown_once(a, phase, t0):
+    """The state at t0 of the ball that is hit once a period at a phase, and flies with a speed of
+    π: a cos(phase) = π/3."""
+    since = (t0 - phase) % (2 * np.pi)
+    return np.array([a * np.sin(phase) + np.pi * since - since**2 / 2, np.pi - since])
+
+
+@pytest.mark.parametrize("t0", [0.0, 0.3])
+def test_an_impact_passes_the_phase_of_shooting(t0):
+    # x(t0) jumps there, at the fold itself for t0 = 0, and the orbit does not.
+    a, fold = 1.2, np.pi / 3
+    system, start = Thrown(jnp.asarray(a)), thrown_once(a, np.arccos(fold / a), t0)
+    orbit = jf.periodic_orbit(system, jnp.asarray(start), t0=t0)
+    branch = jf.continue_orbit(system, "a", orbit, stop=(0.8, 1.7))
+    assert branch.ended == ("a = 1.7 was reached",) * 2
+    assert [point.kind for point in branch.points] == ["fold", "period-doubling"]
+    right = [fold, np.hypot(fold, 2.5 / 2.25)]
+    assert_allclose([point.value for point in branch.points], right, rtol=1e-8, atol=0)
+    meets = fold / np.cos(t0)
+    for value, x0 in zip(branch.values, np.asarray(branch.orbits.x0), strict=True):
+        if abs(value - meets) > 1e-6:
+            phase = np.arccos(np.minimum(fold / value, 1.0))
+            seen = [thrown_once(value, p, t0) for p in (phase, -phase)]
+            assert min(abs(x0 - x).max() for x in seen) < 1e-6

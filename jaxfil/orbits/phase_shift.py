@@ -1,0 +1,77 @@
+"""The phase at which the orbits of a branch are shot, where a contact comes to fall on it.
+
+As a contact passes the phase t0 the orbit goes on smoothly, and x(t0) jumps: by a reset, or with a
+corner. An orbit problem and points of its branch enter; the same branch, seen from a phase far from
+all contacts, leaves, with the points there, and points of that seen from t0 again.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.problem import NOTHING
+from jaxfil.integrate.loop.iterate import integrate
+from jaxfil.integrate.run.solution import switches
+from jaxfil.integrate.system.components import pack
+from jaxfil.orbits.closing import OrbitProblem
+from jaxfil.orbits.corrector import OrbitPoint
+from jaxfil.xla.known import array_of
+
+# A contact falls on the phase where it is nearer than this part of the period.
+_NEAR = 1e-3
+
+
+def contact_phases(problem: OrbitProblem, point: OrbitPoint) -> np.ndarray:
+    """When the contacts are, from t0 on, in parts of the period from 0 to 1, ascending."""
+    events = point.shot.events
+    if events is None:
+        return np.zeros(0)
+    ts = np.asarray(events.ts)[switches(events)]
+    phases = (ts - float(problem.options.t0)) / period_of(problem, point)
+    return np.sort(phases % 1.0)
+
+
+def period_of(problem: OrbitProblem, point: OrbitPoint) -> float:
+    """The period of an orbit."""
+    _, q = problem.split(array_of(point.u))
+    return float(np.asarray(problem.setting(q)[1]))
+
+
+def quiet_phase(problem: OrbitProblem, point: OrbitPoint) -> float | None:
+    """The middle of the longest time without a contact, in parts of the period after t0, where one
+    falls on t0; otherwise None. Of an autonomous orbit, or of several arcs, none is looked for."""
+    if problem.autonomous or problem.options.arcs > 1:
+        return None
+    phases = contact_phases(problem, point)
+    if not phases.size or np.min(np.minimum(phases, 1 - phases)) > _NEAR:
+        return None
+    gaps = np.diff(np.append(phases, phases[0] + 1))
+    longest = int(np.argmax(gaps))
+    return float((phases[longest] + 0.5 * gaps[longest]) % 1.0)
+
+
+def problem_at(problem: OrbitProblem, t0: float) -> OrbitProblem:
+    """The same orbits, shot from another phase."""
+    before = problem.options.t0
+    options = dataclasses.replace(problem.options, t0=array_of(t0, before.dtype))
+    return dataclasses.replace(problem, options=options)
+
+
+def seen_from(problem: OrbitProblem, point: OrbitPoint, part: float) -> np.ndarray:
+    """The unknowns of a point of the problem, with its state a part of the period after t0."""
+    u = array_of(point.u)
+    state = _later(problem, u, array_of(part, u.dtype))
+    n = np.shape(point.shot.ends)[-1]
+    return np.append(np.asarray(state), point.u[n:])
+
+
+@eqx.filter_jit
+def _later(problem: OrbitProblem, u: Array, part: Array) -> Array:
+    starts, q = problem.split(u)
+    system, period = problem.setting(q)
+    options, x = problem.options, starts[0]
+    run = options.problem(system, x, options.t0, part * period, 1)
+    run = dataclasses.replace(run, recording=NOTHING)
+    return pack(integrate(run, run.system.unpack(x)).motion.x, u.dtype)
