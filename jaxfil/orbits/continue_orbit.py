@@ -63,6 +63,10 @@ def continue_orbit(
     - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
       does not begin has the orbit that was given as its only one.
 
+    Where a contact passes the phase t0 of the orbit, x(t0) jumps and the orbit does not: the branch
+    is then shot from a phase far from contacts, and its orbits are seen from t0 again in the end.
+    A special point there has its orbit at that other phase (`options.t0`).
+
     **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` says why. A
     closed branch is followed once round, and one of doubled period to where it joins that of half
     the period.

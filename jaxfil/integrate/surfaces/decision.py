@@ -293,9 +293,7 @@ def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
         a = pack(known.accelerations[0], mode.dtype)
         base = select(wall, side * a, base)
         by_weight = select(wall[:, None], of_wall * known.accelerations.slopes(), matrix)
-        of = known.response
-        pushes = known.normals.products(of.directions)
-        forces = [jnp.asarray(v.entries()) for v in (of.gains, pushes)]
+        forces = [jnp.asarray(v.entries()) for v in (known.response.gains, known.pushes)]
         by_force = select(wall[:, None], of_wall * forces[0], -direction * forces[1])
         matrix = select(wall[None, :], by_force * side[None, :], by_weight)
     # All sides + are w = 1; the side of a wall does not change.

@@ -94,6 +94,8 @@ class Forces(eqx.Module):
     """That on each combination of sides, one by one or as the rows of arrays; None: the same."""
     normals: Rows
     """∇H_i, n numbers each."""
+    pushes: Rows
+    """∇H_i·d_j of the response, m numbers each."""
     accelerations: Corners
     """dψ/dt, m numbers, along the field on each combination of sides."""
 
@@ -274,7 +276,8 @@ def forces_of(
 
         of_corners = tuple(for_each_corner(of, system))
     a = fields.each(lambda f: by_time + c.gradients @ f)
-    return Forces(c.reaction, of_corners, normals, a)
+    pushes = normals.products(c.reaction.directions)
+    return Forces(c.reaction, of_corners, normals, pushes, a)
 
 
 def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Corners, Corners]:
@@ -298,7 +301,9 @@ def answered(known: Forces, rates: Corners, force: Corners) -> tuple[Corners, Co
         return after - stop_gradient(where(small, after, 0.0))
 
     def moved(of: Response, rate: Components, force: Components) -> Components:
-        return pushed(known.normals.products(of.directions), rate, force)
+        same = known.of_corners is None
+        pushes = known.pushes if same else known.normals.products(of.directions)
+        return pushed(pushes, rate, force)
 
     def gained(of: Response, a: Components, force: Components) -> Components:
         return pushed(of.gains, a, force)
