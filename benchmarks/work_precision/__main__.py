@@ -44,9 +44,10 @@ Error: max |x(t1) − reference| of one trajectory. ms: median run time on one c
 out; with "/ {LANES}" a lane's share in a batch of {LANES} lanes whose initial states differ by a
 thousandth. Contacts that differ from the problem's are marked "!". steps: jaxfil's are iterations,
 which include those that a contact takes. compile s: what the first run took more.
-jaxfil: jit(solve), jit(vmap(solve)). diffrax: `Event` in a loop that is compiled too. heyoka and
-SciPy: terminal events in a Python loop. They have no batch here (heyoka's own, in which all lanes
-take events together, was not tried), so that their single lane stands beside the others' batches.
+jaxfil: jit(solve), jit(vmap(solve)), both with compact=False, in fixed steps and with a tolerance.
+diffrax: `Event` in a loop that is compiled too. heyoka and SciPy: terminal events in a Python loop.
+They have no batch here (heyoka's own, in which all lanes take events together, was not tried), so
+that their single lane stands beside the others' batches.
 smoothed: diffrax on tanh(H/width), without events.
 "whole loop": one lane of the JAX programs under XLA_FLAGS={whole_loop.FLAG};
 by default XLA calls the kernels of a loop that touches more than a kilobyte one by one.

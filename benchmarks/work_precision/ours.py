@@ -81,8 +81,17 @@ def _compiled(system, problem, stepper, lanes, tolerance=None):
     import jaxfil as jf
 
     def lane(x0, dt=tolerance):
+        # Run times are compared, and compiling is not: of one lane too the program is written out.
         sol = jf.solve(
-            system, x0, 0.0, problem.t1, dt, stepper=stepper, max_events=None, throw=False
+            system,
+            x0,
+            0.0,
+            problem.t1,
+            dt,
+            stepper=stepper,
+            max_events=None,
+            throw=False,
+            compact=False,
         )
         x = jnp.where(sol.result == jf.RESULTS.successful, sol.x_final, jnp.nan)
         return Run(x, sol.num_events, sol.stats["num_iterations"])
