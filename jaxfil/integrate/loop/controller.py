@@ -94,17 +94,19 @@ def controlled(
     shorter = select(least < jnp.inf, shorter, _SHRINKS)
     factor = _SAFETY * least ** (-_NOW / order) * trust.error ** (_LAST / order)
     # After a refusal it does not grow.
-    factor = jnp.clip(factor, _SHRINKS, select(trust.refused > 0, 1.0, _GROWS))
+    factor = jnp.clip(factor, _SHRINKS, select(trust.taken == 0, 1.0, _GROWS))
     cut, following = h < trust.longest, factor * h
     following = select(cut, jnp.maximum(following, trust.longest), following)
     longest = select(refused, shorter * h, select(goes_on, following, trust.longest))
     if tolerance.dtmax is not None:
         longest = jnp.minimum(longest, tolerance.dtmax)
-    one = refused.astype(jnp.int32)
+    # A step that times cannot tell from none is no way out.
+    one, short = refused.astype(jnp.int32), h < problem.grid.same_time(state.motion.tau)
     return dataclasses.replace(
         trust,
         longest=longest,
-        refused=select(goes_on, 0, trust.refused + one),
+        taken=select(refused, 0, trust.taken + goes_on.astype(jnp.int32)),
+        refused=select(goes_on & ~short, 0, trust.refused + one),
         halvings=trust.halvings + one,
         error=select(goes_on & ~cut, least, trust.error),
     )

@@ -280,3 +280,38 @@ def test_a_stepper_without_an_estimate_is_refused(stepper):
 def test_a_tolerance_is_one_number_each():
     assert_array_equal([jf.Adaptive().rtol, jf.Adaptive().atol], [1e-6, 1e-9])
     assert repr(jf.Adaptive(1e-4, dtmax=2.0)) == "Adaptive(rtol=0.0001, atol=1e-09, dtmax=2)"
+
+
+class SuperTwisting(jf.System):
+    """A sliding variable s under super-twisting control with a disturbance: √|s| at its surface."""
+
+    def root(self, s, side):
+        return jnp.sqrt(abs(s))
+
+    def vector_field(self, t, x, side):
+        s, z = x
+        rate = z - 1.5 * jnp.sqrt(2.0) * self.root(s, side) * side
+        return jnp.stack([rate, jnp.cos(t) - 2.2 * side])
+
+    def switching(self, t, x):
+        return x[0]
+
+
+class NoRoot(SuperTwisting):
+    """The same, and no number on the other side of the surface."""
+
+    def root(self, s, side):
+        return jnp.sqrt(side * s)
+
+
+def test_a_field_that_is_not_lipschitz_at_its_surface():
+    # Times by SciPy in √|s|, regular between crossings, at 1e-12; they accumulate at 1.02087.
+    times = [0.5957122716079, 0.9049448696824, 1.0111853682887, 1.0184625676052]
+    x0, step = jnp.array([1.0, 0.0]), jf.Adaptive(1e-9, 1e-12)
+    sol = jf.solve(SuperTwisting(), x0, 0.0, 10.0, step, throw=False)
+    assert sol.result == RESULTS.zeno
+    assert_allclose(sol.events.ts[:4], times, rtol=0, atol=1e-10)
+    # What cannot go on ends soon, and is told.
+    blind = jf.solve(NoRoot(), x0, 0.0, 10.0, step, throw=False)
+    assert blind.result == RESULTS.nonfinite
+    assert int(blind.stats["num_iterations"]) < 2000
