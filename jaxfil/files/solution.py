@@ -3,12 +3,15 @@
 Named arrays enter, and the system that a dense solution goes on with; the solution leaves.
 """
 
+import re
+
 import diffrax
 import numpy as np
 
 from jaxfil.integrate.run.dataset import CROSSINGS, DENSE, EVENTS, SOLUTION, STATS, TAKEN
 from jaxfil.integrate.run.solution import Crossings, Dense, Events, Solution
-from jaxfil.integrate.steppers.explicit import RK4, Stepper, checked_stepper
+from jaxfil.integrate.steppers.adaptive import Adaptive
+from jaxfil.integrate.steppers.explicit import RK4, Stepper, checked_stepper, controlled
 from jaxfil.integrate.steppers.rosenbrock import Rodas5P
 from jaxfil.model.dataset import (
     fields_from,
@@ -51,13 +54,17 @@ def events_from(data: NamedArrays) -> Events | None:
 def stepper_from(data: NamedArrays) -> Stepper:
     """The stepper of the name that the data set gives."""
     name = str(data.attributes["stepper"])
-    cls = _OWN.get(name) or getattr(diffrax, name, None)
+    method, _, tolerance = name.partition(", ")
+    cls = _OWN.get(method) or getattr(diffrax, method, None)
     if cls is None:
         raise ValueError(
             "`path` must be of a run by a stepper of jaxfil or diffrax, which alone are known by "
             f"name, got {name!r}."
         )
-    return checked_stepper(cls())
+    if not tolerance:
+        return checked_stepper(cls())
+    numbers = dict(re.findall(r"(\w+)=([^,)]+)", tolerance))
+    return controlled(Adaptive(**{key: float(v) for key, v in numbers.items()}), cls())
 
 
 def _dense(data: NamedArrays, system: System | None, compact: bool) -> Dense:

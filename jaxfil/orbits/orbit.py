@@ -17,6 +17,7 @@ from jaxtyping import Array, Complex, Float, Int
 from jaxfil.integrate.run.options import enough_iterations
 from jaxfil.integrate.run.solution import Dense, Events, Solution
 from jaxfil.integrate.run.solve import solve
+from jaxfil.integrate.run.step_choice import expected_steps
 from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.deprecation import renamed_attribute
@@ -100,7 +101,7 @@ class Orbit(eqx.Module):
         """The orbit as a `Solution` that holds ten states for each step: a step of high order is
         too long for a straight line."""
         end = self.options.t0 + periods * self.period
-        ts = jnp.linspace(self.options.t0, end, 10 * self.options.steps * periods + 1)
+        ts = jnp.linspace(self.options.t0, end, 10 * self._steps * periods + 1)
         return self._solved(periods, diffrax.SaveAt(ts=ts))
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -126,9 +127,14 @@ class Orbit(eqx.Module):
         """
         dataset_io.save(orbit_arrays(self), path)
 
+    @property
+    def _steps(self) -> int:
+        """Steps of a period, about."""
+        return expected_steps(self.options.steps, self.options.stepper)
+
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is kept where every step is.
-        budget = enough_iterations(self.options.steps * periods, self.options.max_events * periods)
+        budget = enough_iterations(self._steps * periods, self.options.max_events * periods)
         t0, period = in_numpy((self.options.t0, self.period))
         return solve(
             self.system,

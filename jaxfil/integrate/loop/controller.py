@@ -76,7 +76,10 @@ def hidden(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> 
     allowed = maximum(SUSPICIOUS * (abs(d0) + abs(d1)), _CLEAR * low)
     allowed = maximum(allowed, 4 * maximum(start.noise, stop.noise))
     # Where a guard is no number, this says nothing.
-    ratio = largest(where(off > 0, off / where(allowed > 0, allowed, 1), 0.0))
+    ratio = where(off > 0, off / where(allowed > 0, allowed, 1), 0.0)
+    if problem.kept is not None:  # a mode that is kept has no contacts
+        ratio = where(problem.kept.on, 0.0, ratio)
+    ratio = largest(ratio)
     return ratio ** (problem.tableau.order / 4)
 
 

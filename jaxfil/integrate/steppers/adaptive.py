@@ -65,8 +65,8 @@ class Adaptive(eqx.Module):
             raise ValueError(f"`atol` must not be negative, got {self.atol}.")
 
     def __repr__(self) -> str:
-        longest = "" if self.dtmax is None else f", dtmax={self.dtmax:g}"
-        return f"Adaptive(rtol={self.rtol:g}, atol={self.atol:g}{longest})"
+        longest = "" if self.dtmax is None else f", dtmax={self.dtmax!r}"
+        return f"Adaptive(rtol={self.rtol!r}, atol={self.atol!r}{longest})"
 
 
 def _known(name: str, value: Any, *, positive: bool = False) -> float:

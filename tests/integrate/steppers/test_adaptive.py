@@ -279,7 +279,7 @@ def test_a_stepper_without_an_estimate_is_refused(stepper):
 
 def test_a_tolerance_is_one_number_each():
     assert_array_equal([jf.Adaptive().rtol, jf.Adaptive().atol], [1e-6, 1e-9])
-    assert repr(jf.Adaptive(1e-4, dtmax=2.0)) == "Adaptive(rtol=0.0001, atol=1e-09, dtmax=2)"
+    assert repr(jf.Adaptive(1e-4, dtmax=2.0)) == "Adaptive(rtol=0.0001, atol=1e-09, dtmax=2.0)"
 
 
 class SuperTwisting(jf.System):
@@ -315,3 +315,17 @@ def test_a_field_that_is_not_lipschitz_at_its_surface():
     blind = jf.solve(NoRoot(), x0, 0.0, 10.0, step, throw=False)
     assert blind.result == RESULTS.nonfinite
     assert int(blind.stats["num_iterations"]) < 2000
+
+
+def test_a_bifurcation_of_an_orbit_with_a_tolerance(tmp_path):
+    system, step = jf.systems.SDOscillator(omega=0.84), jf.Adaptive(1e-9, 1e-12)
+    orbit = jf.periodic_orbit(system, jnp.array([1.9, 0.0]), steps=step)
+    found = jf.find_bifurcation(system, "omega", orbit, "grazing")
+    # (1 − ω²)² + (2ζω)² = f0² where the orbit, linear until then, touches.
+    omega, zeta, f0 = found.value, system.zeta, system.f0
+    assert_allclose((1 - omega**2) ** 2 + (2 * zeta * omega) ** 2, f0**2, rtol=1e-10, atol=0)
+    # Its picture has states enough, and a file keeps the tolerance.
+    assert orbit.trajectory().xs.shape[0] > 100
+    orbit.save(tmp_path / "orbit.npz")
+    back = jf.load(tmp_path / "orbit.npz", system=system)
+    assert back.options.stepper == orbit.options.stepper
