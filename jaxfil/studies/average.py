@@ -58,7 +58,8 @@ def average(
 
     - `system`, `x0`, `t0`, `t1`, `dt`, `stepper`, `adjoint`, `throw`: as in `solve`.
     - `function`: g, a function of the time, the state, shape (n,), and the sides, as
-      `System.vector_field` is given them, that returns an array of any shape.
+      `System.vector_field` is given them, that returns an array of any shape; if it has an argument
+      `reaction`, of the forces of the surfaces rested on too, and affine in them.
 
     **Returns** an `Average` with the shape of what `function` returns. It has derivatives as the
     states of a `Solution` have.

@@ -112,7 +112,9 @@ def solve(
     - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
       nothing of the motion. The table of them has `max_events` rows too.
     - `observe`: a function of the time, the state, shape (n,), and the sides, as
-      `System.vector_field` is given them, that returns an array of any shape: an energy, a force.
+      `System.vector_field` is given them, that returns an array of any shape: an energy, a force;
+      if it has an argument `reaction`, of the forces of the surfaces rested on too, and affine in
+      them.
       Its values at the saved times are `observed`. On a slide they are those of the blend of both
       sides, as the field is: of a dry friction, −F·side, the force that holds, and of `side` itself
       the weight, between −1 and 1, which tells a stick from a slip. Needs `saveat` with `t1`, `ts`

@@ -40,6 +40,7 @@ fill the vectors, and a compact program loses a tenth. With two tangent vectors 
 """
 
 import dataclasses
+import functools as ft
 import math
 from collections.abc import Callable
 from typing import Any
@@ -52,7 +53,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
-from jaxfil.model.system import System
+from jaxfil.model.system import System, field_of
 from jaxfil.xla.kernel import BLOCK
 from jaxfil.xla.lanes import lanes_of
 from jaxfil.xla.program import programs
@@ -153,7 +154,7 @@ def _counts(system: System, x0: Array) -> tuple[int, int, int]:
     on_components = build(system, x0, compact=True)
     structure, m = on_components.structure, on_components.m
     h, t = check.shapes(system, x0), jnp.zeros((), x0.dtype)
-    field = jax.make_jaxpr(system.vector_field)(t, x0, jnp.ones(h, x0.dtype))
+    field = jax.make_jaxpr(ft.partial(field_of, system))(t, x0, jnp.ones(h, x0.dtype))
     guards = jax.make_jaxpr(system.switching)(t, x0)
     corners = 1 if structure.separate else m + 1 if structure.affine else 2**m
     contacts = 2 * m if on_components.resets else m

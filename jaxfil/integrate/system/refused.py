@@ -28,10 +28,12 @@ def check_reactions(system: System, field: Traced, at: tuple) -> None:
     found from two values."""
     nothing, all_reactions = jax.tree.map(lambda _: False, at), jax.tree.map(lambda _: True, at[-1])
     if not field.is_affine(*nothing, all_reactions):
+        name = type(system).__name__
+        # One of the library's own is a system with what is observed of it.
+        what = "What is observed" if name.startswith("_") else f"`vector_field` of {name}"
         raise ValueError(
-            f"`vector_field` of {type(system).__name__} must be affine in its reactions "
-            "(a + b * reaction, not jnp.maximum(reaction, 0.0), for they are never negative), got "
-            "one that is not."
+            f"{what} must be affine in its reactions (a + b * reaction, not "
+            "jnp.maximum(reaction, 0.0), for they are never negative), got one that is not."
         )
 
 

@@ -334,3 +334,28 @@ def test_what_cannot_be_held_is_refused():
         solve(system, np.zeros(4), 1.0)
     with pytest.raises(ValueError, match=r"`vector_field` of Floating must not take `reaction`"):
         solve(Floating(), np.zeros(2), 1.0)
+
+
+def test_sweeps_and_averages_of_what_feels_a_reaction():
+    sweep = jf.bifurcation_diagram(
+        Forced(*(jnp.array(v) for v in (0.5, 0.02, 3.0, 0.0))), "mu", np.array([0.35, 0.5]),
+        jnp.zeros(4), transient=0, samples=2, progress=False, steps=60,
+        observe=lambda t, x, side, reaction: jnp.stack([x[0], reaction[0]]),
+    )  # fmt: skip
+    period = 2 * np.pi / Block.omega
+    for i, mu in enumerate((0.35, 0.5)):
+        for k in (1, 2):
+            _, x, _ = pushed(mu, 0.02, 3.0, k * period)
+            assert_allclose(sweep.xs[i, k - 1, 0], x, rtol=0, atol=1e-11)
+    assert_allclose(sweep.xs[..., 1], G, rtol=1e-9, atol=0)
+    span = np.zeros(4), 0.0, period, 0.01
+    mean = jf.average(block(), lambda t, x, side, reaction: reaction, *span)
+    assert_allclose(mean.value, [G, 0.0], rtol=1e-10, atol=1e-12)
+    with pytest.raises(ValueError, match=r"What is observed must be affine in its reactions"):
+        jf.average(block(), lambda t, x, side, reaction: reaction**2, *span)
+
+
+class Forced(Block):
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
