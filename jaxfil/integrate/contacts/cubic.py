@@ -112,10 +112,15 @@ def first_contact(
     return theta, select(look & ~contact, cubic.low, NEVER) + known
 
 
+def lower_bound(g0: Array, d0: Array, g1: Array, d1: Array) -> Array:
+    """The least of the cubic's Bernstein coefficients, above which it lies."""
+    return jnp.minimum(jnp.minimum(g0, g1), jnp.minimum(g0 + d0 / 3, g1 - d1 / 3))
+
+
 def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array:
     """Whether an armed guard stays so far above zero that `first_contact` finds nothing. Cheaper,
-    and never true in error: a cubic lies above the least of its Bernstein coefficients."""
-    low = jnp.minimum(jnp.minimum(g0, g1), jnp.minimum(g0 + d0 / 3, g1 - d1 / 3))
+    and never true in error."""
+    low = lower_bound(g0, d0, g1, d1)
     return low > jnp.maximum(SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
 
 

@@ -7,6 +7,7 @@ of it in its program. `loop.extensions` lists them all.
 from typing import Any
 
 import equinox as eqx
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import Problem
@@ -35,6 +36,12 @@ class Step(eqx.Module):
     """Whether a pending switch was made."""
     made: Array
     """Whether that switch was of a contact, and not of a clock alone."""
+
+    @property
+    def advances(self) -> Array:
+        """Whether time goes on by it: it is taken, or lands."""
+        far = stop_gradient(abs(self.length.h)) > 0
+        return (self.moved & self.accepted & far) | self.lands
 
 
 class Verdict(eqx.Module):

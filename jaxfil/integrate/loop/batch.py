@@ -78,10 +78,9 @@ def _integrate_together(problem: Problem, x0: Components) -> LoopState:
     """One lane of a batch, which asks after the others by `_count`."""
     # Nothing to meet, or too much to coast for long; one loop is less than three.
     coasts_alone = problem.recording.recorder.in_free_steps and not problem.extensions
-    given = (
-        problem.tableau.tolerance is None
-    )  # steps of a tolerance are no longer those of the grid
-    if problem.system.m == 0 or problem.compact or not coasts_alone or not given:
+    # Lanes coast from one grid point to the next, which steps of a tolerance know nothing of.
+    coasts_alone = coasts_alone and problem.tableau.tolerance is None
+    if problem.system.m == 0 or problem.compact or not coasts_alone:
         return integrate(problem, x0)
     few_stopped, few_near = _SLIDING if problem.system.slides else _CROSSING
 

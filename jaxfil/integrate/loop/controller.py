@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.contacts.cubic import SUSPICIOUS
+from jaxfil.integrate.contacts.cubic import SUSPICIOUS, lower_bound
 from jaxfil.integrate.lane.extension import Step
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd, Trust
@@ -27,7 +27,7 @@ from jaxfil.integrate.system.components import (
     dot,
     largest,
     maximum,
-    minimum,
+    on_each,
     where,
 )
 from jaxfil.xla.select import select
@@ -71,8 +71,7 @@ def hidden(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> 
     known = stop_gradient((system, t, middle, start.mode))
     g0, d0, g1, d1 = stop_gradient((start.g, h * start.rate, stop.g, h * stop.rate))
     off = abs(guard(*known) - (0.5 * (g0 + g1) + 0.125 * (d0 - d1)))
-    # All of the cubic is above the least of its Bernstein coefficients.
-    low = minimum(minimum(g0, g1), minimum(g0 + d0 / 3, g1 - d1 / 3))
+    low = on_each(lower_bound, g0, d0, g1, d1)
     allowed = maximum(SUSPICIOUS * (abs(d0) + abs(d1)), _CLEAR * low)
     allowed = maximum(allowed, 4 * maximum(start.noise, stop.noise))
     # Where a guard is no number, this says nothing.
@@ -90,7 +89,7 @@ def controlled(
     trust, tolerance, order = state.trust, problem.tableau.tolerance, problem.tableau.order
     assert tolerance is not None and trust.error is not None
     h = stop_gradient(abs(taken.length.h))
-    goes_on = (taken.moved & taken.accepted & (h > 0)) | taken.lands
+    goes_on = taken.advances
     # The error of a trial that is not finite is no number.
     least = jnp.maximum(error, _EXACT)
     shorter = jnp.clip(_SAFETY * least ** (-1 / order), _SHRINKS, 1.0)

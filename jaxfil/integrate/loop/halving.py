@@ -117,7 +117,7 @@ def next_trust(
         return controlled(problem, state, taken, refused, doubt.error)
     grid = problem.grid
     trust, h, dt = state.trust, stop_gradient(abs(taken.length.h)), abs(grid.dt)
-    goes_on = (taken.moved & taken.accepted & (h > 0)) | taken.lands
+    goes_on = taken.advances
     steps = trust.taken + goes_on.astype(jnp.int32)
     again = steps >= _CALM
     grows = goes_on & (again | (2 * trust.longest < trust.ceiling))

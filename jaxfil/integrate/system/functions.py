@@ -71,17 +71,23 @@ def reacting(
     return traced(field, *at, at[-1]), traced(felt, *at, at[-1])
 
 
+def rate_of(field: Callable, switching: Callable) -> Callable:
+    """dH/dt along a field without reactions, as a function (leaves, t, x, sides)."""
+
+    def rate(leaves: System, t: Array, x: Components, sides: Components) -> Components:
+        along = jnp.ones_like(t), field(leaves, t, x, sides)
+        return jax.jvp(ft.partial(switching, leaves), (t, x), along)[1]
+
+    return rate
+
+
 def accelerations(
-    field: Callable, switching: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
+    field: Callable, rate: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
 ) -> Traced:
-    """d²H/dt² along a field that feels reactions, as a function of the same."""
+    """d²H/dt² along a field that feels reactions, as a function of the same, given `rate_of`."""
 
     def second(leaves: System, t: Array, x: Components, sides: Components, reaction: Any) -> Any:
-        def rate(t: Array, x: Components) -> Components:
-            along = jnp.ones_like(t), field(leaves, t, x, sides)
-            return jax.jvp(ft.partial(switching, leaves), (t, x), along)[1]
-
         along = jnp.ones_like(t), field(leaves, t, x, sides, reaction)
-        return jax.jvp(rate, (t, x), along)[1]
+        return jax.jvp(lambda t, x: rate(leaves, t, x, sides), (t, x), along)[1]
 
     return traced(second, *at, at[-1])

@@ -23,7 +23,13 @@ from jaxtyping import Array
 from jaxfil.integrate.system import dependencies
 from jaxfil.integrate.system.components import Components, Forcing, on_each, scalars
 from jaxfil.integrate.system.dependencies import Structure
-from jaxfil.integrate.system.functions import accelerations, on_components, reacting, unpacked
+from jaxfil.integrate.system.functions import (
+    accelerations,
+    on_components,
+    rate_of,
+    reacting,
+    unpacked,
+)
 from jaxfil.integrate.system.refused import (
     check_affine,
     check_derivatives,
@@ -305,22 +311,18 @@ def _build(
     check_derivatives(vector_field=traced_field, switching=traced_switching)
     of_numbers = [unpacked(row, as_array) for row in np.eye(n, dtype=bool)]
     of_sides = [Components([row] if packed else row) for row in np.eye(m, dtype=bool)]
+    rate = rate_of(field, switching)
     seen, felt, holds_itself = traced_field, None, ()
     if resets and system.feels_reactions:
         at = leaves, t0, x, sides
         seen, felt = reacting(field, traced, at)
         check_reactions(system, seen, at)
-        second = accelerations(field, switching, traced, at)
+        second = accelerations(field, rate, traced, at)
         holds_itself = dependencies.of_own_reactions(second, at, of_sides)
     functions = seen, traced_switching
     found = dependencies.of(functions, (leaves, t0), of_numbers, of_sides, felt is not None)
     bounds = rounding_of(switching, leaves, t0, x) if m > 0 else None
     traced_bounds = bounds and traced(bounds, leaves, t0, x)
-
-    def rate(leaves: System, t: Array, x: Components, sides: Components) -> Components:
-        along = jnp.ones_like(t), field(leaves, t, x, sides)
-        return jax.jvp(ft.partial(switching, leaves), (t, x), along)[1]
-
     rate_bounds = rounding_of(rate, leaves, t0, x, sides) if resets else None
     traced_rate_bounds = rate_bounds and traced(rate_bounds, leaves, t0, x, sides)
     clocks = _clocks(system, dtype)
