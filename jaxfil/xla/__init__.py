@@ -15,6 +15,8 @@ The words of this room:
 - ahead: what a function takes of time alone, computed for all stages of a step at once (`trace`).
 - forward Jacobian: the derivatives of all results by all arguments, a column for each number that
   moves; transposed, it is the reverse mode of loops (`forward_jacobian`).
+- power series: the Taylor coefficients of what a program computes along a motion, by the recurrence
+  of each operation (`series`, `series_functions`, `series_rules`, `series_program`).
 - pushforward: results together with their tangents, in one run (`pushforward`).
 - known: not traced; outside of every transformation verbs share compiled functions (`known`).
 - masked write: an entry of a table, written by those lanes that have one (`masked_write`).

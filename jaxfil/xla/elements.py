@@ -34,7 +34,7 @@ abs acos acosh add add_any and asin asinh atan atan2 atanh ceil convert_element_
 erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p log2 logistic lt max min mul ne
 neg not one_minus_square or pow rem round rsqrt select_n sign sin sinh sqrt square sub tan tanh xor
 """
-_ON_EACH = frozenset(_NAMES.split())
+ON_EACH = frozenset(_NAMES.split())
 
 
 class Elements:
@@ -70,7 +70,7 @@ def in_elements(eqn: Any, inputs: Sequence[Any], mixed: bool) -> bool:
             return False
     if name == "dot_general":
         return not any(eqn.params["dimension_numbers"][1])
-    if name in _ON_EACH:
+    if name in ON_EACH:
         return np.broadcast_shapes(*shapes) == out.aval.shape
     return name in MOVES or name == "reduce_sum"
 

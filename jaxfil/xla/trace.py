@@ -19,8 +19,10 @@ from jaxtyping import Array
 from jaxfil.xla import elements, fast_trig, matrix_product
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
 from jaxfil.xla.moves import by_slices
-from jaxfil.xla.program import interpreted, names, programs
+from jaxfil.xla.program import interpreted, names, operations, programs, pruned
 from jaxfil.xla.select import select
+from jaxfil.xla.series import Expansion
+from jaxfil.xla.series_program import expanded
 
 _FLOATS = (jnp.float32, jnp.float64)
 # What stands in for XLA's functions: for one that is wrong, and for those that do not vectorise.
@@ -77,6 +79,7 @@ class Traced:
         self._fast, self._functions = fast, _FAST if fast else _RIGHT
         written, shape = jax.make_jaxpr(function, return_shape=True)(*example)
         self._closed = by_slices(written)
+        self._of_rates: dict[int, Any] = {}
         self._tree = jax.tree.structure(shape)
         order = when or (LATE,) * len(example)
         each = zip(order, example, strict=True)
@@ -114,6 +117,39 @@ class Traced:
     def ahead(self, *args: Any) -> list:
         """What is dear and early, given all arguments that are not late."""
         return self._ahead(jax.tree.leaves(args))
+
+    def expansion(self, fence: Array | None = None) -> Expansion:
+        """Where power series of the function are made."""
+        return Expansion(self._functions, _same if fence is None else lambda v: v / fence)
+
+    def expanded(self, made: Expansion, *args: Any) -> list[Any]:
+        """Power series of the results as `series_program.expanded` gives them, of such series or of
+        values, which are constant."""
+        return expanded(made, self._closed, jax.tree.leaves(args))
+
+    def expanded_rate(
+        self, made: Expansion, known: Any, moving: Sequence[Any], along: Sequence[Any]
+    ) -> list[Any]:
+        """The same of the rates of the results, as the arguments after those `known` move along a
+        direction."""
+        program = self._rates(len(moving))
+        args = [*jax.tree.leaves(known), *moving, *along]
+        return expanded(made, program, args)
+
+    def _rates(self, count: int) -> Any:
+        """The program of the rates of the results, as the last arguments, so many, move."""
+        if count in self._of_rates:
+            return self._of_rates[count]
+        run = operations(self._closed)
+
+        def rates(*given: Any) -> list:
+            fixed, rest = given[: -2 * count], given[-2 * count :]
+            return jax.jvp(ft.partial(run, *fixed), rest[:count], rest[count:])[1]
+
+        shapes = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in self._closed.in_avals]
+        program = by_slices(pruned(jax.make_jaxpr(rates)(*shapes, *shapes[-count:])))
+        self._of_rates[count] = program
+        return program
 
     def without_derivatives(self) -> str | None:
         """What the function calls that has no forward derivatives, by its name in JAX."""

@@ -1,0 +1,324 @@
+"""Power series of what a program computes: Taylor coefficients by recurrences.
+
+A program and power series of its arguments enter; power series of its results leave. Each
+operation has a recurrence that makes coefficient k of its result from coefficients up to k of its
+operands: a product is a convolution, y = exp(u) has y' = u' y, and so on (Jorba and Zou, A software
+package for the numerical integration of ODEs by means of high-order Taylor methods, Experimental
+Mathematics 14, 2005). Coefficients that are zero by structure are not computed: those of constants,
+of time, and of what is linear in time, whose sine and cosine are one of each.
+
+A solution of x' = f(t, x) is the series of its own field: coefficient k + 1 of x is coefficient k
+of f, divided by k + 1. So coefficients are made when they are asked for, and kept.
+"""
+
+import functools as ft
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+
+class Series:
+    """A value as a power series in time; `self[k]` is coefficient k, None where it is zero by
+    structure. Values are numbers or arrays."""
+
+    __slots__ = ("_make", "degree", "is_kept", "is_of_time", "known", "multiple", "terms")
+
+    def __init__(self, make: Callable[[int], Any], degree: int | None = None):
+        self._make = make
+        self.known: dict[int, Any] = {}
+        """Coefficients that have been made."""
+        self.degree = degree
+        """0 of a constant, 1 of what is linear in time; None: not known to be either."""
+        self.is_kept = degree is not None
+        """Whether coefficients of higher orders are made of all of these."""
+        self.is_of_time = False
+        """Whether it depends on time alone."""
+        self.multiple: tuple[Series, Series] | None = None
+        """The constant and the series that it is the product of; None: of nothing in particular."""
+        self.terms: tuple[tuple[float, Series], ...] | None = None
+        """The series that it is the sum of, each with a sign; None: of nothing in particular."""
+
+    def __getitem__(self, k: int) -> Any:
+        if self.degree is not None and k > self.degree:
+            return None
+        if k not in self.known:
+            self.known[k] = self._make(k)
+        return self.known[k]
+
+
+class Same:
+    """A value by its identity, as a key."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: Any):
+        self.value = value
+
+    def __hash__(self) -> int:
+        return id(self.value)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.value is self.value
+
+
+class Expansion:
+    """Series that belong together, and the functions that make their first coefficients.
+
+    `functions` replace XLA's, as in `trace`; each sine and cosine goes through `hold`.
+    """
+
+    def __init__(self, functions: Mapping[str, Callable], hold: Callable = lambda v: v):
+        self.functions, self._hold = functions, hold
+        self.made: list[Series] = []
+        self._same: dict[tuple, Any] = {}
+
+    def series(self, make: Callable[[int], Any], degree: int | None = None) -> Series:
+        """A series of which coefficient k is `make(k)`."""
+        made = Series(make, degree)
+        self.made.append(made)
+        return made
+
+    def constant(self, value: Any) -> Series:
+        """A constant."""
+
+        def made() -> Series:
+            known = Series(lambda _: value, 0)
+            known.known[0] = value
+            return known
+
+        return self.once(("constant", Same(value)), made)
+
+    def linear(self, value: Any, rate: Any) -> Series:
+        """value + rate·s."""
+        made = Series(lambda _: None, 1)
+        made.known.update({0: value, 1: rate})
+        return made
+
+    @property
+    def num_kept(self) -> int:
+        """How many series have coefficients that higher orders are made of."""
+        return sum(v.is_kept for v in self.made)
+
+    def once(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """What `make` makes, once for each key, whose series are told apart by identity."""
+        named = tuple(id(v) if isinstance(v, Series) else v for v in key)
+        if named not in self._same:
+            # The key is kept, so that no other series takes an identity in it.
+            self._same[named] = key, make()
+        return self._same[named][1]
+
+    def first(self, name: str, value: Any) -> Any:
+        """A function of XLA's by its name, of a number."""
+        given = self.functions.get(name)
+        if given is not None and jnp.result_type(value) in (jnp.float32, jnp.float64):
+            return self._hold(given(value))
+        return getattr(jax.lax, name)(value)
+
+    def stage(self, wanted: Sequence[Series], orders: range, run: Callable) -> None:
+        """Make some coefficients of some series by `run(function, arrays)`, which calls the
+        function: a compiler is kept from computing any of them twice. What no later one is made of
+        is not kept."""
+        wanted_too = set(map(id, wanted))
+        kept = [v for v in self.made if v.is_kept or id(v) in wanted_too]
+        others = [v for v in self.made if not (v.is_kept or id(v) in wanted_too)]
+        before = [dict(v.known) for v in kept]
+
+        def made(known: list) -> list:
+            for v, own in zip(kept, known, strict=True):
+                v.known = dict(own)
+            for v in others:
+                v.known = {}
+            for k in orders:
+                for v in wanted:
+                    v[k]
+            new = [
+                {k: c for k, c in v.known.items() if k not in own}
+                for v, own in zip(kept, before, strict=True)
+            ]
+            for v in others:
+                v.known = {}
+            return new
+
+        new = run(made, before)
+        for v, old, more in zip(kept, before, new, strict=True):
+            v.known = old | more
+
+
+def kept(*values: Series) -> None:
+    """Say of some series that coefficients of higher orders are made of all of theirs."""
+    for v in values:
+        v.is_kept = True
+
+
+def degree_of(*values: Series) -> int | None:
+    """The degree of a sum."""
+    degrees = [v.degree for v in values if v.degree is not None]
+    return max(degrees, default=0) if len(degrees) == len(values) else None
+
+
+def linear_function(expansion: Expansion, function: Callable, value: Series) -> Series:
+    """A linear function of one value."""
+
+    def make(k: int) -> Any:
+        v = value[k]
+        return None if v is None else function(v)
+
+    return expansion.series(make, value.degree)
+
+
+def add(terms: Sequence[Any]) -> Any:
+    """The sum of coefficients."""
+    known = [v for v in terms if v is not None]
+    return ft.reduce(jnp.add, known) if known else None
+
+
+def first_of(a: Series) -> Any:
+    """Coefficient 0 as a number."""
+    return a[0] if a[0] is not None else jnp.zeros_like(a[1])
+
+
+def times(a: Any, b: Any) -> Any:
+    """The product of coefficients."""
+    return None if a is None or b is None else a * b
+
+
+def scaled(factor: float, v: Any) -> Any:
+    """A number times a coefficient."""
+    return None if v is None else factor * v
+
+
+def sum_of(expansion: Expansion, terms: Sequence[Series]) -> Series:
+    """The sum of some values, of which there is one at least."""
+    if len(terms) == 1:
+        return terms[0]
+    out = expansion.series(lambda k: add([v[k] for v in terms]), degree_of(*terms))
+    out.terms = tuple((1.0, v) for v in terms)
+    return out
+
+
+def difference(expansion: Expansion, a: Series, b: Series) -> Series:
+    """a − b."""
+    out = expansion.series(lambda k: minus(a[k], b[k]), degree_of(a, b))
+    out.terms = (1.0, a), (-1.0, b)
+    return out
+
+
+def reduced_difference(expansion: Expansion, a: Series, b: Series) -> Series:
+    """a − b without the terms that both are made of: of two fields that differ by a constant, that
+    constant."""
+    left, right = [*_spread(a)], [*_spread(b)]
+    for term in left.copy():
+        if term in right:
+            left.remove(term)
+            right.remove(term)
+    pairs = [(sign, *term) for sign, terms in ((1.0, left), (-1.0, right)) for term in terms]
+    whole = []
+    for sign, own, factors, base in pairs:
+        part = base.value
+        for factor in reversed(factors):
+            part = _multiple(expansion, factor.value, part)
+        whole.append(_multiple(expansion, expansion.constant(sign * own), part))
+    return sum_of(expansion, whole) if whole else expansion.constant(jnp.zeros_like(a[0]))
+
+
+def _spread(a: Series, sign: float = 1.0, factors: tuple = ()) -> Iterator[tuple]:
+    """The terms of a sum, those of sums in it included: a sign, constants and a value each, by
+    their identity."""
+    if a.terms is not None:
+        for own, term in a.terms:
+            yield from _spread(term, sign * own, factors)
+    elif a.multiple is not None:
+        factor, base = a.multiple
+        yield from _spread(base, sign, (*factors, Same(factor)))
+    else:
+        yield sign, factors, Same(a)
+
+
+def convolution(a: Series, b: Series, k: int, first: int = 0, last: int = 0) -> Any:
+    """Σ a_i b_{k−i} for i from `first` to k − `last`."""
+    return add([times(a[i], b[k - i]) for i in range(first, k + 1 - last)])
+
+
+def product(expansion: Expansion, a: Series, b: Series) -> Series:
+    """a b. Of multiples of two values it is that multiple of their product: of c·a times a it is
+    c·a²."""
+    if b.degree == 0:
+        a, b = b, a
+    if a.degree == 0:
+        return _multiple(expansion, a, b)
+    (factors, u), (more, v) = _taken_apart(a), _taken_apart(b)
+    whole = expansion.once(("product", u, v), lambda: _product(expansion, u, v))
+    for factor in (*factors, *more):
+        whole = _multiple(expansion, factor, whole)
+    return whole
+
+
+def _taken_apart(a: Series) -> tuple[tuple[Series, ...], Series]:
+    """The constants that a value is a multiple by, and what of."""
+    if a.multiple is None:
+        return (), a
+    factor, base = a.multiple
+    factors, base = _taken_apart(base)
+    return (factor, *factors), base
+
+
+def _multiple(expansion: Expansion, factor: Series, a: Series) -> Series:
+    """A constant times a value."""
+    out = expansion.series(lambda k: times(factor[0], a[k]), a.degree)
+    out.multiple = factor, a
+    return out
+
+
+def _product(expansion: Expansion, a: Series, b: Series) -> Series:
+    if a is b:
+        return square(expansion, a)
+    kept(a, b)
+    return expansion.series(lambda k: convolution(a, b, k))
+
+
+def square(expansion: Expansion, a: Series) -> Series:
+    """a²."""
+    if a.degree == 0:
+        return expansion.series(lambda _: a[0] * a[0], 0)
+    kept(a)
+
+    def make(k: int) -> Any:
+        pairs = add([times(a[i], a[k - i]) for i in range((k + 1) // 2)])
+        middle = times(a[k // 2], a[k // 2]) if k % 2 == 0 else None
+        return add([scaled(2.0, pairs), middle])
+
+    return expansion.once(("square", a), lambda: expansion.series(make))
+
+
+def quotient(expansion: Expansion, a: Series, b: Series) -> Series:
+    """a/b: b_0 q_k = a_k − Σ_{i ≥ 1} b_i q_{k−i}."""
+    inverse = expansion.once(
+        ("inverse", b), lambda: expansion.series(lambda _: 1.0 / jnp.asarray(b[0]), 0)
+    )
+    if b.degree == 0:
+
+        def scaled(k: int) -> Any:
+            if k == 0:
+                return None if a[0] is None else a[0] / b[0]
+            return times(a[k], inverse[0])
+
+        return expansion.series(scaled, a.degree)
+
+    def make(k: int) -> Any:
+        if k == 0:
+            return None if a[0] is None else a[0] / b[0]
+        rest = convolution(b, out, k, first=1)
+        return times(minus(a[k], rest), inverse[0])
+
+    out = expansion.series(make)
+    kept(b, out)
+    return out
+
+
+def minus(a: Any, b: Any) -> Any:
+    """The difference of coefficients."""
+    if b is None:
+        return a
+    return -b if a is None else a - b

@@ -1,0 +1,309 @@
+"""Power series of functions: the recurrence of each operation.
+
+The operation of a program and the series of its operands enter; the series of its result leaves.
+Most of the rules are of one kind: y = f(u) has y' = g u' with a g that is made of u and y, so that
+k y_k = Σ i u_i g_{k−i}.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxfil.xla.series import (
+    Expansion,
+    Series,
+    add,
+    convolution,
+    difference,
+    first_of,
+    kept,
+    linear_function,
+    minus,
+    product,
+    quotient,
+    scaled,
+    square,
+    sum_of,
+    times,
+)
+
+# Powers of a number up to this one are products: beyond, the recurrence of a real power is cheaper.
+_PRODUCTS = 8
+
+
+def _rate(expansion: Expansion, a: Series) -> Series:
+    """k a_k."""
+    key = ("rate", a)
+    return expansion.once(key, lambda: expansion.series(lambda k: scaled(float(k), a[k])))
+
+
+def _from_rate(expansion: Expansion, first: Callable, a: Series, g: Callable) -> Series:
+    """y with y_0 = `first()` and y' = a' g, of the series g that `g(y)` makes."""
+    moves, holder = _rate(expansion, a), []
+
+    def make(k: int) -> Any:
+        if k == 0:
+            return first()
+        # Σ i a_i g_{k−i}, i from 1 on, which ends at g_{k−1}.
+        return scaled(1.0 / k, convolution(moves, holder[0], k, first=1))
+
+    out = expansion.series(make)
+    holder.append(g(out))
+    kept(moves, holder[0])
+    return out
+
+
+def _of_name(name: str, g: Callable) -> Callable:
+    """The rule of a function y = name(u) with y' = u' g(u, y)."""
+
+    def rule(expansion: Expansion, eqn: Any, a: Series) -> Series:
+        def first() -> Any:
+            return expansion.first(name, first_of(a))
+
+        return _from_rate(expansion, first, a, lambda y: g(expansion, a, y))
+
+    return rule
+
+
+def _sine_and_cosine(expansion: Expansion, a: Series) -> tuple[Series, Series]:
+    return expansion.once(("sine", a), lambda: _made_sine_and_cosine(expansion, a))
+
+
+def _made_sine_and_cosine(expansion: Expansion, a: Series) -> tuple[Series, Series]:
+    def first(name: str) -> Any:
+        return expansion.first(name, first_of(a))
+
+    if a.degree == 1:
+        start_sine = expansion.series(lambda _: first("sin"), 0)
+        start_cosine = expansion.series(lambda _: first("cos"), 0)
+
+        def power(k: int) -> Any:
+            return jnp.ones_like(a[1]) if k == 0 else powers[k - 1] * (a[1] * (1.0 / k))
+
+        powers = expansion.series(power)
+        kept(powers)
+        powers.is_of_time = True
+        turn = (start_sine, start_cosine)
+
+        def turned(k: int, shift: int) -> Any:
+            value = turn[(k + shift) % 2][0]
+            if k == 0:
+                return value
+            return (-1.0 if (k + shift) % 4 >= 2 else 1.0) * (value * powers[k])
+
+        return (
+            expansion.series(lambda k: turned(k, 0)),
+            expansion.series(lambda k: turned(k, 1)),
+        )
+    moves = _rate(expansion, a)
+
+    def sine_of(k: int) -> Any:
+        if k == 0:
+            return first("sin")
+        return scaled(1.0 / k, convolution(moves, cosine, k, first=1))
+
+    def cosine_of(k: int) -> Any:
+        if k == 0:
+            return first("cos")
+        return scaled(-1.0 / k, convolution(moves, sine, k, first=1))
+
+    sine, cosine = expansion.series(sine_of), expansion.series(cosine_of)
+    kept(moves, sine, cosine)
+    return sine, cosine
+
+
+def _hyperbolic(expansion: Expansion, a: Series) -> tuple[Series, Series]:
+    def made() -> tuple[Series, Series]:
+        moves = _rate(expansion, a)
+
+        def of(k: int, name: str, other: Callable) -> Any:
+            if k == 0:
+                return expansion.first(name, first_of(a))
+            return scaled(1.0 / k, convolution(moves, other(), k, first=1))
+
+        sine = expansion.series(lambda k: of(k, "sinh", lambda: cosine))
+        cosine = expansion.series(lambda k: of(k, "cosh", lambda: sine))
+        kept(moves, sine, cosine)
+        return sine, cosine
+
+    return expansion.once(("hyperbolic", a), made)
+
+
+def _exponential(expansion: Expansion, a: Series) -> Series:
+    return expansion.once(
+        ("exponential", a),
+        lambda: _from_rate(expansion, lambda: expansion.first("exp", first_of(a)), a, lambda y: y),
+    )
+
+
+def _logarithm(expansion: Expansion, a: Series, first: Callable, shift: float = 0.0) -> Series:
+    """y with y' = a'/(a + shift)."""
+    below = _shifted(expansion, a, shift)
+    inverse = quotient(expansion, expansion.constant(1.0), below)
+    return _from_rate(expansion, first, a, lambda y: inverse)
+
+
+def _shifted(expansion: Expansion, a: Series, number: Any) -> Series:
+    if isinstance(number, float) and number == 0:
+        return a
+    return sum_of(expansion, [a, expansion.constant(number)])
+
+
+def _real_power(expansion: Expansion, a: Series, c: Any) -> Series:
+    """a^c of a constant c: k a_0 y_k = Σ_{i ≥ 1} (i (c + 1) − k) a_i y_{k−i}."""
+    inverse = expansion.series(lambda _: 1.0 / jnp.asarray(a[0]), 0)
+
+    def make(k: int) -> Any:
+        if k == 0:
+            return jnp.power(a[0], c)
+        terms = [times((i * (c + 1) - k) * (1.0 / k), times(a[i], y[k - i])) for i in _upto(k)]
+        return times(add(terms), inverse[0])
+
+    y = expansion.series(make)
+    kept(a, y)
+    return y
+
+
+def _upto(k: int) -> range:
+    return range(1, k + 1)
+
+
+def _integer_power(expansion: Expansion, eqn: Any, a: Series) -> Series:
+    n = eqn.params["y"]
+    if abs(n) > _PRODUCTS:
+        return _real_power(expansion, a, float(n))
+    out = expansion.constant(1.0) if n == 0 else a
+    if abs(n) > 1:
+        half = _whole_power(expansion, a, abs(n))
+        out = half
+    return out if n >= 0 else quotient(expansion, expansion.constant(1.0), out)
+
+
+def _whole_power(expansion: Expansion, a: Series, n: int) -> Series:
+    if n == 1:
+        return a
+    root = square(expansion, _whole_power(expansion, a, n // 2))
+    return root if n % 2 == 0 else product(expansion, a, root)
+
+
+def _power(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
+    if b.degree == 0:
+        return _real_power(expansion, a, b[0])
+    first = expansion.series(lambda _: jnp.log(first_of(a)), 0)
+    log = _logarithm(expansion, a, lambda: first[0])
+    return _exponential(expansion, product(expansion, b, log))
+
+
+def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
+    """√a: 2 y_0 y_k = a_k − Σ y_i y_{k−i} without the ends."""
+    inverse = expansion.series(lambda _: 0.5 / y[0], 0)
+
+    def make(k: int) -> Any:
+        if k == 0:
+            return jnp.sqrt(first_of(a))
+        pairs = add([times(y[i], y[k - i]) for i in range(1, (k + 1) // 2)])
+        middle = times(y[k // 2], y[k // 2]) if k % 2 == 0 else None
+        return times(minus(a[k], add([scaled(2.0, pairs), middle])), inverse[0])
+
+    y = expansion.series(make)
+    kept(y)
+    return y
+
+
+def _arctan2(expansion: Expansion, eqn: Any, y: Series, x: Series) -> Series:
+    """The angle of (x, y): (x y' − y x')/(x² + y²)."""
+    size = sum_of(expansion, [square(expansion, x), square(expansion, y)])
+    by_y = quotient(expansion, x, size)
+    by_x = quotient(expansion, y, size)
+    of_y, of_x = _rate(expansion, y), _rate(expansion, x)
+    kept(of_y, of_x, by_y, by_x)
+
+    def make(k: int) -> Any:
+        if k == 0:
+            return jnp.arctan2(first_of(y), first_of(x))
+        rise, fall = convolution(of_y, by_y, k, first=1), convolution(of_x, by_x, k, first=1)
+        return scaled(1.0 / k, minus(rise, fall))
+
+    return expansion.series(make)
+
+
+def _one_plus_square(expansion: Expansion, a: Series, sign: float = 1.0) -> Series:
+    squared = square(expansion, a)
+    return expansion.series(lambda k: add([_one(k), scaled(sign, squared[k])]))
+
+
+def _one_over(expansion: Expansion, a: Series) -> Series:
+    return quotient(expansion, expansion.constant(1.0), a)
+
+
+def _one_over_root(expansion: Expansion, a: Series) -> Series:
+    return _real_power(expansion, a, -0.5)
+
+
+def _logistic_slope(expansion: Expansion, _: Series, y: Series) -> Series:
+    return product(expansion, y, expansion.series(lambda k: minus(_one(k), y[k])))
+
+
+def _one(k: int) -> Any:
+    return 1.0 if k == 0 else None
+
+
+def _error_slope(expansion: Expansion, a: Series, _: Series) -> Series:
+    negative = linear_function(expansion, lambda v: -v, square(expansion, a))
+    return linear_function(
+        expansion, lambda v: (2 / np.pi**0.5) * v, _exponential(expansion, negative)
+    )
+
+
+def _exp_minus_one(expansion: Expansion, eqn: Any, a: Series) -> Series:
+    whole = _exponential(expansion, a)
+    return expansion.series(lambda k: jnp.expm1(first_of(a)) if k == 0 else whole[k])
+
+
+def _exp_of_two(expansion: Expansion, eqn: Any, a: Series) -> Series:
+    return _exponential(expansion, linear_function(expansion, lambda v: float(np.log(2)) * v, a))
+
+
+FUNCTIONS: dict[str, Callable] = {
+    "acos": _of_name(
+        "acos",
+        lambda e, a, y: linear_function(
+            e, lambda v: -v, _one_over_root(e, _one_plus_square(e, a, -1.0))
+        ),
+    ),
+    "acosh": _of_name(
+        "acosh",
+        lambda e, a, y: _one_over_root(e, _shifted(e, square(e, a), -1.0)),
+    ),
+    "add": lambda e, eqn, *terms: sum_of(e, terms),
+    "add_any": lambda e, eqn, *terms: sum_of(e, terms),
+    "asin": _of_name("asin", lambda e, a, y: _one_over_root(e, _one_plus_square(e, a, -1.0))),
+    "asinh": _of_name("asinh", lambda e, a, y: _one_over_root(e, _one_plus_square(e, a))),
+    "atan": _of_name("atan", lambda e, a, y: _one_over(e, _one_plus_square(e, a))),
+    "atan2": _arctan2,
+    "atanh": _of_name("atanh", lambda e, a, y: _one_over(e, _one_plus_square(e, a, -1.0))),
+    "cos": lambda e, eqn, a: _sine_and_cosine(e, a)[1],
+    "cosh": lambda e, eqn, a: _hyperbolic(e, a)[1],
+    "div": lambda e, eqn, a, b: quotient(e, a, b),
+    "erf": _of_name("erf", _error_slope),
+    "exp": lambda e, eqn, a: _exponential(e, a),
+    "exp2": _exp_of_two,
+    "expm1": _exp_minus_one,
+    "integer_pow": _integer_power,
+    "log": lambda e, eqn, a: _logarithm(e, a, lambda: e.first("log", first_of(a))),
+    "log1p": lambda e, eqn, a: _logarithm(e, a, lambda: e.first("log1p", first_of(a)), 1.0),
+    "logistic": _of_name("logistic", _logistic_slope),
+    "mul": lambda e, eqn, a, b: product(e, a, b),
+    "pow": _power,
+    "rsqrt": lambda e, eqn, a: _one_over_root(e, a),
+    "sin": lambda e, eqn, a: _sine_and_cosine(e, a)[0],
+    "sinh": lambda e, eqn, a: _hyperbolic(e, a)[0],
+    "sqrt": _square_root,
+    "square": lambda e, eqn, a: square(e, a),
+    "sub": lambda e, eqn, a, b: difference(e, a, b),
+    "tan": _of_name("tan", lambda e, a, y: _one_plus_square(e, y)),
+    "tanh": _of_name("tanh", lambda e, a, y: _one_plus_square(e, y, -1.0)),
+}
+"""The rules of functions by the names of their operations."""

@@ -1,0 +1,204 @@
+"""Power series through a program, operation by operation.
+
+A program and the series of its arguments enter; those of its results leave. Small arrays are taken
+apart into their numbers, whatever they are made of, as in `elements`.
+"""
+
+import functools as ft
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxfil.xla import elements
+from jaxfil.xla.masked_product import evaluate_one
+from jaxfil.xla.program import interpreted
+from jaxfil.xla.series import (
+    Expansion,
+    Same,
+    Series,
+    degree_of,
+    first_of,
+    linear_function,
+    product,
+    sum_of,
+)
+from jaxfil.xla.series_rules import FROZEN, LINEAR, RULES, NoSeries, selected
+
+# Numbers of an array at most that are series one by one.
+_FEW = 32
+
+
+def expanded(expansion: Expansion, program: Any, args: Sequence[Any]) -> list[Any]:
+    """The series of a program's results: each a `Series`, or of a small array a NumPy array of
+    them. `args` are such series, or values, which are constant."""
+    given = [v if _is_series(v) else expansion.constant(v) for v in args]
+    rule = ft.partial(_made, expansion)
+    return interpreted(program, given, expansion.constant, rule)
+
+
+def scalars_of(expansion: Expansion, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """The numbers of an array as series, in an array of its shape."""
+    if not isinstance(value, Series):
+        return value
+    return _each(shape, lambda k: _number(expansion, value, k) if shape else value)
+
+
+def array_of(expansion: Expansion, value: Any) -> Series:
+    """An array as one series."""
+    if isinstance(value, Series):
+        return value
+    if not value.shape:
+        return value[()]
+    flat, shape = list(value.ravel()), value.shape
+
+    def joined(k: int) -> Any:
+        parts = [v[k] for v in flat]
+        if all(v is None for v in parts):
+            return None
+        zero = jnp.zeros_like(next(v for v in parts if v is not None))
+        return jnp.stack([zero if v is None else v for v in parts]).reshape(shape)
+
+    return expansion.series(joined, degree_of(*flat))
+
+
+def _number(expansion: Expansion, value: Series, k: tuple[int, ...]) -> Series:
+    key = ("number", value, k)
+    return expansion.once(key, lambda: linear_function(expansion, lambda v: v[k], value))
+
+
+def _is_series(value: Any) -> bool:
+    return isinstance(value, Series) or (isinstance(value, np.ndarray) and value.dtype == object)
+
+
+def _made(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
+    """What one operation gives; what it has given of the same operands before."""
+    same = [v if isinstance(v, Series) else tuple(map(Same, v.ravel())) for v in inputs]
+    key = ("operation", Same(eqn), *same)
+    return expansion.once(key, lambda: _new(expansion, jaxpr, eqn, inputs))
+
+
+def _new(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
+    name = eqn.primitive.name
+    if name == "custom_jvp_call":
+        rule = ft.partial(_made, expansion)
+        return interpreted(eqn.params["call_jaxpr"], inputs, expansion.constant, rule)
+    if all(_is_known(v) for v in inputs):
+        values = [array_of(expansion, v)[0] for v in inputs]
+        return [expansion.constant(v) for v in evaluate_one(jaxpr, eqn, values)]
+    if name == "cond":
+        return _of_cond(expansion, eqn, inputs)
+    (out, *more) = (v.aval for v in eqn.outvars)
+    if more:
+        raise NoSeries(name)
+    sizes = [v.aval.size for v in eqn.invars]
+    if out.shape == () and not any(v.aval.shape for v in eqn.invars):
+        return [_of_one(expansion, eqn, [array_of(expansion, v) for v in inputs])]
+    if all(0 < size <= _FEW for size in (out.size, *sizes)):
+        found = _in_elements(expansion, eqn, inputs)
+        if found is not None:
+            return [found]
+    return [_of_one(expansion, eqn, [array_of(expansion, v) for v in inputs])]
+
+
+def _is_known(value: Any) -> bool:
+    """Whether a value is a constant that has been computed."""
+    if isinstance(value, Series):
+        return value.degree == 0 and 0 in value.known
+    return all(map(_is_known, value.ravel()))
+
+
+def _in_elements(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> Any:
+    """An operation on small arrays, number by number; None where it is not done so."""
+    name, out = eqn.primitive.name, eqn.outvars[0].aval
+    shapes = [v.aval.shape for v in eqn.invars]
+    parts = [scalars_of(expansion, v, shape) for v, shape in zip(inputs, shapes, strict=True)]
+    if name in elements.MOVES:
+        return np.asarray(elements.moved(name, eqn.params, parts, out.shape))
+    if name in ("reduce_sum", "reduce_prod"):
+        join = _sum if name == "reduce_sum" else _joint_product
+        return _reduced(ft.partial(join, expansion), parts[0], eqn.params["axes"], out.shape)
+    if name == "dot_general":
+        left, right = parts
+        return _dotted(expansion, eqn.params["dimension_numbers"], left, right, out.shape)
+    if name in elements.ON_EACH and np.broadcast_shapes(*shapes) == out.shape:
+        wide: list[Any] = [np.broadcast_to(p, out.shape) for p in parts]
+        return _each(out.shape, lambda k: _of_one(expansion, eqn, [p[k] for p in wide]))
+    return None
+
+
+def _sum(expansion: Expansion, terms: Sequence[Series]) -> Series:
+    return sum_of(expansion, terms)
+
+
+def _joint_product(expansion: Expansion, factors: Sequence[Series]) -> Series:
+    return ft.reduce(ft.partial(product, expansion), factors)
+
+
+def _reduced(join: Callable, array: np.ndarray, axes: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """The numbers of an array joined along some axes."""
+    others = [k for k in range(array.ndim) if k not in axes]
+    rows = np.transpose(array, (*others, *axes)).reshape(*shape, -1)
+    return _each(shape, lambda k: join(list(rows[k])))
+
+
+def _dotted(
+    expansion: Expansion, numbers: tuple, a: np.ndarray, b: np.ndarray, shape: tuple[int, ...]
+) -> np.ndarray | None:
+    """A product of matrices, or its like; None where it has axes of a batch."""
+    (left, right), batch = numbers
+    if any(batch):
+        return None
+    rows = np.moveaxis(a, left, range(-len(left), 0))
+    columns = np.moveaxis(b, right, range(-len(right), 0))
+    rows = rows.reshape(*rows.shape[: a.ndim - len(left)], -1)
+    columns = columns.reshape(*columns.shape[: b.ndim - len(right)], -1)
+    outer = rows.ndim - 1
+
+    def entry(k: tuple[int, ...]) -> Series:
+        terms = zip(rows[k[:outer]], columns[k[outer:]], strict=True)
+        return sum_of(expansion, [product(expansion, u, v) for u, v in terms])
+
+    return _each(shape, entry)
+
+
+def _each(shape: tuple[int, ...], make: Callable) -> np.ndarray:
+    """An array of series, each made of its place."""
+    out = np.empty(shape, object)
+    for k in np.ndindex(*shape):
+        out[k] = make(k)
+    return out
+
+
+def _of_cond(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
+    """The branch that is taken where a step begins."""
+    which, *args = inputs
+    branches = [expanded(expansion, branch, args) for branch in eqn.params["branches"]]
+    if which.degree != 0:
+        which = expansion.series(lambda k: which[0] if k == 0 else None, 0)
+
+    def chosen(*cases: Any) -> Series:
+        cases = tuple(array_of(expansion, v) for v in cases)
+        return selected(expansion, lambda: jnp.clip(which[0], 0, len(cases) - 1), cases)
+
+    return [chosen(*cases) for cases in zip(*branches, strict=True)]
+
+
+def _of_one(expansion: Expansion, eqn: Any, inputs: Sequence[Series]) -> Series:
+    """What an operation with one result gives, whose operands are series of whole arrays."""
+    name = eqn.primitive.name
+    if name not in RULES:
+        bind = ft.partial(eqn.primitive.bind, **eqn.params)
+        if all(v.degree == 0 for v in inputs) or name in FROZEN:
+            return expansion.series(lambda _: bind(*(first_of(v) for v in inputs)), 0)
+        if name not in LINEAR or any(v.degree != 0 for v in inputs[1:]):
+            raise NoSeries(name)
+        others = inputs[1:]
+        return linear_function(expansion, lambda v: bind(v, *(o[0] for o in others)), inputs[0])
+    key = (name, _params_key(eqn), *inputs)
+    return expansion.once(key, lambda: RULES[name](expansion, eqn, *inputs))
+
+
+def _params_key(eqn: Any) -> str:
+    return str(sorted(eqn.params.items(), key=lambda item: item[0])) if eqn.params else ""

@@ -1,0 +1,117 @@
+"""Power series of programs, against derivatives of all orders by automatic differentiation."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from jaxfil.xla.moves import by_slices
+from jaxfil.xla.series import Expansion, Series
+from jaxfil.xla.series_program import array_of, expanded
+from jaxfil.xla.series_rules import NoSeries
+
+ORDER = 7
+# The argument as a polynomial in time, of which each function is the series.
+ARGUMENT = (0.4, 0.3, -0.2, 0.1, 0.05, 0.02)
+MATRIX = np.arange(9.0).reshape(3, 3) / 7 - 0.3
+
+
+def chosen(t, x):
+    branch = jax.lax.cond(x > 0, lambda v: v**3, lambda v: v, x)
+    return jnp.where(x > 0.3, x * x, -x) + branch + jnp.sign(x) * x + jax.nn.relu(x)
+
+
+FUNCTIONS = {
+    "products": lambda t, x: (2 * x) * x * (3 * x) - t * x + x * (1 + x * x),
+    "quotients": lambda t, x: x / (1 + x * x) + t / (2 + x) + 3 / (1 + t) + x / 3,
+    "integer powers": lambda t, x: (1 + x) ** 5 + (1 + x) ** -3 + x**2 + (1.2 + x) ** 9 + x**0,
+    "real powers": lambda t, x: (1 + x) ** 2.5 + (1.1 + x) ** x + jax.lax.rsqrt(1 + x),
+    "square root": lambda t, x: jnp.sqrt(1 + x),
+    "exponentials": lambda t, x: jnp.exp(-x) + jnp.exp2(x) + jnp.expm1(x),
+    "logarithms": lambda t, x: jnp.log(1 + x * x) + jnp.log1p(x),
+    "sine of a state": lambda t, x: jnp.sin(x) * jnp.cos(2 * x),
+    "sine of a phase": lambda t, x: jnp.sin(3 * t + 0.2) * x + jnp.cos(3 * t + 0.2) + jnp.sin(t),
+    "sine of a square of time": lambda t, x: jnp.sin(t * t + 1.0),
+    "tangents": lambda t, x: jnp.tan(x) + jnp.tanh(x) + jnp.arctan(x) + jnp.arctan2(x, 1 + t),
+    "hyperbolic": lambda t, x: jnp.sinh(x) + jnp.cosh(2 * x) + jax.nn.sigmoid(x),
+    "error function": lambda t, x: jax.scipy.special.erf(x),
+    "inverses": lambda t, x: jnp.arcsin(x / 2) + jnp.arccos(x / 2) + jnp.arcsinh(x),
+    "hyperbolic inverses": lambda t, x: jnp.arctanh(x / 2) + jnp.arccosh(2 + x),
+    "extremes": lambda t, x: abs(-x) + jnp.maximum(x, t) + jnp.minimum(x, 2.0) + jnp.clip(x, 0, 4),
+    "choices": chosen,
+    "remainder": lambda t, x: jnp.mod(t + 0.3, 1.7) * x,
+    "small arrays": lambda t, x: jnp.sum(MATRIX @ jnp.stack([x, x * x, jnp.sin(t)])),
+    "places": lambda t, x: jnp.stack([x, t]).at[0].add(t * x).prod(),
+    "large arrays": lambda t, x: jnp.sum(jnp.sin(jnp.arange(40.0) * x) * jnp.linspace(0, 1, 40)),
+    "products of vectors": lambda t, x: jnp.dot(jnp.full(40, x), jnp.arange(40.0) * t * x),
+}
+
+
+def derivatives(function):
+    """f⁽ᵏ⁾(0)/k! of the function of time alone."""
+
+    def of_time(s):
+        return function(s, sum(c * s**k for k, c in enumerate(ARGUMENT)))
+
+    out = []
+    for k in range(ORDER):
+        out.append(float(of_time(0.0)) / math.factorial(k))
+        of_time = jax.jacfwd(of_time)
+    return np.array(out)
+
+
+def series_of(function):
+    program = by_slices(jax.make_jaxpr(function)(0.0, 0.0))
+    expansion = Expansion({})
+    t = expansion.linear(jnp.asarray(0.0), jnp.asarray(1.0))
+    x = expansion.series(lambda k: jnp.asarray(ARGUMENT[k]) if k < len(ARGUMENT) else None)
+    (y,) = expanded(expansion, program, [t, x])
+    return array_of(expansion, y)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_coefficients_are_derivatives(name):
+    found = series_of(FUNCTIONS[name])
+    values = [0.0 if found[k] is None else float(found[k]) for k in range(ORDER)]
+    exact = derivatives(FUNCTIONS[name])
+    # Sums of a few dozen terms, none larger than the largest coefficient by a factor of ten.
+    scale = 10 * np.max(abs(exact))
+    assert_allclose(values, exact, rtol=0, atol=64 * np.finfo(float).eps * scale)
+
+
+def test_zeros_by_structure_are_not_computed():
+    constant = series_of(lambda t, x: jnp.sin(jnp.asarray(2.0)) + 1.0)
+    assert constant[1] is None and constant[5] is None
+    linear = series_of(lambda t, x: 3.0 * t - 1.0)
+    assert float(linear[1]) == 3.0 and linear[2] is None
+
+
+def test_products_of_multiples_are_multiples_of_a_square():
+    made = []
+
+    def counted(function):
+        program = jax.make_jaxpr(function)(0.0, 0.0)
+        expansion = Expansion({})
+        t = expansion.linear(jnp.asarray(0.0), jnp.asarray(1.0))
+        x = expansion.series(lambda k: jnp.asarray(ARGUMENT[k]))
+        expanded(expansion, program, [t, x])
+        made.append(sum(isinstance(v, Series) and v.is_kept for v in expansion.made))
+
+    counted(lambda t, x: x * x)
+    counted(lambda t, x: (2 * x) * (3 * x) + x * x)
+    assert made[0] == made[1]
+
+
+@pytest.mark.parametrize(
+    "name, function",
+    [
+        ("scan", lambda t, x: jax.lax.fori_loop(0, 3, lambda _, v: v * x, x)),
+        ("sort", lambda t, x: jnp.sort(jnp.stack([x, t]))[0]),
+    ],
+)
+def test_an_operation_without_a_series_is_named(name, function):
+    with pytest.raises(NoSeries, match=f"`{name}`"):
+        series_of(function)
