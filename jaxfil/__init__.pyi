@@ -43,6 +43,7 @@ from .integrate.run.step_choice import StepChoice as StepChoice
 from .integrate.steppers.adaptive import Adaptive as Adaptive
 from .integrate.steppers.explicit import RK4 as RK4
 from .integrate.steppers.rosenbrock import Rodas5P as Rodas5P
+from .integrate.steppers.taylor import Taylor as Taylor
 from .model.clock import Clock as Clock
 from .model.outcomes import RESULTS as RESULTS, EventKind as EventKind
 from .model.section import (

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 from jaxfil.version import __version__
 
 PICTURES = (".png", ".pdf", ".svg")
-STEPPERS = ("RK4", "Tsit5", "Dopri8", "Rodas5P")
+STEPPERS = ("RK4", "Tsit5", "Dopri8", "Taylor", "Rodas5P")
 
 _EXAMPLES = """\
 examples:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxfil.command.textbook import state, text
 from jaxfil.integrate.steppers.explicit import RK4
 from jaxfil.integrate.steppers.rosenbrock import Rodas5P
+from jaxfil.integrate.steppers.taylor import Taylor
 from jaxfil.studies.work_precision import WorkPrecision, work_precision
 from jaxfil.sweep.interrupt import Interrupts
 from jaxfil.systems import TEXTBOOK
@@ -17,6 +18,7 @@ _STEPPERS = {
     "RK4": RK4(),
     "Tsit5": diffrax.Tsit5(),
     "Dopri8": diffrax.Dopri8(),
+    "Taylor": Taylor(),
     "Rodas5P": Rodas5P(),
 }
 

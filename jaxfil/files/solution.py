@@ -3,6 +3,7 @@
 Named arrays enter, and the system that a dense solution goes on with; the solution leaves.
 """
 
+import functools as ft
 import re
 
 import diffrax
@@ -13,6 +14,7 @@ from jaxfil.integrate.run.solution import Crossings, Dense, Events, Solution
 from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.steppers.explicit import RK4, Stepper, checked_stepper, controlled
 from jaxfil.integrate.steppers.rosenbrock import Rodas5P
+from jaxfil.integrate.steppers.taylor import Taylor
 from jaxfil.model.dataset import (
     fields_from,
     labels_from,
@@ -55,7 +57,9 @@ def stepper_from(data: NamedArrays) -> Stepper:
     """The stepper of the name that the data set gives."""
     name = str(data.attributes["stepper"])
     method, _, tolerance = name.partition(", ")
-    cls = _OWN.get(method) or getattr(diffrax, method, None)
+    order = re.fullmatch(r"Taylor\((\d+)\)", method)
+    own = ft.partial(Taylor, int(order[1])) if order else _OWN.get(method)
+    cls = own or getattr(diffrax, method, None)
     if cls is None:
         raise ValueError(
             "`path` must be of a run by a stepper of jaxfil or diffrax, which alone are known by "

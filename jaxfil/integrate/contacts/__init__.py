@@ -4,6 +4,7 @@
   weight w, the reaction at rest. A surface just met is armed again once its guard exceeds rounding.
   A limit that is no surface of the system is a section.
 - cubic: the guard between the ends of a step, by its values and rates there.
+- polynomial: the guard within a step whose motion is one; its first zero is found on it.
 - locate: where in a trial step a guard first becomes negative; a landing is a step that has ended
   there, with its Newton correction in time.
 - switch: the map that is due, of a tick or of a surface, and the mode at the corrected state.

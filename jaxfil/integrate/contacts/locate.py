@@ -107,9 +107,15 @@ class Contact(eqx.Module):
         return self.theta < NEVER
 
 
-def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> Contact:
+def find_contact(
+    problem: Problem,
+    state: LoopState,
+    end: StepEnd,
+    length: Length,
+    searched: Components | None = None,
+) -> Contact:
     """The earliest contact of a trial step, over all surfaces; θ is NaN where guards are too large
-    for it to be found.
+    for it to be found. Of surfaces that have been `searched` only the end is looked at.
 
     A slide that repels at the end of the step is followed to where it ceases to attract.
     """
@@ -121,8 +127,12 @@ def find_contact(problem: Problem, state: LoopState, end: StepEnd, length: Lengt
     noise = _searched_to(state, end)
     ends = state.motion.g, h * state.motion.rate, stop_gradient(end.motion.g), h * end.motion.rate
     near = ~(state.armed & on_each(stays_off, *ends, noise))
+    if searched is not None:
+        near = near & ~(searched & (ends[2] >= -noise))
     search = ft.partial(_searched, system)
     found = on_each(search, near, *ends, state.armed, noise)
+    if searched is not None:
+        found = where(near, found, NEVER + _LOOK)
     found = system.hold(where(brief & ~state.armed, NEVER + _LOOK, found))
     # The earliest counts, whichever surface is listed first; contacts beat minima at the same θ.
     thetas = minimum(found, NEVER)

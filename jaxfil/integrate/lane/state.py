@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import TimeGrid
 from jaxfil.integrate.steppers.explicit import Trial
-from jaxfil.integrate.system.components import Components, any_of
+from jaxfil.integrate.system.components import Components, Polynomial, any_of
 from jaxfil.model.outcomes import RESULTS
 
 Column: TypeAlias = Any
@@ -186,13 +186,14 @@ class LoopState(eqx.Module):
 
 
 class FreeStep(eqx.Module):
-    """A trial step on the sides that a lane is on, the field at its end, and the guards of these
-    sides there with their rates."""
+    """A trial step on the sides that a lane is on, the field at its end, the guards of these sides
+    there with their rates, and the motion within the step where it is a polynomial."""
 
     trial: Trial
     f: Components
     g: Components
     rate: Components
+    path: Polynomial | None
 
 
 class StepEnd(eqx.Module):

@@ -17,11 +17,13 @@ But lanes in a vector do the same thing at the same time. So the loop takes turn
              └─────── coasting ──────┘  └─ judging ─┘└─ coasting ─
 
 Coasting goes on until too many lanes wait, judging until hardly one needs it: `_CROSSING`,
-`_SLIDING` say how many those are. What a lane comes to does not depend on the others: a step that
-it coasts through would have been accepted, with the same numbers to the last bit, so that a lane
-alone, in a batch of 64 or in another one gives the same samples.
+`_SLIDING`, and of steps that are polynomials `_ALONG` say how many those are. What a lane comes to
+does not depend on the others: a step that it coasts through would have been accepted, with the same
+numbers to the last bit, so that a lane alone, in a batch of 64 or in another one gives the same
+samples.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -34,14 +36,18 @@ from jaxfil.integrate.lane.state import FreeStep, LoopState, is_running
 from jaxfil.integrate.lane.step_length import Length, choose_length
 from jaxfil.integrate.loop.free_step import (
     accept_free_step,
+    end_of_free_step,
     is_event_free,
-    is_near_surface,
+    is_near,
     try_free_step,
 )
 from jaxfil.integrate.loop.iterate import finish, integrate, judge, trial_step
+from jaxfil.integrate.loop.path import cut_at_contact, path_of, trial_at
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial
-from jaxfil.integrate.system.components import Components
+from jaxfil.integrate.steppers.taylor import TaylorTableau
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.system.components import Components, Polynomial, side_of
 from jaxfil.xla.select import select, select_all
 
 _BATCH = "batch"
@@ -52,7 +58,7 @@ _BATCH = "batch"
 # long; left behind, it would still stick when the others come to stick again. Measured: on belt
 # friction the first pair costs a tenth. Where nothing slides (3, 12) is 8 % faster on the SD
 # oscillator, which is chaotic, and 8 % slower on the impact oscillator, which is not.
-_CROSSING, _SLIDING = (8, 32), (16, 128)
+_CROSSING, _SLIDING, _ALONG = (8, 32), (16, 128), (4, 16)
 
 
 def integrate_batch(
@@ -83,6 +89,8 @@ def _integrate_together(problem: Problem, x0: Components) -> LoopState:
     if problem.system.m == 0 or problem.compact or not coasts_alone:
         return integrate(problem, x0)
     few_stopped, few_near = _SLIDING if problem.system.slides else _CROSSING
+    if isinstance(problem.tableau, TaylorTableau) and not problem.system.slides:
+        few_stopped, few_near = _ALONG
 
     def on(state: LoopState) -> Array:
         return is_running(problem.grid, state)
@@ -96,13 +104,13 @@ def _integrate_together(problem: Problem, x0: Components) -> LoopState:
 
     def needs_judging(carry: tuple[LoopState, Array]) -> Array:
         state, first = carry
-        return first | (few_near * _count(is_near_surface(state) & on(state)) > _count(on(state)))
+        return first | (few_near * _count(is_near(problem, state) & on(state)) > _count(on(state)))
 
     def judged(carry: tuple[LoopState, Array]) -> tuple[LoopState, Array]:
         return _judge(problem, carry[0]), jnp.zeros((), bool)
 
     def turn(state: LoopState) -> LoopState:
-        state, _ = jax.lax.while_loop(coasts, coast, (state, is_near_surface(state)))
+        state, _ = jax.lax.while_loop(coasts, coast, (state, is_near(problem, state)))
         state, _ = jax.lax.while_loop(needs_judging, judged, (state, jnp.ones((), bool)))
         return state
 
@@ -139,6 +147,8 @@ def _coast(problem: Problem, state: LoopState) -> tuple[LoopState, Array]:
 def _judge(problem: Problem, state: LoopState) -> LoopState:
     """A full iteration, in which the step of a lane that neither slides nor rests is the one that
     it might have coasted through, to the last bit."""
+    if isinstance(problem.tableau, TaylorTableau):
+        return _judge_along(problem, state)
     length, free = _try(problem, state)
     x, error, forcing = free.trial.x, free.trial.error, free.trial.forcing
     if problem.system.slides or problem.system.resets:
@@ -150,3 +160,21 @@ def _judge(problem: Problem, state: LoopState) -> LoopState:
         any_held = _count(state.held) > 0
         x, error = jax.lax.cond(any_held, bound, lambda: (x, error))
     return judge(problem, state, length, Trial(x, error, forcing), free)
+
+
+def _judge_along(problem: Problem, state: LoopState) -> LoopState:
+    """A full iteration of a step that is a polynomial up to its contact."""
+    system, length = problem.system, choose_length(problem, state)
+    free = ModeField(system, side_of(state.motion.mode), blended=False, held=False)
+    path = path_of(problem, state, length, free)
+    if system.slides or system.resets:
+
+        def bound() -> Polynomial:
+            mode = path_of(problem, state, length, ModeField(system, state.motion.mode))
+            return select_all(state.held, mode, path)
+
+        path = jax.lax.cond(_count(state.held) > 0, bound, lambda: path)
+    cut = cut_at_contact(problem, state, length, path)
+    trial = trial_at(problem, state, path, cut)
+    end = end_of_free_step(problem, state, cut.length, trial, None)
+    return judge(problem, dataclasses.replace(state, search=cut.search), cut.length, trial, end)

@@ -20,31 +20,54 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.loop.halving import smooth_step, trust_after_free_step
+from jaxfil.integrate.loop.path import is_clear, path_of
 from jaxfil.integrate.steppers.error_estimate import may_be_too_long
-from jaxfil.integrate.steppers.explicit import step
+from jaxfil.integrate.steppers.explicit import Trial, step, trial_of
+from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import all_finite, any_of, on_each, side_of
+from jaxfil.integrate.system.components import (
+    Polynomial,
+    all_finite,
+    any_of,
+    maximum,
+    on_each,
+    side_of,
+    where,
+)
 from jaxfil.xla.select import select, select_all
 
 
 def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeStep:
     """A trial step on the sides that a lane is on; where it slides, on side +1, which is not where
     it goes."""
-    system, grid, h = problem.system, problem.grid, length.h
-    sides = side_of(state.motion.mode)
-    start, t = grid.t0 + state.motion.tau, grid.t0 + length.end
-    forcing = system.forcing(start, h, problem.tableau.times)
-    field = ModeField(system, sides, blended=False)
-    trial = step(problem.tableau, field, start, state.motion.x, state.motion.f, h, forcing)
-    f = system.hold(system.field(t, trial.x, sides, forcing=forcing[-1]))
+    system, tableau, h = problem.system, problem.tableau, length.h
+    field = ModeField(system, side_of(state.motion.mode), blended=False, held=False)
+    start, motion = problem.grid.t0 + state.motion.tau, state.motion
+    forcing, path = system.forcing(start, h, tableau.times), None
+    if isinstance(tableau, TaylorTableau):
+        path = path_of(problem, state, length, field)
+        trial = system.hold(trial_of(tableau, path, jnp.ones_like(h), forcing))
+    else:
+        trial = step(tableau, field, start, motion.x, motion.f, h, forcing)
+    return end_of_free_step(problem, state, length, trial, path)
+
+
+def end_of_free_step(
+    problem: Problem, state: LoopState, length: Length, trial: Trial, path: Polynomial | None
+) -> FreeStep:
+    """What is known at the end of a trial step on the sides that a lane is on."""
+    system, sides, t = problem.system, side_of(state.motion.mode), problem.grid.t0 + length.end
+    f = system.hold(system.field(t, trial.x, sides, forcing=trial.forcing[-1]))
     value, slope = jax.jvp(system.switching, (t, trial.x), (jnp.ones_like(t), f))
-    return FreeStep(trial, f, system.hold(sides * value), system.hold(sides * slope))
+    return FreeStep(trial, f, system.hold(sides * value), system.hold(sides * slope), path)
 
 
-def is_near_surface(state: LoopState) -> Array:
+def is_near(problem: Problem, state: LoopState) -> Array:
     """Whether a lane slides or rests, is at or near a contact, or takes steps shorter than the
-    grid's."""
-    near = state.held | state.pending.waits | (state.search.length != 0) | any_of(~state.armed)
+    grid's. On a polynomial a surface that has just been left is no nearer than others."""
+    near = state.held | state.pending.waits | (state.search.length != 0)
+    if not isinstance(problem.tableau, TaylorTableau):
+        near = near | any_of(~state.armed)
     return near | (state.trust.longest < jnp.inf)
 
 
@@ -54,10 +77,15 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     t, size = problem.grid.t0 + length.end, larger(state.motion.scale, x)
     _, h_t, normals = problem.system.gradients(t, x)
     touch = surface_noise(problem.system, t, x, size, h_t, normals)
-    clear = ~is_near_surface(state) & all_finite(x, free.f, free.g)
+    clear = ~is_near(problem, state) & all_finite(x, free.f, free.g)
     taken = smooth_step(problem, state, h, free.f, free.trial)
     clear = clear & ~may_be_too_long(problem.tableau, taken)
-    off = on_each(stays_off, state.motion.g, h * state.motion.rate, free.g, h * free.rate, touch)
+    if free.path is not None:
+        least = 4 * maximum(touch, where(state.armed, 0.0, state.motion.noise))
+        off = is_clear(problem, state, length, free.path) & (free.g > least)
+    else:
+        ends = state.motion.g, h * state.motion.rate, free.g, h * free.rate
+        off = on_each(stays_off, *ends, touch)
     return clear & ~any_of(~off)
 
 
@@ -80,6 +108,7 @@ def accept_free_step(
         state,
         motion=select_all(clear, moved, before),
         tau_low=select(clear, 0.0, state.tau_low),
+        armed=state.armed | clear,
         trust=trust_after_free_step(state.trust, clear),
         counts=dataclasses.replace(
             counts,

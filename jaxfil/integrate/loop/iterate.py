@@ -53,8 +53,10 @@ from jaxfil.integrate.lane.step_length import Length, choose_length
 from jaxfil.integrate.loop import judge as judging
 from jaxfil.integrate.loop.halving import doubted, next_trust
 from jaxfil.integrate.loop.judge import Judgement
+from jaxfil.integrate.loop.path import cut_at_contact, path_of, trial_at
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial, compact_step, step
+from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.system.components import (
@@ -74,12 +76,22 @@ def advance(problem: Problem, state: LoopState) -> LoopState:
     for extension, own in zip(problem.extensions, state.extensions, strict=True):
         problem = extension.before_step(problem, own)
     length = choose_length(problem, state)
+    if isinstance(problem.tableau, TaylorTableau) and problem.system.m > 0:
+        return _advance_along(problem, state, length)
     t, times = problem.grid.t0 + state.motion.tau, problem.tableau.times
     forcing = problem.system.forcing(t, length.h, times)
     trial = trial_step(problem, state, length, forcing)
     if problem.system.m == 0:
         return _go_on_smoothly(problem, state, length, trial)
     return judge(problem, state, length, trial)
+
+
+def _advance_along(problem: Problem, state: LoopState, length: Length) -> LoopState:
+    """An iteration whose trial step ends where a polynomial first meets a surface."""
+    path = path_of(problem, state, length, ModeField(problem.system, state.motion.mode))
+    cut = cut_at_contact(problem, state, length, path)
+    aiming = dataclasses.replace(state, search=cut.search)
+    return judge(problem, aiming, cut.length, trial_at(problem, state, path, cut))
 
 
 def trial_step(problem: Problem, state: LoopState, length: Length, forcing: list[Forcing]) -> Trial:

@@ -71,7 +71,8 @@ def judged(
     problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd
 ) -> Judgement:
     """What is known of a trial step."""
-    contact, waits = find_contact(problem, state, end, length), state.pending.waits
+    contact = find_contact(problem, state, end, length, trial.searched)
+    waits = state.pending.waits
     motion = end.motion
     infinite = ~all_finite(motion.x, motion.f, motion.g, contact.theta)
     # A flight this short cannot be told from the correction that ends it.

@@ -86,8 +86,8 @@ def solve(
     - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|); or `Adaptive`, a
       tolerance by which each step has its own length; or what `choose_step` gives, which has its
       own `stepper`.
-    - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`, or for
-      stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
+    - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`,
+      `Taylor()`, or for stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
       what else it can ask for is refused by name.
     - `max_events`: length of the event table; None keeps no table and sets no limit.

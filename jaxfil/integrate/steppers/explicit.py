@@ -24,7 +24,14 @@ from jaxfil.integrate.steppers.rosenbrock import (
     RosenbrockTableau,
     rosenbrock_step,
 )
-from jaxfil.integrate.system.components import Components, Forcing, SmoothField, on_each
+from jaxfil.integrate.steppers.taylor import Taylor, TaylorTableau, error_at
+from jaxfil.integrate.system.components import (
+    Components,
+    Forcing,
+    Polynomial,
+    SmoothField,
+    on_each,
+)
 from jaxfil.model.argument import told
 from jaxfil.xla.select import select
 
@@ -82,9 +89,9 @@ class ExplicitTableau(eqx.Module):
         return [*sorted({*self.c} - {1.0}), 1.0]
 
 
-Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau
+Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau | TaylorTableau
 """What a step needs to know of a stepper."""
-Method: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P
+Method: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P | Taylor
 """What the user chooses: a one-step method."""
 
 
@@ -110,6 +117,9 @@ class Trial(eqx.Module):
     """Its estimated error without the share of the field at the end; None without an estimate."""
     forcing: list[Forcing]
     """The forcing at the times within the step, its end last."""
+    searched: Components | None = None
+    """The surfaces of which it is known that their guards have no zero before the end, m flags;
+    None: of none."""
 
 
 # Order of a method from which on its estimate of an error says something of a single step: one of
@@ -163,10 +173,11 @@ def _refuse_others(stepper: Any, name: str = "stepper") -> None:
     explicit = isinstance(tableau, diffrax.ButcherTableau) and not tableau.implicit
     if isinstance(stepper, Controlled):
         return
-    if not explicit and not isinstance(stepper, RK4 | Rodas5P | diffrax.Euler):
+    if not explicit and not isinstance(stepper, RK4 | Rodas5P | Taylor | diffrax.Euler):
         raise ValueError(
-            f"`{name}` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit "
-            f"diffrax Runge–Kutta solver such as diffrax.Dopri8(), got {told(stepper)}."
+            f"`{name}` must be jaxfil.RK4(), jaxfil.Rodas5P(), jaxfil.Taylor() or an instance of "
+            "an explicit diffrax Runge–Kutta solver such as diffrax.Dopri8(), got "
+            f"{told(stepper)}."
         )
     kind = getattr(stepper, "scan_kind", None)
     if kind is not None:
@@ -185,6 +196,8 @@ def tableau_of(stepper: Stepper) -> Tableau:
         return ExplicitTableau(_floats(RK4.c), a, _floats(RK4.b), _floats(RK4.d), name, crude=True)
     if isinstance(stepper, Rodas5P):
         return RODAS5P
+    if isinstance(stepper, Taylor):
+        return TaylorTableau(stepper.order, f"{name}({stepper.order})")
     if isinstance(stepper, diffrax.Euler):
         return ExplicitTableau((), (), (1.0,), (), name)
     given, order = stepper.tableau, stepper.order(None)  # pyright: ignore[reportArgumentType]
@@ -231,6 +244,9 @@ def step(
     `ComponentSystem.forcing` has found for `tableau.times`."""
     if isinstance(tableau, RosenbrockTableau):
         return Trial(*rosenbrock_step(tableau, field, t, x, f, h), forcing)
+    if isinstance(tableau, TaylorTableau):
+        known = field.polynomial(tableau.order, t, x, h)
+        return trial_of(tableau, known, jnp.ones_like(h), forcing)
     slopes = [f]
     known = dict(zip(tableau.times, forcing, strict=True))
     for c, row in zip(tableau.c, tableau.a, strict=True):
@@ -242,6 +258,11 @@ def step(
         error = stop_gradient(weighted(tableau.d[:-1], slopes))
     end, error = field.once(lambda held: held, (end, error))
     return Trial(end, error, forcing)
+
+
+def trial_of(tableau: TaylorTableau, known: Polynomial, s: Array, forcing: list[Forcing]) -> Trial:
+    """The end of a step at a fraction s of a known polynomial."""
+    return Trial(known.at(s), error_at(tableau.order, known, s), forcing)
 
 
 def _column(v: Any, rows: Array) -> Any:
@@ -265,7 +286,7 @@ def compact_step(
 ) -> Trial:
     """`step` with its stages in a loop: a program as small as one evaluation of the field, for
     fields that are large and steps that are few."""
-    if isinstance(tableau, RosenbrockTableau):
+    if not isinstance(tableau, ExplicitTableau):
         return step(tableau, field, t, x, f, h, forcing)
     stages = tableau.stages
     times, rows = np.zeros(stages), np.zeros((stages, stages))

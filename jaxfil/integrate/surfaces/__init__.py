@@ -2,6 +2,7 @@
 
 - weight: on a surface slid on, the w in [−1, 1] at which the blend of both sides is tangent to it
   (`weights`); the blend is Filippov's convex combination (`filippov`).
+- mode series: power series of a mode's field and guards.
 - decision: the weights and reactions of all surfaces that a state is on, found together.
 - reaction: what holds a motion at rest on a surface with a reset (`unilateral`).
 - normal: ∇H, and projection along it (`normals`).

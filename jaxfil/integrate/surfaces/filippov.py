@@ -19,19 +19,23 @@ import functools as ft
 from collections.abc import Callable
 from typing import Any
 
+import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.surfaces import unilateral
+from jaxfil.integrate.steppers.explicit import ExplicitTableau, compact_step, tableau_of
+from jaxfil.integrate.steppers.taylor import end_alone
+from jaxfil.integrate.surfaces import mode_series, unilateral
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, on_corners
 from jaxfil.integrate.surfaces.decision import decide, question_of
 from jaxfil.integrate.surfaces.weights import determinant, held_together, weights
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
+    Polynomial,
     SmoothField,
     any_of,
     largest,
@@ -41,7 +45,11 @@ from jaxfil.integrate.system.components import (
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.moves import taken
-from jaxfil.xla.select import select
+from jaxfil.xla.select import select, select_all
+
+# The method of steps that have no power series.
+_OTHER = tableau_of(diffrax.Dopri8())
+assert isinstance(_OTHER, ExplicitTableau)
 
 
 def blend_fields(
@@ -212,6 +220,40 @@ class ModeField(SmoothField):
     def once(self, function: Callable, *args: Any) -> Any:
         """`ComponentSystem.once`."""
         return self.system.once(function, *args)
+
+    def polynomial(self, order: int, t: Array, x: Components, h: Array) -> Polynomial:
+        """`mode_series.polynomial`, and where it has none a step of Dopri8."""
+        return path(self, order, t, x, h)
+
+
+def path(field: ModeField, order: int, t: Array, x: Components, h: Array) -> Polynomial:
+    """The motion in a step of a mode: its power series. Where it rests, or slides on surfaces whose
+    weights depend on each other, only the end is known, by Dopri8."""
+    system, mode = field.system, field.mode
+    series = ft.partial(mode_series.polynomial, system, order, field.blended)
+    slides, rests = field.blended and system.slides, field.held and system.resets
+    unserved = slides and not mode_series.slides_have_series(system)
+    if not rests and not unserved:
+        return series(t, x, h, mode)
+    unknown = any_of(unilateral.rests_of(mode)) if rests else jnp.zeros((), bool)
+    if unserved:
+        unknown = unknown | any_of(mode == 0)
+        series = ft.partial(mode_series.polynomial, system, order, False)
+
+    def other(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
+        whole = ModeField(system, mode, field.blended, field.held)
+        forcing = system.forcing(t, h, _OTHER.times)
+        trial = compact_step(_OTHER, whole, t, x, whole(t, x), h, forcing)
+        f1, error = whole(t + h, trial.x), trial.error
+        assert error is not None
+        # So that the defect of the field at the end is the error of this method.
+        f = f1 - (order + 1.0) * (error + _OTHER.d[-1] * f1)
+        return end_alone(order, h, x, trial.x, f, mode)
+
+    def mixed(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
+        return select_all(unknown, other(t, x, h, mode), series(t, x, h, mode))
+
+    return system.where_any(unknown, mixed, series, t, x, h, mode)
 
 
 def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:

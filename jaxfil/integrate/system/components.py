@@ -254,3 +254,35 @@ class SmoothField(eqx.Module):
     @abc.abstractmethod
     def once(self, function: Callable, *args: Any) -> Any:
         """As `ComponentSystem.once`."""
+
+    @abc.abstractmethod
+    def polynomial(self, order: int, t: Array, x: Components, h: Array) -> "Polynomial":
+        """The motion in a step of length h, as a power series of some order."""
+
+
+class Polynomial(eqx.Module):
+    """A motion within a step of length h, as coefficients of the powers of the fraction s of it
+    that is gone: x(t + s h) = Σ_k x_k s^k."""
+
+    h: Array
+    x: tuple[Components, ...]
+    """States, n components, orders 0 to p."""
+    guards: tuple[Components, ...]
+    """The guards of the mode, m components, orders 0 to p."""
+    ends: Array
+    """Whether it is right at the end of the step alone, and says nothing of guards."""
+
+    def at(self, s: Array) -> Components:
+        """The state at a fraction s of the step."""
+        *lower, value = self.x
+        for c in reversed(lower):
+            value = c + s * value
+        return value
+
+    def rate_at(self, s: Array) -> Components:
+        """dx/dt there; zero in a step of length zero."""
+        _, *slopes = (float(k) * c for k, c in enumerate(self.x))
+        *lower, value = slopes
+        for c in reversed(lower):
+            value = c + s * value
+        return select(self.h == 0, 0.0, 1 / select(self.h == 0, 1.0, self.h)) * value

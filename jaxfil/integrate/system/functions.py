@@ -13,9 +13,35 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.system.components import Components, pack, scalars
+from jaxfil.integrate.system.components import Components, Forcing, pack, scalars
 from jaxfil.model.system import System, field_of
+from jaxfil.xla.series import Expansion, Series
 from jaxfil.xla.trace import Traced
+
+
+class ParametrizedFunction(eqx.Module):
+    """One of the user's functions, on components, with the parameters that it takes."""
+
+    traced: Traced = eqx.field(static=True)
+    parameters: Any
+    fence: Array | None
+
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        return self.traced(self.parameters, *args, fence=self.fence, **options)
+
+    def ahead(self, t: Array) -> Forcing:
+        """What is dear in it and takes time alone."""
+        return self.traced.ahead(self.parameters, t)
+
+    def expanded(self, expansion: Expansion, *args: Any) -> list[Any]:
+        """Power series of its results, given those of its arguments or constants."""
+        return self.traced.expanded(expansion, self.parameters, *args)
+
+    def expanded_rate(
+        self, expansion: Expansion, t: Series, x: list[Any], along: list[Any]
+    ) -> list[Any]:
+        """The same of the rate of its results along a direction."""
+        return self.traced.expanded_rate(expansion, self.parameters, [t, *x], along)
 
 
 def unpacked(numbers: Any, as_array: bool) -> Components:

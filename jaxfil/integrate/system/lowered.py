@@ -24,6 +24,7 @@ from jaxfil.integrate.system import dependencies
 from jaxfil.integrate.system.components import Components, Forcing, on_each, scalars
 from jaxfil.integrate.system.dependencies import Structure
 from jaxfil.integrate.system.functions import (
+    ParametrizedFunction,
     accelerations,
     on_components,
     rate_of,
@@ -41,6 +42,7 @@ from jaxfil.model import check
 from jaxfil.model.system import System
 from jaxfil.xla.rounding import rounding_of
 from jaxfil.xla.select import select
+from jaxfil.xla.series import Expansion, Series
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 
 # Numbers of a state, and surfaces of a state that is one array, that are components one by one, at
@@ -48,21 +50,6 @@ from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 _FEW, _FEW_SURFACES = (12, 2), (1, 1)
 # Surfaces at most that are components one by one, whatever they have to do with each other.
 _MANY_SURFACES = 3
-
-
-class ParametrizedFunction(eqx.Module):
-    """One of the user's functions, on components, with the parameters that it takes."""
-
-    traced: Traced = eqx.field(static=True)
-    parameters: Any
-    fence: Array | None
-
-    def __call__(self, *args: Any, **options: Any) -> Any:
-        return self.traced(self.parameters, *args, fence=self.fence, **options)
-
-    def ahead(self, t: Array) -> Forcing:
-        """What is dear in it and takes time alone."""
-        return self.traced.ahead(self.parameters, t)
 
 
 class ComponentSystem(eqx.Module):
@@ -193,6 +180,30 @@ class ComponentSystem(eqx.Module):
     def felt(self, t: Array, x: Components, sides: Components, reaction: Components) -> Components:
         """What reactions, m numbers, add to the field, which is affine in them."""
         return self._felt(self.held(t), x, sides, reaction)
+
+    def expansion(self) -> Expansion:
+        """Where power series of the functions of the system are made."""
+        return self._field.traced.expansion(self.fence)
+
+    def expanded_field(
+        self, expansion: Expansion, t: Series, x: list[Any], sides: Components
+    ) -> list[Any]:
+        """Power series of F(t, x, sides)."""
+        return self._field.expanded(expansion, self._held_series(expansion, t), x, sides)
+
+    def expanded_switching(self, expansion: Expansion, t: Series, x: list[Any]) -> list[Any]:
+        """Power series of H(t, x)."""
+        return self._switching.expanded(expansion, self._held_series(expansion, t), x)
+
+    def expanded_rate(
+        self, expansion: Expansion, t: Series, x: list[Any], f: list[Any]
+    ) -> list[Any]:
+        """Power series of dH/dt along a field."""
+        along = [expansion.constant(jnp.ones((), self.dtype)), *f]
+        return self._switching.expanded_rate(expansion, self._held_series(expansion, t), x, along)
+
+    def _held_series(self, expansion: Expansion, t: Series) -> Series:
+        return t if self.window is None else expansion.linear(self.held(t[0]), t[1])
 
     def switching(self, t: Array, x: Components) -> Components:
         """H(t, x)."""

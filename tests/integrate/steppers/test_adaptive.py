@@ -17,6 +17,7 @@ STEPPERS = {
     "Dopri5": diffrax.Dopri5(),
     "Tsit5": diffrax.Tsit5(),
     "Rodas5P": jf.Rodas5P(),
+    "Taylor": jf.Taylor(),
 }
 
 

@@ -17,6 +17,7 @@ STEPPERS = {
     "Heun": (diffrax.Heun(), 2),
     "Bosh3": (diffrax.Bosh3(), 3),
     "Dopri5": (diffrax.Dopri5(), 5),
+    "Taylor": (jf.Taylor(6), 6),
 }
 
 

@@ -1,0 +1,132 @@
+"""A trial step whose motion is known as a polynomial: it ends at the first contact.
+
+A `Problem` and the `LoopState` of a lane enter; the `Path` of a step leaves, and then the step up
+to where a guard first comes to zero in it. What is found here is only a better length: what the
+end of the step is to a surface, `contacts.locate` says, as of every other step.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.contacts.cubic import NEVER
+from jaxfil.integrate.contacts.polynomial import first_zero, stays_positive
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import ContactSearch, LoopState
+from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.steppers.explicit import Trial, trial_of
+from jaxfil.integrate.steppers.taylor import TaylorTableau
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.system.components import (
+    Components,
+    Polynomial,
+    any_of,
+    least,
+    on_each,
+    where,
+)
+from jaxfil.xla.select import select
+
+# Contacts closer than this part of the time to the first are one event.
+_TOGETHER = 1e-6
+
+
+def path_of(problem: Problem, state: LoopState, length: Length, field: ModeField) -> Polynomial:
+    """The motion in a step, if the tableau is one of power series."""
+    assert isinstance(problem.tableau, TaylorTableau)
+    t, x = problem.grid.t0 + state.motion.tau, state.motion.x
+    return field.polynomial(problem.tableau.order, t, x, length.h)
+
+
+def guards_of(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> tuple:
+    """The coefficients of the guards within a step, which start as the loop knows them."""
+    known = state.motion.g, length.h * state.motion.rate
+    guards = stop_gradient((*known, *path.guards[2:]))
+    if problem.kept is None:
+        return guards
+    on = problem.kept.on
+    return tuple(where(on, float(k == 0), c) for k, c in enumerate(guards))
+
+
+class Cut(eqx.Module):
+    """Where a step ends."""
+
+    s: Array
+    """The fraction of the path."""
+    length: Length
+    search: ContactSearch
+    """The contact there."""
+    searched: Components
+    """The surfaces of which it is known that their guards have no zero before."""
+
+
+def is_clear(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> Components:
+    """The surfaces whose guard has no zero in a step, and comes near none."""
+    guards = guards_of(problem, state, length, path)
+    clear = on_each(lambda noise, *c: stays_positive(c, noise), state.motion.noise, *guards)
+    return clear & ~path.ends
+
+
+def cut_at_contact(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> Cut:
+    """A step up to the first zero of a guard in it."""
+    system, waits = problem.system, state.pending.waits
+    guards, noise = guards_of(problem, state, length, path), state.motion.noise
+    clear = is_clear(problem, state, length, path)
+    clear = system.hold(clear.astype(system.dtype)) > 0
+    seeks = jnp.zeros((), bool) if problem.look is None else problem.look.seeking
+    near = ~clear & ~(waits | seeks | path.ends) & on_each(_are_finite, *guards)
+
+    def searched(noise: Components, *guards: Components) -> tuple[Components, ...]:
+        found = [
+            first_zero(system, own, *c)
+            for own, *c in zip(noise.parts, *(v.parts for v in guards), strict=True)
+        ]
+        return tuple(map(Components, zip(*found, strict=True)))
+
+    def nothing(noise: Components, *_: Components) -> tuple[Components, Components, Components]:
+        never = noise.like(jnp.full_like(length.h, NEVER))
+        return never, never, 0.0 * never
+
+    thetas, looks, known = system.where_any(any_of(near), searched, nothing, noise, *guards)
+    near = near & (known > 0)
+    thetas, looks = where(near, thetas, NEVER), where(near, looks, NEVER)
+    contact, lowest = system.hold((least(thetas), least(looks)))
+    s = jnp.minimum(contact, lowest)
+    # A cut that times cannot tell from none is left to the search of every step.
+    h = s * length.h
+    cuts = (s < 1) & (abs(h) > problem.grid.same_time(state.motion.tau))
+    s, h = system.hold((select(cuts, s, 1.0), select(cuts, h, length.h)))
+    aimed = cuts & (contact <= lowest) & (thetas <= contact * (1 + _TOGETHER))
+    search = ContactSearch(
+        length=select(cuts, h, state.search.length),
+        surfaces=where(cuts, aimed, state.search.surfaces),
+        rejections=state.search.rejections,
+    )
+    shorter = Length(
+        h=h,
+        end=select(cuts, state.motion.tau + h, length.end),
+        room=length.room + (length.h - h),
+        cutting=cuts | length.cutting,
+        gridded=length.gridded & ~cuts,
+        saving=length.saving & ~cuts,
+        ticking=None if length.ticking is None else length.ticking & ~cuts,
+    )
+    return Cut(s, shorter, search, clear | near)
+
+
+def _are_finite(*c: Array) -> Array:
+    """Whether all coefficients of a guard are finite."""
+    return jnp.asarray(sum(map(abs, c)) < jnp.inf)
+
+
+def trial_at(problem: Problem, state: LoopState, path: Polynomial, cut: Cut) -> Trial:
+    """The trial step up to a cut."""
+    assert isinstance(problem.tableau, TaylorTableau)
+    start = problem.grid.t0 + state.motion.tau
+    forcing = problem.system.forcing(start, cut.length.h, problem.tableau.times)
+    trial = trial_of(problem.tableau, path, cut.s, forcing)
+    x, error = problem.system.hold((trial.x, trial.error))
+    return dataclasses.replace(trial, x=x, error=error, searched=cut.searched)

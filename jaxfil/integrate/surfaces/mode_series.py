@@ -1,0 +1,194 @@
+"""Power series of a mode: of its field, and of its guards.
+
+Series of time and state enter; those of the field of a mode and of what must stay positive in it
+leave, by the formulas of `filippov`: on a side F and ±H, on a slide the blend of the fields of both
+sides with the weight w = (r₋ + r₊)/(r₋ − r₊), r± = dH/dt along F±, and 1 − w². The mode of a lane
+does not change within a step.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxfil.integrate.steppers.taylor import solved
+from jaxfil.integrate.surfaces import unilateral
+from jaxfil.integrate.system.components import Components, Polynomial, scalars
+from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.select import select
+from jaxfil.xla.series import (
+    Expansion,
+    Series,
+    kept,
+    product,
+    quotient,
+    reduced_difference,
+    sum_of,
+)
+from jaxfil.xla.series_program import array_of, scalars_of
+
+# Numbers of a state that is one array which are series one by one, at most.
+_FEW = 12
+
+
+def slides_have_series(system: ComponentSystem) -> bool:
+    """Whether slides of a system have power series: where each weight is that of one surface, and
+    each number of a state is a series."""
+    return system.structure.separate and not system.packed and _is_spelled(system)
+
+
+def _is_spelled(system: ComponentSystem) -> bool:
+    return not system.as_array or system.n <= _FEW
+
+
+def polynomial(
+    system: ComponentSystem,
+    order: int,
+    blended: bool,
+    t: Array,
+    x: Components,
+    h: Array,
+    mode: Components,
+) -> Polynomial:
+    """The polynomial of a step of length h from (t, x) in a mode, which may be `blended` of both
+    sides."""
+    expansion = system.expansion()
+    spelled = system.as_array and _is_spelled(system)
+
+    def functions(time: Series, states: list[Series]) -> tuple[list[Series], list[Series]]:
+        if blended:
+            return _of_slide(system, expansion, time, states, mode)
+        sides = unilateral.sides_of(mode) if system.resets else mode
+        fields = _field(system, expansion, time, states, sides)
+        before = expansion.num_kept
+        guards = _off(system, expansion, time, states, sides)
+        if expansion.num_kept > before:  # by H itself
+            kept(*guards)
+        return fields, guards
+
+    once = _plainly if system.compact else system.once
+    start = Components(scalars(x.parts[0])) if spelled else x
+    made = solved(once, expansion, functions, order, (t, start, h), mode)
+    if not spelled:
+        return made
+    rows = tuple(Components([jnp.stack(c.parts)]) for c in made.x)
+    return eqx.tree_at(lambda v: v.x, made, rows)
+
+
+def _state(system: ComponentSystem, states: list[Series]) -> list[Any]:
+    """Series of numbers as the functions of the system are given a state."""
+    if not (system.as_array and _is_spelled(system)):
+        return states
+    whole = np.empty(len(states), object)
+    whole[:] = states
+    return [whole]
+
+
+def _numbers(system: ComponentSystem, expansion: Expansion, values: list[Any]) -> list[Series]:
+    """Series of numbers of what the functions of the system give for a state."""
+    if system.as_array and _is_spelled(system):
+        return list(scalars_of(expansion, values[0], (system.n,)))
+    return [array_of(expansion, v) for v in values]
+
+
+def _field(
+    system: ComponentSystem,
+    expansion: Expansion,
+    t: Series,
+    x: list[Series],
+    sides: Components,
+) -> list[Series]:
+    """Series of F(t, x, sides), number by number."""
+    values = system.expanded_field(expansion, t, _state(system, x), sides)
+    return _numbers(system, expansion, values)
+
+
+def _plainly(function: Callable, *args: Any) -> Any:
+    """In a program that is to be small what XLA computes twice is less than what fences cost."""
+    return function(*args)
+
+
+def _off(
+    system: ComponentSystem, expansion: Expansion, t: Series, x: list[Series], sides: Components
+) -> list[Series]:
+    """±H."""
+    if system.m == 0:
+        return []
+    h = [array_of(expansion, v) for v in system.expanded_switching(expansion, t, _state(system, x))]
+    return [
+        product(expansion, expansion.constant(s), v) for s, v in zip(sides.parts, h, strict=True)
+    ]
+
+
+def _of_slide(
+    system: ComponentSystem, expansion: Expansion, t: Series, x: list[Series], mode: Components
+) -> tuple[list[Series], list[Series]]:
+    """Series of the field and the guards of a mode that may slide."""
+    one = jnp.ones_like(t[0])
+    sides = [system.for_each_surface(sign * one) for sign in (1.0, -1.0)]
+    above, below = (_field(system, expansion, t, x, s) for s in sides)
+    rise, fall = (_rates(system, expansion, t, x, f) for f in (above, below))
+    weights = [_weight(expansion, s, a, b) for s, a, b in zip(mode.parts, rise, fall, strict=True)]
+    fields = []
+    for owners, up, down in zip(system.structure.switched, above, below, strict=True):
+        if not owners:
+            fields.append(up)
+            continue
+        s, w = mode.parts[owners[0]], weights[owners[0]]
+        fields.append(_blend(expansion, s, w, up, down))
+    off = _off(system, expansion, t, x, mode)
+    guards = [_guard(expansion, s, w, g) for s, w, g in zip(mode.parts, weights, off, strict=True)]
+    return fields, guards
+
+
+def _rates(
+    system: ComponentSystem, expansion: Expansion, t: Series, x: list[Series], f: list[Series]
+) -> list[Series]:
+    """Series of dH/dt along a field."""
+    state, along = _state(system, x), _state(system, f)
+    return [array_of(expansion, v) for v in system.expanded_rate(expansion, t, state, along)]
+
+
+def _weight(expansion: Expansion, s: Array, rise: Series, fall: Series) -> Series:
+    """The weight of a slide; of no meaning where there is none."""
+    gap = reduced_difference(expansion, fall, rise)
+
+    def apart(k: int) -> Array | None:
+        # Where both fields lead along the surface alike there is no weight, and no slide.
+        return gap[k] if k > 0 else select((s == 0) & (gap[0] != 0), gap[0], 1)
+
+    below = expansion.series(apart, gap.degree)
+    return quotient(expansion, sum_of(expansion, [fall, rise]), below)
+
+
+def _blend(expansion: Expansion, s: Array, w: Series, up: Series, down: Series) -> Series:
+    """The field of both sides that keeps to the surface, or that of the side it is on."""
+    half = expansion.constant(0.5)
+    share = product(expansion, half, sum_of(expansion, [expansion.constant(1.0), w]))
+    apart = product(expansion, share, reduced_difference(expansion, up, down))
+    mixed = sum_of(expansion, [down, apart])
+
+    def make(k: int) -> Array | None:
+        parts = [v[k] for v in (mixed, up, down)]
+        if all(v is None for v in parts):
+            return None
+        both, one, other = (jnp.zeros_like(s) if v is None else v for v in parts)
+        return select(s == 0, both, select(s > 0, one, other))
+
+    return expansion.series(make)
+
+
+def _guard(expansion: Expansion, s: Array, w: Series, off: Series) -> Series:
+    """1 − w² where it slides, else ±H."""
+    square = product(expansion, w, w)
+
+    def make(k: int) -> Array:
+        squared, beside = (jnp.zeros_like(s) if v[k] is None else v[k] for v in (square, off))
+        return select(s == 0, (1.0 - squared) if k == 0 else -squared, beside)
+
+    out = expansion.series(make)
+    kept(out)
+    return out

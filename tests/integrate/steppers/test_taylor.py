@@ -1,0 +1,158 @@
+"""Steps by power series: exact ends, derivatives, batches, and the modes that have no series."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import jaxfil as jf
+from jaxfil import RESULTS
+from tests.problems import PROBLEMS
+
+# Crossings, sticks, one of two surfaces, an intersection slid on, impacts, rest, a touch.
+NAMES = (
+    "coulomb by everything",
+    "rotating by everything",
+    "belt 1.3",
+    "sd",
+    "box by everything",
+    "relays by everything",
+    "leave by everything",
+    "ball that comes to rest",
+    "ball by everything",
+    "den hartog",
+    "grazing touch",
+    "filippov spiral",
+)
+EPS = float(np.finfo(float).eps)
+BELT = jf.systems.BeltFriction()
+X0 = jnp.array([0.1, 0.0])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_ends_of_the_bank_are_exact(name):
+    p = PROBLEMS[name]
+    x0 = jnp.asarray(p.x0, float)
+    sol = jf.solve(p.system, x0, p.t0, p.t1, p.dt, stepper=jf.Taylor(16), max_events=64)
+    exact = p.flow(p.system, x0, p.t0, p.t1) if p.end is None else p.end
+    steps = int(sol.stats["num_steps"])
+    # Rounding of each step, magnified by what contacts magnify: at most tenfold in the bank.
+    bound = 10 * EPS * (steps + 64) * max(1.0, float(np.max(np.abs(exact))))
+    assert_allclose(sol.x_final, exact, rtol=0, atol=bound)
+
+
+def belt_end(x0, stepper, dt):
+    return jf.solve(BELT, x0, 0.0, 3.0, dt, stepper=stepper, max_events=40).x_final
+
+
+def test_derivatives_of_both_orders_through_sticks():
+    # The same motion by another method, at steps at which its own error is below 1e-11.
+    taylor = jax.jacfwd(lambda x: belt_end(x, jf.Taylor(16), 0.01))
+    other = jax.jacfwd(lambda x: belt_end(x, diffrax.Dopri8(), 0.005))
+    assert_allclose(taylor(X0), other(X0), rtol=1e-9, atol=1e-11)
+    step = 1e-5
+    second = jax.jacfwd(taylor)(X0)
+    ahead, back = (taylor(X0 + jnp.array([d, 0.0])) for d in (step, -step))
+    assert_allclose(second[:, :, 0], (ahead - back) / (2 * step), rtol=1e-5, atol=1e-6)
+
+
+def test_all_ways_to_save_agree():
+    ts = jnp.linspace(0.0, 3.0, 17)
+
+    def run(saveat):
+        return jf.solve(BELT, X0, 0.0, 3.0, 0.02, stepper=jf.Taylor(14), saveat=saveat)
+
+    at_times = run(diffrax.SaveAt(ts=ts)).xs
+    dense = run(diffrax.SaveAt(dense=True)).evaluate(ts)
+    assert_allclose(at_times, dense, rtol=0, atol=1e-9)
+
+
+def test_a_lane_does_not_depend_on_its_batch():
+    sd = jf.systems.SDOscillator()
+    omegas = np.linspace(0.6, 1.3, 70)
+
+    def samples(omegas, stepper, steps):
+        return jf.bifurcation_diagram(
+            sd, "omega", omegas, jnp.array([0.3, 0.1]), transient=6, samples=3, steps=steps,
+            stepper=stepper, progress=False, compact=False,
+        )  # fmt: skip
+
+    whole = samples(omegas, jf.Taylor(12), 16)
+    assert whole.successful.all()
+    assert_array_equal(whole.xs[3:7], samples(omegas[3:7], jf.Taylor(12), 16).xs)
+    exact = samples(omegas, diffrax.Dopri8(), 64)
+    # Nine periods: errors of 1e-11 a step grow by what a crossing near a corner magnifies.
+    assert np.median(np.abs(whole.xs - exact.xs)) < 1e-10
+
+
+def test_sticking_lanes_of_a_batch():
+    omegas = np.linspace(4.2, 4.7, 40)
+
+    def samples(stepper, steps):
+        return jf.bifurcation_diagram(
+            BELT, "omega", omegas, jnp.zeros(2), transient=4, samples=2, steps=steps,
+            stepper=stepper, progress=False, compact=False,
+        )  # fmt: skip
+
+    found, exact = samples(jf.Taylor(16), 60), samples(diffrax.Dopri8(), 160)
+    assert found.successful.all()
+    assert np.median(np.abs(found.xs - exact.xs)) < 1e-10
+
+
+def test_single_precision():
+    x0 = jnp.array([0.3, 0.1], jnp.float32)
+    sd = jf.systems.SDOscillator()
+    sol = jf.solve(sd, x0, 0.0, 10.0, 0.25, stepper=jf.Taylor(8))
+    exact = jf.solve(sd, x0.astype(float), 0.0, 10.0, 0.05).x_final
+    assert sol.x_final.dtype == jnp.float32
+    assert_allclose(sol.x_final, exact, rtol=0, atol=1e-5)
+
+
+class Saturated(jf.System):
+    """A spring that stiffens at x = 0, where no surface says so."""
+
+    def vector_field(self, t, x, side):
+        spring = x[0] + 50 * jnp.maximum(x[0], 0.0)
+        return jnp.stack([x[1], 0.3 * jnp.cos(t) - spring])
+
+
+def test_a_kink_that_no_surface_tells_of_is_halved():
+    x0 = jnp.array([1.0, 0.0])
+    sol = jf.solve(Saturated(), x0, 0.0, 20.0, 0.2, stepper=jf.Taylor(12))
+    exact = jf.solve(Saturated(), x0, 0.0, 20.0, jf.Adaptive(1e-11, 1e-12)).x_final
+    assert sol.stats["num_halvings"] > 0
+    assert_allclose(sol.x_final, exact, rtol=0, atol=0.05)
+    fine = jf.Adaptive(1e-10, 1e-11)
+    sol = jf.solve(Saturated(), x0, 0.0, 20.0, fine, stepper=jf.Taylor(12))
+    assert_allclose(sol.x_final, exact, rtol=0, atol=1e-6)
+
+
+class Looped(jf.System):
+    """A field with a loop."""
+
+    def vector_field(self, t, x, side):
+        return jax.lax.fori_loop(0, 2, lambda _, v: v * jnp.cos(v), x)
+
+
+def test_what_has_no_series_is_refused_by_name():
+    with pytest.raises(ValueError, match=r"`stepper` must not be jaxfil.Taylor.*`scan`"):
+        jf.solve(Looped(), jnp.ones(1), 0.0, 1.0, 0.1, stepper=jf.Taylor())
+
+
+@pytest.mark.parametrize("order", [3, 41, True])
+def test_orders_are_checked(order):
+    with pytest.raises(ValueError, match="`order` must be a whole number from 4 to 40, got"):
+        jf.Taylor(order)
+
+
+def test_a_file_keeps_the_order(tmp_path):
+    sd = jf.systems.SDOscillator()
+    orbit = jf.periodic_orbit(sd, jnp.array([1.0, 0.0]), steps=30, stepper=jf.Taylor(14))
+    assert orbit.result == RESULTS.successful
+    orbit.save(tmp_path / "orbit.npz")
+    back = jf.load(tmp_path / "orbit.npz", system=sd)
+    assert back.options.stepper == jf.Taylor(14)
+    tight = jf.periodic_orbit(sd, jnp.array([1.0, 0.0]), steps=100)
+    assert_allclose(orbit.x0, tight.x0, rtol=0, atol=1e-12)
