@@ -6,10 +6,14 @@ the paper a page that puts the paper's panels beside ours, as `fig4.md`. A table
 than a screen is folded.
 """
 
+import itertools
 import re
+
+import numpy as np
 
 from benchmarks import RESULTS
 from benchmarks.paper.captions import CAPTIONS
+from benchmarks.paper.table import WIDTHS
 from benchmarks.work_precision.problems import PROBLEMS
 
 PAGE = RESULTS / "README.md"
@@ -115,8 +119,24 @@ def figure_page(name):
     lines += [f"`python -m benchmarks.paper {name}` makes it; also as [PDF]({name}.pdf).", ""]
     lines += [f"![{title}]({name}.png)", "", "| panel | in the paper | here |", "|---|---|---|"]
     lines += [f"| {' | '.join(row)} |" for row in panels]
-    table = (RESULTS / f"{name}.txt").read_text().rstrip()
-    return "\n".join([*lines, "", "```text", table, "```", ""])
+    lines += ["", *rows_of((RESULTS / f"{name}.txt").read_text())]
+    why = "All differences: [where jaxfil and the paper differ](../../docs/theory/paper.md)."
+    return "\n".join([*lines, "", why, ""])
+
+
+def rows_of(text):
+    """A table of `benchmarks.paper.table` as lines of Markdown: cells that wrap are joined."""
+    edges = np.cumsum([0, *(width + 2 for width in WIDTHS.values())])
+    _, _, headings, _, *body = text.splitlines()
+    rows = []
+    for line in (headings, *body):
+        cells = [line[i:j].rstrip() for i, j in itertools.pairwise(edges)]
+        if cells[0]:
+            rows.append([cell.replace("  ", "&emsp;") for cell in cells])
+        else:  # the line before goes on
+            rows[-1] = [f"{a} {b.strip()}".strip() for a, b in zip(rows[-1], cells, strict=True)]
+    head, *rows = (f"| {' | '.join(row)} |" for row in rows)
+    return [head, "|" + "---|" * len(WIDTHS), *rows]
 
 
 def pages():

@@ -1,7 +1,7 @@
 """What each figure of the paper shows, beside what ours does, panel by panel.
 
 Nothing enters; for each figure what it is of and rows (panel, in the paper, here) leave, which
-`benchmarks.page` writes above its table. What the paper shows is told in our own words.
+`benchmarks.page` writes above its table. What the paper shows is described in our own words.
 """
 
 PARAMETERS = "SD oscillator, α = 0, f₀ = 0.25, ζ = 0.0141"
@@ -13,10 +13,14 @@ CAPTIONS = {
             (
                 "a",
                 "Bifurcation diagram over Ω, with the points of harmonic balance as circles on the "
-                "period-1 branch.",
-                "The same: the one-sided orbit followed up (black). Added: every Ω from (0.3, 0.1) "
-                "below grazing (light), both values at which the orbit grazes, and its harmonic "
-                "balance above the second one.",
+                "period-1 branch. The text speaks of a period-1 motion of large amplitude and of "
+                "narrow windows of higher order. Initial states are not stated.",
+                "The one-sided orbit followed up (black), from (1.4, 0), with the period of each "
+                "window. Harmonic balance as circles: about x = 1, and its mirror image about "
+                "x = −1. Which of the two the motion settles on after chaos is chance. Added "
+                "(light blue): every Ω from (0.3, 0.1) below grazing. The branch with x from 2.5 "
+                "to 4.6 is the large symmetric orbit that crosses x = 0 and coexists; the points "
+                "at x = −0.6 are the mirror image. Dotted: the one-sided orbit grazes.",
             ),
             (
                 "b, c",
@@ -30,15 +34,23 @@ CAPTIONS = {
         PARAMETERS,
         (
             (
-                "a",
-                "Largest exponent over Ω; it jumps at 0.8667. By Wolf's algorithm, with sgn "
-                "smoothed by arctan.",
-                "The same by the variational equation with its saltation, without smoothing. The "
-                "one-sided orbit followed has the paper's jump; lanes from (0.3, 0.1) (hollow) are "
-                "chaotic from 0.854 on, where chaos is a long transient.",
+                "—",
+                "Lyapunov spectrum with Ω by its caption; the text speaks of the Lyapunov "
+                "exponent, so whether one or two were drawn is not certain. It jumps at 0.8667. "
+                "By Wolf's algorithm, with sgn smoothed by arctan; neither the width nor the "
+                "initial states are stated.",
+                "(a) The largest exponent by the variational equation with its saltation, without "
+                "smoothing, on the one-sided orbit where there is one. Hollow: from (0.3, 0.1), "
+                "where chaos is a long transient. (b) Both exponents from (0.3, 0.1).",
             ),
-            ("b", NONE, "Added: both exponents from (0.3, 0.1)."),
-            ("c", NONE, "Added: both exponents of the system smoothed as the paper smooths it."),
+            (
+                "c, d",
+                NONE,
+                "Added: (c) both exponents of the smoothed system, with an assumed width of 0.05, "
+                "from (0.3, 0.1). (d) The Ω at which the smoothed one-sided orbit gives way to "
+                "chaos, against the width. With no width of these is it 0.8667: a layer meets the "
+                "orbit before the surface does.",
+            ),
         ),
     ),
     "fig6": (
@@ -46,14 +58,20 @@ CAPTIONS = {
         (
             (
                 "a, b",
-                "History and phase plane at Ω = 0.7.",
-                "The same: the one-sided orbit. Added, dashed: the symmetric orbit that crosses "
-                "x = 0 and coexists with it.",
+                "Time histories and phase plane at Ω = 0.7.",
+                "The same: displacement and velocity of the one-sided orbit. Added, dashed: the "
+                "symmetric orbit that crosses x = 0 and coexists with it.",
             ),
             (
-                "c, d",
-                "The grazing orbit, in two colours.",
-                "The orbits about x = 1 and x = −1 at grazing, a colour each.",
+                "c",
+                "Phase plane just before grazing (black) and at grazing (red).",
+                "The same, with Ω = 0.85 for “just before”, which is not stated. Added, dashed: "
+                "the mirror image.",
+            ),
+            (
+                "d",
+                "Histories of displacement and velocity at grazing, where both are zero at once.",
+                "The same.",
             ),
             ("e, f", "Chaotic attractor and Poincaré section at Ω = 0.87.", "The same."),
             (
@@ -61,7 +79,7 @@ CAPTIONS = {
                 NONE,
                 "Added: the part of many initial states that are chaotic still after N periods, "
                 "with its standard error: where a diagram shows chaos to begin and to end depends "
-                "on N.",
+                "on N. Dotted: grazing, and the crisis. Dashed: the end that the paper prints.",
             ),
         ),
     ),
@@ -83,11 +101,12 @@ CAPTIONS = {
         (
             (
                 "a–i",
-                "Nine phase planes, two of them with an enlargement, with Poincaré points; 0.92, "
-                "1.55, 1.95, 2.44, 7.85 and 10.9 are among the frequencies.",
-                "Nine phase planes with Poincaré points and two enlargements. Slips below and "
-                "above the belt's velocity and sticking have a colour each. 1.3, 9.1 and 17 were "
-                "chosen between the paper's frequencies, where closed forms are known.",
+                "Phase planes with Poincaré points at nine frequencies, 0.92, 1.3, 1.55, 1.95, "
+                "2.44, 7.85, 9.1, 10.9 and 17, two of them with an enlargement. At 0.92 and 10.9 "
+                "the orbit just grazes.",
+                "The same at the paper's nine frequencies. Slips below and above the belt's "
+                "velocity and sticking have a colour each. At 0.92 and 10.9 the orbit is past its "
+                "grazing already, at 0.917013 and 10.904976, and sticks for a moment.",
             ),
         ),
     ),
@@ -96,31 +115,54 @@ CAPTIONS = {
         (
             (
                 "a",
-                "Bifurcation diagram over ω; it jumps at 4.565.",
-                "The same, every ω from (0, 0), a colour for each of the two attractors.",
+                "Bifurcation diagram over ω; it jumps at 4.565. The initial state is not stated.",
+                "Every ω from (0, 0), a colour for each of the two attractors. Of the initial "
+                "states that we tried, (0, 0) jumps nearest to the paper's value, at 4.5638; the "
+                "enlargement has both.",
             ),
-            ("b", NONE, "Added: both attractors followed; they coexist."),
+            ("b", NONE, "Added: both attractors followed, from 4.45 on; they coexist."),
             ("c, d", NONE, "Added: their basins before and after the jump."),
         ),
     ),
     "fig11": (
         "belt friction, case 2, γ₁ = 0, γ₂ = 10000",
         (
-            ("a", "Period 1 at ω = 4.56.", "The same."),
-            ("b, c", "Chaos and its Poincaré section at ω = 4.565.", "The same, from (0, 0)."),
-            ("d", "Largest exponent over ω.", "The same, without smoothing."),
-            ("e, f", NONE, "Added: both exponents, exact and smoothed by arctan."),
+            (
+                "a",
+                "Period 1 at ω = 4.56, which grazes with a slight increase.",
+                "Period 1. Its largest velocity is 0.918, and the belt's is 1: a slight increase "
+                "makes no grazing. The orbit grazes at 4.6526.",
+            ),
+            (
+                "b",
+                "Chaos with its Poincaré points at ω = 4.565.",
+                "The same, from (0, 0); the initial state is not stated.",
+            ),
+            (
+                "c",
+                "Exponent over ω.",
+                "The largest exponent, from (0, 0), without smoothing.",
+            ),
+            (
+                "d, e, f",
+                NONE,
+                "Added: (d) the section enlarged; (e, f) both exponents, exact and smoothed by "
+                "arctan with a width of 0.01. Triangles: λ₂ = −∞.",
+            ),
         ),
     ),
     "section5": (
-        "belt friction, case 2, ω = 4.6",
+        "largest exponent by synchronisation, belt friction, case 2",
         (
             (
-                "a",
-                "The largest exponent as the smallest coupling at which two copies synchronise.",
-                "The same: how near drive and response came at each coupling.",
+                NONE,
+                "A scheme, in which the largest exponent is the smallest coupling at which two "
+                "copies synchronise. No parameters, no number and no figure of results; Fig. 12 is "
+                "a sketch of the intersection of two surfaces.",
+                "Added: (a) the scheme at ω = 4.6, a frequency of our choice: how near drive and "
+                "response came at each coupling. (b) The exponent by the rate at which a small "
+                "distance grows.",
             ),
-            ("b", NONE, "Added: the exponent by the rate at which a small distance grows."),
         ),
     ),
 }

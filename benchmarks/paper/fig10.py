@@ -64,7 +64,7 @@ def basin(omega, side, transient):
     return on_orbit(xs).reshape(side, side)
 
 
-def make(points=600, close=250, side=90, lanes=64, held=400, settle=1500):
+def make(points=600, close=250, side=240, lanes=64, held=400, settle=1500):
     """The figure and the rows of its table."""
     values, near = np.linspace(*ENDS, points), np.linspace(*CLOSE, close)
     rest = sweep(values, REST, held, SAMPLES)
@@ -93,12 +93,22 @@ def diagrams(axes, values, rest, near, up, down):
     kept = on_orbit(up)  # where it ends the motion jumps to the other one
     paper.dots(zoom, near, down[..., 0], color=paper.ORANGE)
     paper.dots(zoom, near[kept], up[kept, :, 0], color=paper.BLUE)
-    paper.entitle(zoom, "(b) added: each motion followed")
+    paper.entitle(zoom, "(b) added: each motion followed, from 4.45 on")
     for each, ends in ((ax, ENDS), (zoom, CLOSE)):
-        each.axvline(PRINTED, **paper.PAPER)
-        each.axvline(JUMP, color=paper.BLACK, lw=0.8)
         each.axvline(GRAZING, color=paper.BLACK, lw=0.8, ls=":")
         each.set(xlim=ends, xlabel="ω, rad/s", ylabel="x once a period, m", ylim=(0.06, 0.18))
+    # 0.0012 apart: one line in (a), both in an enlargement.
+    ax.axvline(PRINTED, **paper.PAPER)
+    zoom.axvline(JUMP, color=paper.BLACK, lw=0.8)
+    inset = ax.inset_axes((0.1, 0.12, 0.5, 0.5))
+    paper.dots(
+        inset, values[on_orbit(rest)], rest[on_orbit(rest), :, 0], color=paper.BLUE, markersize=2
+    )
+    other = ~on_orbit(rest)
+    paper.dots(inset, values[other], rest[other, :, 0], color=paper.ORANGE, markersize=1)
+    inset.axvline(PRINTED, **paper.PAPER)
+    inset.axvline(JUMP, color=paper.BLACK, lw=0.8)
+    inset.set(xlim=(4.56, 4.57), ylim=(0.06, 0.16), xticks=[4.56, 4.57], yticks=[])
 
 
 def handles():

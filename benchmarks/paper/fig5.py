@@ -1,8 +1,11 @@
 """Fig. 5: Lyapunov exponents of the SD oscillator against frequency, exact and smoothed.
 
-The paper follows the one-sided orbit, smooths sgn by arctan and draws the largest exponent by
-Wolf's algorithm; the exact ones have the saltation of every crossing. In the same batch run lanes
-at Ω = 0.87, for one sharp number. Frequencies enter; spectra leave.
+The paper smooths sgn by arctan and uses Wolf's algorithm; it does not state the width of the arctan
+nor the initial states. The exact exponents here have the saltation of every crossing. Assumed are a
+start on the one-sided orbit where there is one, a start at (0.3, 0.1) elsewhere, and for the
+smoothed system several widths: the Ω at which its one-sided orbit gives way to chaos depends on the
+width. In the same batch run lanes at Ω = 0.87, for one sharp number. Frequencies enter; spectra
+leave.
 """
 
 import jax
@@ -25,6 +28,11 @@ LONG = {"periods": 500, "transient": 300}
 # table.
 WIDTH = 0.05
 SHORT = {"periods": 200, "transient": 150, "steps": 300}
+# Widths, in units of x, for which the jump from the one-sided orbit is looked for, with as many
+# steps for each layer as above; the values of Ω.
+WIDTHS = (0.1, 0.05, 0.02, 0.01, 0.005)
+NEAR = np.linspace(0.8, 0.88, 81)
+PRINTED = {"begins": 0.8667, "ends": 1.145}
 
 
 def exact(omega):
@@ -59,13 +67,29 @@ def batch(system, values, chaotic, counts, followed=()):
     return swept, sharp[sharp > 0.03], kept  # fmt: skip
 
 
+def jump(width, values, periods=100, transient=100):
+    """The least of the values at which the smoothed motion from the exact one-sided orbit is
+    chaotic; the largest change of the state as steps are doubled."""
+
+    def system(omega):
+        return jf.smoothed(exact(omega), width)
+
+    steps = round(SHORT["steps"] * min(WIDTH / width, 4))
+    counts = {"periods": periods, "transient": transient, "steps": steps}
+    # Above grazing from the orbit at grazing.
+    starts = on_orbit(np.minimum(values, GRAZING))
+    found = spectra(system, values, starts, **counts).exponents[:, 0]
+    change = change_on_doubling(system, values[::8], jnp.asarray(X0), steps)
+    return float(values[found > 0.02].min()), change
+
+
 def edges(values, largest):
     """The least and the largest value with chaos."""
     chaotic = values[largest > 0.02]
     return f"{chaotic.min():.4f} to {chaotic.max():.4f}"
 
 
-def make(points=500, blurred_points=350, chaotic=76, long=LONG, short=SHORT):
+def make(points=500, blurred_points=350, chaotic=76, long=LONG, short=SHORT, widths=WIDTHS):
     """The figure and the rows of its table."""
     values, coarse = np.linspace(0.6, 1.3, points), np.linspace(0.6, 1.3, blurred_points)
     below = values < GRAZING
@@ -73,22 +97,46 @@ def make(points=500, blurred_points=350, chaotic=76, long=LONG, short=SHORT):
     blurred = batch(smooth, coarse, chaotic // 6, short)
     change = change_on_doubling(smooth, np.linspace(0.6, 1.3, 32), jnp.array(X0), short["steps"])
     largest = np.concatenate([followed.exponents[:, 0], found.exponents[~below, 0]])
-    figure = paper.canvas(paper.PAGE, 165)
-    axes = figure.subplots(3, 1, sharex=True, height_ratios=(1, 1.15, 1.15))
+    jumps = {width: jump(width, NEAR) for width in widths}
+    figure = paper.canvas(paper.PAGE, 215)
+    upper, lower = figure.subfigures(2, 1, height_ratios=(165, 50))
+    axes = upper.subplots(3, 1, sharex=True, height_ratios=(1, 1.15, 1.15))
     largest_panel(axes[0], values, largest, found.exponents[:, 0], below)
     for ax, v, one in ((axes[1], values, found), (axes[2], coarse, blurred[0])):
-        jf.plot.lyapunov_exponents(v, one, ax=ax)
+        jf.plot.lyapunov_exponents(v, one, ax=ax, ms=2)
+        # λ₂ as a ring: where both are equal, λ₁ lies in it.
+        for dots in ax.lines:
+            if dots.get_color() == paper.VERMILLION:
+                dots.set(markersize=2.8, fillstyle="none", markeredgewidth=0.6)
         ax.set(xlabel="", ylim=(-0.16, 0.13))
         ax.legend(loc="lower left", ncols=3, frameon=False, markerscale=2)
-    paper.entitle(axes[1], "(b) added: both from (0.3, 0.1) at every Ω")
+    paper.entitle(axes[1], "(b) λ₁ and λ₂ from (0.3, 0.1) at every Ω")
     paper.entitle(axes[2], f"(c) added: both, with sgn x smoothed to (2/π) arctan(x/{WIDTH})")
     for ax in axes:
-        ax.axvline(GRAZING, color=paper.BLACK, lw=0.8, ls=":")
-        ax.axvline(GRAZING_ABOVE, color=paper.BLACK, lw=0.8, ls=":")
+        for value in (GRAZING, GRAZING_ABOVE):
+            ax.axvline(value, color=paper.BLACK, lw=0.8, ls=":")
+        ax.axvline(PRINTED["ends"], **paper.PAPER)
         ax.set_ylabel("exponent per unit of τ")
     axes[-1].set_xlabel("Ω")
+    jump_panel(lower.subplots(), jumps)
     rows = table(values, largest, found, chaos, (coarse, *blurred[:2]), change, short["steps"])
-    return figure, rows
+    return figure, rows + [jump_row(width, *found) for width, found in jumps.items()]
+
+
+def jump_panel(ax, jumps):
+    """Where the smoothed one-sided orbit gives way to chaos, over the width."""
+    values = [value for value, _ in jumps.values()]
+    ax.semilogx(list(jumps), values, "o-", ms=4, lw=0.8, color=paper.BLUE)
+    ax.axhline(GRAZING, color=paper.BLACK, lw=0.8, ls=":", label="exact orbit grazes, 0.866717")
+    ax.set(xlabel="width of the arctan, units of x", ylabel="Ω of the jump", ylim=(0.795, 0.875))
+    ax.legend(loc="lower left", frameon=False)
+    paper.entitle(ax, "(d) added: smoothed, from the one-sided orbit: first Ω with λ₁ > 0.02")
+
+
+def jump_row(width, value, change):
+    """The row of one width."""
+    why = f"a grid of 0.001; the state changes by {change:.0e} in 2 periods as steps are doubled"
+    return Row(f"smoothed by {width:g}: one-sided orbit jumps", "0.8667", value, "", why, 4)
 
 
 def largest_panel(ax, values, largest, free, below):
@@ -104,11 +152,12 @@ def largest_panel(ax, values, largest, free, below):
             Line2D([], [], color=paper.BLUE, label="one-sided orbit followed", **dot),
             Line2D([], [], color=paper.ORANGE, mfc="none", label="from (0.3, 0.1)", **dot),
             Line2D([], [], color=paper.BLACK, lw=0.8, ls=":", label="the orbit grazes x = 0"),
+            Line2D([], [], label="the paper's end of chaos, 1.145", **paper.PAPER),
         ],
         loc="upper left", frameon=False,
     )  # fmt: skip
     ax.set(ylim=(-0.03, 0.13), xlim=(values[0], values[-1]))
-    paper.entitle(ax, "(a) the largest exponent, as the paper has it")
+    paper.entitle(ax, "(a) the largest exponent, exact")
 
 
 def table(values, largest, found, chaos, smoothed, change, steps):
@@ -120,8 +169,8 @@ def table(values, largest, found, chaos, smoothed, change, steps):
     quiet = found.exponents[values < 0.7]
     first = int(np.argmax(largest > 0.02))  # the jump is between this value and the one before
     jump = f"{values[first - 1 : first + 1].mean():.4f} ± {0.5 * (values[1] - values[0]):.4f}"
-    held = "a transient below 0.8667 (10³ to 10⁵ periods) and above 1.13: see fig6"
-    layer = "the one-sided orbit meets the layer before it would graze"
+    held = "a transient below 0.8667 and above 1.13: see fig6"
+    layer = "from (0.3, 0.1), as the row above: a layer of 0.05 is another system"
     resolved = "change of the state after 2 periods: the steps resolve the layer"
     smooth_edges = edges(coarse, smoothed_found.exponents[:, 0])
     smooth_told = f"{blurred_mean:.4f} ± {blurred_error:.4f}"

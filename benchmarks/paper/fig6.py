@@ -1,8 +1,9 @@
 """Fig. 6: motions of the SD oscillator at Ω = 0.7, at grazing and at 0.87; how long chaos lasts.
 
-Frequencies enter; histories, phase portraits and a section leave, and below them the part of many
-initial states whose motion is still chaotic after N periods. Where a diagram shows chaos to begin
-and to end depends on N: it ends for good in a crisis near Ω = 1.13, and is a transient above.
+Frequencies enter; histories of displacement and velocity, phase portraits and a section leave, and
+below them the part of many initial states whose motion is still chaotic after N periods. Where a
+diagram shows chaos to begin and to end depends on N: it ends for good in a crisis near Ω = 1.13,
+and is a transient above. Panels a to f have the letters of the paper.
 """
 
 import functools as ft
@@ -19,6 +20,9 @@ from benchmarks.paper.table import Row
 
 TITLE = "Fig. 6: motions of the SD oscillator, α = 0, f₀ = 0.25, ζ = 0.0141"
 QUIET, CHAOS = 0.7, 0.87
+# "Just before grazing" has no number in the paper: this one is ours.
+BEFORE = 0.85
+CRISIS, CRISIS_IN_PAPER = 1.13, 1.145
 # The symmetric orbit that coexists with the one-sided ones at QUIET.
 CROSSING = np.array([2.972909733954379342, 0.618617859127108525])
 # Periods after which the lanes are looked at, and for how many periods then.
@@ -86,46 +90,63 @@ def make(around=36, lanes=48, holds=HOLDS, many=2048):
     parts = still_chaotic(both, lanes, holds, rng).mean(axis=-1)
     life = mean_life(many, rng)
     figure = paper.canvas(paper.PAGE, 222)
-    axes = figure.subplots(4, 2, width_ratios=(1.25, 1))
-    motions(axes)
+    axes = figure.subplots(4, 2)
+    at_rest(axes[0])
+    at_grazing(axes[1])
     attractor(axes[2])
     survivors(axes[3], ends, parts, holds, lanes)
     return figure, table(both, parts, holds, life)
 
 
-def motions(axes):
-    """Histories and phase planes at QUIET and at grazing."""
+def histories(ax, omega, several, title):
+    """Displacement, and thinner the velocity, of motions over four periods."""
+    for label, x0, style in several:
+        ts, xs = motion(omega, x0, 4)
+        ax.plot(ts, xs[:, 0], label=f"x{label}", **style)
+        ax.plot(ts, xs[:, 1], label=f"dx/dτ{label}", **style | {"lw": 0.7})
+    low, high = ax.get_ylim()
+    ax.set(xlabel="τ/T", ylabel="x, dx/dτ", xlim=(0, 4), ylim=(low, high + 0.45 * (high - low)))
+    ax.legend(loc="upper center", ncols=2, frameon=False)
+    ax.axhline(0, color=paper.BLACK, lw=0.8, ls=":")
+    paper.entitle(ax, title)
+
+
+def plane(ax, several, title):
+    """One period of motions, each at its frequency, in the phase plane."""
+    for label, omega, x0, style in several:
+        ax.plot(*motion(omega, x0, 1)[1].T, label=label, **style)
+    ax.axvline(0, color=paper.BLACK, lw=0.8, ls=":")
+    ax.set(xlabel="x", ylabel="dx/dτ")
+    paper.entitle(ax, title)
+
+
+def at_rest(axes):
+    """The motions at QUIET: the one-sided orbit, and the one that crosses and coexists."""
     (one,) = on_orbit(np.array([QUIET]))
+    blue, grey = {"color": paper.BLUE}, {"color": paper.GREY, "ls": "--"}
+    several = (("", one, blue), (", coexists", CROSSING, grey))
+    histories(axes[0], QUIET, several, f"(a) Ω = {QUIET}: one-sided orbit")
+    both = (("one-sided", QUIET, one, blue), ("crossing: coexists", QUIET, CROSSING, grey))
+    plane(axes[1], both, "(b) the same")
+
+
+def at_grazing(axes):
+    """The one-sided orbit before and at grazing, its mirror image, and the histories."""
     # A unit of rounding short of grazing: it touches x = 0, and goes through for the next double.
-    (graze,) = on_orbit(np.array([GRAZING - 1e-9]))
-    drawn = (
-        (QUIET, "(a)", "(b)", (
-            ("one-sided", one, {"color": paper.BLUE}),
-            ("crossing: coexists", CROSSING, {"color": paper.GREY, "ls": "--"}),
-        )),
-        (GRAZING - 1e-9, "(c)", "(d)", (
-            ("about x = 1", graze, {"color": paper.BLUE}),
-            ("about x = −1", None, {"color": paper.VERMILLION}),
-        )),
-    )  # fmt: skip
-    for (history, plane), (omega, left, right, several) in zip(axes[:2], drawn, strict=True):
-        for label, x0, style in several:
-            ts, xs = motion(omega, graze if x0 is None else x0, 4)
-            if x0 is None:  # its image under x → −x, half a period later
-                xs = -np.roll(xs[:-1], 100, axis=0)
-                xs = np.append(xs, xs[:1], axis=0)
-            history.plot(ts, xs[:, 0], label=label, **style)
-            plane.plot(*xs[: len(xs) // 4 + 1].T, **style)
-        where = f"Ω = {omega:.6g}" + (", grazing" if omega > QUIET else "")
-        history.set(xlabel="t/T", ylabel="x", xlim=(0, 4))
-        top = 1.3 * history.get_ylim()[1] - 0.3 * history.get_ylim()[0]
-        history.set_ylim(top=top)  # room for the legend
-        history.legend(loc="upper center", ncols=2, frameon=False)
-        history.axhline(0, color=paper.BLACK, lw=0.8, ls=":")
-        plane.axvline(0, color=paper.BLACK, lw=0.8, ls=":")
-        plane.set(xlabel="x", ylabel="dx/dτ")
-        paper.entitle(history, f"{left} {where}")
-        paper.entitle(plane, f"{right} the same")
+    graze, before = GRAZING - 1e-9, BEFORE
+    starts = on_orbit(np.array([before, graze]))
+    mirror = on_orbit(np.array([graze]))[0] - np.array([2.0, 0.0])  # −1 + A cos for 1 + A cos
+    red = {"color": paper.VERMILLION}
+    several = (
+        (f"Ω = {before}", before, starts[0], {"color": paper.BLACK}),
+        (f"Ω = {GRAZING:.6g}, grazing", graze, starts[1], red),
+        ("its mirror image", graze, mirror, {"color": paper.GREY, "ls": "--"}),
+    )
+    plane(axes[0], several, "(c) before grazing, and at grazing")
+    axes[0].set_ylim(-1, 2.4)
+    axes[0].legend(loc="upper left", frameon=True, framealpha=1, edgecolor="none")
+    title = f"(d) Ω = {GRAZING:.6g}: x and dx/dτ are zero at once"
+    histories(axes[1], graze, (("", starts[1], red),), title)
 
 
 def attractor(axes, lanes=100, samples=100):
@@ -148,15 +169,18 @@ def survivors(axes, ends, parts, holds, lanes):
     titles = (f"(g) added: where chaos begins, {lanes} states", "(h) added: where it ends")
     around = len(ends[0])
     for i, (ax, text) in enumerate(zip(axes, titles, strict=True)):
-        ax.axvline((GRAZING, 1.13)[i], color=paper.BLACK, lw=0.8, ls=":")
+        label = (f"grazing, {GRAZING:.6f}", f"crisis, {CRISIS}")[i]
+        ax.axvline((GRAZING, CRISIS)[i], color=paper.BLACK, lw=0.8, ls=":", label=label)
         for hold, part, color in zip(holds, parts, COLORS, strict=True):
             part = part[i * around : (i + 1) * around]
             error = np.sqrt(part * (1 - part) / lanes)
             style = {"fmt": ".-", "lw": 0.8, "ms": 3, "elinewidth": 0.6, "color": color}
-            ax.errorbar(ends[i], part, error, label=f"N = {hold}", **style)
-        ax.set(xlabel="Ω", ylabel="part chaotic after N periods", ylim=(-0.05, 1.08))
+            ax.errorbar(ends[i], part, error, label=f"N = {hold}" * (i == 0) or None, **style)
+        ax.set(xlabel="Ω", ylabel="part chaotic after N periods", ylim=(-0.05, (1.08, 1.4)[i]))
         paper.entitle(ax, text)
+    axes[1].axvline(CRISIS_IN_PAPER, label=f"the paper's {CRISIS_IN_PAPER}", **paper.PAPER)
     axes[0].legend(loc="upper left", frameon=False)
+    axes[1].legend(loc="upper right", frameon=True, framealpha=1, edgecolor="none")
     axes[1].set_xticks([1.12, 1.13, 1.14, 1.15, 1.16])
 
 
@@ -164,7 +188,7 @@ def table(values, parts, holds, life):
     """The rows of its table."""
     low, high = values < 1, values > 1
     rows = []
-    why = "chaos before grazing is a transient of 10³ to 10⁵ periods"
+    why = "chaos before grazing is a transient: the longer one waits, the later it seems to begin"
     for hold, part in zip(holds, parts, strict=True):
         begins = f"{values[low & (part >= 0.5)].min():.4f}"
         rows.append(Row(f"half of the states chaotic, N = {hold}: from", "", begins, "", why))

@@ -75,8 +75,8 @@ def make(slowest=0.02):
     low = np.linspace(slowest, values[0], 16)
     low_tops, apart = slow(jnp.asarray(low))
     assert apart.max() < 1e-6
-    points = [float(b.value) for b in found]
-    heights = np.interp(points, values, tops)
+    # Between points of the branch a tangent orbit lies on no straight line: of its own orbit.
+    heights = [float(b.orbit.extremes()[1][1]) for b in found]
     curve = np.append(low, values), np.append(low_tops, tops)
     figure = paper.canvas(paper.PAGE, 105)
     ax = figure.subplots()

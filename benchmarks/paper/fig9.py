@@ -15,6 +15,7 @@ from benchmarks.paper import canvas as paper
 from benchmarks.paper.table import Row
 
 TITLE = "Fig. 9: period-1 orbits of the belt, case 1, γ₁ = 10, γ₂ = 0, where their sliding changes"
+# Those in the caption of the paper's figure.
 VALUES = (0.92, 1.3, 1.55, 1.95, 2.44, 7.85, 9.1, 10.9, 17.0)
 # Where the motion passes the belt by less than can be seen.
 ENLARGED = (1.55, 7.85)
@@ -33,6 +34,8 @@ REFERENCE = {
         0.360329 + 0.839260j,
     ),
 }
+# Where the paper has the orbit just touch the belt, the orbit is past its grazing already.
+GRAZES = {0.92: 0.917012578766336, 10.9: 10.904975822090772}
 SIGNS = {-1: "−", 0: "stick", 1: "+"}
 
 
@@ -131,6 +134,14 @@ def sequence(orbit, i):
     return ", ".join(parts)
 
 
+def held(orbit, i, omega):
+    """For how long the i-th orbit sticks in a period."""
+    count = int(orbit.num_events[i])
+    ts, modes = np.asarray(orbit.events.ts[i, :count]), orbit.events.modes[i, :count, 0]
+    lasts = np.diff(ts, append=ts[0] + 2 * np.pi / omega)
+    return float(np.sum(lasts[np.asarray(modes) == 0]))
+
+
 def table(values, orbit, tops, multipliers):
     """The rows of its table."""
     rows = []
@@ -138,7 +149,12 @@ def table(values, orbit, tops, multipliers):
         known = REFERENCE.get(float(omega))
         state, top, multiplier = known or (("", ""), "", "")
         found = np.asarray(orbit.x0[i])
-        rows.append(Row(f"ω = {omega:g}: x(0)", "", float(found[0]), state[0]))
+        why = ""
+        if graze := GRAZES.get(float(omega)):
+            stuck = held(orbit, i, omega)
+            why = f"it grazes at {graze:.6f}, and sticks for {stuck:.4f} s a period here"
+        rows.append(Row(f"({'abcdefghi'[i]}) ω, rad/s", f"{omega:g}", float(omega), "", why, 4))
+        rows.append(Row("  x(0)", "", float(found[0]), state[0]))
         rows.append(Row("  ẋ(0)", "", float(found[1]), state[1]))
         rows.append(Row("  max ẋ", "", float(tops[i]), top))
         largest = multipliers[i][np.argmax(abs(multipliers[i]))]

@@ -137,4 +137,6 @@ def test_the_oldest_versions_supported_are_those_of_pyproject():
 
 def test_the_drawings_are_drawn(tmp_path):
     runpy.run_path(str(DOCS / "drawings.py"))["theory"](tmp_path)
-    assert {f.name for f in tmp_path.iterdir()} == {"flights.svg", "slides.svg"}
+    assert {f.name for f in tmp_path.iterdir()} == {
+        *("mechanisms.svg", "cases.svg", "intersection.svg", "flights.svg", "slides.svg")
+    }
