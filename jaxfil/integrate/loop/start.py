@@ -225,8 +225,7 @@ def _start(problem: Problem, x: Components) -> Start:
     if filippov.holds_together(system):
         f = filippov.field(system, t, x, mode)
     else:
-        moving = mode if system.slides else unilateral.sides_of(mode)
-        f = with_reactions(system, t, x, mode, filippov.free_field(system, t, x, moving))
+        f = with_reactions(system, t, x, mode, filippov.free_field(system, t, x, mode))
     known = stop_gradient((system, t, x, f, mode, noise))
     g, rate, noise = guards(*known, stop_gradient(system.forcing_at(t)))
     armed = stays_on(system, mode) | ~on
