@@ -14,7 +14,8 @@ from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.contacts import accumulation, resets
+from jaxfil.integrate.contacts import accumulation
+from jaxfil.integrate.contacts.beginning import begin
 from jaxfil.integrate.contacts.guards import guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.contacts.switch import with_reactions
 from jaxfil.integrate.lane.problem import Problem
@@ -136,7 +137,7 @@ def _first_mode(
     rates = _resolved_rates(*here)
     owed = None
     if system.resets:
-        start = resets.begin(problem, x, on, sides, rates[0])
+        start = begin(problem, x, on, sides, rates[0])
         free = on & ~start.known
         mode, count = filippov.choose(rates, start.sides, free, grid.direction)
         mode = where(start.rests, 2 * mode, mode)
@@ -165,7 +166,7 @@ def _first_mode_together(
     above = sides.like(jnp.ones_like(t))
     first, second, third = _three_rates(system, t, x, above)
     resolved = _resolved(system, direction, first, second, third, abs(first))
-    start = resets.begin(problem, x, on, sides, resolved)
+    start = begin(problem, x, on, sides, resolved)
     _, _, normals = system.gradients(t, x)
     c, by_time = start.constraints, start.by_time
     forces = unilateral.forces_of(system, t, x, above, c, by_time, normals, fields)
