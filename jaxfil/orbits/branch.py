@@ -69,8 +69,8 @@ class Branch(eqx.Module):
     """Why the curve ends where it does, at either side: in "closed at …" it has come back to its
     start, in "the branch of half the period was met at …" two orbits of opposite phase become one,
     at its period doubling. "no orbit was found beyond … (…)" has in brackets the outcome that the
-    shortest step has met, or "another branch", and a multiplier that is large, as where the orbit
-    grazes a surface."""
+    shortest step has met, or that it leads away from the curve, as beyond a grazing orbit, and a
+    multiplier that is large, as on the other side of one."""
     periods: int = eqx.field(static=True)
     """Forcing periods after which an orbit closes."""
     result: RESULTS

@@ -156,8 +156,9 @@ def _lost(curve: Curve[_Point], here: _Point) -> str:
     step = curve.steps.least
     constraint = constraint_across(here.u, scale, tangent, step)
     point, result = curve.begin(here.u + step * tangent * scale, constraint, tangent)
-    # What is found there lies in another direction, or is none of the curve's.
-    met = "another branch" if point is not None else str(RESULTS.names(result))
+    # It lies in another direction, or on another branch.
+    away = "the shortest step leads away from it"
+    met = away if point is not None else str(RESULTS.names(result))
     about = "; ".join(v for v in (met, curve.about(here)) if v)
     return f"no {curve.solution} was found beyond {curve.told(here)} ({about})"
 
