@@ -32,7 +32,8 @@ class BifurcationSequence(eqx.Module):
     """The branch."""
     bifurcations: list[Bifurcation | SpecialPoint]
     """A `Bifurcation` where the orbit is tangent to a surface; a `SpecialPoint` for folds, period
-    doublings and Neimark–Sacker points, and where the contacts change in a way without a name."""
+    doublings and Neimark–Sacker points, where rest begins or ceases, and where the contacts change
+    in a way without a name."""
 
     @property
     def result(self) -> RESULTS:
@@ -127,7 +128,7 @@ def find_bifurcations(
 
 def _named(system: System, parameter: str, point: SpecialPoint) -> Bifurcation | SpecialPoint:
     """The bifurcation at a change of the contacts; the point itself if it is of no known kind."""
-    if point.kind != "contacts":
+    if point.kind not in ("contacts", "rest"):
         return point
     orbit = dataclasses.replace(
         point.orbit, system=replace_parameter(system, parameter, point.value)

@@ -70,6 +70,8 @@ class System(eqx.Module):
     """What they call parameters, by their names in the code; by default these names."""
     units: ClassVar[Mapping[str, str]] = {}
     """Units of components, parameters and the time `t`, by name; by default none."""
+    # Whether `vector_field` is given the mode of motion: with what is observed of it.
+    _observes_mode: ClassVar[bool] = False
 
     def __check_init__(self):
         check_numbers(self)
@@ -154,13 +156,21 @@ def takes_reaction(function: Callable) -> bool:
 
 
 def field_of(
-    system: System, t: Array, x: Array, side: Array, reaction: Array | None = None
+    system: System,
+    t: Array,
+    x: Array,
+    side: Array,
+    reaction: Array | None = None,
+    mode: Array | None = None,
 ) -> Array:
-    """F of a system, (n,), whether it feels reactions or not; None: there are none."""
-    if not system.feels_reactions:
+    """F of a system, (n,), whether it feels reactions or not; None: there are none. The mode, of
+    the shape of `side`, is asked for by what is observed alone; None: that of no slide or rest."""
+    if not system.feels_reactions and not system._observes_mode:
         return system.vector_field(t, x, side)
-    reaction = jnp.zeros_like(side) if reaction is None else reaction
-    return system.vector_field(t, x, side, reaction)  # pyright: ignore[reportCallIssue]
+    given = (jnp.zeros_like(side) if reaction is None else reaction,)
+    if system._observes_mode:
+        given += (side if mode is None else mode,)
+    return system.vector_field(t, x, side, *given)
 
 
 class _Piecewise(System):

@@ -16,6 +16,7 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.branch_arrays import branch_arrays
+from jaxfil.orbits.chattering import rests_in
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.periodic_orbit import periodic_orbit
 from jaxfil.xla.known import part_of
@@ -26,8 +27,9 @@ class SpecialPoint(eqx.Module):
 
     kind: str = eqx.field(static=True)
     """One of "fold" (the branch turns back), "period-doubling" (a multiplier is −1),
-    "neimark-sacker" (a complex pair of multipliers leaves the unit circle) and "contacts" (their
-    sequence changes)."""
+    "neimark-sacker" (a complex pair of multipliers leaves the unit circle), "rest" (it begins or
+    ceases to rest on a surface) and "contacts" (their sequence changes otherwise). Impacts that die
+    out are infinitely many, of which one more or less is no change."""
     value: float
     """The parameter there, located to about 1e-10."""
     orbit: Orbit
@@ -40,8 +42,14 @@ class SpecialPoint(eqx.Module):
     """The contacts after."""
 
     def __repr__(self) -> str:
-        more = f": {len(self.before)} to {len(self.after)} contacts" * (self.kind == "contacts")
-        return f"{self.kind} at {self.value:.12g}{more}"
+        more = f"{len(self.before)} to {len(self.after)} contacts"
+        if self.kind == "rest":
+            before, after = rests_in(self.before), rests_in(self.after)
+            told = [("begins", sorted(after - before)), ("ceases", sorted(before - after))]
+            words = [f"{verb} on surface {j}" for verb, surfaces in told for j in surfaces]
+            more = ", ".join([*words, more])
+        changed = self.kind in ("contacts", "rest")
+        return f"{self.kind} at {self.value:.12g}" + changed * f": {more}"
 
 
 class Branch(eqx.Module):
@@ -60,7 +68,9 @@ class Branch(eqx.Module):
     ended: tuple[str, str] = eqx.field(static=True)
     """Why the curve ends where it does, at either side: in "closed at …" it has come back to its
     start, in "the branch of half the period was met at …" two orbits of opposite phase become one,
-    at its period doubling."""
+    at its period doubling. "no orbit was found beyond … (…)" has in brackets the outcome that the
+    shortest step has met, or that it leads away from the curve, as beyond a grazing orbit, and a
+    multiplier that is large, as on the other side of one."""
     periods: int = eqx.field(static=True)
     """Forcing periods after which an orbit closes."""
     result: RESULTS

@@ -166,6 +166,10 @@ class Curve(abc.ABC, Generic[_Point]):
         """Why a solution of the equations is none of the curve's."""
         return None
 
+    def about(self, point: _Point) -> str:
+        """What is worth knowing of a point beyond which there is none, in words."""
+        return ""
+
     def told(self, point: _Point) -> str:
         """Where a point is, in words."""
         return f"{self.value(point):.10g}"

@@ -28,7 +28,7 @@ from jaxfil.orbits.locating import change_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase import phased_like
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
-from jaxfil.orbits.special_points import special_orbits
+from jaxfil.orbits.special_points import kind_of_change, special_orbits
 from jaxfil.xla.known import array_of
 
 # A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
@@ -39,6 +39,8 @@ _DIRECTIONS, _RADIUS = 48, 1e-3
 # A point further away than so many of these distances is on another branch, one at this cosine to
 # the tangent where the branch has come from.
 _REACH, _BACK = 20, -0.95
+# A multiplier this large is told where a branch ends.
+_LARGE = 1e3
 # How far back the way is looked at where the phase is changed, in scaled unknowns.
 _AWAY = 1e-4
 # Where an orbit joins one of half the period, what it moves in half a period is located to this
@@ -118,7 +120,7 @@ class OrbitCurve(Curve[OrbitPoint]):
 
     def special_points(self, a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
         """Zeros of test functions and changes of the contacts."""
-        return special_orbits(self, a, b)
+        return special_orbits(self, a, b, lambda point: period_of(self.problem, point))
 
     def elsewhere(
         self, here: OrbitPoint, start: OrbitPoint
@@ -183,7 +185,16 @@ class OrbitCurve(Curve[OrbitPoint]):
                 best, least = dataclasses.replace(point, tangent=sign * point.tangent), distance
         if best is None:
             return None
-        return best, Special("contacts", here, here.sequence, best.sequence)
+        kind = kind_of_change(here.sequence, best.sequence)
+        return best, Special(kind, here, here.sequence, best.sequence)
+
+    def about(self, point: OrbitPoint) -> str:
+        """Its largest multiplier, if it is so large as near a square root of the period map."""
+        values = np.linalg.eigvals(np.asarray(point.shot.monodromy))
+        largest = values[np.argmax(abs(values))]
+        if not abs(largest) > _LARGE:
+            return ""
+        return f"largest multiplier {abs(largest):.2g}, as where an orbit grazes"
 
     def _around(self, here: OrbitPoint, scale: np.ndarray) -> list[OrbitPoint]:
         """Points of the branch at a small distance in many directions, all in one call."""

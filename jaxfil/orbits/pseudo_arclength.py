@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from jaxfil.model import check
+from jaxfil.model.outcomes import RESULTS
 from jaxfil.orbits.curve import Curve, CurvePoint, Special, constraint_across
 
 # Between two points the tangent may turn by this cosine, and they may be so many steps apart: what
@@ -123,7 +124,7 @@ def _follow(
         if ahead is None:
             beyond = curve.beyond_end(here)
             if beyond is None:
-                return end(f"no {curve.solution} was found beyond {curve.told(here)}")
+                return end(_lost(curve, here))
             # In the new direction nothing is known of the curve: steps grow from a small one.
             (ahead, corner), ds = beyond, 0.1 * curve.steps.first
         refusal = curve.refusal(ahead)
@@ -133,8 +134,11 @@ def _follow(
         edges = (within.low, within.high)
         edge = next((v for v in edges if _passes(curve.value(here), curve.value(ahead), v)), None)
         if edge is not None:
-            ahead = curve.at_value(here, ahead, edge) or ahead
-            why = f"{curve.parameter} = {edge:.10g} was reached"
+            last, gone = curve.at_value(here, ahead, edge), _reach(here, ahead)
+            if last is None and corner is None and gone > curve.steps.least:
+                ds = 0.5 * gone  # what lies in between is too much for one step
+                continue
+            ahead, why = last or ahead, f"{curve.parameter} = {edge:.10g} was reached"
         if corner is not None:
             special.append(dataclasses.replace(corner, index=len(points) - 1))
         else:
@@ -144,6 +148,27 @@ def _follow(
         if why:
             return end(why, closed=ahead is start)
     return end(f"{max_points} points were made")
+
+
+def _lost(curve: Curve[_Point], here: _Point) -> str:
+    """Why no step leads on from a point: what the shortest one meets."""
+    scale, tangent = _measured(curve, here)
+    step = curve.steps.least
+    constraint = constraint_across(here.u, scale, tangent, step)
+    point, result = curve.begin(here.u + step * tangent * scale, constraint, tangent)
+    # It lies in another direction, or on another branch.
+    away = "the shortest step leads away from it"
+    met = away if point is not None else str(RESULTS.names(result))
+    about = "; ".join(v for v in (met, curve.about(here)) if v)
+    return f"no {curve.solution} was found beyond {curve.told(here)} ({about})"
+
+
+def _measured(curve: Curve[_Point], here: _Point) -> tuple[np.ndarray, np.ndarray]:
+    """The scales in which a step from a point is measured, and its tangent in these. It is known in
+    the scales in which the point was found."""
+    scale = curve.metric(here)
+    tangent = here.tangent * here.scale / scale
+    return scale, tangent / np.linalg.norm(tangent)
 
 
 def _last(curve: Curve[_Point], start: _Point, here: _Point, ahead: _Point) -> tuple[_Point, str]:
@@ -177,6 +202,11 @@ def _returns(curve: Curve[_Point], start: _Point, here: _Point, ahead: _Point) -
     return bool(off < np.sqrt(np.finfo(start.u.dtype).eps))
 
 
+def _reach(here: _Point, ahead: _Point) -> float:
+    """How far a step has gone, in scaled unknowns."""
+    return float(np.linalg.norm((ahead.u - here.u) / ahead.scale))
+
+
 def _passes(here: float, ahead: float, edge: float) -> bool:
     return here != edge and (here - edge) * (ahead - edge) <= 0
 
@@ -185,11 +215,8 @@ def _advance(
     curve: Curve[_Point], here: _Point, ds: float, max_step: float
 ) -> tuple[_Point | None, float]:
     """The next point, and the step to try after it."""
-    # The tangent is known in the scales in which the point was found; a step is measured in the
-    # point's own.
-    steps, scale = curve.steps, curve.metric(here)
-    tangent = here.tangent * here.scale / scale
-    tangent = tangent / np.linalg.norm(tangent)
+    steps = curve.steps
+    scale, tangent = _measured(curve, here)
     while ds >= steps.least:
         # The prediction fulfils the constraint already: the corrector moves at right angles to it.
         constraint = constraint_across(here.u, scale, tangent, ds)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from jaxfil.orbits.chattering import differ_by_chattering, rests_in
 from jaxfil.orbits.corrector import OrbitPoint
 from jaxfil.orbits.curve import Curve, Special
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
@@ -37,16 +38,24 @@ _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
 }
 
 
+def kind_of_change(before: tuple, after: tuple) -> str:
+    """What a change of the contacts is called: "rest" where the orbit begins or ceases to rest."""
+    return "contacts" if rests_in(before) == rests_in(after) else "rest"
+
+
 def special_orbits(
-    curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint
+    curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint, period: Callable[[OrbitPoint], float]
 ) -> Iterator[Special[OrbitPoint]]:
-    """Special points between two neighbours, in order."""
+    """Special points between two neighbours, in order. Impacts that die out are infinitely many,
+    however many of them are followed."""
     # Test functions jump where the contacts change: they are looked at piece by piece.
     while a.sequence != b.sequence:
         contacts = a.sequence
         before, after = change_on_curve(curve, a, b, lambda p, c=contacts: p.sequence == c)
         yield from _zeros(curve, a, before)
-        yield Special("contacts", after, before.sequence, after.sequence)
+        if not differ_by_chattering(before.shot.events, after.shot.events, period(after)):
+            kind = kind_of_change(before.sequence, after.sequence)
+            yield Special(kind, after, before.sequence, after.sequence)
         if after is b:
             return
         a = after

@@ -1,7 +1,7 @@
 """Averages along a motion: quadratures carried with the state.
 
-A system and a function of time, state and sides enter; the mean of the function along a run leaves,
-of the order of the stepper and exact through contacts.
+A system and a function of the motion enter; the mean of the function along a run leaves, of the
+order of the stepper and exact through contacts.
 """
 
 import diffrax
@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxfil.integrate.run.observed import Observe, checked_observable, with_rate
+from jaxfil.integrate.run.observed import checked_observable, with_rate
 from jaxfil.integrate.run.options import Adjoint
 from jaxfil.integrate.run.solve import solve
 from jaxfil.integrate.run.step_choice import StepLength
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
+from jaxfil.model.observe import Observe
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
@@ -46,20 +47,19 @@ def average(
     adjoint: Adjoint = diffrax.ForwardMode(),  # noqa: B008
     throw: bool = True,
 ) -> Average:
-    r"""The mean of a function along a motion: a power, a duty cycle, the part of time on a side.
+    r"""The mean of a function along a motion: a power, a duty cycle, the share of sticking.
 
-    $$\bar g = \frac{1}{t_1 - t_0} \int_{t_0}^{t_1} g(t, x(t), \mathrm{side}(t))\, dt$$
+    $$\bar g = \frac{1}{t_1 - t_0} \int_{t_0}^{t_1} g(t, x(t), \mathrm{side}(t), \dots)\, dt$$
 
     The integral is carried with the state, at the order of the stepper, and its steps end on
-    contacts as those of the state do. On a slide it is that of the blend of both sides, as the
-    field is.
+    contacts as those of the state do: a mean of 1 and 0 by the mode is a share of time, to
+    rounding. On a slide g is the blend of both sides, as the field is.
 
     **Arguments**
 
     - `system`, `x0`, `t0`, `t1`, `dt`, `stepper`, `adjoint`, `throw`: as in `solve`.
-    - `function`: g, a function of the time, the state, shape (n,), and the sides, as
-      `System.vector_field` is given them, that returns an array of any shape; if it has an argument
-      `reaction`, of the forces of the surfaces rested on too, and affine in them.
+    - `function`: g, a function of the time and the state, shape (n,), that returns an array of any
+      shape, and asks for `side`, `reaction` and `mode` as the `observe` of `solve` does.
 
     **Returns** an `Average` with the shape of what `function` returns. It has derivatives as the
     states of a `Solution` have.
@@ -83,6 +83,12 @@ def average(
     ...     0.1)
     >>> print(round(float(above.value), 9))  # a time π of 3π/2
     0.666666667
+    >>> block = jf.systems.CoulombOscillator()  # from 3 it moves for a time 4π, and then sticks
+    >>> stuck = jf.average(
+    ...     block, lambda t, x, mode: jnp.where(mode == 0, 1.0, 0.0), jnp.array([3.0, 0.0]), 0.0,
+    ...     8 * jnp.pi, 0.1)
+    >>> print(round(float(stuck.value), 9))
+    0.5
     """
     x = check.state("x0", x0)
     check.system("system", system)

@@ -5,7 +5,7 @@ values with their covariance, and how the search ended from each guess. The resi
 the event-driven solution, their Jacobian its derivative, exact through every contact.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import diffrax
@@ -16,12 +16,14 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
+from jaxfil.integrate.run.observed import Observable, checked_observable
 from jaxfil.integrate.run.solve import solve
 from jaxfil.integrate.run.step_choice import StepLength, dt_and_stepper
 from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
+from jaxfil.model.observe import Observe
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, replace_parameters, scalar_parameters
 from jaxfil.model.system import System
@@ -86,7 +88,7 @@ def fit(
     dt: StepLength,
     *,
     t0: Scalar = 0.0,
-    observe: Callable[[Array, Array], Array] | None = None,
+    observe: Observe | None = None,
     sigma: Any = None,
     guesses: Any = None,
     stepper: Stepper | None = None,
@@ -112,7 +114,8 @@ def fit(
     - `x0`: the state at `t0`, shape (n,).
     - `dt`, `stepper`: as in `solve`.
     - `t0`: the time of `x0`.
-    - `observe`: a function of (t, x) that returns what is measured; None is the whole state.
+    - `observe`: a function of (t, x) that returns what is measured, and may ask for more as that of
+      `solve` does; None is the whole state.
     - `sigma`: standard deviations of the measurements, of a shape that broadcasts to that of
       `data`; None: all the same one, which is not known.
     - `guesses`: first guesses, shape (g, k) or (k,); None is the system's own values.
@@ -146,8 +149,8 @@ def fit(
     system = cast(system, x.dtype)
     names = scalar_parameters(system, parameters)
     times, measured = _data(ts, data, x.dtype)
-    seen = _whole_state if observe is None else check.function("observe", observe, "(t, x)")
-    _check_seen(seen, observe is None, measured, x)
+    seen = None if observe is None else checked_observable("observe", observe, system, x)
+    _check_seen(seen, measured, x)
     spread = _spread(sigma, measured)
     own = jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names])
     starts = own if guesses is None else _guesses(guesses, len(names), x.dtype)
@@ -165,7 +168,7 @@ def fit(
         measured,
         spread,
         names,
-        seen,
+        seen and seen.function,
         checked_stepper(method),
     )
     rtol = float(check.scalar("tolerance", tolerance, float, positive=True))
@@ -175,10 +178,6 @@ def fit(
     if not throw:
         return found
     return raise_if_failed(found, found.result)
-
-
-def _whole_state(t: Array, x: Array) -> Array:
-    return x
 
 
 def _data(ts: Any, data: Any, dtype: Any) -> tuple[Array, Array]:
@@ -203,15 +202,15 @@ def _data(ts: Any, data: Any, dtype: Any) -> tuple[Array, Array]:
     return times, measured
 
 
-def _check_seen(seen: Callable[..., Any], whole: bool, measured: Array, x: Array) -> None:
+def _check_seen(seen: Observable | None, measured: Array, x: Array) -> None:
     """What is measured has the shape of what is computed."""
-    out = check.returned("`observe`", seen, t=jnp.zeros((), x.dtype), x=x)
-    if not hasattr(out, "shape") or not check.is_real(out):
-        raise ValueError(f"`observe` must return an array of real numbers, got {check.told(out)}.")
-    if measured.shape[1:] != out.shape:
-        given = "that of the whole state without `observe`" if whole else "as `observe` returns"
+    shape = x.shape if seen is None else seen.shape
+    if measured.shape[1:] != shape:
+        given = (
+            "that of the whole state without `observe`" if seen is None else "as `observe` returns"
+        )
         raise ValueError(
-            f"`data` must have rows of shape {out.shape}, {given}, got rows of shape "
+            f"`data` must have rows of shape {shape}, {given}, got rows of shape "
             f"{measured.shape[1:]}."
         )
 
@@ -255,7 +254,7 @@ class _Model(eqx.Module):
     data: Array
     sigma: Array
     names: tuple[str, ...] = eqx.field(static=True)
-    observe: Callable = eqx.field(static=True)
+    observe: Observe | None
     stepper: Stepper = eqx.field(static=True)
 
     def at(self, values: Array) -> System:
@@ -274,8 +273,10 @@ class _Model(eqx.Module):
             saveat=diffrax.SaveAt(ts=self.ts),
             max_events=None,
             throw=False,
+            observe=self.observe,
         )
-        seen = jax.vmap(self.observe)(self.ts, sol.xs)
+        seen = sol.xs if self.observe is None else sol.observed
+        assert seen is not None
         away = jnp.ravel((seen - self.data) / self.sigma)
         # A step to where there is no motion is one after which nothing has fallen.
         return select(sol.result == RESULTS.successful, away, jnp.nan), sol.result

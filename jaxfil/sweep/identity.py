@@ -15,9 +15,10 @@ from jaxtyping import Array
 
 from jaxfil.integrate.run.observed import Observable
 from jaxfil.model import check
+from jaxfil.model.observe import asked_of
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.section import Section
-from jaxfil.model.system import System, field_of, takes_reaction
+from jaxfil.model.system import System, field_of
 
 
 def equations(system: System, x: np.ndarray) -> str:
@@ -53,7 +54,7 @@ def identity_of_observable(observable: Observable, system: System, x: np.ndarray
     """The name of what is observed, and the same of its function."""
     state = jnp.asarray(x)
     side = jnp.ones(check.shapes(system, state), x.dtype)
-    given = (side, side) if takes_reaction(observable.function) else (side,)
+    given = (side for _ in asked_of(observable.function))
     sha = _fingerprint(observable.function, jnp.zeros((), x.dtype), state, *given)
     return f"{observable.name}, function {sha}"
 

@@ -12,11 +12,11 @@ from typing import Literal
 import jax
 import numpy as np
 
-from jaxfil.integrate.run.observed import Observe
 from jaxfil.integrate.run.step_choice import StepCount
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
+from jaxfil.model.observe import Observe
 from jaxfil.model.outcomes import RESULTS, code, outcomes
 from jaxfil.model.section import Section
 from jaxfil.model.system import System

@@ -98,6 +98,7 @@ def test_a_branch_that_ends_says_so():
     orbit = jf.periodic_orbit(S.SDOscillator(omega=0.85), x0)
     branch = jf.continue_orbit(S.SDOscillator(), "omega", orbit, stop=0.95)
     assert branch.ended[1].startswith("no orbit was found beyond 0.8667165")
+    assert branch.ended[1].endswith(" (the shortest step leads away from it)")
     assert_allclose(branch.values[-1], SD_GRAZES[0], rtol=0, atol=1e-8)
     assert branch.ended[0] == "start at 0.85" and not branch.points
     assert outcome_names(branch.result) == "successful"

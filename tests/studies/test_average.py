@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,6 +58,109 @@ def test_the_mean_energies_of_a_ball_are_those_of_its_flight():
     )
     np.testing.assert_allclose(found.value, [1 / 3, 1 / 6], rtol=64 * EPS)
     np.testing.assert_allclose(found.x_final, [0.5, 0.0], rtol=0, atol=64 * EPS)
+
+
+class Belt(jf.System):
+    """A mass on a belt of speed 1: x'' = -x - F sgn(x' - 1)."""
+
+    force: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - self.force * side])
+
+    def switching(self, t, x):
+        return x[1] - 1
+
+
+def sticks(t, x, mode):
+    return jnp.where(mode == 0, 1.0, 0.0)
+
+
+def rests(t, x, mode):
+    return jnp.where(abs(mode) == 2, 1.0, 0.0)
+
+
+def sticking(force, **options):
+    """The share of the time to 2 that the mass sticks, from where the belt has carried it to the
+    middle: until the spring, t - 1/2, is as strong as the friction."""
+    x0 = jnp.array([-0.5, 1.0], jnp.result_type(force))
+    options = dict(stepper=jf.RK4()) | options
+    return jf.average(Belt(force), sticks, x0, 0.0, 2.0, 0.15, **options).value
+
+
+ADJOINTS = [diffrax.ForwardMode(), diffrax.RecursiveCheckpointAdjoint()]
+
+
+@pytest.mark.parametrize("adjoint", ADJOINTS)
+def test_the_share_of_sticking_is_a_share_of_time(adjoint):
+    """Where the side would be a weight, or one side of a blend, the mode is 0. The share has the
+    derivative of the time that the stick ends at."""
+
+    def share(force):
+        return sticking(force, adjoint=adjoint)
+
+    forces = jnp.array([0.75, 1.0, 1.25])
+    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(share)))(forces)
+    np.testing.assert_allclose(values, (forces + 0.5) / 2, rtol=64 * EPS)
+    np.testing.assert_allclose(slopes, [0.5] * 3, rtol=64 * EPS)
+
+
+def test_shares_of_time_in_single_precision():
+    forces = jnp.array([0.75, 1.25], jnp.float32)
+    values = jax.vmap(sticking)(forces)
+    assert values.dtype == jnp.float32
+    np.testing.assert_allclose(values, (forces + 0.5) / 2, rtol=16 * np.finfo(np.float32).eps)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.8])
+def test_the_share_of_rest_begins_after_the_last_impact(restitution):
+    """From h it falls for a time √h, and then flies for 2e + 2e² + … = 2e/(1 − e) of that."""
+
+    def share(e, h):
+        ball = jf.systems.BouncingBall(g=2.0, restitution=e)
+        return jf.average(ball, rests, jnp.stack([h, 0 * h]), 0.0, 16.0, 0.1).value
+
+    e = restitution
+    value, slopes = jax.value_and_grad(share, (0, 1))(jnp.array(e), jnp.array(1.0))
+    np.testing.assert_allclose(value, 1 - (1 + 2 * e / (1 - e)) / 16, rtol=256 * EPS)
+    np.testing.assert_allclose(slopes[1], -(1 + 2 * e / (1 - e)) / 32, rtol=1e-11)
+    # A ball that does not bounce has no flight that could become longer.
+    np.testing.assert_allclose(slopes[0], -2 / (1 - e) ** 2 / 16 if e > 0 else 0.0, rtol=1e-11)
+
+
+def test_a_mean_of_modes_is_the_same_backward_in_time():
+    spring = jf.piecewise(
+        lambda t, x: jnp.stack([x[1], -x[0]]),
+        lambda t, x: jnp.stack([x[1], -4 * x[0]]),
+        lambda t, x: x[0],
+    )
+
+    def found(x0, t0, t1):
+        return jf.average(spring, lambda t, x, mode: mode, x0, t0, t1, 0.1)
+
+    there = found(jnp.array([0.0, 1.0]), 0.0, 1.25 * jnp.pi)
+    back = found(there.x_final, 1.25 * jnp.pi, 0.0)
+    np.testing.assert_allclose(there.value, 1 - 2 * 0.25 / 1.25, rtol=64 * EPS)
+    np.testing.assert_allclose(back.value, there.value, rtol=256 * EPS)
+
+
+class Masses(jf.System):
+    """Masses on dry friction, pushed ever harder, that slip when the push is their friction."""
+
+    forces: jax.Array
+
+    def vector_field(self, t, x, side):
+        return t - self.forces * side
+
+    def switching(self, t, x):
+        return x
+
+
+@pytest.mark.parametrize("m", [2, 5, 16])
+def test_of_many_surfaces_each_has_its_mode(m):
+    forces = jnp.linspace(0.25, 0.85, m)
+    found = jf.average(Masses(forces), sticks, jnp.zeros(m), 0.0, 1.0, 0.1, stepper=jf.RK4())
+    np.testing.assert_allclose(found.value, forces, rtol=64 * EPS)
 
 
 def test_what_is_no_function_of_time_state_and_side_is_refused_by_name():

@@ -108,6 +108,12 @@ def test_one_number_is_kept_of_lanes_that_start_from_their_own_states_or_follow(
     np.testing.assert_array_equal(followed.xs, np.full((3, 2, 1), 0.3))
 
 
+def test_samples_may_be_modes():
+    """The push at the ends of periods, cos 0.3, makes it slip where friction is less."""
+    found = sweep(lambda t, x, mode: mode, forces=(0.5, 1.25))
+    np.testing.assert_array_equal(found.xs[..., 0], [[1, 1, 1], [0, 0, 0]])
+
+
 class Turn(jf.System):
     """A point that goes round the unit circle, slower where y > 0."""
 

@@ -11,5 +11,6 @@
 - decision: which mode goes on, of all surfaces that the state is on together (`decide`).
 - reset: what a surface does to the state at a contact, and what follows: thrown back, let through,
   rest, or complete chattering, infinitely many impacts in a finite time (`resets`).
+- beginning: how a run starts on such surfaces, and whether a reset is owed there.
 - accumulation: contacts that recur at times that shrink in one ratio, completed by their limit.
 """

@@ -34,7 +34,6 @@ from jaxfil.integrate.system.components import (
     index_of,
     maximum,
     minimum,
-    pack,
     total,
     where,
 )
@@ -42,8 +41,6 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
 
-# Rounding of H, in eps of its terms.
-_NOISE = 64
 # How far a field carries the state at once, in sqrt(eps) steps: what it changes by is their square.
 _LEAP = 64
 
@@ -284,77 +281,4 @@ def _chattering(
     impulses = unilateral.multipliers(c.impulse.gains, left, stopped)
     return total_time, c.impulse.directions.added(
         state.motion.x.like(jnp.zeros_like(state.motion.tau)), impulses
-    )
-
-
-def _led_to(system: ComponentSystem, t: Array, x: Components) -> Components:
-    """H of each surface where its own reset leads to."""
-
-    def own(number: Array) -> Array:
-        return pack(system.switching(t, system.reset(t, x, number)), system.dtype)[number]
-
-    if system.packed:
-        return Components([jax.vmap(own)(jnp.arange(system.m, dtype=jnp.int32))])
-    return Components(own(jnp.int32(j)) for j in range(system.m))
-
-
-class Beginning(eqx.Module):
-    """How a run starts on surfaces with resets. Components are m."""
-
-    sides: Components
-    """The side to start on, where nothing else is said."""
-    known: Components
-    """Surfaces on which no mode is to be chosen."""
-    owed: Components
-    """Surfaces whose reset comes first."""
-    still: Components
-    """Surfaces without a rate, that may be rested on."""
-    rests: Components
-    """Surfaces rested on; of several surfaces with the field on side + alone."""
-    consistent: Array
-    """Whether their reactions are all that is needed."""
-    constraints: Constraints
-    """The surfaces as constraints."""
-    by_time: Components
-    """∂ψ/∂t of these."""
-
-
-def begin(
-    problem: Problem, x: Components, on: Components, sides: Components, rates: Components
-) -> Beginning:
-    """How a run starts on the surfaces marked `on`, given the rates of H on side + with the sign of
-    the first derivative that does not vanish.
-
-    A surface that throws back bounds H ≥ 0: a motion towards H < 0 is an impact at t0, one that
-    has no rate and is pressed rests, any other has left. A reset that leads off its surface comes
-    first if it leads to where the motion comes from; any other has been made already.
-    """
-    system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
-    above = sides.like(jnp.ones_like(t))
-    c = unilateral.constraints(system, t, x, above)
-    f = system.field(t, x, above)
-    a = unilateral.accelerations(system, t, x, above, f)
-    _, h_t, normals = system.gradients(t, x)
-    inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
-    by_time, dt = a - c.gradients @ f, typical_step(problem)
-    noise = unilateral.rate_noise(t, abs(x), inside, dt, f, c, by_time, surfaces)
-    flat, wall = abs(c.rate) <= noise, on & c.throws_back
-    led = _led_to(system, t, x)
-    far = stop_gradient(abs(led)) > _NOISE * system.eps * (abs(normals) @ abs(x))
-    side = where(led < 0, -1.0, above)
-    back = on & ~c.throws_back & far & (direction * side * rates < 0) & ~flat
-    owed = (wall & (direction * rates < 0) & ~flat) | back
-    start = where(wall, 1.0, where(back, side, sides))
-    # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
-    lean = where(a * rates > 0, a, where(flat, rates, a))
-    rests, consistent = unilateral.pressed(c.reaction, lean, above, wall & flat)
-    return Beginning(
-        sides=start,
-        known=wall | back,
-        owed=owed,
-        still=wall & flat,
-        rests=rests,
-        consistent=consistent,
-        constraints=c,
-        by_time=by_time,
     )

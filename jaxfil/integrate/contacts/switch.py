@@ -260,8 +260,10 @@ def _motion(
 ) -> Motion:
     """The motion that goes on from x in the mode chosen, given the fields on all sides with their
     rates, and in how many modes it could."""
-    system, t = problem.system, problem.grid.t0 + tau
     (fields, rates), mode = on_sides, choice.mode
+    system, t = problem.system.in_mode(mode), problem.grid.t0 + tau
+    if system.asks_mode:  # which is known now
+        fields, _ = filippov.corners(system, t, x, forcing=forcing)
     # Where no mode goes on because a field is not finite, that is what is wrong.
     blind = (choice.count == 0) & ~all_finite(rates)
     together = filippov.holds_together(system)

@@ -14,7 +14,8 @@ from jax.custom_derivatives import SymbolicZero
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.contacts import accumulation, resets
+from jaxfil.integrate.contacts import accumulation
+from jaxfil.integrate.contacts.beginning import begin
 from jaxfil.integrate.contacts.guards import guards, stays_on, surface_noise, unguarded
 from jaxfil.integrate.contacts.switch import with_reactions
 from jaxfil.integrate.lane.problem import Problem
@@ -136,7 +137,7 @@ def _first_mode(
     rates = _resolved_rates(*here)
     owed = None
     if system.resets:
-        start = resets.begin(problem, x, on, sides, rates[0])
+        start = begin(problem, x, on, sides, rates[0])
         free = on & ~start.known
         mode, count = filippov.choose(rates, start.sides, free, grid.direction)
         mode = where(start.rests, 2 * mode, mode)
@@ -165,7 +166,7 @@ def _first_mode_together(
     above = sides.like(jnp.ones_like(t))
     first, second, third = _three_rates(system, t, x, above)
     resolved = _resolved(system, direction, first, second, third, abs(first))
-    start = resets.begin(problem, x, on, sides, resolved)
+    start = begin(problem, x, on, sides, resolved)
     _, _, normals = system.gradients(t, x)
     c, by_time = start.constraints, start.by_time
     forces = unilateral.forces_of(system, t, x, above, c, by_time, normals, fields)
@@ -225,8 +226,7 @@ def _start(problem: Problem, x: Components) -> Start:
     if filippov.holds_together(system):
         f = filippov.field(system, t, x, mode)
     else:
-        moving = mode if system.slides else unilateral.sides_of(mode)
-        f = with_reactions(system, t, x, mode, filippov.free_field(system, t, x, moving))
+        f = with_reactions(system, t, x, mode, filippov.free_field(system, t, x, mode))
     known = stop_gradient((system, t, x, f, mode, noise))
     g, rate, noise = guards(*known, stop_gradient(system.forcing_at(t)))
     armed = stays_on(system, mode) | ~on

@@ -1,13 +1,13 @@
-"""What is observed of a motion: a function of the time, the state and the sides.
+"""What is observed of a motion: a function of the time, the state, and what it asks for.
 
 A system and the function enter; a wider system leaves, whose field has the function as the rate of
-more components: it is then blended on a slide as the field is. So do its values at what was saved.
+more components: it is then blended on a slide as the field is, and held at rest. So do its values
+at what was saved. The mode that it may ask for is that of the motion, on all sides of a blend.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,13 +22,10 @@ from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.clock import Clocks
+from jaxfil.model.observe import Observe, asked_of, value_of
 from jaxfil.model.parameter import cast
-from jaxfil.model.system import System, field_of, takes_reaction
+from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
-
-Observe: TypeAlias = Callable[..., Any]
-"""A function of the time, the state, shape (n,), the sides, and if it has an argument of that name
-the `reaction`, as `System.vector_field` is given them, that returns an array."""
 
 
 class Observable(eqx.Module):
@@ -61,17 +58,31 @@ class _WithRate(System):
     function: Observe
     n: int = eqx.field(static=True)
 
-    def vector_field(self, t: Array, x: Array, side: Array, reaction: Array | None = None) -> Array:
-        state, given = x[: self.n], ()
-        if takes_reaction(self.function):
-            given = (jnp.zeros_like(side) if reaction is None else reaction,)
-        rate = jnp.ravel(jnp.asarray(self.function(t, state, side, *given), x.dtype))
+    def vector_field(
+        self,
+        t: Array,
+        x: Array,
+        side: Array,
+        reaction: Array | None = None,
+        mode: Array | None = None,
+    ) -> Array:
+        state, none = x[: self.n], jnp.zeros_like(side)
+        known = {
+            "side": side,
+            "reaction": none if reaction is None else reaction,
+            "mode": side if mode is None else mode,
+        }
+        rate = jnp.ravel(jnp.asarray(value_of(self.function, t, state, known), x.dtype))
         return jnp.concatenate([field_of(self.system, t, state, side, reaction), rate])
 
     @property
     def feels_reactions(self) -> bool:
-        asked = self.system.resets and takes_reaction(self.function)
+        asked = self.system.resets and "reaction" in asked_of(self.function)
         return self.system.feels_reactions or asked
+
+    @property
+    def _observes_mode(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "mode" in asked_of(self.function)
 
     def switching(self, t: Array, x: Array) -> Array:
         return self.system.switching(t, x[: self.n])
@@ -111,7 +122,7 @@ def checked_observable(name: str, function: Any, system: System, x: Array) -> Ob
     """A function to be observed in a run from a state like x."""
     function = cast(check.function(name, function, "(t, x, side)"), x.dtype)
     side = jnp.ones(check.shapes(system, x), x.dtype)
-    given = {"side": side, "reaction": side} if takes_reaction(function) else {"side": side}
+    given = dict.fromkeys(asked_of(function), side)
     out = check.returned(f"`{name}`", function, "", t=jnp.zeros((), x.dtype), x=x, **given)
     if not hasattr(out, "shape") or not check.is_real(out):
         raise ValueError(f"`{name}` must return an array of real numbers, got {check.told(out)}.")

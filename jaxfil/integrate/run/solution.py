@@ -15,8 +15,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.lane import clocks
 from jaxfil.integrate.lane.problem import NOTHING, Problem, even_grid
-from jaxfil.integrate.lane.state import CrossingTable, EventTable
+from jaxfil.integrate.lane.state import CrossingTable, EventTable, SavedStates
 from jaxfil.integrate.run.dataset import solution_arrays
+from jaxfil.integrate.run.observed import Observable, checked_observable, observed
 from jaxfil.integrate.steppers.explicit import Stepper, compact_step, step, tableau_of
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import Components, pack
@@ -25,6 +26,7 @@ from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels
+from jaxfil.model.observe import Observe
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Dataset, PathLike, Scalar, Times
@@ -130,9 +132,10 @@ class Solution(eqx.Module):
 
     # Not a method: one of an equinox module is hashed with all arrays, and `jax.jit` refuses it.
     @property
-    def evaluate(self) -> Callable[[Times], Float[Array, "*shape n"]]:
-        """The function `evaluate(t)`: the state at a time of the solved span, to the order of the
-        stepper, shape (n,); of an array of times the states, shape (*t.shape, n).
+    def evaluate(self) -> Callable[..., Float[Array, "*shape n"]]:
+        """The function `evaluate(t, observe=None)`: the state at a time of the solved span, to the
+        order of the stepper, shape (n,); of an array of times the states, shape (*t.shape, n).
+        With a function `observe`, as that of `solve`, its value there in place of the state.
 
         Needs `saveat=diffrax.SaveAt(dense=True)`. The step that contains `t` is taken again, up to
         `t`: nothing is interpolated. NaN outside the span that was reached.
@@ -198,11 +201,14 @@ class Dense(eqx.Module):
     """Whether steps are taken as `compact_step` takes them."""
 
 
-def _evaluate(sol: Solution, t: Times) -> Float[Array, "*shape n"]:
+def _evaluate(sol: Solution, t: Times, observe: Observe | None = None) -> Array:
     """`Solution.evaluate`."""
-    if sol._dense is None:
+    if (dense := sol._dense) is None:
         raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
-    return _states(sol._dense, jnp.asarray(t, sol._dense.xs.dtype))
+    ts = jnp.asarray(t, dense.xs.dtype)
+    if observe is None:
+        return _states(dense, ts)
+    return _values(dense, checked_observable("observe", observe, dense.system, dense.xs[0]), ts)
 
 
 @eqx.filter_jit
@@ -212,14 +218,32 @@ def _states(dense: Dense, ts: Float[Array, "*shape"]) -> Float[Array, "*shape n"
     return xs.reshape(*ts.shape, *xs.shape[1:])
 
 
+@eqx.filter_jit
+def _values(dense: Dense, observable: Observable, ts: Array) -> Array:
+    """What is observed at times of any shape, shape (*ts.shape, *observable.shape)."""
+    flat, x0 = ts.ravel(), dense.xs[0]
+    xs = jax.vmap(ft.partial(evaluate, dense))(flat)
+    modes = jax.vmap(lambda t: dense.modes[_step_at(dense, t)])(flat)
+    problem = _around(dense, build(dense.system, x0, compact=dense.compact), dense.t0)
+    values = observed(observable, problem, dense.system, x0, SavedStates(flat, xs, modes))
+    outside = jnp.isnan(xs).any(axis=1).reshape(ts.shape + (1,) * len(observable.shape))
+    return select(outside, jnp.nan, values.reshape(*ts.shape, *observable.shape))
+
+
+def _step_at(dense: Dense, t: Array) -> Array:
+    """The number of the step that contains a time: of one that is a contact the step after it."""
+    sign = select(dense.t1 >= dense.t0, 1.0, -1.0).astype(t.dtype)
+    keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
+    return jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
+
+
 def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     """The state at a time, shape (n,); NaN outside the span."""
     dtype = dense.xs.dtype
     t = jnp.asarray(t, dtype)
     forward = dense.t1 >= dense.t0
     sign = select(forward, 1.0, -1.0).astype(dtype)
-    keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
-    i = jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
+    i = _step_at(dense, t)
     system = build(dense.system, dense.xs[i], compact=dense.compact)
     system = within_step(dense, system, dense.ts[i])
     field = ModeField(system, system.of_surfaces(dense.modes[i].astype(dtype)))
@@ -231,9 +255,13 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
 
 def within_step(dense: Dense, system: ComponentSystem, t: Array) -> ComponentSystem:
     """A system in a step from t on: it does not look across a tick of a clock."""
+    return clocks.just_after(_around(dense, system, t), t).system
+
+
+def _around(dense: Dense, system: ComponentSystem, t: Array) -> Problem:
+    """The problem of a system from t on."""
     grid = even_grid(t, dense.t1 - dense.t0, jnp.int32(1))
-    around = Problem(system, tableau_of(dense.stepper), grid, NOTHING)
-    return clocks.just_after(around, t).system
+    return Problem(system, tableau_of(dense.stepper), grid, NOTHING)
 
 
 def step_again(

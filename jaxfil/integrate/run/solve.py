@@ -20,7 +20,7 @@ from jaxfil.integrate.lane.state import LoopState, SavedStates
 from jaxfil.integrate.loop.extensions import problem_of, sections_in
 from jaxfil.integrate.loop.iterate import integrate, integrate_with_checkpoints
 from jaxfil.integrate.run.failure import raise_unless_successful
-from jaxfil.integrate.run.observed import Observable, Observe, checked_observable, observed
+from jaxfil.integrate.run.observed import Observable, checked_observable, observed
 from jaxfil.integrate.run.options import (
     Adjoint,
     Options,
@@ -38,6 +38,7 @@ from jaxfil.integrate.system.grade import is_compact_run
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
+from jaxfil.model.observe import Observe
 from jaxfil.model.outcomes import is_good
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section, Sections, sections_of
@@ -111,14 +112,13 @@ def solve(
       time, compiling included: up to some 3 to 20 million steps of all lanes together.
     - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
       nothing of the motion. The table of them has `max_events` rows too.
-    - `observe`: a function of the time, the state, shape (n,), and the sides, as
-      `System.vector_field` is given them, that returns an array of any shape: an energy, a force;
-      if it has an argument `reaction`, of the forces of the surfaces rested on too, and affine in
-      them.
-      Its values at the saved times are `observed`. On a slide they are those of the blend of both
-      sides, as the field is: of a dry friction, −F·side, the force that holds, and of `side` itself
-      the weight, between −1 and 1, which tells a stick from a slip. Needs `saveat` with `t1`, `ts`
-      or `steps`.
+    - `observe`: a function of the time and the state, shape (n,), that returns an array of any
+      shape: an energy, a force. By arguments of these names, each of the shape of H, it asks for
+      `side`, as `System.vector_field` is given it; `reaction`, the forces of the surfaces rested
+      on, in which it must be affine; `mode`, +1 or −1 on a side, 0 on a slide, +2 or −2 at rest.
+      Its values at the saved times, just after their contacts, are `observed`. On a slide they are
+      those of the blend of both sides, as the field is: of a dry friction, −F·side, the force that
+      holds. Needs `saveat` with `t1`, `ts` or `steps`.
 
     **Returns** a `Solution`, valid up to where it stopped.
 
@@ -165,8 +165,8 @@ def solve(
         observable = checked_observable("observe", observe, system, x)
         if isinstance(recorder, SaveDense):
             raise ValueError(
-                "`observe` must be None with a `saveat` of dense, which saves no times; got "
-                f"{check.told(observe)}."
+                "`observe` must be None with a `saveat` of dense, which saves no times: give it to "
+                f"`evaluate(t, observe=…)`; got {check.told(observe)}."
             )
     watched = sections_of("sections", sections, x)
     if estimate_error and any(s.terminal is not None for s in watched):

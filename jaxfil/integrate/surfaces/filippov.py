@@ -105,6 +105,7 @@ def field(
 ) -> Components:
     """The field of a mode, blended while it slides and held while it rests; `forcing` as in
     `ComponentSystem.field`."""
+    system = system.in_mode(mode)
     if holds_together(system):
         return balance(system, t, x, mode, *corners(system, t, x, True, forcing)).field
     f = free_field(system, t, x, mode, forcing)
@@ -183,6 +184,7 @@ def free_field(
     forcing: Forcing | None = None,
 ) -> Components:
     """`field` without the reactions of surfaces rested on."""
+    system = system.in_mode(mode)
     if not system.slides:
         sides = unilateral.sides_of(mode) if system.resets else mode
         return system.field(t, x, sides, True, forcing)

@@ -317,7 +317,7 @@ def held_field(
     """The field f of a mode at (t, x) with the reactions of the surfaces that it rests on, and
     their sizes λ, positive where they push away; without a rest f as it was, and 0."""
     sides, rests = sides_of(mode), rests_of(mode)
-    of = constraints(system, t, x, sides).reaction
+    of = constraints(system.in_mode(mode), t, x, sides).reaction
     force = multipliers(of.gains, accelerations(system, t, x, sides, f), rests)
     held = where(any_of(rests), of.directions.added(f, force), f)
     return held, sides * force

@@ -37,14 +37,15 @@ def of(
     of_number: Sequence,
     of_side: Sequence,
     reacting: bool = False,
+    asked: tuple = (),
 ) -> Structure:
-    """The structure of a field (leaves, t, x, sides), or if it is `reacting` (leaves, t, x, sides,
-    reaction), and a switching function (leaves, t, x). `at` are leaves and a time; `of_number` flag
-    one number of the state each, `of_side` one side each."""
+    """The structure of a field (leaves, t, x, sides, *asked), of which a first one more is the
+    reaction if it is `reacting`, and a switching function (leaves, t, x). `at` are leaves and a
+    time; `of_number` flag one number of the state each, `of_side` one side each."""
     field, switching = functions
     n, m = len(of_number), len(of_side)
     nothing, still = jax.tree.map(lambda _: False, (at, of_number[0]))
-    none = (jax.tree.map(lambda _: False, of_side[0]),) if reacting else ()
+    none = jax.tree.map(lambda _: False, asked)
     seen = [_flat(field.depends(*nothing, still, side, *none)) for side in of_side]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     if m < 2:
@@ -53,7 +54,7 @@ def of(
     # Reactions on different sides are different ones: what is held is affine in one side at most.
     single = len(set().union(*switched)) < 2
     all_sides = jax.tree.map(lambda _: True, of_side[0])
-    affine = single if reacting else field.is_affine(*nothing, still, all_sides)
+    affine = single if reacting else field.is_affine(*nothing, still, all_sides, *none)
     return Structure(
         switched=switched,
         separate=not reacting and _are_separate(switched, steers),

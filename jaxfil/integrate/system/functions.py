@@ -65,9 +65,10 @@ def on_components(
         x: Components,
         sides: Components,
         reaction: Components | None = None,
+        mode: Components | None = None,
     ) -> Components:
-        given = (of_surfaces(v) for v in (sides, reaction) if v is not None)
-        f = field_of(eqx.combine(leaves, static), t, pack(x, dtype), *given)
+        given = (v and of_surfaces(v) for v in (reaction, mode))
+        f = field_of(eqx.combine(leaves, static), t, pack(x, dtype), of_surfaces(sides), *given)
         return unpacked(f, as_array)
 
     def switching(leaves: System, t: Array, x: Components) -> Components:
@@ -85,16 +86,21 @@ def on_components(
 
 
 def reacting(
-    field: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
+    field: Callable, traced: Callable[..., Traced], at: tuple[Any, ...], asked: tuple[Any, ...]
 ) -> tuple[Traced, Traced]:
-    """A field that feels reactions, as a function (leaves, t, x, sides, reaction), and what they
-    add to it, as a function of the same."""
+    """A field that feels reactions, as a function (leaves, t, x, sides, reaction, *asked), and what
+    they add to it, as a function of the same."""
 
-    def felt(*given: Any) -> Components:
-        *at, reaction = given
-        return jax.jvp(ft.partial(field, *at), (0.0 * reaction,), (reaction,))[1]
+    def felt(leaves: System, t: Array, x: Components, sides: Components, *given: Any) -> Components:
+        reaction, *asked = given
 
-    return traced(field, *at, at[-1]), traced(felt, *at, at[-1])
+        def of_reaction(reaction: Components) -> Components:
+            return field(leaves, t, x, sides, reaction, *asked)
+
+        return jax.jvp(of_reaction, (0.0 * reaction,), (reaction,))[1]
+
+    given = *at, at[-1], *asked
+    return traced(field, *given), traced(felt, *given)
 
 
 def rate_of(field: Callable, switching: Callable) -> Callable:

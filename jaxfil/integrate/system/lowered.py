@@ -9,6 +9,7 @@ The numbers of the surfaces are one array too, where they are several and have n
 each other (`ComponentSystem.packed`).
 """
 
+import dataclasses
 import functools as ft
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -94,6 +95,20 @@ class ComponentSystem(eqx.Module):
     """1, as a number that the compiler does not know."""
     window: tuple[Array, Array] | None = None
     """The times that functions are held between: see `clocks`."""
+    asks_mode: bool = eqx.field(static=True, default=False)
+    """Whether the field is given the mode, for what is observed of the motion."""
+    mode: Components | None = None
+    """That mode; None: that of the sides on which it is taken."""
+
+    def in_mode(self, mode: Components) -> "ComponentSystem":
+        """The system as a motion in this mode sees it."""
+        if not self.asks_mode:
+            return self
+        return dataclasses.replace(self, mode=jax.lax.stop_gradient(mode))
+
+    def _seen(self, sides: Components) -> tuple[Components, ...]:
+        """The mode as the functions of the system are given it, if they ask for it."""
+        return (sides if self.mode is None else self.mode,) if self.asks_mode else ()
 
     def held(self, t: Array) -> Array:
         """A time as the functions of the system are given it."""
@@ -170,7 +185,8 @@ class ComponentSystem(eqx.Module):
     ) -> Components:
         """F(t, x, sides), sides exactly ±1, with what `forcing` has found for t, if it is given.
         `alone`: all that is made of it is one vector, blended or not."""
-        return self._field(self.held(t), x, sides, alone=alone, known=forcing)
+        more = (None, *self._seen(sides)) if self.asks_mode else ()
+        return self._field(self.held(t), x, sides, *more, alone=alone, known=forcing)
 
     @property
     def feels_reactions(self) -> bool:
@@ -179,7 +195,7 @@ class ComponentSystem(eqx.Module):
 
     def felt(self, t: Array, x: Components, sides: Components, reaction: Components) -> Components:
         """What reactions, m numbers, add to the field, which is affine in them."""
-        return self._felt(self.held(t), x, sides, reaction)
+        return self._felt(self.held(t), x, sides, reaction, *self._seen(sides))
 
     def expansion(self) -> Expansion:
         """Where power series of the functions of the system are made."""
@@ -316,8 +332,9 @@ def _build(
     field, switching, *maps = on_components(static, h_shape, dtype, as_array, packed)
     sides = Components([jnp.ones((m,), dtype)] if packed else (jnp.ones((), dtype),) * m)
     traced = ft.partial(Traced, transposed=transposed, fast=not compact)
-    when = (FIRST, EARLY, LATE, LATE)
-    traced_field = traced(field, leaves, t0, x, sides, when=when)
+    asked = (sides,) if system._observes_mode else ()
+    more, when = ((None, *asked) if asked else ()), (FIRST, EARLY, LATE, LATE, LATE, LATE)
+    traced_field = traced(field, leaves, t0, x, sides, *more, when=when[: 4 + len(more)])
     traced_switching = traced(switching, leaves, t0, x)
     check_derivatives(vector_field=traced_field, switching=traced_switching)
     of_numbers = [unpacked(row, as_array) for row in np.eye(n, dtype=bool)]
@@ -326,12 +343,14 @@ def _build(
     seen, felt, holds_itself = traced_field, None, ()
     if resets and system.feels_reactions:
         at = leaves, t0, x, sides
-        seen, felt = reacting(field, traced, at)
-        check_reactions(system, seen, at)
+        seen, felt = reacting(field, traced, at, asked)
+        check_reactions(system, seen, at, asked)
+        more = sides, *asked
         second = accelerations(field, rate, traced, at)
         holds_itself = dependencies.of_own_reactions(second, at, of_sides)
     functions = seen, traced_switching
-    found = dependencies.of(functions, (leaves, t0), of_numbers, of_sides, felt is not None)
+    reacts = felt is not None
+    found = dependencies.of(functions, (leaves, t0), of_numbers, of_sides, reacts, more)
     bounds = rounding_of(switching, leaves, t0, x) if m > 0 else None
     traced_bounds = bounds and traced(bounds, leaves, t0, x)
     rate_bounds = rounding_of(rate, leaves, t0, x, sides) if resets else None
@@ -365,6 +384,7 @@ def _build(
         _rate_rounding=traced_rate_bounds
         and ParametrizedFunction(traced_rate_bounds, leaves, fence),
         clocks=clocks,
+        asks_mode=system._observes_mode,
         _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
     )
 

@@ -23,11 +23,12 @@ def check_affine(system: System, structure: Structure, m: int) -> None:
         )
 
 
-def check_reactions(system: System, field: Traced, at: tuple) -> None:
-    """Refuses a field (*at, reaction) that is not affine in its reactions, which then could not be
-    found from two values."""
-    nothing, all_reactions = jax.tree.map(lambda _: False, at), jax.tree.map(lambda _: True, at[-1])
-    if not field.is_affine(*nothing, all_reactions):
+def check_reactions(system: System, field: Traced, at: tuple, asked: tuple) -> None:
+    """Refuses a field (*at, reaction, *asked) that is not affine in its reactions, which then could
+    not be found from two values."""
+    nothing, more = jax.tree.map(lambda _: False, (at, asked))
+    all_reactions = jax.tree.map(lambda _: True, at[-1])
+    if not field.is_affine(*nothing, all_reactions, *more):
         name = type(system).__name__
         # One of the library's own is a system with what is observed of it.
         what = "What is observed" if name.startswith("_") else f"`vector_field` of {name}"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
+from jaxfil.model.observe import asked_of
 
 EPS = np.finfo(float).eps
 BALL = jf.systems.BouncingBall(g=1.0, restitution=0.5)
@@ -120,6 +121,74 @@ def test_a_sampled_signal_is_observed_just_after_its_tick():
     )
     np.testing.assert_array_equal(sol.observed, number)
     assert np.floor((np.asarray(sol.ts) - 0.3) / 0.1).tolist() != number.tolist()
+
+
+def mode_and_place(t, x, mode):
+    return jnp.stack([mode, x[0]])
+
+
+def test_the_mode_is_the_one_just_after_a_contact():
+    """At the saved steps, among which are its contacts, and wherever dense output is asked for: on
+    the stick until t = 7/4, and from then on it slips."""
+    belt, x0, run = Belt(jnp.array(1.25)), jnp.array([-0.5, 1.0]), dict(stepper=jf.RK4())
+    saveat = diffrax.SaveAt(t0=True, steps=True)
+    sol = jf.solve(belt, x0, 0.0, 2.0, 0.2, saveat=saveat, observe=mode_and_place, **run)
+    reached = np.isfinite(sol.ts)
+    assert 1.75 in np.round(sol.ts, 14)
+    np.testing.assert_array_equal(sol.observed[reached, 0], sol.modes[reached, 0])
+    np.testing.assert_array_equal(sol.observed[reached, 1], sol.xs[reached, 0])
+    dense = jf.solve(belt, x0, 0.0, 2.0, 0.2, saveat=diffrax.SaveAt(dense=True), **run)
+    slip = float(dense.events.ts[0])
+    ts = jnp.array([[0.0, 0.7], [slip - 1e-9, slip], [2.0, 2.5]])
+    seen = dense.evaluate(ts, observe=mode_and_place)
+    np.testing.assert_array_equal(seen[..., 0], [[0, 0], [0, -1], [-1, np.nan]])
+    np.testing.assert_array_equal(seen[..., 1], dense.evaluate(ts)[..., 0])
+    side = dense.evaluate(0.7, observe=lambda t, x, side: side)
+    np.testing.assert_allclose(side, -0.2 / 1.25, rtol=16 * EPS)
+
+
+class Pressed(jf.System):
+    """A ball that rests on a floor and rubs on it, pushed by t."""
+
+    mu: jax.Array
+
+    def vector_field(self, t, x, side, reaction):
+        friction = -self.mu * reaction[0] * side[1]
+        return jnp.stack([x[1], t + friction, x[3], reaction[0] - 1])
+
+    def switching(self, t, x):
+        return jnp.stack([x[2], x[1]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 0, x.at[3].multiply(0.0), x)
+
+
+def test_side_reaction_and_mode_are_asked_for_by_name():
+    """In any order, on a slide beside a rest, averaged: it slips at t = μ. The side of the slide is
+    its weight, t/μ."""
+
+    def all_of(t, x, mode, reaction, side):
+        return jnp.concatenate([mode, reaction, side])
+
+    average = jf.average(Pressed(jnp.array(0.5)), all_of, jnp.zeros(4), 0.0, 1.0, 0.1)
+    np.testing.assert_allclose(average.value, [2, 0.5, 1, 0, 1, 0.75], rtol=0, atol=64 * EPS)
+
+
+@pytest.mark.parametrize(
+    "function, asked",
+    [
+        (lambda t, x: x, ()),
+        (lambda t, x, s: s, ("side",)),
+        (lambda t, x, k=3: k, ()),
+        (lambda t, x, mode: mode, ("mode",)),
+        (lambda t, x, reaction, side: side, ("reaction", "side")),
+        (lambda *given: given, ()),
+        (jf.bound, ()),
+        (max, ("side",)),
+    ],
+)
+def test_what_is_asked_for_is_said_by_the_names_of_arguments(function, asked):
+    assert asked_of(function) == asked
 
 
 @pytest.mark.parametrize(
