@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.system.components import Components, Forcing, pack, scalars
+from jaxfil.model import check
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.series import Expansion, Series
 from jaxfil.xla.trace import Traced
@@ -123,3 +124,9 @@ def accelerations(
         return jax.jvp(lambda t, x: rate(leaves, t, x, sides), (t, x), along)[1]
 
     return traced(second, *at, at[-1])
+
+
+def clocks_of(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
+    """Periods and phases of a system's clocks."""
+    pairs = [(clock.period, clock.phase) for clock in check.clocks(system)]
+    return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)

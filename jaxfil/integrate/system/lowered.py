@@ -27,6 +27,7 @@ from jaxfil.integrate.system.dependencies import Structure
 from jaxfil.integrate.system.functions import (
     ParametrizedFunction,
     accelerations,
+    clocks_of,
     on_components,
     rate_of,
     reacting,
@@ -355,7 +356,7 @@ def _build(
     traced_bounds = bounds and traced(bounds, leaves, t0, x)
     rate_bounds = rounding_of(rate, leaves, t0, x, sides) if resets else None
     traced_rate_bounds = rate_bounds and traced(rate_bounds, leaves, t0, x, sides)
-    clocks = _clocks(system, dtype)
+    clocks = clocks_of(system, dtype)
     there_are = resets, system.ticks and len(clocks) > 0
     reset, tick = (
         traced(function, leaves, t0, x, jnp.int32(0)) if there else None
@@ -387,12 +388,6 @@ def _build(
         asks_mode=system._observes_mode,
         _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
     )
-
-
-def _clocks(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
-    """Periods and phases of a system's clocks."""
-    pairs = [(clock.period, clock.phase) for clock in check.clocks(system)]
-    return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)
 
 
 def _fence(leaves: Any, x0: Array) -> Array:
