@@ -45,6 +45,12 @@ from .integrate.steppers.explicit import RK4 as RK4
 from .integrate.steppers.rosenbrock import Rodas5P as Rodas5P
 from .model.clock import Clock as Clock
 from .model.outcomes import RESULTS as RESULTS, EventKind as EventKind
+from .model.quantity import (
+    RMS as RMS,
+    EventSum as EventSum,
+    Maximum as Maximum,
+    Minimum as Minimum,
+)
 from .model.section import (
     Section as Section,
     bound as bound,
