@@ -74,5 +74,9 @@ from .studies.work_precision import (
 )
 from .sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
 from .sweep.diagram import BifurcationDiagram as BifurcationDiagram
+from .sweep.settled_average import (
+    SettledAverage as SettledAverage,
+    settled_average as settled_average,
+)
 from .sweep.sweep import bifurcation_diagram as bifurcation_diagram
 from .version import __version__ as __version__
