@@ -83,13 +83,17 @@ class _Row(eqx.Module):
 
 
 class _OfState(eqx.Module):
-    """A function of time and state, of a state with more components behind it."""
+    """A function of time, state and what follows, of a state with more components behind it."""
 
-    function: Callable[[Array, Array], Array]
+    function: Callable[..., Any]
     n: int = eqx.field(static=True)
 
-    def __call__(self, t: Array, x: Array) -> Array:
-        return self.function(t, x[: self.n])
+    def __call__(self, t: Array, x: Array, *others: Any) -> Any:
+        return self.function(t, x[: self.n], *others)
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        return inspect.signature(self.function)
 
 
 class Averaging(eqx.Module):
@@ -134,7 +138,8 @@ class Averaging(eqx.Module):
         for (_, quantity, rate), shape in zip(self.functions(system), self.shapes, strict=True):
             if not isinstance(quantity, (*_EXTREMES, EventSum)):
                 rate = _Square(rate) if isinstance(quantity, RMS) else rate
-                wider, x = with_rate(wider, Observable(rate, shape), x)
+                own = Observable(_OfState(rate, self.n), shape)
+                wider, x = with_rate(wider, own, x)
         return wider, x
 
     def functions(self, system: System) -> list[tuple[str, Quantity, Callable[..., Any]]]:
@@ -157,13 +162,14 @@ class Averaging(eqx.Module):
         for (_, quantity, function), shape in zip(self.functions(system), self.shapes, strict=True):
             size = math.prod(shape)
             if isinstance(quantity, _EXTREMES):
-                wider, start = with_rate(wider, Observable(function, shape), start)
+                own = Observable(_OfState(function, self.n), shape)
+                wider, start = with_rate(wider, own, start)
                 signs += [1.0 if isinstance(quantity, Maximum) else -1.0] * size
             elif isinstance(quantity, EventSum):
                 sums, count = [*sums, function], count + size
         if signs:
-            own = build(wider, start, compact=field.compact)
-            found.append(Extremes(own, self.n, tuple(signs), window))
+            rates = build(wider, start, compact=field.compact)
+            found.append(Extremes(rates, self.n, tuple(signs), window))
         if sums:
             row = _Row(tuple(sums), self.n)
             found.append(event_sums(row, count, field, x, self.h_shape, window))
