@@ -46,6 +46,12 @@ from .integrate.steppers.rosenbrock import Rodas5P as Rodas5P
 from .integrate.steppers.taylor import Taylor as Taylor
 from .model.clock import Clock as Clock
 from .model.outcomes import RESULTS as RESULTS, EventKind as EventKind
+from .model.quantity import (
+    RMS as RMS,
+    EventSum as EventSum,
+    Maximum as Maximum,
+    Minimum as Minimum,
+)
 from .model.section import (
     Section as Section,
     bound as bound,
@@ -69,5 +75,9 @@ from .studies.work_precision import (
 )
 from .sweep.basins import Basins as Basins, basins_of_attraction as basins_of_attraction
 from .sweep.diagram import BifurcationDiagram as BifurcationDiagram
+from .sweep.settled_average import (
+    SettledAverage as SettledAverage,
+    settled_average as settled_average,
+)
 from .sweep.sweep import bifurcation_diagram as bifurcation_diagram
 from .version import __version__ as __version__

@@ -139,6 +139,17 @@ def periods():
     return diagram(("omega", "f0"), values, xs[..., None], names)
 
 
+def powers():
+    """A map of mean power with a ridge, of which one lane failed."""
+    found = periods()
+    omega, f0 = np.meshgrid(*found.values, indexing="ij")
+    power = f0**2 / ((1 - omega**2) ** 2 + 0.1)
+    power[0, 5] = np.nan
+    return eqx.tree_at(
+        lambda d: d.averages, found, {"power, W": power}, is_leaf=lambda v: v is None
+    )
+
+
 def spectrum(values=None):
     """Two exponents, of one lane or one for each value, the second lost in the last quarter."""
     times = np.linspace(10.0, 400.0, 40)
@@ -336,6 +347,7 @@ FILIPPOV = jf.piecewise(
 )
 PICTURES = {
     "animation": moved,
+    "averages": lambda ax: jf.plot.averages(powers(), "power, W", ax),
     "basins": lambda ax: jf.plot.basins(basins(), ax),
     "bifurcation_curve": lambda ax: jf.plot.bifurcation_curve(curve(), ax),
     "bifurcation_sequence": lambda ax: jf.plot.bifurcation_sequence(sequence(), ax),

@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 
-from jaxfil.model.dataset import component_names, key_of, outcomes_from
+from jaxfil.model.dataset import component_names, key_of, outcomes_from, quantities_from
 from jaxfil.model.dataset_io import NamedArrays
 from jaxfil.model.labels import Labels
 from jaxfil.sweep.conditions import conditions_from
@@ -33,6 +33,7 @@ def diagram_from(data: NamedArrays) -> BifurcationDiagram:
         errors=data.array("error") if "error" in data else None,
         times=data.array("t") if "t" in data else None,
         halvings=data.array("halvings") if "halvings" in data else None,
+        averages=quantities_from(data),
     )
 
 

@@ -10,6 +10,7 @@ The words of this room:
 - outcome: how a lane ended, a member of `RESULTS`; its sentence is what the user reads.
 - event: what happened at a contact with a surface, an `EventKind`.
 - card: the few lines that a result prints of itself.
+- quantity: a number of a motion over a span of time: the mean, an extreme or a sum of a function.
 - labels: what pictures and named arrays call the components and parameters, with their units.
 - hook: `drawing`, where `jaxfil.plot` registers what it draws and where a result's `plot()` looks.
 - check: the door at which bad arguments are named before anything is compiled.

@@ -5,6 +5,7 @@ and the other way round. The files themselves are made in `dataset_io`.
 """
 
 import json
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -89,6 +90,34 @@ def component_coordinates(labels: Labels, n: int) -> dict[str, Variable]:
     if any(units):
         coordinates["unit"] = "component", np.array(units)
     return coordinates
+
+
+def quantity_entries(
+    averages: Mapping[str, np.ndarray], dims: Sequence[str]
+) -> tuple[Variable, Variable, str]:
+    """Averages of lanes along these dimensions in one array, what its columns are called, and the
+    shape of each quantity."""
+    columns, names = [], []
+    for name, v in averages.items():
+        columns.append(v.reshape(*v.shape[: len(dims)], -1))
+        own = np.ndindex(v.shape[len(dims) :])
+        names += [f"{name}[{','.join(map(str, i))}]" if i else name for i in own]
+    shapes = {name: v.shape[len(dims) :] for name, v in averages.items()}
+    told = json.dumps(shapes, ensure_ascii=False)
+    array = np.concatenate(columns, axis=-1)
+    return ((*dims, "quantity"), array), ("quantity", np.array(names)), told
+
+
+def quantities_from(data: NamedArrays) -> dict[str, np.ndarray] | None:
+    """The averages that `quantity_entries` was given; None if there are none."""
+    if "averages" not in data:
+        return None
+    rows, found, start = data.array("averages"), {}, 0
+    for name, shape in json.loads(data.attributes["quantities"]).items():
+        stop = start + math.prod(shape)
+        found[name] = rows[..., start:stop].reshape(*rows.shape[:-1], *shape)
+        start = stop
+    return found
 
 
 def axis_of(labels: Labels, name: str, dimension: str, values: np.ndarray) -> Variable:

@@ -19,6 +19,7 @@ The words of this room:
 """
 
 from jaxfil.plot.animation import animation as animation
+from jaxfil.plot.averages import averages as averages
 from jaxfil.plot.basins import basins as basins
 from jaxfil.plot.branch_orbits import branch_orbits as branch_orbits
 from jaxfil.plot.canvas import PRINT as PRINT, page as page
@@ -51,6 +52,7 @@ __all__ = [
     "PERIODS",
     "PRINT",
     "animation",
+    "averages",
     "basins",
     "bifurcation_curve",
     "bifurcation_diagram",

@@ -9,6 +9,7 @@ from matplotlib.colors import ListedColormap
 
 from jaxfil.model import check
 from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, color_bar, own_axes
+from jaxfil.plot.parameter_plane import label_plane, plane_of
 from jaxfil.sweep.diagram import BifurcationDiagram
 
 # From this period on they share a colour.
@@ -44,20 +45,13 @@ def parameter_map(
     ('Ω', 'f₀')
     """
     check.instance("diagram", diagram, BifurcationDiagram)
-    values = diagram.values
-    if not isinstance(values, tuple) or len(values) != 2 or min(map(len, values)) < 2:
-        names = [diagram.parameter] if isinstance(diagram.parameter, str) else diagram.parameter
-        raise ValueError(
-            "`diagram` must be a sweep over a grid of two parameters, two values or more of each, "
-            f"got {', '.join(names)} in the shape {diagram.successful.shape}."
-        )
+    axes, place = plane_of(diagram)
     ax = own_axes(ax)
-    at = [np.argsort(axis)[: np.isfinite(axis).sum()] for axis in values]  # NaN comes last
-    periods = np.minimum(diagram.periods(), _MANY)[np.ix_(*at)].T
+    periods = np.minimum(diagram.periods(), _MANY)[place].T
     # The colours of all periods would fill the bar, those that occur are few.
     seen = [period for period in PERIODS if (periods == period).any()]
     picture = ax.pcolormesh(
-        *(axis[order] for axis, order in zip(values, at, strict=True)),
+        *axes,
         # The place of each period among those seen, for colours go by place.
         np.argmax(periods[..., None] == np.array(seen), axis=-1),
         cmap=ListedColormap([PERIODS[period] for period in seen]),
@@ -72,6 +66,5 @@ def parameter_map(
         bar.set_ticklabels([told.get(period, str(period)) for period in seen])
         bar.ax.tick_params(length=0)
         bar.ax.set_title("period", fontsize="medium")
-    ax.set_xlabel(diagram.labels.parameter(diagram.parameter[0]))
-    ax.set_ylabel(diagram.labels.parameter(diagram.parameter[1]))
+    label_plane(ax, diagram)
     return ax

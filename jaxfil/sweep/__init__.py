@@ -17,6 +17,8 @@ The words of this room:
 - step halving: the same sweep at half the step; the distance of the two estimates the error.
 - following: each value starts from the state in which the last one ended.
 - conditions: what a sweep ran with besides the values swept.
+- average: a number of each lane over the time of its samples: a mean, an extreme, a sum over
+  events; `settled_average` gives those of one lane, with derivatives.
 - data set: named arrays with their dimensions, from which files of every kind are written.
 - basin: all initial states that lead to the same attractor.
 """

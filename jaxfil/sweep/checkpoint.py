@@ -83,7 +83,9 @@ class Checkpoint:
             return None
 
         def unpack(data: Dataset) -> FinishedChunk | None:
-            samples = _from_columns(data["x"].values, self._timed, data["halvings"].values)
+            averages = data["averages"].values if "averages" in data else None
+            halvings = data["halvings"].values
+            samples = _from_columns(data["x"].values, self._timed, halvings, averages)
             codes = outcome_codes(data["outcome"].values)
             chunk = FinishedChunk(samples, codes, data["end"].values)
             same = data.attrs["checksum"] == self._checksum(name, chunk)
@@ -102,6 +104,8 @@ class Checkpoint:
             "halvings": (("lane",), chunk.samples.halvings),
             "end": (end, chunk.end),
         }
+        if chunk.samples.averages is not None:
+            variables["averages"] = ("lane", "quantity"), chunk.samples.averages
         checksum = {"checksum": self._checksum(name, chunk)}
         self._put(name, NamedArrays(variables, attributes=checksum))
 
@@ -119,6 +123,8 @@ class Checkpoint:
         outcomes = " ".join(_names(chunk))
         piece = {"sweep": self._record, "name": name, "outcome": outcomes}
         numbers = {"x": _columns(chunk.samples), "halvings": chunk.samples.halvings}
+        if chunk.samples.averages is not None:
+            numbers["averages"] = chunk.samples.averages
         return digest({**piece, **numbers, "end": chunk.end}).hex()
 
     def _intact(self, name: str, unpack: Callable[[Dataset], _T | None]) -> _T | None:
@@ -169,10 +175,12 @@ def _columns(samples: Samples[np.ndarray]) -> np.ndarray:
     return np.concatenate([xs, np.asarray(samples.times)[..., None]], axis=-1)
 
 
-def _from_columns(x: np.ndarray, timed: bool, halvings: np.ndarray) -> Samples[np.ndarray]:
-    """The samples of which `_columns` made one array."""
+def _from_columns(
+    x: np.ndarray, timed: bool, halvings: np.ndarray, averages: np.ndarray | None
+) -> Samples[np.ndarray]:
+    """The samples of which `_columns` made one array, and what there is of each lane."""
     xs, times = (x[..., :-1], x[..., -1]) if timed else (x, None)
-    return Samples(xs, times, halvings)
+    return Samples(xs, times, halvings, averages)
 
 
 def _names(chunk: FinishedChunk) -> np.ndarray:

@@ -15,16 +15,15 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import period_outcome
-from jaxfil.integrate.lane.state import SavedStates
 from jaxfil.integrate.loop.batch import integrate_batch
 from jaxfil.integrate.loop.iterate import integrate
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.sweep.sampling import Point, Samples, Sampling
+from jaxfil.sweep.sampling import Kept, Point, Samples, Sampling
 from jaxfil.xla.kernel import BLOCK, kernel_of_rows
 from jaxfil.xla.program import opened, operations
 
-Saved: TypeAlias = tuple[tuple[SavedStates, Array], RESULTS, Array]
-"""What lanes have saved and how often steps were halved, their outcomes, and their last states."""
+Saved: TypeAlias = tuple[Kept, RESULTS, Array]
+"""What lanes have found, their outcomes, and their last states."""
 
 
 class Chunk(eqx.Module):
@@ -47,14 +46,14 @@ def run_chunk(
     points = sampling.points(rows, states)
     run = _one_after_another if followed else _side_by_side
     (saved, results, end), in_kernels = run(sampling, points, states, lanes)
-    samples = jax.vmap(sampling.sampled, (0, None if followed else 0, 0))(points, states, saved)
+    each = jax.vmap(sampling.sampled, (0, None if followed else 0, 0, 0))
+    samples = each(points, states, saved, results)
     periods = jax.vmap(lambda row: sampling.at(row)[1])(rows)
     return Chunk(samples, jax.vmap(period_outcome)(periods, results), end, in_kernels)
 
 
 def _lane(sampling: Sampling, point: Point, x0: Array) -> Saved:
-    problem, (x, _) = sampling.problem(point, x0), sampling.split(x0)
-    saved, result, end = sampling.outcome(integrate(problem, problem.system.unpack(x)))
+    saved, result, end = sampling.outcome(integrate(*sampling.problem(point, x0)))
     return saved, result, sampling.ended(point, x0, end)
 
 

@@ -6,6 +6,7 @@ They enter and leave a data set as attributes, and as arrays what is none of a f
 from collections.abc import Collection, Sequence
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -13,7 +14,11 @@ from jaxfil.integrate.steppers.explicit import tableau_of
 from jaxfil.model.dataset import name_of, parameter_entries
 from jaxfil.model.dataset_io import Attribute, NamedArrays, Variable
 from jaxfil.model.parameter import parameters
-from jaxfil.sweep.identity import identity_of_observable, identity_of_section
+from jaxfil.sweep.identity import (
+    identity_of_averaging,
+    identity_of_observable,
+    identity_of_section,
+)
 from jaxfil.sweep.plan import SweepPlan
 from jaxfil.version import __version__
 
@@ -32,6 +37,7 @@ CONDITIONS = {
     "max_return",
     "transient_time",
     "observe",
+    "average",
 }
 
 
@@ -62,6 +68,8 @@ class Conditions(eqx.Module):
     """The time before which no crossing of it counted; None: all did."""
     observe: str | None = eqx.field(static=True, default=None)
     """The function that was kept of the samples; None: the states themselves."""
+    average: str | None = eqx.field(static=True, default=None)
+    """What was averaged, by name; None: nothing."""
 
 
 def conditions_of(plan: SweepPlan) -> Conditions:
@@ -69,7 +77,9 @@ def conditions_of(plan: SweepPlan) -> Conditions:
     each, state = plan.sampling, np.zeros(plan.x0.shape[-1:], plan.x0.dtype)
     others = {k: np.asarray(v) for k, v in parameters(each.system).items() if k not in each.names}
     section, observable = each.section, each.observable
-    longest, before = each.max_return, each.transient_time
+    longest, before, averaging = each.max_return, each.transient_time, each.averaging
+    # What the values swept were before, functions that ask for the system are never given.
+    first, _ = each.at(jnp.asarray(plan.grid.rows[0]))
     return Conditions(
         parameters=others,
         x0=plan.x0,
@@ -82,6 +92,7 @@ def conditions_of(plan: SweepPlan) -> Conditions:
         section=None if section is None else identity_of_section(section, state),
         max_return=None if longest is None else float(longest),
         transient_time=None if before is None else float(before),
+        average=averaging and identity_of_averaging(averaging, first, state),
         observe=observable and identity_of_observable(observable, each.system, state),
     )
 
@@ -97,7 +108,7 @@ def condition_entries(
     else:
         attributes["x0"] = given.x0
     named = ("transient", "steps", "stepper", "follow", "section", "max_return")
-    named += ("transient_time", "observe")
+    named += ("transient_time", "observe", "average")
     told = {name: getattr(given, name) for name in named}
     attributes |= {name: value for name, value in told.items() if value is not None}
     attributes |= {"compact": int(given.compact), "jaxfil_version": given.version}
@@ -123,6 +134,7 @@ def conditions_from(data: NamedArrays, dtype: np.dtype, taken: Collection[str]) 
         max_return=None if longest is None else float(longest),
         transient_time=None if before is None else float(before),
         observe=told.get("observe"),
+        average=told.get("average"),
     )
 
 

@@ -20,6 +20,7 @@ from jaxfil.model.dataset import (
     header,
     key_of,
     outcome_variables,
+    quantity_entries,
 )
 from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.drawing import draw
@@ -30,6 +31,7 @@ from jaxfil.sweep.conditions import CONDITIONS, Conditions, condition_entries
 
 # Names of its data set that are no parameter's.
 TAKEN = {"x", "t", "outcome", "outcome_code", "error", "sample", "component", "point", "unit"}
+TAKEN |= {"averages", "quantity", "quantities"}
 TAKEN |= {"swept", "symbols", "halvings"} | CONDITIONS
 
 # Components below this many eps of the largest one are rounding.
@@ -85,6 +87,9 @@ class BifurcationDiagram(eqx.Module):
     where the lane failed. None once a forcing period."""
     halvings: Int[np.ndarray, "*shape"] | None = None
     """How often a step of each lane could not be trusted, and was halved."""
+    averages: dict[str, Float[np.ndarray, "..."]] | None = None
+    """What was averaged over the time of the samples, by name: `averages["power"][i]` is that of
+    lane i, NaN if it failed. None if nothing was."""
 
     @property
     def successful(self) -> np.ndarray:
@@ -119,7 +124,8 @@ class BifurcationDiagram(eqx.Module):
     def to_xarray(self) -> Dataset:
         """An `xarray.Dataset` of `x` (parameters, sample, component), of `outcome` (parameters)
         in words and `outcome_code`, of `error` (parameters, component) if errors were
-        estimated, and of the times `t` (parameters, sample) of crossings of a section.
+        estimated, of the times `t` (parameters, sample) of crossings of a section, and of
+        `averages` (parameters, quantity), whose `quantity` is a name, or one with an index.
 
         The codes are those of this version. Components have the names that the system gives them,
         and a coordinate `unit` where it gives units; parameters have their symbol as `long_name`.
@@ -149,6 +155,10 @@ class BifurcationDiagram(eqx.Module):
         names = (self.parameter,) if isinstance(self.parameter, str) else self.parameter
         attributes = header("BifurcationDiagram") | {"system": self.system}
         attributes |= {"swept": ", ".join(names), **given}
+        if self.averages is not None:
+            averages, quantities, shapes = quantity_entries(self.averages, dims)
+            variables["averages"], coordinates["quantity"] = averages, quantities
+            attributes["quantities"] = shapes
         if self.labels.symbols:
             attributes["symbols"] = json.dumps(dict(self.labels.symbols), ensure_ascii=False)
         return NamedArrays(variables | arrays, coordinates, attributes, self._npz_names())

@@ -13,10 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxfil.integrate.run.averaging import Averaging
 from jaxfil.integrate.run.observed import Observable
 from jaxfil.model import check
 from jaxfil.model.observe import asked_of
 from jaxfil.model.parameter import is_parameter
+from jaxfil.model.quantity import KINDS, EventSum
 from jaxfil.model.section import Section
 from jaxfil.model.system import System, field_of
 
@@ -52,11 +54,29 @@ def identity_of_section(section: Section, x: np.ndarray) -> str:
 
 def identity_of_observable(observable: Observable, system: System, x: np.ndarray) -> str:
     """The name of what is observed, and the same of its function."""
-    state = jnp.asarray(x)
-    side = jnp.ones(check.shapes(system, state), x.dtype)
-    given = (side for _ in asked_of(observable.function))
-    sha = _fingerprint(observable.function, jnp.zeros((), x.dtype), state, *given)
+    sha = _of_motion(observable.function, system, jnp.asarray(x))
     return f"{observable.name}, function {sha}"
+
+
+def _of_motion(function: Any, system: System, x: Array) -> str:
+    """`_fingerprint` of a function of time, state and sides."""
+    side = jnp.ones(check.shapes(system, x), x.dtype)
+    given = (side for _ in asked_of(function))
+    return _fingerprint(function, jnp.zeros((), x.dtype), x, *given)
+
+
+def identity_of_averaging(averaging: Averaging, system: System, x: np.ndarray) -> str:
+    """The names of what is averaged, what of it, and the same of the functions."""
+    state, told = jnp.asarray(x), []
+    for name, quantity, function in averaging.functions(system):
+        if isinstance(quantity, EventSum):
+            side = jnp.ones(averaging.h_shape, x.dtype)
+            sha = _fingerprint(function, jnp.zeros((), x.dtype), state, state, side)
+        else:
+            sha = _of_motion(function, system, state)
+        kind = type(quantity).__name__ if isinstance(quantity, KINDS) else "mean"
+        told.append(f"{name}: {kind}, function {sha}")
+    return "; ".join(told)
 
 
 def _fingerprint(function: Any, *example: Array) -> str:

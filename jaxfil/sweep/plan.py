@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import FINER
+from jaxfil.integrate.run.averaging import Averaging, checked_averaging
 from jaxfil.integrate.run.observed import Observable, checked_observable
 from jaxfil.integrate.run.step_choice import expected_steps, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import checked_stepper, tableau_of
@@ -61,8 +62,11 @@ class SweepPlan:
         k = self.x0.shape[-1] if observable is None else observable.size
         shape, dtype = (len(self.grid.rows), each.samples), self.x0.dtype
         times = None if each.section is None else np.full(shape, np.nan, dtype)
-        halvings = np.zeros(shape[:1], np.int32)
-        return Samples(np.full((*shape, k), np.nan, dtype), times, halvings)
+        halvings, averaging = np.zeros(shape[:1], np.int32), each.averaging
+        averages = None
+        if averaging is not None:
+            averages = np.full((*shape[:1], len(averaging.columns)), np.nan, dtype)
+        return Samples(np.full((*shape, k), np.nan, dtype), times, halvings, averages)
 
     def at_half_the_step(self) -> "SweepPlan":
         """The same with twice as many steps."""
@@ -87,6 +91,7 @@ def sweep_plan(
     max_return: Any,
     transient_time: Any,
     observe: Any,
+    average: Any,
     runs: int,
 ) -> SweepPlan:
     """The plan that these arguments of `bifurcation_diagram` ask for, with so many `runs` of it:
@@ -96,20 +101,20 @@ def sweep_plan(
     state = np.zeros(np.shape(x0)[-1:], dtype)
     system = cast(system, dtype)
     grid = parameter_grid(system, parameter, values, dtype)
-    section, longest, from_time = _sampled_at(system, section, max_return, transient_time, state)
+    section, longest, from_time = sampled_at(system, section, max_return, transient_time, state)
     observable = None if observe is None else _observable(observe, system, state)
     labels = _labels(system, grid, observable, state.size)
     _check_follow(follow, grid)
     steps, stepper = steps_and_stepper(steps, stepper, system)
-    unseen = _unseen(transient, from_time)
+    unseen = unseen_of(transient, from_time)
     samples = check.count("samples", samples)
+    averaging = None if average is None else averaging_of(average, system, state, section, samples)
     states = initial_states(x0, grid.shape, follow is not None).astype(dtype)
     check.number_of_steps(steps, runs=runs, transient=unseen, samples=samples)
     stepper = checked_stepper(stepper)
     grade = is_compact_sweep(
         compact,
-        system,
-        jnp.asarray(state),
+        *_run(system, averaging, jnp.asarray(state)),
         stages=tableau_of(stepper).stages,
         lanes=len(grid.rows),
         # At half the step there are twice as many.
@@ -128,20 +133,39 @@ def sweep_plan(
         max_return=longest,
         transient_time=from_time,
         observable=observable,
+        averaging=averaging,
         share=jnp.ones((), dtype),
         phased=follow is not None and section is not None and system.period is not None,
     )
     return SweepPlan(sampling, grid, states, follow, labels)
 
 
-def _unseen(transient: Any, from_time: Array | None) -> int:
+def averaging_of(
+    average: Any, system: System, state: np.ndarray, section: Section | None, samples: int
+) -> Averaging:
+    """What is averaged between the samples."""
+    averaging = checked_averaging("average", average, system, jnp.asarray(state))
+    if section is not None and samples < 2:
+        raise ValueError(
+            "`samples` must be 2 or more with `average` and a `section`: averages are those from "
+            f"the first sample to the last; got {samples}."
+        )
+    return averaging
+
+
+def _run(system: System, averaging: Averaging | None, x: Array) -> tuple[System, Array]:
+    """What a lane runs: the system and a state like x, with what is integrated along."""
+    return (system, x) if averaging is None else averaging.carried(system, x)
+
+
+def unseen_of(transient: Any, from_time: Array | None) -> int:
     """Forcing periods, or crossings, before the first sample."""
     if transient is None:
         return 200 if from_time is None else 0
     return check.count("transient", transient, least=0)
 
 
-def _sampled_at(
+def sampled_at(
     system: System,
     section: Any,
     max_return: Any,

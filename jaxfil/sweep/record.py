@@ -41,6 +41,7 @@ def record_of(plan: SweepPlan) -> Record:
         "compact": str(given.compact),
         "section": f"{given.section}, {given.max_return}",
         "observe": str(given.observe),
+        "average": str(given.average),
         "transient_time": str(given.transient_time),
         "jaxfil": given.version,
         # Other versions and other machines give other last bits, and a diagram of two halves that

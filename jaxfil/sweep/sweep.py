@@ -18,6 +18,7 @@ from jaxfil.model import check
 from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.observe import Observe
 from jaxfil.model.outcomes import RESULTS, code, outcomes
+from jaxfil.model.quantity import Quantities
 from jaxfil.model.section import Section
 from jaxfil.model.system import System
 from jaxfil.model.types import PathLike, Scalar, States, SweptValues
@@ -54,6 +55,7 @@ def bifurcation_diagram(
     max_return: Scalar | None = None,
     transient_time: Scalar | None = None,
     observe: Observe | None = None,
+    average: Quantities | None = None,
 ) -> BifurcationDiagram:
     """Sweep a parameter of a system, or several, and sample the motion at each value.
 
@@ -112,10 +114,20 @@ def bifurcation_diagram(
       t = `transient_time` do not count. It is the same for all lanes, however often each returns.
     - `observe`: as in `solve`, a function that returns a number or k of them, shape () or (k,):
       they are kept in place of the states, and called as the function is.
+    - `average`: numbers of each lane over the time in which it is sampled, from the end of the
+      transient to the last sample, or with a `section` from the first sample to the last: a
+      function of the time, the state and the sides, whose mean is taken as in `average`; or
+      `jf.RMS`, `jf.Maximum`, `jf.Minimum` or `jf.EventSum` of one; or a dictionary of these by
+      their names. A function that also has an argument `system` is given the system of the lane,
+      with the values swept. The share of time on a side of a surface is the mean of
+      0.5·(1 + side). Where a function jumps off the surfaces of the system, the error of its mean
+      is that of a step, or with `Adaptive` the tolerance. Times are those that `vector_field` is
+      given, which may start anew each period.
 
     **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
     n), their `times` with a `section`, and `errors`, shape (p, n) or (p1, p2, …, n), if asked for;
-    of what is observed the last dimension is 1 or k.
+    of what is observed the last dimension is 1 or k. `averages` holds what is averaged by name, an
+    array of the shape of the lanes and of what its function returns, NaN of a lane that failed.
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite`,
@@ -159,6 +171,7 @@ def bifurcation_diagram(
         max_return=max_return,
         transient_time=transient_time,
         observe=observe,
+        average=average,
         runs=2 if estimate_error else 1,
     )
     kept = _begun(folder, plan, estimate_error)
@@ -214,7 +227,16 @@ def _assembled(
         errors=None if errors is None else errors.reshape(*grid.shape, -1),
         times=None if times is None else times.reshape(*grid.shape, -1),
         halvings=found.halvings.reshape(grid.shape),
+        averages=_averages(plan, found.averages),
     )
+
+
+def _averages(plan: SweepPlan, rows: np.ndarray | None) -> dict[str, np.ndarray] | None:
+    """The averages of all lanes by their names, along the dimensions of the grid."""
+    averaging = plan.sampling.averaging
+    if averaging is None or rows is None:
+        return None
+    return averaging.named(rows.reshape(*plan.grid.shape, rows.shape[-1]))
 
 
 def _begun(checkpoint: PathLike | None, plan: SweepPlan, estimate_error: bool) -> Checkpoint | None:

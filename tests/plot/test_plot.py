@@ -540,6 +540,7 @@ DRAWN = {
     "return_map": ("xs", "states of shape (k, n) with k > 1"),
     "section_density": ("xs", "states of shape (k, n) with n > 1"),
     "step_choice": ("choice", "a jaxfil.StepChoice"),
+    "averages": ("diagram", "a jaxfil.BifurcationDiagram"),
     "basins": ("found", "a jaxfil.Basins"),
     "bifurcation_curve": ("curve", "a jaxfil.BifurcationCurve"),
     "bifurcation_diagram": ("diagram", "a jaxfil.BifurcationDiagram"),

@@ -149,6 +149,10 @@ FOLLOWED = {"system": FORCED, "parameter": "omega", "orbit": an_orbit(), "stop":
 CALLS = {
     jf.Clock: {"period": 1.0},
     jf.Section: {"function": same},
+    jf.RMS: {"function": same},
+    jf.Maximum: {"function": same},
+    jf.Minimum: {"function": same},
+    jf.EventSum: {"function": same},
     jf.average: RUN | {"function": same},
     jf.basins_of_attraction: {"system": FORCED, "axes": ([0.0], [0.0])},
     jf.bifurcation_diagram: {"system": FORCED, "parameter": "omega", "values": [0.7], "x0": X0},
@@ -188,6 +192,7 @@ CALLS = {
         "dt": 0.1,
         "max_time": 9.0,
     },
+    jf.settled_average: {"system": FORCED, "average": same, "x0": X0},
     jf.smoothed: {"system": BLOCK, "width": 0.1},
     jf.solve: RUN,
     jf.synchronization_exponent: {"system": FORCED, "x0": X0, "couplings": [0.1]},

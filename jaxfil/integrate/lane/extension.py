@@ -4,7 +4,7 @@ The loop calls their hooks and knows nothing else of them; a run without an exte
 of it in its program. `loop.extensions` lists them all.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 from jax.lax import stop_gradient
@@ -58,6 +58,10 @@ class Verdict(eqx.Module):
 class Extension(eqx.Module):
     """A feature with a state of its own, of any type. Hooks do nothing unless overridden."""
 
+    in_free_steps: ClassVar[bool] = False
+    """Whether it leaves the problem and all steps as they are, and follows a lane of a batch by
+    `after_free_step` where steps meet nothing: lanes then need no full iteration for them."""
+
     def before_step(self, problem: Problem, own: Any) -> Problem:
         """The problem as a trial step sees it: its functions, and how far it may go. `own` is None
         for the evaluation at t0, before `begin`."""
@@ -82,3 +86,10 @@ class Extension(eqx.Module):
     ) -> tuple[LoopState, Any]:
         """`after`, to which the step has led from `state`, and the next state of the extension."""
         return after, own
+
+    def after_free_step(
+        self, problem: Problem, state: LoopState, after: LoopState, own: Any, clear: Array
+    ) -> Any:
+        """The next state of the extension after a step from `state` to `after` that meets nothing,
+        where it is `clear`; the same one otherwise."""
+        return own

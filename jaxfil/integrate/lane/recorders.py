@@ -17,7 +17,7 @@ from jaxfil.integrate.lane.problem import Problem, Recorder
 from jaxfil.integrate.lane.recording import entered, mode_codes
 from jaxfil.integrate.lane.state import LoopState, SavedStates
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import Components, pack
+from jaxfil.integrate.system.components import Components, pack, without_last
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.masked_write import masked_write
 
@@ -31,6 +31,9 @@ class SaveSamples(Recorder):
     """How many there are."""
     modes: bool = eqx.field(static=True, kw_only=True)
     """Whether modes are saved too."""
+    integrals: int = eqx.field(static=True, default=0, kw_only=True)
+    """How many of the last components are integrals, which begin anew `every` grid points: over a
+    long run they would lose their last digits."""
     first: Array = eqx.field(kw_only=True)
     every: Array = eqx.field(kw_only=True)
 
@@ -51,7 +54,12 @@ class SaveSamples(Recorder):
         if self.modes:
             rows["modes"], row["modes"] = saves.modes, mode_codes(after.motion.mode)
         written = masked_write(rows, number, row, save)
-        return _with(after, dataclasses.replace(saves, **written), save)
+        after = _with(after, dataclasses.replace(saves, **written), save)
+        if self.integrals == 0:
+            return after
+        begins = save | (gridded & (after.counts.index == self.first - self.every))
+        x = without_last(after.motion.x, self.integrals, begins)
+        return dataclasses.replace(after, motion=dataclasses.replace(after.motion, x=x))
 
 
 def _empty(system: ComponentSystem, size: int, ts: int, modes: int) -> SavedStates:

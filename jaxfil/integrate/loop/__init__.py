@@ -10,4 +10,5 @@
 - section search: crossings of sections, located in steps that the loop has made; what a lane knows
   of them is in `section_state`.
 - extensions: those of a run, in their order.
+- window: the span of a run that is averaged over; `extremes` and `event_sums` are taken in it.
 """

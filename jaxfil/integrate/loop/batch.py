@@ -62,14 +62,14 @@ _CROSSING, _SLIDING, _ALONG = (8, 32), (16, 128), (4, 16)
 
 
 def integrate_batch(
-    problem: Callable[[Any, Array], Problem], points: Any, states: Array
+    problem: Callable[[Any, Array], tuple[Problem, Components]], points: Any, states: Array
 ) -> LoopState:
-    """`integrate` for b lanes together, to a `LoopState` of b. `problem` makes that of a lane from
-    one of the points in parameter space, arrays of b rows, and one of the states (b, n)."""
+    """`integrate` for b lanes together, to a `LoopState` of b. `problem` makes that of a lane, and
+    what it starts from, of one of the points in parameter space, arrays of b rows, and one of the
+    states (b, n)."""
 
     def lane(point: Any, x0: Array) -> LoopState:
-        own = problem(point, x0)
-        return _integrate_together(own, own.system.unpack(x0))
+        return _integrate_together(*problem(point, x0))
 
     return jax.vmap(lane, axis_name=_BATCH)(points, states)
 
@@ -83,7 +83,8 @@ def _count(flag: Array) -> Array:
 def _integrate_together(problem: Problem, x0: Components) -> LoopState:
     """One lane of a batch, which asks after the others by `_count`."""
     # Nothing to meet, or too much to coast for long; one loop is less than three.
-    coasts_alone = problem.recording.recorder.in_free_steps and not problem.extensions
+    coasts_alone = problem.recording.recorder.in_free_steps
+    coasts_alone = coasts_alone and all(e.in_free_steps for e in problem.extensions)
     # Lanes coast from one grid point to the next, which steps of a tolerance know nothing of.
     coasts_alone = coasts_alone and problem.tableau.tolerance is None
     if problem.system.m == 0 or problem.compact or not coasts_alone:

@@ -31,9 +31,11 @@ def problem_of(
     sections: WatchedSections | None = None,
     kept: KeptMode | None = None,
     limited: bool = False,
+    others: tuple[Extension, ...] = (),
 ) -> Problem:
-    """The problem of one lane, with the extensions that its system and its sections need. Unless it
-    is `limited`, iterations are enough where a tolerance says how many steps there are."""
+    """The problem of one lane, with the extensions that its system and its sections need, and
+    `others`. Unless it is `limited`, iterations are enough where a tolerance says how many steps
+    there are."""
     if tableau.tolerance is not None and not limited:
         most = jnp.minimum(grid.num_steps, _MOST_GRID_STEPS)
         enough = jnp.maximum(grid.max_iterations, _LEAST + _OF_EACH * most)
@@ -43,7 +45,7 @@ def problem_of(
         extensions.append(Clocks())
     if sections is not None:
         extensions.append(SectionSearch(sections))
-    return Problem(system, tableau, grid, recording, tuple(extensions), kept)
+    return Problem(system, tableau, grid, recording, (*extensions, *others), kept)
 
 
 def sections_in(state: LoopState) -> SectionState | None:

@@ -118,4 +118,6 @@ def accept_free_step(
         ),
     )
     after = problem.recording.recorder.keep(problem, state, after, x, clear)
-    return next_period(problem.grid, after)
+    each = zip(problem.extensions, state.extensions, strict=True)
+    following = tuple(e.after_free_step(problem, state, after, own, clear) for e, own in each)
+    return next_period(problem.grid, dataclasses.replace(after, extensions=following))

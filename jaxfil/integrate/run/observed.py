@@ -73,7 +73,7 @@ class _WithRate(System):
             "mode": side if mode is None else mode,
         }
         rate = jnp.ravel(jnp.asarray(value_of(self.function, t, state, known), x.dtype))
-        return jnp.concatenate([field_of(self.system, t, state, side, reaction), rate])
+        return jnp.concatenate([field_of(self.system, t, state, side, reaction, mode), rate])
 
     @property
     def feels_reactions(self) -> bool:
@@ -82,7 +82,7 @@ class _WithRate(System):
 
     @property
     def _observes_mode(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return "mode" in asked_of(self.function)
+        return "mode" in asked_of(self.function) or self.system._observes_mode
 
     def switching(self, t: Array, x: Array) -> Array:
         return self.system.switching(t, x[: self.n])

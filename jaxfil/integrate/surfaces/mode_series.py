@@ -55,6 +55,7 @@ def polynomial(
 ) -> Polynomial:
     """The polynomial of a step of length h from (t, x) in a mode, which may be `blended` of both
     sides."""
+    system = system.in_mode(mode)
     expansion = system.expansion()
     spelled = system.as_array and _is_spelled(system)
 

@@ -15,6 +15,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
@@ -182,6 +183,14 @@ def pack(components: Components, dtype: Any) -> Array:
 
 def _sum(v: Array) -> Array:
     return v if v.ndim == 0 else jnp.sum(v)
+
+
+def without_last(v: Components, k: int, flag: Array) -> Components:
+    """The same numbers, the last k of them zero where the flag is set."""
+    if v.is_array:
+        last = np.arange(v.size) >= v.size - k
+        return Components([select(flag & last, jnp.zeros_like(v.parts[0]), v.parts[0])])
+    return Components((*v.parts[:-k], *(select(flag, 0.0, u) for u in v.parts[-k:])))
 
 
 def total(v: Components) -> Any:

@@ -206,7 +206,8 @@ class ComponentSystem(eqx.Module):
         self, expansion: Expansion, t: Series, x: list[Any], sides: Components
     ) -> list[Any]:
         """Power series of F(t, x, sides)."""
-        return self._field.expanded(expansion, self._held_series(expansion, t), x, sides)
+        more = (None, *self._seen(sides)) if self.asks_mode else ()
+        return self._field.expanded(expansion, self._held_series(expansion, t), x, sides, *more)
 
     def expanded_switching(self, expansion: Expansion, t: Series, x: list[Any]) -> list[Any]:
         """Power series of H(t, x)."""

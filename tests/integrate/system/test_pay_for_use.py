@@ -148,6 +148,41 @@ def test_marks_of_what_is_not_declared_are_not_in_the_program(program, mark, dec
     assert mark not in program(other)
 
 
+AVERAGES = {
+    "mean": lambda t, x, side: x[0],
+    "extreme": jf.Maximum(lambda t, x, side: x[0]),
+    "sum": jf.EventSum(lambda t, before, after, surfaces: surfaces),
+}
+
+
+class Forced(Crossing):
+    period = 1.0
+
+
+def test_what_is_not_averaged_is_not_in_the_program():
+    """Each follows lanes by itself, and a mean costs a component of the state and no more."""
+
+    def averaged(name):
+        jax.clear_caches()
+        grade = dict(samples=2, steps=4, stepper=diffrax.Midpoint(), compact=False)
+
+        def run(x0):
+            return jf.settled_average(Forced(), {name: AVERAGES[name]}, x0, **grade).averages
+
+        program = jax.jit(run).lower(jnp.array([1.0, 0.1]))
+        return program.compile(compiler_options={"xla_backend_optimization_level": 0}).as_text()
+
+    sources = {name: hlo.sources(averaged(name)) for name in AVERAGES}
+    marks = {
+        # An extreme is the rate of a component too, of which its own field alone knows.
+        "observed._WithRate.vector_field": {"mean", "extreme"},
+        "extremes.Extremes._further": {"extreme"},
+        "event_sums.EventSums.after_step": {"sum"},
+    }
+    for mark, names in marks.items():
+        assert {name for name in AVERAGES if mark in sources[name]} == names
+
+
 def test_each_declaration_adds_operations_to_the_loop(program):
     counts = {name: hlo.per_turn(program(name), 1) for name in PROGRAMS}
     assert 3 * counts["smooth"] < counts["crossing"] < counts["sliding"]

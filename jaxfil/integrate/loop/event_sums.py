@@ -1,0 +1,94 @@
+"""Sums over events: a function of the states before and after each, added up.
+
+A function of the user's enters; the numbers that it has given at all events of a window leave.
+"""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.extension import Extension, Step, Verdict
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import LoopState
+from jaxfil.integrate.loop.window import Window
+from jaxfil.integrate.system.components import Components, any_of, pack, scalars, where
+from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
+from jaxfil.xla.trace import Traced
+
+
+class Sums(eqx.Module):
+    """The sums so far."""
+
+    numbers: Components
+
+
+class EventSums(Extension):
+    """k sums over events."""
+
+    in_free_steps: ClassVar[bool] = True
+    function: ParametrizedFunction
+    """What an event adds to each, a function of the time, the components of the state before and
+    after it, and flags of surfaces."""
+    count: int = eqx.field(static=True)
+    """k."""
+    window: Window
+
+    def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, Sums]:
+        zero = jnp.zeros_like(state.motion.tau)
+        return state, Sums(Components((zero,) * self.count))
+
+    def after_step(
+        self,
+        problem: Problem,
+        state: LoopState,
+        after: LoopState,
+        own: Sums,
+        step: Step,
+        verdict: Verdict | None,
+    ) -> tuple[LoopState, Sums]:
+        made, before, behind = step.made, state.motion, step.end.motion
+        if problem.system.m == 0 and problem.system.ticks:
+            # Without surfaces a tick moves the state at the end of the step that comes to it.
+            before, behind = step.end.motion, after.motion
+            made = step.moved & any_of(before.x != behind.x)
+        counts = made & self.window.is_open(state)
+        members = step.end.members.astype(problem.system.dtype)
+        at = problem.grid.t0 + before.tau, before.x, behind.x, members
+
+        def added(so_far: Components, *at: Any) -> Components:
+            return where(counts, so_far + self.function(*at), so_far)
+
+        def same(so_far: Components, *at: Any) -> Components:
+            return so_far
+
+        return after, Sums(problem.system.where_any(counts, added, same, own.numbers, *at))
+
+
+def event_sums(
+    function: Callable[..., Array],
+    count: int,
+    system: ComponentSystem,
+    x0: Array,
+    h_shape: tuple[int, ...],
+    window: Window,
+) -> EventSums:
+    """The sums of a function (t, before, after, surfaces) that returns `count` numbers in a row,
+    over the events of runs from states shaped like `x0`, all of which it is given. `h_shape` is
+    that of `System.switching`."""
+    leaves, static = eqx.partition(function, eqx.is_array)
+    dtype, x, t0 = x0.dtype, system.unpack(x0), jnp.zeros((), x0.dtype)
+
+    def on_components(
+        leaves: Any, t: Array, before: Components, after: Components, members: Components
+    ) -> Components:
+        flags = pack(members, dtype).reshape(h_shape)
+        states = pack(before, dtype), pack(after, dtype)
+        numbers = eqx.combine(leaves, static)(t, *states, flags)
+        return Components(scalars(jnp.asarray(numbers, dtype)))
+
+    nowhere = system.for_each_surface(jnp.zeros((), dtype))
+    traced = Traced(on_components, leaves, t0, x, x, nowhere, fast=not system.compact)
+    return EventSums(ParametrizedFunction(traced, leaves, system.fence), count, window)

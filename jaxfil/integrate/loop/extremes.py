@@ -1,0 +1,256 @@
+"""Extremes along a motion: the largest values of functions, between steps too.
+
+Functions enter as the rates of components behind the state (`run.observed`); the largest value of
+each in a window leaves.
+
+    values and rates at both ends of a step ──> Hermite's cubic ──> is its maximum the largest yet?
+                                                                         │ the start of the step,
+                                                                         v its mode, the time to it
+    at the end of the run: that step again, of the length at which the rate of g vanishes
+
+In the loop the cubic only says in which step the largest value is, so that all other steps pay for
+no search. Its error, of order four, does not enter what is found. The length is a constant in
+derivatives, as those of contacts are: at a maximum of a smooth piece, where the rate is zero, and
+at the ends of the pieces, which move with their contacts, the derivative is right.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import ClassVar, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array
+
+from jaxfil.integrate.contacts.cubic import Cubic
+from jaxfil.integrate.lane import clocks
+from jaxfil.integrate.lane.extension import Extension, Step, Verdict
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import LoopState, Motion
+from jaxfil.integrate.loop.window import Window
+from jaxfil.integrate.steppers.explicit import compact_step
+from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.system.components import Components, pack, side_of
+from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.select import select, select_all
+
+# Steps of the secant method for the length at which a rate vanishes.
+_SECANTS = 3
+
+
+Seen: TypeAlias = tuple[tuple[Array, ...], tuple[Array, ...]]
+"""The values of functions and their rates along a motion."""
+
+
+class Place(eqx.Module):
+    """Where on a motion one function is largest."""
+
+    value: Array
+    """Its value there, within a step as far as the cubic tells; −inf before there is any."""
+    t: Array
+    """The time at the start of the step,"""
+    x: Components
+    """the state and"""
+    mode: Components
+    """the mode there."""
+    length: Array
+    """The time from there to the maximum."""
+    reach: Array
+    """The length of the step; 0 where the place is its end."""
+
+
+class SoFar(eqx.Module):
+    """What is known of k functions along a lane."""
+
+    values: tuple[Array, ...]
+    """Their values at the lane's state,"""
+    rates: tuple[Array, ...]
+    """and their rates along the motion."""
+    places: tuple[Place, ...]
+
+
+class Extremes(Extension):
+    """The largest values of k functions, which are the rates of the last components of a field."""
+
+    in_free_steps: ClassVar[bool] = True
+    field: ComponentSystem
+    n: int = eqx.field(static=True)
+    """The numbers of the state that the functions are of, before those components."""
+    signs: tuple[float, ...] = eqx.field(static=True)
+    """+1 for a maximum, −1 for a minimum: the maximum of −g."""
+    window: Window
+
+    def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, SoFar]:
+        values, rates = self._seen(problem, state)
+        nothing = self._here(problem, state.motion)
+        nowhere = (dataclasses.replace(nothing, value=nothing.value - jnp.inf),) * len(values)
+        own = SoFar(values, rates, nowhere)
+        return state, self._further(problem, state, state, own, own, jnp.zeros((), bool))
+
+    def after_step(
+        self,
+        problem: Problem,
+        state: LoopState,
+        after: LoopState,
+        own: SoFar,
+        step: Step,
+        verdict: Verdict | None,
+    ) -> tuple[LoopState, SoFar]:
+        system, now = problem.system, self._now(own, self._seen(problem, after))
+        if system.m > 0 or not system.ticks:
+            return after, self._further(problem, state, after, own, now, ~step.switched)
+        # Without surfaces a tick moves the state at the end of the step that comes to it.
+        motion = select_all(step.moved, step.end.motion, after.motion)
+        before = dataclasses.replace(after, motion=motion)
+        end = self._now(own, self._seen(problem, before))
+        always = jnp.ones((), bool)
+        end = self._further(problem, state, before, own, end, always)
+        now = dataclasses.replace(now, places=end.places)
+        return after, self._further(problem, before, after, end, now, ~always)
+
+    def after_free_step(
+        self, problem: Problem, state: LoopState, after: LoopState, own: SoFar, clear: Array
+    ) -> SoFar:
+        now = self._now(own, self._on_sides(problem, after.motion))
+        return select_all(clear, self._further(problem, state, after, own, now, clear), own)
+
+    def _now(self, own: SoFar, seen: Seen) -> SoFar:
+        values, rates = seen
+        return SoFar(values, rates, own.places)
+
+    def _seen(self, problem: Problem, state: LoopState) -> Seen:
+        """Values and rates at the state of a lane. A lane that is not held takes those that it
+        would have in a free step, to the last bit."""
+        system = problem.system
+        if not system.slides and not system.resets:
+            return self._on_sides(problem, state.motion)
+
+        def held(motion: Motion) -> Seen:
+            field = self._field(problem)
+            own = ModeField(field, field.of_surfaces(pack(motion.mode, system.dtype)))
+            found = self._along(problem, own, motion)
+            return select_all(state.held, found, self._on_sides(problem, motion))
+
+        def free(motion: Motion) -> Seen:
+            return self._on_sides(problem, motion)
+
+        return system.where_any(state.held, held, free, state.motion)
+
+    def _on_sides(self, problem: Problem, motion: Motion) -> Seen:
+        field = self._field(problem)
+        sides = field.of_surfaces(pack(side_of(motion.mode), field.dtype))
+        return self._along(problem, ModeField(field, sides, blended=False), motion)
+
+    def _field(self, problem: Problem) -> ComponentSystem:
+        # Between ticks, as the field of the motion is.
+        return dataclasses.replace(self.field, window=problem.system.window)
+
+    def _along(self, problem: Problem, field: ModeField, motion: Motion) -> Seen:
+        return self._of(field, problem.grid.t0 + motion.tau, self._state(motion.x))
+
+    def _of(self, field: ModeField, t: Array, x: Components) -> Seen:
+        """The functions, each with its sign, and their rates along the field."""
+
+        def functions(t: Array, x: Components) -> tuple[Array, ...]:
+            numbers = field(t, x)
+            each = enumerate(self.signs)
+            return tuple(sign * numbers.number(self.n + i) for i, sign in each)
+
+        return jax.jvp(functions, (t, x), (jnp.ones_like(t), field(t, x)))
+
+    def _state(self, x: Components) -> Components:
+        """A state of the run, on which others than these functions may be carried, with zeros in
+        place of their integrals."""
+        zero, k = jnp.zeros((), self.field.dtype), len(self.signs)
+        if self.field.as_array or x.is_array:
+            numbers = pack(x, self.field.dtype)[: self.n]
+            return self.field.unpack(jnp.concatenate([numbers, jnp.zeros((k,), numbers.dtype)]))
+        return Components((*x.parts[: self.n], *(zero,) * k))
+
+    def _here(self, problem: Problem, motion: Motion) -> Place:
+        """The place of a motion, of no value."""
+        zero = jnp.zeros_like(motion.tau)
+        mode = self.field.of_surfaces(pack(motion.mode, self.field.dtype))
+        t = problem.grid.t0 + motion.tau
+        return Place(zero, t, self._state(motion.x), mode, zero, zero)
+
+    def _further(
+        self,
+        problem: Problem,
+        state: LoopState,
+        after: LoopState,
+        own: SoFar,
+        now: SoFar,
+        smooth: Array,
+    ) -> SoFar:
+        """What is known after a step, which is one of a `smooth` piece or leaves a jump behind."""
+        h = stop_gradient(after.motion.tau - state.motion.tau)
+        start, end = self._here(problem, state.motion), self._here(problem, after.motion)
+        inside, here = smooth & self.window.is_open(state), self.window.is_open(after)
+        places = []
+        for k, place in enumerate(own.places):
+            g0, d0, g1, d1 = stop_gradient(
+                (own.values[k], own.rates[k], now.values[k], now.rates[k])
+            )
+            cubic = Cubic(g0, h * d0, g1, h * d1)
+            theta = cubic.high
+            turns = inside & (theta > 0) & (theta < 1)
+            top = select(turns, cubic(theta), -jnp.inf)
+            last = select(here, now.values[k], -jnp.inf)
+            between = dataclasses.replace(start, value=top, length=theta * h, reach=h)
+            found = select_all(top > last, between, dataclasses.replace(end, value=last))
+            places.append(select_all(found.value > place.value, found, place))
+        return dataclasses.replace(now, places=tuple(places))
+
+    def found(self, problem: Problem, own: SoFar) -> Array:
+        """The extremes, shape (k,), at the end of one lane; NaN where it has not come so far."""
+        # One after the other, which is the program of one.
+        places = jax.tree.map(lambda *v: jnp.stack(v), *own.places)
+        found = jax.lax.map(
+            lambda at: self._found(problem, *at), (places, jnp.arange(len(places.t)))
+        )
+        return np.asarray(self.signs, found.dtype) * found
+
+    def _found(self, problem: Problem, place: Place, i: Array) -> Array:
+        tableau, t, x = problem.tableau, place.t, place.x
+        around = dataclasses.replace(problem, system=self.field)
+        system = clocks.just_after(around, t).system
+        field = ModeField(system, place.mode)
+        f = field(t, x)
+
+        def at(h: Array) -> tuple[Array, Array]:
+            end = compact_step(tableau, field, t, x, f, h, system.forcing(t, h, tableau.times))
+            values, rates = map(jnp.stack, self._of(field, t + h, end.x))
+            return values[i], rates[i]
+
+        h, missing = stop_gradient(_turning_point(at, place))
+        value, rate = at(h)
+        # Its value and its derivative are those at h + missing.
+        value = value + missing * rate - stop_gradient(0.5 * missing * rate)
+        value = select(place.reach > 0, value, place.value)
+        return select(place.value > -jnp.inf, value, jnp.nan)
+
+
+def _turning_point(at: Callable[[Array], tuple[Array, Array]], place: Place) -> tuple[Array, Array]:
+    """The length at which a rate vanishes in the step of a place, by the secant method, and what is
+    then still missing."""
+
+    def missing(known: tuple[Array, ...]) -> Array:
+        h0, r0, h1, r1 = known
+        rise = r1 - r0
+        return select(rise != 0, -r1 * (h1 - h0) / select(rise != 0, rise, 1), 0.0)
+
+    def closer(_: Array | int, known: tuple[Array, ...]) -> tuple[Array, ...]:
+        _, _, h1, r1 = known
+        h = jnp.clip(h1 + missing(known), 0.0, place.reach)
+        return h1, r1, h, at(h)[1]
+
+    zero, length = jnp.zeros_like(place.length), place.length
+    first = zero, at(zero)[1], length, at(length)[1]
+    known = h0, _, h1, _ = jax.lax.fori_loop(0, _SECANTS, closer, first)
+    # Between two lengths that are equal to rounding the rates tell nothing.
+    left = missing(known)
+    return h1, select(abs(left) <= abs(h1 - h0), left, 0.0)

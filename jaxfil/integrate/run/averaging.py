@@ -1,0 +1,250 @@
+"""Averages of a lane over its samples: means, root mean squares, extremes, sums over events.
+
+The quantities that a user asks for enter; what the loop carries for them leaves, and at the end of
+a lane their numbers. Means are integrals carried with the state, as those of `average` are; the
+others are extensions of the loop.
+"""
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.lane.extension import Extension
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.lane.state import LoopState
+from jaxfil.integrate.loop.event_sums import Sums, event_sums
+from jaxfil.integrate.loop.extremes import Extremes, SoFar
+from jaxfil.integrate.loop.window import Window
+from jaxfil.integrate.run.observed import Observable, checked_observable, with_rate
+from jaxfil.integrate.system.lowered import ComponentSystem, build
+from jaxfil.model import check
+from jaxfil.model.parameter import cast
+from jaxfil.model.quantity import KINDS, RMS, EventSum, Maximum, Minimum, Quantity
+from jaxfil.model.section import Section
+from jaxfil.model.system import System
+
+_EXTREMES = Maximum, Minimum
+# What the only quantity is called, if its function has no name.
+_ALONE = "average"
+
+
+class _OfSystem(eqx.Module):
+    """A user's function that asks for the system of its lane."""
+
+    function: Callable[..., Any]
+    system: System
+
+    def __call__(self, *args: Any) -> Any:
+        named = dict(zip(self.__signature__.parameters, args, strict=False))
+        return self.function(**named, system=self.system)
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        own = inspect.signature(self.function)
+        return own.replace(parameters=[v for k, v in own.parameters.items() if k != "system"])
+
+
+class _Square(eqx.Module):
+    """The square of a function."""
+
+    function: Callable[..., Any]
+
+    def __call__(self, *args: Any) -> Any:
+        return jnp.square(self.function(*args))
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        return inspect.signature(self.function)
+
+
+def _with_system(function: Callable[..., Any], system: System) -> Callable[..., Any]:
+    """A user's function with the system of its lane, if it asks for it."""
+    try:
+        asks = "system" in inspect.signature(function).parameters
+    except (TypeError, ValueError):  # of what is written in C nothing is known
+        asks = False
+    return _OfSystem(function, system) if asks else function
+
+
+class _Row(eqx.Module):
+    """Functions of the states before and after an event as one, which returns all of their numbers
+    in a row, of states with more components behind them."""
+
+    functions: tuple[Callable[..., Any], ...]
+    n: int = eqx.field(static=True)
+
+    def __call__(self, t: Array, before: Array, after: Array, surfaces: Array) -> Array:
+        at = t, before[: self.n], after[: self.n], surfaces
+        return jnp.concatenate([jnp.ravel(jnp.asarray(f(*at), t.dtype)) for f in self.functions])
+
+
+class _OfState(eqx.Module):
+    """A function of time, state and what follows, of a state with more components behind it."""
+
+    function: Callable[..., Any]
+    n: int = eqx.field(static=True)
+
+    def __call__(self, t: Array, x: Array, *others: Any) -> Any:
+        return self.function(t, x[: self.n], *others)
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        return inspect.signature(self.function)
+
+
+class Averaging(eqx.Module):
+    """The quantities of a lane, by their names."""
+
+    quantities: tuple[Quantity, ...]
+    names: tuple[str, ...] = eqx.field(static=True)
+    shapes: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    h_shape: tuple[int, ...] = eqx.field(static=True)
+    """The shape of `System.switching`."""
+    n: int = eqx.field(static=True)
+    """The numbers of a state."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What all numbers are called, in a row."""
+        each = zip(self.names, self.shapes, strict=True)
+        rows = ([f"{name}[{i}]" for i in range(math.prod(s))] if s else [name] for name, s in each)
+        return tuple(name for row in rows for name in row)
+
+    @property
+    def integrals(self) -> int:
+        """How many integrals are carried behind the state."""
+        return sum(math.prod(s) for q, s in self._all if not isinstance(q, (*_EXTREMES, EventSum)))
+
+    @property
+    def _all(self) -> list[tuple[Quantity, tuple[int, ...]]]:
+        return list(zip(self.quantities, self.shapes, strict=True))
+
+    def named(self, row: Any) -> dict[str, Any]:
+        """Arrays of the quantities, of one of all their numbers along the last dimension."""
+        found, start = {}, 0
+        for name, shape in zip(self.names, self.shapes, strict=True):
+            stop = start + math.prod(shape)
+            found[name] = row[..., start:stop].reshape(*row.shape[:-1], *shape)
+            start = stop
+        return found
+
+    def carried(self, system: System, x: Array) -> tuple[System, Array]:
+        """A system that carries the integrals behind its state, and its state, x and zeros."""
+        wider = system
+        for (_, quantity, rate), shape in zip(self.functions(system), self.shapes, strict=True):
+            if not isinstance(quantity, (*_EXTREMES, EventSum)):
+                rate = _Square(rate) if isinstance(quantity, RMS) else rate
+                own = Observable(_OfState(rate, self.n), shape)
+                wider, x = with_rate(wider, own, x)
+        return wider, x
+
+    def functions(self, system: System) -> list[tuple[str, Quantity, Callable[..., Any]]]:
+        """The name of each quantity, itself, and its function for lanes of a system."""
+        each = zip(self.names, self.quantities, strict=True)
+        return [(name, q, _with_system(_function_of(q), system)) for name, q in each]
+
+    def section(self, section: Section) -> Section:
+        """A section of states that carry integrals."""
+        return eqx.tree_at(lambda s: s.function, section, _OfState(section.function, self.n))
+
+    def extensions(
+        self, system: System, field: ComponentSystem, x: Array, first: Array
+    ) -> tuple[Extension, ...]:
+        """What follows lanes of a system in its field that carries the integrals, from states
+        shaped like x with these, where the span that is averaged over begins at grid point number
+        `first`, or at this crossing of the section."""
+        window, found = Window(first), []
+        wider, start, signs, sums, count = system, x[: self.n], [], [], 0
+        for (_, quantity, function), shape in zip(self.functions(system), self.shapes, strict=True):
+            size = math.prod(shape)
+            if isinstance(quantity, _EXTREMES):
+                own = Observable(_OfState(function, self.n), shape)
+                wider, start = with_rate(wider, own, start)
+                signs += [1.0 if isinstance(quantity, Maximum) else -1.0] * size
+            elif isinstance(quantity, EventSum):
+                sums, count = [*sums, function], count + size
+        if signs:
+            rates = build(wider, start, compact=field.compact)
+            found.append(Extremes(rates, self.n, tuple(signs), window))
+        if sums:
+            row = _Row(tuple(sums), self.n)
+            found.append(event_sums(row, count, field, x, self.h_shape, window))
+        return tuple(found)
+
+    def found(self, problem: Problem, own: tuple[SoFar | Sums, ...], means: Array) -> Array:
+        """All numbers of a lane in a row, of the states of these extensions at its end, and of the
+        means of what is carried behind the state."""
+        extremes = sums = jnp.zeros((0,), means.dtype)
+        for state in own:
+            if isinstance(state, Sums):
+                sums = jnp.stack(state.numbers.parts)
+            else:
+                (extension,) = (e for e in problem.extensions if isinstance(e, Extremes))
+                extremes = extension.found(problem, state)
+        rows = []
+        for quantity, shape in self._all:
+            size = math.prod(shape)
+            if isinstance(quantity, _EXTREMES):
+                row, extremes = extremes[:size], extremes[size:]
+            elif isinstance(quantity, EventSum):
+                row, sums = sums[:size], sums[size:]
+            else:
+                row, means = means[:size], means[size:]
+                row = jnp.sqrt(row) if isinstance(quantity, RMS) else row
+            rows.append(row)
+        return jnp.concatenate(rows)
+
+
+def averages_in(state: LoopState) -> tuple[SoFar | Sums, ...]:
+    """The states of the extensions of averages, at the end of a lane or of many."""
+    return tuple(v for v in state.extensions if isinstance(v, (SoFar, Sums)))
+
+
+def checked_averaging(name: str, given: Any, system: System, x: Array) -> Averaging:
+    """The quantities that an argument of this name asks for, of runs from a state like x."""
+    several = isinstance(given, Mapping)
+    quantities = dict(given) if several else {_name_of(given): given}
+    if not quantities or not all(isinstance(key, str) and key for key in quantities):
+        raise ValueError(
+            f"`{name}` must be a function of (t, x, side), a quantity such as jaxfil.RMS, or a "
+            f"dictionary of these by their names, got {check.told(given)}."
+        )
+    h_shape, shapes, kept = check.shapes(system, x), [], []
+    for key, quantity in quantities.items():
+        where = f"{name}[{key!r}]" if several else name
+        shapes.append(_checked(where, quantity, system, x, h_shape))
+        kept.append(cast(quantity, x.dtype))
+    return Averaging(tuple(kept), tuple(quantities), tuple(shapes), h_shape, x.shape[0])
+
+
+def _function_of(quantity: Any) -> Any:
+    return quantity.function if isinstance(quantity, KINDS) else quantity
+
+
+def _name_of(quantity: Any) -> str:
+    """What the only quantity is called."""
+    function = _function_of(quantity)
+    name = getattr(function, "__name__", type(function).__name__)
+    return _ALONE if name == "<lambda>" else name
+
+
+def _checked(
+    name: str, quantity: Any, system: System, x: Array, h_shape: tuple[int, ...]
+) -> tuple[int, ...]:
+    """The shape of what a quantity's function returns."""
+    function = check.function(name, _function_of(quantity), "(t, x, side)")
+    function = _with_system(cast(function, x.dtype), system)
+    if not isinstance(quantity, EventSum):
+        return checked_observable(name, function, system, x).shape
+    given = {"before": x, "after": x, "surfaces": jnp.ones(h_shape, x.dtype)}
+    out = check.returned(f"`{name}`", function, "", t=jnp.zeros((), x.dtype), **given)
+    if isinstance(out, (int, float)):  # as 1.0, which counts events
+        return ()
+    if not hasattr(out, "shape") or not check.is_real(out):
+        raise ValueError(f"`{name}` must return an array of real numbers, got {check.told(out)}.")
+    return tuple(out.shape)

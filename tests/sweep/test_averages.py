@@ -1,0 +1,326 @@
+"""Averages of the lanes of a sweep, against closed forms of motions with and without contacts."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfil as jf
+
+EPS = np.finfo(float).eps
+LINEAR = jf.systems.ImpactOscillator(wall=9.0, amplitude=0.7, stiffness=2.0, damping=0.4)
+OMEGA, DAMPING = np.linspace(0.5, 2.0, 13), np.linspace(0.2, 0.7, 6)
+
+
+def power(t, x, side, system):
+    return system.damping * x[1] ** 2
+
+
+OF_LINEAR = {
+    "power": power,
+    "rms": jf.RMS(lambda t, x, side: x),
+    "largest": jf.Maximum(lambda t, x, side: x),
+    "least": jf.Minimum(lambda t, x, side: x[0]),
+}
+
+
+def linear(dtype=float, **options):
+    """78 lanes, which are no whole number of blocks."""
+    given = dict(transient=120, samples=3, steps=20, progress=False, average=OF_LINEAR)
+    axes = OMEGA.astype(dtype), DAMPING.astype(dtype)
+    start = jnp.zeros(2, dtype)
+    names = "omega", "damping"
+    return jf.bifurcation_diagram(LINEAR, names, axes, start, **given | options)
+
+
+def of_linear(omega, damping):
+    """The same in closed form."""
+    force, k = 0.7, 2.0
+    gap = (k - omega**2) ** 2 + (damping * omega) ** 2
+    size = np.stack([force / np.sqrt(gap), omega * force / np.sqrt(gap)], axis=-1)
+    return {
+        "power": force**2 * damping * omega**2 / (2 * gap),
+        "rms": size / np.sqrt(2),
+        "largest": size,
+        "least": -size[..., 0],
+    }
+
+
+@pytest.mark.parametrize(
+    "dtype, options, rtol",
+    [
+        # Of the method: 20 steps a period by a method of order eight.
+        (float, {"compact": False}, 2e-8),
+        (float, {"steps": jf.Adaptive(rtol=1e-9, atol=1e-11), "compact": True}, 1e-8),
+        # Integrals of one period have the rounding of that period, however many there were.
+        (np.float32, {"compact": True, "samples": 200}, 64 * np.finfo(np.float32).eps),
+    ],
+)
+def test_a_linear_oscillator_takes_up_what_its_closed_form_says(dtype, options, rtol):
+    found = linear(dtype, **options)
+    assert found.successful.all()
+    for name, exact in of_linear(*np.meshgrid(OMEGA, DAMPING, indexing="ij")).items():
+        assert found.averages[name].dtype == dtype
+        np.testing.assert_allclose(found.averages[name], exact, rtol=rtol, err_msg=name)
+
+
+class Table(jf.System):
+    """A ball on a table that swings by a cos ωt, with gravity one."""
+
+    omega: jax.Array
+    restitution: jax.Array
+    swing: jax.Array
+
+    slides: ClassVar[bool] = False
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+    def speed(self, t):
+        return -self.swing * self.omega * jnp.sin(self.omega * t)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return x[0] - self.swing * jnp.cos(self.omega * t)
+
+    def reset(self, t, x, surface):
+        table = self.speed(t)
+        return jnp.stack([x[0], table - self.restitution * (x[1] - table)])
+
+
+def lost(t, before, after, surfaces, system):
+    """Energy in an impact, as the table sees it."""
+    table = system.speed(t)
+    return 0.5 * ((before[1] - table) ** 2 - (after[1] - table) ** 2)
+
+
+OF_BALL = {
+    "x": lambda t, x, side: x[0],
+    "v": jf.RMS(lambda t, x, side: x[1]),
+    "top": jf.Maximum(lambda t, x, side: x),
+    "low": jf.Minimum(lambda t, x, side: x[1]),
+    "impacts": jf.EventSum(lambda t, before, after, surfaces: surfaces),
+    "lost": jf.EventSum(lost),
+}
+SWING = 0.5
+BALL = dict(transient=160, samples=4, steps=10, stepper=jf.RK4())
+
+
+def ball_start(omega, e):
+    """A state near that on the orbit at t = 0, in flight."""
+    xp = jnp if isinstance(omega, jax.Array) else np
+    period = 2 * np.pi / omega
+    table = period * (1 - e) / (2 * (1 + e))
+    phase = (2 * np.pi - xp.arcsin(table / (SWING * omega))) / omega - period
+    left = -phase
+    height = SWING * xp.cos(omega * phase) + period / 2 * left - left**2 / 2
+    return xp.stack([height, period / 2 - left], axis=-1)
+
+
+def of_ball(omega, e):
+    """The orbit of one impact a period T, with a = 1/2: v = ±T/2 and x ≤ a cos φ + T²/8, where the
+    table goes up by w = −aω sin φ = T (1 − e)/(2 (1 + e))."""
+    period = 2 * np.pi / omega
+    table = period * (1 - e) / (2 * (1 + e))
+    xp = jnp if isinstance(omega, jax.Array) else np
+    height = xp.sqrt(SWING**2 - (table / omega) ** 2)
+    half, four = period / 2, BALL["samples"]
+    return {
+        "x": height + period**2 / 12,
+        "v": half / np.sqrt(3),
+        "top": xp.stack([height + period**2 / 8, half], axis=-1),
+        "low": -half,
+        "impacts": four + 0 * half,
+        "lost": four * 0.5 * (1 - e**2) * (half + table) ** 2,
+    }
+
+
+@pytest.fixture(scope="module")
+def balls():
+    """70 lanes with impacts at other times, two of which fail."""
+    omega, e = np.linspace(1.2, 1.4, 70), np.linspace(0.65, 0.75, 70)
+    rows, start = np.stack([omega, e], axis=1), ball_start(omega, e)
+    rows[[3, 66], 0] = np.nan, np.inf
+    system = Table(jnp.array(1.3), jnp.array(0.7), jnp.array(SWING))
+    names = "omega", "restitution"
+    found = jf.bifurcation_diagram(
+        system, names, rows, start, average=OF_BALL, compact=False, progress=False, **BALL
+    )
+    return rows, found
+
+
+def test_a_ball_that_hops_once_a_period_has_its_closed_form(balls):
+    rows, found = balls
+    good = np.isfinite(rows[:, 0])
+    np.testing.assert_array_equal(found.successful, good)
+    for name, exact in of_ball(*rows[good].T).items():
+        own = found.averages[name]
+        np.testing.assert_allclose(own[good], exact, rtol=1e-12, err_msg=name)
+        assert np.isnan(own[~good]).all(), name
+
+
+def test_one_lane_is_that_of_the_diagram_and_has_the_derivatives_of_the_closed_form(balls):
+    rows, found = balls
+
+    def averages(at):
+        system = Table(at[0], at[1], jnp.array(SWING))
+        start = jax.lax.stop_gradient(ball_start(*at))
+        return jf.settled_average(system, OF_BALL, start, compact=True, **BALL).averages
+
+    at = jnp.asarray(rows[[10, 40]])
+    own, slopes = jax.vmap(averages)(at), jax.vmap(jax.jacfwd(averages))(at)
+    exact = jax.vmap(jax.jacfwd(lambda at: of_ball(*at)))(at)
+    for name in OF_BALL:
+        np.testing.assert_allclose(own[name], found.averages[name][[10, 40]], rtol=1e-12)
+        np.testing.assert_allclose(slopes[name], exact[name], rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_what_is_put_in_is_taken_up_lost_and_stored():
+    """Energy, at values of ω with periodic orbits and with chaos, whose samples are of their own
+    time each."""
+    omega = np.linspace(0.7, 1.5, 9)
+    wall = jf.systems.ImpactOscillator(amplitude=0.9, damping=0.2, restitution=0.7)
+
+    def energy(x):
+        return 0.5 * (x[..., 0] ** 2 + x[..., 1] ** 2)
+
+    def work(t, x, side, system):
+        return x[1] * system.amplitude * jnp.cos(system.omega * t)
+
+    d = jf.bifurcation_diagram(
+        wall,
+        "omega",
+        omega,
+        jnp.zeros(2),
+        transient=10,
+        samples=6,
+        progress=False,
+        compact=True,
+        average={
+            "put in": lambda t, x, side, system: (
+                x[1] * system.amplitude * jnp.cos(system.omega * t)
+            ),
+            "taken up": power,
+            "lost": jf.EventSum(lambda t, before, after, surfaces: energy(before) - energy(after)),
+            "energy": jf.Maximum(lambda t, x, side: energy(x)),
+        },
+    )
+    # From the first sample on, the same motion: what is stored between it and the last one.
+    later = jf.bifurcation_diagram(
+        wall, "omega", omega, jnp.zeros(2), transient=9, samples=7, progress=False, compact=True
+    )
+    np.testing.assert_allclose(later.xs[:, 1:], d.xs, rtol=0, atol=1e-12)
+    stored = energy(later.xs[:, -1]) - energy(later.xs[:, 0])
+    own, time = d.averages, 6 * 2 * np.pi / omega
+    assert (own["lost"] > 0.1).all() and (own["energy"] > energy(d.xs).max(axis=1)).all()
+    balance = (own["put in"] - own["taken up"]) * time - own["lost"]
+    np.testing.assert_allclose(balance, stored, rtol=0, atol=1e-9)
+
+
+class Relay(jf.System):
+    """x' = A cos t − side: rests on x = 0 where the force is too weak to move it."""
+
+    force: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return (self.force * jnp.cos(t) - side)[None]
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def test_on_a_slide_it_is_the_blend_that_is_averaged(tmp_path):
+    """It leaves at cos t₁ = 1/A and comes back at A (sin t₂ − sin t₁) = t₂ − t₁; in between the
+    force is on one side, elsewhere side = A cos t holds against it."""
+    from scipy.optimize import brentq
+
+    force = np.array([1.1, 1.5])
+    run = dict(transient=1, samples=2, steps=20, compact=True, progress=False)
+    values = {
+        "work": lambda t, x, side, system: system.force * side * jnp.cos(t),
+        "share": lambda t, x, side: 0.5 * (1 + side),
+        "farthest": jf.Maximum(lambda t, x, side: x[0]),
+        "hold": jf.Minimum(lambda t, x, side: jnp.cos(t) * side),
+        "contacts": jf.EventSum(lambda t, before, after, surfaces: surfaces),
+    }
+
+    def sweep(average=values, **options):
+        given = run | {"checkpoint": tmp_path / "kept"} | options
+        relay, start = Relay(jnp.array(1.2)), jnp.array([0.0])
+        return jf.bifurcation_diagram(relay, "force", force, start, average=average, **given)
+
+    def height(t, a, t1):
+        return a * (np.sin(t) - np.sin(t1)) - t + t1
+
+    found = sweep()
+    for i, a in enumerate(force):
+        t1 = -np.arccos(1 / a)
+        t2 = brentq(height, -t1, t1 + np.pi, args=(a, t1))
+        flights = 2 * a * (np.sin(t2) - np.sin(t1))
+        slides = a**2 * ((np.pi - (t2 - t1)) - 0.5 * (np.sin(2 * t2) - np.sin(2 * t1)))
+        np.testing.assert_allclose(found.averages["work"][i], (flights + slides) / (2 * np.pi))
+        np.testing.assert_allclose(found.averages["share"][i], 0.5, rtol=1e-12)
+        top = height(-t1, a, t1)
+        np.testing.assert_allclose(found.averages["farthest"][i], top, rtol=1e-12)
+        # Where it has gone too far to come back before the force has turned.
+        hold = min(np.cos(t2), 0.0)
+        np.testing.assert_allclose(found.averages["hold"][i], hold, rtol=1e-12, atol=1e-13)
+    np.testing.assert_array_equal(found.averages["contacts"], 8)
+    again = sweep()
+    assert found.averages.keys() == again.averages.keys()
+    for name, own in found.averages.items():
+        np.testing.assert_array_equal(again.averages[name], own)
+    with pytest.raises(ValueError, match=r"average was .*share: mean.* and is share: RMS"):
+        sweep({"share": jf.RMS(values["share"])})
+    one = sweep(values["work"], checkpoint=None)
+    np.testing.assert_array_equal(one.averages["average"], found.averages["work"])
+
+
+def test_followed_lanes_have_averages_of_their_own():
+    """Each starts where the last one has ended, but with no integral of it."""
+    names = dict(transient=120, samples=3, steps=20, progress=False, average=OF_LINEAR)
+    values = np.linspace(0.5, 2.0, 18)
+    d = jf.bifurcation_diagram(LINEAR, "omega", values, jnp.zeros(2), follow="down", **names)
+    for name, exact in of_linear(values, 0.4).items():
+        np.testing.assert_allclose(d.averages[name], exact, rtol=2e-8, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    "average, told",
+    [
+        ({}, "`average` must be a function"),
+        ({1: power}, "`average` must be a function"),
+        ({"a": None}, "`average\\['a'\\]` must be a callable"),
+        (lambda t, x: x, "`average` must take"),
+        (jf.RMS(lambda t, x, side: "a"), "`average` must return"),
+        (jf.EventSum(lambda t, x: x), "`average` must take \\(t, before, after, surfaces\\)"),
+    ],
+)
+def test_what_cannot_be_averaged_is_refused_by_name(average, told):
+    with pytest.raises(ValueError, match=told):
+        linear(average=average)
+
+
+def test_the_slope_of_an_extreme_within_a_step_is_that_of_the_method():
+    """At 10 steps a period x is known to 2e-7; the cubic through a step knows its largest cube to
+    1e-4."""
+
+    def largest(omega):
+        lane = eqx.tree_at(lambda system: system.omega, LINEAR, omega)
+        average = {"largest": jf.Maximum(lambda t, x, side: x[0] ** 3)}
+        run = dict(transient=60, samples=2, steps=10, compact=True)
+        return jf.settled_average(lane, average, jnp.zeros(2), **run).averages["largest"]
+
+    def exact(omega):
+        return (0.7 / jnp.sqrt((2 - omega**2) ** 2 + (0.4 * omega) ** 2)) ** 3
+
+    omega = jnp.array([0.6, 1.1, 1.5])
+    slopes = jax.vmap(jax.grad(largest))(omega)
+    np.testing.assert_allclose(slopes, jax.vmap(jax.grad(exact))(omega), rtol=5e-6)
