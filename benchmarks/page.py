@@ -38,6 +38,11 @@ SECTIONS = (
         ("step_choice",),
     ),
     (
+        "Sweeps by power series beside Dopri8",
+        "python -m benchmarks.taylor",
+        ("taylor",),
+    ),
+    (
         "Fixed steps and a tolerance where steps must vary by orders",
         "python -m benchmarks.varying",
         ("varying",),
