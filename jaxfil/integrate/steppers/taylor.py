@@ -55,9 +55,9 @@ class Taylor(eqx.Module):
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
     >>> sd = jf.systems.SDOscillator()
-    >>> sol = jf.solve(sd, jnp.array([1.0, 0.0]), 0.0, 50.0, 0.5, stepper=jf.Taylor(16))
+    >>> sol = jf.solve(sd, jnp.array([0.5, 0.0]), 0.0, 20.0, 0.5, stepper=jf.Taylor(16))
     >>> int(sol.num_events)
-    15
+    4
     """
 
     order: int = eqx.field(static=True, default=12)
