@@ -70,7 +70,8 @@ def _done(run: Callable[..., int], args: argparse.Namespace) -> int:
         return run(args, interrupts)
 
 
-if __name__ == "__main__":
+def script() -> int:
+    """`main` of a process that does nothing else."""
     heeded = callable(signal.getsignal(signal.SIGINT))  # and not ignored, as in the background
     todo = _prepared(None)
     if heeded:
@@ -78,4 +79,8 @@ if __name__ == "__main__":
     exit_code = todo()
     if heeded:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # there is nothing left to interrupt
-    sys.exit(exit_code)
+    return exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(script())

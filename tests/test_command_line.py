@@ -163,7 +163,6 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
 @pytest.mark.parametrize(
     "words, answer",
     [
-        ([], "diagram"),
         (["draw"], "diagram"),
         (["diagram"], "NAME"),
         (["--name", "duffing"], "sd-oscillator, belt-friction, den-hartog, impact-oscillator;"),
@@ -219,6 +218,7 @@ def test_a_mistake_is_answered_by_one_line_that_says_what_is_allowed(
     [
         (["--version"], 0, rf"jaxfil {re.escape(jf.__version__)}\n"),
         (["--help"], 0, r"usage: (.*\n)+examples:\n  python -m jaxfil --list\n(.*\n)+"),
+        ([], 0, r"usage: (.*\n)+examples:\n  python -m jaxfil --list\n(.*\n)+"),
         (["diagram", "--help"], 0, r"(.*\n)+.* --title .* --dpi 300 (.*\n)+"),
         (["work-precision", "--help"], 0, r"(.*\n)+examples:\n(.*\n)+"),
         (["diagram", "sd-oscillator", "--points", "0"], 2, "jaxfil: .*must be a whole number.*\n"),
@@ -245,6 +245,18 @@ def test_the_grade_of_the_program_reaches_the_sweep(tmp_path, monkeypatch, words
     monkeypatch.setattr("jaxfil.command.diagram.bifurcation_diagram", asked)
     with pytest.raises(Asked, match=str(compact)):
         diagram(tmp_path, *words)
+
+
+def test_the_stepper_and_the_checkpoint_reach_the_sweep(tmp_path):
+    kept = tmp_path / "kept"
+    words = ["--stepper", "Taylor", "--checkpoint", str(kept), "--steps", "16"]
+    code, first = diagram(tmp_path, *words)
+    assert code == 0 and str(first["stepper"]) == "Taylor(12)" and list(kept.iterdir())
+    _, again = diagram(tmp_path, *words)
+    assert_array_equal(again["xs"], first["xs"])
+    _, other = diagram(tmp_path, "--steps", "80")
+    # Errors of 16 steps of order 12 and of 80 of order 8 in six periods.
+    assert np.max(np.abs(other["xs"] - first["xs"])) < 1e-9
 
 
 def test_a_picture_has_the_title_and_the_dots_asked_for(tmp_path, monkeypatch):

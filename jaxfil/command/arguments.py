@@ -54,7 +54,8 @@ class _Parser(argparse.ArgumentParser):
 
 def read(argv: list[str] | None) -> argparse.Namespace:
     """The values of the words, those of the process by default; `Misuse` if they have none."""
-    args = _parser().parse_args(_join_negatives(sys.argv[1:] if argv is None else argv))
+    words = _join_negatives(sys.argv[1:] if argv is None else argv)
+    args = _parser().parse_args(words or ["--help"])
     if args.command is None and not args.list:
         raise Misuse("what to do is missing: diagram, work-precision, or --list")
     return args
@@ -87,6 +88,8 @@ def _add_diagram(parser: _Parser) -> None:
     add("--transient", metavar="N", type=whole, default=200, help="periods left out: %(default)s")
     add("--samples", metavar="N", type=positive, default=100, help="periods seen: %(default)s")
     add("--steps", metavar="N", type=positive, default=40, help="steps a period: %(default)s")
+    add("--stepper", choices=STEPPERS, help="the method of a step: Dopri8")
+    add("--checkpoint", metavar="FOLDER", type=Path, help="keep finished lanes, and go on there")
     add("--follow", choices=("up", "down"), help="start each value where its neighbour ended")
     grade = "a program that compiles fast or one that runs fast, as in jaxfil.solve"
     add("--compact", action=argparse.BooleanOptionalAction, help=grade)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.command.interruption import INTERRUPTED
+from jaxfil.command.steppers import STEPPERS
 from jaxfil.command.textbook import defaults, state, text
 from jaxfil.model import dataset_io
 from jaxfil.model.card import counted
@@ -36,6 +37,8 @@ def run(args: argparse.Namespace, interrupts: Interrupts) -> int:
             samples=args.samples,
             steps=args.steps,
             follow=args.follow,
+            stepper=STEPPERS[args.stepper] if args.stepper else None,
+            checkpoint=args.checkpoint,
             compact=args.compact,
             progress=not args.quiet,
         )

@@ -3,24 +3,13 @@ picture leave, and the exit code."""
 
 import argparse
 
-import diffrax
 import jax.numpy as jnp
 
+from jaxfil.command.steppers import STEPPERS
 from jaxfil.command.textbook import state, text
-from jaxfil.integrate.steppers.explicit import RK4
-from jaxfil.integrate.steppers.rosenbrock import Rodas5P
-from jaxfil.integrate.steppers.taylor import Taylor
 from jaxfil.studies.work_precision import WorkPrecision, work_precision
 from jaxfil.sweep.interrupt import Interrupts
 from jaxfil.systems import TEXTBOOK
-
-_STEPPERS = {
-    "RK4": RK4(),
-    "Tsit5": diffrax.Tsit5(),
-    "Dopri8": diffrax.Dopri8(),
-    "Taylor": Taylor(),
-    "Rodas5P": Rodas5P(),
-}
 
 
 def run(args: argparse.Namespace, interrupts: Interrupts) -> int:
@@ -32,7 +21,7 @@ def run(args: argparse.Namespace, interrupts: Interrupts) -> int:
         system,
         jnp.array(state(args)),
         span,
-        [_STEPPERS[name] for name in args.steppers or _STEPPERS],
+        [STEPPERS[name] for name in args.steppers or STEPPERS],
         [unit / n for n in args.steps or (20, 40, 80, 160)],
         lanes=args.lanes,
     )
