@@ -298,7 +298,7 @@ def test_followed_lanes_have_averages_of_their_own():
         ({}, "`average` must be a function"),
         ({1: power}, "`average` must be a function"),
         ({"a": None}, "`average\\['a'\\]` must be a callable"),
-        (lambda t, x: x, "`average` must take"),
+        (lambda t: t, "`average` must take"),
         (jf.RMS(lambda t, x, side: "a"), "`average` must return"),
         (jf.EventSum(lambda t, x: x), "`average` must take \\(t, before, after, surfaces\\)"),
     ],
