@@ -87,8 +87,8 @@ def saving(ts):
 
 STATE = "`x0` must be of shape (n,) with n ≥ 1"
 STEPPER = (
-    "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P() or an instance of an explicit diffrax "
-    "Runge–Kutta solver such as diffrax.Dopri8()"
+    "`stepper` must be jaxfil.RK4(), jaxfil.Rodas5P(), jaxfil.Taylor() or an instance of an "
+    "explicit diffrax Runge–Kutta solver such as diffrax.Dopri8()"
 )
 SAVES = (
     "`saveat` must ask for exactly one of t1=True, ts=…, steps=True, dense=True (and t0=True only "
@@ -395,10 +395,10 @@ CALLS = {
         "`sections[0].function` must be made of jnp functions",
         "TracerBoolConversionError",
     ),
-    "observed without a side": (
-        lambda: solve(observe=lambda t, x: x),
-        "`observe` must take (t, x, side)",
-        "(t, x)",
+    "observed without a state": (
+        lambda: solve(observe=lambda t: t),
+        "`observe` must take (t, x)",
+        "(t)",
     ),
     "checkpoint is a number": (
         lambda: diagram(checkpoint=3),
