@@ -6,8 +6,6 @@ The block of `tests.oracles.block` slides on a spring beside a wall. Nothing ent
 processor times.
 """
 
-import time
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +14,7 @@ import scipy.optimize
 import jaxfil as jf
 from benchmarks import RESULTS
 from benchmarks.table import Column, table
+from benchmarks.timing import processor_timed
 from tests.oracles.block import GUESSES, NAMES, TRUE, TS, X0, Block, data, motion, seen, stepped
 
 COLUMNS = (
@@ -38,13 +37,6 @@ few ends in another best fit, which has an impact too few as well: in both progr
 no impact at all nothing says what the restitution is, and it stays what it was."""
 
 
-def timed(call):
-    """What a call gives, and its processor time."""
-    start = time.process_time()
-    found = jax.block_until_ready(call())
-    return found, time.process_time() - start
-
-
 def measure():
     """The rows of the table."""
     measured = data()
@@ -57,14 +49,14 @@ def measure():
         given = {"observe": seen, "guesses": GUESSES, "throw": False}
         return jf.fit(start, NAMES, TS, measured, jnp.asarray(X0), 0.05, **given)
 
-    (found, first), (_, then) = timed(fit), timed(fit)
+    (found, first), (_, then) = processor_timed(fit), processor_timed(fit)
     for i, guess in enumerate(GUESSES):
         values = np.asarray(found.all_values[i])
         times = (first, then) if i == 0 else (None, None)
         off = np.max(abs(values - best))
         yield "jaxfil", str(guess), *values, off, 2 * float(found.costs[i]), *times
     for guess in GUESSES:
-        ended, seconds = timed(
+        ended, seconds = processor_timed(
             lambda guess=guess: scipy.optimize.least_squares(lambda v: stepped(v) - measured, guess)
         )
         off = np.max(abs(ended.x - best))

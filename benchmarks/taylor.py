@@ -6,7 +6,6 @@ Writes `results/taylor.txt`: processor time of both at equal error, in turns, an
 """
 
 import math
-import time
 from typing import NamedTuple
 
 import diffrax
@@ -16,7 +15,9 @@ import numpy as np
 
 import jaxfil as jf
 from benchmarks import RESULTS
+from benchmarks.report import rate_at
 from benchmarks.table import Column, table
+from benchmarks.timing import processor_timed
 
 LANES, TRANSIENT, SAMPLES, REPEATS = 512, 100, 20, 5
 # Steps of the converged runs; lanes on which they differ by more are not judged.
@@ -32,8 +33,9 @@ COLUMNS = (
 ABOUT = f"""\
 Processor time of `jf.Taylor(12)` as a part of that of Dopri8, medians of {REPEATS} in turns,
 {LANES} lanes, {TRANSIENT + SAMPLES} periods, at these errors: the median over judged lanes of the
-largest error of a sample. Between numbers of steps times and errors are interpolated. Programs are
-written out; both belts are one program, compiled for the first of them.
+largest error of a sample, or at smaller ones. Between numbers of steps times and errors are
+interpolated; what does not get there has no entry. Programs are written out; both belts are one
+program, compiled for the first of them.
 """
 
 
@@ -112,9 +114,7 @@ def diagram(sweep, stepper, steps):
 
 def seconds(sweep, stepper, steps):
     """Processor time of one run."""
-    start = time.process_time()
-    diagram(sweep, stepper, steps)
-    return time.process_time() - start
+    return processor_timed(lambda: diagram(sweep, stepper, steps))[1]
 
 
 def curve(sweep, stepper, counts, exact, calm):
@@ -123,22 +123,17 @@ def curve(sweep, stepper, counts, exact, calm):
     return [float(np.median(error)) for error in errors]
 
 
-def at(level, errors, times):
-    """The time at which an error is reached, between those that were measured; None outside."""
-    order = np.argsort(errors)
-    errors, times = np.log(np.maximum(errors, 1e-300))[order], np.log(times)[order]
-    if not errors[0] <= math.log(level) <= errors[-1]:
-        return None
-    return math.exp(np.interp(math.log(level), errors, times))
+def rates(errors, times):
+    """Runs as `report.rate_at` reads them."""
+    each = zip(errors, times, strict=True)
+    return [{"method": "", "error": error, "rates": {"1": 1 / time}} for error, time in each]
 
 
 def row(name, sweep):
     """The cells of a sweep."""
     taylor, dopri8, firsts = jf.Taylor(12), diffrax.Dopri8(), []
     for stepper, counts in ((taylor, sweep.taylor), (dopri8, sweep.dopri8)):
-        start = time.process_time()
-        diagram(sweep, stepper, counts[0])
-        firsts.append(time.process_time() - start)
+        firsts.append(seconds(sweep, stepper, counts[0]))
     exact, other = (diagram(sweep, dopri8, steps) for steps in FINE)
     calm = np.abs(exact - other).max((1, 2)) < CALM
     errors = curve(sweep, taylor, sweep.taylor, exact, calm)
@@ -150,8 +145,8 @@ def row(name, sweep):
     mine, theirs = (np.median(v, axis=0) for v in runs)
     ratios = []
     for level in LEVELS:
-        pair = at(level, errors, mine), at(level, others, theirs)
-        ratios.append(None if None in pair else pair[0] / pair[1])
+        pair = rate_at(rates(errors, mine), level, 1), rate_at(rates(others, theirs), level, 1)
+        ratios.append(None if None in pair else pair[1] / pair[0])
     return name, int(calm.sum()), *ratios, *firsts
 
 

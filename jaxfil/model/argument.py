@@ -55,6 +55,13 @@ def is_real(array: Any) -> bool:
     return jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
 
 
+def real_shape(name: str, returned: Any) -> tuple[int, ...]:
+    """The shape of what a function called `name` returns, if that is an array of real numbers."""
+    if not hasattr(returned, "shape") or not is_real(returned):
+        raise ValueError(f"`{name}` must return an array of real numbers, got {told(returned)}.")
+    return tuple(returned.shape)
+
+
 def array_or_none(value: Any) -> Any:
     """Real numbers as an array, in their own dtype; None if they are none."""
     # True would be the number one, and words an array of characters.
@@ -209,6 +216,18 @@ def flags(**values: object) -> None:
             raise ValueError(f"`{name}` must be True or False, got {told(value)}.")
 
 
+def signature_of(function: Callable[..., Any]) -> inspect.Signature | None:
+    """What a function takes; None of one that is written in C, as `max`, of which nothing is known.
+
+    >>> list(signature_of(lambda t, x: x).parameters), signature_of(max)
+    (['t', 'x'], None)
+    """
+    try:
+        return inspect.signature(function)
+    except (TypeError, ValueError):
+        return None
+
+
 def function(name: str, value: Any, args: str) -> Callable[..., Any]:
     """A function of arguments of these names."""
     if not callable(value) or isinstance(value, type):
@@ -235,9 +254,8 @@ def returned(name: str, value: Callable[..., Any], first: str = "", **args: Any)
 
 def _other_arguments(value: Callable[..., Any], args: Mapping[str, Any]) -> str | None:
     """Those that a function takes, if it cannot take so many."""
-    try:
-        signature = inspect.signature(value)
-    except (TypeError, ValueError):  # of what is written in C, as `max`, nothing is known
+    signature = signature_of(value)
+    if signature is None:
         return None
     try:
         signature.bind(*args.values())

@@ -31,6 +31,7 @@ from jaxfil.model.argument import (
     numbers as numbers,
     one_of as one_of,
     path as path,
+    real_shape as real_shape,
     returned as returned,
     scalar as scalar,
     state as state,

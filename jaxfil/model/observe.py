@@ -4,11 +4,12 @@ A function of the user's and what is known of a motion at one time enter; what t
 of that leaves.
 """
 
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 from jaxtyping import Array
+
+from jaxfil.model.argument import signature_of
 
 ASKED = ("side", "reaction", "mode")
 """What a function of the motion may have arguments of these names for."""
@@ -21,12 +22,11 @@ asks for `side`, `reaction` and `mode` by arguments of these names, each of the 
 def asked_of(function: Callable[..., Any]) -> tuple[str, ...]:
     """What a function of the motion asks for besides the time and the state, in its order. A third
     argument of any other name, without a default, is that of the sides."""
-    try:
-        more = list(inspect.signature(function).parameters.values())[2:]
-    except (TypeError, ValueError):  # of what is written in C nothing is known
+    signature = signature_of(function)
+    if signature is None:
         return ("side",)
     names = []
-    for place, argument in enumerate(more):
+    for place, argument in enumerate(list(signature.parameters.values())[2:]):
         if argument.kind in (argument.KEYWORD_ONLY, argument.VAR_KEYWORD):
             continue
         if argument.name in ASKED:

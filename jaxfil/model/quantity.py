@@ -5,14 +5,25 @@ the numbers. A plain function stands for its mean.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
 
 from jaxfil.model import argument
 
 
-class RMS(eqx.Module):
+class _OfFunction(eqx.Module):
+    """What is made of a function along a motion."""
+
+    function: Callable[..., Any]
+    """g."""
+    _given: ClassVar[str] = "(t, x, side)"
+
+    def __check_init__(self):
+        argument.function("function", self.function, self._given)
+
+
+class RMS(_OfFunction):
     r"""The root mean square of a function along a motion.
 
     $$g_\mathrm{rms} = \Bigl(\frac{1}{T} \int g(t, x(t), \mathrm{side}(t))^2\, dt\Bigr)^{1/2}$$
@@ -35,14 +46,8 @@ class RMS(eqx.Module):
     (2,)
     """
 
-    function: Callable[..., Any]
-    """g."""
 
-    def __check_init__(self):
-        argument.function("function", self.function, "(t, x, side)")
-
-
-class Maximum(eqx.Module):
+class Maximum(_OfFunction):
     r"""The largest value of a function along a motion, between samples and steps too.
 
     $$g_\mathrm{max} = \max_t\, g(t, x(t), \mathrm{side}(t))$$
@@ -71,14 +76,8 @@ class Maximum(eqx.Module):
     True
     """
 
-    function: Callable[..., Any]
-    """g."""
 
-    def __check_init__(self):
-        argument.function("function", self.function, "(t, x, side)")
-
-
-class Minimum(eqx.Module):
+class Minimum(_OfFunction):
     r"""The least value of a function along a motion, between samples and steps too.
 
     $$g_\mathrm{min} = \min_t\, g(t, x(t), \mathrm{side}(t))$$
@@ -103,14 +102,8 @@ class Minimum(eqx.Module):
     True
     """
 
-    function: Callable[..., Any]
-    """g."""
 
-    def __check_init__(self):
-        argument.function("function", self.function, "(t, x, side)")
-
-
-class EventSum(eqx.Module):
+class EventSum(_OfFunction):
     r"""A sum over the events of a motion: impacts, crossings, ends of slides, ticks.
 
     $$\sum_i g(t_i, x(t_i^-), x(t_i^+), \mathrm{surfaces}_i)$$
@@ -140,11 +133,7 @@ class EventSum(eqx.Module):
     (2,)
     """
 
-    function: Callable[..., Any]
-    """g."""
-
-    def __check_init__(self):
-        argument.function("function", self.function, "(t, before, after, surfaces)")
+    _given: ClassVar[str] = "(t, before, after, surfaces)"
 
 
 KINDS = RMS, Maximum, Minimum, EventSum

@@ -5,7 +5,6 @@ parameters of the problem.
 """
 
 import abc
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
@@ -149,10 +148,8 @@ class System(eqx.Module):
 
 def takes_reaction(function: Callable) -> bool:
     """Whether a function has an argument `reaction`."""
-    try:
-        return "reaction" in inspect.signature(function).parameters
-    except (TypeError, ValueError):  # of what is written in C nothing is known
-        return False
+    signature = argument.signature_of(function)
+    return signature is not None and "reaction" in signature.parameters
 
 
 def field_of(

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-# Numbers of an array at most.
-_MOST = 32
+MOST = 32
+"""Numbers of an array at most."""
 
 MOVES = (
     "broadcast_in_dim",
@@ -60,7 +60,7 @@ def in_elements(eqn: Any, inputs: Sequence[Any], mixed: bool) -> bool:
     are none of scalars yet."""
     (out, *more), name = eqn.outvars, eqn.primitive.name
     shapes = [v.aval.shape for v in eqn.invars]
-    if more or not all(0 < v.aval.size <= _MOST for v in (out, *eqn.invars)):
+    if more or not all(0 < v.aval.size <= MOST for v in (out, *eqn.invars)):
         return False
     if not any(isinstance(v, Elements) for v in inputs):
         # Where a scalar enters, an array of scalars begins.

@@ -102,12 +102,10 @@ class Expansion:
         return sum(v.is_kept for v in self.made)
 
     def once(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """What `make` makes, once for each key, whose series are told apart by identity."""
-        named = tuple(id(v) if isinstance(v, Series) else v for v in key)
-        if named not in self._same:
-            # The key is kept, so that no other series takes an identity in it.
-            self._same[named] = key, make()
-        return self._same[named][1]
+        """What `make` makes, once for each key; series are equal to themselves alone."""
+        if key not in self._same:
+            self._same[key] = make()
+        return self._same[key]
 
     def first(self, name: str, value: Any) -> Any:
         """A function of XLA's by its name, of a number."""
@@ -120,13 +118,13 @@ class Expansion:
         """Make some coefficients of some series by `run(function, arrays)`, which calls the
         function: a compiler is kept from computing any of them twice. What no later one is made of
         is not kept."""
-        wanted_too = set(map(id, wanted))
-        kept = [v for v in self.made if v.is_kept or id(v) in wanted_too]
-        others = [v for v in self.made if not (v.is_kept or id(v) in wanted_too)]
-        before = [dict(v.known) for v in kept]
+        lasting = {v for v in self.made if v.is_kept} | set(wanted)
+        carried = [v for v in self.made if v in lasting]
+        others = [v for v in self.made if v not in lasting]
+        before = [dict(v.known) for v in carried]
 
         def made(known: list) -> list:
-            for v, own in zip(kept, known, strict=True):
+            for v, own in zip(carried, known, strict=True):
                 v.known = dict(own)
             for v in others:
                 v.known = {}
@@ -135,14 +133,14 @@ class Expansion:
                     v[k]
             new = [
                 {k: c for k, c in v.known.items() if k not in own}
-                for v, own in zip(kept, before, strict=True)
+                for v, own in zip(carried, before, strict=True)
             ]
             for v in others:
                 v.known = {}
             return new
 
         new = run(made, before)
-        for v, old, more in zip(kept, before, new, strict=True):
+        for v, old, more in zip(carried, before, new, strict=True):
             v.known = old | more
 
 
@@ -236,9 +234,9 @@ def _spread(a: Series, sign: float = 1.0, factors: tuple = ()) -> Iterator[tuple
         yield sign, factors, Same(a)
 
 
-def convolution(a: Series, b: Series, k: int, first: int = 0, last: int = 0) -> Any:
-    """Σ a_i b_{k−i} for i from `first` to k − `last`."""
-    return add([times(a[i], b[k - i]) for i in range(first, k + 1 - last)])
+def convolution(a: Series, b: Series, k: int, first: int = 0) -> Any:
+    """Σ a_i b_{k−i} for i from `first` to k."""
+    return add([times(a[i], b[k - i]) for i in range(first, k + 1)])
 
 
 def product(expansion: Expansion, a: Series, b: Series) -> Series:
@@ -297,23 +295,17 @@ def quotient(expansion: Expansion, a: Series, b: Series) -> Series:
     inverse = expansion.once(
         ("inverse", b), lambda: expansion.series(lambda _: 1.0 / jnp.asarray(b[0]), 0)
     )
-    if b.degree == 0:
-
-        def scaled(k: int) -> Any:
-            if k == 0:
-                return None if a[0] is None else a[0] / b[0]
-            return times(a[k], inverse[0])
-
-        return expansion.series(scaled, a.degree)
+    is_multiple = b.degree == 0
 
     def make(k: int) -> Any:
         if k == 0:
             return None if a[0] is None else a[0] / b[0]
-        rest = convolution(b, out, k, first=1)
+        rest = None if is_multiple else convolution(b, out, k, first=1)
         return times(minus(a[k], rest), inverse[0])
 
-    out = expansion.series(make)
-    kept(b, out)
+    out = expansion.series(make, a.degree if is_multiple else None)
+    if not is_multiple:
+        kept(b, out)
     return out
 
 

@@ -26,9 +26,6 @@ from jaxfil.xla.series import (
 )
 from jaxfil.xla.series_rules import FROZEN, LINEAR, RULES, NoSeries, selected
 
-# Numbers of an array at most that are series one by one.
-_FEW = 32
-
 
 def expanded(expansion: Expansion, program: Any, args: Sequence[Any]) -> list[Any]:
     """The series of a program's results: each a `Series`, or of a small array a NumPy array of
@@ -95,7 +92,7 @@ def _new(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> l
     sizes = [v.aval.size for v in eqn.invars]
     if out.shape == () and not any(v.aval.shape for v in eqn.invars):
         return [_of_one(expansion, eqn, [array_of(expansion, v) for v in inputs])]
-    if all(0 < size <= _FEW for size in (out.size, *sizes)):
+    if all(0 < size <= elements.MOST for size in (out.size, *sizes)):
         found = _in_elements(expansion, eqn, inputs)
         if found is not None:
             return [found]

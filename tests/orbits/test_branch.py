@@ -4,7 +4,6 @@ import functools
 from types import SimpleNamespace
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import matplotlib
 import matplotlib.figure
@@ -19,7 +18,7 @@ import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
 from tests.pictures import made
 from tests.problems import PROBLEMS, closed_forms
-from tests.problems.systems import belt, cubic_belt
+from tests.problems.systems import ShakenTable, belt, cubic_belt
 from tests.problems.values import BELT_ADDS, BELT_CHANGES, BELT_GRAZES, BELT_HIGHEST, SD_GRAZES
 
 matplotlib.use("Agg")
@@ -399,23 +398,6 @@ def test_an_orbit_that_was_not_found_keeps_its_outcome(omega, x):
         jf.find_bifurcations(S.SDOscillator(), "omega", lost, stop=0.8)
 
 
-class Thrown(jf.System):
-    """A ball under unit gravity on a table at a sin t, of restitution 1/2."""
-
-    a: jax.Array
-    slides = False
-    period = 2 * jnp.pi
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -jnp.ones_like(t)])
-
-    def switching(self, t, x):
-        return x[0] - self.a * jnp.sin(t)
-
-    def reset(self, t, x, surface):
-        return jnp.stack([x[0], 1.5 * self.a * jnp.cos(t) - 0.5 * x[1]])
-
-
 def thrown_once(a, phase, t0):
     """The state at t0 of the ball that is hit once a period at a phase, and flies with a speed of
     π: a cos(phase) = π/3."""
@@ -427,9 +409,9 @@ def thrown_once(a, phase, t0):
 def test_an_impact_passes_the_phase_of_shooting(t0):
     # x(t0) jumps there, at the fold itself for t0 = 0, and the orbit does not.
     a, fold = 1.2, np.pi / 3
-    system, start = Thrown(jnp.asarray(a)), thrown_once(a, np.arccos(fold / a), t0)
+    system, start = ShakenTable(jnp.asarray(a), 0.5), thrown_once(a, np.arccos(fold / a), t0)
     orbit = jf.periodic_orbit(system, jnp.asarray(start), t0=t0)
-    branch = jf.continue_orbit(system, "a", orbit, stop=(0.8, 1.7))
+    branch = jf.continue_orbit(system, "amplitude", orbit, stop=(0.8, 1.7))
     assert branch.ended == ("a = 1.7 was reached",) * 2
     assert [point.kind for point in branch.points] == ["fold", "period-doubling"]
     right = [fold, np.hypot(fold, 2.5 / 2.25)]

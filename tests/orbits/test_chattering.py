@@ -1,31 +1,13 @@
 """Branches of orbits that come to rest after infinitely many impacts, and where they cease to."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
 import jaxfil as jf
+from tests.problems.systems import ShakenTable
 
 E = 0.4
-
-
-class OnTable(jf.System):
-    """A ball on a table that moves as A sin t, under unit gravity."""
-
-    amplitude: jax.Array
-    slides = False
-    period = 2 * np.pi
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -jnp.ones_like(t)])
-
-    def switching(self, t, x):
-        return x[0] - self.amplitude * jnp.sin(t)
-
-    def reset(self, t, x, surface):
-        table = self.amplitude * jnp.cos(t)
-        return jnp.stack([x[0], table - E * (x[1] - table)])
 
 
 def comes_to_rest(amplitude):
@@ -54,7 +36,7 @@ def comes_to_rest(amplitude):
 
 
 def orbit(amplitude):
-    system = OnTable(jnp.array(amplitude))
+    system = ShakenTable(jnp.array(amplitude), E)
     x0 = jnp.array([0.0, amplitude])
     return system, jf.periodic_orbit(system, x0, max_events=64)
 

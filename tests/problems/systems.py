@@ -115,3 +115,46 @@ def belt(omega, gamma1=10.0, gamma2=0.0):
 def cubic_belt(omega):
     """Belt friction, case 2: a cubic spring."""
     return belt(omega, 0.0, 10000.0)
+
+
+class UnitBelt(jf.System):
+    """A mass on a belt of speed 1: x'' = -x - F sgn(x' - 1)."""
+
+    force: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - self.force * side])
+
+    def switching(self, t, x):
+        return x[1] - 1
+
+
+class Turn(jf.System):
+    """A point that goes round the unit circle, where y < 0 at a rate of its own."""
+
+    rate: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, 1.0, self.rate) * jnp.stack([-x[1], x[0]])
+
+    def switching(self, t, x):
+        return x[1]
+
+
+class ShakenTable(jf.System):
+    """A ball on a table that moves as A sin t, under unit gravity, with a restitution."""
+
+    amplitude: jax.Array
+    restitution: float
+    slides = False
+    period = 2 * jnp.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return x[0] - self.amplitude * jnp.sin(t)
+
+    def reset(self, t, x, surface):
+        table = self.amplitude * jnp.cos(t)
+        return jnp.stack([x[0], table - self.restitution * (x[1] - table)])

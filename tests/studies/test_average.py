@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
+from tests.problems.systems import UnitBelt
 
 EPS = np.finfo(float).eps
 
@@ -60,18 +61,6 @@ def test_the_mean_energies_of_a_ball_are_those_of_its_flight():
     np.testing.assert_allclose(found.x_final, [0.5, 0.0], rtol=0, atol=64 * EPS)
 
 
-class Belt(jf.System):
-    """A mass on a belt of speed 1: x'' = -x - F sgn(x' - 1)."""
-
-    force: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -x[0] - self.force * side])
-
-    def switching(self, t, x):
-        return x[1] - 1
-
-
 def sticks(t, x, mode):
     return jnp.where(mode == 0, 1.0, 0.0)
 
@@ -85,7 +74,7 @@ def sticking(force, **options):
     middle: until the spring, t - 1/2, is as strong as the friction."""
     x0 = jnp.array([-0.5, 1.0], jnp.result_type(force))
     options = dict(stepper=jf.RK4()) | options
-    return jf.average(Belt(force), sticks, x0, 0.0, 2.0, 0.15, **options).value
+    return jf.average(UnitBelt(force), sticks, x0, 0.0, 2.0, 0.15, **options).value
 
 
 ADJOINTS = [diffrax.ForwardMode(), diffrax.RecursiveCheckpointAdjoint()]

@@ -8,18 +8,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-
-
-class Turn(jf.System):
-    """A point that goes round the unit circle, slower where y < 0."""
-
-    rate: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.where(side > 0, 1.0, self.rate) * jnp.stack([-x[1], x[0]])
-
-    def switching(self, t, x):
-        return x[1]
+from tests.problems.systems import Turn
 
 
 def test_at_a_section_it_is_from_the_first_sample_to_the_last(tmp_path):

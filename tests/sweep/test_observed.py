@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
+from tests.problems.systems import Turn
 
 EPS = np.finfo(float).eps
 
@@ -112,18 +113,6 @@ def test_samples_may_be_modes():
     """The push at the ends of periods, cos 0.3, makes it slip where friction is less."""
     found = sweep(lambda t, x, mode: mode, forces=(0.5, 1.25))
     np.testing.assert_array_equal(found.xs[..., 0], [[1, 1, 1], [0, 0, 0]])
-
-
-class Turn(jf.System):
-    """A point that goes round the unit circle, slower where y > 0."""
-
-    rate: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.where(side > 0, 1.0, self.rate) * jnp.stack([-x[1], x[0]])
-
-    def switching(self, t, x):
-        return x[1]
 
 
 def test_at_a_section_it_is_the_side_and_the_time_there():

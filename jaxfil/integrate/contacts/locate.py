@@ -107,6 +107,11 @@ class Contact(eqx.Module):
         return self.theta < NEVER
 
 
+def met_together(thetas: Components, first: Array) -> Components:
+    """The surfaces whose contacts, at these θ, are one event with the first."""
+    return thetas <= first * (1 + _TOGETHER)
+
+
 def find_contact(
     problem: Problem,
     state: LoopState,
@@ -146,7 +151,7 @@ def find_contact(
         singular, theta = _to_singular_point(problem, state, end, h)
         lowest = select(singular, jnp.minimum(lowest, theta), lowest)
     first = (contact < NEVER) & (contact <= lowest)
-    surfaces = first & (thetas <= contact * (1 + _TOGETHER))
+    surfaces = first & met_together(thetas, contact)
     # A search that does not converge from one side is helped by a step that falls short.
     theta = jnp.minimum(contact, lowest)
     stalled = (

@@ -24,7 +24,8 @@ from jaxfil.xla.select import select
 
 # The least of a guard above this multiple of its rounding is no zero.
 _CLOSE = 4
-# Halvings of a step until its guard is simple: one that is not by then is looked at.
+# Halvings of a step until its guard is simple: one that is not by then is left to the search of
+# every step.
 _HALVINGS = 24
 # Newton's iterations at most, bisections among them, and a move after which one is enough.
 _NEWTON, _SMALL = 60, 0.1

@@ -23,7 +23,6 @@ numbers to the last bit, so that a lane alone, in a batch of 64 or in another on
 samples.
 """
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -37,17 +36,18 @@ from jaxfil.integrate.lane.step_length import Length, choose_length
 from jaxfil.integrate.loop.free_step import (
     accept_free_step,
     end_of_free_step,
+    field_on_sides,
     is_event_free,
     is_near,
     try_free_step,
 )
 from jaxfil.integrate.loop.iterate import finish, integrate, judge, trial_step
-from jaxfil.integrate.loop.path import cut_at_contact, path_of, trial_at
+from jaxfil.integrate.loop.path import path_of, step_along
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial
 from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import Components, Polynomial, side_of
+from jaxfil.integrate.system.components import Components, Polynomial
 from jaxfil.xla.select import select, select_all
 
 _BATCH = "batch"
@@ -166,8 +166,7 @@ def _judge(problem: Problem, state: LoopState) -> LoopState:
 def _judge_along(problem: Problem, state: LoopState) -> LoopState:
     """A full iteration of a step that is a polynomial up to its contact."""
     system, length = problem.system, choose_length(problem, state)
-    free = ModeField(system, side_of(state.motion.mode), blended=False, held=False)
-    path = path_of(problem, state, length, free)
+    path = path_of(problem, state, length, field_on_sides(problem, state))
     if system.slides or system.resets:
 
         def bound() -> Polynomial:
@@ -175,7 +174,5 @@ def _judge_along(problem: Problem, state: LoopState) -> LoopState:
             return select_all(state.held, mode, path)
 
         path = jax.lax.cond(_count(state.held) > 0, bound, lambda: path)
-    cut = cut_at_contact(problem, state, length, path)
-    trial = trial_at(problem, state, path, cut)
-    end = end_of_free_step(problem, state, cut.length, trial, None)
-    return judge(problem, dataclasses.replace(state, search=cut.search), cut.length, trial, end)
+    state, length, trial = step_along(problem, state, length, path)
+    return judge(problem, state, length, trial, end_of_free_step(problem, state, length, trial))

@@ -37,11 +37,16 @@ from jaxfil.integrate.system.components import (
 from jaxfil.xla.select import select, select_all
 
 
+def field_on_sides(problem: Problem, state: LoopState) -> ModeField:
+    """The field of the sides that a lane is on."""
+    return ModeField(problem.system, side_of(state.motion.mode), blended=False, held=False)
+
+
 def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeStep:
     """A trial step on the sides that a lane is on; where it slides, on side +1, which is not where
     it goes."""
     system, tableau, h = problem.system, problem.tableau, length.h
-    field = ModeField(system, side_of(state.motion.mode), blended=False, held=False)
+    field = field_on_sides(problem, state)
     start, motion = problem.grid.t0 + state.motion.tau, state.motion
     forcing, path = system.forcing(start, h, tableau.times), None
     if isinstance(tableau, TaylorTableau):
@@ -53,9 +58,14 @@ def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeSte
 
 
 def end_of_free_step(
-    problem: Problem, state: LoopState, length: Length, trial: Trial, path: Polynomial | None
+    problem: Problem,
+    state: LoopState,
+    length: Length,
+    trial: Trial,
+    path: Polynomial | None = None,
 ) -> FreeStep:
-    """What is known at the end of a trial step on the sides that a lane is on."""
+    """What is known at the end of a trial step on the sides that a lane is on, along a path that
+    may be all of it."""
     system, sides, t = problem.system, side_of(state.motion.mode), problem.grid.t0 + length.end
     f = system.hold(system.field(t, trial.x, sides, forcing=trial.forcing[-1]))
     value, slope = jax.jvp(system.switching, (t, trial.x), (jnp.ones_like(t), f))

@@ -53,7 +53,7 @@ from jaxfil.integrate.lane.step_length import Length, choose_length
 from jaxfil.integrate.loop import judge as judging
 from jaxfil.integrate.loop.halving import doubted, next_trust
 from jaxfil.integrate.loop.judge import Judgement
-from jaxfil.integrate.loop.path import cut_at_contact, path_of, trial_at
+from jaxfil.integrate.loop.path import path_of, step_along
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial, compact_step, step
 from jaxfil.integrate.steppers.taylor import TaylorTableau
@@ -89,9 +89,7 @@ def advance(problem: Problem, state: LoopState) -> LoopState:
 def _advance_along(problem: Problem, state: LoopState, length: Length) -> LoopState:
     """An iteration whose trial step ends where a polynomial first meets a surface."""
     path = path_of(problem, state, length, ModeField(problem.system, state.motion.mode))
-    cut = cut_at_contact(problem, state, length, path)
-    aiming = dataclasses.replace(state, search=cut.search)
-    return judge(problem, aiming, cut.length, trial_at(problem, state, path, cut))
+    return judge(problem, *step_along(problem, state, length, path))
 
 
 def trial_step(problem: Problem, state: LoopState, length: Length, forcing: list[Forcing]) -> Trial:

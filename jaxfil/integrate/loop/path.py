@@ -1,18 +1,18 @@
 """A trial step whose motion is known as a polynomial: it ends at the first contact.
 
-A `Problem` and the `LoopState` of a lane enter; the `Path` of a step leaves, and then the step up
-to where a guard first comes to zero in it. What is found here is only a better length: what the
-end of the step is to a surface, `contacts.locate` says, as of every other step.
+A `Problem` and the `LoopState` of a lane enter; the `Polynomial` of a step leaves, and then the
+step up to where a guard first comes to zero in it. What is found here is only a better length:
+what the end of the step is to a surface, `contacts.locate` says, as of every other step.
 """
 
 import dataclasses
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.contacts.cubic import NEVER
+from jaxfil.integrate.contacts.locate import met_together
 from jaxfil.integrate.contacts.polynomial import first_zero, stays_positive
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import ContactSearch, LoopState
@@ -29,9 +29,6 @@ from jaxfil.integrate.system.components import (
     where,
 )
 from jaxfil.xla.select import select
-
-# Contacts closer than this part of the time to the first are one event.
-_TOGETHER = 1e-6
 
 
 def path_of(problem: Problem, state: LoopState, length: Length, field: ModeField) -> Polynomial:
@@ -51,31 +48,39 @@ def guards_of(problem: Problem, state: LoopState, length: Length, path: Polynomi
     return tuple(where(on, float(k == 0), c) for k, c in enumerate(guards))
 
 
-class Cut(eqx.Module):
-    """Where a step ends."""
-
-    s: Array
-    """The fraction of the path."""
-    length: Length
-    search: ContactSearch
-    """The contact there."""
-    searched: Components
-    """The surfaces of which it is known that their guards have no zero before."""
-
-
 def is_clear(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> Components:
     """The surfaces whose guard has no zero in a step, and comes near none."""
-    guards = guards_of(problem, state, length, path)
+    return _clear(state, path, guards_of(problem, state, length, path))
+
+
+def _clear(state: LoopState, path: Polynomial, guards: tuple) -> Components:
     clear = on_each(lambda noise, *c: stays_positive(c, noise), state.motion.noise, *guards)
     return clear & ~path.ends
 
 
-def cut_at_contact(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> Cut:
-    """A step up to the first zero of a guard in it."""
+def step_along(
+    problem: Problem, state: LoopState, length: Length, path: Polynomial
+) -> tuple[LoopState, Length, Trial]:
+    """A trial step along a path up to the first zero of a guard in it, and the lane, which aims at
+    the contact there."""
+    s, length, search, searched = _cut_at_contact(problem, state, length, path)
+    assert isinstance(problem.tableau, TaylorTableau)
+    start = problem.grid.t0 + state.motion.tau
+    forcing = problem.system.forcing(start, length.h, problem.tableau.times)
+    trial = trial_of(problem.tableau, path, s, forcing)
+    x, error = problem.system.hold((trial.x, trial.error))
+    trial = dataclasses.replace(trial, x=x, error=error, searched=searched)
+    return dataclasses.replace(state, search=search), length, trial
+
+
+def _cut_at_contact(
+    problem: Problem, state: LoopState, length: Length, path: Polynomial
+) -> tuple[Array, Length, ContactSearch, Components]:
+    """The fraction of a path up to the first zero of a guard in it, the length to there, the
+    contact, and the surfaces of which it is known that their guards have no zero before."""
     system, waits = problem.system, state.pending.waits
     guards, noise = guards_of(problem, state, length, path), state.motion.noise
-    clear = is_clear(problem, state, length, path)
-    clear = system.hold(clear.astype(system.dtype)) > 0
+    clear = system.hold(_clear(state, path, guards).astype(system.dtype)) > 0
     seeks = jnp.zeros((), bool) if problem.look is None else problem.look.seeking
     near = ~clear & ~(waits | seeks | path.ends) & on_each(_are_finite, *guards)
 
@@ -99,7 +104,7 @@ def cut_at_contact(problem: Problem, state: LoopState, length: Length, path: Pol
     h = s * length.h
     cuts = (s < 1) & (abs(h) > problem.grid.same_time(state.motion.tau))
     s, h = system.hold((select(cuts, s, 1.0), select(cuts, h, length.h)))
-    aimed = cuts & (contact <= lowest) & (thetas <= contact * (1 + _TOGETHER))
+    aimed = cuts & (contact <= lowest) & met_together(thetas, contact)
     search = ContactSearch(
         length=select(cuts, h, state.search.length),
         surfaces=where(cuts, aimed, state.search.surfaces),
@@ -114,19 +119,9 @@ def cut_at_contact(problem: Problem, state: LoopState, length: Length, path: Pol
         saving=length.saving & ~cuts,
         ticking=None if length.ticking is None else length.ticking & ~cuts,
     )
-    return Cut(s, shorter, search, clear | near)
+    return s, shorter, search, clear | near
 
 
 def _are_finite(*c: Array) -> Array:
     """Whether all coefficients of a guard are finite."""
     return jnp.asarray(sum(map(abs, c)) < jnp.inf)
-
-
-def trial_at(problem: Problem, state: LoopState, path: Polynomial, cut: Cut) -> Trial:
-    """The trial step up to a cut."""
-    assert isinstance(problem.tableau, TaylorTableau)
-    start = problem.grid.t0 + state.motion.tau
-    forcing = problem.system.forcing(start, cut.length.h, problem.tableau.times)
-    trial = trial_of(problem.tableau, path, cut.s, forcing)
-    x, error = problem.system.hold((trial.x, trial.error))
-    return dataclasses.replace(trial, x=x, error=error, searched=cut.searched)

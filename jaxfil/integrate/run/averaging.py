@@ -23,6 +23,7 @@ from jaxfil.integrate.loop.window import Window
 from jaxfil.integrate.run.observed import Observable, checked_observable, with_rate
 from jaxfil.integrate.system.lowered import ComponentSystem, build
 from jaxfil.model import check
+from jaxfil.model.argument import signature_of
 from jaxfil.model.parameter import cast
 from jaxfil.model.quantity import KINDS, RMS, EventSum, Maximum, Minimum, Quantity
 from jaxfil.model.section import Section
@@ -64,10 +65,8 @@ class _Square(eqx.Module):
 
 def _with_system(function: Callable[..., Any], system: System) -> Callable[..., Any]:
     """A user's function with the system of its lane, if it asks for it."""
-    try:
-        asks = "system" in inspect.signature(function).parameters
-    except (TypeError, ValueError):  # of what is written in C nothing is known
-        asks = False
+    signature = signature_of(function)
+    asks = signature is not None and "system" in signature.parameters
     return _OfSystem(function, system) if asks else function
 
 
@@ -245,6 +244,4 @@ def _checked(
     out = check.returned(f"`{name}`", function, "", t=jnp.zeros((), x.dtype), **given)
     if isinstance(out, (int, float)):  # as 1.0, which counts events
         return ()
-    if not hasattr(out, "shape") or not check.is_real(out):
-        raise ValueError(f"`{name}` must return an array of real numbers, got {check.told(out)}.")
-    return tuple(out.shape)
+    return check.real_shape(name, out)

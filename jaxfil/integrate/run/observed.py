@@ -124,9 +124,7 @@ def checked_observable(name: str, function: Any, system: System, x: Array) -> Ob
     side = jnp.ones(check.shapes(system, x), x.dtype)
     given = dict.fromkeys(asked_of(function), side)
     out = check.returned(f"`{name}`", function, "", t=jnp.zeros((), x.dtype), x=x, **given)
-    if not hasattr(out, "shape") or not check.is_real(out):
-        raise ValueError(f"`{name}` must return an array of real numbers, got {check.told(out)}.")
-    return Observable(function, tuple(out.shape))
+    return Observable(function, check.real_shape(name, out))
 
 
 def observed(

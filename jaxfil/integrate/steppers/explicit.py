@@ -262,7 +262,7 @@ def step(
 
 def trial_of(tableau: TaylorTableau, known: Polynomial, s: Array, forcing: list[Forcing]) -> Trial:
     """The end of a step at a fraction s of a known polynomial."""
-    return Trial(known.at(s), error_at(tableau.order, known, s), forcing)
+    return Trial(known.at(s), error_at(tableau, known, s), forcing)
 
 
 def _column(v: Any, rows: Array) -> Any:

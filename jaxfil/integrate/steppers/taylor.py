@@ -23,7 +23,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.system.components import Components, Polynomial
-from jaxfil.model.argument import told
+from jaxfil.model.argument import is_whole, told
 from jaxfil.xla.series import Expansion, Series, kept
 
 # Orders that make sense: below, Runge–Kutta is cheaper; above, coefficients are rounding.
@@ -64,8 +64,7 @@ class Taylor(eqx.Module):
     """p, from 4 to 40."""
 
     def __check_init__(self):
-        is_whole = isinstance(self.order, int) and not isinstance(self.order, bool)
-        if not is_whole or self.order not in _ORDERS:
+        if not is_whole(self.order) or self.order not in _ORDERS:
             raise ValueError(
                 f"`order` must be a whole number from {_ORDERS[0]} to {_ORDERS[-1]}, got "
                 f"{told(self.order)}."
@@ -123,15 +122,15 @@ def solved(
     kept(*states)
     found, guards = functions(time, states)
     fields.extend(found)
-    # Guards that are linear in the state are cheaper made again than read again.
-    curved = [v for v in guards if v.is_kept]
-    others = [v for v in expansion.made if v.is_kept and v.degree is None and not v.is_of_time]
-    own = {id(v) for v in states}
-    others = [v for v in others if id(v) not in own]
-    _in_stages(expansion, states, [*others, *curved], order, once)
-    if curved:  # what they are made of is known to one order less
-        highest = tuple(0.0 * v for v in (like,))
-        known = (*_coefficients(guards, order, like), *highest)
+    # Guards that are linear in the state are cheaper made again than read again, and not kept.
+    others = [
+        v
+        for v in expansion.made
+        if v.is_kept and v.degree is None and not v.is_of_time and v not in states
+    ]
+    _in_stages(expansion, states, others, order, once)
+    if any(v.is_kept for v in guards):  # what they are made of is known to one order less
+        known = (*_coefficients(guards, order, like), 0.0 * like)
     else:
         known = _coefficients(guards, order + 1, like)
     return Polynomial(h, _coefficients(states, order + 1, x), known, jnp.zeros((), bool))
@@ -174,7 +173,7 @@ def end_alone(
     return Polynomial(h, x, (none,) * (order + 1), jnp.ones((), bool))
 
 
-def error_at(order: int, known: Polynomial, s: Array) -> Components:
+def error_at(tableau: TaylorTableau, known: Polynomial, s: Array) -> Components:
     """The share of the polynomial in the estimate of an error, the defect of the field: see
     `Trial.error`."""
-    return stop_gradient((-1 / (order + 1)) * known.rate_at(s))
+    return stop_gradient(-tableau.d[0] * known.rate_at(s))

@@ -224,38 +224,33 @@ class ModeField(SmoothField):
         return self.system.once(function, *args)
 
     def polynomial(self, order: int, t: Array, x: Components, h: Array) -> Polynomial:
-        """`mode_series.polynomial`, and where it has none a step of Dopri8."""
-        return path(self, order, t, x, h)
+        """The motion in a step of the mode: its power series. Where it rests, or slides on surfaces
+        whose weights depend on each other, only the end is known, by Dopri8."""
+        system, mode = self.system, self.mode
+        series = ft.partial(mode_series.polynomial, system, order, self.blended)
+        slides, rests = self.blended and system.slides, self.held and system.resets
+        unserved = slides and not mode_series.slides_have_series(system)
+        if not rests and not unserved:
+            return series(t, x, h, mode)
+        unknown = any_of(unilateral.rests_of(mode)) if rests else jnp.zeros((), bool)
+        if unserved:
+            unknown = unknown | any_of(mode == 0)
+            series = ft.partial(mode_series.polynomial, system, order, False)
 
+        def other(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
+            whole = ModeField(system, mode, self.blended, self.held)
+            forcing = system.forcing(t, h, _OTHER.times)
+            trial = compact_step(_OTHER, whole, t, x, whole(t, x), h, forcing)
+            f1, error = whole(t + h, trial.x), trial.error
+            assert error is not None
+            # So that the defect of the field at the end is the error of this method.
+            f = f1 - (order + 1.0) * (error + _OTHER.d[-1] * f1)
+            return end_alone(order, h, x, trial.x, f, mode)
 
-def path(field: ModeField, order: int, t: Array, x: Components, h: Array) -> Polynomial:
-    """The motion in a step of a mode: its power series. Where it rests, or slides on surfaces whose
-    weights depend on each other, only the end is known, by Dopri8."""
-    system, mode = field.system, field.mode
-    series = ft.partial(mode_series.polynomial, system, order, field.blended)
-    slides, rests = field.blended and system.slides, field.held and system.resets
-    unserved = slides and not mode_series.slides_have_series(system)
-    if not rests and not unserved:
-        return series(t, x, h, mode)
-    unknown = any_of(unilateral.rests_of(mode)) if rests else jnp.zeros((), bool)
-    if unserved:
-        unknown = unknown | any_of(mode == 0)
-        series = ft.partial(mode_series.polynomial, system, order, False)
+        def mixed(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
+            return select_all(unknown, other(t, x, h, mode), series(t, x, h, mode))
 
-    def other(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
-        whole = ModeField(system, mode, field.blended, field.held)
-        forcing = system.forcing(t, h, _OTHER.times)
-        trial = compact_step(_OTHER, whole, t, x, whole(t, x), h, forcing)
-        f1, error = whole(t + h, trial.x), trial.error
-        assert error is not None
-        # So that the defect of the field at the end is the error of this method.
-        f = f1 - (order + 1.0) * (error + _OTHER.d[-1] * f1)
-        return end_alone(order, h, x, trial.x, f, mode)
-
-    def mixed(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
-        return select_all(unknown, other(t, x, h, mode), series(t, x, h, mode))
-
-    return system.where_any(unknown, mixed, series, t, x, h, mode)
+        return system.where_any(unknown, mixed, series, t, x, h, mode)
 
 
 def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:

@@ -37,11 +37,13 @@ _FEW = 12
 def slides_have_series(system: ComponentSystem) -> bool:
     """Whether slides of a system have power series: where each weight is that of one surface, and
     each number of a state is a series."""
-    return system.structure.separate and not system.packed and _is_spelled(system)
+    by_number = not system.as_array or _is_spelled(system)
+    return system.structure.separate and not system.packed and by_number
 
 
 def _is_spelled(system: ComponentSystem) -> bool:
-    return not system.as_array or system.n <= _FEW
+    """Whether a state that is one array is a series for each of its numbers."""
+    return system.as_array and system.n <= _FEW
 
 
 def polynomial(
@@ -57,7 +59,7 @@ def polynomial(
     sides."""
     system = system.in_mode(mode)
     expansion = system.expansion()
-    spelled = system.as_array and _is_spelled(system)
+    spelled = _is_spelled(system)
 
     def functions(time: Series, states: list[Series]) -> tuple[list[Series], list[Series]]:
         if blended:
@@ -81,7 +83,7 @@ def polynomial(
 
 def _state(system: ComponentSystem, states: list[Series]) -> list[Any]:
     """Series of numbers as the functions of the system are given a state."""
-    if not (system.as_array and _is_spelled(system)):
+    if not _is_spelled(system):
         return states
     whole = np.empty(len(states), object)
     whole[:] = states
@@ -90,7 +92,7 @@ def _state(system: ComponentSystem, states: list[Series]) -> list[Any]:
 
 def _numbers(system: ComponentSystem, expansion: Expansion, values: list[Any]) -> list[Series]:
     """Series of numbers of what the functions of the system give for a state."""
-    if system.as_array and _is_spelled(system):
+    if _is_spelled(system):
         return list(scalars_of(expansion, values[0], (system.n,)))
     return [array_of(expansion, v) for v in values]
 

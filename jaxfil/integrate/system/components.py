@@ -9,7 +9,7 @@ here act number by number, and a scalar stands for as many equal numbers.
 import abc
 import functools as ft
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -283,15 +283,18 @@ class Polynomial(eqx.Module):
 
     def at(self, s: Array) -> Components:
         """The state at a fraction s of the step."""
-        *lower, value = self.x
-        for c in reversed(lower):
-            value = c + s * value
-        return value
+        return horner(self.x, s)
 
     def rate_at(self, s: Array) -> Components:
         """dx/dt there; zero in a step of length zero."""
         _, *slopes = (float(k) * c for k, c in enumerate(self.x))
-        *lower, value = slopes
-        for c in reversed(lower):
-            value = c + s * value
-        return select(self.h == 0, 0.0, 1 / select(self.h == 0, 1.0, self.h)) * value
+        stays = self.h == 0
+        return select(stays, 0.0, 1 / select(stays, 1.0, self.h)) * horner(slopes, s)
+
+
+def horner(coefficients: Sequence[Any], s: Array) -> Any:
+    """Σ_k c_k s^k."""
+    *lower, value = coefficients
+    for c in reversed(lower):
+        value = c + s * value
+    return value

@@ -9,21 +9,10 @@ import pytest
 
 import jaxfil as jf
 from jaxfil.model.observe import asked_of
+from tests.problems.systems import UnitBelt
 
 EPS = np.finfo(float).eps
 BALL = jf.systems.BouncingBall(g=1.0, restitution=0.5)
-
-
-class Belt(jf.System):
-    """A mass on a belt of speed 1: x'' = -x - F sgn(x' - 1)."""
-
-    force: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -x[0] - self.force * side])
-
-    def switching(self, t, x):
-        return x[1] - 1
 
 
 class Friction(eqx.Module):
@@ -93,7 +82,7 @@ def test_the_force_of_a_stick_is_that_of_the_spring():
     def seen(force):
         adjoint, x0 = diffrax.RecursiveCheckpointAdjoint(), jnp.array([-0.5, 1.0])
         options = run | dict(adjoint=adjoint, observe=Friction(force))
-        values = jf.solve(Belt(force), x0, 0.0, 2.0, 0.2, **options).observed
+        values = jf.solve(UnitBelt(force), x0, 0.0, 2.0, 0.2, **options).observed
         return values, values
 
     slopes, found = jax.jacrev(seen, has_aux=True)(jnp.array(1.25))
@@ -130,7 +119,7 @@ def mode_and_place(t, x, mode):
 def test_the_mode_is_the_one_just_after_a_contact():
     """At the saved steps, among which are its contacts, and wherever dense output is asked for: on
     the stick until t = 7/4, and from then on it slips."""
-    belt, x0, run = Belt(jnp.array(1.25)), jnp.array([-0.5, 1.0]), dict(stepper=jf.RK4())
+    belt, x0, run = UnitBelt(jnp.array(1.25)), jnp.array([-0.5, 1.0]), dict(stepper=jf.RK4())
     saveat = diffrax.SaveAt(t0=True, steps=True)
     sol = jf.solve(belt, x0, 0.0, 2.0, 0.2, saveat=saveat, observe=mode_and_place, **run)
     reached = np.isfinite(sol.ts)
