@@ -44,7 +44,7 @@ def orbit(amplitude):
 def test_of_impacts_that_die_out_one_more_is_no_bifurcation():
     """Impacts end as they pass t0, and others become too low to be followed: it goes on resting."""
     system, start = orbit(1.7)
-    branch = jf.continue_orbit(system, "amplitude", start, stop=1.742)
+    branch = jf.continue_orbit(system, "a", start, stop=1.742)
     counts = {len(sequence) for sequence in branch.sequences}
     assert len(counts) > 1 and branch.points == []
 
@@ -52,7 +52,7 @@ def test_of_impacts_that_die_out_one_more_is_no_bifurcation():
 def test_the_branch_says_where_rest_ceases():
     """There the impacts go on for all of the time until the table falls away again."""
     system, start = orbit(1.755)
-    branch = jf.continue_orbit(system, "amplitude", start, stop=1.75689745)
+    branch = jf.continue_orbit(system, "a", start, stop=1.75689745)
     rests = [point for point in branch.points if point.kind == "rest"]
     assert len(rests) == 1 and rests[0] is branch.points[0]
     assert repr(rests[0]).split(": ")[1].startswith("ceases on surface 0, ")

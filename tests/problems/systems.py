@@ -142,9 +142,9 @@ class Turn(jf.System):
 
 
 class ShakenTable(jf.System):
-    """A ball on a table that moves as A sin t, under unit gravity, with a restitution."""
+    """A ball on a table that moves as a sin t, under unit gravity, with a restitution."""
 
-    amplitude: jax.Array
+    a: jax.Array
     restitution: float
     slides = False
     period = 2 * jnp.pi
@@ -153,8 +153,8 @@ class ShakenTable(jf.System):
         return jnp.stack([x[1], -jnp.ones_like(t)])
 
     def switching(self, t, x):
-        return x[0] - self.amplitude * jnp.sin(t)
+        return x[0] - self.a * jnp.sin(t)
 
     def reset(self, t, x, surface):
-        table = self.amplitude * jnp.cos(t)
+        table = self.a * jnp.cos(t)
         return jnp.stack([x[0], table - self.restitution * (x[1] - table)])
