@@ -270,7 +270,7 @@ def test_round_the_grazing_of_a_wall():
     system = S.ImpactOscillator(omega=1.2, amplitude=0.45)
     x0 = jnp.asarray([response.real, (1.2j * response).real])
     orbit = jf.periodic_orbit(system, x0)
-    branch = jf.continue_orbit(system, "a", orbit, stop=(0.4, 0.5))
+    branch = jf.continue_orbit(system, "amplitude", orbit, stop=(0.4, 0.5))
     point = of_kind(branch, "contacts")[0]
     assert_allclose(point.value, grazing, rtol=0, atol=1e-8)
     assert (len(point.before), len(point.after)) == (0, 1)
@@ -297,7 +297,7 @@ def test_a_force_goes_through_zero_and_the_orbit_with_it():
     z = 0.3 / (1 - 1.2**2 + 0.12j)
     system = S.ImpactOscillator(omega=1.2, amplitude=0.3)
     orbit = jf.periodic_orbit(system, jnp.asarray([z.real, -1.2 * z.imag]), steps=16)
-    branch = jf.continue_orbit(system, "a", orbit, stop=-0.1, max_step=0.1)
+    branch = jf.continue_orbit(system, "amplitude", orbit, stop=-0.1, max_step=0.1)
     assert branch.ended[1] == "amplitude = -0.1 was reached"
     exact = np.outer(branch.values / 0.3, [z.real, -1.2 * z.imag])
     assert_allclose(branch.orbits.x0, exact, rtol=0, atol=1e-9)

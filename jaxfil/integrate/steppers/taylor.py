@@ -43,7 +43,7 @@ class Taylor(eqx.Module):
     error, which is estimated by the defect of the field at the end of the step. Contacts are
     located on the polynomial, without a second step. Sweeps of piecewise linear systems take about
     half the time that they take with `diffrax.Dopri8()`, those of fields with several products of
-    states up to 1.4 times as long. Steps in which a motion rests on a surface, or slides on
+    states up to 1.6 times as long. Steps in which a motion rests on a surface, or slides on
     surfaces whose weights depend on each other, are those of `diffrax.Dopri8()`.
 
     **Errors**: a `ValueError` for an order out of range, and one that names an operation of the
