@@ -142,7 +142,7 @@ def truss(ax):
     for y in (1.25, -1.25):
         spring(ax, (0.0, y), (1.4, 0.0))
         ax.plot(0, y, "^" if y < 0 else "v", color="black", markersize=7)
-    ax.axhline(0, color="0.75", linewidth=0.8, linestyle="--", zorder=0)
+    ax.plot([-0.9, 2.5], [0, 0], color="0.75", linewidth=0.8, linestyle="--", zorder=0)
     ax.plot([0, 0], [-1.25, 1.25], color="0.75", linewidth=0.8, linestyle="--", zorder=0)
     ax.plot(1.4, 0, "o", color=BEFORE, markersize=16)
     pointer(ax, (1.65, 0), (2.5, 0), "$f_0 \\cos\\Omega\\tau$", (0.55, 0))
