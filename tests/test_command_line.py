@@ -266,9 +266,11 @@ def test_a_picture_has_the_title_and_the_dots_asked_for(tmp_path, monkeypatch):
     assert matplotlib.image.imread(tmp_path / "picture.png").shape == (250, 400, 4)
     diagram(tmp_path, "--set", "f0=0.3")
     assert matplotlib.image.imread(tmp_path / "picture.png").shape == (1000, 1600, 4)
+    diagram(tmp_path, "--stepper", "RK4")
     titles = [page.axes[0].get_title(loc="left") for page in pages]
     assert titles[0] == "Snap-through"
     assert titles[1].startswith("sd-oscillator, f₀ = 0.3, from (1.995, 0.085), 2 + 4 periods")
+    assert titles[1].endswith(" steps") and titles[2].endswith(" steps by RK4")
 
 
 LONG = ["diagram", "sd-oscillator", "--parameter", "omega", "--from", "0.6", "--to", "0.9"]

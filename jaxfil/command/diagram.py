@@ -68,7 +68,8 @@ def _conditions(args: argparse.Namespace) -> str:
     set_to = dict(args.set).items()
     given = "".join(f", {symbols.get(name, name)} = {value:.10g}" for name, value in set_to)
     follow = f" and on {args.follow}" if args.follow else ""
-    periods = f"{args.transient} + {args.samples} periods of {args.steps} steps"
+    stepper = f" by {args.stepper}" if args.stepper else ""
+    periods = f"{args.transient} + {args.samples} periods of {args.steps} steps{stepper}"
     return f"{args.system}{given}, from {text(state(args))}{follow}, {periods}"
 
 
