@@ -3,21 +3,39 @@
     python -m jaxfil --list
     python -m jaxfil diagram sd-oscillator --parameter omega --from 0.6 --to 1.3 --points 2000 \
         --out sd.png
-    python -m jaxfil work-precision belt-friction --out belt.png
+    python -m jaxfil simulate mine.py:Valve --x0 1,0 --time 40 --out motion.png
 
 Whatever cannot be done is answered by one line on stderr that says what is allowed, and exit code
-2, before any computing starts. Exit code 1: no lane of the sweep reached its end. Ctrl-C is
+2, before any computing starts. Exit code 1: no run or lane of a sweep reached its end. Ctrl-C is
 answered by one line too, and exit code 130: a diagram of the lanes that are finished is drawn and
 saved. A second one, or one that nothing could be kept of, ends the process at once.
 """
 
 import argparse
 import functools as ft
+import importlib
 import signal
 import sys
+import traceback
 from collections.abc import Callable
+from typing import Any
 
-from jaxfil.command.arguments import Misuse, read
+from jaxfil.command.arguments import read
+from jaxfil.command.misuse import Misuse
+
+# The file of each command in `jaxfil.command`.
+_FILES = {
+    "simulate": "simulate",
+    "diagram": "diagram",
+    "plane": "plane",
+    "basins": "basins",
+    "orbit": "orbit",
+    "branch": "orbit",
+    "bifurcations": "orbit",
+    "spectrum": "spectrum",
+    "work-precision": "table",
+    "show": "show",
+}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -30,19 +48,20 @@ def _prepared(argv: list[str] | None) -> Callable[[], int]:
     try:
         args = read(argv)
         # JAX comes with what follows, a second after what needs none of it has been answered.
-        from jaxfil.command import textbook
+        import jax
+
+        from jaxfil.command import chosen
 
         if args.list:
-            return ft.partial(_told, textbook.listing())
-        if args.command == "work-precision":
-            textbook.check_table(args)
-            from jaxfil.command.table import run
-        else:
-            textbook.check_diagram(args)
-            from jaxfil.command.diagram import run
+            return ft.partial(_told, chosen.listing())
+        # Nobody asks for a picture in float32; an own file may make arrays when it is imported.
+        jax.config.update("jax_enable_x64", True)
+        command = importlib.import_module(f"jaxfil.command.{_FILES[args.command]}")
+        of = None if args.command == "show" else chosen.chosen(args)
+        command.check(args, of)
     except Misuse as misuse:
         return ft.partial(_refused, str(misuse))
-    return ft.partial(_done, run, args)
+    return ft.partial(_done, command.run, args, of)
 
 
 def _told(text: str) -> int:
@@ -55,19 +74,24 @@ def _refused(why: str) -> int:
     return 2
 
 
-def _done(run: Callable[..., int], args: argparse.Namespace) -> int:
-    import jax
-
+def _done(run: Callable[..., int], args: argparse.Namespace, of: Any) -> int:
     from jaxfil.command.interruption import EndsTheProcess
     from jaxfil.sweep.interrupt import counted
     from jaxfil.xla.disk_cache import keep_compiled_programs
 
-    jax.config.update("jax_enable_x64", True)  # nobody asks for a picture in float32
     if not args.no_cache:
         keep_compiled_programs("jaxfil")
     interrupts = EndsTheProcess()
     with counted(interrupts):
-        return run(args, interrupts)
+        try:
+            return run(args, of, interrupts)
+        except ValueError as error:
+            # The library's are sentences; one from within a file of the user's own is shown whole.
+            file = (args.system or "").rpartition(":")[0]
+            frames = traceback.extract_tb(error.__traceback__)
+            if file and any(frame.filename.endswith(file) for frame in frames):
+                raise
+            return _refused(str(error))
 
 
 def script() -> int:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import matplotlib.image
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil.__main__ import main
@@ -156,7 +156,8 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
     assert len(re.findall(r"^[a-z-]+", listing, re.M)) == len(jf.systems.TEXTBOOK) == 12
     assert "belt-friction\n    f0=10 g=9.81 mu=0.6 alpha=-0.05 beta=0 gamma1=0" in listing
     assert (
-        "bouncing-ball (not forced: no diagram)\n    g=9.8 restitution=0.9, from (10, 0)" in listing
+        "bouncing-ball (not forced: a diagram needs --section)\n    g=9.8 restitution=0.9, from"
+        in listing
     )
 
 
@@ -165,8 +166,10 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
     [
         (["draw"], "diagram"),
         (["diagram"], "NAME"),
-        (["--name", "duffing"], "sd-oscillator, belt-friction, den-hartog, impact-oscillator;"),
-        (["--name", "bouncing-ball"], "no forcing to sample at; sd-oscillator"),
+        (["--name", "duffing"], "sd-oscillator, belt-friction, coulomb-oscillator,"),
+        (["--name", "duffing"], "two-relays, or FILE.py:CLASS; it was 'duffing'"),
+        (["--name", "nowhere.py:Duffing"], "of a file that exists"),
+        (["--name", "two-relays"], "must name a parameter, and there is none"),
         (["--name", "SD_oscilator"], "it was 'SD_oscilator'; did you mean 'sd-oscillator'?"),
         (["--parameter", "Omega"], "f0, zeta, omega, alpha"),
         (["--parameter", "Omega"], "it was 'Omega'; did you mean 'omega'?"),
@@ -191,6 +194,20 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
         (["--out", "no/such/folder/picture.png"], "folder"),
         (["--speed", "9"], "--speed"),
         (["--dpi", "0"], "whole number of 1 or more"),
+        (["--section", "x0"], "xI=C, xI=C,up"),
+        (["--section", "x2=0", "--max-return", "9"], "0 to 1"),
+        (["--section", "max:x1"], "--max-return is required with --section"),
+        (["--max-return", "9"], "goes with --section"),
+        (["simulate", "sd-oscillator", "--time", "0"], "--time: must be positive"),
+        (["spectrum", "sd-oscillator", "--from", "1"], "are given together"),
+        (["spectrum", "slip-stick"], "--interval is required"),
+        (["orbit", "slip-stick"], "--period is required"),
+        (["plane", "sd-oscillator", "--grid", "f0=1:2:3", "--out", "a.png"], "expected 2"),
+        (["plane", "den-hartog", "--grid", "f=1:2:3", "omega=1:2:3", "--out", "a.png"], "friction"),
+        (["plane", "den-hartog", "--grid", "f=1:2", "omega=1:2:3", "--out", "a.png"], "P=A:B:N"),
+        (["basins", "den-hartog", "--grid", "x0=1:2:3", "omega=1:2:3", "--out", "a.png"], "x0, x1"),
+        (["basins", "den-hartog", "--grid", "x0=1:2:3", "x2=1:2:3", "--out", "a.png"], "0 to 1"),
+        (["show", "nothing.npz"], "FILE must exist"),
     ],
     ids=" ".join,
 )
@@ -217,8 +234,8 @@ def test_a_mistake_is_answered_by_one_line_that_says_what_is_allowed(
     "words, code, told",
     [
         (["--version"], 0, rf"jaxfil {re.escape(jf.__version__)}\n"),
-        (["--help"], 0, r"usage: (.*\n)+examples:\n  python -m jaxfil --list\n(.*\n)+"),
-        ([], 0, r"usage: (.*\n)+examples:\n  python -m jaxfil --list\n(.*\n)+"),
+        (["--help"], 0, r"usage: (.*\n)+examples:\n  jaxfil --list\n(.*\n)+"),
+        ([], 0, r"usage: (.*\n)+examples:\n  jaxfil --list\n(.*\n)+"),
         (["diagram", "--help"], 0, r"(.*\n)+.* --title .* --dpi 300 (.*\n)+"),
         (["work-precision", "--help"], 0, r"(.*\n)+examples:\n(.*\n)+"),
         (["diagram", "sd-oscillator", "--points", "0"], 2, "jaxfil: .*must be a whole number.*\n"),
@@ -271,6 +288,133 @@ def test_a_picture_has_the_title_and_the_dots_asked_for(tmp_path, monkeypatch):
     assert titles[0] == "Snap-through"
     assert titles[1].startswith("sd-oscillator, f₀ = 0.3, from (1.995, 0.085), 2 + 4 periods")
     assert titles[1].endswith(" steps") and titles[2].endswith(" steps by RK4")
+
+
+OWN = """\
+import jax
+import jax.numpy as jnp
+import jaxfil as jf
+
+
+class Relay(jf.System):
+    '''x'' = -k x - F sgn x': amplitudes fall by 2 F/k each half turn.'''
+
+    friction: jax.Array
+    stiffness: float = 1.0
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -self.stiffness * x[0] - self.friction * side])
+
+    def switching(self, t, x):
+        return x[1]
+
+
+class Broken(Relay):
+    def vector_field(self, t, x, side):
+        raise ValueError("in its own file")
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A folder with a file of systems, to work in."""
+    (tmp_path / "own.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*sys.path])
+    return tmp_path
+
+
+def test_a_system_of_a_file_is_simulated_and_shown(own, capsys):
+    words = ["own.py:Relay", "--set", "friction=0.2", "--x0", "3,0", "--time", "7"]
+    assert main(["simulate", *words, "--out", "motion.png"]) == 0
+    card = capsys.readouterr().out
+    assert card.startswith("Solution: successful") and "2 contacts" in card
+    back = jf.load(own / "motion.npz")
+    assert_allclose(back.xs[np.argmin(np.abs(back.ts - 2 * np.pi)), 0], 3 - 4 * 0.2, rtol=1e-5)
+    assert matplotlib.image.imread(own / "motion.png").shape == (1000, 1600, 4)
+    assert main(["show", "motion.npz", "--out", "again.png"]) == 0
+    assert capsys.readouterr().out == card
+    assert matplotlib.image.imread(own / "again.png").size
+
+
+def test_a_system_of_a_file_is_swept_at_a_section(own):
+    words = ["own.py:Relay", "--x0", "3,0", "--parameter", "friction", "--from", "0.1", "--to"]
+    words += ["0.3", "--points", "3", "--section", "max:x0", "--max-return", "9", "--error"]
+    words += ["--transient", "0", "--samples", "2", "--out", "own.png", "--quiet"]
+    assert main(["diagram", *words]) == 0
+    diagram = jf.load(own / "own.npz")
+    friction = np.linspace(0.1, 0.3, 3)
+    assert_allclose(diagram.xs[..., 0], 3 - 4 * np.outer(friction, [1, 2]), rtol=1e-9)
+    assert diagram.errors is not None and diagram.errors.max() < 1e-9
+
+
+def test_mistakes_in_a_system_of_a_file(own, capsys):
+    relay = ["simulate", "own.py:Relay", "--x0", "3,0"]
+    assert "--set must give friction" in refused(capsys, *relay)
+    assert "--x0 is required" in refused(capsys, *relay[:2], "--set", "friction=1")
+    told = refused(capsys, "simulate", "own.py:Relai", "--x0", "3,0")
+    assert told.endswith("must be one of Relay, Broken; it was 'Relai'; did you mean 'Relay'?\n")
+    # The library's sentence, where the state does not fit the field.
+    assert "JAX" not in refused(capsys, *relay[:3], "3", "--set", "friction=1")
+    with pytest.raises(ValueError, match="in its own file"):
+        main(["simulate", "own.py:Broken", "--x0", "3,0", "--set", "friction=1"])
+
+
+BELT = ["belt-friction", "--set", "gamma1=10", "gamma2=0", "--x0", "0.1,0"]
+
+
+@pytest.mark.slow
+def test_an_orbit_its_branch_and_its_bifurcations(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["orbit", *BELT, "--set", "omega=11.5", "--out", "orbit.png"]) == 0
+    assert capsys.readouterr().out.startswith("Orbit of BeltFriction: successful")
+    words = [*BELT, "--parameter", "omega", "--from", "11.5", "--to", "10.5"]
+    assert main(["branch", *words, "--out", "branch.png"]) == 0
+    assert "contacts at 10.9049758221" in capsys.readouterr().out
+    assert main(["bifurcations", *words]) == 0
+    assert "grazing-sliding    omega = 10.90497582209" in capsys.readouterr().out
+    assert main(["show", "orbit.npz"]) == main(["show", "branch.npz", "--out", "b.pdf"]) == 0
+    told = capsys.readouterr().out
+    assert "Orbit of BeltFriction" in told and "Branch of BeltFriction" in told
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "orbit.png", "orbit.npz", "branch.png", "branch.npz", "b.pdf"
+    }  # fmt: skip
+
+
+def test_exponents_of_one_value_and_of_several(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["spectrum", "impact-oscillator", "--periods", "20", "--transient", "0"]
+    words += ["--stepper", "RK4", "--steps", "20"]
+    # Too weakly forced to reach the wall: the exponents' sum is minus the damping.
+    assert main([*words, "--set", "damping=1"]) == 0
+    assert capsys.readouterr().out.startswith("LyapunovSpectrum: successful")
+    swept = ["--parameter", "damping", "--from", "0.8", "--to", "1.2", "--points", "3"]
+    assert main([*words, *swept, "--out", "exponents.png"]) == 0
+    assert capsys.readouterr().out.startswith("3 values of damping: 3 successful; wrote")
+    with np.load(tmp_path / "exponents.npz") as saved:
+        assert_allclose(saved["exponents"].sum(axis=1), -saved["damping"], rtol=1e-3)
+
+
+def test_a_plane_and_basins_are_those_of_the_library(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["--transient", "3", "--samples", "4", "--steps", "20", "--stepper", "RK4", "--quiet"]
+    plane = ["plane", "sd-oscillator", "--grid", "omega=0.6:1.2:3", "f0=0.2:0.3:2"]
+    assert main([*plane, *words, "--out", "plane.png"]) == 0
+    options = {"transient": 3, "samples": 4, "steps": 20, "stepper": jf.RK4(), "progress": False}
+    x0 = jf.systems.TEXTBOOK["sd-oscillator"][1]
+    omega, f0 = np.linspace(0.6, 1.2, 3), np.linspace(0.2, 0.3, 2)
+    expected = jf.bifurcation_diagram(
+        jf.systems.SDOscillator(), ("omega", "f0"), (omega, f0), jnp.array(x0), **options
+    )
+    assert_array_equal(jf.load(tmp_path / "plane.npz").xs, expected.xs)
+    basins = ["basins", "sd-oscillator", "--grid", "x0=-1:1:2", "x1=0.1:0.2:2"]
+    basins += ["--set", "omega=0.6", "zeta=0.1"]
+    assert main([*basins, *words, "--out", "basins.png"]) == 0
+    expected = jf.basins_of_attraction(
+        jf.systems.SDOscillator(omega=0.6, zeta=0.1), ([-1.0, 1.0], [0.1, 0.2]), **options
+    )
+    assert_array_equal(jf.load(tmp_path / "basins.npz").labels, expected.labels)
+    assert all(matplotlib.image.imread(f"{name}.png").size for name in ("plane", "basins"))
 
 
 LONG = ["diagram", "sd-oscillator", "--parameter", "omega", "--from", "0.6", "--to", "0.9"]

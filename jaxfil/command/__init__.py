@@ -5,6 +5,9 @@ answered before it is.
 
 The words of this room:
 
+- command: what `arguments` names; each has a file, with `check`, which says what is
+  wrong before any computing starts, and `run`, which gives the exit code.
+- chosen: the system of a command, a textbook one or a class in a file, with what was set.
 - misuse: a command line that cannot be carried out; one line says what is allowed instead.
 - listing: the textbook systems by their names, with their parameters and initial states.
 - suggestion: the name that was probably meant.

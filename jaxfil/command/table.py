@@ -5,21 +5,25 @@ import argparse
 
 import jax.numpy as jnp
 
+from jaxfil.command.chosen import Chosen
+from jaxfil.command.picture import draw
 from jaxfil.command.steppers import STEPPERS
-from jaxfil.command.textbook import state, text
-from jaxfil.studies.work_precision import WorkPrecision, work_precision
+from jaxfil.studies.work_precision import work_precision
 from jaxfil.sweep.interrupt import Interrupts
-from jaxfil.systems import TEXTBOOK
 
 
-def run(args: argparse.Namespace, interrupts: Interrupts) -> int:
+def check(args: argparse.Namespace, of: Chosen) -> None:
+    """Everything fits every system."""
+
+
+def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
     """Print the table, and draw it where --out says so."""
-    system = TEXTBOOK[args.system][0](**dict(args.set))
+    system = of.system()
     unit = 1.0 if system.period is None else float(system.period)
     span = 10 * unit if args.time is None else args.time
     table = work_precision(
         system,
-        jnp.array(state(args)),
+        jnp.array(of.x0),
         span,
         [STEPPERS[name] for name in args.steppers or STEPPERS],
         [unit / n for n in args.steps or (20, 40, 80, 160)],
@@ -27,16 +31,5 @@ def run(args: argparse.Namespace, interrupts: Interrupts) -> int:
     )
     print(table)
     if args.out is not None:
-        _draw(table, args, span)
+        draw(args, f"{of.conditions()} to t = {span:.10g}", table.plot)
     return 0 if table.reached.any() else 1
-
-
-def _draw(table: WorkPrecision, args: argparse.Namespace, span: float) -> None:
-    from jaxfil import plot
-
-    page = plot.page()
-    ax = plot.work_precision(table, page.add_subplot())
-    asked = f"{args.system}, from {text(state(args))} to t = {span:.10g}"
-    title = asked if args.title is None else args.title
-    ax.set_title(title, fontsize="small" if args.title is None else None)
-    page.savefig(args.out, dpi=args.dpi or "figure")

@@ -29,9 +29,9 @@ ROOMS = {
     "bifurcations": {"orbits"},
     "plot": {"sweep", "studies", "bifurcations", "exponents"},
     "files": {"sweep", "orbits"},
-    "command": {"plot", "systems"},
+    "command": {"plot", "systems", "files"},
     "__main__": {"command"},
-    "__init__": {"__main__", "files"},
+    "__init__": {"__main__"},
 }
 
 # The folders of a room, from the lowest on: each imports from those before it.

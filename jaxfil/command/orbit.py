@@ -1,0 +1,67 @@
+"""A periodic orbit from the command line, and what becomes of it in a parameter: checked arguments
+enter, cards, and perhaps a picture and its numbers leave, and the exit code."""
+
+import argparse
+
+import jax.numpy as jnp
+
+from jaxfil.bifurcations.sequence import find_bifurcations
+from jaxfil.command.chosen import Chosen, check_component, starts
+from jaxfil.command.misuse import Misuse
+from jaxfil.command.picture import by_stepper, draw, numbers, stepper_options
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.system import System
+from jaxfil.orbits.continue_orbit import continue_orbit
+from jaxfil.orbits.orbit import Orbit
+from jaxfil.orbits.periodic_orbit import periodic_orbit
+from jaxfil.sweep.interrupt import Interrupts
+
+
+def check(args: argparse.Namespace, of: Chosen) -> None:
+    """Refuse what does not fit the system."""
+    forced = of.system(starts(args)).period is not None
+    if not forced and args.period is None:
+        raise Misuse(f"--period is required, a guess: {of.name} has no forcing")
+    if args.command != "orbit":
+        check_component("--component", args.component, len(of.x0))
+
+
+def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
+    """Find the orbit, follow it if need be, draw, save and print the cards."""
+    system = of.system(starts(args))
+    orbit = _orbit(args, of, system)
+    found = bool(orbit.result == RESULTS.successful)
+    if args.command == "orbit" or not found:
+        print(orbit)
+        if found and args.out is not None:
+            draw(args, _title(args, of), orbit.plot)
+            orbit.save(numbers(args))
+        return 0 if found else 1
+    if args.command == "branch":
+        branch = followed = continue_orbit(
+            system, args.parameter, orbit, stop=args.stop, throw=False
+        )
+    else:
+        followed = find_bifurcations(system, args.parameter, orbit, stop=args.stop, throw=False)
+        branch = followed.branch
+    print(followed)
+    if args.out is not None:
+        draw(args, _title(args, of), lambda ax: followed.plot(ax, args.component))
+        branch.save(numbers(args))
+    return 0 if bool(branch.result == RESULTS.successful) else 1
+
+
+def _orbit(args: argparse.Namespace, of: Chosen, system: System) -> Orbit:
+    return periodic_orbit(
+        system,
+        jnp.array(of.x0),
+        periods=args.periods,
+        period=args.period,
+        transient=args.transient,
+        throw=False,
+        **stepper_options(args),
+    )
+
+
+def _title(args: argparse.Namespace, of: Chosen) -> str:
+    return f"{of.conditions()}, {args.steps} steps{by_stepper(args)}"

@@ -1,0 +1,76 @@
+"""What a command leaves: a page to draw on and its file, the numbers beside it, and a line."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+
+from jaxfil.command.steppers import STEPPERS
+from jaxfil.command.words import SectionWords
+from jaxfil.model.section import Section, maxima, minima
+
+
+def draw(args: argparse.Namespace, title: str, *drawers: Callable[[Axes], Any]) -> None:
+    """Draw side by side, under one title, in the file that was asked for."""
+    from jaxfil import plot  # here, so that mistakes are answered without loading matplotlib
+
+    page = plot.page()
+    for i, drawer in enumerate(drawers):
+        drawer(page.add_subplot(1, len(drawers), i + 1))
+    asked = title if args.title is None else args.title
+    style: dict[str, Any] = {"fontsize": "small" if args.title is None else None}
+    if len(drawers) == 1:  # in the place of what a picture says of itself
+        page.axes[0].set_title(asked, loc="left", **style)
+    else:
+        page.suptitle(asked, **style)
+    page.savefig(args.out, dpi=args.dpi or "figure")
+
+
+def numbers(args: argparse.Namespace) -> Path:
+    """The file of numbers beside a picture."""
+    return args.out.with_suffix(".npz")
+
+
+def written(args: argparse.Namespace) -> str:
+    """The files that a command has written, in words."""
+    return f"wrote {args.out} and {numbers(args)}"
+
+
+def stepper_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Steps and stepper, as the library has them."""
+    return {"steps": args.steps, "stepper": STEPPERS[args.stepper] if args.stepper else None}
+
+
+def sweep_options(args: argparse.Namespace) -> dict[str, Any]:
+    """What diagrams, planes and basins have in common."""
+    return {
+        **stepper_options(args),
+        "transient": args.transient,
+        "samples": args.samples,
+        "checkpoint": args.checkpoint,
+        "compact": args.compact,
+        "progress": not args.quiet,
+        "section": _section(args.section) if args.section else None,
+        "max_return": args.max_return,
+    }
+
+
+def sampled(args: argparse.Namespace) -> str:
+    """How a sweep was sampled, in words."""
+    what = "crossings" if args.section else "periods"
+    unit = "" if args.section else f" of {args.steps} steps"
+    return f"{args.transient} + {args.samples} {what}{unit}{by_stepper(args)}"
+
+
+def by_stepper(args: argparse.Namespace) -> str:
+    """The stepper that was asked for, in words."""
+    return f" by {args.stepper}" if args.stepper else ""
+
+
+def _section(words: SectionWords) -> Section:
+    kind, i, value, direction = words
+    if kind == "at":
+        return Section(lambda t, x: x[i] - value, direction)
+    return (maxima if kind == "max" else minima)(lambda t, x: x[i])

@@ -1,0 +1,48 @@
+"""One run from the command line: checked arguments enter, its card, and perhaps a picture and its
+numbers leave, and the exit code."""
+
+import argparse
+
+import diffrax
+import jax.numpy as jnp
+
+from jaxfil.command.chosen import Chosen
+from jaxfil.command.picture import by_stepper, draw, numbers, stepper_options
+from jaxfil.integrate.run.solve import solve
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.sweep.interrupt import Interrupts
+
+# Times that are saved for a picture, at least: a curve through fewer has corners.
+_SAVED = 2000
+
+
+def check(args: argparse.Namespace, of: Chosen) -> None:
+    """Everything fits every system."""
+
+
+def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
+    """Run, draw, save and print the card."""
+    system = of.system()
+    unit = 1.0 if system.period is None else float(system.period)
+    span = 10 * unit if args.time is None else args.time
+    options = stepper_options(args)
+    ts = jnp.linspace(0.0, span, _SAVED + 1)
+    sol = solve(
+        system,
+        jnp.array(of.x0),
+        0.0,
+        span,
+        unit / options.pop("steps"),
+        saveat=diffrax.SaveAt(ts=ts) if args.out else diffrax.SaveAt(t1=True),
+        throw=False,
+        **options,
+    )
+    print(sol)
+    if args.out is not None:
+        from jaxfil import plot
+
+        title = f"{of.conditions()}, {args.steps} steps{by_stepper(args)}"
+        plane = [lambda ax: plot.phase_portrait(sol, ax, system)] if len(of.x0) > 1 else []
+        draw(args, title, lambda ax: plot.time_history(sol, ax, system=system), *plane)
+        sol.save(numbers(args))
+    return 0 if bool(sol.result == RESULTS.successful) else 1
