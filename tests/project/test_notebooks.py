@@ -17,23 +17,25 @@ from tests.project.repository import need
 need("notebooks")
 FOLDER = ROOT / "notebooks"
 SMALL = {
-    "01_first_system": {"POINTS": 5},
-    "02_sd_oscillator": {"POINTS": 20, "SAMPLES": 5, "LANES": 32, "VALUES": 4, "PERIODS": 20},
-    "03_belt_friction": {"STOP": 2.4, "POINTS": 20, "SAMPLES": 5},
-    "04_gradient_search": {"STARTS": 1},
-    "05_lyapunov_three_ways": {"LANES": 4, "PERIODS": 20, "TRANSIENT": 5, "WIDTHS": (0.3,)},
-    "06_your_own_system": {"POINTS": 10, "SAMPLES": 5},
-    "07_error_against_run_time": {
+    "01_sweep_against_a_loop": {"POINTS": 8, "LOOPED": 2, "BY_SCIPY": 1, "TRANSIENT": 2},
+    "02_gradient_search": {"GUESSES": 8, "STEPS": 3},
+    "03_benchmark": {"REPEATS": 2, "LANES": 2},
+    "04_first_system": {"POINTS": 5},
+    "05_sd_oscillator": {"POINTS": 20, "SAMPLES": 5, "LANES": 32, "VALUES": 4, "PERIODS": 20},
+    "06_belt_friction": {"STOP": 2.4, "POINTS": 20, "SAMPLES": 5},
+    "07_lyapunov_three_ways": {"LANES": 4, "PERIODS": 20, "TRANSIENT": 5, "WIDTHS": (0.3,)},
+    "08_your_own_system": {"POINTS": 10, "SAMPLES": 5},
+    "09_error_against_run_time": {
         "DTS": [0.2, 0.1, 0.05, 0.025],
         "FINE": 0.001,
         "WIDTHS": (0.1, 0.05),
     },
-    "08_basins_and_maps": {"GRID": 6, "COARSE": 3, "VALUES": 2, "POINTS": 6, "PERIODS": 20},
-    "09_fit_friction": {"REPEATS": 2},
-    "10_autonomous": {"POINTS": 8, "SAMPLES": 6, "TRANSIENT": 5},
-    "10_converter": {"POINTS": 8, "SAMPLES": 6, "TRANSIENT": 5},
-    "11_impacts_with_rest": {"POINTS": 8, "SAMPLES": 5, "TRANSIENT": 5},
-    "12_sweep_with_checkpoint": {"POINTS": 130, "SAMPLES": 5, "TRANSIENT": 10},
+    "10_basins_and_maps": {"GRID": 6, "COARSE": 3, "VALUES": 2, "POINTS": 6, "PERIODS": 20},
+    "11_fit_friction": {"REPEATS": 2},
+    "12_autonomous": {"POINTS": 8, "SAMPLES": 6, "TRANSIENT": 5},
+    "13_converter": {"POINTS": 8, "SAMPLES": 6, "TRANSIENT": 5},
+    "14_impacts_with_rest": {"POINTS": 8, "SAMPLES": 5, "TRANSIENT": 5},
+    "15_sweep_with_checkpoint": {"POINTS": 130, "SAMPLES": 5, "TRANSIENT": 10},
 }
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
@@ -77,10 +79,13 @@ def test_every_notebook_is_known():
 def test_a_notebook_is_stored_as_it_ran(file):
     notebook = nbformat.read(file, as_version=4)
     nbformat.validate(notebook)
-    assert len(notebook.cells) <= 10, "a notebook is read at one sitting"
     cells = code_cells(notebook)
+    assert len(notebook.cells) - len(cells) <= 6, "a notebook is read at one sitting"
+    assert all(len(cell.source.splitlines()) <= 25 for cell in cells), "a cell is a glance"
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
-    assert all(cell.outputs for cell in cells), "a cell has nothing to show"
+    # Imports and definitions may have a cell of their own.
+    shown = [bool(cell.outputs) for cell in cells]
+    assert shown[-1] and sum(shown) * 2 >= len(cells), "cells have nothing to show"
     assert [trouble for cell in cells for trouble in troubles(cell)] == []
 
 

@@ -13,7 +13,14 @@ from tests.project.repository import need
 
 need("docs", ".ci")  # where links lead, and the command of CI
 # Whom README cites; another host is added here on purpose.
-HOSTS = {"docs.jax.dev", "docs.kidger.site", "docs.scipy.org", "docs.sciml.ai"}
+HOSTS = {
+    "docs.jax.dev",
+    "docs.kidger.site",
+    "docs.scipy.org",
+    "docs.sciml.ai",
+    "sourceforge.net",
+    "nonsmooth.gricad-pages.univ-grenoble-alpes.fr",
+}
 
 
 def test_ci_runs_the_test_command_in_readme():
