@@ -17,7 +17,7 @@ if _is_command and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 import lazy_loader
 
-from jaxfil.model import deprecation, drawing
+from jaxfil.model import drawing
 
 _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
@@ -30,13 +30,7 @@ def _plot() -> ModuleType:
 drawing.use(_plot)
 
 
-_RENAMED = {"KINDS": "EventKind", "Route": "BifurcationSequence"}
-
-
 def __getattr__(name: str):
-    if name in _RENAMED:
-        deprecation.warn_renamed(f"jaxfil.{name}", f"jaxfil.{_RENAMED[name]}")
-        return _attribute(_RENAMED[name])
     if name not in __all__:
         raise AttributeError(f"module 'jaxfil' has no attribute {name!r}")
     return _attribute(name)

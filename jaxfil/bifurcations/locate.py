@@ -34,7 +34,6 @@ from jaxfil.bifurcations.tangency import (
 )
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.deprecation import renamed_argument, renamed_attribute
 from jaxfil.model.outcomes import RESULTS, is_successful, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, scalar_parameter
 from jaxfil.model.system import System
@@ -88,8 +87,6 @@ class Bifurcation(eqx.Module):
     family: str = eqx.field(static=True)
     """Which equations define it: "flight", "slide" or "arrival"."""
 
-    touch = renamed_attribute("touch", "tangency")
-
     @property
     def kind(self) -> str | np.ndarray:
         """The name of the kind, decided by the conditions; an array of names for a batch."""
@@ -114,7 +111,6 @@ class Bifurcation(eqx.Module):
         )
 
 
-@renamed_argument("name", "parameter")
 def find_bifurcation(
     system: System,
     parameter: str,

@@ -13,7 +13,6 @@ from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation, find_bifurcation
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS, code
 from jaxfil.model.parameter import cast, replace_parameter
@@ -66,7 +65,6 @@ class BifurcationSequence(eqx.Module):
         return "\n".join([*rows, f"  ends: {'; '.join(self.branch.ended)}"])
 
 
-@renamed_argument("name", "parameter")
 def find_bifurcations(
     system: System,
     parameter: str,

@@ -16,7 +16,6 @@ from jaxfil.bifurcations.tangency import FAMILY_NAMES
 from jaxfil.bifurcations.tangency_curve import TangencyCurve, TangencyPoint
 from jaxfil.model import check
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
@@ -110,7 +109,6 @@ class BifurcationCurve(eqx.Module):
         return "\n".join(lines)
 
 
-@renamed_argument("names", "parameters")
 def continue_bifurcation(
     system: System,
     parameters: tuple[str, str],

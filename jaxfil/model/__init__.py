@@ -14,5 +14,4 @@ The words of this room:
 - labels: what pictures and named arrays call the components and parameters, with their units.
 - hook: `drawing`, where `jaxfil.plot` registers what it draws and where a result's `plot()` looks.
 - check: the door at which bad arguments are named before anything is compiled.
-- deprecation: an old spelling of a public name, which works for one more release.
 """

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxfil.model.deprecation import warn_renamed
 from jaxfil.model.runtime_error import raise_first
 from jaxfil.xla.known import in_numpy, is_known
 
@@ -20,20 +19,14 @@ _Tree = TypeVar("_Tree")
 
 
 class _Outcomes(type(eqx.Enumeration)):
-    """The enumeration's own kind, which lists its members and knows the old name of one."""
+    """The enumeration's own kind, which lists its members."""
 
     def __dir__(cls) -> list[str]:
-        return [*super().__dir__(), *cls._name_to_item]
+        return [*super().__dir__(), *cls._name_to_item]  # pyright: ignore[reportAttributeAccessIssue]
 
     def names(cls, results: Any) -> np.ndarray:
         """The names of outcomes, an array of strings in their shape: see `RESULTS`."""
         return outcome_names(results)
-
-    def __getattr__(cls, item: str):
-        if item == "nothing_to_touch":
-            warn_renamed("RESULTS.nothing_to_touch", "RESULTS.no_tangency_found")
-            item = "no_tangency_found"
-        return super().__getattr__(item)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class RESULTS(eqx.Enumeration, metaclass=_Outcomes):

@@ -12,7 +12,6 @@ import jax
 import numpy as np
 
 from jaxfil.model import check
-from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
@@ -31,7 +30,6 @@ _SMALL = 1e-3
 _OFF = (1e-2, 3e-3, 1e-3)
 
 
-@renamed_argument("name", "parameter")
 def continue_orbit(
     system: System,
     parameter: str,

@@ -20,7 +20,6 @@ from jaxfil.integrate.run.solve import solve
 from jaxfil.integrate.run.step_choice import expected_steps
 from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.deprecation import renamed_attribute
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS, EventKind
 from jaxfil.model.system import System
@@ -65,8 +64,6 @@ class Orbit(eqx.Module):
     """Evaluations of the period map that Newton's method took."""
     options: ShootingOptions
     """How the orbit was integrated."""
-
-    plan = renamed_attribute("plan", "options")
 
     @property
     def multipliers(self) -> Complex[Array, "*batch n"]:

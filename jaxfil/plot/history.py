@@ -13,7 +13,6 @@ from matplotlib.typing import ColorType
 
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
-from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLACK, COLORS, legend, own_axes, styled, subscript
@@ -34,7 +33,6 @@ from jaxfil.plot.path import (
 _STRIP = 0.05
 
 
-@renamed_argument("component", "components")
 def time_history(
     sol: Solution,
     ax: Axes | None = None,

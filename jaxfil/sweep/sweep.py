@@ -15,7 +15,6 @@ import numpy as np
 from jaxfil.integrate.run.step_choice import StepCount
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
-from jaxfil.model.deprecation import renamed_argument
 from jaxfil.model.observe import Observe
 from jaxfil.model.outcomes import RESULTS, code, outcomes
 from jaxfil.model.quantity import Quantities
@@ -34,7 +33,6 @@ from jaxfil.sweep.record import digest, record_of
 from jaxfil.sweep.sampling import Samples
 
 
-@renamed_argument("name", "parameter")
 @counted()
 def bifurcation_diagram(
     system: System,
