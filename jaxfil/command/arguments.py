@@ -81,21 +81,18 @@ def _add_diagram(add: Add) -> None:
 
 
 def _add_plane(add: Add) -> None:
-    _add_system(add)
-    add("--grid", metavar="P=A:B:N", type=axis, nargs=2, required=True, help="two parameters")
-    add("--out", metavar="FILE", type=picture, required=True, help="the picture, FILE.png say")
-    _add_samples(add, 200, 32)
-    _add_section(add)
-    _add_sweep(add)
-    _add_style(add)
+    _add_map(add, "P=A:B:N", "two parameters", 200)
 
 
 def _add_basins(add: Add) -> None:
+    _add_map(add, "xI=A:B:N", "two components of the initial state, as x0=-2:2:100", 500)
+
+
+def _add_map(add: Add, metavar: str, axes: str, transient: int) -> None:
     _add_system(add)
-    grid = "two components of the initial state, as x0=-2:2:100"
-    add("--grid", metavar="xI=A:B:N", type=axis, nargs=2, required=True, help=grid)
+    add("--grid", metavar=metavar, type=axis, nargs=2, required=True, help=axes)
     add("--out", metavar="FILE", type=picture, required=True, help="the picture, FILE.png say")
-    _add_samples(add, 500, 32)
+    _add_samples(add, transient, 32)
     _add_section(add)
     _add_sweep(add)
     _add_style(add)
