@@ -23,6 +23,8 @@ from .bifurcations.two_parameter import (
     BifurcationCurve as BifurcationCurve,
     continue_bifurcation as continue_bifurcation,
 )
+from .equilibria.equilibrium import Equilibrium as Equilibrium
+from .equilibria.search import equilibrium as equilibrium
 from .exponents.coupled import (
     Synchronization as Synchronization,
     TransverseExponent as TransverseExponent,
