@@ -23,7 +23,13 @@ from .bifurcations.two_parameter import (
     BifurcationCurve as BifurcationCurve,
     continue_bifurcation as continue_bifurcation,
 )
+from .equilibria.continue_equilibrium import continue_equilibrium as continue_equilibrium
 from .equilibria.equilibrium import Equilibrium as Equilibrium
+from .equilibria.equilibrium_branch import (
+    EQUILIBRIUM_BIFURCATION_KINDS as EQUILIBRIUM_BIFURCATION_KINDS,
+    EquilibriumBifurcation as EquilibriumBifurcation,
+    EquilibriumBranch as EquilibriumBranch,
+)
 from .equilibria.search import equilibrium as equilibrium
 from .exponents.coupled import (
     Synchronization as Synchronization,

@@ -69,7 +69,7 @@ class Balance(eqx.Module):
         """The blend of the fields with these weights, and the reactions."""
         m, slid = self.mode.shape[0], self.slid
         every = every_side(m) if not self.affine else np.eye(m + 1, m, -1) * -2 + 1
-        flips = every.reshape(-1, m) < 0
+        flips = every < 0
         # A surface that is not slid on has one side in all of them: nothing is asked of the other.
         base = select(slid, jnp.ones_like(self.mode), jnp.sign(self.mode))
         rows = select(slid & flips, -base, jnp.broadcast_to(base, flips.shape))

@@ -29,7 +29,6 @@ from jaxfil.xla.select import select
 _SMALL = 1e-3
 # Rounding of H at a guess, in eps of its terms.
 _NOISE = 64
-# A reset that throws back has e ≥ 0, to within the rounding of its derivative.
 _MODES = (-2, -1, 0, 1, 2)
 
 
@@ -152,6 +151,11 @@ def scales(z: Array, m: int) -> Array:
     return select(jnp.arange(z.shape[0]) < z.shape[0] - m, size, jnp.maximum(size, 1.0))
 
 
+def throws_back(balance: Balance, x: Array) -> Array:
+    """Whether the reset of each surface turns a motion back, e ≥ 0 to rounding, (m,)."""
+    return balance.pushes(x)[1] >= 1 - float(jnp.finfo(x.dtype).eps) ** 0.5
+
+
 def _mode_of(system: System, x: Array, m: int) -> Array:
     """The mode that a guess says."""
     balance = Balance(system, jnp.ones((m,), x.dtype), affine=False)
@@ -160,9 +164,7 @@ def _mode_of(system: System, x: Array, m: int) -> Array:
     on = abs(h) <= _NOISE * jnp.finfo(x.dtype).eps * terms
     held = jnp.zeros_like(h)
     if system.resets and m:
-        _, gains = balance.pushes(x)
-        throws_back = gains >= 1 - jnp.sqrt(jnp.finfo(x.dtype).eps)
-        held = select(throws_back, jnp.full_like(h, 2.0), held)
+        held = select(throws_back(balance, x), jnp.full_like(h, 2.0), held)
     return jax.lax.stop_gradient(select(on, held, jnp.sign(h)))
 
 
