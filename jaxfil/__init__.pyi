@@ -31,6 +31,10 @@ from .equilibria.equilibrium_branch import (
     EquilibriumBranch as EquilibriumBranch,
 )
 from .equilibria.search import equilibrium as equilibrium
+from .equilibria.tangency_points import (
+    FieldTangency as FieldTangency,
+    tangency_points as tangency_points,
+)
 from .exponents.coupled import (
     Synchronization as Synchronization,
     TransverseExponent as TransverseExponent,

@@ -98,7 +98,7 @@ def equilibrium(
         )
     affine = is_affine(system, x, m)
     given = None if known is None else array_of(np.asarray(known), x.dtype)
-    found = _find(system, x, given, budget, m, affine)
+    found = in_mode(system, x, given, budget, m, affine)
     return raise_if_failed(found, found.result) if throw else found
 
 
@@ -124,9 +124,10 @@ def modes(name: str, value: Any, m: int) -> np.ndarray:
 
 
 @compiled_if_traced
-def _find(
+def in_mode(
     system: System, x: Array, mode: Array | None, newton_steps: Array, m: int, affine: bool
 ) -> Equilibrium:
+    """`equilibrium` of arguments that are known to be right; None: the mode that the guess says."""
     balance, z, scale = _beginning(system, x, mode, m, affine)
     equations = _AtRest(balance.mode, scale, newton_steps, affine)
     z, root = solve_implicit(equations, system, z)
