@@ -37,6 +37,7 @@ from jaxfil.plot.orbits import bifurcation_curve as bifurcation_curve, branch as
 from jaxfil.plot.path import BANDS as BANDS, MARKERS as MARKERS
 from jaxfil.plot.path_in_time import path_in_time as path_in_time
 from jaxfil.plot.periods import PERIODS as PERIODS, parameter_map as parameter_map
+from jaxfil.plot.phase_plane import phase_plane as phase_plane
 from jaxfil.plot.portrait import phase_portrait as phase_portrait
 from jaxfil.plot.precision import step_choice as step_choice, work_precision as work_precision
 from jaxfil.plot.return_map import return_map as return_map
@@ -68,6 +69,7 @@ __all__ = [
     "page",
     "parameter_map",
     "path_in_time",
+    "phase_plane",
     "phase_portrait",
     "poincare_section",
     "return_map",
