@@ -37,15 +37,24 @@ class FieldTangency(eqx.Module):
     """The number of the surface."""
     side: int = eqx.field(static=True)
     """The side whose field is tangent, 0 where those of both are: a two-fold."""
-    kind: str = eqx.field(static=True)
-    """"visible" where the motion on its side leaves the surface again, "invisible" where it would
-    be on the other side; of a two-fold "visible two-fold", "invisible two-fold" or
-    "visible-invisible two-fold"."""
+    visible: tuple[int, ...] = eqx.field(static=True)
+    """The sides on which it is visible: the motion there touches the surface and stays on its
+    side; where it is invisible it would be on the other side."""
+
+    @property
+    def kind(self) -> str:
+        """"visible" or "invisible"; of a two-fold "visible two-fold", "invisible two-fold" or
+        "visible-invisible two-fold"."""
+        word = "visible" if self.visible else "invisible"
+        if self.side != 0:
+            return word
+        return f"{'visible-invisible' if len(self.visible) == 1 else word} two-fold"
 
     def __repr__(self) -> str:
         where = np.array2string(self.x, precision=10, separator=", ")
         side = "" if self.side == 0 else f" of side {self.side:+d}"
-        return f"{self.kind} tangency{side}, surface {self.surface}, x = {where}{precision(self.x)}"
+        word = self.kind if self.side == 0 else f"{self.kind} tangency"
+        return f"{word}{side}, surface {self.surface}, x = {where}{precision(self.x)}"
 
 
 def tangency_points(system: System, limits: Limits) -> list[FieldTangency]:
@@ -172,18 +181,15 @@ def _on_side(fields: _Fields, window: np.ndarray, j: int, side: int) -> list[tup
 
 def _merged(on_side: list[list[tuple]], j: int, window: np.ndarray) -> list[FieldTangency]:
     """Those of both sides of a surface, two at one point as a two-fold."""
-    size, words = np.ptp(window, axis=1), {True: "visible", False: "invisible"}
-    above, below = on_side
+    size, (above, below) = np.ptp(window, axis=1), on_side
     found, paired = [], set()
     for x, visible in above:
+        own = (1,) * visible
         twin = [i for i, v in enumerate(below) if np.all(abs(x - v[0]) <= _ONE * size)]
-        if not twin:
-            found.append(FieldTangency(x, j, 1, words[visible]))
-            continue
-        paired.add(twin[0])
-        other = below[twin[0]][1]
-        kind = words[visible] if visible == other else "visible-invisible"
-        found.append(FieldTangency(x, j, 0, f"{kind} two-fold"))
+        if twin:
+            paired.add(twin[0])
+            own += (-1,) * below[twin[0]][1]
+        found.append(FieldTangency(x, j, 0 if twin else 1, own))
     lone = [v for i, v in enumerate(below) if i not in paired]
-    found += [FieldTangency(x, j, -1, words[visible]) for x, visible in lone]
+    found += [FieldTangency(x, j, -1, (-1,) * visible) for x, visible in lone]
     return sorted(found, key=lambda v: tuple(v.x))

@@ -24,6 +24,7 @@ from jaxfil.plot.basins import basins as basins
 from jaxfil.plot.branch_orbits import branch_orbits as branch_orbits
 from jaxfil.plot.canvas import PRINT as PRINT, page as page
 from jaxfil.plot.density import section_density as section_density
+from jaxfil.plot.equilibrium_branch import equilibrium_branch as equilibrium_branch
 from jaxfil.plot.explore import explore as explore
 from jaxfil.plot.exponent_map import exponent_map as exponent_map
 from jaxfil.plot.exponents import (
@@ -60,6 +61,7 @@ __all__ = [
     "bifurcation_sequence",
     "branch",
     "branch_orbits",
+    "equilibrium_branch",
     "event_timeline",
     "explore",
     "exponent_map",

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from jaxfil.bifurcations.two_parameter import BifurcationCurve
+from jaxfil.equilibria.equilibrium_branch import EquilibriumBranch
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.labels import labels_of
@@ -70,7 +71,9 @@ def curves_of(branch: Branch, component: int, extremes: bool) -> tuple[list[np.n
     return [np.asarray(branch.orbits.x0)[:, component]], "{} at t0"
 
 
-def draw_stability(ax: Axes, branch: Branch, curve: np.ndarray, style: dict[str, Any]) -> None:
+def draw_stability(
+    ax: Axes, branch: Branch | EquilibriumBranch, curve: np.ndarray, style: dict[str, Any]
+) -> None:
     """One curve along a branch, unstable parts dashed."""
     # A line for each style, NaN where the other one is drawn: matplotlib breaks lines there.
     values, heights, stable = _pieces(branch, curve)
@@ -129,7 +132,9 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: 
     return ax
 
 
-def _pieces(branch: Branch, curve: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(
+    branch: Branch | EquilibriumBranch, curve: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The corners of a curve along a branch, values and heights, its special points among them,
     and whether each piece between two of them is stable: up to the first special point as the
     orbit before it, then as the one after it."""
@@ -146,7 +151,9 @@ def _pieces(branch: Branch, curve: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return np.array(values), np.array(heights), np.array(stable, bool)
 
 
-def height(branch: Branch, curve: np.ndarray, value: float, index: int) -> float:
+def height(
+    branch: Branch | EquilibriumBranch, curve: np.ndarray, value: float, index: int
+) -> float:
     """Of a curve at a value of the parameter between the orbits index − 1 and index."""
     pair = slice(max(index - 1, 0), index + 1)
     # `interp` needs ascending values, and a branch may go either way.

@@ -4,6 +4,7 @@ A system and a window enter; the axes on which its plane was drawn leave.
 """
 
 import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import diffrax
@@ -103,11 +104,13 @@ def phase_plane(
     found = equilibria_in(system, window, m)
     tangencies = tangency_points(system, limits) if m else []
     ax = own_axes(ax)
-    _draw_fields(ax, system, window, m)
+    speed = _draw_fields(ax, system, window, m)
     for j in range(m):
         where = Plane(system, jnp.zeros(()), middle, (0, 1), j)
         draw_surface(ax, where, tuple(map(tuple, window)), {})
-    _draw_separatrices(ax, system, window, _starts(system, window, found, tangencies), style)
+    starts = [*_from_saddles(system, window, found)]
+    starts += _from_tangencies(system, window, tangencies, speed)
+    _draw_separatrices(ax, system, window, starts, style)
     for point in tangencies:
         _draw_tangency(ax, point)
     for one in found:
@@ -152,13 +155,15 @@ def _on_grid(
     return points, own.reshape(*shape, -1, 2), alone
 
 
-def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> None:
-    """Directions of the field, and nullclines."""
+def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> float:
+    """Directions of the field, and nullclines; returns how fast a motion typically is, in
+    windows."""
     axes = [np.linspace(*ends, 2 * _ARROWS + 1)[1::2] for ends in window]
     points, _, field = _on_grid(system, axes, m)
     # Of one length on the page, whose axes have units of their own.
     field = field / np.ptp(window, axis=1)
-    field /= np.maximum(np.linalg.norm(field, axis=-1, keepdims=True), 1e-300)
+    size = np.linalg.norm(field, axis=-1, keepdims=True)
+    field /= np.maximum(size, 1e-300)
     arrows = {"angles": "uv", "scale": 1.5 * _ARROWS, "width": 0.002, "pivot": "mid"}
     ax.quiver(*points.reshape(-1, 2).T, *field.reshape(-1, 2).T, color=GREY, **arrows)
     axes = [np.linspace(*ends, _GRID) for ends in window]
@@ -175,18 +180,19 @@ def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> None:
             name = labels_of(system, 2).state
             told = name[component] if name else f"x[{component}]"
             ax.plot([], [], line, color=color, linewidth=1.2, label=f"d{told}/dt = 0")
+    return float(np.median(size))
 
 
-def _starts(
-    system: System,
-    window: np.ndarray,
-    found: list[Equilibrium],
-    tangencies: list[FieldTangency],
-) -> list[tuple[np.ndarray, float, dict[str, Any]]]:
-    """Where separatrices start, for how long they are followed, negative in backward time, and what
-    they are drawn with."""
-    starts, size = [], np.ptp(window, axis=1)
-    off = _OFF * float(np.linalg.norm(size))
+# Where a separatrix starts, for how long it is followed, negative in backward time, and what it is
+# drawn with.
+_Start = tuple[np.ndarray, float, dict[str, Any]]
+
+
+def _from_saddles(
+    system: System, window: np.ndarray, found: list[Equilibrium]
+) -> Iterator[_Start]:
+    """The starts of their stable and unstable manifolds."""
+    off = _OFF * float(np.linalg.norm(np.ptp(window, axis=1)))
     for one in found:
         x, values = np.asarray(one.x), np.asarray(one.eigenvalues)
         # A saddle has one way in and one way out, infinitely fast perhaps.
@@ -198,22 +204,26 @@ def _starts(
             told, way = (_UNSTABLE, 1.0) if value > 0 else (_STABLE, -1.0)
             if np.isfinite(value):
                 vector = np.real(vectors[:, np.argmin(abs(own - value))])
-                ahead = [vector / np.linalg.norm(vector), -vector / np.linalg.norm(vector)]
+                ahead = [vector, -vector]
             else:
-                ahead = [way * v / np.linalg.norm(v) for v in _beside(system, one)]
-            starts += [(x + off * v, way * _TIMES / slow, told) for v in ahead]
-    for point in tangencies:
-        for side in (1, -1) if point.side == 0 else (point.side,):
-            if not point.kind.startswith("visible"):
-                continue
+                ahead = [way * v for v in _beside(system, one)]
+            for v in ahead:
+                yield x + off * v / np.linalg.norm(v), way * _TIMES / slow, told
+
+
+def _from_tangencies(
+    system: System, window: np.ndarray, points: list[FieldTangency], speed: float
+) -> Iterator[_Start]:
+    """The starts of the orbits through visible ones, on either side of them."""
+    off = _OFF * float(np.linalg.norm(np.ptp(window, axis=1)))
+    for point in points:
+        for side in point.visible:
             field = _on_side(system, point.x, point.surface, side)
-            if point.side == 0 and not _leaves(system, point, side, field):
-                continue
-            span = _TIMES * float(np.max(size / np.maximum(abs(field), 1e-3 * abs(field).max())))
-            span = min(span, _TIMES * float(np.linalg.norm(size) / np.linalg.norm(field)))
-            ahead = off * field / np.linalg.norm(field)
-            starts += [(point.x + way * ahead, way * span, _TANGENT) for way in (1.0, -1.0)]
-    return starts
+            step = off / np.linalg.norm(field)
+            # To first order it stays on a flat surface, and would be on no side.
+            bend = 0.5 * step**2 * _turn(system, point.x, point.surface, side, field)
+            for way in (1.0, -1.0):
+                yield point.x + way * step * field + bend, way * _TIMES / speed, _TANGENT
 
 
 def _beside(system: System, one: Equilibrium) -> list[np.ndarray]:
@@ -227,20 +237,20 @@ def _on_side(system: System, x: np.ndarray, surface: int, side: int) -> np.ndarr
     return np.asarray(plane.force(array_of(x), float(side)))
 
 
-def _leaves(system: System, point: FieldTangency, side: int, field: np.ndarray) -> bool:
-    """Whether the motion on a side of a two-fold stays on that side: to second order it moves along
-    the field, and H changes its sign on neither side of the point."""
-    plane = Plane(system, jnp.zeros(()), array_of(point.x), (0, 1), point.surface)
-    step = 1e-4 * field / np.linalg.norm(field)
-    rates = [plane.rates((point.x + way * step)[None])[side < 0][0] for way in (1.0, -1.0)]
-    return bool(side * (rates[0] - rates[1]) > 0)
+def _turn(
+    system: System, x: np.ndarray, surface: int, side: int, field: np.ndarray
+) -> np.ndarray:
+    """The second derivative of the motion on a side."""
+    plane = Plane(system, jnp.zeros(()), array_of(x), (0, 1), surface)
+    force = lambda x: plane.force(x, float(side))  # noqa: E731
+    return np.asarray(jax.jvp(force, (array_of(x),), (array_of(field),))[1])
 
 
 def _draw_separatrices(
     ax: Axes,
     system: System,
     window: np.ndarray,
-    starts: list[tuple[np.ndarray, float, dict[str, Any]]],
+    starts: list[_Start],
     style: dict[str, Any],
 ) -> None:
     """All of them, in one batch."""
