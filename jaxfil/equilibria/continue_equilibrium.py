@@ -27,6 +27,8 @@ from jaxfil.xla.known import array_of
 # The least scale of an unknown, in parts of what it is at the start, is this many times that of an
 # orbit's: equilibria pass through zero more often than largest values on orbits do.
 _LEAST = 10.0
+# What is smaller than this part of the others is zero.
+_SMALL = 1e-3
 
 
 def continue_equilibrium(
@@ -103,9 +105,7 @@ def continue_equilibrium(
         if np.any(start.known.margins < -start.known.noise):
             raise ValueError(f"`equilibrium` must be one of the system, got a {equilibrium.kind}.")
         within = range_around(ends, curve.value(start))
-        least = _LEAST * least_scales(curve.metric(start), curve.place, ends)
-        least[-1] /= _LEAST
-        curve = dataclasses.replace(curve, least=least)
+        curve = dataclasses.replace(curve, least=_least(curve, start, ends))
         branch = _branch(curve, follow(curve, start, within, max_step, max_points))
     if throw:
         # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
@@ -125,9 +125,28 @@ def _on_branch(
     balance = Balance(system, array_of(mode, dtype), is_affine(system, at.x, mode.size))
     curve = EquilibriumCurve(Varied(balance, parameter))
     u = np.concatenate([np.asarray(at.x), np.asarray(at.multipliers), [float(known)]])
-    scale = np.where(u == 0, 1.0, abs(u))
-    constraint = constraint_across(u, scale, curve.axis(u), 0.0)
+    constraint = constraint_across(u, _sizes(u, mode.size), curve.axis(u), 0.0)
     return curve, *curve.begin(u, constraint, curve.axis(u))
+
+
+def _sizes(u: np.ndarray, m: int) -> np.ndarray:
+    """What unknowns are measured by at the start. A component that is zero there, but for rounding,
+    is measured by the largest one; weights by one."""
+    size = abs(u)
+    x = size[: size.size - 1 - m]
+    largest = x.max() or 1.0
+    x[x < _SMALL * largest] = largest
+    return np.where(size == 0, 1.0, size)
+
+
+def _least(curve: EquilibriumCurve, start: EquilibriumPoint, ends: list[float]) -> np.ndarray:
+    """The least scales of unknowns on the branch."""
+    size = _sizes(start.u, start.mode.size)
+    if size[-1] < _SMALL * np.max(np.abs(ends)):
+        size[-1] = 0.0
+    least = _LEAST * least_scales(size, curve.place, ends)
+    least[-1] /= _LEAST
+    return least
 
 
 def _branch(curve: EquilibriumCurve, path: Path[EquilibriumPoint]) -> EquilibriumBranch:

@@ -141,9 +141,17 @@ def _beginning(
     """The mode, the first unknowns and their scales."""
     if mode is None:
         mode = _mode_of(system, x, m)
-    # A weight starts in the middle, a reaction from nothing.
-    z = jnp.concatenate([x, select(abs(mode) == 1, mode, jnp.zeros_like(mode))])
-    return Balance(system, mode, affine), z, scales(z, m)
+    balance, off = Balance(system, mode, affine), abs(mode) == 1
+    # Weights and reactions are those with which the field at the guess is smallest: with the field
+    # itself zero they are right.
+    first = select(off, mode, jnp.zeros_like(mode))
+    force = balance.field(x, first)
+    by_first = jax.jacfwd(balance.field, 1)(x, first)
+    gram = by_first.T @ by_first + jnp.diag(off.astype(x.dtype))
+    best = first - jnp.linalg.solve(gram, by_first.T @ force)
+    best = select(jnp.all(jnp.isfinite(best)), best, first)
+    z = jnp.concatenate([x, select(off, mode, best)])
+    return balance, z, scales(z, m)
 
 
 def scales(z: Array, m: int) -> Array:
