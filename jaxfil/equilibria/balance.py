@@ -160,8 +160,10 @@ class Linearised(eqx.Module):
 
 
 def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:
-    """At an equilibrium the multipliers follow the state so that what holds a motion on surfaces
-    stays zero: with C the gradients of H_j, or of ψ_j where one is rested on,
+    """The flow of a mode near an equilibrium, where the multipliers follow the state.
+
+    What holds a motion on surfaces stays zero: with C the gradients of H_j, or of ψ_j where one is
+    rested on,
 
         A = F_x − F_μ (C F_μ)⁻¹ C F_x,    C A = 0.
 

@@ -84,8 +84,8 @@ def continue_equilibrium(
     ...         return x[0]
     >>> line = Line(jnp.array(1.0))
     >>> branch = jf.continue_equilibrium(line, "mu", jf.equilibrium(line, jnp.ones(1)), stop=-1.0)
-    >>> branch.points
-    [nonsmooth-fold at 0: mode [1] to [0]]
+    >>> print(branch.points[0].kind, round(abs(branch.points[0].value), 6))
+    nonsmooth-fold 0.0
     """
     check.system("system", system)
     autonomous("system", system)
@@ -116,7 +116,7 @@ def continue_equilibrium(
 def _on_branch(
     system: System, parameter: str, at: Equilibrium
 ) -> tuple[EquilibriumCurve, EquilibriumPoint | None, RESULTS]:
-    """The branch of an equilibrium; that as a point of it, if Newton's method stays; its outcome."""
+    """The branch of an equilibrium; a point of it, if Newton's method stays; its outcome."""
     dtype = at.x.dtype
     # The equilibrium says where the branch starts, whatever the system's own value is.
     known = get_parameter(at.system, parameter)
@@ -198,9 +198,7 @@ def _equilibrium(curve: EquilibriumCurve, point: EquilibriumPoint) -> Equilibriu
     )
 
 
-def _not_begun(
-    curve: EquilibriumCurve, given: Equilibrium, result: RESULTS
-) -> EquilibriumBranch:
+def _not_begun(curve: EquilibriumCurve, given: Equilibrium, result: RESULTS) -> EquilibriumBranch:
     """Nothing but the equilibrium that was given. What it failed by itself comes first."""
     value = float(get_parameter(given.system, curve.parameter))
     arrays, rest = eqx.partition(given, eqx.is_array)

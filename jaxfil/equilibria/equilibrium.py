@@ -69,10 +69,11 @@ class Equilibrium(eqx.Module):
 
     @property
     def eigenvalues(self) -> Complex[Array, "*batch n"]:
-        """Eigenvalues of the Jacobian, shape (n,), from the largest real part on. Sliding is reached
-        in a finite time, so that in place of the zero of each surface slid on is −∞, or +∞ where
-        the sides repel: the limits of the eigenvalues of the smoothed system. In place of the two
-        of a surface rested on are −∞."""
+        """Eigenvalues of the Jacobian, shape (n,), from the largest real part on.
+
+        Sliding is reached in a finite time, so that in place of the zero of each surface slid on is
+        −∞, or +∞ where the sides repel: the limits of the eigenvalues of the smoothed system. In
+        place of the two of a surface rested on are −∞."""
         return self._of(_eigenvalues)
 
     @property
@@ -82,8 +83,9 @@ class Equilibrium(eqx.Module):
 
     @property
     def kind(self) -> str | np.ndarray:
-        """"regular", "pseudo" (it slides) or "rest", of a boundary equilibrium "boundary", with
-        "virtual " before it where it is not one of the system; of a batch an array of these."""
+        """One of "regular", "pseudo" (it slides) and "rest", of a boundary equilibrium "boundary",
+        with "virtual " before it where it is not one of the system; of a batch an array of
+        these."""
         kinds = _kinds(*map(np.asarray, (self.mode, self.margins, self._of(_noise))))
         return str(kinds) if kinds.ndim == 0 else kinds
 
@@ -176,5 +178,3 @@ def _card(at: Equilibrium) -> str:
         f"  residual {float(at.residual):.1e} after {int(at.num_steps)} Newton steps",
     ]
     return "\n".join(lines)
-
-

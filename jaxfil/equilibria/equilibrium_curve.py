@@ -1,4 +1,4 @@
-"""`EquilibriumCurve`: the equilibria of a system as one parameter varies, as a curve to be followed.
+"""`EquilibriumCurve`: the equilibria of a system as a parameter varies, as a curve to be followed.
 
 A balance and the name of a parameter enter; points leave, with margins and eigenvalues. Where a
 margin comes to zero an equilibrium reaches the boundary of its mode. The curve goes on from there
@@ -229,8 +229,8 @@ def _fold(point: EquilibriumPoint) -> float:
 
 
 def _finite(point: EquilibriumPoint) -> np.ndarray:
-    values = point.known.eigenvalues
-    return values[np.isfinite(values.real)]
+    values = np.asarray(point.known.eigenvalues)
+    return values[np.isfinite(np.real(values))]
 
 
 def _hopf(point: EquilibriumPoint) -> float:
@@ -247,4 +247,5 @@ def _is_pair(point: EquilibriumPoint) -> bool:
     values = _finite(point)
     i, j = np.triu_indices(values.size, 1)
     k = np.argmin(abs(values[i] + values[j]))
-    return bool(abs(values[i[k]].imag) > abs(values[i[k]].real))
+    one = complex(values[i[k]])
+    return abs(one.imag) > abs(one.real)

@@ -24,11 +24,9 @@ _GRID, _STEPS, _ONE = 7, 30, 1e-6
 _MOST = 4
 
 
-def equilibria_in(
-    system: System, window: Float[np.ndarray, "2 2"], m: int
-) -> list[Equilibrium]:
+def equilibria_in(system: System, window: Float[np.ndarray, "2 2"], m: int) -> list[Equilibrium]:
     """Those of the system, by mode and from left to right."""
-    axes = [np.linspace(*ends, 2 * _GRID + 1)[1::2] for ends in window]
+    axes = [np.linspace(low, high, 2 * _GRID + 1)[1::2] for low, high in window]
     guesses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     modes = _modes(m)
     xs = np.tile(guesses, (len(modes), 1))
@@ -44,7 +42,10 @@ def equilibria_in(
         same = [k for k in kept if np.all(abs(states[k] - states[i]) <= _ONE * size)]
         if not any(np.all(each[k] == each[i]) for k in same):
             kept.append(i)
-    return [part_of(found, int(i)) for i in sorted(kept, key=lambda i: (i // len(guesses), *states[i]))]
+    # A system may hold functions.
+    arrays, rest = eqx.partition(found, eqx.is_array)
+    order = sorted(kept, key=lambda i: (i // len(guesses), *states[i]))
+    return [eqx.combine(part_of(arrays, int(i)), rest) for i in order]
 
 
 def _modes(m: int) -> Float[np.ndarray, "k m"]:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from jaxfil.equilibria.balance import Balance, is_affine
 from jaxfil.equilibria.equilibrium import Equilibrium
@@ -74,11 +74,11 @@ def equilibrium(
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
-    >>> up, down = lambda t, x: jnp.stack([x[0], -1.0 + x[1]]), lambda t, x: jnp.stack([-x[1], x[0]])
+    >>> up, down = lambda t, x: jnp.stack([-x[0], -1.0]), lambda t, x: jnp.stack([1.0, 3.0])
     >>> relay = jf.piecewise(up, down, lambda t, x: x[1])
     >>> pseudo = jf.equilibrium(relay, jnp.array([0.5, 0.0]))
-    >>> print(pseudo.kind, pseudo.x.tolist(), pseudo.multipliers.tolist())
-    boundary [0.0, 0.0] [-1.0]
+    >>> print(pseudo.kind, pseudo.x.round(6), pseudo.multipliers.round(6))
+    pseudo [0.333333 0.      ] [0.5]
     """
     x = check.state("guess", guess)
     check.flags(throw=throw)

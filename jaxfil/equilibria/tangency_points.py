@@ -23,8 +23,8 @@ from jaxfil.xla.select import select
 Limits = tuple[tuple[float, float], tuple[float, float]]
 """A window: ((left, right), (bottom, top))."""
 
-# Points along each edge of the window, Newton steps from cells in which there may be a tangency, and
-# distances in parts of the window below which two points are one.
+# Points along each edge of the window, Newton steps from cells in which there may be a tangency,
+# and distances in parts of the window below which two points are one.
 _GRID, _STEPS, _ONE = 201, 12, 1e-6
 
 
@@ -43,8 +43,8 @@ class FieldTangency(eqx.Module):
 
     @property
     def kind(self) -> str:
-        """"visible" or "invisible"; of a two-fold "visible two-fold", "invisible two-fold" or
-        "visible-invisible two-fold"."""
+        """Either "visible" or "invisible"; of a two-fold "visible two-fold", "invisible two-fold"
+        or "visible-invisible two-fold"."""
         word = "visible" if self.visible else "invisible"
         if self.side != 0:
             return word
@@ -154,7 +154,7 @@ def _refined(fields: _Fields, points: Array, j: Array, side: Array) -> tuple[Arr
 
 def _on_side(fields: _Fields, window: np.ndarray, j: int, side: int) -> list[tuple]:
     """Tangencies of one side, each a state and whether it is visible."""
-    axes = [np.linspace(*ends, _GRID) for ends in window]
+    axes = [np.linspace(low, high, _GRID) for low, high in window]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     at = jnp.asarray(j, jnp.int32), jnp.asarray(float(side))
     values = np.asarray(_both(fields, jnp.asarray(grid.reshape(-1, 2)), *at))

@@ -58,9 +58,7 @@ _STABLE = {"color": BLUE, "linewidth": 1.4, "label": "stable manifold"}
 _TANGENT = {"color": GREEN, "linewidth": 1.0, "label": "through a visible tangency"}
 
 
-def phase_plane(
-    system: System, limits: Limits, ax: Axes | None = None, **style: Any
-) -> Axes:
+def phase_plane(system: System, limits: Limits, ax: Axes | None = None, **style: Any) -> Axes:
     """Draw the phase plane of an autonomous planar system.
 
     The field as arrows of one length; nullclines, on which one component of the field of the side
@@ -158,7 +156,7 @@ def _on_grid(
 def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> float:
     """Directions of the field, and nullclines; returns how fast a motion typically is, in
     windows."""
-    axes = [np.linspace(*ends, 2 * _ARROWS + 1)[1::2] for ends in window]
+    axes = [np.linspace(low, high, 2 * _ARROWS + 1)[1::2] for low, high in window]
     points, _, field = _on_grid(system, axes, m)
     # Of one length on the page, whose axes have units of their own.
     field = field / np.ptp(window, axis=1)
@@ -166,7 +164,7 @@ def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> float:
     field /= np.maximum(size, 1e-300)
     arrows = {"angles": "uv", "scale": 1.5 * _ARROWS, "width": 0.002, "pivot": "mid"}
     ax.quiver(*points.reshape(-1, 2).T, *field.reshape(-1, 2).T, color=GREY, **arrows)
-    axes = [np.linspace(*ends, _GRID) for ends in window]
+    axes = [np.linspace(low, high, _GRID) for low, high in window]
     _, fields, _ = _on_grid(system, axes, m)
     for component, (color, line) in enumerate(((PURPLE, ":"), (SKY, "-."))):
         drawn = False
@@ -179,7 +177,7 @@ def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> float:
         if drawn:
             name = labels_of(system, 2).state
             told = name[component] if name else f"x[{component}]"
-            ax.plot([], [], line, color=color, linewidth=1.2, label=f"d{told}/dt = 0")
+            ax.plot([], [], line, color=color, linewidth=1.2, label=f"d({told})/dt = 0")
     return float(np.median(size))
 
 
@@ -188,19 +186,18 @@ def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> float:
 _Start = tuple[np.ndarray, float, dict[str, Any]]
 
 
-def _from_saddles(
-    system: System, window: np.ndarray, found: list[Equilibrium]
-) -> Iterator[_Start]:
+def _from_saddles(system: System, window: np.ndarray, found: list[Equilibrium]) -> Iterator[_Start]:
     """The starts of their stable and unstable manifolds."""
     off = _OFF * float(np.linalg.norm(np.ptp(window, axis=1)))
     for one in found:
         x, values = np.asarray(one.x), np.asarray(one.eigenvalues)
         # A saddle has one way in and one way out, infinitely fast perhaps.
-        if abs(values.imag).any() or not values[0].real > 0 > values[1].real:
+        real = np.real(values)
+        if np.any(np.imag(values)) or not real[0] > 0 > real[1]:
             continue
-        slow = np.min(abs(values.real))
+        slow = float(np.min(abs(real)))
         own, vectors = np.linalg.eig(np.asarray(one.jacobian))
-        for value in values.real:
+        for value in real:
             told, way = (_UNSTABLE, 1.0) if value > 0 else (_STABLE, -1.0)
             if np.isfinite(value):
                 vector = np.real(vectors[:, np.argmin(abs(own - value))])
@@ -237,9 +234,7 @@ def _on_side(system: System, x: np.ndarray, surface: int, side: int) -> np.ndarr
     return np.asarray(plane.force(array_of(x), float(side)))
 
 
-def _turn(
-    system: System, x: np.ndarray, surface: int, side: int, field: np.ndarray
-) -> np.ndarray:
+def _turn(system: System, x: np.ndarray, surface: int, side: int, field: np.ndarray) -> np.ndarray:
     """The second derivative of the motion on a side."""
     plane = Plane(system, jnp.zeros(()), array_of(x), (0, 1), surface)
     force = lambda x: plane.force(x, float(side))  # noqa: E731

@@ -54,9 +54,9 @@ class PseudoSaddleNode(jf.System):
 
 
 class TwoSurfaces(jf.System):
-    """ẋ = a − x − sgn x + 2 sgn y, ẏ = −y − 2 sgn x − sgn y: a pseudo-equilibrium at the origin with
-    weights (a, −2a)/5 up to a = 5/2, then one on x = 0 alone, w = a − 2, y = 5 − 2a, up to a = 3,
-    and then a regular one, x = a − 3, y = −1."""
+    """ẋ = a − x − sgn x + 2 sgn y, ẏ = −y − 2 sgn x − sgn y: a pseudo-equilibrium at the origin
+    with weights (a, −2a)/5 up to a = 5/2, then one on x = 0 alone, w = a − 2, y = 5 − 2a, up to
+    a = 3, and then a regular one, x = a − 3, y = −1."""
 
     a: jax.Array
 
@@ -69,8 +69,8 @@ class TwoSurfaces(jf.System):
 
 
 class Spring(jf.System):
-    """x″ = f − x − x′/2 before a wall at x = 0: at rest at x = f > 0, and on the wall for f < 0, with
-    the reaction −f."""
+    """x″ = f − x − x′/2 before a wall at x = 0: at rest at x = f > 0, and on the wall for f < 0,
+    with the reaction −f."""
 
     f: jax.Array
 

@@ -116,7 +116,7 @@ def test_where_there_is_none_the_outcome_says_so():
 
 
 def test_a_forced_system_and_another_mode_are_refused():
-    with pytest.raises(ValueError, match="`system` must be autonomous.*SDOscillator has a period"):
+    with pytest.raises(ValueError, match=r"`system` must be autonomous.*SDOscillator has a period"):
         jf.equilibrium(jf.systems.SDOscillator(), jnp.zeros(2))
     with pytest.raises(ValueError, match=r"`mode` must be 1 of the numbers −2, .*got 3\."):
         jf.equilibrium(Boundary(0.5, 1.0), jnp.zeros(2), mode=3)
