@@ -48,9 +48,10 @@ def equilibrium_branch(
     curve = np.asarray(branch.equilibria.x)[:, check.component("component", component, n)]
     held = np.any(abs(np.asarray(branch.equilibria.mode)) != 1, axis=1)
     if held.any():
-        # A line breaks at NaN: each piece goes on to the boundary equilibrium at its end.
-        held[:-1] |= held[1:] & np.isin(np.arange(1, held.size), [p.index for p in branch.points])
-        heights = np.where(held, curve, np.nan)
+        # A boundary equilibrium is in the mode after it, and ends the piece before it too.
+        ends = np.isin(np.arange(1, held.size), [point.index for point in branch.points])
+        shown = held | np.append(False, held[:-1] & ends)
+        heights = np.where(shown, curve, np.nan)
         ax.plot(branch.values, heights, color=ORANGE, linewidth=4.5, label="on a surface")
     draw_stability(ax, branch, curve, style)
     for point in branch.points:
