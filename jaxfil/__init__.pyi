@@ -35,6 +35,10 @@ from .equilibria.tangency_points import (
     FieldTangency as FieldTangency,
     tangency_points as tangency_points,
 )
+from .equilibria.two_parameter import (
+    EquilibriumCurve as EquilibriumCurve,
+    continue_equilibrium_bifurcation as continue_equilibrium_bifurcation,
+)
 from .exponents.coupled import (
     Synchronization as Synchronization,
     TransverseExponent as TransverseExponent,

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from jaxfil.bifurcations.two_parameter import BifurcationCurve
 from jaxfil.equilibria.equilibrium_branch import EquilibriumBranch
+from jaxfil.equilibria.two_parameter import EquilibriumCurve
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.labels import labels_of
@@ -89,15 +90,17 @@ def draw_stability(
         ax.plot(values, np.where(keep, heights, np.nan), **told)
 
 
-@draws(BifurcationCurve)
-def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: Any) -> Axes:
+@draws(BifurcationCurve, EquilibriumCurve)
+def bifurcation_curve(
+    curve: BifurcationCurve | EquilibriumCurve, ax: Axes | None = None, **style: Any
+) -> Axes:
     """Draw a curve of bifurcations in the plane of two parameters, each kind in its colour.
 
     Points of codimension two are marked.
 
     **Arguments**
 
-    - `curve`: a `BifurcationCurve`.
+    - `curve`: a `BifurcationCurve`, or an `EquilibriumCurve`.
     - `ax`: the axes to draw on; by default those of a figure of their own.
     - `style`: matplotlib's keywords of the lines, as `color` or `lw`.
 
@@ -115,7 +118,7 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: 
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('Ω', 'f₀')
     """
-    check.instance("curve", curve, BifurcationCurve)
+    check.instance("curve", curve, BifurcationCurve, EquilibriumCurve)
     ax = own_axes(ax)
     kinds = np.array(curve.kinds)
     for kind in dict.fromkeys(curve.kinds):
@@ -124,7 +127,7 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: 
         values = np.where(keep[:, None], curve.values, np.nan)
         color = KINDS.get(kind, ("", BLACK))[1]
         ax.plot(*values.T, **styled(style, color=color, linewidth=1.5, label=kind))
-    for point in curve.points:
+    for point in curve.points if isinstance(curve, BifurcationCurve) else ():
         ax.plot(*point.values, "o", color=BLACK, label=point.kind)
     legend(ax)
     ax.set_xlabel(curve.labels.parameter(curve.parameters[0]))

@@ -542,7 +542,7 @@ DRAWN = {
     "step_choice": ("choice", "a jaxfil.StepChoice"),
     "averages": ("diagram", "a jaxfil.BifurcationDiagram"),
     "basins": ("found", "a jaxfil.Basins"),
-    "bifurcation_curve": ("curve", "a jaxfil.BifurcationCurve"),
+    "bifurcation_curve": ("curve", "a jaxfil.BifurcationCurve or a jaxfil.EquilibriumCurve"),
     "bifurcation_diagram": ("diagram", "a jaxfil.BifurcationDiagram"),
     "branch": ("branch", "a jaxfil.Branch"),
     "branch_orbits": ("branch", "a jaxfil.Branch"),

@@ -72,6 +72,7 @@ FOLLOWING = (
     "continue_orbit",
     "continue_bifurcation",
     "continue_equilibrium",
+    "continue_equilibrium_bifurcation",
     "find_bifurcations",
 )
 # Arguments for which a type allows less, and more, than it says.
@@ -187,6 +188,14 @@ CALLS = {
         "system": BLOCK,
         "parameter": "friction",
         "equilibrium": an_equilibrium(),
+        "stop": 0.5,
+    },
+    jf.continue_equilibrium_bifurcation: {
+        "system": BLOCK,
+        "parameters": ("friction", "friction"),
+        "bifurcation": jf.EquilibriumBifurcation(
+            "fold", 0.5, an_equilibrium(), index=1, before=(0,), after=(0,)
+        ),
         "stop": 0.5,
     },
     jf.continue_orbit: FOLLOWED,
