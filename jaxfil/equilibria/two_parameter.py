@@ -205,8 +205,8 @@ def continue_equilibrium_bifurcation(
     ...     b: jax.Array
     ...     def vector_field(self, t, x, side):
     ...         return self.a + self.b * x - x**2
-    >>> fold = Fold(jnp.array(1.0), jnp.array(2.0))
-    >>> branch = jf.continue_equilibrium(fold, "a", jf.equilibrium(fold, jnp.ones(1)), stop=-3.0)
+    >>> fold, x = Fold(jnp.array(1.0), jnp.array(2.0)), jnp.array([3.0])
+    >>> branch = jf.continue_equilibrium(fold, "a", jf.equilibrium(fold, x), stop=-3.0)
     >>> args = ("b", "a"), branch.points[0]
     >>> curve = jf.continue_equilibrium_bifurcation(fold, *args, stop=4.0)
     >>> print(curve.values[-1].round(9))  # 4a + b² = 0
