@@ -191,8 +191,8 @@ CALLS = {
         "stop": 0.5,
     },
     jf.continue_equilibrium_bifurcation: {
-        "system": BLOCK,
-        "parameters": ("friction", "friction"),
+        "system": jf.systems.BouncingBall(),
+        "parameters": ("g", "restitution"),
         "bifurcation": jf.EquilibriumBifurcation(
             "fold", 0.5, an_equilibrium(), index=1, before=(0,), after=(0,)
         ),
