@@ -23,6 +23,22 @@ from .bifurcations.two_parameter import (
     BifurcationCurve as BifurcationCurve,
     continue_bifurcation as continue_bifurcation,
 )
+from .equilibria.continue_equilibrium import continue_equilibrium as continue_equilibrium
+from .equilibria.equilibrium import Equilibrium as Equilibrium
+from .equilibria.equilibrium_branch import (
+    EQUILIBRIUM_BIFURCATION_KINDS as EQUILIBRIUM_BIFURCATION_KINDS,
+    EquilibriumBifurcation as EquilibriumBifurcation,
+    EquilibriumBranch as EquilibriumBranch,
+)
+from .equilibria.search import equilibrium as equilibrium
+from .equilibria.tangency_points import (
+    FieldTangency as FieldTangency,
+    tangency_points as tangency_points,
+)
+from .equilibria.two_parameter import (
+    EquilibriumCurve as EquilibriumCurve,
+    continue_equilibrium_bifurcation as continue_equilibrium_bifurcation,
+)
 from .exponents.coupled import (
     Synchronization as Synchronization,
     TransverseExponent as TransverseExponent,

@@ -345,6 +345,27 @@ FILIPPOV = jf.piecewise(
     lambda t, x: jnp.stack([1.0 + 0.0 * x[0], 0.5 - x[0]]),
     lambda t, x: x[1],
 )
+# A saddle and a node above a pseudo-saddle that attracts from both sides, on x = 0; tangencies
+# where the lower field turns, at x = ±1.
+SADDLES = jf.piecewise(
+    lambda t, x: jnp.stack([x[0], (1 - x[1]) * (x[1] - 2)]),
+    lambda t, x: jnp.stack([x[0], 1 - x[0] ** 2]),
+    lambda t, x: x[1],
+)
+
+
+def rests_turning():
+    """A made-up branch of equilibria that turns back in a nonsmooth fold."""
+    mu = np.array([1.0, 0.5, 0.0, 0.5, 1.0])
+    x = np.stack([[0.0, 0.0, 0.0, 0.4, 0.8], mu], axis=1)
+    at = made(jf.Equilibrium, x=x, mode=np.array([[1], [1], [0], [0], [0]]), system=SD)
+    turn = made(jf.Equilibrium, x=np.zeros(2))
+    point = SimpleNamespace(kind="nonsmooth-fold", value=0.0, equilibrium=turn, index=2)
+    stable = np.array([True, True, False, False, False])
+    told = {"parameter": "omega", "values": mu, "points": [point], "stable": stable}
+    return made(jf.EquilibriumBranch, equilibria=at, **told)
+
+
 PICTURES = {
     "animation": moved,
     "averages": lambda ax: jf.plot.averages(powers(), "power, W", ax),
@@ -354,6 +375,7 @@ PICTURES = {
     "bifurcation_diagram": lambda ax: jf.plot.bifurcation_diagram(period_doublings(), ax),
     "branch": lambda ax: jf.plot.branch(branch(), ax),
     "branch_orbits": lambda ax: jf.plot.branch_orbits(widening(), ax),
+    "equilibrium_branch": lambda ax: jf.plot.equilibrium_branch(rests_turning(), ax),
     "event_timeline": lambda ax: jf.plot.event_timeline(motion(), ax),
     "exponent_map": lambda ax: jf.plot.exponent_map(
         (np.linspace(0, 1, 9), np.linspace(0, 1, 7)), over_two(), ax, ("a", "b")
@@ -365,6 +387,7 @@ PICTURES = {
     ),
     "parameter_map": lambda ax: jf.plot.parameter_map(periods(), ax),
     "path_in_time": lambda ax: jf.plot.path_in_time(motion(), ax),
+    "phase_plane": lambda ax: jf.plot.phase_plane(SADDLES, ((-2, 2), (-1, 3)), ax),
     "phase_portrait": lambda ax: jf.plot.phase_portrait(motion(), ax, BELT),
     "poincare_section": lambda ax: jf.plot.poincare_section(section(), ax, system=SD),
     "return_map": lambda ax: jf.plot.return_map(section(), ax, system=SD),

@@ -158,6 +158,11 @@ class Curve(abc.ABC, Generic[_Point]):
         solutions of the equations go on."""
         return None
 
+    def beyond_last(self, last: _Point) -> "tuple[Curve[_Point], _Point, Special[_Point]] | None":
+        """The curve of other equations that goes on from the last point of these, that point on it,
+        and what happens there."""
+        return None
+
     def beside(self, point: _Point, other: _Point) -> np.ndarray:
         """The unknowns of a point in the form in which they are most like another one's."""
         return point.u

@@ -145,8 +145,14 @@ def _follow(
             found = curve.special_points(here, ahead)
             special.extend(dataclasses.replace(s, index=len(points)) for s in found)
         points.append(ahead)
-        if why:
+        if not why:
+            continue
+        onward = None if edge is not None or ahead is start else curve.beyond_last(ahead)
+        if onward is None:
             return end(why, closed=ahead is start)
+        curve, points[-1], passed = onward
+        special.append(dataclasses.replace(passed, index=len(points) - 1))
+        ds = min(curve.steps.first, max_step)
     return end(f"{max_points} points were made")
 
 

@@ -24,6 +24,7 @@ from jaxfil.plot.basins import basins as basins
 from jaxfil.plot.branch_orbits import branch_orbits as branch_orbits
 from jaxfil.plot.canvas import PRINT as PRINT, page as page
 from jaxfil.plot.density import section_density as section_density
+from jaxfil.plot.equilibrium_branch import equilibrium_branch as equilibrium_branch
 from jaxfil.plot.explore import explore as explore
 from jaxfil.plot.exponent_map import exponent_map as exponent_map
 from jaxfil.plot.exponents import (
@@ -37,6 +38,7 @@ from jaxfil.plot.orbits import bifurcation_curve as bifurcation_curve, branch as
 from jaxfil.plot.path import BANDS as BANDS, MARKERS as MARKERS
 from jaxfil.plot.path_in_time import path_in_time as path_in_time
 from jaxfil.plot.periods import PERIODS as PERIODS, parameter_map as parameter_map
+from jaxfil.plot.phase_plane import phase_plane as phase_plane
 from jaxfil.plot.portrait import phase_portrait as phase_portrait
 from jaxfil.plot.precision import step_choice as step_choice, work_precision as work_precision
 from jaxfil.plot.return_map import return_map as return_map
@@ -59,6 +61,7 @@ __all__ = [
     "bifurcation_sequence",
     "branch",
     "branch_orbits",
+    "equilibrium_branch",
     "event_timeline",
     "explore",
     "exponent_map",
@@ -68,6 +71,7 @@ __all__ = [
     "page",
     "parameter_map",
     "path_in_time",
+    "phase_plane",
     "phase_portrait",
     "poincare_section",
     "return_map",

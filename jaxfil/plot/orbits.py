@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from jaxfil.bifurcations.two_parameter import BifurcationCurve
+from jaxfil.equilibria.equilibrium_branch import EquilibriumBranch
+from jaxfil.equilibria.two_parameter import EquilibriumCurve
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.labels import labels_of
@@ -70,7 +72,9 @@ def curves_of(branch: Branch, component: int, extremes: bool) -> tuple[list[np.n
     return [np.asarray(branch.orbits.x0)[:, component]], "{} at t0"
 
 
-def draw_stability(ax: Axes, branch: Branch, curve: np.ndarray, style: dict[str, Any]) -> None:
+def draw_stability(
+    ax: Axes, branch: Branch | EquilibriumBranch, curve: np.ndarray, style: dict[str, Any]
+) -> None:
     """One curve along a branch, unstable parts dashed."""
     # A line for each style, NaN where the other one is drawn: matplotlib breaks lines there.
     values, heights, stable = _pieces(branch, curve)
@@ -86,15 +90,17 @@ def draw_stability(ax: Axes, branch: Branch, curve: np.ndarray, style: dict[str,
         ax.plot(values, np.where(keep, heights, np.nan), **told)
 
 
-@draws(BifurcationCurve)
-def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: Any) -> Axes:
+@draws(BifurcationCurve, EquilibriumCurve)
+def bifurcation_curve(
+    curve: BifurcationCurve | EquilibriumCurve, ax: Axes | None = None, **style: Any
+) -> Axes:
     """Draw a curve of bifurcations in the plane of two parameters, each kind in its colour.
 
     Points of codimension two are marked.
 
     **Arguments**
 
-    - `curve`: a `BifurcationCurve`.
+    - `curve`: a `BifurcationCurve`, or an `EquilibriumCurve`.
     - `ax`: the axes to draw on; by default those of a figure of their own.
     - `style`: matplotlib's keywords of the lines, as `color` or `lw`.
 
@@ -112,7 +118,7 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: 
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('Ω', 'f₀')
     """
-    check.instance("curve", curve, BifurcationCurve)
+    check.instance("curve", curve, BifurcationCurve, EquilibriumCurve)
     ax = own_axes(ax)
     kinds = np.array(curve.kinds)
     for kind in dict.fromkeys(curve.kinds):
@@ -121,7 +127,7 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: 
         values = np.where(keep[:, None], curve.values, np.nan)
         color = KINDS.get(kind, ("", BLACK))[1]
         ax.plot(*values.T, **styled(style, color=color, linewidth=1.5, label=kind))
-    for point in curve.points:
+    for point in curve.points if isinstance(curve, BifurcationCurve) else ():
         ax.plot(*point.values, "o", color=BLACK, label=point.kind)
     legend(ax)
     ax.set_xlabel(curve.labels.parameter(curve.parameters[0]))
@@ -129,7 +135,9 @@ def bifurcation_curve(curve: BifurcationCurve, ax: Axes | None = None, **style: 
     return ax
 
 
-def _pieces(branch: Branch, curve: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(
+    branch: Branch | EquilibriumBranch, curve: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The corners of a curve along a branch, values and heights, its special points among them,
     and whether each piece between two of them is stable: up to the first special point as the
     orbit before it, then as the one after it."""
@@ -146,7 +154,9 @@ def _pieces(branch: Branch, curve: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return np.array(values), np.array(heights), np.array(stable, bool)
 
 
-def height(branch: Branch, curve: np.ndarray, value: float, index: int) -> float:
+def height(
+    branch: Branch | EquilibriumBranch, curve: np.ndarray, value: float, index: int
+) -> float:
     """Of a curve at a value of the parameter between the orbits index − 1 and index."""
     pair = slice(max(index - 1, 0), index + 1)
     # `interp` needs ascending values, and a branch may go either way.

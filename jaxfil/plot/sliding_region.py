@@ -74,16 +74,12 @@ def sliding_region(
     shown = chosen("components", components, state.size, (2,))
     time = jnp.asarray(t, float)
     check.component("surface", surface, jnp.atleast_1d(system.switching(time, state)).size)
-    where = _Plane(system, time, state, tuple(shown), surface)
+    where = Plane(system, time, state, tuple(shown), surface)
     ax = own_axes(ax)
-    x, y = (np.linspace(*ends, _GRID) for ends in limits)
-    heights = where.height(np.stack(np.meshgrid(x, y), axis=-1))
     _arrows(ax, where, limits)
-    # Only its path is wanted: what is drawn are the parts of it.
-    line = ax.contour(x, y, heights, levels=[0.0], linewidths=0)
-    for piece in (path for path in line.get_paths()[0].to_polygons(closed_only=False)):
-        _draw_parts(ax, where, np.asarray(piece), style)
-    line.remove()
+    ends = draw_surface(ax, where, limits, style)
+    if ends.size:
+        ax.plot(*ends.T, "o", color=BLACK, zorder=3, label="tangency")
     legend(ax, loc="upper right")
     ax.set_xlim(*limits[0])
     ax.set_ylim(*limits[1])
@@ -93,7 +89,7 @@ def sliding_region(
     return ax
 
 
-class _Plane(eqx.Module):
+class Plane(eqx.Module):
     """A plane of two components through a state, and one surface's H and fields on it."""
 
     system: System
@@ -125,37 +121,37 @@ class _Plane(eqx.Module):
         return _mapped(self, _rates, points)
 
 
-def _height(plane: _Plane, x: Array) -> Array:
+def _height(plane: Plane, x: Array) -> Array:
     return plane.h(plane.t, x)
 
 
-def _field(plane: _Plane, x: Array) -> Array:
+def _field(plane: Plane, x: Array) -> Array:
     side = jnp.where(plane.h(plane.t, x) < 0, -1.0, 1.0)
     return plane.force(x, side)[jnp.array(plane.shown)]
 
 
-def _rates(plane: _Plane, x: Array) -> tuple[Array, ...]:
+def _rates(plane: Plane, x: Array) -> tuple[Array, ...]:
     return tuple(
         jax.jvp(plane.h, (plane.t, x), (jnp.ones_like(plane.t), plane.force(x, side)))[1]
         for side in (1.0, -1.0)
     )
 
 
-def _mapped(plane: _Plane, function: Callable, points: np.ndarray) -> Any:
+def _mapped(plane: Plane, function: Callable, points: np.ndarray) -> Any:
     """A function of the states of points (…, 2) of a plane."""
     flat = _on_states(plane, function, array_of(points.reshape(-1, 2)))
     return jax.tree.map(lambda a: np.asarray(a).reshape(*points.shape[:-1], *a.shape[1:]), flat)
 
 
 @eqx.filter_jit
-def _on_states(plane: _Plane, function: Callable, points: Array) -> Any:
+def _on_states(plane: Plane, function: Callable, points: Array) -> Any:
     def at(point: Array) -> Any:
         return function(plane, plane.state.at[jnp.array(plane.shown)].set(point))
 
     return jax.vmap(at)(jnp.asarray(points, plane.state.dtype))
 
 
-def _arrows(ax: Axes, where: _Plane, limits: tuple[tuple[float, float], ...]) -> None:
+def _arrows(ax: Axes, where: Plane, limits: tuple[tuple[float, float], ...]) -> None:
     """The directions of the fields, each on its own side."""
     middles = [np.linspace(*ends, 2 * _ARROWS + 1)[1::2] for ends in limits]
     points = np.stack(np.meshgrid(*middles), axis=-1)
@@ -177,8 +173,24 @@ def _arrows(ax: Axes, where: _Plane, limits: tuple[tuple[float, float], ...]) ->
         )
 
 
-def _draw_parts(ax: Axes, where: _Plane, piece: np.ndarray, style: dict[str, Any]) -> None:
-    """One connected piece of the surface, (k, 2), cut at its tangencies."""
+def draw_surface(
+    ax: Axes, where: Plane, limits: tuple[tuple[float, float], ...], style: dict[str, Any]
+) -> np.ndarray:
+    """Draw the parts of a surface within limits; returns where one ends and another begins,
+    (k, 2)."""
+    x, y = (np.linspace(*ends, _GRID) for ends in limits)
+    heights = where.height(np.stack(np.meshgrid(x, y), axis=-1))
+    # Only its path is wanted: what is drawn are the parts of it.
+    line = ax.contour(x, y, heights, levels=[0.0], linewidths=0)
+    pieces = line.get_paths()[0].to_polygons(closed_only=False)
+    line.remove()
+    return np.concatenate(
+        [np.zeros((0, 2)), *(_draw_parts(ax, where, np.asarray(v), style) for v in pieces)]
+    )
+
+
+def _draw_parts(ax: Axes, where: Plane, piece: np.ndarray, style: dict[str, Any]) -> np.ndarray:
+    """One connected piece of the surface, (k, 2), cut at its tangencies, which are returned."""
     fine = _refined(piece)
     plus, minus = where.rates(fine)
     kind = np.where(plus * minus > 0, 0, np.where(plus < minus, 1, 2))
@@ -187,8 +199,7 @@ def _draw_parts(ax: Axes, where: _Plane, piece: np.ndarray, style: dict[str, Any
         name = list(_PARTS)[kind[start]]
         x, y = fine[start : end + 1].T
         ax.plot(x, y, **styled(style, label=name, solid_capstyle="butt", **_PARTS[name]))
-    if edges.size:
-        ax.plot(*fine[edges].T, "o", color=BLACK, zorder=3, label="tangency")
+    return fine[edges]
 
 
 def _refined(piece: np.ndarray, points: int = 2001) -> np.ndarray:

@@ -68,7 +68,13 @@ ALLOWED: dict[object, set[str]] = {
     tuple: set(),
     str: set(),
 }
-FOLLOWING = ("continue_orbit", "continue_bifurcation", "find_bifurcations")
+FOLLOWING = (
+    "continue_orbit",
+    "continue_bifurcation",
+    "continue_equilibrium",
+    "continue_equilibrium_bifurcation",
+    "find_bifurcations",
+)
 # Arguments for which a type allows less, and more, than it says.
 POSITIVE = {"dt", "width", "tolerance", "period", "interval", "max_step", "max_return", "sigma"}
 POSITIVE |= {"transient_time"}
@@ -139,6 +145,20 @@ def a_bifurcation() -> jf.Bifurcation:
     )
 
 
+def an_equilibrium() -> jf.Equilibrium:
+    """An equilibrium as `equilibrium` would give it."""
+    return jf.Equilibrium(
+        x=jnp.zeros(2),
+        mode=jnp.zeros(1, int),
+        multipliers=jnp.zeros(1),
+        residual=ZERO,
+        num_steps=jnp.array(1),
+        result=jf.RESULTS.successful,
+        system=BLOCK,
+        _affine=False,
+    )
+
+
 def same(t, x, side=1.0):
     return x
 
@@ -164,8 +184,23 @@ CALLS = {
         "bifurcation": a_bifurcation(),
         "stop": 0.8,
     },
+    jf.continue_equilibrium: {
+        "system": BLOCK,
+        "parameter": "friction",
+        "equilibrium": an_equilibrium(),
+        "stop": 0.5,
+    },
+    jf.continue_equilibrium_bifurcation: {
+        "system": jf.systems.BouncingBall(),
+        "parameters": ("g", "restitution"),
+        "bifurcation": jf.EquilibriumBifurcation(
+            "fold", 0.5, an_equilibrium(), index=1, before=(0,), after=(0,)
+        ),
+        "stop": 0.5,
+    },
     jf.continue_orbit: FOLLOWED,
     jf.drive_response: {"system": BLOCK, "coupling": 0.1},
+    jf.equilibrium: {"system": BLOCK, "guess": X0},
     jf.find_bifurcation: FOLLOWED | {"stop": ..., "kind": "grazing"},
     jf.find_bifurcations: FOLLOWED,
     jf.fit: {
@@ -196,6 +231,7 @@ CALLS = {
     jf.smoothed: {"system": BLOCK, "width": 0.1},
     jf.solve: RUN,
     jf.synchronization_exponent: {"system": FORCED, "x0": X0, "couplings": [0.1]},
+    jf.tangency_points: {"system": BLOCK, "limits": ((-1.0, 1.0), (-1.0, 1.0))},
     jf.transverse_exponent: {"system": FORCED, "x0": X0},
     jf.work_precision: {
         "system": BLOCK,

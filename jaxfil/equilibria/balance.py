@@ -1,0 +1,212 @@
+"""The balance: the equations of an equilibrium in one mode of motion.
+
+A system and a mode enter; the field with its multipliers, the equations, the margins and the
+linearised flow leave. With μ the multipliers (weights w of surfaces slid on, reactions λ of those
+rested on) the unknowns are z = (x, μ), as many for all modes:
+
+    F(x, μ) = 0,    H_j(x) = 0 of a surface slid or rested on,    μ_j = side_j of any other
+
+so that one program serves all modes. F is the blend of `integrate.surfaces.filippov`, here of
+functions that JAX may differentiate as often as anybody wants, in either direction.
+"""
+
+import functools as ft
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxfil.integrate.surfaces.corners import every_side
+from jaxfil.integrate.system.lowered import build
+from jaxfil.model.system import System, field_of
+from jaxfil.xla.select import select
+
+# Surfaces at most whose 2^m combinations of sides are looked at without asking for less.
+_FEW = 5
+# Rounding of H and of margins, in eps of their terms.
+_NOISE = 64
+# What the zeros across surfaces are moved to, in sizes of the Jacobian.
+_AWAY = 4.0
+
+
+class Balance(eqx.Module):
+    """A system in a mode: ±1 is a side of a surface, 0 slid on, ±2 rested on from that side."""
+
+    system: System
+    mode: Float[Array, " m"]
+    affine: bool = eqx.field(static=True)
+    """Whether m + 1 combinations of sides say everything."""
+
+    @property
+    def slid(self) -> Bool[Array, " m"]:
+        """The surfaces slid on."""
+        return self.mode == 0
+
+    @property
+    def rested(self) -> Bool[Array, " m"]:
+        """The surfaces rested on."""
+        return abs(self.mode) == 2
+
+    def split(self, z: Array) -> tuple[Array, Array]:
+        """The state and the multipliers."""
+        n = z.shape[0] - self.mode.shape[0]
+        return z[:n], z[n:]
+
+    def h(self, x: Float[Array, " n"]) -> Float[Array, " m"]:
+        """H of all surfaces."""
+        return jnp.atleast_1d(self.system.switching(jnp.zeros((), x.dtype), x))
+
+    def _force(self, x: Array, sides: Array) -> Array:
+        """F on some sides."""
+        t = jnp.zeros((), x.dtype)
+        scalar = jnp.ndim(self.system.switching(t, x)) == 0
+        return field_of(self.system, t, x, sides[0] if scalar else sides)
+
+    def field(self, x: Float[Array, " n"], multipliers: Float[Array, " m"]) -> Float[Array, " n"]:
+        """The blend of the fields with these weights, and the reactions."""
+        m, slid = self.mode.shape[0], self.slid
+        every = every_side(m) if not self.affine else np.eye(m + 1, m, -1) * -2 + 1
+        flips = every < 0
+        # A surface that is not slid on has one side in all of them: nothing is asked of the other.
+        base = select(slid, jnp.ones_like(self.mode), jnp.sign(self.mode))
+        rows = select(slid & flips, -base, jnp.broadcast_to(base, flips.shape))
+        fields = jax.vmap(ft.partial(self._force, x))(rows)
+        below = select(slid, 0.5 * (1 - multipliers), jnp.zeros_like(multipliers))
+        if self.affine:
+            shares = jnp.append(1 - jnp.sum(below), below)
+        else:
+            shares = jnp.prod(jnp.where(flips, below, 1 - below), axis=1)
+        blend = shares @ fields
+        if not self.system.resets:
+            return blend
+        reactions = select(self.rested, multipliers, jnp.zeros_like(multipliers))
+        return blend + reactions @ self.pushes(x)[0]
+
+    def _approach(self, x: Array) -> Array:
+        """ψ = dH/dt along the field of the sides, (m,), which that of a surface rested on is not
+        to depend on."""
+        sides = select(self.slid, jnp.ones_like(self.mode), jnp.sign(self.mode))
+        return jax.jvp(self.h, (x,), (self._force(x, sides),))[1]
+
+    def pushes(self, x: Float[Array, " n"]) -> tuple[Float[Array, "m n"], Float[Array, " m"]]:
+        """The directions d_j in which resets act, of such a length that ∇ψ_j·d_j = 1: a reaction is
+        the acceleration d²H/dt² that it gives; and by how much they turn ψ back, 1 + e_j. See
+        `integrate.surfaces.unilateral`."""
+        normals = jax.jacfwd(self._approach)(x)
+        sizes = jnp.sum(normals * normals, axis=1)
+        inverse = 1 / select(sizes > 0, sizes, jnp.ones_like(sizes))
+        # A reset may be written for motions that come in only.
+        tiny = float(np.finfo(x.dtype).tiny) ** 0.5
+        depth = _NOISE * jnp.finfo(x.dtype).eps * abs(normals) @ abs(x) + tiny
+        depth = jax.lax.stop_gradient(select(self.mode < 0, -depth, depth) * inverse)
+
+        def direction(j: Array, normal: Array, depth: Array) -> Array:
+            reset = lambda x: self.system.reset(jnp.zeros((), x.dtype), x, j)  # noqa: E731
+            moving = x - depth * jax.lax.stop_gradient(normal)
+            return normal - jax.jvp(reset, (moving,), (normal,))[1]
+
+        numbers = jnp.arange(normals.shape[0], dtype=jnp.int32)
+        directions = jax.vmap(direction)(numbers, normals, depth) * inverse[:, None]
+        gains = jnp.sum(normals * directions, axis=1)
+        acts = gains != 0
+        return directions / select(acts, gains, jnp.ones_like(gains))[:, None], gains
+
+    def residual(self, z: Float[Array, " N"]) -> Float[Array, " N"]:
+        """The equations."""
+        x, multipliers = self.split(z)
+        off = abs(self.mode) == 1
+        rows = select(off, multipliers - self.mode, self.h(x))
+        return jnp.concatenate([self.field(x, multipliers), rows])
+
+    def margins(self, z: Float[Array, " N"]) -> Float[Array, " m"]:
+        """±H_j on a side, 1 − w_j² of a surface slid on, the reaction of one rested on."""
+        x, multipliers = self.split(z)
+        inside = (1 - multipliers) * (1 + multipliers)
+        pushes = jnp.sign(self.mode) * multipliers
+        held = select(self.rested, pushes, self.mode * self.h(x))
+        return select(self.slid, inside, held)
+
+    def noise(self, z: Float[Array, " N"]) -> Float[Array, " m"]:
+        """Rounding of the margins."""
+        x, multipliers = self.split(z)
+        eps = _NOISE * jnp.finfo(z.dtype).eps
+        of_h = abs(jax.jacfwd(self.h)(x)) @ abs(x)
+        return eps * select(abs(self.mode) == 1, of_h, jnp.maximum(1.0, abs(multipliers)))
+
+
+def is_affine(system: System, x: Float[Array, " n"], m: int) -> bool:
+    """Whether m + 1 combinations of sides say everything of a system's field, where it counts."""
+    if m <= _FEW:
+        return False
+    structure = build(system, x, compact=True).structure
+    return structure.affine or structure.separate
+
+
+class Linearised(eqx.Module):
+    """The flow of a mode near its equilibrium."""
+
+    jacobian: Float[Array, "n n"]
+    """That of the field of the mode, its multipliers following the state."""
+    deflated: Float[Array, "n n"]
+    """The same, its zeros across the surfaces moved to `shift`."""
+    shift: Float[Array, ""]
+    """A number larger than all eigenvalues."""
+    across: Float[Array, "m m"]
+    """The inverse of ∂(dH/dt)/∂w of the surfaces slid on, −1 for others: where an eigenvalue has a
+    positive real part, sliding repels."""
+
+
+def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:
+    """The flow of a mode near an equilibrium, where the multipliers follow the state.
+
+    What holds a motion on surfaces stays zero: with C the gradients of H_j, or of ψ_j where one is
+    rested on,
+
+        A = F_x − F_μ (C F_μ)⁻¹ C F_x,    C A = 0.
+
+    With P the projection on these gradients, A + c P has c in place of the zeros across surfaces,
+    and the other eigenvalues of A, whatever the parameters: so have its derivatives.
+    """
+    x, multipliers = balance.split(z)
+    by_x, by_mu = jax.jacfwd(balance.field, (0, 1))(x, multipliers)
+    off = abs(balance.mode) == 1
+    normals = jax.jacfwd(balance.h)(x)
+    held = normals
+    if balance.system.resets:
+        of_rests = jax.jacfwd(balance._approach)(x)
+        held = select(balance.rested[:, None], of_rests, normals)
+        # A motion at rest has both H = 0 and ψ = 0.
+        normals = jnp.concatenate([normals, of_rests])
+    kept = jnp.concatenate([~off, balance.rested])[: normals.shape[0]]
+    unit = jnp.diag(off.astype(z.dtype))
+    held = select(off[:, None], jnp.zeros_like(held), held)
+    response = jnp.linalg.inv(held @ by_mu + unit)
+    jacobian = by_x - by_mu @ response @ held @ by_x
+    size = jnp.sqrt(jnp.sum(jacobian**2))
+    shift = jax.lax.stop_gradient(select(size > 0, _AWAY * size, jnp.ones_like(size)))
+    projection = _projection(select(kept[:, None], normals, jnp.zeros_like(normals)), kept)
+    both = balance.slid[:, None] & balance.slid[None, :]
+    return Linearised(
+        jacobian=jacobian,
+        deflated=jacobian + shift * projection,
+        shift=shift,
+        across=select(both, response, -jnp.eye(off.shape[0], dtype=z.dtype)),
+    )
+
+
+def _projection(rows: Float[Array, "k n"], kept: Bool[Array, " k"]) -> Float[Array, "n n"]:
+    """The orthogonal projection on the rows that are kept; the others are zero."""
+    length = jnp.sqrt(jnp.sum(rows**2, axis=1) + (~kept).astype(rows.dtype))
+    rows = rows / length[:, None]
+    gram = rows @ rows.T + jnp.diag((~kept).astype(rows.dtype))
+    return rows.T @ jnp.linalg.solve(gram, rows)
+
+
+def on_batches(function: Callable, dimensions: int) -> Callable:
+    """`function` of records with so many leading axes."""
+    for _ in range(dimensions):
+        function = eqx.filter_vmap(function)
+    return function

@@ -1,0 +1,126 @@
+"""The equations that define a bifurcation of equilibria, with two parameters free.
+
+A system, a mode and a kind enter; the equations of unknowns u, one fewer than these, leave. With
+r(z; p) = 0 the balance, J = ∂r/∂z and E the unit matrix on the state and zero on multipliers,
+
+- boundary: the margin of surface j is zero; u = (z, p).
+- fold: J v = 0, c·v = 1; u = (z, v, p).
+- Hopf: J (v + i w) = i ω E (v + i w), c·v = 1, c·w = 0; u = (z, v, w, ω, p).
+
+J and E are those of the sliding flow too: what is not in the state follows it.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxfil.equilibria.balance import Balance
+from jaxfil.equilibria.equilibrium import Equilibrium
+from jaxfil.equilibria.equilibrium_branch import EquilibriumBifurcation
+from jaxfil.model.parameter import get_parameter, replace_parameters
+from jaxfil.xla.known import array_of
+
+
+class BifurcationEquations(eqx.Module):
+    """The equations of one kind."""
+
+    balance: Balance
+    after: Float[Array, " m"]
+    """The mode on the other side of a boundary."""
+    across: Float[Array, " N"]
+    """c, which fixes the length and the phase of a null vector."""
+    free: tuple[str, str] = eqx.field(static=True)
+    """The names of the two parameters."""
+    family: str = eqx.field(static=True)
+    """One of "boundary", "fold" and "hopf"."""
+    surface: int = eqx.field(static=True)
+    """The surface of a boundary."""
+
+    def at(self, u: Array) -> tuple[Balance, Array]:
+        """The balance for the values of the parameters, and its unknowns."""
+        system = replace_parameters(self.balance.system, self.free, u[-2:])
+        n = self.across.shape[0]
+        return Balance(system, self.balance.mode, self.balance.affine), u[:n]
+
+    def residual(self, u: Array) -> Array:
+        """All equations."""
+        balance, z = self.at(u)
+        r, c, size = balance.residual(z), self.across, self.across.shape[0]
+        if self.family == "boundary":
+            return jnp.append(r, balance.margins(z)[self.surface])
+        v = u[size : 2 * size]
+        jv = jax.jvp(balance.residual, (z,), (v,))[1]
+        if self.family == "fold":
+            return jnp.concatenate([r, jv, jnp.stack([c @ v - 1])])
+        w, omega = u[2 * size : 3 * size], u[3 * size]
+        jw = jax.jvp(balance.residual, (z,), (w,))[1]
+        state = jnp.asarray(np.arange(size) < size - balance.mode.shape[0], u.dtype)
+        turned = [jv + omega * state * w, jw - omega * state * v]
+        return jnp.concatenate([r, *turned, jnp.stack([c @ v - 1, c @ w])])
+
+    def persists(self, u: Array) -> Array:
+        """Positive where a boundary equilibrium persists, negative where it is a nonsmooth fold:
+        −det J⁺ det J, with J⁺ that of the mode on the other side; at rest its opposite."""
+        balance, z = self.at(u)
+        beside = Balance(balance.system, self.after, balance.affine)
+        both = [jax.jacfwd(b.residual)(z) for b in (balance, beside)]
+        # A row in its own size: the sign is all that counts.
+        sizes = [jnp.max(abs(v), axis=1, keepdims=True) for v in both]
+        signs = [
+            jnp.linalg.det(v / jnp.where(s > 0, s, 1)) for v, s in zip(both, sizes, strict=True)
+        ]
+        rests = jnp.any(balance.rested != beside.rested)
+        return jnp.where(rests, 1.0, -1.0) * signs[0] * signs[1]
+
+
+@eqx.filter_jit
+def _jacobian(balance: Balance, z: Array) -> Array:
+    return jax.jacfwd(balance.residual)(z)
+
+
+def _frequency(at: Equilibrium) -> float:
+    """That of the pair of eigenvalues next to the imaginary axis."""
+    values = np.asarray(at.eigenvalues)
+    pairs = values[np.imag(values) > 0]
+    return float(np.imag(pairs[np.argmin(abs(np.real(pairs)))]))
+
+
+def equations_of(
+    bifurcation: EquilibriumBifurcation, free: tuple[str, str]
+) -> tuple[BifurcationEquations, np.ndarray]:
+    """The equations of a bifurcation that has been found, and its unknowns."""
+    at, kind = bifurcation.equilibrium, bifurcation.kind
+    dtype = at.x.dtype
+    balance = Balance(at.system, at.mode.astype(dtype), at._affine)
+    z = np.concatenate([np.asarray(at.x), np.asarray(at.multipliers)])
+    jacobian = np.asarray(_jacobian(balance, array_of(z)))
+    n, size = at.x.size, z.size
+    family = kind if kind in ("fold", "hopf") else "boundary"
+    more: list[np.ndarray] = []
+    across, surface = np.zeros(size), 0
+    if family == "boundary":
+        changed = np.not_equal(bifurcation.before, bifurcation.after)
+        surface = int(np.flatnonzero(changed)[0])
+    elif family == "fold":
+        across = np.linalg.svd(jacobian)[2][-1]
+        more = [across]
+    else:
+        omega = _frequency(at)
+        mass = np.diag(np.arange(size) < n).astype(float)
+        vector = np.linalg.svd(jacobian - 1j * omega * mass)[2][-1].conj()
+        # Turned so that its real and imaginary parts are at right angles.
+        vector = vector * np.exp(-0.5j * np.angle(np.sum(vector**2)))
+        across = vector.real / (vector.real @ vector.real)
+        more = [vector.real, vector.imag, np.array([omega])]
+    values = [np.array([float(get_parameter(at.system, name)) for name in free])]
+    equations = BifurcationEquations(
+        balance=balance,
+        after=array_of(np.asarray(bifurcation.after, dtype), dtype),
+        across=array_of(across, dtype),
+        free=free,
+        family=family,
+        surface=surface,
+    )
+    return equations, np.concatenate([z, *more, *values])

@@ -1,0 +1,214 @@
+"""`continue_equilibrium`: a branch of equilibria by pseudo-arclength continuation.
+
+A system, the name of a parameter and an equilibrium enter; an `EquilibriumBranch` leaves:
+equilibria along the curve, regular ones, pseudo-equilibria and those at rest, and the folds, Hopf
+points and boundary equilibria on it.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxfil.equilibria.balance import Balance, is_affine
+from jaxfil.equilibria.equilibrium import Equilibrium
+from jaxfil.equilibria.equilibrium_branch import EquilibriumBifurcation, EquilibriumBranch
+from jaxfil.equilibria.equilibrium_curve import EquilibriumCurve, EquilibriumPoint, Varied
+from jaxfil.equilibria.search import autonomous
+from jaxfil.model import check
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
+from jaxfil.model.parameter import cast, get_parameter, replace_parameter, scalar_parameter
+from jaxfil.model.system import System
+from jaxfil.orbits.curve import constraint_across, least_scales
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
+from jaxfil.xla.known import array_of
+
+# The least scale of an unknown, in parts of what it is at the start, is this many times that of an
+# orbit's: equilibria pass through zero more often than largest values on orbits do.
+_LEAST = 10.0
+# What is smaller than this part of the others is zero.
+_SMALL = 1e-3
+
+
+def continue_equilibrium(
+    system: System,
+    parameter: str,
+    equilibrium: Equilibrium,
+    *,
+    stop: float | tuple[float, float],
+    max_step: float = 0.05,
+    max_points: int = 2000,
+    throw: bool = True,
+) -> EquilibriumBranch:
+    r"""Follow the branch of equilibria through `equilibrium` as a parameter varies.
+
+    Pseudo-arclength continuation. Where a margin of the equilibrium comes to zero, at a boundary
+    equilibrium, the branch goes on as equilibria of the other mode that are equilibria of the
+    system. With $A = F_x$ there, $C = \nabla H_j$ and $G = \tfrac12 (F_+ - F_-)$ that is in the
+    same direction of the parameter (persistence) if $C A^{-1} G > 0$, and back in a nonsmooth fold
+    if it is negative.
+
+    **Arguments**
+
+    - `system`: the `System`; its value of the parameter does not matter.
+    - `parameter`: the name of a scalar parameter.
+    - `equilibrium`: where to start, as `jf.equilibrium` gives it; not a virtual one.
+    - `stop`: the value of the parameter to end at; a pair (low, high) follows the branch both ways.
+      A branch that turns back ends where it leaves this range.
+    - `max_step`: the largest step, relative to the size of the unknowns; of one that goes to zero,
+      to a part of what it is at the start.
+    - `max_points`: the most points in either direction.
+    - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
+      does not begin has the equilibrium that was given as its only one.
+
+    **Returns** an `EquilibriumBranch`. One that ends before `stop` is a success;
+    `EquilibriumBranch.ended` says why. A closed branch is followed once round.
+
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
+    the equilibrium, which then is none of the system; that of the equilibrium itself where it was
+    not found, as `nonfinite`.
+
+    **Source**: boundary equilibria: M. di Bernardo, C. Budd, A. Champneys and P. Kowalczyk,
+    Piecewise-smooth Dynamical Systems, Springer (2008), § 5.1–5.2.
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> class Line(jf.System):
+    ...     mu: jax.Array
+    ...     def vector_field(self, t, x, side):
+    ...         return jnp.where(side > 0, self.mu - x, -jnp.ones_like(x))
+    ...     def switching(self, t, x):
+    ...         return x[0]
+    >>> line = Line(jnp.array(1.0))
+    >>> branch = jf.continue_equilibrium(line, "mu", jf.equilibrium(line, jnp.ones(1)), stop=-1.0)
+    >>> print(branch.points[0].kind, round(abs(branch.points[0].value), 6))
+    nonsmooth-fold 0.0
+    """
+    check.system("system", system)
+    autonomous("system", system)
+    scalar_parameter(system, parameter)
+    check.flags(throw=throw)
+    max_points = check.count("max_points", max_points)
+    max_step = float(check.scalar("max_step", max_step, float, positive=True))
+    ends = ends_of(stop)
+    if not isinstance(equilibrium, Equilibrium) or equilibrium.x.ndim != 1:
+        raise ValueError(
+            f"`equilibrium` must be a single Equilibrium, got {check.told(equilibrium)}."
+        )
+    curve, start, result = _on_branch(system, parameter, equilibrium)
+    if start is None:
+        branch = _not_begun(curve, equilibrium, result)
+    else:
+        if np.any(start.known.margins < -start.known.noise):
+            raise ValueError(f"`equilibrium` must be one of the system, got a {equilibrium.kind}.")
+        within = range_around(ends, curve.value(start))
+        curve = dataclasses.replace(curve, least=_least(curve, start, ends))
+        branch = _branch(curve, follow(curve, start, within, max_step, max_points))
+    if throw:
+        # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
+        raise_if_failed(branch.values, branch.result)
+    return branch
+
+
+def _on_branch(
+    system: System, parameter: str, at: Equilibrium
+) -> tuple[EquilibriumCurve, EquilibriumPoint | None, RESULTS]:
+    """The branch of an equilibrium; a point of it, if Newton's method stays; its outcome."""
+    dtype = at.x.dtype
+    # The equilibrium says where the branch starts, whatever the system's own value is.
+    known = get_parameter(at.system, parameter)
+    system = replace_parameter(cast(system, dtype), parameter, known)
+    mode = np.asarray(at.mode)
+    balance = Balance(system, array_of(mode, dtype), is_affine(system, at.x, mode.size))
+    curve = EquilibriumCurve(Varied(balance, parameter))
+    u = np.concatenate([np.asarray(at.x), np.asarray(at.multipliers), [float(known)]])
+    constraint = constraint_across(u, _sizes(u, mode.size), curve.axis(u), 0.0)
+    return curve, *curve.begin(u, constraint, curve.axis(u))
+
+
+def _sizes(u: np.ndarray, m: int) -> np.ndarray:
+    """What unknowns are measured by at the start. A component that is zero there, but for rounding,
+    is measured by the largest one; weights by one."""
+    size = abs(u)
+    x = size[: size.size - 1 - m]
+    largest = x.max() or 1.0
+    x[x < _SMALL * largest] = largest
+    return np.where(size == 0, 1.0, size)
+
+
+def _least(curve: EquilibriumCurve, start: EquilibriumPoint, ends: list[float]) -> np.ndarray:
+    """The least scales of unknowns on the branch."""
+    size = _sizes(start.u, start.mode.size)
+    if size[-1] < _SMALL * np.max(np.abs(ends)):
+        size[-1] = 0.0
+    least = _LEAST * least_scales(size, curve.place, ends)
+    least[-1] /= _LEAST
+    return least
+
+
+def _branch(curve: EquilibriumCurve, path: Path[EquilibriumPoint]) -> EquilibriumBranch:
+    """A path as the `EquilibriumBranch` it is."""
+    found = [_equilibrium(curve, point) for point in path.points]
+    dynamic = [eqx.filter(one, eqx.is_array) for one in found]
+    # By NumPy: there is another number of points each time.
+    stacked = jax.device_put(jax.tree.map(lambda *v: np.stack(v), *dynamic))
+    return EquilibriumBranch(
+        parameter=curve.parameter,
+        values=np.array([curve.value(point) for point in path.points]),
+        equilibria=eqx.combine(stacked, eqx.filter(found[0], eqx.is_array, inverse=True)),
+        eigenvalues=np.array([point.known.eigenvalues for point in path.points]),
+        points=[
+            EquilibriumBifurcation(
+                kind=s.kind,
+                value=curve.value(s.point),
+                equilibrium=_equilibrium(curve, s.point),
+                index=s.index,
+                before=_told(s.before),
+                after=_told(s.after),
+            )
+            for s in path.special
+        ],
+        ended=path.ended,
+        result=RESULTS.successful,
+    )
+
+
+def _told(mode: np.ndarray) -> tuple[int, ...]:
+    return tuple(np.round(mode).astype(int).tolist())
+
+
+def _equilibrium(curve: EquilibriumCurve, point: EquilibriumPoint) -> Equilibrium:
+    """A point as the equilibrium it is."""
+    balance, m = curve.varied.balance, point.mode.size
+    n = point.u.size - 1 - m
+    parts = point.u[:n], point.u[n:-1], np.round(point.mode).astype(np.int32)
+    x, multipliers, mode = jax.device_put(parts)
+    return Equilibrium(
+        x=x,
+        mode=mode,
+        multipliers=multipliers,
+        residual=array_of(np.asarray(point.residual)),
+        num_steps=array_of(np.asarray(point.num_steps)),
+        result=RESULTS.successful,
+        system=replace_parameter(balance.system, curve.parameter, point.u[-1]),
+        _affine=balance.affine,
+    )
+
+
+def _not_begun(curve: EquilibriumCurve, given: Equilibrium, result: RESULTS) -> EquilibriumBranch:
+    """Nothing but the equilibrium that was given. What it failed by itself comes first."""
+    value = float(get_parameter(given.system, curve.parameter))
+    arrays, rest = eqx.partition(given, eqx.is_array)
+    why = f"no branch was found at {value:.10g}"
+    return EquilibriumBranch(
+        parameter=curve.parameter,
+        values=np.array([value]),
+        equilibria=eqx.combine(jax.tree.map(lambda v: v[None], arrays), rest),
+        eigenvalues=np.full((1, given.x.size), np.nan, complex),
+        points=[],
+        ended=(why, why),
+        result=RESULTS.where(given.result == RESULTS.successful, result, given.result),
+    )

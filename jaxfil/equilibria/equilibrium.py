@@ -1,0 +1,180 @@
+"""`Equilibrium`: an equilibrium of a system, and what can be asked of it.
+
+What a search has found enters; margins, kind, the linearised flow, eigenvalues, stability and a
+card leave.
+"""
+
+import functools as ft
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float, Int
+
+from jaxfil.equilibria.balance import Balance, Linearised, linearise, on_batches
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.system import System
+from jaxfil.xla.select import select
+
+
+class Equilibrium(eqx.Module):
+    """A state x in which a system stays, F = 0, on one side of each surface, sliding or at rest.
+
+    The first and second derivatives of `x` and `multipliers` with respect to the float leaves of
+    the system are those of the implicit function; `margins`, `jacobian` and `eigenvalues` have
+    first ones too, `margins` and `jacobian` second ones.
+    """
+
+    x: Float[Array, " n"]
+    """The state."""
+    mode: Int[Array, " m"]
+    """For each surface the side ±1 that it is looked for on, 0 where it is a pseudo-equilibrium of
+    the sliding flow, ±2 where it rests on the surface from that side."""
+    multipliers: Float[Array, " m"]
+    """For each surface slid on the weight w of its sides, from −1 to 1 unless it is virtual:
+    F = (1 + w)/2 F_+ + (1 − w)/2 F_−; the reaction of one rested on; the side of all others."""
+    residual: Float[Array, ""]
+    """The largest of the equations that is left, relative to what its terms are made of."""
+    num_steps: Int[Array, ""]
+    """Evaluations that Newton's method took."""
+    result: RESULTS
+    """How the search ended."""
+    system: System
+    """The system, with the parameters for which this is its equilibrium."""
+    _affine: bool = eqx.field(static=True)
+
+    @property
+    def margins(self) -> Float[Array, "*batch m"]:
+        """What is positive of each surface unless the equilibrium is virtual: ±H on a side, 1 − w²
+        of one slid on, the reaction that pushes away from one rested on. Zero: a boundary
+        equilibrium."""
+        return self._of(_margins)
+
+    @property
+    def admissible(self) -> Bool[Array, "*batch"]:
+        """Whether it is one of the system: no margin is negative, but for rounding. One that is
+        not is virtual: the field or the blend that is zero there is not that of the system."""
+        return self._of(_admissible) & (self.result == RESULTS.successful)
+
+    @property
+    def jacobian(self) -> Float[Array, "*batch n n"]:
+        """The derivative of the field of its mode, shape (n, n); that of the sliding field where it
+        slides, which has a zero for each surface slid on and two for one rested on."""
+        return self._of(_jacobian)
+
+    @property
+    def eigenvalues(self) -> Complex[Array, "*batch n"]:
+        """Eigenvalues of the Jacobian, shape (n,), from the largest real part on.
+
+        Sliding is reached in a finite time, so that in place of the zero of each surface slid on is
+        −∞, or +∞ where the sides repel: the limits of the eigenvalues of the smoothed system. In
+        place of the two of a surface rested on are −∞."""
+        return self._of(_eigenvalues)
+
+    @property
+    def stable(self) -> Bool[Array, "*batch"]:
+        """Whether it is one of the system and all eigenvalues have negative real parts."""
+        return self.admissible & jnp.all(jnp.real(self.eigenvalues) < 0, axis=-1)
+
+    @property
+    def kind(self) -> str | np.ndarray:
+        """One of "regular", "pseudo" (it slides) and "rest", of a boundary equilibrium "boundary",
+        with "virtual " before it where it is not one of the system; of a batch an array of
+        these."""
+        kinds = _kinds(*map(np.asarray, (self.mode, self.margins, self._of(_noise))))
+        return str(kinds) if kinds.ndim == 0 else kinds
+
+    def _of(self, function: Callable) -> Any:
+        return on_batches(function, self.x.ndim - 1)(self)
+
+    def __repr__(self) -> str:
+        return _card(self)
+
+
+def _balance(at: Equilibrium) -> tuple[Balance, Array]:
+    mode = at.mode.astype(at.x.dtype)
+    return Balance(at.system, mode, at._affine), jnp.concatenate([at.x, at.multipliers])
+
+
+@eqx.filter_jit
+def _margins(at: Equilibrium) -> Array:
+    balance, z = _balance(at)
+    return balance.margins(z)
+
+
+@eqx.filter_jit
+def _noise(at: Equilibrium) -> Array:
+    balance, z = _balance(at)
+    return balance.noise(z)
+
+
+@eqx.filter_jit
+def _admissible(at: Equilibrium) -> Array:
+    balance, z = _balance(at)
+    return jnp.all(balance.margins(z) >= -balance.noise(z))
+
+
+@eqx.filter_jit
+def _jacobian(at: Equilibrium) -> Array:
+    return linearise(*_balance(at)).jacobian
+
+
+@eqx.filter_jit
+def _eigenvalues(at: Equilibrium) -> Array:
+    return eigenvalues_of(linearise(*_balance(at)))
+
+
+def eigenvalues_of(flow: Linearised) -> Complex[Array, " n"]:
+    """The eigenvalues of a linearised flow, from the largest real part on, infinite ones across
+    surfaces."""
+    # LAPACK must not see a NaN.
+    sound = jnp.all(jnp.isfinite(flow.deflated)) & jnp.all(jnp.isfinite(flow.across))
+    fine = lambda v: select(sound, v, jnp.zeros_like(v))  # noqa: E731
+    values = jnp.linalg.eigvals(fine(flow.deflated))
+    moved = sound & (abs(values) > 0.5 * flow.shift) & (jnp.isfinite(flow.shift))
+    height = jnp.where(moved, -jnp.inf, jnp.real(values))
+    # Eigenvalues of one height by the imaginary part: the order is that of no library.
+    order = jnp.lexsort((-jnp.imag(values), -height))
+    values, count = values[order], jnp.sum(moved)
+    repels = jnp.sum(jnp.real(jnp.linalg.eigvals(fine(flow.across))) > 0) if flow.across.size else 0
+    values, place = jnp.roll(values, repels), jnp.arange(values.shape[0])
+    values = jnp.where(place < repels, jnp.inf, values)
+    values = jnp.where(place >= values.shape[0] - (count - repels), -jnp.inf, values)
+    return jnp.where(sound, values, jnp.nan)
+
+
+def _kinds(mode: np.ndarray, margins: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """The words of each equilibrium of a batch."""
+    plain = np.where(np.any(mode == 0, axis=-1), "pseudo", "regular")
+    plain = np.where(np.any(abs(mode) == 2, axis=-1), "rest", plain)
+    plain = np.where(np.any(abs(margins) <= noise, axis=-1), "boundary", plain)
+    virtual = np.any(margins < -noise, axis=-1)
+    return np.where(virtual, np.char.add("virtual ", plain), plain)
+
+
+def _card(at: Equilibrium) -> str:
+    told = precision(at.x)
+    if isinstance(at.x, jax.core.Tracer) or at.x.ndim > 1:
+        *batch, n = at.x.shape
+        return f"Equilibrium{told}: a batch of shape {tuple(batch)}, states of {n}"
+    show = ft.partial(np.array2string, precision=10, separator=", ")
+    lines = [
+        f"Equilibrium of {type(at.system).__name__}{told}: {outcome(at.result)}",
+        f"  {at.kind}, x = {show(np.asarray(at.x))}, mode {np.asarray(at.mode).tolist()}",
+    ]
+    held = np.asarray(abs(at.mode) != 1)
+    if held.any():
+        numbers = zip(np.flatnonzero(held), np.asarray(at.multipliers)[held], strict=True)
+        words = [f"{'w' if at.mode[j] == 0 else 'λ'} = {v:.10g}" for j, v in numbers]
+        lines.append(f"  {', '.join(words)}")
+    lines += [
+        f"  eigenvalues {show(np.asarray(at.eigenvalues))}: "
+        + ("stable" if bool(at.stable) else "unstable"),
+        f"  residual {float(at.residual):.1e} after {int(at.num_steps)} Newton steps",
+    ]
+    return "\n".join(lines)

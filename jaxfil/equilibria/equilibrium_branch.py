@@ -1,0 +1,114 @@
+"""`EquilibriumBranch`: equilibria along a curve, with what happens on it.
+
+What a continuation has found enters; the equilibria at a value of the parameter, their stability, a
+picture and a card leave.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+
+from jaxfil.equilibria.equilibrium import Equilibrium
+from jaxfil.equilibria.search import equilibrium
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.drawing import draw
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.parameter import replace_parameter
+from jaxfil.model.types import Axes
+from jaxfil.xla.known import part_of
+
+EQUILIBRIUM_BIFURCATION_KINDS = ("fold", "hopf", "persistence", "nonsmooth-fold")
+"""The kinds of points that `continue_equilibrium` locates.
+
+- `"fold"`: two equilibria of one mode meet, and the branch turns back.
+- `"hopf"`: a complex pair of eigenvalues is on the imaginary axis.
+- `"persistence"`: a boundary equilibrium, on one side of which there is one of one mode and on the
+  other one of the other mode: a regular one becomes a pseudo-equilibrium, or comes to rest.
+- `"nonsmooth-fold"`: a boundary equilibrium in which those of both modes meet: the branch turns
+  back.
+"""
+
+
+class EquilibriumBifurcation(eqx.Module):
+    """Where a branch of equilibria changes its character."""
+
+    kind: str = eqx.field(static=True)
+    """One of `EQUILIBRIUM_BIFURCATION_KINDS`."""
+    value: float
+    """The parameter there, located to about 1e-12 of the size of the unknowns."""
+    equilibrium: Equilibrium
+    """The equilibrium there, in the mode before."""
+    index: int = eqx.field(static=True)
+    """It lies between the equilibria number `index` − 1 and `index` of the branch, or is that one:
+    a boundary equilibrium is one of the branch, in the mode after."""
+    before: tuple[int, ...] = eqx.field(static=True)
+    """The mode before, in the order of the branch."""
+    after: tuple[int, ...] = eqx.field(static=True)
+    """The mode after."""
+
+    def __repr__(self) -> str:
+        change = "" if self.before == self.after else f": mode {[*self.before]} to {[*self.after]}"
+        return f"{self.kind} at {self.value:.12g}{change}"
+
+
+class EquilibriumBranch(eqx.Module):
+    """A branch of equilibria: k of them along a curve as one parameter varies."""
+
+    parameter: str = eqx.field(static=True)
+    """The name of the parameter."""
+    values: Float[np.ndarray, " k"]
+    """The parameter at each equilibrium. It turns back at folds, smooth or not."""
+    equilibria: Equilibrium
+    """All of them as one, whose arrays have a leading axis of k."""
+    eigenvalues: Complex[np.ndarray, "k n"]
+    """Those of each, as `Equilibrium.eigenvalues`."""
+    points: list[EquilibriumBifurcation]
+    """What happens on the branch, in its order."""
+    ended: tuple[str, str] = eqx.field(static=True)
+    """Why the curve ends where it does, at either side."""
+    result: RESULTS
+    """How it began: `successful`, also where the branch ends before `stop`, which `ended` tells;
+    otherwise what Newton's method said at the start, and the equilibrium given is the only one."""
+
+    @property
+    def stable(self) -> Bool[np.ndarray, " k"]:
+        """Which equilibria are stable: all eigenvalues have negative real parts."""
+        return np.all(np.real(self.eigenvalues) < 0, axis=-1)
+
+    def at(self, value: float) -> list[Equilibrium]:
+        """The equilibria of the branch at a value of the parameter, in its order."""
+        found, ahead = [], np.asarray(self.values) - value
+        xs, modes = np.asarray(self.equilibria.x), np.asarray(self.equilibria.mode)
+        after = np.append(ahead[1:], np.nan)
+        # A system may hold functions.
+        arrays, rest = eqx.partition(self.equilibria.system, eqx.is_array)
+        for i in np.flatnonzero((ahead * after < 0) | (ahead == 0)):
+            part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
+            next_ = min(i + 1, len(xs) - 1)
+            system = eqx.combine(part_of(arrays, i), rest)
+            # Between two that lie on either side of a boundary the mode is that before it.
+            found.append(
+                equilibrium(
+                    replace_parameter(system, self.parameter, value),
+                    jnp.asarray(xs[i] + part * (xs[next_] - xs[i])),
+                    mode=modes[i],
+                )
+            )
+        return found
+
+    def plot(self, ax: Axes | None = None, component: int = 0) -> Axes:
+        """Draw one component against the parameter: unstable parts dashed, pseudo-equilibria thick,
+        with what happens on the branch. Returns the matplotlib axes."""
+        return draw(self, ax=ax, component=component)
+
+    def __repr__(self) -> str:
+        lines = [
+            f"EquilibriumBranch of {type(self.equilibria.system).__name__}"
+            f"{precision(self.equilibria.x)}: {len(self.values)} equilibria, "
+            f"{self.parameter} from {self.values[0]:.6g} to {self.values[-1]:.6g} "
+            f"(range {self.values.min():.6g} to {self.values.max():.6g})",
+            f"  {outcome(self.result)}",
+            f"  ends: {self.ended[0]}; {self.ended[1]}",
+        ]
+        return "\n".join(lines + [f"  {point}" for point in self.points])

@@ -1,0 +1,251 @@
+"""`EquilibriumCurve`: the equilibria of a system as a parameter varies, as a curve to be followed.
+
+A balance and the name of a parameter enter; points leave, with margins and eigenvalues. Where a
+margin comes to zero an equilibrium reaches the boundary of its mode. The curve goes on from there
+as equilibria of the mode on the other side of it, which are those of the system: in the direction
+in which it came (persistence) or back (a nonsmooth fold).
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from jaxfil.equilibria.balance import Balance, linearise
+from jaxfil.equilibria.equilibrium import eigenvalues_of
+from jaxfil.equilibria.search import evaluation, throws_back
+from jaxfil.model.parameter import replace_parameter
+from jaxfil.orbits.curve import (
+    ArclengthConstraint,
+    Curve,
+    CurvePoint,
+    Special,
+    StepSizes,
+    constraint_across,
+    tangent_of,
+)
+from jaxfil.orbits.locating import zero_on_curve
+from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.xla.known import array_of
+
+# A guess taken from a neighbour converges in a few steps or not at all.
+_NEWTON_STEPS = 12
+
+
+class _Known(eqx.Module):
+    """What is known of an equilibrium on a curve."""
+
+    margins: Float[Array, " m"]
+    noise: Float[Array, " m"]
+    eigenvalues: Complex[Array, " n"]
+
+
+@dataclasses.dataclass(frozen=True)
+class EquilibriumPoint(CurvePoint):
+    """An equilibrium on a curve, its parameter the last unknown. `met` is the surface whose margin
+    is zero at the end of a mode."""
+
+    mode: np.ndarray
+    residual: float
+    known: _Known
+    met: int | None = None
+
+
+class Varied(eqx.Module):
+    """A balance as one parameter varies: unknowns are (x, multipliers, parameter)."""
+
+    balance: Balance
+    parameter: str = eqx.field(static=True)
+
+    def at(self, u: Array) -> tuple[Balance, Array]:
+        """The balance for a value of the parameter, and the unknowns of that."""
+        system = replace_parameter(self.balance.system, self.parameter, u[-1])
+        return Balance(system, self.balance.mode, self.balance.affine), u[:-1]
+
+    def residual(self, u: Array) -> Array:
+        """Its equations, one fewer than unknowns."""
+        balance, z = self.at(u)
+        return balance.residual(z)
+
+    def margins(self, u: Array) -> Array:
+        """Its margins."""
+        balance, z = self.at(u)
+        return balance.margins(z)
+
+
+@eqx.filter_jit
+def _solve(varied: Varied, u: Array, constraint: ArclengthConstraint, newton_steps: Array) -> Root:
+    """Newton's root of the equations and a constraint."""
+
+    def evaluate(u: Array) -> Evaluation:
+        balance, z = varied.at(u)
+        own = evaluation(balance, z, constraint.scale[:-1])
+        unknowns = jnp.append(own.unknown_scale, jnp.maximum(abs(u[-1]), constraint.scale[-1]))
+        by_parameter = jax.jacfwd(lambda p: varied.residual(u.at[-1].set(p)))(u[-1])
+        jacobian = jnp.concatenate([own.jacobian, by_parameter[:, None]], axis=1)
+        given = dataclasses.replace(own, jacobian=jacobian, unknown_scale=unknowns)
+        return constraint.appended(given, u)
+
+    root = newton(evaluate, u, newton_steps)
+    balance, z = varied.at(root.z)
+    known = _Known(balance.margins(z), balance.noise(z), eigenvalues_of(linearise(balance, z)))
+    return dataclasses.replace(root, at=dataclasses.replace(root.at, aux=known))
+
+
+@eqx.filter_jit
+def _margin_rates(varied: Varied, u: Array, along: Array) -> Array:
+    return jax.jvp(varied.margins, (u,), (along,))[1]
+
+
+@eqx.filter_jit
+def _walls(varied: Varied, u: Array) -> Array:
+    balance, z = varied.at(u)
+    return throws_back(balance, balance.split(z)[0])
+
+
+@dataclasses.dataclass(frozen=True)
+class EquilibriumCurve(Curve[EquilibriumPoint]):
+    """The curve of a balance and a parameter. No scale is below `least`."""
+
+    varied: Varied
+    least: np.ndarray | float = 0.0
+
+    # Smooth within a mode, and its ends are located.
+    steps = StepSizes(first=0.01, least=1e-7, growth=1.6, straight=0.995, easy=6, corner=0.0)
+    solution = "equilibrium"
+    place = -1
+
+    @property
+    def parameter(self) -> str:
+        """The name of the parameter."""
+        return self.varied.parameter
+
+    @property
+    def mode(self) -> np.ndarray:
+        """The mode, (m,)."""
+        return np.asarray(self.varied.balance.mode)
+
+    def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
+        """By the equations of the mode."""
+        return _solve(self.varied, array_of(guess), constraint, array_of(_NEWTON_STEPS, jnp.int32))
+
+    def point(
+        self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
+    ) -> EquilibriumPoint:
+        """With its margins and eigenvalues."""
+        scale = np.asarray(constraint.scale)
+        return EquilibriumPoint(
+            u=np.asarray(root.z),
+            scale=scale,
+            tangent=tangent_of(root, scale, along),
+            num_steps=int(root.num_steps),
+            mode=self.mode,
+            residual=float(root.size),
+            known=jax.tree.map(np.asarray, root.at.aux),
+        )
+
+    def metric(self, point: EquilibriumPoint) -> np.ndarray:
+        """Components and the parameter by their sizes, weights by one."""
+        size, m = abs(point.u), self.mode.size
+        size[size.size - 1 - m : -1] = np.maximum(size[size.size - 1 - m : -1], 1.0)
+        return np.maximum(size, self.least)
+
+    def special_points(
+        self, a: EquilibriumPoint, b: EquilibriumPoint
+    ) -> Iterator[Special[EquilibriumPoint]]:
+        """Folds and Hopf points."""
+        for kind, test in (("fold", _fold), ("hopf", _hopf)):
+            if test(a) * test(b) < 0:
+                point = zero_on_curve(self, a, b, test)
+                # Where two real eigenvalues of opposite sign have the sum zero nothing happens.
+                if point is not None and (kind == "fold" or _is_pair(point)):
+                    yield Special(kind, point, self.mode, self.mode)
+
+    def last_between(
+        self, here: EquilibriumPoint, ahead: EquilibriumPoint
+    ) -> tuple[EquilibriumPoint, str] | None:
+        """The boundary equilibrium between two neighbours, the first if there are several."""
+        before, after = here.known, ahead.known
+        left = (before.margins > before.noise) & (after.margins < 0)
+        found = []
+        for j in np.flatnonzero(left).tolist():
+            point = zero_on_curve(self, here, ahead, lambda p, j=j: float(p.known.margins[j]))
+            if point is not None:
+                away = np.linalg.norm((point.u - here.u) / here.scale)
+                found.append((away, j, dataclasses.replace(point, met=j)))
+        if not found:
+            return None
+        _, j, point = min(found, key=lambda v: v[:2])
+        return point, f"the boundary at surface {j} was met at {self.told(point)}"
+
+    def beyond_last(
+        self, last: EquilibriumPoint
+    ) -> tuple[Curve[EquilibriumPoint], EquilibriumPoint, Special[EquilibriumPoint]] | None:
+        """The equilibria of the mode that shares the boundary, from there on to where they are
+        those of the system."""
+        if last.met is None:
+            return None
+        beside, u = self._beyond(last.u, last.met)
+        if beside is None:
+            return None
+        scale = beside.metric(dataclasses.replace(last, u=u))
+        axis = self.axis(u)
+        point = beside.correct(u, constraint_across(u, scale, axis, 0.0), axis)
+        if point is None:
+            return None
+        along = array_of(point.tangent * point.scale)
+        rate = float(_margin_rates(beside.varied, array_of(point.u), along)[last.met])
+        point = dataclasses.replace(point, tangent=np.sign(rate) * point.tangent)
+        same = point.tangent[-1] * last.tangent[-1] > 0
+        kind = "persistence" if same else "nonsmooth-fold"
+        return beside, point, Special(kind, last, self.mode, beside.mode)
+
+    def _beyond(self, u: np.ndarray, j: int) -> "tuple[EquilibriumCurve | None, np.ndarray]":
+        """The curve of the mode on the other side of the boundary at surface j, and a boundary
+        equilibrium in its unknowns."""
+        balance, mode, u = self.varied.balance, self.mode.copy(), u.copy()
+        place = u.size - 1 - mode.size + j
+        if mode[j] == 0:
+            mode[j] = u[place] = np.sign(u[place])
+        elif abs(mode[j]) == 2:
+            mode[j] = u[place] = np.sign(mode[j])
+        elif balance.system.resets and bool(_walls(self.varied, array_of(u))[j]):
+            mode[j], u[place] = 2 * mode[j], 0.0
+        elif balance.system.slides:
+            mode[j] = 0.0
+        else:
+            return None, u
+        beside = Balance(balance.system, array_of(mode, u.dtype), balance.affine)
+        return dataclasses.replace(self, varied=Varied(beside, self.parameter)), u
+
+
+def _fold(point: EquilibriumPoint) -> float:
+    # At a fold the curve runs at right angles to the parameter's axis.
+    return float(point.tangent[-1])
+
+
+def _finite(point: EquilibriumPoint) -> np.ndarray:
+    values = np.asarray(point.known.eigenvalues)
+    return values[np.isfinite(np.real(values))]
+
+
+def _hopf(point: EquilibriumPoint) -> float:
+    """The product of all sums of two eigenvalues, each in its own size: it goes through zero where
+    a pair is on the imaginary axis, real or complex before."""
+    values = _finite(point)
+    i, j = np.triu_indices(values.size, 1)
+    size = np.maximum(abs(values[i]) + abs(values[j]), np.finfo(float).tiny)
+    return float(np.real(np.prod((values[i] + values[j]) / size))) if i.size else np.nan
+
+
+def _is_pair(point: EquilibriumPoint) -> bool:
+    """Whether the two eigenvalues with the smallest sum are a complex pair."""
+    values = _finite(point)
+    i, j = np.triu_indices(values.size, 1)
+    k = np.argmin(abs(values[i] + values[j]))
+    one = complex(values[i[k]])
+    return abs(one.imag) > abs(one.real)

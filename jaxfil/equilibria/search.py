@@ -1,0 +1,232 @@
+"""`equilibrium`: an equilibrium by Newton's method, in a mode of motion.
+
+A system and a guess enter, and the mode, unless the guess says it; an `Equilibrium` leaves, with
+its outcome. Regular or pseudo, stable or not, of the system or virtual makes no difference.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Int
+
+from jaxfil.equilibria.balance import Balance, is_affine
+from jaxfil.equilibria.equilibrium import Equilibrium
+from jaxfil.model import check
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
+from jaxfil.model.parameter import cast
+from jaxfil.model.system import System
+from jaxfil.model.types import State
+from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
+from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.xla.known import array_of, compiled_if_traced
+from jaxfil.xla.select import select
+
+# A component this small is measured as if it were this large.
+_SMALL = 1e-3
+# Rounding of H at a guess, in eps of its terms.
+_NOISE = 64
+_MODES = (-2, -1, 0, 1, 2)
+
+
+def equilibrium(
+    system: System,
+    guess: State,
+    *,
+    mode: Int[ArrayLike, " m"] | int | None = None,
+    newton_steps: int = 50,
+    throw: bool = True,
+) -> Equilibrium:
+    r"""Find the equilibrium of an autonomous system near `guess` by Newton's method.
+
+    $$\sum_s F_s(x) \prod_j \tfrac12 (1 + s_j w_j) + \sum_j \lambda_j d_j = 0, \qquad
+    H_j(x) = 0 \text{ of each surface slid or rested on}$$
+
+    On the sides of all surfaces it is a regular equilibrium, F(x, side) = 0. On surfaces slid on it
+    is a pseudo-equilibrium, of Filippov's sliding field, and the weights w are found with it; on
+    surfaces with a reset one at rest, with the reactions λ in the direction d of the reset. It is
+    virtual where H has the other sign, |w| > 1, or a reaction would have to pull.
+
+    **Arguments**
+
+    - `system`: the `System`, without a period and clocks. Its functions are taken at t = 0.
+    - `guess`: a guess of the state, shape (n,).
+    - `mode`: for each surface the side ±1, 0 to slide on it, ±2 to rest on it from that side, shape
+      (m,), or one number for one surface. None: the side on which the guess is; of a surface that
+      it lies on, to rounding, 0, or 2 if its reset throws back.
+    - `newton_steps`: the most evaluations of the field.
+    - `throw`: whether to raise an error unless the outcome is `successful`.
+
+    **Returns** an `Equilibrium`; one that is virtual is a success, which `kind` and `admissible`
+    tell. For a batch use `equinox.filter_vmap` with `throw=False`. The first and second derivatives
+    of its `x` and `multipliers` are those of the implicit function, forward and reverse.
+
+    **Outcomes**: `successful`; `newton_stalled`, `newton_singular` (a fold, or sliding with two
+    fields that differ in nothing) or `newton_max_steps_reached` where none was found; `nonfinite`
+    where the field at the guess is.
+
+    **Source**: M. di Bernardo, C. Budd, A. Champneys and P. Kowalczyk, Piecewise-smooth Dynamical
+    Systems, Springer (2008), § 5.1; on several surfaces the blend of J. Alexander and T. Seidman,
+    Sliding modes in intersecting switching surfaces, Houston J. Math. 24 (1998).
+
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> up, down = lambda t, x: jnp.stack([-x[0], -1.0]), lambda t, x: jnp.stack([1.0, 3.0])
+    >>> relay = jf.piecewise(up, down, lambda t, x: x[1])
+    >>> pseudo = jf.equilibrium(relay, jnp.array([0.5, 0.0]))
+    >>> print(pseudo.kind, pseudo.x.round(6), pseudo.multipliers.round(6))
+    pseudo [0.333333 0.      ] [0.5]
+    """
+    x = check.state("guess", guess)
+    check.flags(throw=throw)
+    if throw:
+        check.finite("guess", x)
+    check.system("system", system)
+    system = cast(system, x.dtype)
+    autonomous("system", system)
+    shape = check.shapes(system, x)
+    m = 1 if shape == () else shape[0]
+    known = None if mode is None else modes("mode", mode, m)
+    budget = array_of(check.count("newton_steps", newton_steps), jnp.int32)
+    if system.feels_reactions and (known is None or np.any(abs(known) == 2)):
+        raise ValueError(
+            f"`mode` must be given, with no rest in it, of {type(system).__name__}, whose field "
+            f"feels reactions; got {check.told(mode)}."
+        )
+    affine = is_affine(system, x, m)
+    given = None if known is None else array_of(np.asarray(known), x.dtype)
+    found = in_mode(system, x, given, budget, m, affine)
+    return raise_if_failed(found, found.result) if throw else found
+
+
+def autonomous(name: str, system: System) -> None:
+    """A system that nothing drives."""
+    if system.period is not None or system.clocks:
+        drives = "a period" if system.period is not None else "clocks"
+        raise ValueError(
+            f"`{name}` must be autonomous, for a forced system has no equilibria (see "
+            f"`periodic_orbit`); {type(system).__name__} has {drives}."
+        )
+
+
+def modes(name: str, value: Any, m: int) -> np.ndarray:
+    """A mode for each of m surfaces, shape (m,)."""
+    must = f"{m} of the numbers −2, −1, 0, 1, 2, one for each surface"
+    numbers = check.known_numbers(name, value, must)
+    if m == 1 and numbers.ndim == 0:
+        numbers = numbers[None]
+    if numbers.shape != (m,) or not np.isin(numbers, _MODES).all():
+        raise ValueError(f"`{name}` must be {must}, got {check.told(value)}.")
+    return numbers
+
+
+@compiled_if_traced
+def in_mode(
+    system: System, x: Array, mode: Array | None, newton_steps: Array, m: int, affine: bool
+) -> Equilibrium:
+    """`equilibrium` of arguments that are known to be right; None: the mode that the guess says."""
+    balance, z, scale = _beginning(system, x, mode, m, affine)
+    equations = _AtRest(balance.mode, scale, newton_steps, affine)
+    z, root = solve_implicit(equations, system, z)
+    return equilibrium_of(balance, z, root)
+
+
+@eqx.filter_jit
+def _beginning(
+    system: System, x: Array, mode: Array | None, m: int, affine: bool
+) -> tuple[Balance, Array, Array]:
+    """The mode, the first unknowns and their scales."""
+    if mode is None:
+        mode = _mode_of(system, x, m)
+    balance, off = Balance(system, mode, affine), abs(mode) == 1
+    # Weights and reactions are those with which the field at the guess is smallest: with the field
+    # itself zero they are right.
+    first = select(off, mode, jnp.zeros_like(mode))
+    force = balance.field(x, first)
+    by_first = jax.jacfwd(balance.field, 1)(x, first)
+    gram = by_first.T @ by_first + jnp.diag(off.astype(x.dtype))
+    best = first - jnp.linalg.solve(gram, by_first.T @ force)
+    best = select(jnp.all(jnp.isfinite(best)), best, first)
+    z = jnp.concatenate([x, select(off, mode, best)])
+    return balance, z, scales(z, m)
+
+
+def scales(z: Array, m: int) -> Array:
+    """What unknowns are measured by: components by their sizes, weights by one."""
+    size = jnp.maximum(abs(z), _SMALL)
+    return select(jnp.arange(z.shape[0]) < z.shape[0] - m, size, jnp.maximum(size, 1.0))
+
+
+def throws_back(balance: Balance, x: Array) -> Array:
+    """Whether the reset of each surface turns a motion back, e ≥ 0 to rounding, (m,)."""
+    return balance.pushes(x)[1] >= 1 - float(jnp.finfo(x.dtype).eps) ** 0.5
+
+
+def _mode_of(system: System, x: Array, m: int) -> Array:
+    """The mode that a guess says."""
+    balance = Balance(system, jnp.ones((m,), x.dtype), affine=False)
+    h = balance.h(x)
+    terms = abs(jax.jacfwd(balance.h)(x)) @ abs(x)
+    on = abs(h) <= _NOISE * jnp.finfo(x.dtype).eps * terms
+    held = jnp.zeros_like(h)
+    if system.resets and m:
+        held = select(throws_back(balance, x), jnp.full_like(h, 2.0), held)
+    return jax.lax.stop_gradient(select(on, held, jnp.sign(h)))
+
+
+@eqx.filter_jit
+def equilibrium_of(balance: Balance, z: Array, root: Root) -> Equilibrium:
+    """The equilibrium that a solution is."""
+    x, multipliers = balance.split(z)
+    return Equilibrium(
+        x=x,
+        mode=jnp.round(balance.mode).astype(jnp.int32),
+        multipliers=multipliers,
+        residual=root.size,
+        num_steps=root.num_steps,
+        result=root.result,
+        system=balance.system,
+        _affine=balance.affine,
+    )
+
+
+def evaluation(balance: Balance, z: Array, scale: Array) -> Evaluation:
+    """The equations as Newton's method wants them."""
+    residual, jacobian = balance.residual(z), jax.jacfwd(balance.residual)(z)
+    unknowns = jnp.maximum(scale, scales(z, balance.mode.shape[0]))
+    terms = abs(jacobian) @ unknowns
+    terms = select(terms > 0, terms, jnp.ones_like(terms))
+    return Evaluation(residual, jacobian, terms, unknowns, RESULTS.successful, None)
+
+
+class _AtRest(Equations):
+    """The equations of an equilibrium of a given system, in a mode."""
+
+    mode: Array
+    scale: Array
+    newton_steps: Array
+    affine: bool = eqx.field(static=True)
+
+    def balance(self, system: System) -> Balance:
+        """That of a system."""
+        return Balance(system, self.mode, self.affine)
+
+    @eqx.filter_jit
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
+        """Newton's iteration."""
+        balance = self.balance(system)
+        root = newton(lambda z: evaluation(balance, z, self.scale), guess, self.newton_steps)
+        return root.z, root.at.jacobian, root
+
+    @eqx.filter_jit
+    def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """By the equations themselves."""
+        return jax.jacfwd(lambda theta: self.balance(system_of(theta)).residual(z))(theta)
+
+    @eqx.filter_jit
+    def by_unknowns(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """The same."""
+        return jax.jacfwd(self.balance(system_of(theta)).residual)(z)

@@ -1,0 +1,259 @@
+"""`continue_equilibrium_bifurcation`: a bifurcation of equilibria as two parameters vary.
+
+A bifurcation on a branch of equilibria and the names of two parameters enter; the curve on which it
+goes on leaves.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxfil.equilibria.bifurcation_equations import BifurcationEquations, equations_of
+from jaxfil.equilibria.equilibrium_branch import EquilibriumBifurcation
+from jaxfil.equilibria.search import autonomous
+from jaxfil.model import check
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.drawing import draw
+from jaxfil.model.labels import Labels, labels_of
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
+from jaxfil.model.parameter import scalar_parameters
+from jaxfil.model.system import System
+from jaxfil.model.types import Axes
+from jaxfil.orbits.curve import (
+    ArclengthConstraint,
+    Curve,
+    CurvePoint,
+    Special,
+    StepSizes,
+    constraint_across,
+    least_scales,
+    tangent_of,
+)
+from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
+from jaxfil.xla.known import array_of
+
+_NEWTON_STEPS = 12
+# What is smaller than this part of the largest unknown is zero.
+_SMALL = 1e-3
+
+
+class EquilibriumCurve(eqx.Module):
+    """A bifurcation of equilibria in two parameters: k points of a curve."""
+
+    parameters: tuple[str, str] = eqx.field(static=True)
+    """The names of the parameters."""
+    values: Float[np.ndarray, "k 2"]
+    """The parameters at each point."""
+    xs: Float[np.ndarray, "k n"]
+    """The equilibrium there."""
+    kinds: tuple[str, ...] = eqx.field(static=True)
+    """The kind at each point, one of `EQUILIBRIUM_BIFURCATION_KINDS`."""
+    ended: tuple[str, str] = eqx.field(static=True)
+    """Why the curve ends where it does, at either side."""
+    result: RESULTS
+    """How it began: `successful`, also where the curve ends before `stop`, which `ended` tells;
+    otherwise why it did not, and the bifurcation that was given is its only point."""
+    labels: Labels = eqx.field(static=True, default=Labels())
+    """What pictures call the parameters."""
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the curve in the plane of its two parameters; returns the matplotlib axes."""
+        return draw(self, ax=ax)
+
+    def __repr__(self) -> str:
+        a, b = self.parameters
+        low, high = self.values.min(axis=0), self.values.max(axis=0)
+        lines = [
+            f"EquilibriumCurve{precision(self.xs)}, {len(self.values)} points: "
+            f"{', '.join(dict.fromkeys(self.kinds))}",
+            f"  {a} from {low[0]:.6g} to {high[0]:.6g}, {b} from {low[1]:.6g} to {high[1]:.6g}",
+            f"  {outcome(self.result)}",
+            f"  ends: {self.ended[0]}; {self.ended[1]}",
+        ]
+        return "\n".join(lines)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Point(CurvePoint):
+    """A bifurcation: its two parameters are the last unknowns."""
+
+    kind: str
+    admissible: bool
+
+
+@eqx.filter_jit
+def _solve(equations: BifurcationEquations, u: Array, constraint: ArclengthConstraint) -> Root:
+    def evaluate(u: Array) -> Evaluation:
+        residual, jacobian = equations.residual(u), jax.jacfwd(equations.residual)(u)
+        unknowns = jnp.maximum(abs(u), constraint.scale)
+        terms = abs(jacobian) @ unknowns
+        terms = jnp.where(terms > 0, terms, 1.0)
+        at = Evaluation(residual, jacobian, terms, unknowns, RESULTS.successful, None)
+        return constraint.appended(at, u)
+
+    root = newton(evaluate, u, _NEWTON_STEPS)
+    balance, z = equations.at(root.z)
+    margins, noise = balance.margins(z), balance.noise(z)
+    if equations.family == "boundary":
+        # Its own margin is what vanishes.
+        margins = margins.at[equations.surface].set(0.0)
+    known = equations.persists(root.z), jnp.all(margins >= -noise)
+    return dataclasses.replace(root, at=dataclasses.replace(root.at, aux=known))
+
+
+@dataclasses.dataclass(frozen=True)
+class _BifurcationCurve(Curve[_Point]):
+    """The curve of the equations of a bifurcation. No scale is below `least`."""
+
+    equations: BifurcationEquations
+    least: np.ndarray | float = 0.0
+
+    steps = StepSizes(first=0.01, least=1e-6, growth=1.5, straight=0.99, easy=8, corner=0.0)
+    solution = "bifurcation"
+    place = -2
+
+    @property
+    def parameter(self) -> str:
+        """The name of the first parameter."""
+        return self.equations.free[0]
+
+    def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
+        """By the equations of the bifurcation."""
+        return _solve(self.equations, array_of(guess), constraint)
+
+    def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> _Point:
+        """With its kind."""
+        scale, family = np.asarray(constraint.scale), self.equations.family
+        persists, admissible = root.at.aux
+        boundary = "persistence" if float(persists) > 0 else "nonsmooth-fold"
+        return _Point(
+            u=np.asarray(root.z),
+            scale=scale,
+            tangent=tangent_of(root, scale, along),
+            num_steps=int(root.num_steps),
+            kind=boundary if family == "boundary" else family,
+            admissible=bool(admissible),
+        )
+
+    def metric(self, point: _Point) -> np.ndarray:
+        """All unknowns by their sizes."""
+        return np.maximum(abs(point.u), self.least)
+
+    def special_points(self, a: _Point, b: _Point) -> Iterator[Special[_Point]]:
+        """None are looked for."""
+        return iter(())
+
+    def refusal(self, ahead: _Point) -> str | None:
+        """A virtual equilibrium is none of the system."""
+        return None if ahead.admissible else "the equilibrium is virtual"
+
+    def told(self, point: _Point) -> str:
+        """Both parameters."""
+        return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
+
+
+def continue_equilibrium_bifurcation(
+    system: System,
+    parameters: tuple[str, str],
+    bifurcation: EquilibriumBifurcation,
+    *,
+    stop: float | tuple[float, float],
+    max_step: float = 0.05,
+    max_points: int = 1000,
+    throw: bool = True,
+) -> EquilibriumCurve:
+    """Follow a fold, a Hopf point or a boundary equilibrium in two parameters.
+
+    Pseudo-arclength continuation of the equations that define it: F = 0 with a null vector of the
+    Jacobian, with a pair of eigenvalues ±iω, or with a margin of zero. On a curve of boundary
+    equilibria persistence and nonsmooth folds are told at each point.
+
+    **Arguments**
+
+    - `system`: the `System`. The values of all parameters are those of the bifurcation.
+    - `parameters`: the names of two scalar parameters.
+    - `bifurcation`: where to start, as in `EquilibriumBranch.points`.
+    - `stop`: the value of the first parameter to end at; a pair (low, high) follows the curve both
+      ways.
+    - `max_step`: the largest step, relative to the size of the unknowns.
+    - `max_points`: the most points in either direction.
+    - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a curve that
+      does not begin has the bifurcation that was given as its only point.
+
+    **Returns** an `EquilibriumCurve`. One that ends before `stop`, as where the equilibrium becomes
+    virtual, is a success; `EquilibriumCurve.ended` says why.
+
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
+    the bifurcation.
+
+    **Source**: textbook for folds and Hopf points: W. Govaerts, Numerical Methods for Bifurcations
+    of Dynamical Equilibria, SIAM (2000); boundary equilibria: M. di Bernardo, C. Budd, A. Champneys
+    and P. Kowalczyk, Piecewise-smooth Dynamical Systems, Springer (2008), § 5.2.
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import jaxfil as jf
+    >>> jax.config.update("jax_enable_x64", True)
+    >>> class Fold(jf.System):
+    ...     a: jax.Array
+    ...     b: jax.Array
+    ...     def vector_field(self, t, x, side):
+    ...         return self.a + self.b * x - x**2
+    >>> fold, x = Fold(jnp.array(1.0), jnp.array(2.0)), jnp.array([3.0])
+    >>> branch = jf.continue_equilibrium(fold, "a", jf.equilibrium(fold, x), stop=-3.0)
+    >>> args = ("b", "a"), branch.points[0]
+    >>> curve = jf.continue_equilibrium_bifurcation(fold, *args, stop=4.0)
+    >>> print(curve.values[-1].round(9))  # 4a + b² = 0
+    [ 4. -4.]
+    """
+    check.system("system", system)
+    autonomous("system", system)
+    if len(scalar_parameters(system, parameters)) != 2:
+        raise ValueError(
+            f"`parameters` must be two different parameters, got {check.told(parameters)}."
+        )
+    check.flags(throw=throw)
+    check.instance("bifurcation", bifurcation, EquilibriumBifurcation)
+    max_points = check.count("max_points", max_points)
+    max_step = float(check.scalar("max_step", max_step, float, positive=True))
+    ends = ends_of(stop)
+    free = parameters[0], parameters[1]
+    equations, u = equations_of(bifurcation, free)
+    curve = _BifurcationCurve(equations)
+    size = np.where(abs(u) < _SMALL * abs(u).max(), 0.0, abs(u))
+    constraint = constraint_across(u, np.where(size == 0, 1.0, size), curve.axis(u), 0.0)
+    start, result = curve.begin(u, constraint, curve.axis(u))
+    if start is None:
+        why = f"no curve was found at ({u[-2]:.8g}, {u[-1]:.8g})"
+        point = _Point(u, size, u, 0, bifurcation.kind, admissible=True)
+        found = _curve(curve, Path([point], [], (why, why)), result)
+    else:
+        within = range_around(ends, curve.value(start))
+        least = 10 * least_scales(size, curve.place, ends)
+        curve = dataclasses.replace(curve, least=least)
+        found = _curve(curve, follow(curve, start, within, max_step, max_points), result)
+    if throw:
+        # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
+        raise_if_failed(found.values, found.result)
+    return found
+
+
+def _curve(curve: _BifurcationCurve, path: Path[_Point], result: RESULTS) -> EquilibriumCurve:
+    """A path as the `EquilibriumCurve` it is."""
+    equations = curve.equations
+    n = equations.across.size - equations.after.size
+    return EquilibriumCurve(
+        parameters=equations.free,
+        values=np.array([point.u[-2:] for point in path.points]),
+        xs=np.array([point.u[:n] for point in path.points]),
+        kinds=tuple(point.kind for point in path.points),
+        ended=path.ended,
+        result=result,
+        labels=labels_of(equations.balance.system, n).of(equations.free),
+    )

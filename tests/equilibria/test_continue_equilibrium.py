@@ -1,0 +1,103 @@
+"""Branches of equilibria and what bounds them, against closed forms."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+from tests.equilibria.planar import (
+    Boundary,
+    Oscillator,
+    PseudoSaddleNode,
+    Spring,
+    TwoSurfaces,
+)
+
+# A special point is located to 1e-12 of the unknowns, and Newton's method ends at 256 eps of them.
+CLOSE = {"rtol": 0, "atol": 1e-11}
+
+
+def happened(branch):
+    return [(point.kind, point.before, point.after) for point in branch.points]
+
+
+@pytest.mark.parametrize("g, kind", [(1.0, "persistence"), (-1.0, "nonsmooth-fold")])
+def test_a_branch_goes_on_over_a_boundary(g, kind):
+    system = Boundary(0.8, g)
+    start = jf.equilibrium(system, jnp.array([0.1, 0.6]))
+    branch = jf.continue_equilibrium(system, "mu", start, stop=(-0.8, 0.9))
+    assert happened(branch) == [(kind, (1,), (0,))] or happened(branch) == [(kind, (0,), (1,))]
+    (point,) = branch.points
+    assert_allclose([point.value, *point.equilibrium.x], 0.0, **CLOSE)
+    slides = branch.equilibria.mode[:, 0] == 0
+    mu, x = branch.values, np.asarray(branch.equilibria.x)
+    expected = np.where(slides[:, None], np.stack([-0.75 * mu / g, 0 * mu], 1), 0.0)
+    expected[~slides, 1] = mu[~slides]
+    assert_allclose(x, expected, **CLOSE)
+    # Of the regular one to the right, the pseudo-equilibrium beyond, or back.
+    assert_allclose(np.sort([mu[0], mu[-1]]), [-0.8, 0.9] if g > 0 else [0.9, 0.9], **CLOSE)
+    assert np.all(np.where(slides, branch.stable == (g > 0), branch.stable))
+    inner = branch.at(-0.5 if g > 0 else 0.5)
+    assert {one.kind for one in inner} == ({"pseudo"} if g > 0 else {"pseudo", "regular"})
+    assert f"{kind} at" in repr(branch)
+
+
+def test_pseudo_equilibria_meet_in_a_fold():
+    system = PseudoSaddleNode(0.5, 0.25)
+    start = jf.equilibrium(system, jnp.array([0.8, 0.0]))
+    branch = jf.continue_equilibrium(system, "mu", start, stop=(-1.0, 0.75))
+    (point,) = branch.points
+    assert (point.kind, point.before) == ("fold", (0,))
+    assert_allclose(point.value, -0.25, **CLOSE)
+    x = np.asarray(branch.equilibria.x)[:, 0]
+    assert_allclose(x**2, branch.values + 0.25, **CLOSE)
+    assert_allclose(np.sort(x[[0, -1]]), [-1.0, 1.0], **CLOSE)
+    # The eigenvalue of the slide, which attracts.
+    assert_allclose(branch.eigenvalues[:, 0], -x, **CLOSE)
+
+
+def test_a_branch_leaves_two_surfaces_one_after_the_other():
+    system = TwoSurfaces(0.5)
+    branch = jf.continue_equilibrium(system, "a", jf.equilibrium(system, jnp.zeros(2)), stop=4.0)
+    assert happened(branch) == [
+        ("persistence", (0, 0), (0, -1)),
+        ("persistence", (0, -1), (1, -1)),
+    ]
+    assert_allclose([point.value for point in branch.points], [2.5, 3.0], **CLOSE)
+    assert_allclose(branch.equilibria.x[-1], [1.0, -1.0], **CLOSE)
+    assert branch.ended == ("start at 0.5", "a = 4 was reached")
+
+
+def test_a_spring_comes_to_rest_on_its_wall():
+    system = Spring(0.5)
+    start = jf.equilibrium(system, jnp.array([0.4, 0.0]))
+    branch = jf.continue_equilibrium(system, "f", start, stop=-0.5)
+    assert happened(branch) == [("persistence", (1,), (2,))]
+    assert_allclose(branch.points[0].value, 0.0, **CLOSE)
+    assert_allclose(branch.equilibria.multipliers[-1], [0.5], **CLOSE)
+    assert branch.stable.all()
+
+
+def test_a_hopf_point():
+    system = Oscillator(0.5)
+    start = jf.equilibrium(system, jnp.array([0.1, 0.9]))
+    branch = jf.continue_equilibrium(system, "a", start, stop=-0.5)
+    assert happened(branch) == [("hopf", (1,), (1,))]
+    assert_allclose(branch.points[0].value, 0.0, **CLOSE)
+    assert branch.stable.tolist() == (branch.values < 0).tolist()
+
+
+def test_a_virtual_equilibrium_is_on_no_branch():
+    system = Boundary(-0.8, 1.0)
+    virtual = jf.equilibrium(system, jnp.array([0.1, 0.6]))
+    with pytest.raises(ValueError, match="`equilibrium` must be one of the system, got a virtual"):
+        jf.continue_equilibrium(system, "mu", virtual, stop=0.8)
+
+
+def test_a_branch_that_does_not_begin_has_the_outcome_of_its_start():
+    system = Boundary(0.8, 1.0)
+    lost = jf.equilibrium(system, jnp.array([np.nan, 0.6]), throw=False)
+    branch = jf.continue_equilibrium(system, "mu", lost, stop=0.1, throw=False)
+    assert branch.result == jf.RESULTS.nonfinite
+    assert branch.values.tolist() == [0.8]

@@ -1,0 +1,67 @@
+"""Curves of bifurcations of equilibria in two parameters, against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+from tests.equilibria.planar import Boundary, PseudoSaddleNode
+
+CLOSE = {"rtol": 0, "atol": 1e-11}
+
+
+class Hopf(jf.System):
+    """x″ = (a − b²) x′ − x − c round x = −c, on side −: a Hopf point at a = b²."""
+
+    a: jax.Array
+    b: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], (self.a - self.b**2) * x[1] - x[0] - 1.0])
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def the_point(system, parameter, guess, stop):
+    branch = jf.continue_equilibrium(system, parameter, jf.equilibrium(system, guess), stop=stop)
+    (point,) = branch.points
+    return point
+
+
+def test_a_curve_of_folds_of_pseudo_equilibria():
+    system = PseudoSaddleNode(0.5, 0.25)
+    fold = the_point(system, "mu", jnp.array([0.8, 0.0]), -1.0)
+    curve = jf.continue_equilibrium_bifurcation(system, ("b", "mu"), fold, stop=(0.1, 0.8))
+    assert {*curve.kinds} == {"fold"}
+    assert_allclose(curve.values.sum(axis=1), 0.0, **CLOSE)
+    assert_allclose(np.sort(curve.values[[0, -1], 0]), [0.1, 0.8], **CLOSE)
+
+
+def test_a_curve_of_boundary_equilibria_changes_its_kind():
+    """On μ = 0 at g = 0, where the pseudo-equilibrium is not there at all."""
+    system = Boundary(0.8, 1.0)
+    point = the_point(system, "mu", jnp.array([0.1, 0.6]), -0.5)
+    curve = jf.continue_equilibrium_bifurcation(system, ("g", "mu"), point, stop=(-1.0, 1.5))
+    assert_allclose(curve.values[:, 1], 0.0, **CLOSE)
+    assert_allclose(curve.xs, 0.0, **CLOSE)
+    expected = np.where(curve.values[:, 0] > 0, "persistence", "nonsmooth-fold")
+    assert {*curve.kinds} == {"persistence", "nonsmooth-fold"}
+    assert curve.kinds == tuple(expected.tolist())
+
+
+def test_a_curve_of_hopf_points():
+    system = Hopf(0.5, 0.5)
+    point = the_point(system, "a", jnp.array([-1.0, 0.0]), -0.5)
+    assert point.kind == "hopf"
+    curve = jf.continue_equilibrium_bifurcation(system, ("b", "a"), point, stop=(0.2, 0.9))
+    assert_allclose(curve.values[:, 1], curve.values[:, 0] ** 2, **CLOSE)
+    assert {*curve.kinds} == {"hopf"}
+
+
+def test_two_names_are_needed():
+    system = Boundary(0.8, 1.0)
+    with pytest.raises(ValueError, match="`parameters` must be two different parameters"):
+        jf.continue_equilibrium_bifurcation(system, ("g",), None, stop=1.0)
