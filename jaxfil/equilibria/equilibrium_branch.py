@@ -81,12 +81,10 @@ class EquilibriumBranch(eqx.Module):
         found, ahead = [], np.asarray(self.values) - value
         xs, modes = np.asarray(self.equilibria.x), np.asarray(self.equilibria.mode)
         after = np.append(ahead[1:], np.nan)
-        # A system may hold functions.
-        arrays, rest = eqx.partition(self.equilibria.system, eqx.is_array)
         for i in np.flatnonzero((ahead * after < 0) | (ahead == 0)):
             part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
             next_ = min(i + 1, len(xs) - 1)
-            system = eqx.combine(part_of(arrays, i), rest)
+            system = part_of(self.equilibria.system, i)
             # Between two that lie on either side of a boundary the mode is that before it.
             found.append(
                 equilibrium(

@@ -42,10 +42,8 @@ def equilibria_in(system: System, window: Float[np.ndarray, "2 2"], m: int) -> l
         same = [k for k in kept if np.all(abs(states[k] - states[i]) <= _ONE * size)]
         if not any(np.all(each[k] == each[i]) for k in same):
             kept.append(i)
-    # A system may hold functions.
-    arrays, rest = eqx.partition(found, eqx.is_array)
     order = sorted(kept, key=lambda i: (i // len(guesses), *states[i]))
-    return [eqx.combine(part_of(arrays, int(i)), rest) for i in order]
+    return [part_of(found, int(i)) for i in order]
 
 
 def _modes(m: int) -> Float[np.ndarray, "k m"]:

@@ -51,14 +51,15 @@ def in_numpy(tree: Any) -> Any:
 
 
 def part_of(tree: Any, index: Any) -> Any:
-    """The part of all arrays of a tree at an index of their leading axes. Of known ones NumPy takes
-    it: JAX would compile programs for each shape and type.
+    """A tree with the part of each of its arrays at an index of their leading axes. Of known ones
+    NumPy takes it: JAX would compile programs for each shape and type.
 
-    >>> part_of({"a": jnp.arange(6.0).reshape(3, 2), "b": jnp.arange(3)}, 1)
-    {'a': Array([2., 3.], dtype=float64), 'b': Array(1, dtype=int64)}
+    >>> part_of({"a": jnp.arange(6.0).reshape(3, 2), "b": jnp.arange(3), "f": len}, 1)
+    {'a': Array([2., 3.], dtype=float64), 'b': Array(1, dtype=int64), 'f': <built-in function len>}
     """
-    parts = jax.tree.map(lambda v: v[index], in_numpy(tree))
-    return jax.device_put(parts) if is_known(parts) else parts
+    arrays, rest = eqx.partition(tree, eqx.is_array)  # a system may hold functions
+    parts = jax.tree.map(lambda v: v[index], in_numpy(arrays))
+    return eqx.combine(jax.device_put(parts) if is_known(parts) else parts, rest)
 
 
 def power_of_two(count: int) -> int:
