@@ -217,6 +217,8 @@ def _follow(
     away = reset.moved & resting & (outward > noise)
     jumped = reset.moved | state.settled | state.pending.jumped
     acts = jumped & on & (outward < -noise) & ~reset.heard
+    # A reset may let a fast motion through, whatever it does to slow ones.
+    walls = c.throws_back & ~(reset.heard & (outward < -noise))
     # What a map has carried the state across has a contact there, at this time.
     across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
     # What waits for its reset and has been led back, or is no longer run into, is none any more.
@@ -229,7 +231,7 @@ def _follow(
     upcoming = where(jump > 0, reset.acted, owed | (more & state.pending.surfaces & ~reset.heard))
     return Impact(
         next=upcoming,
-        walls=c.throws_back,
+        walls=walls,
         still=still,
         rests=rests,
         pushed=away,
