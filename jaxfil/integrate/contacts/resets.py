@@ -224,11 +224,13 @@ def _follow(
     # What waits for its reset and has been led back, or is no longer run into, is none any more.
     back = at.off & (state.motion.mode * at.h > 0)
     parts = c.throws_back & there & (outward > noise)
-    owed = (reset.waits & ~back & ~(reset.moved & parts)) | acts | across
+    spared = reset.waits & (back | (reset.moved & parts))
+    owed = (reset.waits & ~spared) | acts | across
     rests, consistent = unilateral.pressed(c.reaction, seen.a, sides, still)
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
-    upcoming = where(jump > 0, reset.acted, owed | (more & state.pending.surfaces & ~reset.heard))
+    others = more & state.pending.surfaces & ~reset.heard & ~spared
+    upcoming = where(jump > 0, reset.acted, owed | others)
     return Impact(
         next=upcoming,
         walls=walls,
