@@ -176,10 +176,10 @@ def _view(
 def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
     """The state with no rate against the surfaces that it rests on, and how they see it then."""
     c = seen.constraints
+    # What has just been thrown against them, or off, is no rounding.
+    thrown = reset.moved | (state.pending.jumped & (abs(stop_gradient(c.rate)) > seen.noise))
     # Impacts that have died out by turns have left no rates against the surfaces met.
-    rests = (unilateral.rests_of(state.motion.mode) & ~reset.moved) | (
-        at_limit(state) & c.throws_back
-    )
+    rests = (unilateral.rests_of(state.motion.mode) & ~thrown) | (at_limit(state) & c.throws_back)
     push = unilateral.multipliers(c.impulse.gains, c.rate, rests)
     c = dataclasses.replace(c, rate=c.impulse.answered(c.rate, push))
     seen = dataclasses.replace(seen, constraints=c)
@@ -214,7 +214,7 @@ def _follow(
     leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves
     outward = direction * sides * rate
-    away = reset.moved & resting & (outward > noise)
+    away = (reset.moved | state.pending.jumped) & resting & (outward > noise)
     jumped = reset.moved | state.settled | state.pending.jumped
     acts = jumped & on & (outward < -noise) & ~reset.heard
     # A reset may let a fast motion through, whatever it does to slow ones.
