@@ -25,6 +25,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
+from jaxfil.integrate.contacts.guards import stays_on
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length, typical_step
@@ -34,6 +35,7 @@ from jaxfil.integrate.system.components import (
     largest,
     maximum,
     on_each,
+    total,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -148,15 +150,16 @@ def _turned(
     left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
     move = end.motion.x - turn.x
     limit = end.motion.x + on_each(_rest_of_series, move, turn.move, ratio)
-    agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit)
+    agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit, move)
     # At a grid point it may be late by the rounding of its prediction.
     late = jnp.maximum(stop_gradient(left - length.room), 0)
     completed = shrinks & (agrees & (late <= rounding) | (left <= same) & (late <= same))
     completed = completed & _clear(problem, state, end, left, limit)
     if problem.system.resets:
-        # Of one wall `impact` knows more; of several, speeds are soon as small as rounding leaves.
+        # Of one wall `resets` knows more.
         soon = problem.system.eps**0.5 * typical_step(problem, state)
-        completed = completed & (left <= soon)
+        together = total((turn.met | state.pending.surfaces).astype(jnp.int32)) > 1
+        completed = completed & (together | (left <= soon))
     starts = switches & (again | (turn.contacts >= _LONGEST))
     met = switches & (turn.met | state.pending.surfaces)
     now = Turn(
@@ -185,7 +188,8 @@ def _clear(
         return jnp.ones((), bool)
     t = problem.grid.t0 + end.motion.tau + select(jnp.isfinite(left), left, 0)
     h = problem.system.switching(t, limit)
-    return ~any_of(~(state.pending.surfaces | state.turn.met | (end.motion.mode * h >= 0)))
+    mode, met = end.motion.mode, state.pending.surfaces | state.turn.met
+    return ~any_of(~(met | stays_on(problem.system, mode) | (mode * h >= 0)))
 
 
 def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
@@ -225,6 +229,7 @@ def _agrees(
     ratio: Array,
     left: Array,
     limit: Components,
+    move: Components,
 ) -> tuple[Array, Array]:
     """Whether the limit is the one that the turn before has predicted, to within rounding, and this
     rounding of its time."""
@@ -239,5 +244,7 @@ def _agrees(
         maximum(abs(limit), abs(end.motion.x)),
         maximum(abs(end.motion.f), abs(state.motion.f)),
     )
+    # A reset gives a rounding of its time to what stands still before and after it, too.
+    speed = maximum(speed, abs(move) / select(time > 0, time, 1))
     apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
     return agrees & ~any_of(~(abs(limit - turn.limit) <= apart)), rounding

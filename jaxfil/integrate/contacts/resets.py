@@ -176,10 +176,10 @@ def _view(
 def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
     """The state with no rate against the surfaces that it rests on, and how they see it then."""
     c = seen.constraints
+    # What has just been thrown against them, or off, is no rounding.
+    thrown = reset.moved | (state.pending.jumped & (abs(stop_gradient(c.rate)) > seen.noise))
     # Impacts that have died out by turns have left no rates against the surfaces met.
-    rests = (unilateral.rests_of(state.motion.mode) & ~reset.moved) | (
-        at_limit(state) & c.throws_back
-    )
+    rests = (unilateral.rests_of(state.motion.mode) & ~thrown) | (at_limit(state) & c.throws_back)
     push = unilateral.multipliers(c.impulse.gains, c.rate, rests)
     c = dataclasses.replace(c, rate=c.impulse.answered(c.rate, push))
     seen = dataclasses.replace(seen, constraints=c)
@@ -214,22 +214,26 @@ def _follow(
     leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves
     outward = direction * sides * rate
-    away = reset.moved & resting & (outward > noise)
+    away = (reset.moved | state.pending.jumped) & resting & (outward > noise)
     jumped = reset.moved | state.settled | state.pending.jumped
     acts = jumped & on & (outward < -noise) & ~reset.heard
+    # A reset may let a fast motion through, whatever it does to slow ones.
+    walls = c.throws_back & ~(reset.heard & (outward < -noise))
     # What a map has carried the state across has a contact there, at this time.
     across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
     # What waits for its reset and has been led back, or is no longer run into, is none any more.
     back = at.off & (state.motion.mode * at.h > 0)
     parts = c.throws_back & there & (outward > noise)
-    owed = (reset.waits & ~back & ~(reset.moved & parts)) | acts | across
+    spared = reset.waits & (back | (reset.moved & parts))
+    owed = (reset.waits & ~spared) | acts | across
     rests, consistent = unilateral.pressed(c.reaction, seen.a, sides, still)
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
-    upcoming = where(jump > 0, reset.acted, owed | (more & state.pending.surfaces & ~reset.heard))
+    others = more & state.pending.surfaces & ~reset.heard & ~spared
+    upcoming = where(jump > 0, reset.acted, owed | others)
     return Impact(
         next=upcoming,
-        walls=c.throws_back,
+        walls=walls,
         still=still,
         rests=rests,
         pushed=away,

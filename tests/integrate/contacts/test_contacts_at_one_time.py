@@ -80,6 +80,33 @@ def test_three_of_them_too():
     assert_derivatives(end, exact, [[0.5, 0.5, 0.5], [0.5, 0.6, 0.5]], 1024, order=1)
 
 
+class Ledge(jf.System):
+    """Three masses without forces, restitution 1/2. The first two may run into each other; the
+    second has a ledge at 0 below it, and the third one of its own."""
+
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([x[3:], jnp.zeros(3)])
+
+    def switching(self, t, x):
+        return jnp.stack([x[1] - x[0], x[1], x[2]])
+
+    def reset(self, t, x, surface):
+        v0, v1, v2 = x[3:]
+        push = 0.75 * (v1 - v0)
+        met = jnp.stack([v0 + push, v1 - push, v2])
+        after = jnp.stack([met, jnp.stack([v0, -v1 / 2, v2]), jnp.stack([v0, v1, -v2 / 2])])
+        return x.at[3:].set(after[surface])
+
+
+def test_an_impact_that_another_one_prevents_is_not_made():
+    """All three are met at t = 1; the first impact throws the second mass up from its ledge."""
+    sol = solve(Ledge(), [-3.0, 1.0, 1.0, 3.0, -1.0, -1.0], 2.0, 0.25)
+    assert_array_equal(sol.events.surfaces[: int(sol.num_events)], [0, 2])
+    assert_within(sol.x_final, [0, 2, 0.5, 0, 2, 0.5], 8 * EPS)
+
+
 class Crossings(jf.System):
     """Each state has a rate of 1 below its surface, and its own one above it; the last state is
     the first surface. Without a reset, or with one that does nothing."""

@@ -1,0 +1,57 @@
+"""Resets that throw a slow motion back and let a faster one through; without forces, so that the
+velocities before and after each contact give the end."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxfil as jf
+
+
+class Gate(jf.System):
+    """A point that meets x = 1. Faster than `strength` it goes through, and otherwise comes back
+    half as fast; or, with a `kick`, it leaves upward with this velocity at least."""
+
+    strength: jax.Array
+    kick: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], 0.0])
+
+    def switching(self, t, x):
+        return x[0] - 1
+
+    def reset(self, t, x, surface):
+        v = x[1]
+        after = jnp.where(jnp.abs(v) > self.strength, v, -v / 2)
+        return jnp.stack([x[0], jnp.where(self.kick > 0, jnp.maximum(v, self.kick), after)])
+
+
+# strength, kick, x and v at t = 0, x and v at t = 3, contacts
+CASES = [
+    (2.0, 0.0, 0.0, 1.0, 0.0, -0.5, 1),
+    (2.0, 0.0, 0.0, 4.0, 12.0, 4.0, 0),
+    (2.0, 0.0, 3.0, -4.0, -9.0, -4.0, 0),
+    (0.0, 2.0, 0.0, 1.0, 5.0, 2.0, 1),
+    (0.0, 2.0, 3.0, -2.0, 5.0, 2.0, 1),
+    (0.0, 2.0, 0.0, 4.0, 12.0, 4.0, 0),
+]
+
+
+@eqx.filter_jit
+@eqx.filter_vmap
+def solve(strength, kick, x0):
+    sol = jf.solve(Gate(strength, kick), x0, 0.0, 3.0, 0.4, throw=False)
+    return sol.result, sol.x_final, sol.mode_final, sol.events.kinds
+
+
+def test_what_a_reset_does_not_throw_back_goes_through():
+    strength, kick, x, v, *end, impacts = map(jnp.asarray, zip(*CASES, strict=True))
+    results, found, modes, kinds = solve(strength, kick, jnp.stack([x, v], axis=1))
+    names = jf.model.outcomes.outcome_names(results).tolist()
+    assert names == ["successful"] * len(CASES)
+    np.testing.assert_allclose(found, np.stack(end, axis=1), rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(modes[:, 0], np.where(end[0] > 1, 1, -1))
+    made = np.sum(np.asarray(kinds) == jf.EventKind.impact.value, axis=1)
+    np.testing.assert_array_equal(made, impacts)
