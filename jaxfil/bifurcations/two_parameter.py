@@ -10,8 +10,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from jaxfil.bifurcations.critical_curve import CriticalCurve, CriticalPoint, begin_critical
+from jaxfil.bifurcations.critical_vectors import VECTORS
 from jaxfil.bifurcations.defining_system import defining_system
-from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation
+from jaxfil.bifurcations.locate import Bifurcation
 from jaxfil.bifurcations.tangency import FAMILY_NAMES
 from jaxfil.bifurcations.tangency_curve import TangencyCurve, TangencyPoint
 from jaxfil.model import check
@@ -23,13 +25,12 @@ from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import get_parameter, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
+from jaxfil.orbits.branch import SpecialPoint
 from jaxfil.orbits.curve import constraint_across, least_scales
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
+from jaxfil.orbits.pseudo_arclength import ends_of, follow, range_around
 
 # A guess taken from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
-# By their code, of which −1 is that of none.
-_KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
 
 
 CODIMENSION_TWO_KINDS = (
@@ -114,7 +115,7 @@ class BifurcationCurve(eqx.Module):
 def continue_bifurcation(
     system: System,
     parameters: tuple[str, str],
-    bifurcation: Bifurcation,
+    bifurcation: Bifurcation | SpecialPoint,
     *,
     stop: float | tuple[float, float],
     max_step: float = 0.03,
@@ -167,23 +168,20 @@ def continue_bifurcation(
             f"`parameters` must be two different parameters, got {check.told(parameters)}."
         )
     check.flags(throw=throw)
-    if not isinstance(bifurcation, Bifurcation) or bifurcation.value.ndim:
-        raise ValueError(
-            f"`bifurcation` must be a single Bifurcation, got {check.told(bifurcation)}."
-        )
+    _check_start(bifurcation)
     max_points = check.count("max_points", max_points)
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)
     free = parameters[0], parameters[1]
-    curve, start, result = _on_curve(bifurcation, free)
-    names = labels_of(bifurcation.orbit.system, bifurcation.x.shape[-1]).of(free)
+    names = labels_of(bifurcation.orbit.system, bifurcation.orbit.x0.shape[-1]).of(free)
+    if isinstance(bifurcation, SpecialPoint):
+        curve, start, result = begin_critical(bifurcation, free)
+    else:
+        curve, start, result = _on_curve(bifurcation, free)
     if start is None:
         found = _not_begun(bifurcation, free, result, names)
     else:
-        within = range_around(ends, curve.value(start))
-        least = least_scales(curve.metric(start), curve.place, ends)
-        curve = dataclasses.replace(curve, least=least)
-        found = _curve(curve, follow(curve, start, within, max_step, max_points), names)
+        found = _curve(curve, start, ends, (max_step, max_points), names)
     if throw:
         # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
         raise_if_failed(found.values, found.result)
@@ -207,19 +205,25 @@ def _on_curve(
     return curve, *curve.begin(u, constraint, axis)
 
 
-def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> BifurcationCurve:
-    """A path as the `BifurcationCurve` it is."""
+def _curve(
+    curve: TangencyCurve | CriticalCurve,
+    start: TangencyPoint | CriticalPoint,
+    ends: list[float],
+    steps: tuple[float, int],
+    labels: Labels,
+) -> BifurcationCurve:
+    """What is followed from a point on."""
+    least = least_scales(curve.metric(start), curve.place, ends)
+    curve = dataclasses.replace(curve, least=least)
+    path = follow(curve, start, range_around(ends, curve.value(start)), *steps)
     first, second = curve.equations.free
     return BifurcationCurve(
         parameters=(first, second),
         values=np.array([p.u[-2:] for p in path.points]),
-        ts=np.array([p.known.t for p in path.points]),
-        xs=np.array([p.known.x for p in path.points]),
-        kinds=tuple(_KIND_NAMES[p.code] for p in path.points),
-        points=[
-            CodimensionTwo(s.kind, s.point.u[-2:], _KIND_NAMES[s.before], _KIND_NAMES[s.after])
-            for s in path.special
-        ],
+        ts=np.array([p.t for p in path.points]),
+        xs=np.array([p.x for p in path.points]),
+        kinds=tuple(p.kind for p in path.points),
+        points=[CodimensionTwo(s.kind, s.point.u[-2:], s.before, s.after) for s in path.special],
         ended=path.ended,
         result=RESULTS.successful,
         labels=labels,
@@ -227,21 +231,43 @@ def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> B
 
 
 def _not_begun(
-    bifurcation: Bifurcation, free: tuple[str, str], result: RESULTS, labels: Labels
+    bifurcation: Bifurcation | SpecialPoint, free: tuple[str, str], result: RESULTS, labels: Labels
 ) -> BifurcationCurve:
     """Nothing but the bifurcation that was given. What it failed by itself comes first."""
-    own = bifurcation.result
-    located = (own == RESULTS.successful) | (own == RESULTS.other_kind)
-    values = np.array([float(get_parameter(bifurcation.orbit.system, name)) for name in free])
+    orbit = bifurcation.orbit
+    values = np.array([float(get_parameter(orbit.system, name)) for name in free])
     why = f"no curve was found at ({values[0]:.8g}, {values[1]:.8g})"
+    if isinstance(bifurcation, SpecialPoint):
+        own, t, x = orbit.result, orbit.options.t0, orbit.x0
+    else:
+        own, t, x = bifurcation.result, bifurcation.t, bifurcation.x
+    located = (own == RESULTS.successful) | (own == RESULTS.other_kind)
     return BifurcationCurve(
         parameters=free,
         values=values[None],
-        ts=np.asarray(bifurcation.t)[None],
-        xs=np.asarray(bifurcation.x)[None],
+        ts=np.asarray(t)[None],
+        xs=np.asarray(x)[None],
         kinds=(str(bifurcation.kind),),
         points=[],
         ended=(why, why),
         result=RESULTS.where(located, result, own),
         labels=labels,
     )
+
+
+def _check_start(bifurcation: Bifurcation | SpecialPoint) -> None:
+    """Where a curve may start."""
+    if isinstance(bifurcation, Bifurcation) and not bifurcation.value.ndim:
+        return
+    if isinstance(bifurcation, SpecialPoint) and bifurcation.kind in VECTORS:
+        return
+    raise ValueError(
+        f"`bifurcation` must be a single Bifurcation, or a SpecialPoint of kind "
+        f"{', '.join(VECTORS)}, got {_told(bifurcation)}."
+    )
+
+
+def _told(bifurcation: Bifurcation | SpecialPoint) -> str:
+    if isinstance(bifurcation, SpecialPoint):
+        return f"one of kind {bifurcation.kind}"
+    return check.told(bifurcation)

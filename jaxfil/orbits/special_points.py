@@ -26,7 +26,11 @@ def period_doubling(monodromy: np.ndarray) -> float:
 
 def neimark_sacker(monodromy: np.ndarray) -> float:
     """The modulus of a complex pair of multipliers less one; NaN where there is no such pair."""
-    values = np.linalg.eigvals(monodromy)
+    return pair_on_circle(np.linalg.eigvals(monodromy))
+
+
+def pair_on_circle(values: np.ndarray) -> float:
+    """The same of multipliers."""
     pair = values[values.imag > 0]
     return float(np.max(abs(pair)) - 1) if pair.size else np.nan
 

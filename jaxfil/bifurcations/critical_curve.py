@@ -1,0 +1,211 @@
+"""`CriticalCurve`: a smooth bifurcation of orbits as two parameters vary, as a curve to be followed.
+
+The equations of orbits with critical multipliers enter; points leave, with what is degenerate
+between them. The curve has no corner at a cusp or where multipliers meet. That of pairs on the unit
+circle ends where they meet at ±1: beyond, both are real, and their product alone is 1.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+import jax
+import numpy as np
+
+from jaxfil.bifurcations.critical import CriticalOrbits, Known
+from jaxfil.bifurcations.critical_vectors import VECTORS
+from jaxfil.bifurcations.normal_form import Degeneracy, doubling_degeneracy, fold_degeneracy
+from jaxfil.model.outcomes import RESULTS, is_successful
+from jaxfil.model.parameter import cast, get_parameter
+from jaxfil.orbits.branch import SpecialPoint
+from jaxfil.orbits.corrector import contacts_of
+from jaxfil.orbits.curve import (
+    ArclengthConstraint,
+    Curve,
+    CurvePoint,
+    Special,
+    StepSizes,
+    constraint_across,
+    tangent_of,
+)
+from jaxfil.orbits.locating import change_on_curve, zero_on_curve
+from jaxfil.orbits.newton import Root
+from jaxfil.orbits.special_points import pair_on_circle
+
+# κ of a pair of multipliers e^{±iθ}, κ = cos θ, in strong resonance.
+RESONANCES = {"1:1": 1.0, "1:2": -1.0, "1:3": -0.5, "1:4": 0.0}
+_MEET = ("1:1", "1:2")
+# What is located by a zero is so near.
+_THERE = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticalPoint(CurvePoint):
+    """An orbit with critical multipliers: its two parameters are the last unknowns. The
+    coefficient of its normal form is NaN where none is asked for."""
+
+    kind: str
+    t: float
+    known: Known
+    degeneracy: Degeneracy
+
+    @property
+    def x(self) -> np.ndarray:
+        """The state at t, where the orbit starts."""
+        return self.u[: len(self.known.slopes.first)]
+
+    @property
+    def sequence(self) -> tuple:
+        """The contacts in order."""
+        return contacts_of(self.known.shot.events)
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticalCurve(Curve[CriticalPoint]):
+    """The curve of an orbit with critical multipliers, followed in the first of two parameters."""
+
+    equations: CriticalOrbits
+    least: np.ndarray | float = 0.0
+    """No scale is below it."""
+
+    steps = StepSizes(first=0.01, least=1e-7, growth=1.5, straight=0.99, easy=8, corner=0.0)
+    solution = "bifurcation"
+    place = -2
+
+    @property
+    def parameter(self) -> str:
+        """The name of the first parameter."""
+        return self.equations.free[0]
+
+    def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
+        """By shooting."""
+        return self.equations.root(guess, constraint)
+
+    def point(
+        self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
+    ) -> CriticalPoint:
+        """With the coefficient of its normal form."""
+        u, scale = np.asarray(root.z), np.asarray(constraint.scale)
+        known: Known = jax.tree.map(np.asarray, root.at.aux)
+        s, vectors = self.equations.split(u)
+        kind = self.equations.kind
+        degeneracy = Degeneracy(np.nan, vectors)
+        if kind == "fold":
+            degeneracy = fold_degeneracy(self.equations.first_slopes, s, vectors, known.slopes)
+        elif kind == "period-doubling":
+            degeneracy = doubling_degeneracy(self.equations.first_slopes, s, vectors, known.slopes)
+        tangent = tangent_of(root, scale, along)
+        t = float(self.equations.options.t0)
+        return CriticalPoint(u, scale, tangent, int(root.num_steps), kind, t, known, degeneracy)
+
+    def metric(self, point: CriticalPoint) -> np.ndarray:
+        """What each unknown is measured by."""
+        s, vectors = self.equations.split(point.scale)
+        unit = point.known.slopes.unit
+        return np.maximum(self.equations.joined(unit, vectors), self.least)
+
+    def special_points(
+        self, a: CriticalPoint, b: CriticalPoint
+    ) -> Iterator[Special[CriticalPoint]]:
+        """Points of codimension two, piece by piece: where the contacts change, and between."""
+        kind = self.equations.kind
+        if a.sequence != b.sequence:
+            before, after = change_on_curve(self, a, b, lambda p: p.sequence == a.sequence)
+            yield from self._degenerate(a, before)
+            yield Special("contacts", after, kind, kind)
+            a = after
+        yield from self._degenerate(a, b)
+
+    def _degenerate(self, a: CriticalPoint, b: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
+        kind = self.equations.kind
+        for name, test in self._tests(a).items():
+            point = None
+            if test(a) * test(b) < 0:
+                point = zero_on_curve(self, a, b, test)
+            elif name in _MEET and kind == "neimark-sacker" and abs(test(b)) < _THERE:
+                point = b
+            if point is not None:
+                yield Special(name, point, kind, kind)
+
+    def _tests(self, a: CriticalPoint) -> dict[str, Callable[[CriticalPoint], float]]:
+        """Test functions of the points near a."""
+        kind = self.equations.kind
+        tests: dict[str, Callable[[CriticalPoint], float]] = {}
+        one, minus = "fold", "period-doubling"
+        if kind in ("fold", "branch-point"):
+            one = "1:1"
+        if kind == "fold":
+            tests["cusp"] = lambda p: p.degeneracy.like(a.degeneracy)
+        if kind == "period-doubling":
+            minus = "1:2"
+            tests["generalised-doubling"] = lambda p: p.degeneracy.value
+        if kind == "neimark-sacker":
+            for name, level in RESONANCES.items():
+                tests[name] = lambda p, level=level: self._kappa(p) - level
+        tests[one] = lambda p: float(np.polyval(self._others(p), 1.0))
+        tests[minus] = lambda p: float(np.polyval(self._others(p), -1.0))
+        tests["neimark-sacker"] = lambda p: pair_on_circle(np.roots(self._others(p)))
+        return tests
+
+    def _kappa(self, point: CriticalPoint) -> float:
+        return float(self.equations.split(point.u)[1][-1])
+
+    def _others(self, point: CriticalPoint) -> np.ndarray:
+        """The characteristic polynomial of the multipliers that are not critical, and not the one
+        that an autonomous orbit has everywhere."""
+        kind = self.equations.kind
+        factor = np.poly([-1.0]) if kind == "period-doubling" else np.poly([1.0])
+        if kind == "neimark-sacker":
+            factor = np.array([1.0, -2 * self._kappa(point), 1.0])
+        if self.equations.autonomous:
+            factor = np.polymul(factor, np.poly([1.0]))
+        return np.polydiv(np.poly(point.known.slopes.monodromy), factor)[0]
+
+    def last_between(
+        self, here: CriticalPoint, ahead: CriticalPoint
+    ) -> tuple[CriticalPoint, str] | None:
+        """Where the pair of multipliers meets on the real axis."""
+        if self.equations.kind != "neimark-sacker" or abs(self._kappa(ahead)) <= 1:
+            return None
+        level = float(np.sign(self._kappa(ahead)))
+        point = zero_on_curve(self, here, ahead, lambda p: self._kappa(p) - level)
+        if point is None:
+            return None
+        return point, f"the multipliers meet at {level:g}, at {self.told(point)}"
+
+    def told(self, point: CriticalPoint) -> str:
+        """Both parameters."""
+        return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
+
+
+def begin_critical(
+    point: SpecialPoint, free: tuple[str, str]
+) -> tuple[CriticalCurve, CriticalPoint | None, RESULTS]:
+    """The curve of a special point of a branch; the point on it, if Newton's method stays; the
+    outcome."""
+    orbit = point.orbit
+    system, options = orbit.system, dataclasses.replace(orbit.options, arcs=1)
+    periods = 1
+    if system.period is not None:
+        periods = round(float(orbit.period) / float(np.asarray(system.period)))
+    system = cast(system, orbit.x0.dtype)
+    equations = CriticalOrbits(system, options, periods, free, point.kind)
+    curve = CriticalCurve(equations)
+    own = [] if system.period is not None else [float(orbit.period)]
+    values = [float(get_parameter(system, name)) for name in free]
+    s = np.concatenate([np.asarray(orbit.x0), own, values]).astype(orbit.x0.dtype)
+    shot = equations.shot(s)
+    if not is_successful(shot.result):
+        return curve, None, shot.result
+    vectors = VECTORS[point.kind]
+    slopes = equations.slopes(s, shot, equations.normal_at(s))
+    u = equations.joined(s, vectors.start(slopes))
+    scale = equations.joined(slopes.unit, vectors.scale(slopes))
+    # Across the first parameter; where the curve turns back in that, across the second one.
+    found, result = None, RESULTS.newton_stalled
+    for place in (-2, -1):
+        axis = np.zeros_like(u)
+        axis[place] = 1.0
+        found, result = curve.begin(u, constraint_across(u, scale, axis, 0.0), curve.axis(u))
+        if found is not None:
+            break
+    return curve, found, result
