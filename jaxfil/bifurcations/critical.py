@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil.bifurcations.critical_vectors import VECTORS, Slopes
-from jaxfil.model.outcomes import RESULTS, is_successful
+from jaxfil.model.outcomes import is_successful
 from jaxfil.model.parameter import replace_parameter, replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
@@ -116,7 +116,7 @@ class CriticalOrbits:
         def work(u: Array) -> Evaluation:
             return jax.device_put(self._evaluation(np.asarray(u), base, normal))
 
-        stages = Stages(lambda u: u, work, work, lambda u, done: done)
+        stages = Stages(_as_it_is, work, work, _done)
         return root_of(stages, array_of(guess), _NEWTON_STEPS, constraint.appended, known=True)
 
     def _evaluation(self, u: np.ndarray, base: np.ndarray, normal: np.ndarray) -> Evaluation:
@@ -146,6 +146,15 @@ class CriticalOrbits:
             result=shot.result,
             aux=Known(shot, slopes),
         )
+
+
+def _as_it_is(u: Array) -> Array:
+    return u
+
+
+# One function for all roots: a new one would be traced each time.
+def _done(u: Array, done: Evaluation) -> Evaluation:
+    return done
 
 
 def _by_all(shot: Shot) -> np.ndarray:

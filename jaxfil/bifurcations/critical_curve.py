@@ -1,4 +1,4 @@
-"""`CriticalCurve`: a smooth bifurcation of orbits as two parameters vary, as a curve to be followed.
+"""`CriticalCurve`: a smooth bifurcation of orbits in two parameters, as a curve to be followed.
 
 The equations of orbits with critical multipliers enter; points leave, with what is degenerate
 between them. The curve has no corner at a cusp or where multipliers meet. That of pairs on the unit
@@ -34,8 +34,8 @@ from jaxfil.orbits.special_points import pair_on_circle
 # κ of a pair of multipliers e^{±iθ}, κ = cos θ, in strong resonance.
 RESONANCES = {"1:1": 1.0, "1:2": -1.0, "1:3": -0.5, "1:4": 0.0}
 _MEET = ("1:1", "1:2")
-# What is located by a zero is so near.
-_THERE = 1e-9
+# The end of a curve, where multipliers meet, is known to this part.
+_THERE = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +99,7 @@ class CriticalCurve(Curve[CriticalPoint]):
 
     def metric(self, point: CriticalPoint) -> np.ndarray:
         """What each unknown is measured by."""
-        s, vectors = self.equations.split(point.scale)
+        _, vectors = self.equations.split(point.scale)
         unit = point.known.slopes.unit
         return np.maximum(self.equations.joined(unit, vectors), self.least)
 
@@ -121,6 +121,9 @@ class CriticalCurve(Curve[CriticalPoint]):
             point = None
             if test(a) * test(b) < 0:
                 point = zero_on_curve(self, a, b, test)
+                # A coefficient has poles where another multiplier is critical too.
+                if point is not None and abs(test(point)) > min(abs(test(a)), abs(test(b))):
+                    point = None
             elif name in _MEET and kind == "neimark-sacker" and abs(test(b)) < _THERE:
                 point = b
             if point is not None:
@@ -137,7 +140,7 @@ class CriticalCurve(Curve[CriticalPoint]):
             tests["cusp"] = lambda p: p.degeneracy.like(a.degeneracy)
         if kind == "period-doubling":
             minus = "1:2"
-            tests["generalised-doubling"] = lambda p: p.degeneracy.value
+            tests["generalised-doubling"] = lambda p: p.degeneracy.like(a.degeneracy)
         if kind == "neimark-sacker":
             for name, level in RESONANCES.items():
                 tests[name] = lambda p, level=level: self._kappa(p) - level
@@ -168,8 +171,8 @@ class CriticalCurve(Curve[CriticalPoint]):
             return None
         level = float(np.sign(self._kappa(ahead)))
         point = zero_on_curve(self, here, ahead, lambda p: self._kappa(p) - level)
-        if point is None:
-            return None
+        # Where orbits cross there the equations are singular at the point itself.
+        point = point or change_on_curve(self, here, ahead, lambda p: abs(self._kappa(p)) <= 1)[0]
         return point, f"the multipliers meet at {level:g}, at {self.told(point)}"
 
     def told(self, point: CriticalPoint) -> str:

@@ -1,14 +1,15 @@
-"""The coefficient of the normal form of a fold or a period doubling of orbits.
+"""The coefficient of the normal form of a fold or a period doubling of orbits, times ⟨w, v⟩.
 
 Derivatives of an orbit's end P enter, and a function that gives first ones nearby; the coefficient
 leaves, whose zero is a cusp or a generalised period doubling. With v the critical vector, w the
-left one, ⟨w, v⟩ = 1, B and C second and third derivatives, and J that of the closing:
+left one, each of length one, B and C second and third derivatives, and J that of the closing:
 
     fold               a = ⟨w, B(v, v)⟩/2
     period doubling    c = ⟨w, C(v, v, v) − 3 B(v, J⁻¹ B(v, v))⟩/6
 
-B and C are central differences of exact first derivatives. Of an autonomous orbit state and period
-are moved together, so that it stays on the section of the phase condition.
+Without the division by ⟨w, v⟩ there is no pole where two multipliers meet. B and C are central
+differences of exact first derivatives. Of an autonomous orbit state and period are moved together,
+so that it stays on the section of the phase condition.
 Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), sections 5.4, 9.3 and 10.2.
 """
 
@@ -58,7 +59,6 @@ def doubling_degeneracy(
     unit = slopes.unit[:n]
     v = v / np.linalg.norm(v / unit)
     left = null_vector((slopes.monodromy + np.eye(n)).T, 1 / unit, 1 / unit)
-    left = left / (left @ v)
     # In the section of the phase: the flow's direction is another eigenvector, of 1.
     if k > n:
         flow = slopes.first[:, n]
@@ -72,7 +72,7 @@ def doubling_degeneracy(
     bent = np.linalg.solve(slopes.bordered, np.append(second, np.zeros(k - n)))
     plus, minus = (_along(first_slopes, s, sign * h * bent) @ v for sign in (1, -1))
     mixed = (plus - minus) / (2 * h)
-    return Degeneracy(float(left @ (third - 3 * mixed)) / 6, left)
+    return Degeneracy(float(left @ (third - 3 * mixed)) / 6, left * unit)
 
 
 def _along(first_slopes: FirstSlopes, s: np.ndarray, move: np.ndarray) -> np.ndarray:
