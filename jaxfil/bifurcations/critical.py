@@ -101,11 +101,14 @@ class CriticalOrbits:
         """The direction of the field at the start, one row if it is autonomous, otherwise none."""
         if not self.autonomous:
             return np.zeros((0, s.size - 2))
-        system = replace_parameter(self.system, self.free[1], s[-1])
-        problem = OrbitProblem(system, self.options, self.free[0], self.periods)
-        phase = phase_condition(problem, array_of(s[:-1]))
+        phase = phase_condition(self.problem(s), array_of(s[:-1]))
         assert phase is not None
         return np.asarray(phase.normal)[None]
+
+    def problem(self, s: np.ndarray) -> OrbitProblem:
+        """That of the orbits with the second parameter as it is there."""
+        system = replace_parameter(self.system, self.free[1], s[-1])
+        return OrbitProblem(system, self.options, self.free[0], self.periods)
 
     def root(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
         """Newton's root of the equations and the constraint. The phase is fixed, and vectors are

@@ -17,7 +17,8 @@ from jaxfil.bifurcations.normal_form import Degeneracy, doubling_degeneracy, fol
 from jaxfil.model.outcomes import RESULTS, is_successful
 from jaxfil.model.parameter import cast, get_parameter
 from jaxfil.orbits.branch import SpecialPoint
-from jaxfil.orbits.corrector import contacts_of
+from jaxfil.orbits.closing import OrbitProblem
+from jaxfil.orbits.corrector import OrbitPoint, contacts_of
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
     Curve,
@@ -29,6 +30,7 @@ from jaxfil.orbits.curve import (
 )
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Root
+from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
 from jaxfil.orbits.special_points import pair_on_circle
 
 # κ of a pair of multipliers e^{±iθ}, κ = cos θ, in strong resonance.
@@ -67,7 +69,7 @@ class CriticalCurve(Curve[CriticalPoint]):
     least: np.ndarray | float = 0.0
     """No scale is below it."""
 
-    steps = StepSizes(first=0.01, least=1e-7, growth=1.5, straight=0.99, easy=8, corner=0.0)
+    steps = StepSizes(first=0.01, least=1e-8, growth=1.5, straight=0.99, easy=8, corner=1e-4)
     solution = "bifurcation"
     place = -2
 
@@ -175,6 +177,62 @@ class CriticalCurve(Curve[CriticalPoint]):
         point = point or change_on_curve(self, here, ahead, lambda p: abs(self._kappa(p)) <= 1)[0]
         return point, f"the multipliers meet at {level:g}, at {self.told(point)}"
 
+    def elsewhere(
+        self, here: CriticalPoint, start: CriticalPoint
+    ) -> "tuple[CriticalCurve, CriticalPoint, CriticalPoint] | None":
+        """Shot from a phase far from contacts, where one has come to fall on this one."""
+        problem, orbit = self._orbit(here)
+        part = quiet_phase(problem, orbit)
+        if part is None:
+            return None
+        t0 = here.t + part * period_of(problem, orbit)
+        options = problem_at(problem, t0).options
+        curve = dataclasses.replace(
+            self, equations=dataclasses.replace(self.equations, options=options)
+        )
+        point = self._seen(curve, here)
+        if point is None:
+            return None
+        return curve, point, self._seen(curve, start) or start
+
+    def _orbit(self, point: CriticalPoint) -> tuple[OrbitProblem, OrbitPoint]:
+        """A point as an orbit of the branch in the first parameter."""
+        s, _ = self.equations.split(point.u)
+        shot, known = point.known.shot, s[:-1]
+        # Nobody asks for its tangent.
+        orbit = OrbitPoint(known, known, known, point.num_steps, shot, 0.0)
+        return self.equations.problem(s), orbit
+
+    def _seen(self, curve: "CriticalCurve", point: CriticalPoint) -> CriticalPoint | None:
+        """A point as one of a curve that is shot from another phase."""
+        problem, orbit = self._orbit(point)
+        away = float(curve.equations.options.t0) - float(self.equations.options.t0)
+        seen = seen_from(problem, orbit, (away / period_of(problem, orbit)) % 1.0)
+        # The direction of the curve in the plane of the parameters is the same.
+        ahead = (point.tangent * point.scale)[-2:]
+        return curve.near(np.append(seen, point.u[-1]), ahead)[0]
+
+    def near(self, s: np.ndarray, ahead: np.ndarray) -> tuple[CriticalPoint | None, RESULTS]:
+        """The point whose orbit is near s, its tangent to the side of `ahead` in the plane of the
+        parameters; the outcome of Newton's method."""
+        equations, shot = self.equations, self.equations.shot(s)
+        if not is_successful(shot.result):
+            return None, shot.result
+        vectors = VECTORS[equations.kind]
+        slopes = equations.slopes(s, shot, equations.normal_at(s))
+        u = equations.joined(s, vectors.start(slopes))
+        scale = equations.joined(slopes.unit, vectors.scale(slopes))
+        along = np.append(np.zeros(u.size - 2), ahead / scale[-2:])
+        result = RESULTS.newton_stalled
+        # Across one parameter; where the curve turns back in that, across the other one.
+        for place in np.argsort(-abs(along[-2:])) - 2:
+            axis = np.zeros_like(u)
+            axis[place] = 1.0
+            found, result = self.begin(u, constraint_across(u, scale, axis, 0.0), along)
+            if found is not None:
+                return found, result
+        return None, result
+
     def told(self, point: CriticalPoint) -> str:
         """Both parameters."""
         return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
@@ -196,19 +254,4 @@ def begin_critical(
     own = [] if system.period is not None else [float(orbit.period)]
     values = [float(get_parameter(system, name)) for name in free]
     s = np.concatenate([np.asarray(orbit.x0), own, values]).astype(orbit.x0.dtype)
-    shot = equations.shot(s)
-    if not is_successful(shot.result):
-        return curve, None, shot.result
-    vectors = VECTORS[point.kind]
-    slopes = equations.slopes(s, shot, equations.normal_at(s))
-    u = equations.joined(s, vectors.start(slopes))
-    scale = equations.joined(slopes.unit, vectors.scale(slopes))
-    # Across the first parameter; where the curve turns back in that, across the second one.
-    found, result = None, RESULTS.newton_stalled
-    for place in (-2, -1):
-        axis = np.zeros_like(u)
-        axis[place] = 1.0
-        found, result = curve.begin(u, constraint_across(u, scale, axis, 0.0), curve.axis(u))
-        if found is not None:
-            break
-    return curve, found, result
+    return curve, *curve.near(s, np.array([1.0, 0.0]))
