@@ -33,6 +33,8 @@ from jaxfil.xla.known import array_of
 # Differences of first derivatives take this power of eps of each unknown: their error is that of
 # one step of Newton's method beside the step before it.
 _STEP = 0.45
+# A component of the state is measured by this part at least of what it is at a neighbour.
+_LEAST = 0.01
 # Newton's method from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
 
@@ -86,13 +88,14 @@ class CriticalOrbits:
         """The derivative of the orbit's end by state, period and the first parameter."""
         return _by_all(self.shot(s))
 
-    def slopes(self, s: np.ndarray, shot: Shot, normal: np.ndarray) -> Slopes:
-        """First derivatives, and by differences second ones, all of the orbit's end."""
+    def slopes(self, s: np.ndarray, shot: Shot, normal: np.ndarray, least: np.ndarray) -> Slopes:
+        """First derivatives, and by differences second ones, all of the orbit's end. No component
+        of the state is measured by less than `least`."""
         first = _by_all(shot)
         by_second = self.shot(s, 1).by_global[0][:, -1:]
         # A unit of each: a component's largest value on the orbit, of all else its own size.
         n = shot.size.size
-        unit = np.append(shot.size, np.where(s[n:] == 0, 1.0, abs(s[n:])))
+        unit = np.append(np.maximum(shot.size, least), np.where(s[n:] == 0, 1.0, abs(s[n:])))
         steps = np.finfo(s.dtype).eps ** _STEP * unit
         turned = [(self.first_slopes(s + h) - first) / h.sum() for h in np.diag(steps)]
         return Slopes(np.hstack([first, by_second]), np.stack(turned, axis=-1), normal, unit)
@@ -115,21 +118,25 @@ class CriticalOrbits:
         measured, by the base of that."""
         base = np.asarray(constraint.base)
         normal = self.normal_at(self.split(base)[0])
+        # By its own size what goes to zero would never be small.
+        least = _LEAST * np.asarray(constraint.scale)[: normal.shape[1]]
 
         def work(u: Array) -> Evaluation:
-            return jax.device_put(self._evaluation(np.asarray(u), base, normal))
+            return jax.device_put(self._evaluation(np.asarray(u), base, normal, least))
 
         stages = Stages(_as_it_is, work, work, _done)
         return root_of(stages, array_of(guess), _NEWTON_STEPS, constraint.appended, known=True)
 
-    def _evaluation(self, u: np.ndarray, base: np.ndarray, normal: np.ndarray) -> Evaluation:
+    def _evaluation(
+        self, u: np.ndarray, base: np.ndarray, normal: np.ndarray, least: np.ndarray
+    ) -> Evaluation:
         """All equations at u but for the constraint."""
         s, y = self.split(u)
         n, own = normal.shape[1], len(normal)
         shot = self.shot(s)
         sound = is_successful(shot.result)
         # What is not finite fails by the outcome of the shot; no differences are made of it.
-        slopes = self.slopes(s, shot, normal) if sound else _unknown(n, own, u.dtype)
+        slopes = self.slopes(s, shot, normal, least) if sound else _unknown(n, own, u.dtype)
         vectors = VECTORS[self.kind]
         block = vectors.equations(slopes, y, self.split(base)[1])
         unfolding = vectors.unfolding(slopes, self.split(base)[1])

@@ -198,9 +198,9 @@ class CriticalCurve(Curve[CriticalPoint]):
     def _orbit(self, point: CriticalPoint) -> tuple[OrbitProblem, OrbitPoint]:
         """A point as an orbit of the branch in the first parameter."""
         s, _ = self.equations.split(point.u)
-        shot, known = point.known.shot, s[:-1]
+        u, shot = s[:-1], point.known.shot
         # Nobody asks for its tangent.
-        orbit = OrbitPoint(known, known, known, point.num_steps, shot, 0.0)
+        orbit = OrbitPoint(u, u, u, point.num_steps, shot, 0.0, point.known.slopes.bordered)
         return self.equations.problem(s), orbit
 
     def _seen(self, curve: "CriticalCurve", point: CriticalPoint) -> CriticalPoint | None:
@@ -219,7 +219,7 @@ class CriticalCurve(Curve[CriticalPoint]):
         if not is_successful(shot.result):
             return None, shot.result
         vectors = VECTORS[equations.kind]
-        slopes = equations.slopes(s, shot, equations.normal_at(s))
+        slopes = equations.slopes(s, shot, equations.normal_at(s), np.zeros(shot.size.size))
         u = equations.joined(s, vectors.start(slopes))
         scale = equations.joined(slopes.unit, vectors.scale(slopes))
         along = np.append(np.zeros(u.size - 2), ahead / scale[-2:])

@@ -1,7 +1,8 @@
 """What happens on a branch of orbits between two neighbours.
 
 Two points of the branch enter; the points between them where a test function of the orbit is zero
-(a fold, a period doubling, a Neimark–Sacker point) or its sequence of contacts changes leave.
+(a fold, a period doubling, a Neimark–Sacker point, a branch point) or its sequence of contacts
+changes leave.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,6 +18,11 @@ from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 def _fold(point: OrbitPoint) -> float:
     # At a fold the curve runs at right angles to the parameter's axis.
     return float(point.tangent[-1])
+
+
+def _branch_point(point: OrbitPoint) -> float:
+    # Of the equations and the tangent of the curve: at a fold of the curve it does not vanish.
+    return float(np.linalg.det(np.vstack([point.rows, point.tangent])))
 
 
 def period_doubling(monodromy: np.ndarray) -> float:
@@ -39,6 +45,7 @@ _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
     "fold": _fold,
     "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
     "neimark-sacker": lambda point: neimark_sacker(np.asarray(point.shot.monodromy)),
+    "branch-point": _branch_point,
 }
 
 
