@@ -11,14 +11,16 @@ from collections.abc import Callable, Iterator
 import jax
 import numpy as np
 
+from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.critical import CriticalOrbits, Known
 from jaxfil.bifurcations.critical_vectors import VECTORS
 from jaxfil.bifurcations.normal_form import Degeneracy, doubling_degeneracy, fold_degeneracy
+from jaxfil.bifurcations.tangency import FAMILIES
 from jaxfil.model.outcomes import RESULTS, is_successful
 from jaxfil.model.parameter import cast, get_parameter
 from jaxfil.orbits.branch import SpecialPoint
 from jaxfil.orbits.closing import OrbitProblem
-from jaxfil.orbits.corrector import OrbitPoint, contacts_of
+from jaxfil.orbits.corrector import OrbitPoint, contacts_of, orbit_of
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
     Curve,
@@ -38,6 +40,11 @@ RESONANCES = {"1:1": 1.0, "1:2": -1.0, "1:3": -0.5, "1:4": 0.0}
 _MEET = ("1:1", "1:2")
 # The end of a curve, where multipliers meet, is known to this part.
 _THERE = 1e-6
+
+
+# An orbit that misses a tangency by this part of the period is tangent: a time is the root of the
+# distance to which the curve's end is known.
+_TANGENT = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +120,7 @@ class CriticalCurve(Curve[CriticalPoint]):
         if a.sequence != b.sequence:
             before, after = change_on_curve(self, a, b, lambda p: p.sequence == a.sequence)
             yield from self._degenerate(a, before)
-            yield Special("contacts", after, kind, kind)
+            yield Special("tangency", after, kind, kind)
             a = after
         yield from self._degenerate(a, b)
 
@@ -176,6 +183,13 @@ class CriticalCurve(Curve[CriticalPoint]):
         # Where orbits cross there the equations are singular at the point itself.
         point = point or change_on_curve(self, here, ahead, lambda p: abs(self._kappa(p)) <= 1)[0]
         return point, f"the multipliers meet at {level:g}, at {self.told(point)}"
+
+    def special_end(self, here: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
+        """Where the orbit is tangent to a surface its multipliers may have a square root."""
+        problem, orbit = self._orbit(here)
+        found = tangency_candidates(orbit_of(problem, orbit), *FAMILIES)
+        if found and found[0][0] < _TANGENT * period_of(problem, orbit):
+            yield Special("tangency", here, here.kind, here.kind)
 
     def elsewhere(
         self, here: CriticalPoint, start: CriticalPoint

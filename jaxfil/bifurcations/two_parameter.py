@@ -1,7 +1,7 @@
 """`continue_bifurcation`: a bifurcation as two parameters vary.
 
-A located bifurcation and the names of two parameters enter; the curve on which it goes on leaves,
-with its points of codimension two, each located and named.
+A located bifurcation, a tangency or a smooth one, and the names of two parameters enter; the curve
+on which it goes on leaves, with its points of codimension two, each located and named.
 """
 
 import dataclasses
@@ -40,22 +40,42 @@ CODIMENSION_TWO_KINDS = (
     "fold",
     "period-doubling",
     "neimark-sacker",
+    "generalised-doubling",
+    "tangency",
+    "1:1",
+    "1:2",
+    "1:3",
+    "1:4",
 )
 """The kinds of points of codimension two that `continue_bifurcation` locates.
+
+On curves of tangencies:
 
 - `"cusp"`: the tangency is cubic: Ḧ_s = 0 too (on a slide, the second derivative of Ḣ_s along it).
 - `"two-fold"`: the fields of both sides are tangent.
 - `"double-tangency"`: the orbit is tangent to a surface, this one or another, a second time, as in
   a double grazing: contacts come or go elsewhere on it.
-- `"fold"`, `"period-doubling"`, `"neimark-sacker"`: the orbit is not hyperbolic: a multiplier is 1,
-  −1, or a complex pair is on the unit circle.
+
+On all curves:
+
+- `"fold"`, `"period-doubling"`, `"neimark-sacker"`: a multiplier of the orbit, besides those that
+  make the curve, is 1, −1, or a complex pair is on the unit circle.
+
+On curves of smooth bifurcations:
+
+- `"cusp"`: the quadratic coefficient of a fold vanishes: two curves of folds meet.
+- `"generalised-doubling"`: the cubic coefficient of a period doubling vanishes: the doubled orbit
+  changes from stable to unstable, and a curve of its folds begins.
+- `"tangency"`: the orbit is tangent to a surface, as where a fold meets a graze: contacts come or
+  go, or the curve ends.
+- `"1:1"`, `"1:2"`: two multipliers are 1, or −1. The curve of a pair on the unit circle ends there.
+- `"1:3"`, `"1:4"`: a pair of multipliers is e^{±2πi/3} or ±i.
 """
 
 
 class CodimensionTwo(eqx.Module):
-    """A point of codimension two on a curve: the tangency degenerates and its kind changes, the
-    orbit has another one besides, or a multiplier of the orbit, the tangency left out, reaches the
-    unit circle."""
+    """A point of codimension two on a curve: the bifurcation degenerates, the orbit is tangent to a
+    surface elsewhere, or another multiplier of it reaches the unit circle."""
 
     kind: str = eqx.field(static=True)
     """One of `CODIMENSION_TWO_KINDS`."""
@@ -75,11 +95,12 @@ class BifurcationCurve(eqx.Module):
     values: Float[np.ndarray, "k 2"]
     """The parameters at each point."""
     ts: Float[np.ndarray, " k"]
-    """When the orbit is tangent to the surface."""
+    """When the orbit is tangent to the surface; of a smooth bifurcation, when it starts."""
     xs: Float[np.ndarray, "k n"]
     """The state then."""
     kinds: tuple[str, ...] = eqx.field(static=True)
-    """The kind at each point, one of `BIFURCATION_KINDS` or "undecided"."""
+    """The kind at each point: one of `BIFURCATION_KINDS` or "undecided", or that of the
+    `SpecialPoint` from which the curve starts."""
     points: list[CodimensionTwo]
     """Points of codimension two, in the order of the curve."""
     ended: tuple[str, str] = eqx.field(static=True)
@@ -124,15 +145,24 @@ def continue_bifurcation(
 ) -> BifurcationCurve:
     """Follow a bifurcation in two parameters.
 
-    Pseudo-arclength continuation of the defining system that `find_bifurcation` solves, with a
-    parameter more. Points of codimension two, one of `CODIMENSION_TWO_KINDS`, are located on it.
+        tangency           the defining system of `find_bifurcation`
+        fold               x(t0 + T; x0) = x0,  J v = 0
+        period doubling    x(t0 + T; x0) = x0,  M v = −v
+        Neimark–Sacker     x(t0 + T; x0) = x0,  M v = w,  M w = 2κ w − v
+        branch point       x(t0 + T; x0) = x0 − β b,  Jᵀ w = 0,  G_pᵀ w = 0
+
+    by pseudo-arclength continuation, with both parameters p among the unknowns. M is the monodromy
+    matrix, exact through every contact, J and G_p the derivatives of the closing by state (and
+    period) and by a parameter; β is zero where symmetry makes the branch point. Points of
+    codimension two, each of one of `CODIMENSION_TWO_KINDS`, are located on the curve.
 
     **Arguments**
 
     - `system`: the `System`.
     - `parameters`: the names of two scalar parameters; the bifurcation was found in either of them.
-    - `bifurcation`: where to start, as `find_bifurcation` gives it. Its own values of all
-      parameters count.
+    - `bifurcation`: where to start, as `find_bifurcation` gives it, or a special point of a branch,
+      as `continue_orbit` does: a fold, period doubling, Neimark–Sacker or branch point. Its own
+      values of all parameters count.
     - `stop`: the value of the first parameter to end at; a pair (low, high) follows the curve both
       ways.
     - `max_step`: the largest step, relative to the size of the unknowns.
@@ -141,14 +171,17 @@ def continue_bifurcation(
       does not begin has the bifurcation that was given as its only point.
 
     **Returns** a `BifurcationCurve`. One that ends before `stop`, where the orbit meets a surface
-    elsewhere or no tangency is found, is a success; `BifurcationCurve.ended` says why.
+    elsewhere, multipliers meet or nothing is found, is a success; `BifurcationCurve.ended` says
+    why. It has no derivatives.
 
     **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
     the bifurcation; that of the bifurcation itself where it was not found, as `no_tangency_found`
     or `orbit_lost`.
 
     **Source**: curves and their points of codimension two: P. Kowalczyk et al., Two-parameter
-    discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006).
+    discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006); of
+    smooth bifurcations: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapters 9
+    and 10.
 
     >>> import jax
     >>> import jax.numpy as jnp

@@ -18,6 +18,7 @@ KINDS = MappingProxyType(
         "fold": ("<", BLUE),
         "period-doubling": ("P", SKY),
         "neimark-sacker": ("h", YELLOW),
+        "branch-point": ("d", GREEN),
         "rest": ("_", BLACK),
         "contacts": (".", BLACK),
         "undecided": ("X", BLACK),
