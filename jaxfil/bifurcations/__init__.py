@@ -1,4 +1,4 @@
-"""Bifurcations that come from surfaces: where a periodic orbit is tangent to one.
+"""Bifurcations of periodic orbits: tangencies to surfaces, and in two parameters smooth ones too.
 
 The words of this room:
 

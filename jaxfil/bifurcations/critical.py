@@ -122,7 +122,7 @@ class CriticalOrbits:
         least = _LEAST * np.asarray(constraint.scale)[: normal.shape[1]]
 
         def work(u: Array) -> Evaluation:
-            return jax.device_put(self._evaluation(np.asarray(u), base, normal, least))
+            return self._evaluation(np.asarray(u), base, normal, least)
 
         stages = Stages(_as_it_is, work, work, _done)
         return root_of(stages, array_of(guess), _NEWTON_STEPS, constraint.appended, known=True)
@@ -148,14 +148,15 @@ class CriticalOrbits:
         by_s = block.by_orbit
         turned = np.hstack([by_s[:, : n + own], block.by_vectors, by_s[:, n + own :]])
         unit = slopes.unit
-        return Evaluation(
-            residual=np.concatenate([gap, phase, block.residual]),
-            jacobian=np.vstack([closing, anchor, turned]),
-            equation_scale=np.concatenate([unit[:n], abs(normal) @ unit[:n], block.scale]),
-            unknown_scale=self.joined(unit, vectors.scale(slopes)),
-            result=shot.result,
-            aux=Known(shot, slopes),
+        numbers = (
+            np.concatenate([gap, phase, block.residual]),
+            np.vstack([closing, anchor, turned]),
+            np.concatenate([unit[:n], abs(normal) @ unit[:n], block.scale]),
+            self.joined(unit, vectors.scale(slopes)),
         )
+        residual, jacobian, rows, columns = jax.device_put(numbers)
+        known = Known(shot, slopes)
+        return Evaluation(residual, jacobian, rows, columns, shot.result, known)
 
 
 def _as_it_is(u: Array) -> Array:

@@ -157,7 +157,7 @@ class _Pair(Vectors):
 
     def start(self, slopes: Slopes) -> np.ndarray:
         values, vectors = np.linalg.eig(slopes.monodromy)
-        k = np.argmin(np.where(values.imag > 0, abs(abs(values) - 1), np.inf))
+        k = np.argmin(np.where(np.imag(values) > 0, abs(abs(values) - 1), np.inf))
         v = np.real(vectors[:, k]) / np.max(abs(vectors[:, k] / self.scale(slopes)[: len(values)]))
         return np.concatenate([v, slopes.monodromy @ v, [np.cos(np.angle(values[k]))]])
 

@@ -5,12 +5,14 @@ on which it goes on leaves, with its points of codimension two, each located and
 """
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jaxfil.bifurcations.critical_curve import CriticalCurve, CriticalPoint, begin_critical
+from jaxfil.bifurcations.critical_curve import CriticalPoint, begin_critical
 from jaxfil.bifurcations.critical_vectors import VECTORS
 from jaxfil.bifurcations.defining_system import defining_system
 from jaxfil.bifurcations.locate import Bifurcation
@@ -207,10 +209,9 @@ def continue_bifurcation(
     ends = ends_of(stop)
     free = parameters[0], parameters[1]
     names = labels_of(bifurcation.orbit.system, bifurcation.orbit.x0.shape[-1]).of(free)
-    if isinstance(bifurcation, SpecialPoint):
-        curve, start, result = begin_critical(bifurcation, free)
-    else:
-        curve, start, result = _on_curve(bifurcation, free)
+    smooth = isinstance(bifurcation, SpecialPoint)
+    begin: Callable[..., tuple[Any, Any, RESULTS]] = begin_critical if smooth else _on_curve
+    curve, start, result = begin(bifurcation, free)
     if start is None:
         found = _not_begun(bifurcation, free, result, names)
     else:
@@ -239,7 +240,7 @@ def _on_curve(
 
 
 def _curve(
-    curve: TangencyCurve | CriticalCurve,
+    curve: Any,
     start: TangencyPoint | CriticalPoint,
     ends: list[float],
     steps: tuple[float, int],

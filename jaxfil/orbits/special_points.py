@@ -37,7 +37,7 @@ def neimark_sacker(monodromy: np.ndarray) -> float:
 
 def pair_on_circle(values: np.ndarray) -> float:
     """The same of multipliers."""
-    pair = values[values.imag > 0]
+    pair = values[np.imag(values) > 0]
     return float(np.max(abs(pair)) - 1) if pair.size else np.nan
 
 
