@@ -118,11 +118,20 @@ class CriticalCurve(Curve[CriticalPoint]):
         """Points of codimension two, piece by piece: where the contacts change, and between."""
         kind = self.equations.kind
         if a.sequence != b.sequence:
-            before, after = change_on_curve(self, a, b, lambda p: p.sequence == a.sequence)
+            before, after = self._change(a, b)
             yield from self._degenerate(a, before)
-            yield Special("tangency", after, kind, kind)
+            # On the side with more contacts multipliers have a square root.
+            fewer = len(before.sequence) <= len(after.sequence)
+            yield Special("tangency", before if fewer else after, kind, kind)
             a = after
         yield from self._degenerate(a, b)
+
+    def _change(self, a: CriticalPoint, b: CriticalPoint) -> tuple[CriticalPoint, CriticalPoint]:
+        """Where the contacts of a end and others begin. The curve may have a corner there, which
+        cannot be seen across from one side: either side is followed to its end."""
+        before, after = change_on_curve(self, a, b, lambda p: p.sequence == a.sequence)
+        last, _ = change_on_curve(self, after, before, lambda p: p.sequence == after.sequence)
+        return before, last
 
     def _degenerate(self, a: CriticalPoint, b: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
         kind = self.equations.kind
