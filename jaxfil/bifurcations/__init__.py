@@ -1,4 +1,4 @@
-"""Bifurcations that come from surfaces: where a periodic orbit is tangent to one.
+"""Bifurcations of periodic orbits: tangencies to surfaces, and in two parameters smooth ones too.
 
 The words of this room:
 
@@ -18,6 +18,10 @@ The words of this room:
 - margin: the smallest guard of a flight, zero where the orbit grazes.
 - nearest: of the parameters with a grazing orbit those at the smallest distance from given ones,
   in a metric; multipliers are those of Lagrange there.
-- codimension two: of a point on a curve in two parameters where the tangency degenerates (a cusp, a
-  two-fold), the orbit has a second one, or a multiplier of the orbit is on the unit circle.
+- smooth bifurcation: of an orbit with critical multipliers: a fold, a period doubling, a
+  Neimark–Sacker or a branch point.
+- critical: of multipliers on the unit circle, and of the vectors that belong to them.
+- slopes: derivatives of an orbit's end.
+- codimension two: of a point on a curve in two parameters where the bifurcation degenerates (a
+  cusp, a two-fold), the orbit has a second tangency, or another multiplier of it is critical.
 """

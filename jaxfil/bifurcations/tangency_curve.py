@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxfil.bifurcations.defining_system import DefiningSystem
 from jaxfil.bifurcations.tangency import (
     ARRIVAL,
+    FAMILIES,
     SLIDE,
     Closing,
     Conditions,
@@ -61,9 +62,20 @@ class TangencyPoint(CurvePoint):
     known: _Known
 
     @property
-    def code(self) -> int:
-        """The number of its kind, −1 where the conditions are those of none."""
-        return int(self.known.code)
+    def kind(self) -> str:
+        """The name of its kind, "undecided" where the conditions are those of none."""
+        # −1 is the number of none.
+        return (*FAMILIES, "undecided")[int(self.known.code)]
+
+    @property
+    def t(self) -> np.ndarray:
+        """When the orbit is tangent."""
+        return np.asarray(self.known.t)
+
+    @property
+    def x(self) -> np.ndarray:
+        """The state then."""
+        return np.asarray(self.known.x)
 
     @property
     def contacts(self) -> int:
@@ -151,13 +163,13 @@ class TangencyCurve(Curve[TangencyPoint]):
     ) -> Iterator[Special[TangencyPoint]]:
         """Points of codimension two, piece by piece: where the kind changes, where the orbit has a
         second tangency, and where a multiplier of it reaches the unit circle."""
-        if a.code != b.code:
+        if a.kind != b.kind:
             name, test = _degeneracy(int(self.equations.family), a, b)
             point = zero_on_curve(self, a, b, test) if test(a) * test(b) < 0 else None
             # What does not change its sign has changed its character by rounding.
-            point = point or change_on_curve(self, a, b, lambda p: p.code == a.code)[1]
+            point = point or change_on_curve(self, a, b, lambda p: p.kind == a.kind)[1]
             yield from self._of_one_kind(a, point)
-            yield Special(name, point, a.code, b.code)
+            yield Special(name, point, a.kind, b.kind)
             a = point
         yield from self._of_one_kind(a, b)
 
@@ -169,7 +181,7 @@ class TangencyCurve(Curve[TangencyPoint]):
             # The multipliers of an orbit jump there.
             yield from self._critical(a, before)
             point = before if a.contacts < b.contacts else after
-            yield Special("double-tangency", point, a.code, b.code)
+            yield Special("double-tangency", point, a.kind, b.kind)
             a = after
         yield from self._critical(a, b)
 
@@ -179,7 +191,7 @@ class TangencyCurve(Curve[TangencyPoint]):
             if test(a) * test(b) < 0:
                 point = zero_on_curve(self, a, b, test)
                 if point is not None:
-                    yield Special(kind, point, a.code, b.code)
+                    yield Special(kind, point, a.kind, b.kind)
 
     def _tests(self) -> dict[str, Callable[[TangencyPoint], float]]:
         """Test functions of the orbit."""

@@ -1,17 +1,21 @@
 """`continue_bifurcation`: a bifurcation as two parameters vary.
 
-A located bifurcation and the names of two parameters enter; the curve on which it goes on leaves,
-with its points of codimension two, each located and named.
+A located bifurcation, a tangency or a smooth one, and the names of two parameters enter; the curve
+on which it goes on leaves, with its points of codimension two, each located and named.
 """
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from jaxfil.bifurcations.critical_curve import CriticalPoint, begin_critical
+from jaxfil.bifurcations.critical_vectors import VECTORS
 from jaxfil.bifurcations.defining_system import defining_system
-from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation
+from jaxfil.bifurcations.locate import Bifurcation
 from jaxfil.bifurcations.tangency import FAMILY_NAMES
 from jaxfil.bifurcations.tangency_curve import TangencyCurve, TangencyPoint
 from jaxfil.model import check
@@ -22,13 +26,12 @@ from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import get_parameter, scalar_parameters
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes
+from jaxfil.orbits.branch import SpecialPoint
 from jaxfil.orbits.curve import constraint_across, least_scales
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
+from jaxfil.orbits.pseudo_arclength import ends_of, follow, range_around
 
 # A guess taken from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
-# By their code, of which −1 is that of none.
-_KIND_NAMES = (*BIFURCATION_KINDS, "undecided")
 
 
 CODIMENSION_TWO_KINDS = (
@@ -38,22 +41,42 @@ CODIMENSION_TWO_KINDS = (
     "fold",
     "period-doubling",
     "neimark-sacker",
+    "generalised-doubling",
+    "tangency",
+    "1:1",
+    "1:2",
+    "1:3",
+    "1:4",
 )
 """The kinds of points of codimension two that `continue_bifurcation` locates.
+
+On curves of tangencies:
 
 - `"cusp"`: the tangency is cubic: Ḧ_s = 0 too (on a slide, the second derivative of Ḣ_s along it).
 - `"two-fold"`: the fields of both sides are tangent.
 - `"double-tangency"`: the orbit is tangent to a surface, this one or another, a second time, as in
   a double grazing: contacts come or go elsewhere on it.
-- `"fold"`, `"period-doubling"`, `"neimark-sacker"`: the orbit is not hyperbolic: a multiplier is 1,
-  −1, or a complex pair is on the unit circle.
+
+On all curves:
+
+- `"fold"`, `"period-doubling"`, `"neimark-sacker"`: a multiplier of the orbit, besides those that
+  make the curve, is 1, −1, or a complex pair is on the unit circle.
+
+On curves of smooth bifurcations:
+
+- `"cusp"`: the quadratic coefficient of a fold vanishes: two curves of folds meet.
+- `"generalised-doubling"`: the cubic coefficient of a period doubling vanishes: the doubled orbit
+  changes from stable to unstable, and a curve of its folds begins.
+- `"tangency"`: the orbit is tangent to a surface, as where a fold meets a graze: contacts come or
+  go, or the curve ends.
+- `"1:1"`, `"1:2"`: two multipliers are 1, or −1. The curve of a pair on the unit circle ends there.
+- `"1:3"`, `"1:4"`: a pair of multipliers is e^{±2πi/3} or ±i.
 """
 
 
 class CodimensionTwo(eqx.Module):
-    """A point of codimension two on a curve: the tangency degenerates and its kind changes, the
-    orbit has another one besides, or a multiplier of the orbit, the tangency left out, reaches the
-    unit circle."""
+    """A point of codimension two on a curve: the bifurcation degenerates, the orbit is tangent to a
+    surface elsewhere, or another multiplier of it reaches the unit circle."""
 
     kind: str = eqx.field(static=True)
     """One of `CODIMENSION_TWO_KINDS`."""
@@ -73,11 +96,12 @@ class BifurcationCurve(eqx.Module):
     values: Float[np.ndarray, "k 2"]
     """The parameters at each point."""
     ts: Float[np.ndarray, " k"]
-    """When the orbit is tangent to the surface."""
+    """When the orbit is tangent to the surface; of a smooth bifurcation, when it starts."""
     xs: Float[np.ndarray, "k n"]
     """The state then."""
     kinds: tuple[str, ...] = eqx.field(static=True)
-    """The kind at each point, one of `BIFURCATION_KINDS` or "undecided"."""
+    """The kind at each point: one of `BIFURCATION_KINDS` or "undecided", or that of the
+    `SpecialPoint` from which the curve starts."""
     points: list[CodimensionTwo]
     """Points of codimension two, in the order of the curve."""
     ended: tuple[str, str] = eqx.field(static=True)
@@ -112,7 +136,7 @@ class BifurcationCurve(eqx.Module):
 def continue_bifurcation(
     system: System,
     parameters: tuple[str, str],
-    bifurcation: Bifurcation,
+    bifurcation: Bifurcation | SpecialPoint,
     *,
     stop: float | tuple[float, float],
     max_step: float = 0.03,
@@ -121,15 +145,24 @@ def continue_bifurcation(
 ) -> BifurcationCurve:
     """Follow a bifurcation in two parameters.
 
-    Pseudo-arclength continuation of the defining system that `find_bifurcation` solves, with a
-    parameter more. Points of codimension two, one of `CODIMENSION_TWO_KINDS`, are located on it.
+        tangency           the defining system of `find_bifurcation`
+        fold               x(t0 + T; x0) = x0,  J v = 0
+        period doubling    x(t0 + T; x0) = x0,  M v = −v
+        Neimark–Sacker     x(t0 + T; x0) = x0,  M v = w,  M w = 2κ w − v
+        branch point       x(t0 + T; x0) = x0 − β b,  Jᵀ w = 0,  G_pᵀ w = 0
+
+    by pseudo-arclength continuation, with both parameters p among the unknowns. M is the monodromy
+    matrix, exact through every contact, J and G_p the derivatives of the closing by state (and
+    period) and by a parameter; β is zero where symmetry makes the branch point. Points of
+    codimension two, each of one of `CODIMENSION_TWO_KINDS`, are located on the curve.
 
     **Arguments**
 
     - `system`: the `System`.
     - `parameters`: the names of two scalar parameters; the bifurcation was found in either of them.
-    - `bifurcation`: where to start, as `find_bifurcation` gives it. Its own values of all
-      parameters count.
+    - `bifurcation`: where to start, as `find_bifurcation` gives it, or a special point of a branch,
+      as `continue_orbit` does: a fold, period doubling, Neimark–Sacker or branch point. Its own
+      values of all parameters count.
     - `stop`: the value of the first parameter to end at; a pair (low, high) follows the curve both
       ways.
     - `max_step`: the largest step, relative to the size of the unknowns.
@@ -138,14 +171,17 @@ def continue_bifurcation(
       does not begin has the bifurcation that was given as its only point.
 
     **Returns** a `BifurcationCurve`. One that ends before `stop`, where the orbit meets a surface
-    elsewhere or no tangency is found, is a success; `BifurcationCurve.ended` says why.
+    elsewhere, multipliers meet or nothing is found, is a success; `BifurcationCurve.ended` says
+    why. It has no derivatives.
 
     **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
     the bifurcation; that of the bifurcation itself where it was not found, as `no_tangency_found`
     or `orbit_lost`.
 
     **Source**: curves and their points of codimension two: P. Kowalczyk et al., Two-parameter
-    discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006).
+    discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006); of
+    smooth bifurcations: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapters 9
+    and 10.
 
     >>> import jax
     >>> import jax.numpy as jnp
@@ -165,23 +201,19 @@ def continue_bifurcation(
             f"`parameters` must be two different parameters, got {check.told(parameters)}."
         )
     check.flags(throw=throw)
-    if not isinstance(bifurcation, Bifurcation) or bifurcation.value.ndim:
-        raise ValueError(
-            f"`bifurcation` must be a single Bifurcation, got {check.told(bifurcation)}."
-        )
+    _check_start(bifurcation)
     max_points = check.count("max_points", max_points)
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)
     free = parameters[0], parameters[1]
-    curve, start, result = _on_curve(bifurcation, free)
-    names = labels_of(bifurcation.orbit.system, bifurcation.x.shape[-1]).of(free)
+    names = labels_of(bifurcation.orbit.system, bifurcation.orbit.x0.shape[-1]).of(free)
+    smooth = isinstance(bifurcation, SpecialPoint)
+    begin: Callable[..., tuple[Any, Any, RESULTS]] = begin_critical if smooth else _on_curve
+    curve, start, result = begin(bifurcation, free)
     if start is None:
         found = _not_begun(bifurcation, free, result, names)
     else:
-        within = range_around(ends, curve.value(start))
-        least = least_scales(curve.metric(start), curve.place, ends)
-        curve = dataclasses.replace(curve, least=least)
-        found = _curve(curve, follow(curve, start, within, max_step, max_points), names)
+        found = _curve(curve, start, ends, (max_step, max_points), names)
     if throw:
         # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
         raise_if_failed(found.values, found.result)
@@ -205,19 +237,25 @@ def _on_curve(
     return curve, *curve.begin(u, constraint, axis)
 
 
-def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> BifurcationCurve:
-    """A path as the `BifurcationCurve` it is."""
+def _curve(
+    curve: Any,
+    start: TangencyPoint | CriticalPoint,
+    ends: list[float],
+    steps: tuple[float, int],
+    labels: Labels,
+) -> BifurcationCurve:
+    """What is followed from a point on."""
+    least = least_scales(curve.metric(start), curve.place, ends)
+    curve = dataclasses.replace(curve, least=least)
+    path = follow(curve, start, range_around(ends, curve.value(start)), *steps)
     first, second = curve.equations.free
     return BifurcationCurve(
         parameters=(first, second),
         values=np.array([p.u[-2:] for p in path.points]),
-        ts=np.array([p.known.t for p in path.points]),
-        xs=np.array([p.known.x for p in path.points]),
-        kinds=tuple(_KIND_NAMES[p.code] for p in path.points),
-        points=[
-            CodimensionTwo(s.kind, s.point.u[-2:], _KIND_NAMES[s.before], _KIND_NAMES[s.after])
-            for s in path.special
-        ],
+        ts=np.array([p.t for p in path.points]),
+        xs=np.array([p.x for p in path.points]),
+        kinds=tuple(p.kind for p in path.points),
+        points=[CodimensionTwo(s.kind, s.point.u[-2:], s.before, s.after) for s in path.special],
         ended=path.ended,
         result=RESULTS.successful,
         labels=labels,
@@ -225,21 +263,43 @@ def _curve(curve: TangencyCurve, path: Path[TangencyPoint], labels: Labels) -> B
 
 
 def _not_begun(
-    bifurcation: Bifurcation, free: tuple[str, str], result: RESULTS, labels: Labels
+    bifurcation: Bifurcation | SpecialPoint, free: tuple[str, str], result: RESULTS, labels: Labels
 ) -> BifurcationCurve:
     """Nothing but the bifurcation that was given. What it failed by itself comes first."""
-    own = bifurcation.result
-    located = (own == RESULTS.successful) | (own == RESULTS.other_kind)
-    values = np.array([float(get_parameter(bifurcation.orbit.system, name)) for name in free])
+    orbit = bifurcation.orbit
+    values = np.array([float(get_parameter(orbit.system, name)) for name in free])
     why = f"no curve was found at ({values[0]:.8g}, {values[1]:.8g})"
+    if isinstance(bifurcation, SpecialPoint):
+        own, t, x = orbit.result, orbit.options.t0, orbit.x0
+    else:
+        own, t, x = bifurcation.result, bifurcation.t, bifurcation.x
+    located = (own == RESULTS.successful) | (own == RESULTS.other_kind)
     return BifurcationCurve(
         parameters=free,
         values=values[None],
-        ts=np.asarray(bifurcation.t)[None],
-        xs=np.asarray(bifurcation.x)[None],
+        ts=np.asarray(t)[None],
+        xs=np.asarray(x)[None],
         kinds=(str(bifurcation.kind),),
         points=[],
         ended=(why, why),
         result=RESULTS.where(located, result, own),
         labels=labels,
     )
+
+
+def _check_start(bifurcation: Bifurcation | SpecialPoint) -> None:
+    """Where a curve may start."""
+    if isinstance(bifurcation, Bifurcation) and not bifurcation.value.ndim:
+        return
+    if isinstance(bifurcation, SpecialPoint) and bifurcation.kind in VECTORS:
+        return
+    raise ValueError(
+        f"`bifurcation` must be a single Bifurcation, or a SpecialPoint of kind "
+        f"{', '.join(VECTORS)}, got {_told(bifurcation)}."
+    )
+
+
+def _told(bifurcation: Bifurcation | SpecialPoint) -> str:
+    if isinstance(bifurcation, SpecialPoint):
+        return f"one of kind {bifurcation.kind}"
+    return check.told(bifurcation)

@@ -27,7 +27,8 @@ class SpecialPoint(eqx.Module):
 
     kind: str = eqx.field(static=True)
     """One of "fold" (the branch turns back), "period-doubling" (a multiplier is −1),
-    "neimark-sacker" (a complex pair of multipliers leaves the unit circle), "rest" (it begins or
+    "neimark-sacker" (a complex pair of multipliers leaves the unit circle), "branch-point" (another
+    branch crosses, as one that breaks a symmetry), "rest" (it begins or
     ceases to rest on a surface) and "contacts" (their sequence changes otherwise). Impacts that die
     out are infinitely many, of which one more or less is no change."""
     value: float

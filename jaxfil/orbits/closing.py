@@ -92,7 +92,7 @@ def solve_closing(
 
     def work(near: tuple) -> Shot:
         setting, still, starts = near
-        return _shoot(setting, problem.options, starts, still)
+        return shoot_near(setting, problem.options, starts, still)
 
     def whole(u: Array) -> Shot:
         return shoot(problem.setting, problem.options, *problem.split(u))
@@ -102,7 +102,7 @@ def solve_closing(
 
 
 # One program for all that varies: see `affine`.
-_shoot = eqx.filter_jit(shoot)
+shoot_near = eqx.filter_jit(shoot)
 
 
 @eqx.filter_jit

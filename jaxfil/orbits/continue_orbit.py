@@ -1,14 +1,15 @@
 """`continue_orbit`: a branch of periodic orbits by pseudo-arclength continuation.
 
 A system, the name of a parameter and an orbit enter; a `Branch` leaves: orbits along the curve, and
-the special points on it: folds, period doublings, Neimark–Sacker points, and every value where the
-sequence of contacts changes.
+the special points on it: folds, period doublings, Neimark–Sacker points, branch points, and every
+value where the sequence of contacts changes.
 """
 
 import dataclasses
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.model import check
@@ -16,17 +17,25 @@ from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.branch import Branch, SpecialPoint
-from jaxfil.orbits.corrector import OrbitPoint, OrbitProblem, contacts_of, orbit_of
-from jaxfil.orbits.curve import constraint_across, least_scales
+from jaxfil.orbits.corrector import (
+    OrbitPoint,
+    OrbitProblem,
+    contacts_of,
+    orbit_of,
+    rows_of,
+    solve_across,
+)
+from jaxfil.orbits.curve import ArclengthConstraint, constraint_across, least_scales
 from jaxfil.orbits.half_period import half_gap, may_be_doubled
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_curve import OrbitCurve
 from jaxfil.orbits.phase_shift import problem_at
 from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_ahead, range_around
+from jaxfil.xla.known import array_of
 
 # A guess of a state this small is measured as if it were this large.
 _SMALL = 1e-3
-# Steps off a branch, along the eigenvector of −1, to the branch of doubled period.
+# Steps off a branch, along the critical vector, to the one that leaves it.
 _OFF = (1e-2, 3e-3, 1e-3)
 
 
@@ -50,10 +59,11 @@ def continue_orbit(
 
     - `system`: the `System`; its value of the parameter does not matter.
     - `parameter`: the name of a scalar parameter.
-    - `orbit`: where to start, as `periodic_orbit` gives it; or a period doubling of another branch,
-      from which the branch of doubled period is followed.
+    - `orbit`: where to start, as `periodic_orbit` gives it; or a special point of another branch: a
+      period doubling, from which the branch of doubled period is followed, or a branch point, from
+      which the branch that crosses is followed to one side.
     - `stop`: the value of the parameter to end at; a pair (low, high) follows the branch both ways.
-      A branch that turns back ends where it leaves this range. From a period doubling it goes one
+      A branch that turns back ends where it leaves this range. From a special point it goes one
       way, where a single value bounds one side.
     - `max_step`: the largest step, relative to the size of the unknowns; of one that goes to zero,
       to a part of what it is at the start.
@@ -120,6 +130,15 @@ def _on_branch(
     system: System, parameter: str, orbit: Orbit
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
     """The branch of an orbit; the orbit as a point of it, if Newton's method stays; its outcome."""
+    curve, u, constraint = _given(system, parameter, orbit)
+    return curve, *curve.begin(u, constraint, curve.axis(u))
+
+
+def _given(
+    system: System, parameter: str, orbit: Orbit
+) -> tuple[OrbitCurve, np.ndarray, ArclengthConstraint]:
+    """The branch of an orbit, the orbit as a guess of a point of it, and the constraint that it
+    keeps its value of the parameter."""
     # A float leaf that is no array would be static, and compile a program for each of its values.
     system = cast(system, orbit.x0.dtype)
     periods = 1
@@ -138,8 +157,7 @@ def _on_branch(
     # Before the first shot nothing better is known of the size of a component on the orbit.
     size = np.maximum(np.max(abs(starts), axis=0), _SMALL)
     scale = np.append(np.tile(size, orbit.options.arcs), [abs(v) or 1.0 for v in q])
-    constraint = constraint_across(u, scale, curve.axis(u), 0.0)
-    return curve, *curve.begin(u, constraint, curve.axis(u))
+    return curve, u, constraint_across(u, scale, curve.axis(u), 0.0)
 
 
 def _known(
@@ -158,10 +176,14 @@ def _known(
 def _off_branch(
     system: System, parameter: str, doubling: SpecialPoint
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
-    """The branch of doubled period at a period doubling; a point of it beside that, if there is
-    one; the outcome of Newton's method."""
+    """The branch of doubled period at a period doubling, or the one that crosses at a branch point;
+    a point of it beside that, if there is one; the outcome of Newton's method."""
+    if doubling.kind == "branch-point":
+        return _across(system, parameter, doubling.orbit)
     if doubling.kind != "period-doubling":
-        raise ValueError(f"`orbit` must be a period doubling, got a {doubling.kind}.")
+        raise ValueError(
+            f"`orbit` must be a period doubling or a branch point, got a {doubling.kind}."
+        )
     single, at, result = _on_branch(system, parameter, doubling.orbit)
     problem = single.problem
     if problem.options.arcs > 1:
@@ -171,13 +193,37 @@ def _off_branch(
     curve = OrbitCurve(OrbitProblem(problem.system, options, parameter, periods))
     if at is None:
         return curve, None, result
-    base, scale, along = _doubled(single, at, np.asarray(doubling.orbit.monodromy))
+    return curve, *_beside(curve, *_doubled(single, at, np.asarray(doubling.orbit.monodromy)))
+
+
+def _beside(
+    curve: OrbitCurve, base: np.ndarray, scale: np.ndarray, along: np.ndarray
+) -> tuple[OrbitPoint | None, RESULTS]:
+    """A point of the branch a little along a direction, if there is one; the outcome of Newton's
+    method."""
+    result = RESULTS.newton_stalled
     for ds in _OFF:
         constraint = constraint_across(base, scale, along, ds)
         point, result = curve.begin(base + ds * along * scale, constraint, along)
         if point is not None:
-            return curve, point, result
-    return curve, None, result
+            return point, result
+    return None, result
+
+
+def _across(
+    system: System, parameter: str, orbit: Orbit
+) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
+    """The branch that crosses at a branch point: off along the null vector at a fixed value of the
+    parameter, which breaks a symmetry if the branch has one."""
+    curve, u, constraint = _given(system, parameter, orbit)
+    # One evaluation: Newton's method does not converge where branches cross.
+    root = solve_across(curve.problem, array_of(u), constraint, array_of(1, jnp.int32))
+    jacobian = np.asarray(root.at.jacobian)
+    if not np.isfinite(jacobian).all():
+        return curve, None, RESULTS.nonfinite
+    scale = np.asarray(root.at.unknown_scale)
+    null = np.linalg.svd(rows_of(root, scale)[:, :-1])[2][-1]
+    return curve, *_beside(curve, u, scale, np.append(null, 0.0))
 
 
 def _doubled(

@@ -27,10 +27,12 @@ from jaxfil.xla.known import compiled_if_traced
 class OrbitPoint(CurvePoint):
     """A point of a branch: an orbit, with its `Shot` as NumPy arrays. Where a branch of half the
     period may be met, `half_gap` is x(t0 + T/2) − x(t0), each component in its size; it is empty
-    elsewhere. `t0` is the phase at which it is shot, where that is not the problem's."""
+    elsewhere. `t0` is the phase at which it is shot, where that is not the problem's. `rows` is the
+    derivative of its equations, by scaled unknowns, each row of length one."""
 
     shot: Shot
     residual: float
+    rows: np.ndarray
     half_gap: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
     t0: float | None = None
 
@@ -79,7 +81,16 @@ def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> 
         num_steps=int(root.num_steps),
         shot=root.at.aux,
         residual=float(root.size),
+        rows=rows_of(root, scale),
     )
+
+
+def rows_of(root: Root, scale: np.ndarray) -> np.ndarray:
+    """The derivative of the equations at a root, but for the constraint, by unknowns of this scale;
+    each row of length one, unless it is zero."""
+    rows = np.asarray(root.at.jacobian)[:-1] * scale
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    return rows / np.where(lengths == 0, 1, lengths)
 
 
 def orbit_of(problem: OrbitProblem, point: OrbitPoint) -> Orbit:

@@ -146,6 +146,10 @@ class Curve(abc.ABC, Generic[_Point]):
         """The point from which the curve goes on where no step leads on, and what happens there."""
         return None
 
+    def special_end(self, here: _Point) -> Iterable[Special[_Point]]:
+        """What happens at a point beyond which there is none."""
+        return ()
+
     def elsewhere(
         self, here: _Point, start: _Point
     ) -> "tuple[Curve[_Point], _Point, _Point] | None":

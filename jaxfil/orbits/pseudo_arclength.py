@@ -124,6 +124,8 @@ def _follow(
         if ahead is None:
             beyond = curve.beyond_end(here)
             if beyond is None:
+                last = curve.special_end(here)
+                special.extend(dataclasses.replace(s, index=len(points) - 1) for s in last)
                 return end(_lost(curve, here))
             # In the new direction nothing is known of the curve: steps grow from a small one.
             (ahead, corner), ds = beyond, 0.1 * curve.steps.first

@@ -1,7 +1,8 @@
 """What happens on a branch of orbits between two neighbours.
 
 Two points of the branch enter; the points between them where a test function of the orbit is zero
-(a fold, a period doubling, a Neimark–Sacker point) or its sequence of contacts changes leave.
+(a fold, a period doubling, a Neimark–Sacker point, a branch point) or its sequence of contacts
+changes leave.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,6 +20,11 @@ def _fold(point: OrbitPoint) -> float:
     return float(point.tangent[-1])
 
 
+def _branch_point(point: OrbitPoint) -> float:
+    # Of the equations and the tangent of the curve: at a fold of the curve it does not vanish.
+    return float(np.linalg.det(np.vstack([point.rows, point.tangent])))
+
+
 def period_doubling(monodromy: np.ndarray) -> float:
     """Π (μ + 1): smooth, where a single multiplier would have to be told from the others."""
     return float(np.linalg.det(monodromy + np.eye(len(monodromy))))
@@ -26,8 +32,12 @@ def period_doubling(monodromy: np.ndarray) -> float:
 
 def neimark_sacker(monodromy: np.ndarray) -> float:
     """The modulus of a complex pair of multipliers less one; NaN where there is no such pair."""
-    values = np.linalg.eigvals(monodromy)
-    pair = values[values.imag > 0]
+    return pair_on_circle(np.linalg.eigvals(monodromy))
+
+
+def pair_on_circle(values: np.ndarray) -> float:
+    """The same of multipliers."""
+    pair = values[np.imag(values) > 0]
     return float(np.max(abs(pair)) - 1) if pair.size else np.nan
 
 
@@ -35,6 +45,7 @@ _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
     "fold": _fold,
     "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
     "neimark-sacker": lambda point: neimark_sacker(np.asarray(point.shot.monodromy)),
+    "branch-point": _branch_point,
 }
 
 

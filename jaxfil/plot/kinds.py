@@ -21,6 +21,7 @@ KINDS = MappingProxyType(
         "hopf": ("p", SKY),
         "persistence": ("d", GREEN),
         "nonsmooth-fold": (">", VERMILLION),
+        "branch-point": ("*", GREEN),
         "rest": ("_", BLACK),
         "contacts": (".", BLACK),
         "undecided": ("X", BLACK),

@@ -346,7 +346,7 @@ def test_a_branch_draws_itself():
         ({"parameter": "omegaa"}, "`parameter` must be a parameter of SDOscillator, one of f0"),
         ({"orbit": jnp.zeros(2)}, "`orbit` must be a single Orbit or a SpecialPoint"),
         ({"orbit": "batch"}, "`orbit` must be a single Orbit or a SpecialPoint"),
-        ({"orbit": "fold"}, "`orbit` must be a period doubling, got a fold"),
+        ({"orbit": "fold"}, "`orbit` must be a period doubling or a branch point, got a fold"),
         ({"stop": "there"}, r"`stop` must be a number or a pair \(low, high\), got 'there'"),
         ({"stop": float("nan")}, "`stop` must be a number or a pair"),
         ({"stop": (0.1, 0.2, 0.3)}, "`stop` must be a number or a pair"),

@@ -1,0 +1,280 @@
+"""`CriticalCurve`: a smooth bifurcation of orbits in two parameters, as a curve to be followed.
+
+The equations of orbits with critical multipliers enter; points leave, with what is degenerate
+between them. The curve has no corner at a cusp or where multipliers meet. That of pairs on the unit
+circle ends where they meet at ±1: beyond, both are real, and their product alone is 1.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+import jax
+import numpy as np
+
+from jaxfil.bifurcations.candidates import tangency_candidates
+from jaxfil.bifurcations.critical import CriticalOrbits, Known
+from jaxfil.bifurcations.critical_vectors import VECTORS
+from jaxfil.bifurcations.normal_form import Degeneracy, doubling_degeneracy, fold_degeneracy
+from jaxfil.bifurcations.tangency import FAMILIES
+from jaxfil.model.outcomes import RESULTS, is_successful
+from jaxfil.model.parameter import cast, get_parameter
+from jaxfil.orbits.branch import SpecialPoint
+from jaxfil.orbits.closing import OrbitProblem
+from jaxfil.orbits.corrector import OrbitPoint, contacts_of, orbit_of
+from jaxfil.orbits.curve import (
+    ArclengthConstraint,
+    Curve,
+    CurvePoint,
+    Special,
+    StepSizes,
+    constraint_across,
+    tangent_of,
+)
+from jaxfil.orbits.locating import change_on_curve, zero_on_curve
+from jaxfil.orbits.newton import Root
+from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
+from jaxfil.orbits.special_points import pair_on_circle
+
+# κ of a pair of multipliers e^{±iθ}, κ = cos θ, in strong resonance.
+RESONANCES = {"1:1": 1.0, "1:2": -1.0, "1:3": -0.5, "1:4": 0.0}
+_MEET = ("1:1", "1:2")
+# The end of a curve, where multipliers meet, is known to this part.
+_THERE = 1e-6
+
+
+# An orbit that misses a tangency by this part of the period is tangent: a time is the root of the
+# distance to which the curve's end is known.
+_TANGENT = 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticalPoint(CurvePoint):
+    """An orbit with critical multipliers: its two parameters are the last unknowns. The
+    coefficient of its normal form is NaN where none is asked for."""
+
+    kind: str
+    t: float
+    known: Known
+    degeneracy: Degeneracy
+
+    @property
+    def x(self) -> np.ndarray:
+        """The state at t, where the orbit starts."""
+        return self.u[: len(self.known.slopes.first)]
+
+    @property
+    def sequence(self) -> tuple:
+        """The contacts in order."""
+        return contacts_of(self.known.shot.events)
+
+
+@dataclasses.dataclass(frozen=True)
+class CriticalCurve(Curve[CriticalPoint]):
+    """The curve of an orbit with critical multipliers, followed in the first of two parameters."""
+
+    equations: CriticalOrbits
+    least: np.ndarray | float = 0.0
+    """No scale is below it."""
+
+    steps = StepSizes(first=0.01, least=1e-8, growth=1.5, straight=0.99, easy=8, corner=1e-4)
+    solution = "bifurcation"
+    place = -2
+
+    @property
+    def parameter(self) -> str:
+        """The name of the first parameter."""
+        return self.equations.free[0]
+
+    def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
+        """By shooting."""
+        return self.equations.root(guess, constraint)
+
+    def point(
+        self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
+    ) -> CriticalPoint:
+        """With the coefficient of its normal form."""
+        u, scale = np.asarray(root.z), np.asarray(constraint.scale)
+        known: Known = jax.tree.map(np.asarray, root.at.aux)
+        s, vectors = self.equations.split(u)
+        kind = self.equations.kind
+        degeneracy = Degeneracy(np.nan, vectors)
+        if kind == "fold":
+            degeneracy = fold_degeneracy(self.equations.first_slopes, s, vectors, known.slopes)
+        elif kind == "period-doubling":
+            degeneracy = doubling_degeneracy(self.equations.first_slopes, s, vectors, known.slopes)
+        tangent = tangent_of(root, scale, along)
+        t = float(self.equations.options.t0)
+        return CriticalPoint(u, scale, tangent, int(root.num_steps), kind, t, known, degeneracy)
+
+    def metric(self, point: CriticalPoint) -> np.ndarray:
+        """What each unknown is measured by."""
+        _, vectors = self.equations.split(point.scale)
+        unit = point.known.slopes.unit
+        return np.maximum(self.equations.joined(unit, vectors), self.least)
+
+    def special_points(
+        self, a: CriticalPoint, b: CriticalPoint
+    ) -> Iterator[Special[CriticalPoint]]:
+        """Points of codimension two, piece by piece: where the contacts change, and between."""
+        kind = self.equations.kind
+        if a.sequence != b.sequence:
+            before, after = self._change(a, b)
+            yield from self._degenerate(a, before)
+            # On the side with more contacts multipliers have a square root.
+            fewer = len(before.sequence) <= len(after.sequence)
+            yield Special("tangency", before if fewer else after, kind, kind)
+            a = after
+        yield from self._degenerate(a, b)
+
+    def _change(self, a: CriticalPoint, b: CriticalPoint) -> tuple[CriticalPoint, CriticalPoint]:
+        """Where the contacts of a end and others begin. The curve may have a corner there, which
+        cannot be seen across from one side: either side is followed to its end."""
+        before, after = change_on_curve(self, a, b, lambda p: p.sequence == a.sequence)
+        last, _ = change_on_curve(self, after, before, lambda p: p.sequence == after.sequence)
+        return before, last
+
+    def _degenerate(self, a: CriticalPoint, b: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
+        kind = self.equations.kind
+        for name, test in self._tests(a).items():
+            point = None
+            if test(a) * test(b) < 0:
+                point = zero_on_curve(self, a, b, test)
+                # A coefficient has poles where another multiplier is critical too.
+                if point is not None and abs(test(point)) > min(abs(test(a)), abs(test(b))):
+                    point = None
+            elif name in _MEET and kind == "neimark-sacker" and abs(test(b)) < _THERE:
+                point = b
+            if point is not None:
+                yield Special(name, point, kind, kind)
+
+    def _tests(self, a: CriticalPoint) -> dict[str, Callable[[CriticalPoint], float]]:
+        """Test functions of the points near a."""
+        kind = self.equations.kind
+        tests: dict[str, Callable[[CriticalPoint], float]] = {}
+        one, minus = "fold", "period-doubling"
+        if kind in ("fold", "branch-point"):
+            one = "1:1"
+        if kind == "fold":
+            tests["cusp"] = lambda p: p.degeneracy.like(a.degeneracy)
+        if kind == "period-doubling":
+            minus = "1:2"
+            tests["generalised-doubling"] = lambda p: p.degeneracy.like(a.degeneracy)
+        if kind == "neimark-sacker":
+            for name, level in RESONANCES.items():
+                tests[name] = lambda p, level=level: self._kappa(p) - level
+        tests[one] = lambda p: float(np.polyval(self._others(p), 1.0))
+        tests[minus] = lambda p: float(np.polyval(self._others(p), -1.0))
+        tests["neimark-sacker"] = lambda p: pair_on_circle(np.roots(self._others(p)))
+        return tests
+
+    def _kappa(self, point: CriticalPoint) -> float:
+        return float(self.equations.split(point.u)[1][-1])
+
+    def _others(self, point: CriticalPoint) -> np.ndarray:
+        """The characteristic polynomial of the multipliers that are not critical, and not the one
+        that an autonomous orbit has everywhere."""
+        kind = self.equations.kind
+        factor = np.poly([-1.0]) if kind == "period-doubling" else np.poly([1.0])
+        if kind == "neimark-sacker":
+            factor = np.array([1.0, -2 * self._kappa(point), 1.0])
+        if self.equations.autonomous:
+            factor = np.polymul(factor, np.poly([1.0]))
+        return np.polydiv(np.poly(point.known.slopes.monodromy), factor)[0]
+
+    def last_between(
+        self, here: CriticalPoint, ahead: CriticalPoint
+    ) -> tuple[CriticalPoint, str] | None:
+        """Where the pair of multipliers meets on the real axis."""
+        if self.equations.kind != "neimark-sacker" or abs(self._kappa(ahead)) <= 1:
+            return None
+        level = float(np.sign(self._kappa(ahead)))
+        point = zero_on_curve(self, here, ahead, lambda p: self._kappa(p) - level)
+        # Where orbits cross there the equations are singular at the point itself.
+        point = point or change_on_curve(self, here, ahead, lambda p: abs(self._kappa(p)) <= 1)[0]
+        return point, f"the multipliers meet at {level:g}, at {self.told(point)}"
+
+    def special_end(self, here: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
+        """Where the orbit is tangent to a surface its multipliers may have a square root."""
+        problem, orbit = self._orbit(here)
+        found = tangency_candidates(orbit_of(problem, orbit), *FAMILIES)
+        if found and found[0][0] < _TANGENT * period_of(problem, orbit):
+            yield Special("tangency", here, here.kind, here.kind)
+
+    def elsewhere(
+        self, here: CriticalPoint, start: CriticalPoint
+    ) -> "tuple[CriticalCurve, CriticalPoint, CriticalPoint] | None":
+        """Shot from a phase far from contacts, where one has come to fall on this one."""
+        problem, orbit = self._orbit(here)
+        part = quiet_phase(problem, orbit)
+        if part is None:
+            return None
+        t0 = here.t + part * period_of(problem, orbit)
+        options = problem_at(problem, t0).options
+        curve = dataclasses.replace(
+            self, equations=dataclasses.replace(self.equations, options=options)
+        )
+        point = self._seen(curve, here)
+        if point is None:
+            return None
+        return curve, point, self._seen(curve, start) or start
+
+    def _orbit(self, point: CriticalPoint) -> tuple[OrbitProblem, OrbitPoint]:
+        """A point as an orbit of the branch in the first parameter."""
+        s, _ = self.equations.split(point.u)
+        u, shot = s[:-1], point.known.shot
+        # Nobody asks for its tangent.
+        orbit = OrbitPoint(u, u, u, point.num_steps, shot, 0.0, point.known.slopes.bordered)
+        return self.equations.problem(s), orbit
+
+    def _seen(self, curve: "CriticalCurve", point: CriticalPoint) -> CriticalPoint | None:
+        """A point as one of a curve that is shot from another phase."""
+        problem, orbit = self._orbit(point)
+        away = float(curve.equations.options.t0) - float(self.equations.options.t0)
+        seen = seen_from(problem, orbit, (away / period_of(problem, orbit)) % 1.0)
+        # The direction of the curve in the plane of the parameters is the same.
+        ahead = (point.tangent * point.scale)[-2:]
+        return curve.near(np.append(seen, point.u[-1]), ahead)[0]
+
+    def near(self, s: np.ndarray, ahead: np.ndarray) -> tuple[CriticalPoint | None, RESULTS]:
+        """The point whose orbit is near s, its tangent to the side of `ahead` in the plane of the
+        parameters; the outcome of Newton's method."""
+        equations, shot = self.equations, self.equations.shot(s)
+        if not is_successful(shot.result):
+            return None, shot.result
+        vectors = VECTORS[equations.kind]
+        slopes = equations.slopes(s, shot, equations.normal_at(s), np.zeros(shot.size.size))
+        u = equations.joined(s, vectors.start(slopes))
+        scale = equations.joined(slopes.unit, vectors.scale(slopes))
+        along = np.append(np.zeros(u.size - 2), ahead / scale[-2:])
+        result = RESULTS.newton_stalled
+        # Across one parameter; where the curve turns back in that, across the other one.
+        for place in np.argsort(-abs(along[-2:])) - 2:
+            axis = np.zeros_like(u)
+            axis[place] = 1.0
+            found, result = self.begin(u, constraint_across(u, scale, axis, 0.0), along)
+            if found is not None:
+                return found, result
+        return None, result
+
+    def told(self, point: CriticalPoint) -> str:
+        """Both parameters."""
+        return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
+
+
+def begin_critical(
+    point: SpecialPoint, free: tuple[str, str]
+) -> tuple[CriticalCurve, CriticalPoint | None, RESULTS]:
+    """The curve of a special point of a branch; the point on it, if Newton's method stays; the
+    outcome."""
+    orbit = point.orbit
+    system, options = orbit.system, dataclasses.replace(orbit.options, arcs=1)
+    periods = 1
+    if system.period is not None:
+        periods = round(float(orbit.period) / float(np.asarray(system.period)))
+    system = cast(system, orbit.x0.dtype)
+    equations = CriticalOrbits(system, options, periods, free, point.kind)
+    curve = CriticalCurve(equations)
+    own = [] if system.period is not None else [float(orbit.period)]
+    values = [float(get_parameter(system, name)) for name in free]
+    s = np.concatenate([np.asarray(orbit.x0), own, values]).astype(orbit.x0.dtype)
+    return curve, *curve.near(s, np.array([1.0, 0.0]))

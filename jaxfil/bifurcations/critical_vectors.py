@@ -1,0 +1,255 @@
+"""The critical vectors of an orbit, and the equations that they fulfil.
+
+The derivatives of an orbit's end enter, with vectors y; the residual of their equations leaves,
+with its derivatives by the orbit and by y. With M the monodromy matrix, J the derivative of the
+closing by state and period (with the row of the phase condition, of an autonomous system), and G_p
+that by a parameter:
+
+    fold               J v = 0
+    period doubling    M v = −v
+    Neimark–Sacker     M v = w,  M w = 2κ w − v
+    branch point       Jᵀ w = 0,  G_pᵀ w = 0,  and the orbit closes up to β b
+
+κ = cos θ where the multipliers are e^{±iθ}. The pair v, w spans their plane, also where they meet
+at ±1. The unknown β is zero on a branch point that symmetry makes, and b is w at a neighbour.
+Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), section 10.3.
+"""
+
+import abc
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Slopes(NamedTuple):
+    """Derivatives of the end P of an orbit by s = (state, period of an autonomous system, both
+    parameters). Second ones lack the last of all columns, that by the second parameter."""
+
+    first: Float[np.ndarray, "n s"]
+    second: Float[np.ndarray, "n s_1 s"]
+    normal: Float[np.ndarray, "own n"]
+    """The row of the phase condition, of an autonomous system."""
+    unit: Float[np.ndarray, " s"]
+    """What each is measured by."""
+
+    @property
+    def monodromy(self) -> np.ndarray:
+        """M."""
+        return self.first[:, : len(self.first)]
+
+    @property
+    def closing(self) -> np.ndarray:
+        """The derivative of P − x by s."""
+        return self.first - np.eye(*self.first.shape)
+
+    @property
+    def size(self) -> int:
+        """How many unknowns the closing has: state and period."""
+        return len(self.first) + len(self.normal)
+
+    @property
+    def bordered(self) -> np.ndarray:
+        """J: the derivative of closing and phase condition by state and period."""
+        own = len(self.normal)
+        below = np.hstack([self.normal, np.zeros((own, own))])
+        return np.vstack([self.closing[:, : self.size], below])
+
+    @property
+    def rows(self) -> np.ndarray:
+        """What rows of J are measured by."""
+        n = len(self.first)
+        return np.append(self.unit[:n], abs(self.normal) @ self.unit[:n])
+
+    def along(self, v: np.ndarray) -> np.ndarray:
+        """The derivative by s of that of P along v, which moves the first of the unknowns."""
+        return np.einsum("ijs,j->is", self.second[:, : v.size], v)
+
+
+class Block(NamedTuple):
+    """The equations of the vectors: residual, derivatives, and what they are measured by."""
+
+    residual: np.ndarray
+    by_orbit: np.ndarray
+    by_vectors: np.ndarray
+    scale: np.ndarray
+
+
+class Vectors(abc.ABC):
+    """The vectors of one kind."""
+
+    @abc.abstractmethod
+    def dimension(self, count: int, own: int) -> int:
+        """That of the state, where state and vectors have so many numbers together."""
+
+    @abc.abstractmethod
+    def scale(self, slopes: Slopes) -> np.ndarray:
+        """What they are measured by."""
+
+    @abc.abstractmethod
+    def start(self, slopes: Slopes) -> np.ndarray:
+        """A guess."""
+
+    @abc.abstractmethod
+    def equations(self, slopes: Slopes, y: np.ndarray, base: np.ndarray) -> Block:
+        """Theirs, with those of their lengths, which are measured by `base`, vectors nearby."""
+
+    def unfolding(self, slopes: Slopes, base: np.ndarray) -> np.ndarray:
+        """What is added to the closing, times the vectors."""
+        return np.zeros((len(slopes.first), base.size))
+
+
+class _Fold(Vectors):
+    """J v = 0."""
+
+    def dimension(self, count: int, own: int) -> int:
+        return (count - own) // 2
+
+    def scale(self, slopes: Slopes) -> np.ndarray:
+        return slopes.unit[: slopes.size]
+
+    def start(self, slopes: Slopes) -> np.ndarray:
+        return null_vector(slopes.bordered, slopes.rows, self.scale(slopes))
+
+    def equations(self, slopes: Slopes, y: np.ndarray, base: np.ndarray) -> Block:
+        matrix, unit = slopes.bordered, self.scale(slopes)
+        along = slopes.along(y)
+        still = np.zeros((len(slopes.normal), along.shape[1]))
+        return _measured(
+            Block(matrix @ y, np.vstack([along, still]), matrix, slopes.rows),
+            _length(base, unit) @ y - 1,
+            _length(base, unit),
+        )
+
+
+class _Doubling(Vectors):
+    """M v + v = 0."""
+
+    def dimension(self, count: int, own: int) -> int:
+        return count // 2
+
+    def scale(self, slopes: Slopes) -> np.ndarray:
+        return slopes.unit[: len(slopes.first)]
+
+    def start(self, slopes: Slopes) -> np.ndarray:
+        unit = self.scale(slopes)
+        return null_vector(slopes.monodromy + np.eye(unit.size), unit, unit)
+
+    def equations(self, slopes: Slopes, y: np.ndarray, base: np.ndarray) -> Block:
+        unit = self.scale(slopes)
+        matrix = slopes.monodromy + np.eye(unit.size)
+        return _measured(
+            Block(matrix @ y, slopes.along(y), matrix, unit),
+            _length(base, unit) @ y - 1,
+            _length(base, unit),
+        )
+
+
+class _Pair(Vectors):
+    """M v − w = 0, M w − 2κ w + v = 0."""
+
+    def dimension(self, count: int, own: int) -> int:
+        return (count - 1) // 3
+
+    def scale(self, slopes: Slopes) -> np.ndarray:
+        unit = slopes.unit[: len(slopes.first)]
+        return np.concatenate([unit, unit, [1.0]])
+
+    def start(self, slopes: Slopes) -> np.ndarray:
+        values, vectors = np.linalg.eig(slopes.monodromy)
+        k = np.argmin(np.where(np.imag(values) > 0, abs(abs(values) - 1), np.inf))
+        v = np.real(vectors[:, k]) / np.max(abs(vectors[:, k] / self.scale(slopes)[: len(values)]))
+        return np.concatenate([v, slopes.monodromy @ v, [np.cos(np.angle(values[k]))]])
+
+    def equations(self, slopes: Slopes, y: np.ndarray, base: np.ndarray) -> Block:
+        n, matrix = len(slopes.first), slopes.monodromy
+        v, w, kappa = y[:n], y[n : 2 * n], y[-1]
+        one, none, column = np.eye(n), np.zeros((n, n)), np.zeros((n, 1))
+        by_vectors = np.block(
+            [[matrix, -one, column], [one, matrix - 2 * kappa * one, -2 * w[:, None]]]
+        )
+        # Of the plane of v and w: v is what it is at the base, but for what lies outside of that.
+        unit = slopes.unit[:n]
+        dual = np.linalg.pinv(np.stack([base[:n], base[n : 2 * n]], axis=1) / unit[:, None]) / unit
+        return _measured(
+            Block(
+                np.append(matrix @ v - w, matrix @ w - 2 * kappa * w + v),
+                np.vstack([slopes.along(v), slopes.along(w)]),
+                by_vectors,
+                np.tile(unit, 2),
+            ),
+            dual @ v - np.array([1.0, 0.0]),
+            np.hstack([dual, none[:2], column[:2]]),
+        )
+
+
+class _Branching(Vectors):
+    """Jᵀ w = 0, G_pᵀ w = 0; the last unknown is β."""
+
+    def dimension(self, count: int, own: int) -> int:
+        return (count - own - 1) // 2
+
+    def scale(self, slopes: Slopes) -> np.ndarray:
+        return np.append(1 / slopes.rows, 1.0)
+
+    def start(self, slopes: Slopes) -> np.ndarray:
+        columns = slopes.unit[: slopes.size]
+        w = null_vector(slopes.bordered.T, 1 / columns, 1 / slopes.rows)
+        return np.append(w, 0.0)
+
+    def equations(self, slopes: Slopes, y: np.ndarray, base: np.ndarray) -> Block:
+        n, k = len(slopes.first), slopes.size
+        # By state, period and the first parameter, one row for each.
+        below = np.hstack([slopes.normal, np.zeros((len(slopes.normal), k + 1 - n))])
+        matrix = np.vstack([slopes.closing[:, : k + 1], below]).T
+        w = y[:-1]
+        turned = np.einsum("ijs,i->js", slopes.second, w[:n])
+        length = np.append(_length(base[:-1], 1 / slopes.rows), 0.0)
+        return _measured(
+            Block(
+                matrix @ w,
+                turned,
+                np.hstack([matrix, np.zeros((k + 1, 1))]),
+                1 / slopes.unit[: k + 1],
+            ),
+            length @ y - 1,
+            length,
+        )
+
+    def unfolding(self, slopes: Slopes, base: np.ndarray) -> np.ndarray:
+        n = len(slopes.first)
+        towards = np.zeros((n, base.size))
+        towards[:, -1] = slopes.unit[:n] ** 2 * base[:n]
+        return towards
+
+
+VECTORS: dict[str, Vectors] = {
+    "fold": _Fold(),
+    "period-doubling": _Doubling(),
+    "neimark-sacker": _Pair(),
+    "branch-point": _Branching(),
+}
+"""Those of each kind of smooth bifurcation."""
+
+
+def null_vector(matrix: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """The vector that a matrix maps to the least, all in units; in its own it has length one."""
+    return np.linalg.svd(matrix / rows[:, None] * columns)[2][-1] * columns
+
+
+def _length(base: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """A row that is one times the vector `base`, and zero times those at right angles to it."""
+    scaled = base / unit
+    return scaled / unit / (scaled @ scaled)
+
+
+def _measured(block: Block, gap: np.ndarray, rows: np.ndarray) -> Block:
+    """The same with equations of the lengths, of size one, which do not depend on the orbit."""
+    gap, rows = np.atleast_1d(gap), np.atleast_2d(rows)
+    still = np.zeros((gap.size, block.by_orbit.shape[1]))
+    return Block(
+        np.append(block.residual, gap),
+        np.vstack([block.by_orbit, still]),
+        np.vstack([block.by_vectors, rows]),
+        np.append(block.scale, np.ones(gap.size)),
+    )
