@@ -243,7 +243,7 @@ def _length(base: np.ndarray, unit: np.ndarray) -> np.ndarray:
     return scaled / unit / (scaled @ scaled)
 
 
-def _measured(block: Block, gap: np.ndarray, rows: np.ndarray) -> Block:
+def _measured(block: Block, gap: np.ndarray | np.floating, rows: np.ndarray) -> Block:
     """The same with equations of the lengths, of size one, which do not depend on the orbit."""
     gap, rows = np.atleast_1d(gap), np.atleast_2d(rows)
     still = np.zeros((gap.size, block.by_orbit.shape[1]))

@@ -287,7 +287,7 @@ def _not_begun(
     )
 
 
-def _check_start(bifurcation: Bifurcation | SpecialPoint) -> None:
+def _check_start(bifurcation: object) -> None:
     """Where a curve may start."""
     if isinstance(bifurcation, Bifurcation) and not bifurcation.value.ndim:
         return
@@ -299,7 +299,7 @@ def _check_start(bifurcation: Bifurcation | SpecialPoint) -> None:
     )
 
 
-def _told(bifurcation: Bifurcation | SpecialPoint) -> str:
+def _told(bifurcation: object) -> str:
     if isinstance(bifurcation, SpecialPoint):
         return f"one of kind {bifurcation.kind}"
     return check.told(bifurcation)

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
         system = of.system(starts(args))
         values = jnp.asarray(np.linspace(args.start, args.stop, args.points))
 
-        def at(value):
+        def at(value: Array) -> LyapunovSpectrum:
             return lyapunov_spectrum(
                 replace_parameter(system, args.parameter, value), x0, **options
             )

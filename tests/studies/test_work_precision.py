@@ -156,7 +156,7 @@ def test_the_command_prints_the_table_and_draws_it(capsys, tmp_path):
     [
         ("nothing", "NAME must be one of"),
         ("coulomb-oscillator --set mu=1", "--set must be one of friction"),
-        ("coulomb-oscillator --time -1", "--time must be positive"),
+        ("coulomb-oscillator --time -1", "--time: must be positive"),
         ("coulomb-oscillator --x0 1,2,3", "--x0 must be 2 numbers"),
         ("coulomb-oscillator --steppers Euler9", "invalid choice"),
     ],
