@@ -529,6 +529,7 @@ def test_second_derivative_of_a_period():
         return jnp.log(12.0 / (lo - 10.0)) + jnp.log((35.0 - lo) / 13.0)
 
     lo, one = jnp.array(18.0), jnp.array(1.0)
+
     @jax.jit
     def slopes(lo):
         return jax.jvp(lambda lo: jax.jvp(period, (lo,), (one,))[1], (lo,), (one,))
