@@ -114,17 +114,44 @@ def with_derivatives(function, order):
     return derived
 
 
+def along_directions(function, order):
+    """The same as a function of a point and of as many directions: the value, and its derivatives
+    along the first, along the first two, and so on. A direction at a time compiles in half the
+    time that all of them take."""
+    if order == 0:
+
+        def valued(p):
+            value, more = function(p)
+            return (value,), more
+
+        return valued
+
+    def along(p, *directions):
+        def further(p):
+            values, more = along_directions(function, order - 1)(p, *directions[:-1])
+            return values[-1], (values, more)
+
+        _, slope, (values, more) = jax.jvp(further, (p,), directions[-1:], has_aux=True)
+        return (*values, slope), more
+
+    return along
+
+
 def assert_derivatives(motion, exact, lanes, rounding, order=2):
     """Assert that numbers of a motion are a closed form of the same parameters, with their first
     derivatives, in all lanes of a batch; the solutions. `rounding` is in eps of the largest of the
     numbers compared, or of 1."""
     lanes = jnp.asarray(lanes, float)
-    got, sols = jax.jit(jax.vmap(with_derivatives(motion, order)))(lanes)
-    known = jax.vmap(with_derivatives(lambda p: (exact(p), None), order))(lanes)
-    assert set(outcome_names(sols.result).ravel()) == {"successful"}
-    for found, want in zip(got, known[0], strict=True):
-        atol = rounding * np.finfo(float).eps * max(1, np.max(abs(want)))
-        assert_within(found, want, atol)
+    size = lanes.shape[1]
+    run = jax.jit(jax.vmap(along_directions(motion, order), (0,) + (None,) * order))
+    known, _ = jax.jit(jax.vmap(with_derivatives(lambda p: (exact(p), None), order)))(lanes)
+    scales = [max(1, np.max(abs(want))) for want in known]
+    for which in np.ndindex(*[size] * order):
+        found, sols = run(lanes, *np.eye(size)[list(which)])
+        assert set(outcome_names(sols.result).ravel()) == {"successful"}
+        for k, (got, want) in enumerate(zip(found, known, strict=True)):
+            want = want[(..., *which[:k])]
+            assert_within(got, want, rounding * np.finfo(float).eps * scales[k])
     return sols
 
 

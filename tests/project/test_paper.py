@@ -74,6 +74,7 @@ def test_fig5_finds_where_chaos_is():
     assert fig5.edges(np.array([0.8, 0.87, 1.1, 1.2]), exponents[:, 0]) == "0.8700 to 1.1000"
 
 
+@pytest.mark.long_run
 def test_fig6_tells_chaos_from_periodic_motion_and_knows_how_long_it_lives():
     turn = np.arange(fig6.LOOK)
     one_sided, both_sides = 1 + 0.1 * turn % 2, np.cos(2 * np.pi * turn / 8)

@@ -103,10 +103,42 @@ def solve(system, x0, t1, dt=0.01, t0=0.0, **options):
     return jf.solve(system, jnp.asarray(x0), t0, t1, dt, throw=False, **options)
 
 
+@jax.jit
+@jax.vmap
+def moved(p, e, x0, t0, t1):
+    """The motions of blocks, and the slopes of the way by (μ, shake, push): one program for all
+    that is asked of them. Of each the normal force and the friction are observed 20 times."""
+
+    def forces(t, x, side, reaction):
+        return jnp.stack([reaction[0], -p[0] * reaction[0] * side[1]])
+
+    def way(p):
+        saved = diffrax.SaveAt(ts=t0 + (t1 - t0) * jnp.linspace(0.05, 1.0, 20))
+        sol = solve(block(*p, e), x0, t1, t0=t0, saveat=saved, observe=forces)
+        return sol.x_final[0], sol
+
+    return jax.jacfwd(way, has_aux=True)(p)
+
+
+def motions(lanes=LANES, e=0.0, x0=(0.0, 0.0, 0.0, 0.0), t0=0.0, t1=2.0):
+    n = len(LANES)
+    start = jnp.broadcast_to(jnp.asarray(x0), (n, 4))
+    e, t0, t1 = (jnp.full(n, v) for v in (e, t0, t1))
+    return moved(jnp.broadcast_to(jnp.asarray(lanes), (n, 3)), e, start, t0, t1)
+
+
+def motion(lane=(0.5, 0.02, 3.0), **options):
+    """Of one block."""
+    return jax.tree.map(lambda leaf: leaf[0], motions([lane], **options))
+
+
 @pytest.mark.parametrize("of", [Block, Leaning])
 def test_friction_of_a_block_on_a_shaken_table(of):
-    blocks = jax.vmap(lambda *v: block(*v, of=of))(*jnp.array(LANES).T)
-    sol = jax.vmap(lambda b: solve(b, np.zeros(4), 2.0))(blocks)
+    if of is Block:
+        _, sol = motions()
+    else:
+        blocks = jax.vmap(lambda *v: block(*v, of=of))(*jnp.array(LANES).T)
+        sol = jax.vmap(lambda b: solve(b, np.zeros(4), 2.0))(blocks)
     assert np.all(np.asarray(sol.result == RESULTS.successful))
     for i, lane in enumerate(LANES):
         times, x, v = pushed(*lane, 2.0)
@@ -116,12 +148,8 @@ def test_friction_of_a_block_on_a_shaken_table(of):
 
 
 def test_derivatives_through_friction_that_feels_a_reaction():
-    lane = jnp.array([0.5, 0.02, 3.0])
-
-    def end(p):
-        return solve(block(*p), np.zeros(4), 1.0).x_final[0]
-
-    slope = jax.jacfwd(end)(lane)
+    lane = 0.5, 0.02, 3.0
+    slope, _ = motion(lane, t1=1.0)
     for i in range(3):
         step = np.eye(3)[i] * 1e-6
         high, low = (pushed(*(np.array(lane) + k * step), 1.0)[1] for k in (1, -1))
@@ -132,7 +160,7 @@ def test_runs_chained_at_a_slip_are_the_whole_run():
     times, x, v = pushed(0.5, 0.02, 3.0, 2.0)
     state, t = jnp.zeros(4), 0.0
     for t1 in (times[0], 0.12, times[1], 2.0):
-        sol = solve(block(), state, t1, t0=t)
+        _, sol = motion(x0=state, t1=t1, t0=t)
         assert sol.result == RESULTS.successful
         state, t = sol.x_final, t1
     assert_allclose(state, [x, v, 0, 0], rtol=0, atol=1e-12)
@@ -143,7 +171,7 @@ def test_friction_and_bounces_that_die_out():
     # friction, in the impacts at first and in the slide then.
     mu, v0, e, h = 0.3, 8.0, 0.5, 1.0
     stop, rest = v0 / (mu * G), np.sqrt(2 * h / G) * (1 + e) / (1 - e)
-    sol = solve(block(mu, 0.0, 0.0, e), [0.0, v0, h, 0.0], 4.0)
+    _, sol = motion((mu, 0.0, 0.0), e=e, x0=(0.0, v0, h, 0.0), t1=4.0)
     assert sol.result == RESULTS.successful
     assert sol.mode_final.tolist() == [2, 0]
     assert rest < stop
@@ -153,19 +181,17 @@ def test_friction_and_bounces_that_die_out():
 
 
 def test_what_holds_a_block_is_observed():
-    ts = jnp.linspace(0.05, 1.0, 20)
-
-    def held(t, x, side, reaction):
-        return jnp.stack([reaction[0], -0.5 * reaction[0] * side[1]])
-
-    sol = solve(block(), np.zeros(4), 1.0, saveat=diffrax.SaveAt(ts=ts), observe=held)
-    normal = G - 0.02 * 225 * np.sin(15 * np.asarray(ts))
+    _, sol = motion(t1=1.0)
+    assert_allclose(sol.ts, np.linspace(0.05, 1.0, 20), rtol=1e-15, atol=0)
+    normal = G - 0.02 * 225 * np.sin(15 * np.asarray(sol.ts))
     stuck = np.asarray(sol.modes)[:, 1] == 0
     assert stuck.any() and not stuck.all()
     friction = np.where(stuck, -3.0, -0.5 * normal)
     assert_allclose(sol.observed, np.stack([normal, friction], axis=1), rtol=1e-12, atol=0)
 
 
+@pytest.mark.release
+@pytest.mark.slow
 def test_single_precision():
     b = jax.tree.map(lambda v: v.astype(jnp.float32), block())
     sol = solve(b, np.zeros(4, np.float32), 2.0)
@@ -221,10 +247,17 @@ def slipping(mu, x0, t1):
 RODS = [(0.5, 1.0, -1.0, 0.0), (0.3, 1.2, 0.5, 0.2), (0.8, 0.9, 2.0, -0.5)]
 
 
+@jax.jit
+@jax.vmap
+def turned(mu, x0, t1):
+    """The motions of as many rods."""
+    return solve(Rod(mu), x0, t1)
+
+
 def test_a_rod_slips_on_its_tip():
     mu = jnp.array([rod[0] for rod in RODS])
     x0 = np.stack([on_its_tip(*rod[1:]) for rod in RODS])
-    sol = jax.vmap(lambda mu, x0: solve(Rod(mu), x0, 0.7))(mu, jnp.asarray(x0))
+    sol = turned(mu, jnp.asarray(x0), jnp.array([0.7] * 3))
     assert np.all(np.asarray(sol.result == RESULTS.successful))
     for i, rod in enumerate(RODS):
         t, x = slipping(rod[0], x0[i], 0.7)
@@ -239,7 +272,7 @@ def test_painleves_paradox_is_told():
     s, c = np.sin(angle), np.cos(angle)
     assert 1 + 3 * c * c - 3 * mu * s * c < 0 < 4.0**2 * s - G
     starts = [on_its_tip(angle, *v) for v in ((-1.0, 0.0), (-1.0, 4.0), (0.0, 0.0))]
-    sol = jax.vmap(lambda x0: solve(Rod(jnp.array(mu)), x0, 0.1))(jnp.stack(starts))
+    sol = turned(jnp.array([mu] * 3), jnp.stack(starts), jnp.array([0.1] * 3))
     told = [RESULTS.mode_undecided, RESULTS.nonunique, RESULTS.successful]
     assert all(bool((sol.result == right)[i]) for i, right in enumerate(told))
     assert sol.mode_final[2].tolist() == [2, 0]
