@@ -417,8 +417,6 @@ def test_components_and_three_dimensions():
     both = jf.plot.time_history(sol, components=(0, 1))
     assert [line.get_label() for line in both.lines[:2]] == ["x, m", "x', m/s"]
     assert_array_equal(both.lines[1].get_ydata(), ax.lines[0].get_xdata())
-    with pytest.warns(DeprecationWarning, match="`component` is now called `components`"):
-        jf.plot.time_history(sol, component=1)
 
     class Three(jf.System):
         def vector_field(self, t, x, side):
