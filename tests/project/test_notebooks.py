@@ -17,7 +17,7 @@ from tests.project.repository import need
 need("notebooks")
 FOLDER = ROOT / "notebooks"
 SMALL = {
-    "01_sweep_against_a_loop": {"POINTS": 8, "LOOPED": 2, "BY_SCIPY": 1, "TRANSIENT": 2},
+    "01_sweep_against_a_loop": {"POINTS": 8, "LOOPED": 2, "SCIPY": 1},
     "02_gradient_search": {"GUESSES": 8, "STEPS": 3},
     "03_benchmark": {"REPEATS": 2, "LANES": 2},
     "04_first_system": {"POINTS": 5},
