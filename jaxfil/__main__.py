@@ -23,20 +23,6 @@ from typing import Any
 from jaxfil.command.arguments import read
 from jaxfil.command.misuse import Misuse
 
-# The file of each command in `jaxfil.command`.
-_FILES = {
-    "simulate": "simulate",
-    "diagram": "diagram",
-    "plane": "plane",
-    "basins": "basins",
-    "orbit": "orbit",
-    "branch": "orbit",
-    "bifurcations": "orbit",
-    "spectrum": "spectrum",
-    "work-precision": "table",
-    "show": "show",
-}
-
 
 def main(argv: list[str] | None = None) -> int:
     """Do what `argv` (or the command line) asks; the exit code leaves."""
@@ -56,7 +42,7 @@ def _prepared(argv: list[str] | None) -> Callable[[], int]:
             return ft.partial(_told, chosen.listing())
         # Nobody asks for a picture in float32; an own file may make arrays when it is imported.
         jax.config.update("jax_enable_x64", True)
-        command = importlib.import_module(f"jaxfil.command.{_FILES[args.command]}")
+        command = importlib.import_module(f"jaxfil.command.{args.module}")
         of = None if args.command == "show" else chosen.chosen(args)
         command.check(args, of)
     except Misuse as misuse:

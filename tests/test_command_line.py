@@ -469,6 +469,19 @@ def test_ctrl_c_is_answered_by_one_line_and_130(tmp_path, until, times, line):
 
 
 @pytest.mark.usefixtures("ctrl_c_interrupts")
+@pytest.mark.parametrize("command, axes", [("plane", "omega f0"), ("basins", "x0 x1")])
+def test_ctrl_c_in_a_map_is_answered_as_in_a_diagram(tmp_path, command, axes):
+    first, second = axes.split()
+    grid = ["--grid", f"{first}=0.6:0.9:200", f"{second}=0.2:0.3:100"]
+    words = ["-m", "jaxfil", command, "sd-oscillator", *grid, "--out", str(tmp_path / "a.png")]
+    code, _, (told,) = interrupted(tmp_path, words, rb" [1-9]\d*/20000")
+    assert code == 130
+    assert re.fullmatch(r"jaxfil: interrupted: \d+ of 20000 lanes are finished; wrote .*", told)
+    outcomes = jf.RESULTS.names(jf.load(tmp_path / "a.npz").results)
+    assert told.split()[2] == str((outcomes != "interrupted").sum())
+
+
+@pytest.mark.usefixtures("ctrl_c_interrupts")
 def test_ctrl_c_while_python_loads_the_package_ends_it_without_a_word(tmp_path):
     words = ["-X", "importtime", "-m", "jaxfil", "--list"]
     code, out, lines = interrupted(tmp_path, words, rb"\| +numpy\n")

@@ -53,9 +53,10 @@ def _parser() -> _Parser:
     top.add_argument("--list", action="store_true", help="systems, their parameters and defaults")
     top.add_argument("--version", action="version", version=f"jaxfil {__version__}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND")
-    for name, (does, add_arguments) in _COMMANDS.items():
+    for name, (module, does, add_arguments) in _COMMANDS.items():
         epilog = examples.of(name)
         parser = commands.add_parser(name, help=does, epilog=epilog, allow_abbrev=False, **shape)
+        parser.set_defaults(module=module, follow=None, error=False, component=0)
         add_arguments(parser.add_argument)
     return top
 
@@ -197,17 +198,18 @@ def _add_style(add: Add) -> None:
     add("--no-cache", action="store_true", help="compile anew, and keep nothing compiled on disk")
 
 
-_COMMANDS: dict[str, tuple[str, Callable[[Add], None]]] = {
-    "simulate": ("run a system, and draw its motion", _add_simulate),
-    "diagram": ("draw a bifurcation diagram", _add_diagram),
-    "plane": ("draw the periods of the motion over two parameters", _add_plane),
-    "basins": ("draw basins of attraction", _add_basins),
-    "orbit": ("find a periodic orbit", _add_orbit),
-    "branch": ("follow a periodic orbit in a parameter", _add_branch),
-    "bifurcations": ("find and name the bifurcations of a periodic orbit", _add_branch),
-    "spectrum": ("compute Lyapunov exponents", _add_spectrum),
-    "work-precision": ("error against run time over steppers and steps", _add_table),
-    "show": ("print, or draw, what a file holds", _add_show),
+# The file of a command in this folder, what it does, and its arguments.
+_COMMANDS: dict[str, tuple[str, str, Callable[[Add], None]]] = {
+    "simulate": ("simulate", "run a system, and draw its motion", _add_simulate),
+    "diagram": ("diagram", "draw a bifurcation diagram", _add_diagram),
+    "plane": ("diagram", "draw the periods of the motion over two parameters", _add_plane),
+    "basins": ("basins", "draw basins of attraction", _add_basins),
+    "orbit": ("orbit", "find a periodic orbit", _add_orbit),
+    "branch": ("orbit", "follow a periodic orbit in a parameter", _add_branch),
+    "bifurcations": ("orbit", "find and name the bifurcations of a periodic orbit", _add_branch),
+    "spectrum": ("spectrum", "compute Lyapunov exponents", _add_spectrum),
+    "work-precision": ("table", "error against run time over steppers and steps", _add_table),
+    "show": ("show", "print, or draw, what a file holds", _add_show),
 }
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxfil.command.chosen import Chosen, check_component, check_sampling
 from jaxfil.command.misuse import Misuse
 from jaxfil.command.picture import draw, numbers, sampled, sweep_options
+from jaxfil.command.sweep_end import ended, told_here
 from jaxfil.sweep.basins import basins_of_attraction
 from jaxfil.sweep.interrupt import Interrupts
 
@@ -24,18 +25,20 @@ def check(args: argparse.Namespace, of: Chosen) -> None:
 def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
     """Sweep, draw, save and print the card."""
     first, second = (np.linspace(*axis[1:]) for axis in args.grid)
-    found = basins_of_attraction(
-        of.system(),
-        (first, second),
-        x0=jnp.array(of.x0),
-        components=_components(args),
-        **sweep_options(args),
-    )
-    draw(args, f"{of.conditions()}, {sampled(args)}", found.plot)
-    found.save(numbers(args))
-    if not args.quiet:
-        print(found)
-    return 0 if (np.asarray(found.labels) >= 0).any() else 1
+    with told_here():
+        found = basins_of_attraction(
+            of.system(),
+            (first, second),
+            x0=jnp.array(of.x0),
+            components=_components(args),
+            **sweep_options(args),
+        )
+
+    def keep() -> None:
+        draw(args, f"{of.conditions()}, {sampled(args)}", found.plot)
+        found.save(numbers(args))
+
+    return ended(args, found.results, interrupts, keep, lambda: str(found))
 
 
 def _components(args: argparse.Namespace) -> tuple[int, int]:

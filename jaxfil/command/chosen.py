@@ -49,7 +49,9 @@ class Chosen:
 
     def conditions(self) -> str:
         """What a picture cannot show, and a reader needs to make it again."""
-        symbols = getattr(self.cls, "symbols", {})
+        symbols = self.cls.symbols
+        if not isinstance(symbols, Mapping):  # a property, of a system that wraps another
+            symbols = {}
         given = (f", {symbols.get(p, p)} = {v:.10g}" for p, v in self.settings.items())
         return f"{self.name}{''.join(given)}, from {_text(self.x0)}"
 
@@ -149,7 +151,8 @@ def _module(path: Path) -> ModuleType:
 def _defaults(cls: type[System]) -> dict[str, float]:
     """The parameters of a class that are numbers, and their defaults."""
     given: dict[str, Any] = {f.name: f.default for f in dataclasses.fields(cls) if f.init}
-    return {p: float(v) for p, v in given.items() if isinstance(v, int | float)}
+    numbers = {p: v for p, v in given.items() if isinstance(v, int | float)}
+    return {p: float(v) for p, v in numbers.items() if not isinstance(v, bool)}
 
 
 def _is_path(name: str) -> bool:

@@ -1,21 +1,19 @@
-"""A bifurcation diagram from the command line: checked arguments enter, a picture, its numbers and
-a line leave, and the exit code."""
+"""A sweep over one parameter, or over the plane of two, from the command line: checked arguments
+enter, a picture, its numbers and a line leave, and the exit code."""
 
 import argparse
 import dataclasses
-import sys
 import time
-import warnings
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.command.chosen import Chosen, check_component, check_sampling, starts
-from jaxfil.command.interruption import INTERRUPTED
 from jaxfil.command.picture import draw, numbers, sampled, sweep_options, written
+from jaxfil.command.sweep_end import ended, told_here
 from jaxfil.model import dataset_io
 from jaxfil.model.card import counted
-from jaxfil.model.outcomes import outcome_names
 from jaxfil.sweep.diagram import BifurcationDiagram
 from jaxfil.sweep.interrupt import Interrupts
 from jaxfil.sweep.sweep import bifurcation_diagram
@@ -30,36 +28,35 @@ def check(args: argparse.Namespace, of: Chosen) -> None:
 def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
     """Sweep, draw, save and say so."""
     start = time.perf_counter()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "The sweep was interrupted", RuntimeWarning)
+    with told_here():
         diagram = bifurcation_diagram(
             of.system(starts(args)),
-            args.parameter,
-            jnp.asarray(np.linspace(args.start, args.stop, args.points)),
+            *_swept(args),
             jnp.array(of.x0),
             follow=args.follow,
             estimate_error=args.error,
             **sweep_options(args),
         )
     seconds = time.perf_counter() - start
-    outcomes = outcome_names(diagram.results)
-    finished = int((outcomes != "interrupted").sum())
-    if not finished:
-        print("jaxfil: interrupted before a lane was finished", file=sys.stderr)
-        return INTERRUPTED
-    follow = f" and on {args.follow}" if args.follow else ""
-    title = f"{of.conditions()}{follow}, {sampled(args)}"
-    draw(args, title, lambda ax: diagram.plot(ax, args.component))
-    _save(diagram, args, of)
-    if finished < args.points:
-        lanes = f"{finished} of {args.points} lanes are finished"
-        print(f"jaxfil: interrupted: {lanes}; {written(args)}", file=sys.stderr)
-        return INTERRUPTED
-    if not args.quiet:
-        print(_summary(args, diagram, seconds))
-    if interrupts.count:  # while it was drawn
-        return INTERRUPTED
-    return 0 if (outcomes == "successful").any() else 1
+
+    def keep() -> None:
+        follow = f" and on {args.follow}" if args.follow else ""
+        title = f"{of.conditions()}{follow}, {sampled(args)}"
+        draw(args, title, lambda ax: diagram.plot(ax, args.component))
+        _save(diagram, args, of)
+
+    def summary() -> str:
+        return _summary(args, diagram, seconds)
+
+    return ended(args, diagram.results, interrupts, keep, summary)
+
+
+def _swept(args: argparse.Namespace) -> tuple[Any, Any]:
+    """Names and values, of one parameter or of two."""
+    if args.command == "diagram":
+        return args.parameter, jnp.asarray(np.linspace(args.start, args.stop, args.points))
+    values = tuple(jnp.asarray(np.linspace(*axis[1:])) for axis in args.grid)
+    return tuple(axis.name for axis in args.grid), values
 
 
 def _summary(args: argparse.Namespace, diagram: BifurcationDiagram, seconds: float) -> str:
@@ -70,17 +67,15 @@ def _summary(args: argparse.Namespace, diagram: BifurcationDiagram, seconds: flo
         error = (
             f"; errors up to {np.nanmax(largest):.1e}, in the median {np.nanmedian(largest):.1e}"
         )
-    return (
-        f"{args.points} values of {args.parameter} in {seconds:.1f} s: {ended}{error}; "
-        f"{written(args)}"
-    )
+    points = " × ".join(str(count) for count in diagram.successful.shape)
+    names = " and ".join(starts(args))
+    return f"{points} values of {names} in {seconds:.1f} s: {ended}{error}; {written(args)}"
 
 
 def _save(diagram: BifurcationDiagram, args: argparse.Namespace, of: Chosen) -> None:
     """Everything in the picture, and what it takes to make it again, beside it as .npz."""
     # From the defaults and not from the diagram: a parameter may be None, as alpha = 0 is.
-    parameters = of.parameters()
-    parameters.pop(args.parameter, None)
+    parameters = {p: v for p, v in of.parameters().items() if p not in starts(args)}
     asked = {
         "system": args.system,
         "samples": args.samples,

@@ -3,18 +3,19 @@
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-from matplotlib.axes import Axes
+from typing import TYPE_CHECKING, Any
 
 from jaxfil.command.steppers import STEPPERS
 from jaxfil.command.words import SectionWords
 from jaxfil.model.section import Section, maxima, minima
 
+if TYPE_CHECKING:  # mistakes are answered without loading matplotlib
+    from matplotlib.axes import Axes
 
-def draw(args: argparse.Namespace, title: str, *drawers: Callable[[Axes], Any]) -> None:
+
+def draw(args: argparse.Namespace, title: str, *drawers: "Callable[[Axes], Any]") -> None:
     """Draw side by side, under one title, in the file that was asked for."""
-    from jaxfil import plot  # here, so that mistakes are answered without loading matplotlib
+    from jaxfil import plot
 
     page = plot.page()
     for i, drawer in enumerate(drawers):
