@@ -7,6 +7,7 @@ circle ends where they meet at ±1: beyond, both are real, and their product alo
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import jax
 import numpy as np
@@ -27,8 +28,8 @@ from jaxfil.orbits.curve import (
     CurvePoint,
     Special,
     StepSizes,
+    at_root,
     constraint_across,
-    tangent_of,
 )
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Root
@@ -93,18 +94,17 @@ class CriticalCurve(Curve[CriticalPoint]):
         self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
     ) -> CriticalPoint:
         """With the coefficient of its normal form."""
-        u, scale = np.asarray(root.z), np.asarray(constraint.scale)
+        at: dict[str, Any] = at_root(root, constraint, along)
         known: Known = jax.tree.map(np.asarray, root.at.aux)
-        s, vectors = self.equations.split(u)
+        s, vectors = self.equations.split(at["u"])
         kind = self.equations.kind
         degeneracy = Degeneracy(np.nan, vectors)
         if kind == "fold":
             degeneracy = fold_degeneracy(self.equations.first_slopes, s, vectors, known.slopes)
         elif kind == "period-doubling":
             degeneracy = doubling_degeneracy(self.equations.first_slopes, s, vectors, known.slopes)
-        tangent = tangent_of(root, scale, along)
         t = float(self.equations.options.t0)
-        return CriticalPoint(u, scale, tangent, int(root.num_steps), kind, t, known, degeneracy)
+        return CriticalPoint(**at, kind=kind, t=t, known=known, degeneracy=degeneracy)
 
     def metric(self, point: CriticalPoint) -> np.ndarray:
         """What each unknown is measured by."""

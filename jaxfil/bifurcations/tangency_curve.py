@@ -31,7 +31,7 @@ from jaxfil.orbits.curve import (
     CurvePoint,
     Special,
     StepSizes,
-    tangent_of,
+    at_root,
 )
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Root
@@ -140,14 +140,8 @@ class TangencyCurve(Curve[TangencyPoint]):
         self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
     ) -> TangencyPoint:
         """With what is known of the tangency."""
-        scale = np.asarray(constraint.scale)
-        return TangencyPoint(
-            u=np.asarray(root.z),
-            scale=scale,
-            tangent=tangent_of(root, scale, along),
-            num_steps=int(root.num_steps),
-            known=jax.tree.map(np.asarray, root.at.aux),
-        )
+        known = jax.tree.map(np.asarray, root.at.aux)
+        return TangencyPoint(**at_root(root, constraint, along), known=known)
 
     def metric(self, point: TangencyPoint) -> np.ndarray:
         """A state by its largest value on the orbit, a phase by one period, all else by its

@@ -19,15 +19,13 @@ from jaxfil.bifurcations.locate import Bifurcation
 from jaxfil.bifurcations.tangency import FAMILY_NAMES
 from jaxfil.bifurcations.tangency_curve import TangencyCurve, TangencyPoint
 from jaxfil.model import check
-from jaxfil.model.card import outcome, precision
-from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
-from jaxfil.model.parameter import get_parameter, scalar_parameters
+from jaxfil.model.parameter import get_parameter, two_parameters
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes
 from jaxfil.orbits.branch import SpecialPoint
 from jaxfil.orbits.curve import constraint_across, least_scales
+from jaxfil.orbits.plane_curve import PlaneCurve
 from jaxfil.orbits.pseudo_arclength import ends_of, follow, range_around
 
 # A guess taken from a neighbour converges in a few steps or not at all.
@@ -88,7 +86,7 @@ class CodimensionTwo(eqx.Module):
     """The kind after it."""
 
 
-class BifurcationCurve(eqx.Module):
+class BifurcationCurve(PlaneCurve):
     """A bifurcation of periodic orbits in two parameters: k points of a curve."""
 
     parameters: tuple[str, str] = eqx.field(static=True)
@@ -112,20 +110,8 @@ class BifurcationCurve(eqx.Module):
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call the parameters."""
 
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the curve in the plane of its two parameters; returns the matplotlib axes."""
-        return draw(self, ax=ax)
-
     def __repr__(self) -> str:
-        a, b = self.parameters
-        low, high = self.values.min(axis=0), self.values.max(axis=0)
-        lines = [
-            f"BifurcationCurve{precision(self.xs)}, {len(self.values)} points: "
-            f"{', '.join(dict.fromkeys(self.kinds))}",
-            f"  {a} from {low[0]:.6g} to {high[0]:.6g}, {b} from {low[1]:.6g} to {high[1]:.6g}",
-            f"  {outcome(self.result)}",
-            f"  ends: {self.ended[0]}; {self.ended[1]}",
-        ]
+        (a, b), lines = self.parameters, [super().__repr__()]
         for point in self.points:
             where = f"{a} = {point.values[0]:.10g}, {b} = {point.values[1]:.10g}"
             change = "" if point.before == point.after else f": {point.before} to {point.after}"
@@ -196,16 +182,12 @@ def continue_bifurcation(
     True
     """
     check.system("system", system)
-    if len(scalar_parameters(system, parameters)) != 2:
-        raise ValueError(
-            f"`parameters` must be two different parameters, got {check.told(parameters)}."
-        )
+    free = two_parameters(system, parameters)
     check.flags(throw=throw)
     _check_start(bifurcation)
     max_points = check.count("max_points", max_points)
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)
-    free = parameters[0], parameters[1]
     names = labels_of(bifurcation.orbit.system, bifurcation.orbit.x0.shape[-1]).of(free)
     smooth = isinstance(bifurcation, SpecialPoint)
     begin: Callable[..., tuple[Any, Any, RESULTS]] = begin_critical if smooth else _on_curve

@@ -12,9 +12,9 @@ import jax
 import numpy as np
 
 from jaxfil.equilibria.balance import Balance, is_affine
+from jaxfil.equilibria.balance_curve import BalanceCurve, EquilibriumPoint, Varied
 from jaxfil.equilibria.equilibrium import Equilibrium
 from jaxfil.equilibria.equilibrium_branch import EquilibriumBifurcation, EquilibriumBranch
-from jaxfil.equilibria.equilibrium_curve import EquilibriumCurve, EquilibriumPoint, Varied
 from jaxfil.equilibria.search import autonomous
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
@@ -115,7 +115,7 @@ def continue_equilibrium(
 
 def _on_branch(
     system: System, parameter: str, at: Equilibrium
-) -> tuple[EquilibriumCurve, EquilibriumPoint | None, RESULTS]:
+) -> tuple[BalanceCurve, EquilibriumPoint | None, RESULTS]:
     """The branch of an equilibrium; a point of it, if Newton's method stays; its outcome."""
     dtype = at.x.dtype
     # The equilibrium says where the branch starts, whatever the system's own value is.
@@ -123,7 +123,7 @@ def _on_branch(
     system = replace_parameter(cast(system, dtype), parameter, known)
     mode = np.asarray(at.mode)
     balance = Balance(system, array_of(mode, dtype), is_affine(system, at.x, mode.size))
-    curve = EquilibriumCurve(Varied(balance, parameter))
+    curve = BalanceCurve(Varied(balance, parameter))
     u = np.concatenate([np.asarray(at.x), np.asarray(at.multipliers), [float(known)]])
     constraint = constraint_across(u, _sizes(u, mode.size), curve.axis(u), 0.0)
     return curve, *curve.begin(u, constraint, curve.axis(u))
@@ -139,7 +139,7 @@ def _sizes(u: np.ndarray, m: int) -> np.ndarray:
     return np.where(size == 0, 1.0, size)
 
 
-def _least(curve: EquilibriumCurve, start: EquilibriumPoint, ends: list[float]) -> np.ndarray:
+def _least(curve: BalanceCurve, start: EquilibriumPoint, ends: list[float]) -> np.ndarray:
     """The least scales of unknowns on the branch."""
     size = _sizes(start.u, start.mode.size)
     if size[-1] < _SMALL * np.max(np.abs(ends)):
@@ -149,7 +149,7 @@ def _least(curve: EquilibriumCurve, start: EquilibriumPoint, ends: list[float]) 
     return least
 
 
-def _branch(curve: EquilibriumCurve, path: Path[EquilibriumPoint]) -> EquilibriumBranch:
+def _branch(curve: BalanceCurve, path: Path[EquilibriumPoint]) -> EquilibriumBranch:
     """A path as the `EquilibriumBranch` it is."""
     found = [_equilibrium(curve, point) for point in path.points]
     dynamic = [eqx.filter(one, eqx.is_array) for one in found]
@@ -180,7 +180,7 @@ def _told(mode: np.ndarray) -> tuple[int, ...]:
     return tuple(np.round(mode).astype(int).tolist())
 
 
-def _equilibrium(curve: EquilibriumCurve, point: EquilibriumPoint) -> Equilibrium:
+def _equilibrium(curve: BalanceCurve, point: EquilibriumPoint) -> Equilibrium:
     """A point as the equilibrium it is."""
     balance, m = curve.varied.balance, point.mode.size
     n = point.u.size - 1 - m
@@ -198,7 +198,7 @@ def _equilibrium(curve: EquilibriumCurve, point: EquilibriumPoint) -> Equilibriu
     )
 
 
-def _not_begun(curve: EquilibriumCurve, given: Equilibrium, result: RESULTS) -> EquilibriumBranch:
+def _not_begun(curve: BalanceCurve, given: Equilibrium, result: RESULTS) -> EquilibriumBranch:
     """Nothing but the equilibrium that was given. What it failed by itself comes first."""
     value = float(get_parameter(given.system, curve.parameter))
     arrays, rest = eqx.partition(given, eqx.is_array)

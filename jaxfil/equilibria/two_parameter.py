@@ -17,24 +17,22 @@ from jaxfil.equilibria.bifurcation_equations import BifurcationEquations, equati
 from jaxfil.equilibria.equilibrium_branch import EquilibriumBifurcation
 from jaxfil.equilibria.search import autonomous
 from jaxfil.model import check
-from jaxfil.model.card import outcome, precision
-from jaxfil.model.drawing import draw
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
-from jaxfil.model.parameter import scalar_parameters
+from jaxfil.model.parameter import two_parameters
 from jaxfil.model.system import System
-from jaxfil.model.types import Axes
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
     Curve,
     CurvePoint,
     Special,
     StepSizes,
+    at_root,
     constraint_across,
     least_scales,
-    tangent_of,
 )
 from jaxfil.orbits.newton import Evaluation, Root, newton
+from jaxfil.orbits.plane_curve import PlaneCurve
 from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
 from jaxfil.xla.known import array_of
 
@@ -43,7 +41,7 @@ _NEWTON_STEPS = 12
 _SMALL = 1e-3
 
 
-class EquilibriumCurve(eqx.Module):
+class EquilibriumCurve(PlaneCurve):
     """A bifurcation of equilibria in two parameters: k points of a curve."""
 
     parameters: tuple[str, str] = eqx.field(static=True)
@@ -61,22 +59,6 @@ class EquilibriumCurve(eqx.Module):
     otherwise why it did not, and the bifurcation that was given is its only point."""
     labels: Labels = eqx.field(static=True, default=Labels())
     """What pictures call the parameters."""
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the curve in the plane of its two parameters; returns the matplotlib axes."""
-        return draw(self, ax=ax)
-
-    def __repr__(self) -> str:
-        a, b = self.parameters
-        low, high = self.values.min(axis=0), self.values.max(axis=0)
-        lines = [
-            f"EquilibriumCurve{precision(self.xs)}, {len(self.values)} points: "
-            f"{', '.join(dict.fromkeys(self.kinds))}",
-            f"  {a} from {low[0]:.6g} to {high[0]:.6g}, {b} from {low[1]:.6g} to {high[1]:.6g}",
-            f"  {outcome(self.result)}",
-            f"  ends: {self.ended[0]}; {self.ended[1]}",
-        ]
-        return "\n".join(lines)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,14 +111,11 @@ class _BifurcationCurve(Curve[_Point]):
 
     def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> _Point:
         """With its kind."""
-        scale, family = np.asarray(constraint.scale), self.equations.family
+        family = self.equations.family
         persists, admissible = root.at.aux
         boundary = "persistence" if float(persists) > 0 else "nonsmooth-fold"
         return _Point(
-            u=np.asarray(root.z),
-            scale=scale,
-            tangent=tangent_of(root, scale, along),
-            num_steps=int(root.num_steps),
+            **at_root(root, constraint, along),
             kind=boundary if family == "boundary" else family,
             admissible=bool(admissible),
         )
@@ -214,16 +193,12 @@ def continue_equilibrium_bifurcation(
     """
     check.system("system", system)
     autonomous("system", system)
-    if len(scalar_parameters(system, parameters)) != 2:
-        raise ValueError(
-            f"`parameters` must be two different parameters, got {check.told(parameters)}."
-        )
+    free = two_parameters(system, parameters)
     check.flags(throw=throw)
     check.instance("bifurcation", bifurcation, EquilibriumBifurcation)
     max_points = check.count("max_points", max_points)
     max_step = float(check.scalar("max_step", max_step, float, positive=True))
     ends = ends_of(stop)
-    free = parameters[0], parameters[1]
     equations, u = equations_of(bifurcation, free)
     curve = _BifurcationCurve(equations)
     size = np.where(abs(u) < _SMALL * abs(u).max(), 0.0, abs(u))

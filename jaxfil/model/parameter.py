@@ -89,6 +89,14 @@ def scalar_parameters(system: PyTree, names: Any) -> tuple[str, ...]:
     return tuple(names)
 
 
+def two_parameters(system: PyTree, names: Any) -> tuple[str, str]:
+    """The names of two of them."""
+    several = scalar_parameters(system, names)
+    if len(several) != 2:
+        raise ValueError(f"`parameters` must be two different parameters, got {told(names)}.")
+    return several[0], several[1]
+
+
 def replace_parameters(system: _Tree, names: Iterable[str], values: Iterable[ArrayLike]) -> _Tree:
     """`system` with each of these replaced: see `replace_parameter`."""
     for name, value in zip(names, values, strict=True):

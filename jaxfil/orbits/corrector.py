@@ -16,7 +16,7 @@ from jaxtyping import Array
 from jaxfil.integrate.run.solution import Events, switches
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.orbits.closing import OrbitProblem, phase_condition, solve_closing
-from jaxfil.orbits.curve import ArclengthConstraint, CurvePoint, tangent_of
+from jaxfil.orbits.curve import ArclengthConstraint, CurvePoint, at_root
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import Shot
@@ -73,15 +73,12 @@ def solve_across(
 
 def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:
     """A root as the point it is, its tangent to the side of `along`."""
-    root, scale = jax.tree.map(np.asarray, root), np.asarray(constraint.scale)
+    root = jax.tree.map(np.asarray, root)
     return OrbitPoint(
-        u=np.asarray(root.z),
-        scale=scale,
-        tangent=tangent_of(root, scale, along),
-        num_steps=int(root.num_steps),
+        **at_root(root, constraint, along),
         shot=root.at.aux,
         residual=float(root.size),
-        rows=rows_of(root, scale),
+        rows=rows_of(root, np.asarray(constraint.scale)),
     )
 
 

@@ -68,6 +68,18 @@ def tangent_of(root: Root, scale: np.ndarray, along: np.ndarray) -> np.ndarray:
     return tangent if tangent @ along >= 0 else -tangent
 
 
+def at_root(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> dict[str, Any]:
+    """What a root is as a `CurvePoint`, by the names of its fields; the tangent to the side of
+    `along`."""
+    scale = np.asarray(constraint.scale)
+    return {
+        "u": np.asarray(root.z),
+        "scale": scale,
+        "tangent": tangent_of(root, scale, along),
+        "num_steps": int(root.num_steps),
+    }
+
+
 # What an unknown is measured by on a curve is this part at least of what it is at the start, and a
 # parameter by this part: steps relative to a number that goes to zero would never get there.
 _LEAST, _LEAST_OF_PARAMETER = 0.01, 0.1

@@ -17,6 +17,7 @@ from numpy.testing import assert_array_equal
 
 import jaxfil as jf
 from jaxfil import EventKind
+from tests.oracles import clocked_problems
 from tests.results import assert_derivatives, assert_within, kinds_of, table
 
 EPS = np.finfo(float).eps
@@ -299,34 +300,16 @@ def test_a_kick_over_a_threshold_of_a_lower_number():
     assert kinds_of(sols) == [[IMPACT], [IMPACT] * 2, [IMPACT] * 2]
 
 
-class Struck(jf.System):
+def struck(kicks, weights):
     """Three neurons that stand still; at t = 1 all are kicked, and one that fires kicks another."""
-
-    kicks: jax.Array
-    weights: jax.Array
-    slides: ClassVar[bool] = False
-
-    def vector_field(self, t, x, side):
-        return 0 * x
-
-    def switching(self, t, x):
-        return 1 - x
-
-    def reset(self, t, x, surface):
-        return x.at[surface].set(0.0) + self.weights[surface]
-
-    def tick(self, t, x, clock):
-        return x + self.kicks
-
-    @property
-    def clocks(self):
-        return (jf.Clock(10.0, 1.0),)
+    still = jnp.zeros(3)
+    return clocked_problems.Neurons(still, still, weights, jnp.array(10.0), jnp.array(1.0), kicks)
 
 
 def test_a_neuron_that_is_pulled_back_below_its_threshold_does_not_fire():
     """Neuron 0 pulls neuron 1 back, while neuron 2 has still to fire."""
     run = jax.jit(
-        jax.vmap(lambda w: solve(Struck(jnp.array([0.5, 0.3, 0.7]), w), [0.9, 0.8, 0.4], 1.5))
+        jax.vmap(lambda w: solve(struck(jnp.array([0.5, 0.3, 0.7]), w), [0.9, 0.8, 0.4], 1.5))
     )
     pull = jnp.zeros((3, 3, 3)).at[:, 0, 1].set(jnp.array([-0.4, -0.05, -0.4]))
     # In the last lane neuron 2 pushes it over its threshold once more.

@@ -1,4 +1,4 @@
-"""`EquilibriumCurve`: the equilibria of a system as a parameter varies, as a curve to be followed.
+"""`BalanceCurve`: the equilibria of a system as a parameter varies, as a curve to be followed.
 
 A balance and the name of a parameter enter; points leave, with margins and eigenvalues. Where a
 margin comes to zero an equilibrium reaches the boundary of its mode. The curve goes on from there
@@ -25,8 +25,8 @@ from jaxfil.orbits.curve import (
     CurvePoint,
     Special,
     StepSizes,
+    at_root,
     constraint_across,
-    tangent_of,
 )
 from jaxfil.orbits.locating import zero_on_curve
 from jaxfil.orbits.newton import Evaluation, Root, newton
@@ -108,7 +108,7 @@ def _walls(varied: Varied, u: Array) -> Array:
 
 
 @dataclasses.dataclass(frozen=True)
-class EquilibriumCurve(Curve[EquilibriumPoint]):
+class BalanceCurve(Curve[EquilibriumPoint]):
     """The curve of a balance and a parameter. No scale is below `least`."""
 
     varied: Varied
@@ -137,12 +137,8 @@ class EquilibriumCurve(Curve[EquilibriumPoint]):
         self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
     ) -> EquilibriumPoint:
         """With its margins and eigenvalues."""
-        scale = np.asarray(constraint.scale)
         return EquilibriumPoint(
-            u=np.asarray(root.z),
-            scale=scale,
-            tangent=tangent_of(root, scale, along),
-            num_steps=int(root.num_steps),
+            **at_root(root, constraint, along),
             mode=self.mode,
             residual=float(root.size),
             known=jax.tree.map(np.asarray, root.at.aux),
@@ -204,7 +200,7 @@ class EquilibriumCurve(Curve[EquilibriumPoint]):
         kind = "persistence" if same else "nonsmooth-fold"
         return beside, point, Special(kind, last, self.mode, beside.mode)
 
-    def _beyond(self, u: np.ndarray, j: int) -> "tuple[EquilibriumCurve | None, np.ndarray]":
+    def _beyond(self, u: np.ndarray, j: int) -> "tuple[BalanceCurve | None, np.ndarray]":
         """The curve of the mode on the other side of the boundary at surface j, and a boundary
         equilibrium in its unknowns."""
         balance, mode, u = self.varied.balance, self.mode.copy(), u.copy()

@@ -1,0 +1,41 @@
+"""A curve of bifurcations in the plane of two parameters, whatever it is that bifurcates.
+
+The parameters and kinds of its points enter; the picture and the card that all such curves have
+leave.
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from jaxfil.model.card import outcome, precision
+from jaxfil.model.drawing import draw
+from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.types import Axes
+
+
+class PlaneCurve(eqx.Module):
+    """What curves of bifurcations in two parameters have in common."""
+
+    parameters: eqx.AbstractVar[tuple[str, str]]
+    values: eqx.AbstractVar[Float[np.ndarray, "k 2"]]
+    xs: eqx.AbstractVar[Float[np.ndarray, "k n"]]
+    kinds: eqx.AbstractVar[tuple[str, ...]]
+    ended: eqx.AbstractVar[tuple[str, str]]
+    result: eqx.AbstractVar[RESULTS]
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the curve in the plane of its two parameters; returns the matplotlib axes."""
+        return draw(self, ax=ax)
+
+    def __repr__(self) -> str:
+        a, b = self.parameters
+        low, high = self.values.min(axis=0), self.values.max(axis=0)
+        lines = [
+            f"{type(self).__name__}{precision(self.xs)}, {len(self.values)} points: "
+            f"{', '.join(dict.fromkeys(self.kinds))}",
+            f"  {a} from {low[0]:.6g} to {high[0]:.6g}, {b} from {low[1]:.6g} to {high[1]:.6g}",
+            f"  {outcome(self.result)}",
+            f"  ends: {self.ended[0]}; {self.ended[1]}",
+        ]
+        return "\n".join(lines)
