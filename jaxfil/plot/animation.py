@@ -36,9 +36,9 @@ def animation(
     **Arguments**
 
     - `sol`: a `Solution` of one lane with two saved times or more.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `system`: the `System` whose surfaces are drawn; by default none are.
-    - `components`: the numbers of the two components, that to the right first.
+    - `ax`: the axes to draw on; by default new ones.
+    - `system`: the `System` whose surfaces are drawn; None to omit them.
+    - `components`: the numbers of the two components, horizontal first.
     - `frames`: how many there are, two or more.
     - `interval`: how long each is shown, in milliseconds.
 

@@ -31,7 +31,7 @@ def averages(
     - `diagram`: a `BifurcationDiagram` of `bifurcation_diagram(..., average=…)`, of one parameter
       or over a grid of two.
     - `name`: which average, by default the first. It is what the axis is called: "power, W".
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `component`: which number of an average of several, counted along its last dimension first.
     - `colorbar`: whether to draw the scale of colours beside a map, or the axes to draw it in.
     - `style`: matplotlib's keywords of the curve, as `color`, `lw` or `label`.

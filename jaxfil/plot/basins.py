@@ -27,7 +27,7 @@ def basins(found: Basins, ax: Axes | None = None, colorbar: bool | Axes = True) 
     **Arguments**
 
     - `found`: `Basins` over two values or more of each component.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 
     **Returns** the matplotlib axes.

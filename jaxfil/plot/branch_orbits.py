@@ -32,9 +32,9 @@ def branch_orbits(
     **Arguments**
 
     - `branch`: a `Branch`.
-    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default those of a
-      figure of their own.
-    - `components`: the numbers of two components, that to the right first, or of three.
+    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default new
+      ones.
+    - `components`: the numbers of two components, horizontal first, or of three.
     - `colorbar`: whether to draw the scale of the parameter beside them, or the axes to draw it in.
     - `lw`: the width of the lines in points.
 

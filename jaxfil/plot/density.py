@@ -30,10 +30,10 @@ def section_density(
 
     **Arguments**
 
-    - `xs`: states, shape (k, n) or (…, k, n); those that are not finite are left out.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `components`: the numbers of the two components, that to the right first.
-    - `system`: the `System` whose names the axes have; by default x[0], x[1], ….
+    - `xs`: states, shape (k, n) or (…, k, n); states that are not finite are omitted.
+    - `ax`: the axes to draw on; by default new ones.
+    - `components`: the numbers of the two components, horizontal first.
+    - `system`: the `System` with the names of the axes; by default x[0], x[1], ….
     - `bins`: into how many cells either axis is divided.
     - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 

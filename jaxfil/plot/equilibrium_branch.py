@@ -27,8 +27,8 @@ def equilibrium_branch(
     **Arguments**
 
     - `branch`: an `EquilibriumBranch`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state is drawn, from 0.
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state to draw, from 0.
     - `style`: matplotlib's keywords of the lines, as `color` or `lw`.
 
     **Returns** the matplotlib axes.

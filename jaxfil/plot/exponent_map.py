@@ -36,7 +36,7 @@ def exponent_map(
 
     - `values`: of both parameters, shapes (a,) and (b,).
     - `spectrum`: a `LyapunovSpectrum` of lanes of shape (a, b), as of `equinox.filter_vmap` twice.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `parameters`: what to write below and beside the axes.
     - `component`: which exponent, from 0, the largest.
     - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.

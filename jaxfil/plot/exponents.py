@@ -32,7 +32,7 @@ def lyapunov_exponents(
 
     - `values`: of the parameter, shape (p,).
     - `spectrum`: a `LyapunovSpectrum` of p lanes, as from `equinox.filter_vmap`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `parameter`: what to write below the axis.
     - `style`: matplotlib's keywords of the dots, as `ms` or `alpha`.
 
@@ -104,7 +104,7 @@ def lyapunov_convergence(
     **Arguments**
 
     - `spectrum`: a `LyapunovSpectrum` or a `TransverseExponent` of one lane.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `style`: matplotlib's keywords of the lines, as `lw`.
 
     **Returns** the matplotlib axes.
@@ -152,7 +152,7 @@ def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
     **Arguments**
 
     - `found`: a `Synchronization` of one lane.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
 
     **Returns** the matplotlib axes.
 

@@ -50,7 +50,7 @@ def time_history(
     **Arguments**
 
     - `sol`: a `Solution` with two saved times or more.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `components`: which ones of the state, from 0; several have a colour each.
     - `system`: the `System` that says where an impact leads; by default to the next saved state.
     - `style`: matplotlib's keywords of a line, as `color` or `lw`.

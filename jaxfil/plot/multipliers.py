@@ -32,7 +32,7 @@ def multipliers(
     **Arguments**
 
     - `orbit`: an `Orbit`, of one lane or of many, or a `Branch`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `colorbar`: whether to draw the parameter's scale beside them, or the axes to draw it in.
     - `style`: matplotlib's keywords of the marks, as `ms` or `alpha`.
 

@@ -27,9 +27,9 @@ def path_in_time(
     **Arguments**
 
     - `sol`: a `Solution` of one lane with two saved times or more.
-    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default those of a
-      figure of their own.
-    - `components`: the numbers of two components, that to the right first, or of three.
+    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default new
+      ones.
+    - `components`: the numbers of two components, horizontal first, or of three.
     - `colorbar`: whether to draw the scale of times beside them, or the axes to draw it in.
     - `lw`: the width of the line in points.
 

@@ -29,7 +29,7 @@ def parameter_map(
     **Arguments**
 
     - `diagram`: a `BifurcationDiagram` over a grid of two parameters, two values or more of each.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 
     **Returns** the matplotlib axes.

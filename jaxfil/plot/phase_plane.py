@@ -73,7 +73,7 @@ def phase_plane(system: System, limits: Limits, ax: Axes | None = None, **style:
     - `system`: the `System`, of two components and at most four surfaces, without a period, clocks
       and resets; taken at t = 0.
     - `limits`: of the axes, ((left, right), (bottom, top)).
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `style`: matplotlib's keywords of the separatrices, as `lw`.
 
     **Returns** the matplotlib axes.

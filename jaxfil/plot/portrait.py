@@ -68,10 +68,10 @@ def phase_portrait(
     **Arguments**
 
     - `sol`: a `Solution` with two saved times or more.
-    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default those of a
-      figure of their own.
-    - `system`: the `System` whose surfaces are drawn; by default none are.
-    - `components`: the numbers of two components, that to the right first, or of three.
+    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default new
+      ones.
+    - `system`: the `System` whose surfaces are drawn; None to omit them.
+    - `components`: the numbers of two components, horizontal first, or of three.
     - `style`: matplotlib's keywords of the line, as `color`, `lw`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.

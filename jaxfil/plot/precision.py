@@ -26,7 +26,7 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
     **Arguments**
 
     - `table`: a `WorkPrecision`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
 
     **Returns** the matplotlib axes.
 
@@ -66,7 +66,7 @@ def step_choice(choice: StepChoice, ax: Axes | None = None) -> Axes:
     **Arguments**
 
     - `choice`: a `StepChoice`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
 
     **Returns** the matplotlib axes.
 

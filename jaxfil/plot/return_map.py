@@ -31,9 +31,9 @@ def return_map(
     **Arguments**
 
     - `xs`: states in the order of time, shape (k, n) or (…, k, n), as `diagram.xs`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state, from 0.
-    - `system`: the `System` whose names the axes have; by default x[0], x[1], ….
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state, from 0.
+    - `system`: the `System` with the names of the axes; by default x[0], x[1], ….
     - `lag`: how many states lie between the two, 1 or more.
     - `style`: matplotlib's keywords of the dots, as `color`, `ms`, `alpha` or `label`.
 

@@ -46,8 +46,8 @@ def bifurcation_diagram(
     **Arguments**
 
     - `diagram`: a `BifurcationDiagram` of one parameter.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state, from 0.
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state, from 0.
     - `style`: matplotlib's keywords of the dots, as `color`, `ms`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.

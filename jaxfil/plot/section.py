@@ -32,10 +32,10 @@ def poincare_section(
 
     **Arguments**
 
-    - `xs`: states, shape (k, n) or (…, k, n); those that are not finite are left out.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `components`: the numbers of two components, that to the right first, or of three.
-    - `system`: the `System` whose names the axes have; by default x[0], x[1], ….
+    - `xs`: states, shape (k, n) or (…, k, n); states that are not finite are omitted.
+    - `ax`: the axes to draw on; by default new ones.
+    - `components`: the numbers of two components, horizontal first, or of three.
+    - `system`: the `System` with the names of the axes; by default x[0], x[1], ….
     - `style`: matplotlib's keywords of the dots, as `color`, `ms`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.

@@ -31,9 +31,9 @@ def bifurcation_sequence(
     **Arguments**
 
     - `found`: a `BifurcationSequence`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state is drawn, from 0.
-    - `extremes`: draw its smallest and largest value on the orbit in place of that at t0.
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state to draw, from 0.
+    - `extremes`: draw its smallest and largest value on the orbit instead of its value at t0.
     - `style`: matplotlib's keywords of the branch's lines, as `color` or `lw`.
 
     **Returns** the matplotlib axes.

@@ -51,10 +51,10 @@ def sliding_region(
 
     - `system`: the `System`.
     - `limits`: of the axes, ((left, right), (bottom, top)).
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `t`: the time at which fields and surface are taken.
     - `at`: the state through which the plane is laid, shape (n,).
-    - `components`: the numbers of the two components of the plane, that to the right first.
+    - `components`: the numbers of the two components of the plane, horizontal first.
     - `surface`: which surface, from 0. The sides of others are those of the state.
     - `style`: matplotlib's keywords of the surface's lines, as `lw`.
 

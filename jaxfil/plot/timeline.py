@@ -30,7 +30,7 @@ def event_timeline(
     **Arguments**
 
     - `sol`: a `Solution` of one lane or of a batch of p lanes.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `values`: the height of each lane, as the parameter that differs; by default its number.
     - `style`: matplotlib's keywords of the marks, as `ms`.
 
