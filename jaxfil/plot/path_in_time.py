@@ -1,7 +1,4 @@
-"""A motion in the plane, or in the space, of its components, coloured by time.
-
-A solution enters; the axes it was drawn on leave.
-"""
+"""A motion in the plane or in the space of its components, coloured by time."""
 
 from collections.abc import Iterable
 
@@ -22,7 +19,7 @@ def path_in_time(
     colorbar: bool | Axes = True,
     lw: float = 1.2,
 ) -> Axes:
-    """Draw components against each other in colours that tell the time.
+    """Draw components against each other in colours that show the time.
 
     **Arguments**
 

@@ -1,7 +1,4 @@
-"""A Poincaré section: the states at which a motion meets it.
-
-States enter; the axes they were drawn on leave.
-"""
+"""A Poincaré section, the states at which a motion crosses it."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -27,8 +24,8 @@ def poincare_section(
 ) -> Axes:
     """Draw one component against another at every state of a section.
 
-    A stroboscopic section is what `jaxfil.bifurcation_diagram` samples: `diagram.xs[i]` for one
-    value. One of another kind is `jaxfil.Solution.events.xs`, the states at contacts.
+    `jaxfil.bifurcation_diagram` samples a stroboscopic section, `diagram.xs[i]` for one value.
+    Another section is `jaxfil.Solution.events.xs`, the states at contacts.
 
     **Arguments**
 
@@ -52,7 +49,7 @@ def poincare_section(
     """
     points, shown = section_points(xs, components, system, (2, 3))
     ax = own_axes(ax, "3d" if len(shown) == 3 else None)
-    # A point of a page covers some thousandth of it: so many that none hides the next.
+    # Markers become smaller with the number of points, so that they do not overlap.
     size = float(np.clip(60 / np.sqrt(max(len(points), 1)), 1, 4))
     ours = {"marker": ".", "color": BLACK, "markersize": size, "markeredgewidth": 0}
     ours |= {"linestyle": "none", "rasterized": True}

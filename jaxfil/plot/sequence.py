@@ -1,7 +1,4 @@
-"""A branch of orbits with every bifurcation on it, each named and numbered.
-
-A sequence of bifurcations enters; the axes it was drawn on leave.
-"""
+"""A branch of orbits with every bifurcation on it, each named and numbered."""
 
 from typing import Any
 
@@ -26,7 +23,7 @@ def bifurcation_sequence(
 ) -> Axes:
     """Draw a branch of orbits and its bifurcations, a mark for each kind and a number for each one.
 
-    The legend says which is which, and where.
+    The legend has the name and the value of each number.
 
     **Arguments**
 
@@ -55,14 +52,14 @@ def bifurcation_sequence(
     curves, wording = curves_of(branch, component, extremes)
     for curve in curves:
         draw_stability(ax, branch, curve, style)
-        # Each was located from the special point of the branch in the same place of its list.
+        # Each was located from the special point of the branch with the same index.
         for i, (b, point) in enumerate(zip(found, branch.points, strict=True), start=1):
             marker, color = KINDS.get(str(b.kind), KINDS["undecided"])
             value = float(b.value)
             at = value, height(branch, curve, value, point.index)
             label = f"{i}: {b.kind}, {value:.6g}"
             ax.plot(*at, marker, color=color, markeredgecolor=BLACK, label=label)
-            # Neighbours are written above and below in turn.
+            # Labels of neighbours alternate above and below.
             side = 1 if i % 2 else -1
             va = "bottom" if side > 0 else "top"
             ax.annotate(str(i), at, (0, 4 * side), textcoords="offset points", ha="center", va=va)

@@ -39,7 +39,7 @@ _CPU_OPTIONS = {"xla_cpu_prefer_vector_width": "512"}
 @ft.cache
 def compiled(run: Callable) -> Callable:
     """`run`, compiled for this machine."""
-    # Cached by function: a new jitted function for each sweep would compile again.
+    # Cached by function, or each sweep would compile again.
     options = _CPU_OPTIONS if jax.default_backend() == "cpu" else None
     # Equinox's overloads lack the keywords that it passes to `jax.jit`.
     return eqx.filter_jit(_traced(run), compiler_options=options)  # pyright: ignore[reportCallIssue]
@@ -255,6 +255,6 @@ def one_after_another(
 
 def _filled_up(rows: np.ndarray, size: int) -> np.ndarray:
     """Rows padded with the last row to a multiple of `size`."""
-    # All calls have one shape, so that one program serves. A copy takes as long as its lane, next to
-    # it, and no check of a field can fail in the copy alone.
+    # All calls have one shape, so that one program serves. A copy takes as long as its lane and
+    # runs next to it, and no check of a field can fail in the copy alone.
     return np.pad(rows, [(0, -len(rows) % size), (0, 0)], mode="edge")
