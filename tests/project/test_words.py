@@ -23,7 +23,7 @@ CONSTRUCTIONS = {
     "met, meets": r"\b(?:met|meets?|meeting)\b",
     "led, leads": r"\b(?:led|leads?)\b",
     "kept, keeps": r"\b(?:kept|keeps?|keeping)\b",
-    "left": r"\bleft\b(?!-)",
+    "left": r"(?<!from )(?<!\()\bleft\b(?!-|, right)",
     "owed": r"\bow(?:ed|es?)\b",
     "made": r"\bmade\b",
     "found": r"\bfound\b",
