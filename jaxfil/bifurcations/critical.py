@@ -1,9 +1,9 @@
 """`CriticalOrbits`: the equations of an orbit with a multiplier on the unit circle.
 
 The equations of shooting and of the critical vectors have a residual with exact first derivatives
-of the flow, through all contacts. Only Newton's matrix needs second derivatives, which are differences
-of these. A root is as exact as with exact ones, and no program is compiled in addition to the
-programs of a branch of orbits.
+of the flow, through all contacts. Only Newton's matrix needs second derivatives, which are
+differences of these. A root is as exact as with exact ones, and no program is compiled in addition
+to the programs of a branch of orbits.
 
 Extended systems: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapter 10.
 """

@@ -79,8 +79,20 @@ BOUNDS = {
     "colon": 75,
 }
 
-# Rooms in plain words.
-ROOMS = ()
+# Rooms in plain words; `integrate` and `xla` are to follow.
+ROOMS = (
+    "model",
+    "systems",
+    "studies",
+    "sweep",
+    "exponents",
+    "plot",
+    "files",
+    "command",
+    "equilibria",
+    "bifurcations",
+    "orbits",
+)
 
 
 def words(text):
