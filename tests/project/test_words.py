@@ -1,8 +1,8 @@
 """Prose of the package and of its site: the frequency of constructions that are hard to read.
 
 Each construction has a bound, in occurrences per 10,000 words. `MEASURED` has the values of diffrax
-0.7.2, by `counts` of all docstrings and comments of its package (19,384 words). Bounds are a little
-higher, because the texts of a room are short.
+0.7.2, by `counts` of all docstrings and comments of its package (19,232 words). Bounds are a little
+higher, and a short text may have one occurrence more.
 """
 
 import ast
@@ -45,38 +45,38 @@ MEASURED = {
     "kept, keeps": 5.7,
     "left": 3.6,
     "owed": 0.0,
-    "made": 7.2,
-    "found": 1.5,
+    "made": 7.3,
+    "found": 1.6,
     "besides": 0.5,
     "that of": 0.0,
-    "nothing, none": 1.5,
+    "nothing, none": 1.6,
     "so many": 0.5,
     "as it is": 2.6,
     "comes to its end": 0.0,
     "enters; leaves": 0.5,
-    "what": 9.8,
+    "what": 9.9,
     "and so": 0.5,
-    "colon": 56.7,
+    "colon": 36.4,
 }
 BOUNDS = {
     "told, tells": 2,
-    "met, meets": 3,
-    "led, leads": 3,
+    "met, meets": 2,
+    "led, leads": 2,
     "kept, keeps": 8,
-    "left": 6,
+    "left": 5,
     "owed": 1,
     "made": 9,
-    "found": 5,
+    "found": 3,
     "besides": 2,
-    "that of": 5,
-    "nothing, none": 5,
+    "that of": 3,
+    "nothing, none": 3,
     "so many": 2,
-    "as it is": 5,
+    "as it is": 4,
     "comes to its end": 1,
-    "enters; leaves": 3,
-    "what": 15,
+    "enters; leaves": 2,
+    "what": 12,
     "and so": 2,
-    "colon": 75,
+    "colon": 45,
 }
 
 # Rooms in plain words; `integrate` and `xla` are to follow.
@@ -126,29 +126,33 @@ def docstrings_and_comments(source):
     yield "\n".join(comments)
 
 
+def occurrences(texts):
+    """The number of each construction in texts, and the number of words."""
+    text = "\n".join(plain(text) for text in texts)
+    found = {name: len(re.findall(pattern, text)) for name, pattern in CONSTRUCTIONS.items()}
+    return found, words(text)
+
+
 def counts(texts):
     """Occurrences of each construction per 10,000 words."""
-    text = "\n".join(plain(text) for text in texts)
-    number = words(text)
-    return {
-        name: 1e4 * len(re.findall(pattern, text)) / number
-        for name, pattern in CONSTRUCTIONS.items()
-    }
+    found, number = occurrences(texts)
+    return {name: 1e4 * n / number for name, n in found.items()}
 
 
 def too_many(texts):
-    """Constructions above their bound."""
-    return {name: n for name, n in counts(texts).items() if n > BOUNDS[name]}
+    """Constructions above their bound by more than one occurrence."""
+    found, number = occurrences(texts)
+    return {name: n for name, n in found.items() if n > BOUNDS[name] * number / 1e4 + 1}
 
 
 def test_bounds_are_those_of_plain_prose():
     assert [*BOUNDS] == [*MEASURED] == [*CONSTRUCTIONS]
-    assert all(MEASURED[name] <= BOUNDS[name] <= MEASURED[name] + 20 for name in BOUNDS)
+    assert all(MEASURED[name] <= BOUNDS[name] <= MEASURED[name] + 9 for name in BOUNDS)
 
 
 def test_a_construction_is_seen():
     dialect = "What it is told enters; none leaves. It is met, and so kept as it is: nothing more."
-    assert {"what", "told, tells", "met, meets", "colon"} <= {*too_many([dialect])}
+    assert {"what", "told, tells", "met, meets", "colon"} <= {*too_many([dialect, dialect])}
     plain_text = "# What `is` it?\n- term: an explanation\n```python\nwhat: none\n```\n$what: is$"
     assert too_many([plain_text + " The solver raises an error."]) == {}
 
