@@ -109,7 +109,7 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "The orbit has no approach to a surface, or no contact with it, that could become a "
         "bifurcation of the requested kind."
     )
-    other_kind = "A bifurcation was located, but it is not of the requested kind."
+    other_kind = "A bifurcation was located, but it is of another kind than requested."
     orbit_lost = (
         "Newton's method has converged to a point that is not an orbit of the system: it reaches a "
         "surface elsewhere, so that the orbit ends or changes before the bifurcation."
