@@ -1,7 +1,7 @@
 """Differentiable, batched simulation and bifurcation analysis of nonsmooth systems in JAX.
 
-What is public is listed in `__init__.pyi`. Each name is imported when it is first used: JAX takes a
-second to import, and the command line answers much without it.
+`__init__.pyi` lists the public names. Each is imported on first use, because JAX takes a second to
+import and the command line often does not need it.
 """
 
 import importlib
@@ -10,7 +10,7 @@ import signal
 import sys
 from types import ModuleType
 
-# `python -m jaxfil` comes here before its own file: Ctrl-C ends it without a word while it loads.
+# `python -m jaxfil` runs this file first: Ctrl-C ends it silently during loading.
 _is_command = sys.argv[:1] == ["-m"] and "jaxfil" in sys.orig_argv
 if _is_command and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
@@ -23,7 +23,7 @@ _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def _plot() -> ModuleType:
-    # matplotlib is imported with the first picture, not before.
+    # matplotlib is imported with the first picture.
     return importlib.import_module("jaxfil.plot")
 
 

@@ -1,14 +1,14 @@
-"""The command line: arguments enter, a picture or a table, its numbers and one line leave.
+"""The command line.
 
     python -m jaxfil --list
     python -m jaxfil diagram sd-oscillator --parameter omega --from 0.6 --to 1.3 --points 2000 \
         --out sd.png
     python -m jaxfil simulate mine.py:Valve --x0 1,0 --time 40 --out motion.png
 
-Whatever cannot be done is answered by one line on stderr that says what is allowed, and exit code
-2, before any computing starts. Exit code 1: no run or lane of a sweep reached its end. Ctrl-C is
-answered by one line too, and exit code 130: a diagram of the lanes that are finished is drawn and
-saved. A second one, or one that nothing could be kept of, ends the process at once.
+An invalid command is answered by one line on stderr that states the valid arguments, and exit code
+2, before any computation starts. Exit code 1: no run or lane of a sweep reached its end. Ctrl-C is
+answered by one line and exit code 130; a diagram of the finished lanes is drawn and saved. A second
+Ctrl-C, or one without finished lanes, ends the process at once.
 """
 
 import argparse
@@ -25,22 +25,22 @@ from jaxfil.command.misuse import Misuse
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Do what `argv` (or the command line) asks; the exit code leaves."""
+    """Run the command of `argv` (or of the process); returns the exit code."""
     return _prepared(argv)()
 
 
 def _prepared(argv: list[str] | None) -> Callable[[], int]:
-    """What is to be done, with everything imported that it takes."""
+    """The checked command, with all its modules imported."""
     try:
         args = read(argv)
-        # JAX comes with what follows, a second after what needs none of it has been answered.
+        # The next imports load JAX, which takes a second.
         import jax
 
         from jaxfil.command import chosen
 
         if args.list:
             return ft.partial(_told, chosen.listing())
-        # Nobody asks for a picture in float32; an own file may make arrays when it is imported.
+        # Set before a user's file is imported, which may create arrays.
         jax.config.update("jax_enable_x64", True)
         command = importlib.import_module(f"jaxfil.command.{args.module}")
         of = None if args.command == "show" else chosen.chosen(args)
@@ -72,7 +72,7 @@ def _done(run: Callable[..., int], args: argparse.Namespace, of: Any) -> int:
         try:
             return run(args, of, interrupts)
         except ValueError as error:
-            # The library's are sentences; one from within a file of the user's own is shown whole.
+            # Errors of the library are sentences; an error within a user's file is shown in full.
             file = (args.system or "").rpartition(":")[0]
             frames = traceback.extract_tb(error.__traceback__)
             if file and any(frame.filename.endswith(file) for frame in frames):
@@ -81,14 +81,14 @@ def _done(run: Callable[..., int], args: argparse.Namespace, of: Any) -> int:
 
 
 def script() -> int:
-    """`main` of a process that does nothing else."""
-    heeded = callable(signal.getsignal(signal.SIGINT))  # and not ignored, as in the background
+    """`main` as a process of its own."""
+    heeded = callable(signal.getsignal(signal.SIGINT))  # not ignored, as in the background
     todo = _prepared(None)
     if heeded:
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # until here it is `jaxfil`'s own
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # replaces `jaxfil`'s own
     exit_code = todo()
     if heeded:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # there is nothing left to interrupt
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done
     return exit_code
 
 

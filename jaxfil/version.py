@@ -1,3 +1,3 @@
-"""The version, where every file may read it."""
+"""The version number."""
 
 __version__ = "0.2.0.dev0"

@@ -1,8 +1,7 @@
-"""Where an orbit comes near a tangency: the guesses from which a bifurcation is located.
+"""Candidates of tangencies on an orbit, the guesses from which a bifurcation is located.
 
-An orbit and a kind of bifurcation enter; `Tangency`es leave, the nearest first. On one side of a
-bifurcation the orbit has a short piece that is not there on the other: a short flight between two
-contacts, or where there is none yet, a guard with a minimum or a contact with nearly no rate.
+On one side of a bifurcation the orbit has a short piece that is absent on the other: a short flight
+between two contacts; on the other side a guard with a minimum, or a contact with a small rate.
 """
 
 import dataclasses
@@ -25,7 +24,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.xla.known import array_of, part_of, power_of_two
 
-# Tangencies of an orbit that are told for each surface.
+# Largest number of candidates for each surface.
 _CANDIDATES = 3
 
 
@@ -36,15 +35,15 @@ class _Flight:
     start: float
     stop: float
     mode: np.ndarray
-    surfaces: np.ndarray  # those met at its end
+    surfaces: np.ndarray  # the surfaces of the contact at its end
 
 
 def _flights(orbit: Orbit) -> list[_Flight]:
-    """The orbit cut at its contacts; an orbit without any is one endless flight."""
+    """The orbit cut at its contacts; an orbit without contacts is one endless flight."""
     t0, period = float(orbit.options.t0), float(orbit.period)
     first = np.asarray(orbit.first_mode).astype(float)
     events = orbit.events
-    # A mere touch ends no flight.
+    # A graze does not end a flight.
     ends = switches(events)
     count = ends.size
     if events is None or count == 0:
@@ -58,12 +57,11 @@ def _flights(orbit: Orbit) -> list[_Flight]:
 
 
 def guesses(orbit: Orbit, *kinds: str) -> list[list[tuple[Tangency, Array]]]:
-    """For every lane the nearest tangencies from which a bifurcation of one of these kinds could
-    come, each with whether it is none: a lane that has none, or whose orbit was not found, gets one
-    that is NaN."""
+    """For every lane the nearest candidates for a bifurcation of one of these kinds, each with a
+    flag that it is missing. A lane without candidates, or with a failed orbit, has one of NaN."""
     if isinstance(orbit.x0, jax.core.Tracer):
         raise ValueError("`orbit` must be known numbers, got a traced Orbit: find it outside.")
-    # They are looked at, also while the system is being traced.
+    # Evaluated on concrete numbers, also while the system is traced.
     with jax.core.eval_context():
         if orbit.x0.ndim == 1:
             return [_guesses(orbit, kinds)]
@@ -73,8 +71,8 @@ def guesses(orbit: Orbit, *kinds: str) -> list[list[tuple[Tangency, Array]]]:
 def attempts(
     orbit: Orbit, lanes: list[list[tuple[Tangency, Array]]]
 ) -> Iterator[tuple[Tangency, Array]]:
-    """What `guesses` tells of all lanes, one tangency of each at a time, as the orbit is batched.
-    Lanes that have fewer of them try their last one again."""
+    """The result of `guesses`, one candidate of each lane at a time, batched like the orbit. Lanes
+    with fewer candidates repeat their last one."""
     for i in range(max(len(lane) for lane in lanes)):
         tried = [lane[min(i, len(lane) - 1)] for lane in lanes]
         yield tried[0] if orbit.x0.ndim == 1 else jax.tree.map(lambda *v: jnp.stack(v), *tried)
@@ -90,8 +88,8 @@ def _guesses(orbit: Orbit, kinds: tuple[str, ...]) -> list[tuple[Tangency, Array
 
 
 def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency]]:
-    """The tangencies of each surface from which a bifurcation of one of these kinds could come, the
-    nearest first, each with the time by which the orbit misses it (or is past it)."""
+    """The candidates of each surface for a bifurcation of one of these kinds, nearest first, each
+    with the time by which the orbit misses it (or is past it)."""
     flights = _flights(orbit)
     dense = orbit.dense()
     ts, xs = np.asarray(dense.ts), np.asarray(dense.xs)
@@ -121,7 +119,7 @@ def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency
 def _short(
     flight: _Flight, before: _Flight, after: _Flight, j: int, kind: str, count: int
 ) -> list[tuple]:
-    """A flight that may be the one born in the bifurcation: its length, and the tangency there."""
+    """A flight that may be born in the bifurcation, as its length and the tangency there."""
     a, b, c = before.mode[j], flight.mode[j], after.mode[j]
     patterns = {
         "grazing": a != 0 and c == a and b == -a,
@@ -133,8 +131,8 @@ def _short(
     if not patterns[kind] or count < 2:
         return []
     side = {"adding-sliding": b, "crossing-sliding": c, "switching-sliding": b}.get(kind, a)
-    # Half into the neighbours: the flight without the short piece goes on there, on either side of
-    # the bifurcation.
+    # Half into the neighbours, because the flight without the short piece continues there, on
+    # either side of the bifurcation.
     length = flight.stop - flight.start
     left = flight.start - 0.5 * (before.stop - before.start)
     right = flight.stop + 0.5 * (after.stop - after.start)
@@ -145,12 +143,12 @@ def _short(
 def _minima(
     orbit: Orbit, flight: _Flight, j: int, kind: str, ts: np.ndarray, xs: np.ndarray
 ) -> list[tuple]:
-    """Where the guard of a flight has a minimum: the time in which it would reach zero."""
+    """Minima of the guard of a flight, with the time in which it would reach zero."""
     sliding = FAMILIES[kind] == SLIDE
     if (flight.mode[j] == 0) != sliding:
         return []
     period = float(orbit.period)
-    # A flight may pass the end of the period: its steps are looked for a period earlier and later.
+    # A flight may pass the end of the period; its steps are searched a period earlier and later.
     times = np.concatenate([ts[:-1] - period, ts[:-1], ts[:-1] + period])
     states = np.tile(xs[:-1], (3, 1))
     low, high = max(flight.start, ts[0] - 0.5 * period), min(flight.stop, ts[-1] + 0.5 * period)
@@ -164,7 +162,7 @@ def _minima(
     found = []
     for k in range(1, times.size - 1):
         if guard[k] <= guard[k - 1] and guard[k] < guard[k + 1] and ts[0] <= times[k] < ts[-1]:
-            # Of a sine that reaches as far as this guard, so that the lowest minimum comes first.
+            # The time of a sine with this guard's amplitude: the lowest minimum is first.
             reach = float(np.sqrt(max(guard[k], 0) / np.max(guard)) * period / np.pi)
             side = np.sign(weight[k]) if sliding else flight.mode[j]
             left = times[k] - min(0.5 * (times[k] - flight.start), 0.25 * period)
@@ -174,7 +172,7 @@ def _minima(
 
 
 def _filled(rows: np.ndarray) -> Array:
-    """The same rows and the last one again, up to a power of two."""
+    """Rows padded with the last one to a power of two."""
     return array_of(rows[np.minimum(np.arange(power_of_two(len(rows))), len(rows) - 1)])
 
 
@@ -203,7 +201,7 @@ def _impacts(
     ts: np.ndarray,
     xs: np.ndarray,
 ) -> list[tuple]:
-    """Impacts on a wall: the time in which the rate of approach would vanish."""
+    """Impacts on a wall, with the time in which the rate of approach would vanish."""
     side = flight.mode[j]
     if kind != "grazing" or not flight.surfaces[j] or side == 0 or after.mode[j] != side:
         return []
@@ -243,8 +241,8 @@ def _arrivals(
     ts: np.ndarray,
     xs: np.ndarray,
 ) -> list[tuple]:
-    """Contacts at which the orbit arrives near the end of the sliding region: the time in which
-    Ḣ_s would vanish."""
+    """Contacts at which the orbit arrives near the end of the sliding region, with the time in
+    which Ḣ_s would vanish."""
     a, c = flight.mode[j], after.mode[j]
     crosses, sticks = a != 0 and c == -a, a != 0 and c == 0
     if not flight.surfaces[j] or not (crosses or (sticks and kind == "switching-sliding")):
@@ -267,12 +265,12 @@ def _tangency(
     middle: float,
     right: float,
 ) -> Tangency:
-    """The tangency as arrays, its flight starting within the period that the orbit is known for, at
-    times ts, shape (k,), in states xs, shape (k, n)."""
+    """The tangency as arrays, with its flight shifted to start within the known period, from times
+    ts, shape (k,), and states xs, shape (k, n)."""
     t0, period = float(orbit.options.t0), float(orbit.period)
     shift = period * np.floor((left - t0) / period)
     left, middle, right = (min(v - shift, t0 + 2 * period) for v in (left, middle, right))
-    # To be corrected with the rest of the guess, which is no more exact.
+    # Newton's method corrects it with the rest of the guess, which is no more exact.
     x = np.array([np.interp(left, ts, v) for v in xs.T])
     dtype = xs.dtype
     return Tangency(

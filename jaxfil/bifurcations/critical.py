@@ -1,11 +1,9 @@
 """`CriticalOrbits`: the equations of an orbit with a multiplier on the unit circle.
 
-A system, the kind of a smooth bifurcation and the names of two parameters enter, with a guess of
-the orbit, of its critical vectors and of the parameters; Newton's root leaves. The equations are
-those of shooting and of the critical vectors, whose residual has exact first derivatives of the
-flow, through all contacts. Newton's matrix alone needs second derivatives, which are differences of
-these: a root is as exact as with exact ones, and no program is compiled that a branch of orbits
-does not use already.
+The equations of shooting and of the critical vectors have a residual with exact first derivatives
+of the flow, through all contacts. Only Newton's matrix needs second derivatives, which are
+differences of these. A root is as exact as with exact ones, and no program is compiled in addition
+to the programs of a branch of orbits.
 
 Extended systems: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapter 10.
 """
@@ -30,17 +28,17 @@ from jaxfil.orbits.newton import Evaluation, Root, Stages, root_of
 from jaxfil.orbits.shooting import ShootingOptions, Shot
 from jaxfil.xla.known import array_of
 
-# Differences of first derivatives take this power of eps of each unknown: their error is that of
-# one step of Newton's method beside the step before it.
+# Differences of first derivatives use this power of eps of each unknown; their error is comparable
+# to the previous step of Newton's method.
 _STEP = 0.45
-# A component of the state is measured by this part at least of what it is at a neighbour.
+# The least scale of a component of the state, relative to its value at a neighbour.
 _LEAST = 0.01
 # Newton's method from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
 
 
 class Known(NamedTuple):
-    """What is known at a root: the shot, and the derivatives of the closing there."""
+    """The shot at a root, and the derivatives of the closure there."""
 
     shot: Shot
     slopes: Slopes
@@ -48,8 +46,8 @@ class Known(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class CriticalOrbits:
-    """The orbits of a system with critical multipliers, as two parameters vary. Unknowns u are the
-    state, the period of an autonomous system, the critical vectors, and the two parameters."""
+    """The orbits of a system with critical multipliers in two parameters. Unknowns u are the state,
+    the period of an autonomous system, the critical vectors, and the two parameters."""
 
     system: System
     options: ShootingOptions
@@ -69,11 +67,11 @@ class CriticalOrbits:
         return np.append(u[:head], u[-2:]), u[head:-2]
 
     def joined(self, s: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """The unknowns of both."""
+        """The unknowns of orbit and vectors."""
         return np.concatenate([s[:-2], vectors, s[-2:]])
 
     def _dimension(self, u: np.ndarray) -> int:
-        """Of the state."""
+        """The dimension of the state."""
         own = int(self.autonomous)
         return VECTORS[self.kind].dimension(u.size - 2 - own, own)
 
@@ -89,11 +87,11 @@ class CriticalOrbits:
         return _by_all(self.shot(s))
 
     def slopes(self, s: np.ndarray, shot: Shot, normal: np.ndarray, least: np.ndarray) -> Slopes:
-        """First derivatives, and by differences second ones, all of the orbit's end. No component
-        of the state is measured by less than `least`."""
+        """First derivatives of the orbit's end, and by differences second ones. `least` bounds
+        scales of the state from below."""
         first = _by_all(shot)
         by_second = self.shot(s, 1).by_global[0][:, -1:]
-        # A unit of each: a component's largest value on the orbit, of all else its own size.
+        # Units: a component's largest value on the orbit, the size of any other unknown.
         n = shot.size.size
         unit = np.append(np.maximum(shot.size, least), np.where(s[n:] == 0, 1.0, abs(s[n:])))
         steps = np.finfo(s.dtype).eps ** _STEP * unit
@@ -101,7 +99,7 @@ class CriticalOrbits:
         return Slopes(np.hstack([first, by_second]), np.stack(turned, axis=-1), normal, unit)
 
     def normal_at(self, s: np.ndarray) -> np.ndarray:
-        """The direction of the field at the start, one row if it is autonomous, otherwise none."""
+        """The direction of the field at the start, as one row; without rows for a forced system."""
         if not self.autonomous:
             return np.zeros((0, s.size - 2))
         phase = phase_condition(self.problem(s), array_of(s[:-1]))
@@ -109,16 +107,16 @@ class CriticalOrbits:
         return np.asarray(phase.normal)[None]
 
     def problem(self, s: np.ndarray) -> OrbitProblem:
-        """That of the orbits with the second parameter as it is there."""
+        """The orbit problem at the value of the second parameter."""
         system = replace_parameter(self.system, self.free[1], s[-1])
         return OrbitProblem(system, self.options, self.free[0], self.periods)
 
     def root(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
-        """Newton's root of the equations and the constraint. The phase is fixed, and vectors are
-        measured, by the base of that."""
+        """Newton's root of the equations and the constraint, whose base fixes the phase and the
+        scales of vectors."""
         base = np.asarray(constraint.base)
         normal = self.normal_at(self.split(base)[0])
-        # By its own size what goes to zero would never be small.
+        # Relative to its own size a component that goes to zero would never be small.
         least = _LEAST * np.asarray(constraint.scale)[: normal.shape[1]]
 
         def work(u: Array) -> Evaluation:
@@ -130,12 +128,12 @@ class CriticalOrbits:
     def _evaluation(
         self, u: np.ndarray, base: np.ndarray, normal: np.ndarray, least: np.ndarray
     ) -> Evaluation:
-        """All equations at u but for the constraint."""
+        """All equations at u except the constraint."""
         s, y = self.split(u)
         n, own = normal.shape[1], len(normal)
         shot = self.shot(s)
         sound = is_successful(shot.result)
-        # What is not finite fails by the outcome of the shot; no differences are made of it.
+        # Values that are not finite fail by the outcome of the shot, without differences.
         slopes = self.slopes(s, shot, normal, least) if sound else _unknown(n, own, u.dtype)
         vectors = VECTORS[self.kind]
         block = vectors.equations(slopes, y, self.split(base)[1])
@@ -163,7 +161,7 @@ def _as_it_is(u: Array) -> Array:
     return u
 
 
-# One function for all roots: a new one would be traced each time.
+# One function for all roots, because a new one would be traced each time.
 def _done(u: Array, done: Evaluation) -> Evaluation:
     return done
 
@@ -174,7 +172,7 @@ def _by_all(shot: Shot) -> np.ndarray:
 
 
 def _unknown(n: int, own: int, dtype: np.dtype) -> Slopes:
-    """Of a shot that has failed."""
+    """The slopes of a shot that has failed."""
     k = n + own
     first, second = np.full((n, k + 2), np.nan, dtype), np.full((n, k + 1, k + 2), np.nan, dtype)
     return Slopes(first, second, np.ones((own, n), dtype), np.ones(k + 2, dtype))
@@ -184,8 +182,8 @@ def _unknown(n: int, own: int, dtype: np.dtype) -> Slopes:
 def _near(
     system: System, free: tuple[str, str], periods: int, s: Array, first: Array
 ) -> tuple[Affine[tuple[System, Array]], Array, Array]:
-    """The setting near s, in the form in which a branch of orbits is shot, as period and one of the
-    parameters vary; these unknowns, which are zero there; and the start."""
+    """The setting near s, in the form of a branch of orbits, as period and one of the parameters
+    vary; these unknowns, which are zero there; and the start."""
     own = int(system.period is None)
 
     def setting(q: Array) -> tuple[System, Array]:

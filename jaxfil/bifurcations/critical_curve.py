@@ -1,8 +1,7 @@
-"""`CriticalCurve`: a smooth bifurcation of orbits in two parameters, as a curve to be followed.
+"""`CriticalCurve`: the curve of a smooth bifurcation of orbits in two parameters.
 
-The equations of orbits with critical multipliers enter; points leave, with what is degenerate
-between them. The curve has no corner at a cusp or where multipliers meet. That of pairs on the unit
-circle ends where they meet at ±1: beyond, both are real, and their product alone is 1.
+The curve has no corner at a cusp or where multipliers coincide. The curve of pairs on the unit
+circle ends where they coincide at ±1; beyond, both are real, and their product alone is 1.
 """
 
 import dataclasses
@@ -39,19 +38,19 @@ from jaxfil.orbits.special_points import pair_on_circle
 # κ of a pair of multipliers e^{±iθ}, κ = cos θ, in strong resonance.
 RESONANCES = {"1:1": 1.0, "1:2": -1.0, "1:3": -0.5, "1:4": 0.0}
 _MEET = ("1:1", "1:2")
-# The end of a curve, where multipliers meet, is known to this part.
+# Accuracy of the end of a curve, where multipliers coincide.
 _THERE = 1e-6
 
 
-# An orbit that misses a tangency by this part of the period is tangent: a time is the root of the
-# distance to which the curve's end is known.
+# An orbit that misses a tangency by this fraction of the period is tangent: a time is the square
+# root of the distance to which the curve's end is known.
 _TANGENT = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
 class CriticalPoint(CurvePoint):
-    """An orbit with critical multipliers: its two parameters are the last unknowns. The
-    coefficient of its normal form is NaN where none is asked for."""
+    """An orbit with critical multipliers, with its two parameters as the last unknowns. The
+    coefficient of its normal form is NaN if not requested."""
 
     kind: str
     t: float
@@ -75,7 +74,7 @@ class CriticalCurve(Curve[CriticalPoint]):
 
     equations: CriticalOrbits
     least: np.ndarray | float = 0.0
-    """No scale is below it."""
+    """Lower bound of scales."""
 
     steps = StepSizes(first=0.01, least=1e-8, growth=1.5, straight=0.99, easy=8, corner=1e-4)
     solution = "bifurcation"
@@ -87,13 +86,13 @@ class CriticalCurve(Curve[CriticalPoint]):
         return self.equations.free[0]
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
-        """By shooting."""
+        """Solve by shooting."""
         return self.equations.root(guess, constraint)
 
     def point(
         self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
     ) -> CriticalPoint:
-        """With the coefficient of its normal form."""
+        """A point with the coefficient of its normal form."""
         at: dict[str, Any] = at_root(root, constraint, along)
         known: Known = jax.tree.map(np.asarray, root.at.aux)
         s, vectors = self.equations.split(at["u"])
@@ -107,7 +106,7 @@ class CriticalCurve(Curve[CriticalPoint]):
         return CriticalPoint(**at, kind=kind, t=t, known=known, degeneracy=degeneracy)
 
     def metric(self, point: CriticalPoint) -> np.ndarray:
-        """What each unknown is measured by."""
+        """Scale of each unknown."""
         _, vectors = self.equations.split(point.scale)
         unit = point.known.slopes.unit
         return np.maximum(self.equations.joined(unit, vectors), self.least)
@@ -115,7 +114,7 @@ class CriticalCurve(Curve[CriticalPoint]):
     def special_points(
         self, a: CriticalPoint, b: CriticalPoint
     ) -> Iterator[Special[CriticalPoint]]:
-        """Points of codimension two, piece by piece: where the contacts change, and between."""
+        """Points of codimension two, at changes of contacts and between them."""
         kind = self.equations.kind
         if a.sequence != b.sequence:
             before, after = self._change(a, b)
@@ -127,8 +126,8 @@ class CriticalCurve(Curve[CriticalPoint]):
         yield from self._degenerate(a, b)
 
     def _change(self, a: CriticalPoint, b: CriticalPoint) -> tuple[CriticalPoint, CriticalPoint]:
-        """Where the contacts of a end and others begin. The curve may have a corner there, which
-        cannot be seen across from one side: either side is followed to its end."""
+        """The end of the contacts of a and the beginning of others. The curve may have a corner
+        there, so it is followed to its end from either side."""
         before, after = change_on_curve(self, a, b, lambda p: p.sequence == a.sequence)
         last, _ = change_on_curve(self, after, before, lambda p: p.sequence == after.sequence)
         return before, last
@@ -171,8 +170,8 @@ class CriticalCurve(Curve[CriticalPoint]):
         return float(self.equations.split(point.u)[1][-1])
 
     def _others(self, point: CriticalPoint) -> np.ndarray:
-        """The characteristic polynomial of the multipliers that are not critical, and not the one
-        that an autonomous orbit has everywhere."""
+        """The characteristic polynomial of the multipliers, without the critical ones and without
+        the trivial one of an autonomous orbit."""
         kind = self.equations.kind
         factor = np.poly([-1.0]) if kind == "period-doubling" else np.poly([1.0])
         if kind == "neimark-sacker":
@@ -184,17 +183,17 @@ class CriticalCurve(Curve[CriticalPoint]):
     def last_between(
         self, here: CriticalPoint, ahead: CriticalPoint
     ) -> tuple[CriticalPoint, str] | None:
-        """Where the pair of multipliers meets on the real axis."""
+        """The point at which the pair of multipliers coincides on the real axis."""
         if self.equations.kind != "neimark-sacker" or abs(self._kappa(ahead)) <= 1:
             return None
         level = float(np.sign(self._kappa(ahead)))
         point = zero_on_curve(self, here, ahead, lambda p: self._kappa(p) - level)
-        # Where orbits cross there the equations are singular at the point itself.
+        # If orbits cross there the equations are singular at the point itself.
         point = point or change_on_curve(self, here, ahead, lambda p: abs(self._kappa(p)) <= 1)[0]
         return point, f"the multipliers meet at {level:g}, at {self.told(point)}"
 
     def special_end(self, here: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
-        """Where the orbit is tangent to a surface its multipliers may have a square root."""
+        """A point with a tangent orbit, whose multipliers may have a square root."""
         problem, orbit = self._orbit(here)
         found = tangency_candidates(orbit_of(problem, orbit), *FAMILIES)
         if found and found[0][0] < _TANGENT * period_of(problem, orbit):
@@ -203,7 +202,7 @@ class CriticalCurve(Curve[CriticalPoint]):
     def elsewhere(
         self, here: CriticalPoint, start: CriticalPoint
     ) -> "tuple[CriticalCurve, CriticalPoint, CriticalPoint] | None":
-        """Shot from a phase far from contacts, where one has come to fall on this one."""
+        """The curve shot from a phase far from contacts, if one has reached this phase."""
         problem, orbit = self._orbit(here)
         part = quiet_phase(problem, orbit)
         if part is None:
@@ -222,12 +221,12 @@ class CriticalCurve(Curve[CriticalPoint]):
         """A point as an orbit of the branch in the first parameter."""
         s, _ = self.equations.split(point.u)
         u, shot = s[:-1], point.known.shot
-        # Nobody asks for its tangent.
+        # Its tangent is not used.
         orbit = OrbitPoint(u, u, u, point.num_steps, shot, 0.0, point.known.slopes.bordered)
         return self.equations.problem(s), orbit
 
     def _seen(self, curve: "CriticalCurve", point: CriticalPoint) -> CriticalPoint | None:
-        """A point as one of a curve that is shot from another phase."""
+        """A point as a point of a curve that is shot from another phase."""
         problem, orbit = self._orbit(point)
         away = float(curve.equations.options.t0) - float(self.equations.options.t0)
         seen = seen_from(problem, orbit, (away / period_of(problem, orbit)) % 1.0)
@@ -236,8 +235,8 @@ class CriticalCurve(Curve[CriticalPoint]):
         return curve.near(np.append(seen, point.u[-1]), ahead)[0]
 
     def near(self, s: np.ndarray, ahead: np.ndarray) -> tuple[CriticalPoint | None, RESULTS]:
-        """The point whose orbit is near s, its tangent to the side of `ahead` in the plane of the
-        parameters; the outcome of Newton's method."""
+        """The point whose orbit is near s, with its tangent to the side of `ahead` in the plane of
+        the parameters; the outcome of Newton's method."""
         equations, shot = self.equations, self.equations.shot(s)
         if not is_successful(shot.result):
             return None, shot.result
@@ -264,7 +263,7 @@ class CriticalCurve(Curve[CriticalPoint]):
 def begin_critical(
     point: SpecialPoint, free: tuple[str, str]
 ) -> tuple[CriticalCurve, CriticalPoint | None, RESULTS]:
-    """The curve of a special point of a branch; the point on it, if Newton's method stays; the
+    """The curve of a special point of a branch; the point on it, if Newton's method converges; the
     outcome."""
     orbit = point.orbit
     system, options = orbit.system, dataclasses.replace(orbit.options, arcs=1)

@@ -1,17 +1,15 @@
-"""The critical vectors of an orbit, and the equations that they fulfil.
+"""The critical vectors of an orbit, and their equations.
 
-The derivatives of an orbit's end enter, with vectors y; the residual of their equations leaves,
-with its derivatives by the orbit and by y. With M the monodromy matrix, J the derivative of the
-closing by state and period (with the row of the phase condition, of an autonomous system), and G_p
-that by a parameter:
-
+The residual of the equations has derivatives by the orbit and by the vectors y. With M the
+monodromy matrix, J the derivative of the closure by state and period (with the row of the phase
+condition, for an autonomous system), and G_p its derivative by a parameter:
     fold               J v = 0
     period doubling    M v = −v
     Neimark–Sacker     M v = w,  M w = 2κ w − v
     branch point       Jᵀ w = 0,  G_pᵀ w = 0,  and the orbit closes up to β b
 
-κ = cos θ where the multipliers are e^{±iθ}. The pair v, w spans their plane, also where they meet
-at ±1. The unknown β is zero on a branch point that symmetry makes, and b is w at a neighbour.
+κ = cos θ where the multipliers are e^{±iθ}. The pair v, w spans their plane, also where they
+coincide at ±1. The unknown β is zero at a branch point due to symmetry, and b is w at a neighbour.
 Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), section 10.3.
 """
 
@@ -24,18 +22,18 @@ from jaxtyping import Float
 
 class Slopes(NamedTuple):
     """Derivatives of the end P of an orbit by s = (state, period of an autonomous system, both
-    parameters). Second ones lack the last of all columns, that by the second parameter."""
+    parameters). Second ones lack the last column, by the second parameter."""
 
     first: Float[np.ndarray, "n s"]
     second: Float[np.ndarray, "n s_1 s"]
     normal: Float[np.ndarray, "own n"]
-    """The row of the phase condition, of an autonomous system."""
+    """The row of the phase condition of an autonomous system."""
     unit: Float[np.ndarray, " s"]
-    """What each is measured by."""
+    """The scale of each."""
 
     @property
     def monodromy(self) -> np.ndarray:
-        """M."""
+        """The monodromy matrix M."""
         return self.first[:, : len(self.first)]
 
     @property
@@ -45,7 +43,7 @@ class Slopes(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many unknowns the closing has: state and period."""
+        """The number of unknowns of the closure, state and period."""
         return len(self.first) + len(self.normal)
 
     @property
@@ -57,17 +55,17 @@ class Slopes(NamedTuple):
 
     @property
     def rows(self) -> np.ndarray:
-        """What rows of J are measured by."""
+        """Scales of the rows of J."""
         n = len(self.first)
         return np.append(self.unit[:n], abs(self.normal) @ self.unit[:n])
 
     def along(self, v: np.ndarray) -> np.ndarray:
-        """The derivative by s of that of P along v, which moves the first of the unknowns."""
+        """The derivative by s of the derivative of P along v, in the first unknowns."""
         return np.einsum("ijs,j->is", self.second[:, : v.size], v)
 
 
 class Block(NamedTuple):
-    """The equations of the vectors: residual, derivatives, and what they are measured by."""
+    """The equations of the vectors, with residual, derivatives and scales."""
 
     residual: np.ndarray
     by_orbit: np.ndarray
@@ -80,11 +78,11 @@ class Vectors(abc.ABC):
 
     @abc.abstractmethod
     def dimension(self, count: int, own: int) -> int:
-        """That of the state, where state and vectors have so many numbers together."""
+        """The dimension of the state, if state and vectors have `count` numbers together."""
 
     @abc.abstractmethod
     def scale(self, slopes: Slopes) -> np.ndarray:
-        """What they are measured by."""
+        """Scales of the vectors."""
 
     @abc.abstractmethod
     def start(self, slopes: Slopes) -> np.ndarray:
@@ -92,10 +90,10 @@ class Vectors(abc.ABC):
 
     @abc.abstractmethod
     def equations(self, slopes: Slopes, y: np.ndarray, base: np.ndarray) -> Block:
-        """Theirs, with those of their lengths, which are measured by `base`, vectors nearby."""
+        """The equations, with normalised lengths relative to `base`, vectors nearby."""
 
     def unfolding(self, slopes: Slopes, base: np.ndarray) -> np.ndarray:
-        """What is added to the closing, times the vectors."""
+        """The matrix added to the closure, times the vectors."""
         return np.zeros((len(slopes.first), base.size))
 
 
@@ -168,7 +166,7 @@ class _Pair(Vectors):
         by_vectors = np.block(
             [[matrix, -one, column], [one, matrix - 2 * kappa * one, -2 * w[:, None]]]
         )
-        # Of the plane of v and w: v is what it is at the base, but for what lies outside of that.
+        # In the plane of v and w, v equals the base except for the part outside of the plane.
         unit = slopes.unit[:n]
         dual = np.linalg.pinv(np.stack([base[:n], base[n : 2 * n]], axis=1) / unit[:, None]) / unit
         return _measured(
@@ -229,16 +227,16 @@ VECTORS: dict[str, Vectors] = {
     "neimark-sacker": _Pair(),
     "branch-point": _Branching(),
 }
-"""Those of each kind of smooth bifurcation."""
+"""The vectors of each kind of smooth bifurcation."""
 
 
 def null_vector(matrix: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """The vector that a matrix maps to the least, all in units; in its own it has length one."""
+    """The right singular vector of the least singular value, in units, with length one."""
     return np.linalg.svd(matrix / rows[:, None] * columns)[2][-1] * columns
 
 
 def _length(base: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """A row that is one times the vector `base`, and zero times those at right angles to it."""
+    """A row that is one times the vector `base`, and zero times orthogonal vectors."""
     scaled = base / unit
     return scaled / unit / (scaled @ scaled)
 

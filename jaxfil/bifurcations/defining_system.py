@@ -1,9 +1,9 @@
 """The defining system of a tangency: an orbit that closes, and two conditions where it is tangent.
 
-A system and a guess of (state, phase of the tangency or period, free parameters) enter; how far the
-equations are from holding leaves, with all derivatives. With one free parameter there are as many
-equations as unknowns, with two they leave a curve free, with none they have one too many. Nothing
-in them has the square root that grazing puts into the period map.
+Unknowns are the state, the phase of the tangency or the period, and the free parameters. With one
+free parameter there are as many equations as unknowns; with two they define a curve; with no free
+parameter there is one equation too many. The equations do not contain the square root of the period
+map at grazing.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ from jaxfil.xla.select import select
 
 
 class Placed(eqx.Module):
-    """What unknowns stand for: the system, the period, the state at the start of the flight and the
+    """The meaning of unknowns: the system, the period, the state at the start of the flight and the
     phase of the tangency."""
 
     system: System
@@ -48,7 +48,7 @@ class Residual(eqx.Module):
     family: Int[Array, ""]
 
     def tangency_at(self, at: Placed) -> Tangency:
-        """The tangency that is placed. Its flight moves with it, so that it never leaves that."""
+        """The tangency at `at`. Its flight moves with it and always contains it."""
         known = self.tangency
         moved = at.phase - known.phase
         return dataclasses.replace(
@@ -56,7 +56,7 @@ class Residual(eqx.Module):
         )
 
     def __call__(self, at: Placed) -> tuple[Float[Array, " M"], Closing]:
-        """Closing and the two conditions."""
+        """Closure and the two conditions."""
         tangency = self.tangency_at(at)
         closing = close(at.system, at.period, self.options, self.family, tangency)
         pair = defining(at.system, self.family, closing.t, closing.x, tangency)
@@ -64,7 +64,7 @@ class Residual(eqx.Module):
 
 
 class DefiningSystem(Equations):
-    """Unknowns z are the state at the start of the flight, the phase of the tangency (of an
+    """Unknowns z are the state at the start of the flight, the phase of the tangency (for an
     autonomous system the period), and the free parameters."""
 
     tangency: Tangency
@@ -75,7 +75,7 @@ class DefiningSystem(Equations):
     free: tuple[str, ...] = eqx.field(static=True)
 
     def placed(self, system: System, z: Array) -> Placed:
-        """What z stands for."""
+        """The meaning of z."""
         n = self.tangency.x.shape[0]
         system = replace_parameters(system, self.free, z[n + 1 :])
         if system.period is None:
@@ -90,11 +90,11 @@ class DefiningSystem(Equations):
 
     @property
     def residual_at(self) -> Residual:
-        """The equations as a function of what is placed."""
+        """The equations as a function of a `Placed`."""
         return Residual(self.tangency, self.options, self.family)
 
     def residual(self, system: System, z: Array) -> tuple[Float[Array, " M"], Closing]:
-        """Closing and the two conditions."""
+        """Closure and the two conditions."""
         return self.residual_at(self.placed(system, z))
 
     def root(
@@ -103,7 +103,7 @@ class DefiningSystem(Equations):
         guess: Array,
         more: Callable[[Evaluation, Array], Evaluation] = as_it_is,
     ) -> Root:
-        """Newton's root of the equations, or of what `more` makes of an evaluation."""
+        """Newton's root of the equations, or of `more` applied to an evaluation."""
 
         def work(near: Affine[Placed]) -> tuple:
             return near.value, _slopes_along(self.residual_at, near)
@@ -116,7 +116,7 @@ class DefiningSystem(Equations):
 
     @property
     def width(self) -> int:
-        """Directions of a program for all that may vary: two parameters are free at most."""
+        """Number of directions of a program for all unknowns, with at most two free parameters."""
         return self.tangency.x.shape[0] + 3
 
     @eqx.filter_jit
@@ -124,13 +124,13 @@ class DefiningSystem(Equations):
         return tree_in_kernel(lambda: affine(ft.partial(self.placed, system), z, self.width))
 
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
-        """With one free parameter, by Newton's iteration."""
+        """Newton's iteration with one free parameter."""
         root = self.root(system, guess)
         return root.z, root.at.jacobian, root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
-        """By forward mode; where all is known by the program of `evaluate`, for so many parameters
-        at a time."""
+        """Derivatives in forward mode; for concrete numbers by the program of `evaluate`, a few
+        parameters at a time."""
         if not is_known((self, system_of, theta, z)):
             residual = lambda theta: self.residual(system_of(theta), z)[0]  # noqa: E731
             return kernel_if_it_fits(jax.jacfwd(residual))(theta)
@@ -141,7 +141,7 @@ class DefiningSystem(Equations):
 
 
 class _Evaluated(eqx.Module):
-    """Residual and Jacobian, given the slopes; what else is known is the `Closing`."""
+    """Residual and Jacobian for given slopes; the further data is the `Closing`."""
 
     family: Int[Array, ""]
 
@@ -154,9 +154,9 @@ class _Evaluated(eqx.Module):
 def scales(
     at: Placed, z: Array, closing: Closing, family: Int[Array, ""]
 ) -> tuple[Float[Array, " M"], Float[Array, " N"]]:
-    """Of the equations and of the unknowns."""
+    """Scales of the equations and of the unknowns."""
     size = select(closing.size == 0, 1, closing.size)
-    # H by how far it reaches across the orbit, its rates by that in a turn of the forcing.
+    # The scale of H is its range across the orbit, the scale of its rates follows from a period.
     normals = jax.jacfwd(at.system.switching, argnums=1)(closing.t, closing.x)
     height = jnp.max(jnp.sum(abs(jnp.atleast_2d(normals)) * size, axis=1))
     height = select(height == 0, 1, height)
@@ -178,7 +178,7 @@ def _near_parameters(
 def _slopes(
     residual: Callable[[Array], tuple[Array, Closing]], u: Array
 ) -> tuple[Array, tuple[Array, Closing]]:
-    """The derivative of a residual, the residual, and what else is known."""
+    """The derivative of a residual, the residual, and further data."""
 
     def both(u: Array) -> tuple[Array, tuple[Array, Closing]]:
         value, closing = residual(u)
@@ -189,7 +189,7 @@ def _slopes(
 
 @eqx.filter_jit
 def _slopes_along(residual: Residual, near: Affine[Placed]) -> tuple[Array, tuple[Array, Closing]]:
-    """`_slopes` along those of what is placed: one program, whatever it is that varies."""
+    """`_slopes` along the slopes of `near`, one program for all varying unknowns."""
     return _slopes(lambda s: residual(near(s)), jnp.zeros(near.width, near.value.x.dtype))
 
 
@@ -202,7 +202,7 @@ def defining_system(
     newton_steps: int | Array,
 ) -> DefiningSystem:
     """The defining system of a tangency of an orbit of a forced or an autonomous system."""
-    # A multiple of the forcing period that is an argument of the program, not a part of it.
+    # The multiple of the forcing period is an argument of the program, not a constant.
     periods = 1
     if system.period is not None:
         periods = jnp.round(stop_gradient(orbit.period / jnp.asarray(orbit.system.period)))

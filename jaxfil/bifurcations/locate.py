@@ -1,9 +1,7 @@
-"""`find_bifurcation`: where an orbit meets a surface tangentially.
+"""`find_bifurcation`: the parameter value at which an orbit becomes tangent to a surface.
 
-A system, the name of a parameter, an orbit nearby and a kind enter; a `Bifurcation` leaves: the
-value, the orbit, where and when it is tangent, and the conditions that define the kind, with their
-values. Found by Newton's method on the orbit, the phase of the tangency and the parameter together;
-nothing there has the square root that grazing puts into the period map.
+Newton's method solves for the orbit, the phase of the tangency and the parameter together, without
+the square root of the period map at grazing.
 
 Kinds and conditions: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk, Piecewise-smooth
 Dynamical Systems (2008), chapter 8, with time as a state.
@@ -49,47 +47,47 @@ _Result = TypeVar("_Result", bound=eqx.Module)
 BIFURCATION_KINDS = tuple(FAMILIES)
 """The kinds of bifurcation that `find_bifurcation` locates, in the order of `Bifurcation.code`.
 
-- `"grazing"`: the orbit is tangent to a surface from one side, and no sliding region is there; also
+- `"grazing"`: the orbit is tangent to a surface from one side, without a sliding region there; also
   an impact on a wall at zero velocity.
-- `"grazing-sliding"`: it is tangent where a sliding region is: beyond, a piece of the orbit slides.
-- `"adding-sliding"`: a sliding piece is tangent to the end of the sliding region: beyond, it leaves
-  the surface for a while and comes back.
+- `"grazing-sliding"`: it is tangent at a sliding region; beyond, a piece of the orbit slides.
+- `"adding-sliding"`: a sliding piece is tangent to the end of the sliding region; beyond, it leaves
+  the surface for a while and returns.
 - `"crossing-sliding"`: the orbit arrives on the surface at the end of the sliding region, where the
-  field leaves it: beyond, it slides before it crosses.
-- `"switching-sliding"`: it arrives there, where the field comes back to the surface: beyond, it
+  field leaves it; beyond, it slides before it crosses.
+- `"switching-sliding"`: it arrives there, where the field returns to the surface; beyond, it
   crosses before it slides.
 """
 
 
 class Bifurcation(eqx.Module):
-    """A grazing or sliding bifurcation of a periodic orbit, located."""
+    """A located grazing or sliding bifurcation of a periodic orbit."""
 
     value: Float[Array, ""]
-    """The parameter at which it happens; NaN where there was nothing to start from."""
+    """The parameter value; NaN without a start."""
     orbit: Orbit
-    """The orbit there. It starts where the flight around the tangency does."""
+    """The orbit at this value. It starts at the start of the flight around the tangency."""
     t: Float[Array, ""]
-    """When the orbit is tangent."""
+    """The time of the tangency."""
     x: Float[Array, " n"]
-    """The state then."""
+    """The state at time `t`."""
     code: Int[Array, ""]
-    """The number of its kind in `BIFURCATION_KINDS`; −1 where the conditions are those of none."""
+    """The number of its kind in `BIFURCATION_KINDS`; −1 if the conditions fit no kind."""
     conditions: Conditions
-    """What defines the kind and tells it from others."""
+    """The conditions that define the kind."""
     residual: Float[Array, ""]
-    """The largest residual of the defining system, each in its scale."""
+    """The largest scaled residual of the defining system."""
     result: RESULTS
-    """How the search ended."""
+    """The outcome of the search."""
     tangency: Tangency
-    """The tangency, in the form in which it is followed."""
+    """The tangency, in the form for continuation."""
     parameter: str = eqx.field(static=True)
     """The name of the parameter."""
     family: str = eqx.field(static=True)
-    """Which equations define it: "flight", "slide" or "arrival"."""
+    """The equations that define it: "flight", "slide" or "arrival"."""
 
     @property
     def kind(self) -> str | np.ndarray:
-        """The name of the kind, decided by the conditions; an array of names for a batch."""
+        """The name of the kind, determined by the conditions; an array of names for a batch."""
         names = np.array([*BIFURCATION_KINDS, "undecided"])[np.asarray(self.code)]
         return str(names) if names.ndim == 0 else names
 
@@ -122,10 +120,10 @@ def find_bifurcation(
 ) -> Bifurcation:
     """Find the value of a parameter at which an orbit near `orbit` has a bifurcation.
 
-        x(t0 + T; x0) = x0,  H = Ḣ_s = 0  (of a slide Ḣ_s = 0 and its derivative along the slide)
+        x(t0 + T; x0) = x0,  H = Ḣ_s = 0  (for a slide Ḣ_s = 0 and its derivative along the slide)
 
-    Unknowns are a state on the orbit, the phase of the tangency (or the period of an autonomous
-    system) and the parameter: Newton's method finds them together.
+    Newton's method solves for a state on the orbit, the phase of the tangency (or the period of an
+    autonomous system) and the parameter together.
 
     **Arguments**
 
@@ -134,17 +132,17 @@ def find_bifurcation(
     - `orbit`: a periodic orbit of `system` near the bifurcation, on either side of it; a batch (as
       from `equinox.filter_vmap`) is searched in one call. It must not be traced.
     - `kind`: one of `BIFURCATION_KINDS`.
-    - `newton_steps`: the most evaluations.
+    - `newton_steps`: the largest number of evaluations.
     - `throw`: whether to raise an error unless the outcome is `successful`.
 
     **Returns** a `Bifurcation`. The derivative of its `value` with respect to the other float
-    leaves of the system is that of the implicit function, forward and reverse.
+    leaves of the system follows from the implicit function theorem, forward and reverse.
 
-    **Outcomes**: `successful`; `no_tangency_found` where the orbit was not found itself or comes
-    near no surface in that way; `other_kind` where the place is a bifurcation, but of the kind that
-    `.kind` names; `orbit_lost` where the orbit meets a surface elsewhere; `newton_stalled`,
-    `newton_singular` or `newton_max_steps_reached` where there is perhaps none; and where the flow
-    cannot be followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
+    **Outcomes**: `successful`; `no_tangency_found` if the orbit itself failed or comes near no
+    surface in that way; `other_kind` for a bifurcation of the kind `.kind` instead; `orbit_lost`
+    where the orbit has a contact elsewhere; `newton_stalled`, `newton_singular` or
+    `newton_max_steps_reached` where there is perhaps no bifurcation; and where the flow cannot be
+    followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
     `nonunique`, `reset_undecided`, `undeclared_sliding` or `step_too_long`.
 
     **Source**: kinds and conditions: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk,
@@ -170,7 +168,7 @@ def find_bifurcation(
     family, code = FAMILIES[kind], BIFURCATION_KINDS.index(kind)
 
     def one(orbit: Orbit, tangency: Tangency, missing: Array) -> Bifurcation:
-        # Numbers, not names: one program for all kinds.
+        # Numbers instead of names, so that one program serves all kinds.
         asked = array_of(family), array_of(code)
         found = _find(system, parameter, *asked, most, orbit, tangency, missing)
         return Bifurcation(**found, parameter=parameter, family=FAMILY_NAMES[family])
@@ -183,13 +181,13 @@ def find_bifurcation(
 def _first_found(
     search: Callable[..., Bifurcation], orbit: Orbit, lanes: list[list[tuple[Tangency, Array]]]
 ) -> Bifurcation:
-    """The bifurcation at the first tangency of each lane from which one is found. The tangency that
-    is nearest now need not be the first to happen."""
+    """The first bifurcation from the candidates of each lane. The nearest candidate need not become
+    tangent first."""
     found = None
     for attempt in attempts(orbit, lanes):
         now = search(orbit, *attempt)
         found = now if found is None else _better(found, now)
-        # Under jit all of them are tried.
+        # Under jit all candidates are tried.
         if is_known(found.result) and is_successful(found.result):
             break
     assert found is not None
@@ -197,7 +195,7 @@ def _first_found(
 
 
 def _better(a: Bifurcation, b: Bifurcation) -> Bifurcation:
-    """Lane by lane the one that succeeded, or at least is a bifurcation."""
+    """For each lane the successful result, or otherwise one that is a bifurcation."""
 
     def rank(found: Bifurcation) -> Array:
         named = (found.result == RESULTS.other_kind).astype(jnp.int32)
@@ -208,7 +206,7 @@ def _better(a: Bifurcation, b: Bifurcation) -> Bifurcation:
 
 @eqx.filter_jit
 def lane_by_lane(take: Array, a: _Result, b: _Result) -> _Result:
-    """The lanes of a result where `take` is true, those of another one elsewhere."""
+    """The lanes of a where `take` is true, of b elsewhere."""
 
     def pick(u: Array, v: Array) -> Array:
         return select(jnp.reshape(take, take.shape + (1,) * (v.ndim - take.ndim)), u, v)
@@ -228,7 +226,7 @@ def _find(
     tangency: Tangency,
     missing: Array,
 ) -> dict[str, Any]:
-    """The fields of a `Bifurcation`, but for names."""
+    """The fields of a `Bifurcation`, except names."""
     equations, guess = _first_guess(system, parameter, family, newton_steps, orbit, tangency)
     z, root = solve_implicit(equations, system, guess)
     found = bifurcation_at(equations, system, orbit, z, root)
@@ -253,8 +251,8 @@ def _first_guess(
 
 @eqx.filter_jit
 def _of_kind(found: dict[str, Any], code: Array, missing: Array) -> dict[str, Any]:
-    """What was found, told from what was asked for."""
-    # What is told, last to first: no guess at all, what `bifurcation_at` tells, another kind.
+    """The located bifurcation, with its outcome relative to the requested kind."""
+    # By precedence, last to first: no guess, the outcome of `bifurcation_at`, another kind.
     other = RESULTS.where(found["code"] == code, RESULTS.successful, RESULTS.other_kind)
     result = RESULTS.where(found["result"] == RESULTS.successful, other, found["result"])
     result = RESULTS.where(missing, RESULTS.no_tangency_found, result)
@@ -265,8 +263,8 @@ def _of_kind(found: dict[str, Any], code: Array, missing: Array) -> dict[str, An
 def bifurcation_at(
     equations: DefiningSystem, system: System, near: Orbit, z: Array, root: Root
 ) -> dict[str, Any]:
-    """The fields, but for names, of the bifurcation at a root of a defining system, of whatever
-    kind, reached from an orbit near it. Its parameter is the first of those that are free."""
+    """The fields, except names, of the bifurcation of any kind at a root of a defining system,
+    reached from an orbit near it. Its parameter is the first free one."""
     at, closing = equations.there(system, z), root.at.aux
     found = conditions(at.system, closing.t, closing.x, equations.tangency)
     return _fields(equations, at, near, z, root, found)
@@ -293,7 +291,7 @@ def _fields_of(
         orbit=Orbit(
             x0=tangency.x,
             period=at.period,
-            # The closing's derivative is that of the flow map less one, through the tangency.
+            # The closure's derivative is the flow map's minus one, through the tangency.
             monodromy=root.at.jacobian[:n, :n] + jnp.eye(n, dtype=z.dtype),
             residual=root.size,
             events=near.events,

@@ -1,7 +1,6 @@
-"""`grazing_margin`: how far an orbit stays from a surface, as a function of all parameters.
+"""`grazing_margin`: the distance of an orbit from a surface, as a function of all parameters.
 
-A system and an orbit close to its own enter; a number leaves, positive while the orbit stays clear
-of the surface and zero where it grazes, with derivatives with respect to every parameter.
+It is positive while the orbit stays clear of the surface and zero where it grazes.
 """
 
 from typing import Literal, overload
@@ -30,12 +29,12 @@ _NEWTON_STEPS = 40
 
 
 class GrazingMargin(eqx.Module):
-    """How far an orbit stays from grazing, with its outcome."""
+    """The distance of an orbit from grazing, with its outcome."""
 
     value: Float[Array, ""]
-    """The margin, in the unit of H; NaN where none was found."""
+    """The margin, in the unit of H; NaN after a failure."""
     result: RESULTS
-    """How the search ended."""
+    """The outcome of the search."""
 
     def __repr__(self) -> str:
         told = precision(self.value)
@@ -57,29 +56,29 @@ def grazing_margin(system: System, orbit: Orbit, *, throw: Literal[False]) -> Gr
 def grazing_margin(
     system: System, orbit: Orbit, *, throw: bool = True
 ) -> Float[Array, ""] | GrazingMargin:
-    """Measure how far an orbit stays from grazing, as a function of all parameters.
+    """Measure the distance of an orbit from grazing, as a function of all parameters.
 
         margin = min_t s H(t, x(t)) on the flight that comes closest to grazing from side s
 
-    The flight is followed as if the surface were not there, so that the margin goes on smoothly
-    through zero into negative values, where the orbit would cut the surface. Of an orbit that hits
-    the surface this is the orbit without that contact, if there is one.
+    The flight is followed as if the surface were not there, so that the margin continues smoothly
+    through zero to negative values, where the orbit would cut the surface. For an orbit that hits
+    the surface this is the orbit without that contact, if it exists.
 
     **Arguments**
 
     - `system`: the `System`; the margin is differentiable with respect to each of its float leaves,
       forward and reverse, under `jit` and `vmap`.
-    - `orbit`: an orbit of `system` at parameters close by, which says which flight is meant and is
-      where Newton's method starts. It must not be traced.
+    - `orbit`: an orbit of `system` at parameters close by, which selects the flight and starts
+      Newton's method. It must not be traced.
     - `throw`: whether to raise an error unless the outcome is `successful`.
 
     **Returns** the margin, an array of shape (), or with `throw=False` a `GrazingMargin`, which has
     the outcome of each lane of a batch.
 
-    **Outcomes**: `successful`; `no_tangency_found` where the given orbit was not found itself, no
-    flight of it approaches a surface, or H has no minimum on those found; `newton_stalled`,
-    `newton_singular` or `newton_max_steps_reached` where the system has perhaps no orbit near it;
-    and where the flow cannot be followed from the guess, `nonfinite`, `max_steps_reached`,
+    **Outcomes**: `successful`; `no_tangency_found` if the given orbit itself failed, no flight of
+    it approaches a surface, or H has no minimum on its flights; `newton_stalled`,
+    `newton_singular` or `newton_max_steps_reached` if the system has perhaps no orbit near it; and
+    where the flow cannot be followed from the guess, `nonfinite`, `max_steps_reached`,
     `mode_undecided`, `zeno`, `nonunique`, `reset_undecided`, `undeclared_sliding` or
     `step_too_long`.
 
@@ -105,11 +104,11 @@ def grazing_margin(
 
 
 def _nearest(orbit: Orbit) -> tuple[Tangency, Array]:
-    """The nearest tangency from which a margin is found, and whether there is none to start from.
-    From a contact with the surface the search may end at a maximum of the guard."""
+    """The nearest candidate for a margin, and a flag that it is missing. From a contact with the
+    surface the search may end at a maximum of the guard."""
     tangencies = guesses(orbit, "grazing")[0]
     if switches(orbit.events).size:
-        # Decided for the orbit as it is, also while the system is being traced.
+        # Decided on the concrete orbit, also while the system is traced.
         with jax.core.eval_context():
             for tangency, missing in tangencies:
                 found = _margin_at(orbit.system, orbit, tangency, missing)
@@ -119,7 +118,7 @@ def _nearest(orbit: Orbit) -> tuple[Tangency, Array]:
 
 
 def _margin_at(system: System, orbit: Orbit, tangency: Tangency, missing: Array) -> GrazingMargin:
-    """The margin that is found from a tangency."""
+    """The margin from a candidate."""
     equations, guess = _first_guess(orbit, tangency)
     z, root = solve_implicit(equations, system, guess)
     closing: Closing = root.at.aux[2]
@@ -129,8 +128,8 @@ def _margin_at(system: System, orbit: Orbit, tangency: Tangency, missing: Array)
 
 @eqx.filter_jit
 def _first_guess(orbit: Orbit, tangency: Tangency) -> tuple["_Margin", Array]:
-    """The equations and a guess of their unknowns. The system itself, which may be traced, is none
-    of what they are made of."""
+    """The equations and a guess of their unknowns. They do not contain the system itself, which may
+    be traced."""
     equations = defining_system(orbit.system, orbit, tangency, FLIGHT, (), _NEWTON_STEPS)
     phase = orbit.period if orbit.system.period is None else tangency.phase
     return _Margin(equations), jnp.append(tangency.x, phase)
@@ -138,7 +137,7 @@ def _first_guess(orbit: Orbit, tangency: Tangency) -> tuple["_Margin", Array]:
 
 @jax.jit
 def _margin_of(z: Array, root: Root, missing: Array, bend: Array) -> GrazingMargin:
-    """The margin that a solution is, if the guard bends up there."""
+    """The margin of a solution, if the guard has a minimum there."""
     least = bend > 0
     found = root.result == RESULTS.successful
     result = RESULTS.where(missing | (found & ~least), RESULTS.no_tangency_found, root.result)
@@ -146,23 +145,23 @@ def _margin_of(z: Array, root: Root, missing: Array, bend: Array) -> GrazingMarg
 
 
 class _Margin(Equations):
-    """The orbit closes and Ḣ = 0: where the guard is smallest. What it is there, the margin, is one
-    unknown more, with the equation H − margin = 0."""
+    """The orbit closes and Ḣ = 0 at the minimum of the guard. Its value, the margin, is one more
+    unknown, with the equation H − margin = 0."""
 
     tangency: DefiningSystem
 
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
-        """Newton's iteration on the orbit alone; the margin then is known."""
+        """Newton's iteration on the orbit alone, which then determines the margin."""
         root = self.tangency.root(system, guess, _without_height)
         return *_with_margin(root), root
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
-        """The rows of closing, H and Ḣ."""
+        """The rows of closure, H and Ḣ."""
         return self.tangency.by_parameters(system_of, theta, z[:-1])
 
 
 def _without_height(at: Evaluation, z: Array) -> Evaluation:
-    """All rows but that of H, which need not be zero: it is the margin."""
+    """All rows except that H is the margin instead of zero."""
     n = at.residual.shape[0] - 2
 
     def kept(v: Array) -> Array:
@@ -181,7 +180,7 @@ def _without_height(at: Evaluation, z: Array) -> Evaluation:
 @jax.jit
 def _with_margin(root: Root) -> tuple[Array, Array]:
     """All unknowns at a root, and the derivative of all equations there."""
-    # Without an orbit the last guard is that of nothing.
+    # Without an orbit the last guard has no meaning.
     margin, jacobian, _ = root.at.aux
     margin = select(root.result == RESULTS.successful, margin, jnp.nan)
     n = jacobian.shape[0] - 2

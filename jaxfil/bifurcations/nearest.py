@@ -1,8 +1,7 @@
-"""`nearest_grazing`: the grazing parameters that are nearest to those of a system.
+"""`nearest_grazing`: the grazing parameters nearest to the parameters of a system.
 
-A system, the names of parameters, an orbit of it and a metric enter; a `NearestGrazing` leaves: the
-parameters, their distance from the system's own, and the grazing there. Found by Newton's method on
-the orbit, its tangency, the parameters and the multipliers of Lagrange together.
+Newton's method solves for the orbit, its tangency, the parameters and the Lagrange multipliers
+together.
 """
 
 import functools as ft
@@ -36,27 +35,27 @@ _NEWTON_STEPS = 40
 
 
 class NearestGrazing(eqx.Module):
-    """The nearest grazing parameters, or of a batch of orbits those of each."""
+    """The nearest grazing parameters, for each orbit of a batch."""
 
     values: Float[Array, " k"]
-    """The parameters; NaN where there was nothing to start from."""
+    """The parameters; NaN without a start."""
     distance: Float[Array, ""]
-    """Their distance from those of the system, in the metric."""
+    """Their distance from the parameters of the system, in the metric."""
     given: Float[Array, " k"]
     """The parameters of the system, from which the distance is measured."""
     bifurcation: Bifurcation
-    """The grazing there: the orbit, where, when and which surface it touches, and its kind. From
-    it `continue_bifurcation` goes on."""
+    """The grazing bifurcation: the orbit, time, state and surface of its tangency, and its kind.
+    `continue_bifurcation` continues from it."""
     num_steps: Int[Array, ""]
-    """Evaluations that Newton's method took."""
+    """Number of evaluations by Newton's method."""
     result: RESULTS
-    """How the search ended."""
+    """The outcome of the search."""
     parameters: tuple[str, ...] = eqx.field(static=True)
     """The names of the parameters."""
 
     @property
     def nearest(self) -> "NearestGrazing":
-        """Of a batch the lane that is nearest of all, of those that succeeded."""
+        """The nearest successful lane of a batch."""
         if not self.distance.ndim:
             return self
         fine = self.result == RESULTS.successful
@@ -83,33 +82,33 @@ def nearest_grazing(
     metric: Any = None,
     throw: bool = True,
 ) -> NearestGrazing:
-    """Find the grazing parameters that are nearest to those of a system.
+    """Find the grazing parameters nearest to the parameters of a system.
 
         minimise (p − p₀)ᵀ G (p − p₀)   subject to   x(t0 + T; x0) = x0,  H = Ḣ_s = 0
 
-    p₀ are the system's own parameters. The equations of Lagrange are solved by Newton's method for
-    the orbit, the phase of its tangency, p and the multipliers together, with derivatives that are
-    exact through every contact: grazing is a constraint that holds to rounding, not a penalty.
+    p₀ are the system's own parameters. Newton's method solves the Lagrange equations for the orbit,
+    the phase of its tangency, p and the multipliers together, with derivatives that are exact
+    through every contact. Grazing is a constraint that holds to rounding, not a penalty.
 
     **Arguments**
 
     - `system`: the `System`.
-    - `parameters`: the names of k scalar parameters, all different, of which the others stay.
-    - `orbit`: a periodic orbit of `system`, with its parameters or others close by: where the
-      search starts. Every approach of it to a surface is tried, and the nearest grazing told; of a
-      batch (as from `equinox.filter_vmap`) that of each orbit. It must not be traced.
+    - `parameters`: the names of k different scalar parameters; all others are constant.
+    - `orbit`: a periodic orbit of `system`, at its parameters or others close by, to start from.
+      Every approach of it to a surface is tried, and the nearest grazing returned; for a batch (as
+      from `equinox.filter_vmap`) one for each orbit. It must not be traced.
     - `metric`: G, a symmetric positive definite matrix, shape (k, k), or its diagonal, shape (k,);
-      None is diag(1/p₀²), which measures relative changes (a parameter that is zero, by itself).
+      None is diag(1/p₀²), which measures relative changes (absolute ones for a parameter of zero).
     - `throw`: whether to raise an error unless the outcome is `successful`.
 
-    **Returns** a `NearestGrazing`; that of a batch has `nearest`, the lane nearest of all. The
-    derivatives of `values` and `distance` with respect to the float leaves of the system, those of
-    p₀ included, are those of the implicit function, forward and reverse.
+    **Returns** a `NearestGrazing`; for a batch its `nearest` is the nearest lane. The derivatives
+    of `values` and `distance` with respect to the float leaves of the system, including p₀, follow
+    from the implicit function theorem, forward and reverse.
 
-    **Outcomes**: `successful`; `no_tangency_found` where the orbit was not found itself or comes
-    near no surface; `orbit_lost` where the orbit meets a surface elsewhere; `not_nearest` where the
-    distance has no minimum; `newton_stalled`, `newton_singular` or `newton_max_steps_reached` where
-    there is perhaps none; and where the flow cannot be followed from the guess, `nonfinite`,
+    **Outcomes**: `successful`; `no_tangency_found` if the orbit itself failed or comes near no
+    surface; `orbit_lost` where the orbit has a contact elsewhere; `not_nearest` where the distance
+    has no minimum; `newton_stalled`, `newton_singular` or `newton_max_steps_reached` where there is
+    perhaps no grazing; and where the flow cannot be followed from the guess, `nonfinite`,
     `max_steps_reached`, `mode_undecided`, `zeno`, `nonunique`, `reset_undecided`,
     `undeclared_sliding` or `step_too_long`.
 
@@ -149,7 +148,7 @@ def _nearest_found(
     orbit: Orbit,
     lanes: list[list[tuple[Tangency, Array]]],
 ) -> NearestGrazing:
-    """The nearest of what is found from all tangencies of each lane."""
+    """The nearest result from all candidates of each lane."""
     found = None
     for attempt in attempts(orbit, lanes):
         now = search(orbit, *attempt)

@@ -1,15 +1,15 @@
 """The coefficient of the normal form of a fold or a period doubling of orbits, times ⟨w, v⟩.
 
-Derivatives of an orbit's end P enter, and a function that gives first ones nearby; the coefficient
-leaves, whose zero is a cusp or a generalised period doubling. With v the critical vector, w the
-left one, each of length one, B and C second and third derivatives, and J that of the closing:
+Its zero is a cusp or a generalised period doubling. With v the critical vector, w the adjoint one,
+each of length one, B and C second and third derivatives of the orbit's end, and J the derivative of
+the closure:
 
     fold               a = ⟨w, B(v, v)⟩/2
     period doubling    c = ⟨w, C(v, v, v) − 3 B(v, J⁻¹ B(v, v))⟩/6
 
-Without the division by ⟨w, v⟩ there is no pole where two multipliers meet. B and C are central
-differences of exact first derivatives. Of an autonomous orbit state and period are moved together,
-so that it stays on the section of the phase condition.
+Without the division by ⟨w, v⟩ there is no pole where two multipliers coincide. B and C are central
+differences of exact first derivatives. For an autonomous orbit state and period move together, on
+the section of the phase condition.
 Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), sections 5.4, 9.3 and 10.2.
 """
 
@@ -28,20 +28,20 @@ FirstSlopes = Callable[[np.ndarray], np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class Degeneracy:
-    """A coefficient, and the left vector whose sign it has."""
+    """A coefficient, and the adjoint vector that determines its sign."""
 
     value: float
     left: np.ndarray
 
     def like(self, other: "Degeneracy") -> float:
-        """The coefficient with the left vector to the side of another one's."""
+        """The coefficient with the adjoint vector to the side of another one's."""
         return self.value if self.left @ other.left >= 0 else -self.value
 
 
 def fold_degeneracy(
     first_slopes: FirstSlopes, s: np.ndarray, v: np.ndarray, slopes: Slopes
 ) -> Degeneracy:
-    """That of a fold, of vectors of length one."""
+    """The coefficient of a fold, for vectors of length one."""
     unit = slopes.unit[: slopes.size]
     v = v / np.linalg.norm(v / unit)
     left = null_vector(slopes.bordered.T, 1 / unit, 1 / slopes.rows)
@@ -54,16 +54,16 @@ def fold_degeneracy(
 def doubling_degeneracy(
     first_slopes: FirstSlopes, s: np.ndarray, v: np.ndarray, slopes: Slopes
 ) -> Degeneracy:
-    """That of a period doubling."""
+    """The coefficient of a period doubling."""
     n, k = len(slopes.first), slopes.size
     unit = slopes.unit[:n]
     v = v / np.linalg.norm(v / unit)
     left = null_vector((slopes.monodromy + np.eye(n)).T, 1 / unit, 1 / unit)
-    # In the section of the phase: the flow's direction is another eigenvector, of 1.
+    # In the section of the phase, because the flow's direction is another eigenvector, of 1.
     if k > n:
         flow = slopes.first[:, n]
         shift = (slopes.normal[0] @ v) / (slopes.normal[0] @ flow)
-        # M (v − shift f) = −(v − shift f) − 2 shift f, which the time takes back.
+        # M (v − shift f) = −(v − shift f) − 2 shift f, which the time compensates.
         v = np.append(v - shift * flow, 2 * shift)
     h = np.finfo(s.dtype).eps ** _THIRD
     here = slopes.first[:, :k] @ v
@@ -76,7 +76,7 @@ def doubling_degeneracy(
 
 
 def _along(first_slopes: FirstSlopes, s: np.ndarray, move: np.ndarray) -> np.ndarray:
-    """The first derivatives by state and period, these moved."""
+    """The first derivatives by state and period, after a move of these."""
     moved = s.copy()
     moved[: move.size] += move
     return first_slopes(moved)[:, : move.size]

@@ -1,13 +1,13 @@
-"""The point of a set of tangencies that is nearest to given parameters: the equations it fulfils.
+"""The equations of the tangency that is nearest to given parameters.
 
-A defining system r(u) = 0 with k free parameters p, the last of its unknowns u, and a metric enter;
-the equations of Lagrange leave, with all derivatives, as Newton's method wants them:
+A defining system r(u) = 0 with k free parameters p, the last of its unknowns u, and a metric G give
+the Lagrange equations, with all derivatives for Newton's method:
 
     G(p − p₀) + (∂r/∂p)ᵀ λ = 0,   (∂r/∂z)ᵀ λ = 0,   r(u) = 0,   u = (z, p)
 
-p₀ are the parameters of the system itself. The matrix of Newton's method has the second derivatives
-of r, exact through every contact. With λ = 0, where the search starts, there are none of them in
-it: the first step is the projection on the set as it looks from there.
+p₀ are the parameters of the system itself. Newton's matrix has the second derivatives of r, exact
+through every contact. The search starts with λ = 0 and without them, so that the first step is
+the projection on the linearised set.
 
 Source: J. Nocedal, S. J. Wright, Numerical Optimization (2006), chapters 16 and 18.
 """
@@ -30,15 +30,14 @@ from jaxfil.xla.select import select
 
 
 class AtPoint(eqx.Module):
-    """What is known at a point: the defining system there, and whether the distance would be a
-    minimum if this were a solution."""
+    """The defining system at a point, and whether the distance would be a minimum there."""
 
     defining: Evaluation
     convex: Bool[Array, ""]
 
 
 class Nearest(Equations):
-    """The equations of Lagrange for the smallest distance. Unknowns are those of the defining
+    """The Lagrange equations for the smallest distance. Unknowns are the unknowns of the defining
     system, and a multiplier for each of its equations."""
 
     defining: DefiningSystem
@@ -48,11 +47,11 @@ class Nearest(Equations):
         """√((p − p₀)ᵀ G (p − p₀))."""
         given, metric = self._from(system)
         square = (p - given) @ metric @ (p - given)
-        # At zero the root has no derivative; there the distance is a kink, and its slope taken 0.
+        # At zero the root has no derivative; the distance has a kink there, with a slope set to 0.
         return select(square > 0, jnp.sqrt(select(square > 0, square, 1)), 0)
 
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
-        """Newton's iteration; of its `Root`, what else is known is an `AtPoint`."""
+        """Newton's iteration; the further data of its `Root` is an `AtPoint`."""
         root = newton(lambda w: self.evaluate(system, w), guess, self.defining.newton_steps)
         return root.z, root.at.jacobian, root
 
@@ -78,14 +77,14 @@ class Nearest(Equations):
         flat = jnp.zeros((size, size), w.dtype).at[-k:, -k:].set(metric)
         curved = flat + jnp.einsum("i,ijk->jk", multipliers, bends)
         stationary = multipliers @ slopes + _padded(metric @ (u[-k:] - given), size)
-        # Multipliers are measured by what they are multiplied with, and all of it by the distance
-        # of points whose parameters differ by their own size.
+        # Multipliers are scaled by their factors, and all of it by the distance of points whose
+        # parameters differ by their own size.
         reach = jnp.max(jnp.diag(metric) * unknowns[-k:] ** 2)
         reach = jnp.maximum(reach, jnp.max(abs(multipliers) * equations))
         matrix = _saddle(curved, slopes)
         scale = jnp.append(unknowns / jnp.sqrt(reach), jnp.sqrt(reach) / equations)
         convex = _is_minimum(matrix, scale, value.shape[0])
-        # Far from the set a bend may promise a maximum; a step is then the projection.
+        # Far from the set the curvature may suggest a maximum; a step is then the projection.
         matrix = select(convex, matrix, _saddle(flat, slopes))
         return Evaluation(
             residual=jnp.append(stationary, value),
@@ -97,7 +96,7 @@ class Nearest(Equations):
         )
 
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
-        """By forward mode over forward mode."""
+        """Derivatives by forward mode over forward mode."""
         k = len(self.defining.free)
         size = (z.shape[0] - 1 + k) // 2
         u, multipliers = z[:size], z[size:]
@@ -126,8 +125,8 @@ class Nearest(Equations):
 
 
 def _by_turns(function: Callable[[Array], tuple[Array, Any]]) -> Callable:
-    """`jax.jacfwd` of a function that has something to tell besides, one direction after the other.
-    A second derivative in all directions at once takes half as long again to compile."""
+    """`jax.jacfwd` of a function with auxiliary data, one direction after the other. A second
+    derivative in all directions at once takes half as long again to compile."""
 
     def call(x: Array) -> tuple[Array, Any]:
         def along(v: Array) -> tuple:

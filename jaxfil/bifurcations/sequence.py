@@ -1,8 +1,4 @@
-"""`find_bifurcations`: everything that happens to an orbit between two values of a parameter.
-
-A system, the name of a parameter, an orbit and where to stop enter; the branch and the ordered list
-of its bifurcations leave, each located and named.
-"""
+"""`find_bifurcations`: all bifurcations of an orbit between two values of a parameter."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -24,19 +20,19 @@ from jaxfil.orbits.orbit import Orbit
 
 
 class BifurcationSequence(eqx.Module):
-    """A branch of periodic orbits and its bifurcations, in the order in which they are met. It can
-    be iterated over."""
+    """A branch of periodic orbits and its bifurcations, in the order of the branch. It can be
+    iterated over."""
 
     branch: Branch
     """The branch."""
     bifurcations: list[Bifurcation | SpecialPoint]
     """A `Bifurcation` where the orbit is tangent to a surface; a `SpecialPoint` for folds, period
-    doublings and Neimark–Sacker points, where rest begins or ceases, and where the contacts change
-    in a way without a name."""
+    doublings and Neimark–Sacker points, where rest begins or ceases, and for changes of contacts
+    without a name."""
 
     @property
     def result(self) -> RESULTS:
-        """How the branch began, as `Branch.result`."""
+        """The outcome at the start of the branch, as in `Branch.result`."""
         return self.branch.result
 
     def __iter__(self) -> Iterator[Bifurcation | SpecialPoint]:
@@ -46,8 +42,8 @@ class BifurcationSequence(eqx.Module):
         return len(self.bifurcations)
 
     def plot(self, ax: Axes | None = None, component: int = 0, extremes: bool = False) -> Axes:
-        """Draw the branch as `Branch.plot` does, with every bifurcation marked by its kind,
-        numbered and named; returns the matplotlib axes."""
+        """Draw the branch like `Branch.plot`, with every bifurcation marked by its kind, numbered
+        and named; returns the matplotlib axes."""
         return draw(self, ax=ax, component=component, extremes=extremes)
 
     def __repr__(self) -> str:
@@ -75,7 +71,7 @@ def find_bifurcations(
     max_points: int = 2000,
     throw: bool = True,
 ) -> BifurcationSequence:
-    """Find all that happens to a periodic orbit as a parameter goes to `stop`.
+    """Find all bifurcations of a periodic orbit as a parameter goes to `stop`.
 
     The branch is followed by `continue_orbit`; each change of the contacts on it is then located
     again as a tangency, as `find_bifurcation` does, and named by its conditions.
@@ -84,18 +80,18 @@ def find_bifurcations(
 
     - `system`: the `System`.
     - `parameter`: the name of a scalar parameter.
-    - `orbit`: the orbit at which to start, as `periodic_orbit` gives it.
+    - `orbit`: the orbit at which to start, from `periodic_orbit`.
     - `stop`: the value of the parameter to end at, or a pair (low, high).
-    - `max_step`, `max_points`: the largest step, relative to the size of the unknowns, and the most
-      points in either direction, as in `continue_orbit`.
+    - `max_step`, `max_points`: the largest step, relative to the size of the unknowns, and the
+      largest number of points in either direction, as in `continue_orbit`.
     - `throw`: whether to raise an error unless the outcome is `successful`.
 
     **Returns** a `BifurcationSequence`. A branch that ends before `stop` is a success.
 
-    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
-    the orbit; that of the orbit itself where it was not found, as `nonfinite`.
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method diverges
+    from the orbit; the outcome of the orbit itself if it failed, such as `nonfinite`.
 
-    **Source**: that of `continue_orbit` and `find_bifurcation`.
+    **Source**: as for `continue_orbit` and `find_bifurcation`.
 
     >>> import jax
     >>> import jax.numpy as jnp
@@ -108,7 +104,7 @@ def find_bifurcations(
     grazing-sliding 10.904975822
     """
     check.system("system", system)
-    # Numbers of one type: those of another would compile what is known already.
+    # Numbers of one type, because another type would recompile existing programs.
     system = cast(system, orbit.x0.dtype) if isinstance(orbit, Orbit) else system
     branch = continue_orbit(
         system,
@@ -131,7 +127,7 @@ def _named(system: System, parameter: str, point: SpecialPoint) -> Bifurcation |
     orbit = dataclasses.replace(
         point.orbit, system=replace_parameter(system, parameter, point.value)
     )
-    # The kind is not known yet: all are looked for, that with the nearest tangency first.
+    # The kind is unknown, so all are tried, the nearest candidate first.
     nearest = []
     for kind in BIFURCATION_KINDS:
         nearest += [(reach, kind) for reach, _ in tangency_candidates(orbit, kind)[:1]]

@@ -1,7 +1,6 @@
-"""The tangency of an orbit to a surface: the equations that define it.
+"""The defining equations of a tangency of an orbit to a surface, and the conditions of its kind.
 
-A system and a guess of the tangency enter; how far the equations are from holding leaves, and the
-conditions that tell the kind. Three families cover all kinds:
+Three families cover all kinds:
 
 - "flight": in a mode ±1 the orbit is tangent to Σ: H = Ḣ_s = 0 (grazing, grazing-sliding);
 - "slide": a slide is tangent to the end of the sliding region: Ḣ_s = 0 and D Ḣ_s = 0, D along the
@@ -9,11 +8,11 @@ conditions that tell the kind. Three families cover all kinds:
 - "arrival": from the other side it arrives on Σ at the end of the sliding region: H = Ḣ_s = 0
   (crossing-sliding, switching-sliding).
 
-Ḣ_s = ∂H/∂t + ⟨∇H, F_s⟩: time counts as a state. Around the tangency the orbit is followed in one
-mode as if Σ were not there, from phase `start` to phase `stop`, and by the full flow elsewhere:
-near the bifurcation, on either side of it, everything is then smooth.
+Ḣ_s = ∂H/∂t + ⟨∇H, F_s⟩, with time as a state. Around the tangency the orbit is followed in one mode
+as if Σ were not there, from phase `start` to phase `stop`, and by the full flow elsewhere. On
+either side of the bifurcation the equations are then smooth.
 
-In a program a family is a number, its place in `FAMILY_NAMES`: one program serves all kinds.
+In a program a family is its index in `FAMILY_NAMES`, so that one program serves all kinds.
 """
 
 from collections.abc import Callable
@@ -39,7 +38,7 @@ from jaxfil.xla.select import select
 
 FAMILY_NAMES = ("flight", "slide", "arrival")
 FLIGHT, SLIDE, ARRIVAL = range(len(FAMILY_NAMES))
-# Which family a kind belongs to.
+# The family of each kind.
 FAMILIES = {
     "grazing": FLIGHT,
     "grazing-sliding": FLIGHT,
@@ -50,7 +49,7 @@ FAMILIES = {
 
 # Pieces of the flight on either side of the tangency.
 _PIECES = 8
-# A guard this small beside its largest value on the flight is zero: the tangency itself.
+# A guard below this fraction of its largest value on the flight is zero, at the tangency itself.
 _ROUNDING = 1e-7
 
 
@@ -61,13 +60,13 @@ class Tangency(eqx.Module):
     x: Float[Array, " n"]
     """The state at the start of the flight."""
     phase: Float[Array, ""]
-    """When the orbit is tangent."""
+    """The phase of the tangency."""
     start: Float[Array, ""]
-    """When the flight starts."""
+    """The phase of the start of the flight."""
     stop: Float[Array, ""]
-    """When it stops."""
+    """The phase of the end of the flight."""
     mode: Float[Array, " m"]
-    """The mode in which it is followed."""
+    """The mode of the flight."""
     surface: Int[Array, ""]
     """The number of the surface."""
     side: Float[Array, ""]
@@ -75,19 +74,19 @@ class Tangency(eqx.Module):
 
 
 class Conditions(eqx.Module):
-    """What defines a bifurcation and tells its kind, at the tangency. All are multiplied by s, so
-    that positive is away from Σ on side s."""
+    """The conditions at a tangency that define the kind of the bifurcation. All are multiplied by
+    s, so that positive means away from Σ on side s."""
 
     h: Float[Array, ""]
-    """H."""
+    """The switching function H."""
     rate: Float[Array, ""]
     """Ḣ along the field F_s of this side."""
     bend: Float[Array, ""]
-    """Ḧ along F_s: positive where the tangency is visible."""
+    """Ḧ along F_s, positive at a visible tangency."""
     other_rate: Float[Array, ""]
-    """Ḣ along the field of the other side: positive where a sliding region ends here."""
+    """Ḣ along the field of the other side, positive at the end of a sliding region."""
     slide_rate: Float[Array, ""]
-    """The derivative of Ḣ_s along the slide; 0 where the system does not slide."""
+    """The derivative of Ḣ_s along the slide; 0 for a system without sliding."""
     slide_bend: Float[Array, ""]
     """Its second derivative along the slide."""
 
@@ -122,7 +121,7 @@ class _Rates:
     def along(
         self, side: Array, function: Callable[[Array, Array], Array]
     ) -> Callable[[Array, Array], Array]:
-        """That derivative alone."""
+        """The derivative alone."""
         both = self.with_rate(side, function)
         return lambda t, x: both(t, x)[1]
 
@@ -170,7 +169,7 @@ def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangen
 
 
 def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:
-    """The number in `FAMILIES` of the kind whose conditions these are; −1 for none."""
+    """The number in `FAMILIES` of the kind with these conditions; −1 without one."""
     # Where both rates vanish together there is no sliding region.
     scale, eps = abs(found.other_rate) + abs(found.rate), float(jnp.finfo(found.h.dtype).eps)
     slides = (found.other_rate > 0) & (scale > jnp.sqrt(eps) * abs(found.bend))
@@ -178,7 +177,7 @@ def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:
     arrives = found.other_rate > 0
     flags = [
         (visible & ~slides, visible & slides, no, no, no),
-        # On a slide Ḣ_s is negative within the sliding region: it reaches zero from below.
+        # On a slide Ḣ_s is negative within the sliding region, and reaches zero from below.
         (no, no, (found.slide_bend < 0) & arrives, no, no),
         (no, no, no, arrives & visible, arrives & (found.bend < 0)),
     ]
@@ -187,9 +186,9 @@ def kind_of(family: Int[Array, ""], found: Conditions) -> Int[Array, ""]:
 
 
 class Closing(eqx.Module):
-    """How far an orbit through a tangency is from closing, and what is met on the way. `holds`
-    tells whether the flight that was followed as if Σ were not there is one: its guards stay
-    positive, but for the tangency. `contacts` are those of the orbit elsewhere."""
+    """The closure residual of an orbit through a tangency, with its contacts. `holds` is true if
+    the guards of the flight, followed as if Σ were not there, are positive except at the
+    tangency. `contacts` counts the contacts of the orbit elsewhere."""
 
     gap: Float[Array, " n"]
     t: Array
@@ -207,13 +206,13 @@ def close(
     family: Int[Array, ""],
     tangency: Tangency,
 ) -> Closing:
-    """Once round the orbit from the start of the flight."""
+    """Integrate the orbit once from the start of the flight."""
     on_components = build(system, tangency.x, compact=options.compact)
     mode = on_components.of_surfaces(tangency.mode)
     start, at = tangency.start * period, tangency.phase * period
     arrival = family == ARRIVAL
     stop = select(arrival, at, tangency.stop * period)
-    # The full flow goes round the rest, or of an arrival, which it meets as it is, round it all.
+    # The full flow covers the remainder, or for an arrival, an ordinary contact, the whole period.
     rest = select(arrival, start, stop)
     times = jnp.concatenate([_divided(start, at), _divided(at, stop), rest[None]])
     lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
@@ -228,7 +227,7 @@ def close(
         result = RESULTS.where(result == RESULTS.successful, new, result)
         return (x, jnp.maximum(size, new_size), result), (x, contacts)
 
-    # One program for the flight, whose pieces are looked at on the way, and for the rest.
+    # One program for the pieces of the flight, whose guards are checked, and for the remainder.
     keeps = jnp.arange(2 * _PIECES + 1) < 2 * _PIECES
     first = (tangency.x, abs(stop_gradient(tangency.x)), RESULTS.successful)
     (end, size, result), (xs, contacts) = jax.lax.scan(stretch, first, (times, lengths, keeps))
@@ -250,7 +249,7 @@ def _divided(start: Array, stop: Array) -> Array:
 
 
 def _holds(on_components: ComponentSystem, mode: Array, ts: Array, xs: Array) -> Array:
-    """Whether all guards are positive but for rounding."""
+    """Whether all guards are positive beyond rounding."""
     modes = on_components.of_surfaces(mode)
 
     def guards(t: Array, x: Array) -> Array:

@@ -1,8 +1,7 @@
-"""`TangencyCurve`: the tangencies of a system as two parameters vary, as a curve to be followed.
+"""`TangencyCurve`: the curve of tangencies of a system as two parameters vary.
 
-A system and the defining system of a tangency with two free parameters enter; points leave, with
-the kind of bifurcation that each is. The defining system has no square root, so that the curve has
-no corners; it ends where the orbit meets a surface elsewhere.
+The defining system has no square root, so the curve has no corners; it ends where the orbit has a
+contact elsewhere.
 """
 
 import dataclasses
@@ -40,10 +39,10 @@ from jaxfil.xla.known import array_of
 
 
 class _Known(eqx.Module):
-    """What is known at a root: when and where the orbit is tangent, the largest |x| of each
-    component, the number of the kind, the conditions, whether the flight meets no surface
-    elsewhere, the contacts of the orbit outside of it, and its monodromy matrix, the tangency
-    followed as if the surface were not there."""
+    """Data at a root: time and state of the tangency, the largest |x| of each component, the number
+    of the kind, the conditions, whether the flight has no other contact, the number of contacts of
+    the orbit outside of it, and its monodromy matrix, with the tangency followed as if the surface
+    were not there."""
 
     t: Float[Array, ""]
     x: Float[Array, " n"]
@@ -57,29 +56,29 @@ class _Known(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class TangencyPoint(CurvePoint):
-    """A tangency: its two parameters are the last unknowns."""
+    """A tangency, with its two parameters as the last unknowns."""
 
     known: _Known
 
     @property
     def kind(self) -> str:
-        """The name of its kind, "undecided" where the conditions are those of none."""
-        # −1 is the number of none.
+        """The name of its kind, "undecided" if the conditions fit no kind."""
+        # −1 stands for no kind.
         return (*FAMILIES, "undecided")[int(self.known.code)]
 
     @property
     def t(self) -> np.ndarray:
-        """When the orbit is tangent."""
+        """The time of the tangency."""
         return np.asarray(self.known.t)
 
     @property
     def x(self) -> np.ndarray:
-        """The state then."""
+        """The state at the tangency."""
         return np.asarray(self.known.x)
 
     @property
     def contacts(self) -> int:
-        """How many contacts the orbit has besides."""
+        """The number of other contacts of the orbit."""
         return int(self.known.contacts)
 
 
@@ -95,10 +94,10 @@ def _solve(
 
 @eqx.filter_jit
 def _with_known(equations: DefiningSystem, root: Root, found: Conditions) -> Root:
-    """A root, with what else is known there."""
+    """A root with further data."""
     closing: Closing = root.at.aux
     n = closing.x.shape[0]
-    # The closing's derivative is that of the flow map less one.
+    # The closure's derivative is the flow map's minus one.
     monodromy = root.at.jacobian[:n, :n] + jnp.eye(n, dtype=root.z.dtype)
     known = _Known(
         t=closing.t,
@@ -120,9 +119,9 @@ class TangencyCurve(Curve[TangencyPoint]):
     system: System
     equations: DefiningSystem
     least: np.ndarray | float = 0.0
-    """No scale is below it."""
+    """Lower bound of scales."""
 
-    # Smooth: longer steps than those of orbits, and no end that a short one would have to find.
+    # Smooth, with longer steps than for orbits, and without ends that need short ones.
     steps = StepSizes(first=0.01, least=1e-6, growth=1.5, straight=0.99, easy=12, corner=0.0)
     solution = "tangency"
     place = -2
@@ -133,19 +132,19 @@ class TangencyCurve(Curve[TangencyPoint]):
         return self.equations.free[0]
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
-        """By the defining system."""
+        """Solve the defining system."""
         return _solve(self.system, self.equations, array_of(guess), constraint)
 
     def point(
         self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
     ) -> TangencyPoint:
-        """With what is known of the tangency."""
+        """A point with the data of the tangency."""
         known = jax.tree.map(np.asarray, root.at.aux)
         return TangencyPoint(**at_root(root, constraint, along), known=known)
 
     def metric(self, point: TangencyPoint) -> np.ndarray:
-        """A state by its largest value on the orbit, a phase by one period, all else by its
-        size."""
+        """Scales: the largest value on the orbit for a state, one period for a phase, the size of
+        any other unknown."""
         size = point.known.size
         q = abs(point.u[size.shape[0] :])
         if self.system.period is not None:
@@ -155,12 +154,12 @@ class TangencyCurve(Curve[TangencyPoint]):
     def special_points(
         self, a: TangencyPoint, b: TangencyPoint
     ) -> Iterator[Special[TangencyPoint]]:
-        """Points of codimension two, piece by piece: where the kind changes, where the orbit has a
-        second tangency, and where a multiplier of it reaches the unit circle."""
+        """Points of codimension two: changes of the kind, a second tangency of the orbit, and a
+        multiplier on the unit circle."""
         if a.kind != b.kind:
             name, test = _degeneracy(int(self.equations.family), a, b)
             point = zero_on_curve(self, a, b, test) if test(a) * test(b) < 0 else None
-            # What does not change its sign has changed its character by rounding.
+            # Without a change of sign the change is due to rounding.
             point = point or change_on_curve(self, a, b, lambda p: p.kind == a.kind)[1]
             yield from self._of_one_kind(a, point)
             yield Special(name, point, a.kind, b.kind)
@@ -168,7 +167,7 @@ class TangencyCurve(Curve[TangencyPoint]):
         yield from self._of_one_kind(a, b)
 
     def _of_one_kind(self, a: TangencyPoint, b: TangencyPoint) -> Iterator[Special[TangencyPoint]]:
-        """Those between two points of the same kind."""
+        """Special points between two points of the same kind."""
         # An arrival at the tangency itself is one contact or two, by rounding.
         if a.contacts != b.contacts and int(self.equations.family) != ARRIVAL:
             before, after = change_on_curve(self, a, b, lambda p: p.contacts == a.contacts)
@@ -180,7 +179,7 @@ class TangencyCurve(Curve[TangencyPoint]):
         yield from self._critical(a, b)
 
     def _critical(self, a: TangencyPoint, b: TangencyPoint) -> Iterator[Special[TangencyPoint]]:
-        """Where a multiplier reaches the unit circle between two points of the same kind."""
+        """A multiplier on the unit circle between two points of the same kind."""
         for kind, test in self._tests().items():
             if test(a) * test(b) < 0:
                 point = zero_on_curve(self, a, b, test)
@@ -193,13 +192,13 @@ class TangencyCurve(Curve[TangencyPoint]):
             "period-doubling": lambda p: period_doubling(p.known.monodromy),
             "neimark-sacker": lambda p: neimark_sacker(p.known.monodromy),
         }
-        # An autonomous orbit has a multiplier 1 wherever it is.
+        # An autonomous orbit always has a multiplier 1.
         if self.system.period is not None:
             tests["fold"] = lambda p: period_doubling(-p.known.monodromy)
         return tests
 
     def refusal(self, ahead: TangencyPoint) -> str | None:
-        """A tangency of an orbit that is cut by a surface on the way there is none."""
+        """A tangency of an orbit that is cut by a surface before it is not admissible."""
         return None if bool(ahead.known.holds) else "the orbit meets the surface elsewhere"
 
     def told(self, point: TangencyPoint) -> str:
@@ -210,8 +209,8 @@ class TangencyCurve(Curve[TangencyPoint]):
 def _degeneracy(
     family: int, a: TangencyPoint, b: TangencyPoint
 ) -> tuple[str, Callable[[TangencyPoint], float]]:
-    """What the point between two tangencies of different kinds is, and what vanishes there: the
-    bend in a cusp, where the tangency is cubic, the rate of the other side in a two-fold."""
+    """The kind of the point between two tangencies of different kinds, and its test function: the
+    bend for a cusp, where the tangency is cubic, the rate of the other side for a two-fold."""
     name = "slide_bend" if family == SLIDE else "bend"
 
     def bend(point: TangencyPoint) -> float:

@@ -1,8 +1,4 @@
-"""`continue_bifurcation`: a bifurcation as two parameters vary.
-
-A located bifurcation, a tangency or a smooth one, and the names of two parameters enter; the curve
-on which it goes on leaves, with its points of codimension two, each located and named.
-"""
+"""`continue_bifurcation`: a bifurcation as two parameters vary, with points of codimension two."""
 
 import dataclasses
 from collections.abc import Callable
@@ -28,7 +24,7 @@ from jaxfil.orbits.curve import constraint_across, least_scales
 from jaxfil.orbits.plane_curve import PlaneCurve
 from jaxfil.orbits.pseudo_arclength import ends_of, follow, range_around
 
-# A guess taken from a neighbour converges in a few steps or not at all.
+# A guess from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
 
 
@@ -50,23 +46,23 @@ CODIMENSION_TWO_KINDS = (
 
 On curves of tangencies:
 
-- `"cusp"`: the tangency is cubic: Ḧ_s = 0 too (on a slide, the second derivative of Ḣ_s along it).
+- `"cusp"`: the tangency is cubic, Ḧ_s = 0 too (on a slide, the second derivative of Ḣ_s along it).
 - `"two-fold"`: the fields of both sides are tangent.
 - `"double-tangency"`: the orbit is tangent to a surface, this one or another, a second time, as in
-  a double grazing: contacts come or go elsewhere on it.
+  a double grazing; contacts appear or disappear elsewhere on it.
 
 On all curves:
 
-- `"fold"`, `"period-doubling"`, `"neimark-sacker"`: a multiplier of the orbit, besides those that
-  make the curve, is 1, −1, or a complex pair is on the unit circle.
+- `"fold"`, `"period-doubling"`, `"neimark-sacker"`: another multiplier of the orbit, in addition to
+  the critical ones of the curve, is 1, −1, or a complex pair is on the unit circle.
 
 On curves of smooth bifurcations:
 
-- `"cusp"`: the quadratic coefficient of a fold vanishes: two curves of folds meet.
-- `"generalised-doubling"`: the cubic coefficient of a period doubling vanishes: the doubled orbit
+- `"cusp"`: the quadratic coefficient of a fold vanishes, and two curves of folds end.
+- `"generalised-doubling"`: the cubic coefficient of a period doubling vanishes; the doubled orbit
   changes from stable to unstable, and a curve of its folds begins.
-- `"tangency"`: the orbit is tangent to a surface, as where a fold meets a graze: contacts come or
-  go, or the curve ends.
+- `"tangency"`: the orbit is tangent to a surface, as where a fold coincides with a graze; contacts
+  appear or disappear, or the curve ends.
 - `"1:1"`, `"1:2"`: two multipliers are 1, or −1. The curve of a pair on the unit circle ends there.
 - `"1:3"`, `"1:4"`: a pair of multipliers is e^{±2πi/3} or ±i.
 """
@@ -74,12 +70,12 @@ On curves of smooth bifurcations:
 
 class CodimensionTwo(eqx.Module):
     """A point of codimension two on a curve: the bifurcation degenerates, the orbit is tangent to a
-    surface elsewhere, or another multiplier of it reaches the unit circle."""
+    surface elsewhere, or another multiplier reaches the unit circle."""
 
     kind: str = eqx.field(static=True)
     """One of `CODIMENSION_TWO_KINDS`."""
     values: Float[np.ndarray, "2"]
-    """The two parameters there."""
+    """The two parameters at this point."""
     before: str = eqx.field(static=True)
     """The kind before it, in the order of the curve."""
     after: str = eqx.field(static=True)
@@ -87,28 +83,28 @@ class CodimensionTwo(eqx.Module):
 
 
 class BifurcationCurve(PlaneCurve):
-    """A bifurcation of periodic orbits in two parameters: k points of a curve."""
+    """A curve of k bifurcations of periodic orbits in two parameters."""
 
     parameters: tuple[str, str] = eqx.field(static=True)
     """The names of the parameters."""
     values: Float[np.ndarray, "k 2"]
     """The parameters at each point."""
     ts: Float[np.ndarray, " k"]
-    """When the orbit is tangent to the surface; of a smooth bifurcation, when it starts."""
+    """The time of the tangency; for a smooth bifurcation, the start of the orbit."""
     xs: Float[np.ndarray, "k n"]
-    """The state then."""
+    """The state at `ts`."""
     kinds: tuple[str, ...] = eqx.field(static=True)
-    """The kind at each point: one of `BIFURCATION_KINDS` or "undecided", or that of the
-    `SpecialPoint` from which the curve starts."""
+    """The kind at each point, one of `BIFURCATION_KINDS` or "undecided", or the kind of the
+    `SpecialPoint` at which the curve starts."""
     points: list[CodimensionTwo]
     """Points of codimension two, in the order of the curve."""
     ended: tuple[str, str] = eqx.field(static=True)
-    """Why the curve ends where it does, at either side."""
+    """The reason for the end of the curve, at either side."""
     result: RESULTS
-    """How it began: `successful`, also where the curve ends before `stop`, which `ended` tells;
-    otherwise why it did not, and the bifurcation that was given is its only point."""
+    """The outcome at the start: `successful`, even if the curve ends before `stop` (see `ended`);
+    otherwise the reason, and the given bifurcation is the only point."""
     labels: Labels = eqx.field(static=True, default=Labels())
-    """What pictures call the parameters."""
+    """Names of the parameters in pictures."""
 
     def __repr__(self) -> str:
         (a, b), lines = self.parameters, [super().__repr__()]
@@ -138,31 +134,31 @@ def continue_bifurcation(
         branch point       x(t0 + T; x0) = x0 − β b,  Jᵀ w = 0,  G_pᵀ w = 0
 
     by pseudo-arclength continuation, with both parameters p among the unknowns. M is the monodromy
-    matrix, exact through every contact, J and G_p the derivatives of the closing by state (and
-    period) and by a parameter; β is zero where symmetry makes the branch point. Points of
-    codimension two, each of one of `CODIMENSION_TWO_KINDS`, are located on the curve.
+    matrix, exact through every contact, J and G_p the derivatives of the closure by state (and
+    period) and by a parameter; β is zero at a branch point due to symmetry. Points of codimension
+    two, each of one of `CODIMENSION_TWO_KINDS`, are located on the curve.
 
     **Arguments**
 
     - `system`: the `System`.
-    - `parameters`: the names of two scalar parameters; the bifurcation was found in either of them.
-    - `bifurcation`: where to start, as `find_bifurcation` gives it, or a special point of a branch,
-      as `continue_orbit` does: a fold, period doubling, Neimark–Sacker or branch point. Its own
-      values of all parameters count.
+    - `parameters`: the names of two scalar parameters, in one of which the bifurcation was located.
+    - `bifurcation`: the start, from `find_bifurcation`, or a special point of a branch from
+      `continue_orbit`: a fold, period doubling, Neimark–Sacker or branch point. It defines the
+      values of all parameters.
     - `stop`: the value of the first parameter to end at; a pair (low, high) follows the curve both
       ways.
     - `max_step`: the largest step, relative to the size of the unknowns.
-    - `max_points`: the most points in either direction.
+    - `max_points`: the largest number of points in either direction.
     - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a curve that
-      does not begin has the bifurcation that was given as its only point.
+      does not begin contains only the given bifurcation.
 
-    **Returns** a `BifurcationCurve`. One that ends before `stop`, where the orbit meets a surface
-    elsewhere, multipliers meet or nothing is found, is a success; `BifurcationCurve.ended` says
-    why. It has no derivatives.
+    **Returns** a `BifurcationCurve`. One that ends before `stop`, where the orbit has a contact
+    elsewhere, multipliers coincide or Newton's method fails, is a success; `BifurcationCurve.ended`
+    gives the reason. It has no derivatives.
 
-    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
-    the bifurcation; that of the bifurcation itself where it was not found, as `no_tangency_found`
-    or `orbit_lost`.
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method diverges
+    from the bifurcation; the outcome of the bifurcation itself if it failed, such as
+    `no_tangency_found` or `orbit_lost`.
 
     **Source**: curves and their points of codimension two: P. Kowalczyk et al., Two-parameter
     discontinuity-induced bifurcations of limit cycles, Int. J. Bifurcation and Chaos 16 (2006); of
@@ -197,7 +193,7 @@ def continue_bifurcation(
     else:
         found = _curve(curve, start, ends, (max_step, max_points), names)
     if throw:
-        # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
+        # Not traced, so that it raises at once and the numbers stay NumPy arrays.
         raise_if_failed(found.values, found.result)
     return found
 
@@ -205,12 +201,12 @@ def continue_bifurcation(
 def _on_curve(
     bifurcation: Bifurcation, free: tuple[str, str]
 ) -> tuple[TangencyCurve, TangencyPoint | None, RESULTS]:
-    """The curve; the bifurcation as a point of it, if Newton's method stays; its outcome."""
+    """The curve; the bifurcation as a point of it, if Newton's method converges; its outcome."""
     at, tangency = bifurcation.orbit, bifurcation.tangency
     family = FAMILY_NAMES.index(bifurcation.family)
     equations = defining_system(at.system, at, tangency, family, free, _NEWTON_STEPS)
     curve = TangencyCurve(at.system, equations)
-    # The flight is given in phases: t0 stays that of the orbit's own options.
+    # The flight is in phases; t0 is taken from the orbit's own options.
     phase = at.period if at.system.period is None else tangency.phase
     values = [float(get_parameter(at.system, name)) for name in free]
     u = np.concatenate([tangency.x, [float(phase)], values])
@@ -226,7 +222,7 @@ def _curve(
     steps: tuple[float, int],
     labels: Labels,
 ) -> BifurcationCurve:
-    """What is followed from a point on."""
+    """The curve followed from a point."""
     least = least_scales(curve.metric(start), curve.place, ends)
     curve = dataclasses.replace(curve, least=least)
     path = follow(curve, start, range_around(ends, curve.value(start)), *steps)
@@ -247,7 +243,7 @@ def _curve(
 def _not_begun(
     bifurcation: Bifurcation | SpecialPoint, free: tuple[str, str], result: RESULTS, labels: Labels
 ) -> BifurcationCurve:
-    """Nothing but the bifurcation that was given. What it failed by itself comes first."""
+    """A curve with the given bifurcation alone; its own failure takes precedence."""
     orbit = bifurcation.orbit
     values = np.array([float(get_parameter(orbit.system, name)) for name in free])
     why = f"no curve was found at ({values[0]:.8g}, {values[1]:.8g})"
@@ -270,7 +266,7 @@ def _not_begun(
 
 
 def _check_start(bifurcation: object) -> None:
-    """Where a curve may start."""
+    """Check the start of a curve."""
     if isinstance(bifurcation, Bifurcation) and not bifurcation.value.ndim:
         return
     if isinstance(bifurcation, SpecialPoint) and bifurcation.kind in VECTORS:

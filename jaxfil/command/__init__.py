@@ -1,14 +1,14 @@
-"""What `python -m jaxfil` does: words enter, a picture or a table, its numbers and one line leave.
+"""The command line `python -m jaxfil`.
 
-Words are read without JAX, which takes a second to import: help, the version and most mistakes are
-answered before it is.
+Arguments are read without JAX, which takes a second to import. Help, the version and most mistakes
+are therefore answered at once.
 
-The words of this room:
+Terms of this room:
 
-- command: what `arguments` names; each has a file, with `check`, which says what is
-  wrong before any computing starts, and `run`, which gives the exit code.
-- chosen: the system of a command, a textbook one or a class in a file, with what was set.
-- misuse: a command line that cannot be carried out; one line says what is allowed instead.
-- listing: the textbook systems by their names, with their parameters and initial states.
+- command: a subcommand of `arguments`. Each has a file with `check`, which reports mistakes before
+  any computation, and `run`, which returns the exit code.
+- chosen: the system of a command, a textbook system or a class in a file, with its settings.
+- misuse: an invalid command line; one line states the valid arguments.
+- listing: the textbook systems by name, with their parameters and initial states.
 - suggestion: the name that was probably meant.
 """

@@ -1,7 +1,4 @@
-"""The arguments of each command: words enter, their values or a misuse leave.
-
-Nothing here needs JAX or the names of systems, so that it is answered at once.
-"""
+"""The arguments of each command, read without JAX or the names of systems."""
 
 import argparse
 import re
@@ -33,12 +30,12 @@ _SEVERAL: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        # argparse would print its usage, which is longer than a line, and end the process.
+        # argparse would print its usage, several lines, and end the process.
         raise Misuse(message)
 
 
 def read(argv: list[str] | None) -> argparse.Namespace:
-    """The values of the words, those of the process by default; `Misuse` if they have none."""
+    """The parsed arguments, of the process by default; raises `Misuse` if they are invalid."""
     words = _join_negatives(sys.argv[1:] if argv is None else argv)
     args = _parser().parse_args(words or ["--help"])
     if args.command is None and not args.list:
@@ -198,7 +195,7 @@ def _add_style(add: Add) -> None:
     add("--no-cache", action="store_true", help="compile anew, and keep nothing compiled on disk")
 
 
-# The file of a command in this folder, what it does, and its arguments.
+# The file of a command in this folder, its description, and its arguments.
 _COMMANDS: dict[str, tuple[str, str, Callable[[Add], None]]] = {
     "simulate": ("simulate", "run a system, and draw its motion", _add_simulate),
     "diagram": ("diagram", "draw a bifurcation diagram", _add_diagram),
@@ -214,7 +211,7 @@ _COMMANDS: dict[str, tuple[str, str, Callable[[Add], None]]] = {
 
 
 def _join_negatives(argv: list[str]) -> list[str]:
-    """Glue `--x0 -1,2` into `--x0=-1,2`: argparse takes what starts with a minus for an option."""
+    """Join `--x0 -1,2` to `--x0=-1,2`, because argparse reads a leading minus as an option."""
     joined: list[str] = []
     for word in argv:
         if joined and re.fullmatch(r"--[a-z0-9-]+", joined[-1]) and re.match(r"-[\d.]", word):

@@ -1,5 +1,4 @@
-"""Basins of attraction from the command line: checked arguments enter, a picture, its numbers and
-a card leave, and the exit code."""
+"""The command `basins`."""
 
 import argparse
 import re
@@ -16,7 +15,7 @@ from jaxfil.sweep.interrupt import Interrupts
 
 
 def check(args: argparse.Namespace, of: Chosen) -> None:
-    """Refuse what does not fit the system."""
+    """Refuse arguments that do not fit the system."""
     for component in _components(args):
         check_component("the I of --grid xI=A:B:N", component, len(of.x0))
     check_sampling(args, of)

@@ -1,7 +1,4 @@
-"""The system that a command is about: its name enters, its class, parameters and state leave.
-
-A name is one of the textbook systems, or FILE.py:CLASS for a class in a file of the user's own.
-"""
+"""The system of a command: a textbook system, or FILE.py:CLASS for a class in a user's file."""
 
 import argparse
 import dataclasses
@@ -24,19 +21,19 @@ from jaxfil.systems import TEXTBOOK
 
 @dataclasses.dataclass(frozen=True)
 class Chosen:
-    """A class of systems, with what was set on the command line."""
+    """A class of systems, with the settings of the command line."""
 
     name: str
-    """As it was written."""
+    """The name as written."""
     cls: type[System]
-    """The class, from a file of the user's own or from `jaxfil.systems`."""
+    """The class, from a user's file or from `jaxfil.systems`."""
     settings: dict[str, float]
-    """Parameters set, by name."""
+    """Parameters from the command line, by name."""
     x0: tuple[float, ...]
     """The initial state."""
 
     def system(self, more: Mapping[str, float] = MappingProxyType({})) -> System:
-        """The system, with more parameters than those set."""
+        """The system, with additional parameters."""
         given = {**self.settings, **more}
         nested = {name: given.pop(name) for name in [*given] if _is_path(name)}
         # Arrays are float leaves of any class, with or without a converter.
@@ -44,13 +41,13 @@ class Chosen:
         return replace_parameters(system, nested, nested.values())
 
     def parameters(self) -> dict[str, float]:
-        """Every parameter that is a number with a value, by name."""
+        """Every numeric parameter with a value, by name."""
         return _defaults(self.cls) | self.settings
 
     def conditions(self) -> str:
-        """What a picture cannot show, and a reader needs to make it again."""
+        """The conditions needed to reproduce a picture."""
         symbols = self.cls.symbols
-        if not isinstance(symbols, Mapping):  # a property, of a system that wraps another
+        if not isinstance(symbols, Mapping):  # a property of a wrapper system
             symbols = {}
         given = (f", {symbols.get(p, p)} = {v:.10g}" for p, v in self.settings.items())
         return f"{self.name}{''.join(given)}, from {_text(self.x0)}"
@@ -67,7 +64,7 @@ def listing() -> str:
 
 
 def chosen(args: argparse.Namespace) -> Chosen:
-    """The system that the words name; `Misuse` if there is none, or nothing fits it."""
+    """The system of these arguments; raises `Misuse` if they do not define one."""
     cls, default = class_named(args.system)
     swept, settings = starts(args), dict(args.set)
     own = [f.name for f in dataclasses.fields(cls) if f.init]
@@ -82,7 +79,7 @@ def chosen(args: argparse.Namespace) -> Chosen:
 
 
 def class_named(name: str) -> tuple[type[System], tuple[float, ...] | None]:
-    """The class of a name, and the initial state that is known for it."""
+    """The class with this name, and its default initial state."""
     file, colon, wanted = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         _one_of("NAME", name, TEXTBOOK, "or FILE.py:CLASS")
@@ -100,7 +97,7 @@ def class_named(name: str) -> tuple[type[System], tuple[float, ...] | None]:
 
 
 def required(cls: type[System]) -> list[str]:
-    """The parameters of a class that have no default."""
+    """The parameters of a class without a default."""
     unset = dataclasses.MISSING
     return [
         f.name
@@ -110,7 +107,7 @@ def required(cls: type[System]) -> list[str]:
 
 
 def starts(args: argparse.Namespace) -> dict[str, float]:
-    """The parameters that a command gives values of its own, and the first of these."""
+    """The parameters that a command varies, with their first values."""
     if args.command == "plane":
         return {axis.name: axis.start for axis in args.grid}
     if getattr(args, "start", None) is None or args.parameter is None:
@@ -119,7 +116,7 @@ def starts(args: argparse.Namespace) -> dict[str, float]:
 
 
 def check_sampling(args: argparse.Namespace, of: Chosen) -> None:
-    """`Misuse` where nothing says when to sample."""
+    """Raise `Misuse` without a forcing period or a section to sample at."""
     if args.section is not None:
         check_component("the I of --section", args.section.component, len(of.x0))
         if args.max_return is None:
@@ -131,16 +128,16 @@ def check_sampling(args: argparse.Namespace, of: Chosen) -> None:
 
 
 def check_component(what: str, component: int, n: int) -> None:
-    """`Misuse` unless a state of n numbers has this component."""
+    """Raise `Misuse` unless a state of n numbers has this component."""
     if component >= n:
         raise Misuse(f"{what} must be from 0 to {n - 1}, it was {component}")
 
 
 def _module(path: Path) -> ModuleType:
-    """A file, imported as a module; what goes wrong in it is shown where it does."""
+    """A file, imported as a module; its errors propagate."""
     name = path.stem
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None  # of a name that ends in .py there is one
+    assert spec is not None and spec.loader is not None  # true for every name that ends in .py
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look for their module there
     sys.path.insert(0, str(path.parent.resolve()))  # as for a script, which imports its neighbours
@@ -149,19 +146,19 @@ def _module(path: Path) -> ModuleType:
 
 
 def _defaults(cls: type[System]) -> dict[str, float]:
-    """The parameters of a class that are numbers, and their defaults."""
+    """The numeric parameters of a class, and their defaults."""
     given: dict[str, Any] = {f.name: f.default for f in dataclasses.fields(cls) if f.init}
     numbers = {p: v for p, v in given.items() if isinstance(v, int | float)}
     return {p: float(v) for p, v in numbers.items() if not isinstance(v, bool)}
 
 
 def _is_path(name: str) -> bool:
-    """Whether a parameter is one of a nested module, or an entry of an array."""
+    """Whether a parameter belongs to a nested module, or is an entry of an array."""
     return "." in name or "[" in name
 
 
 def _state(args: argparse.Namespace, default: tuple[float, ...] | None) -> tuple[float, ...]:
-    """The initial state asked for, or the system's own."""
+    """The requested initial state, or the system's own."""
     x0 = args.x0 or default
     if x0 is None:
         raise Misuse(f"--x0 is required: {args.system} says no initial state")
@@ -187,7 +184,7 @@ def _one_of(what: str, name: str, allowed: Collection[str], more: str = "") -> N
 
 
 def _suggestion(name: str, allowed: Collection[str]) -> str:
-    """A question after the name that was probably meant, if one is near."""
+    """A question with the name that was probably meant, if one is similar."""
     plain = {_folded(known): known for known in allowed}
     near = difflib.get_close_matches(_folded(name), plain, n=1)
     return f"; did you mean {plain[near[0]]!r}?" if near else ""

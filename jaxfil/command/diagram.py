@@ -1,5 +1,4 @@
-"""A sweep over one parameter, or over the plane of two, from the command line: checked arguments
-enter, a picture, its numbers and a line leave, and the exit code."""
+"""The commands `diagram` and `plane`, sweeps over one parameter or two."""
 
 import argparse
 import dataclasses
@@ -20,13 +19,13 @@ from jaxfil.sweep.sweep import bifurcation_diagram
 
 
 def check(args: argparse.Namespace, of: Chosen) -> None:
-    """Refuse what does not fit the system."""
+    """Refuse arguments that do not fit the system."""
     check_component("--component", args.component, len(of.x0))
     check_sampling(args, of)
 
 
 def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
-    """Sweep, draw, save and say so."""
+    """Sweep, draw, save and print a summary."""
     start = time.perf_counter()
     with told_here():
         diagram = bifurcation_diagram(
@@ -63,7 +62,7 @@ def _summary(args: argparse.Namespace, diagram: BifurcationDiagram, seconds: flo
     ended = ", ".join(f"{count} {name}" for name, count in counted(diagram.results).items())
     error = ""
     if diagram.errors is not None and np.isfinite(diagram.errors).any():
-        largest = diagram.errors.max(axis=1)  # NaN of a lane that failed
+        largest = diagram.errors.max(axis=1)  # NaN for a failed lane
         error = (
             f"; errors up to {np.nanmax(largest):.1e}, in the median {np.nanmedian(largest):.1e}"
         )
@@ -73,8 +72,8 @@ def _summary(args: argparse.Namespace, diagram: BifurcationDiagram, seconds: flo
 
 
 def _save(diagram: BifurcationDiagram, args: argparse.Namespace, of: Chosen) -> None:
-    """Everything in the picture, and what it takes to make it again, beside it as .npz."""
-    # From the defaults and not from the diagram: a parameter may be None, as alpha = 0 is.
+    """Save the numbers and conditions of the picture next to it as .npz."""
+    # From the defaults instead of the diagram: a parameter may be None, as alpha = 0 is.
     parameters = {p: v for p, v in of.parameters().items() if p not in starts(args)}
     asked = {
         "system": args.system,
@@ -84,7 +83,7 @@ def _save(diagram: BifurcationDiagram, args: argparse.Namespace, of: Chosen) -> 
         "fixed_values": np.array(list(parameters.values())),
     }
     data = diagram.named_arrays()
-    # `system` has the name of the command line here, and the class for `jaxfil.load` beside it.
+    # `system` is the command-line name here; the class is stored as well, for `jaxfil.load`.
     names = {**data.npz_names, "system": "system_class"}
     data = dataclasses.replace(data, npz_names=names, npz_extras=asked)
     dataset_io.save(data, numbers(args))

@@ -1,4 +1,4 @@
-"""Examples of the command line: the name of a command enters, what its help ends with leaves."""
+"""Examples at the end of the help of each command."""
 
 _HEAD = "examples:\n"
 _EXAMPLES = {

@@ -1,4 +1,4 @@
-"""Ctrl-C on the command line: a signal enters, a line on stderr and exit code 130 leave."""
+"""Ctrl-C on the command line, with one line on stderr and exit code 130."""
 
 import os
 import sys
@@ -9,11 +9,11 @@ INTERRUPTED = 130
 
 
 class EndsTheProcess(Interrupts):
-    """Ctrl-C that ends the process: the first one if nothing is kept, and the second one."""
+    """Ends the process at the second Ctrl-C, or at the first if no result can be saved."""
 
     def __call__(self, number: int, frame: object) -> None:
         super().__call__(number, frame)
         if self.count > 1 or not self.keeps:
             print("\njaxfil: interrupted", file=sys.stderr, flush=True)
-            # Python's own end would wait for what XLA compiles and computes, or trip over it.
+            # A regular exit of Python would wait for XLA's threads, or crash with them.
             os._exit(INTERRUPTED)

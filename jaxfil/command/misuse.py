@@ -1,5 +1,5 @@
-"""A command line that cannot be carried out."""
+"""The error of an invalid command line."""
 
 
 class Misuse(Exception):
-    """A command line that cannot be carried out; its one-line message says what is allowed."""
+    """An invalid command line; the one-line message states the valid arguments."""

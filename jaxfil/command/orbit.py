@@ -1,5 +1,4 @@
-"""A periodic orbit from the command line, and what becomes of it in a parameter: checked arguments
-enter, cards, and perhaps a picture and its numbers leave, and the exit code."""
+"""The commands `orbit`, `branch` and `bifurcations`."""
 
 import argparse
 
@@ -18,7 +17,7 @@ from jaxfil.sweep.interrupt import Interrupts
 
 
 def check(args: argparse.Namespace, of: Chosen) -> None:
-    """Refuse what does not fit the system."""
+    """Refuse arguments that do not fit the system."""
     forced = of.system(starts(args)).period is not None
     if not forced and args.period is None:
         raise Misuse(f"--period is required, a guess: {of.name} has no forcing")
@@ -27,7 +26,7 @@ def check(args: argparse.Namespace, of: Chosen) -> None:
 
 
 def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
-    """Find the orbit, follow it if need be, draw, save and print the cards."""
+    """Find the orbit, follow it if requested, draw, save and print the cards."""
     system = of.system(starts(args))
     orbit = _orbit(args, of, system)
     found = bool(orbit.result == RESULTS.successful)

@@ -1,4 +1,4 @@
-"""What a command leaves: a page to draw on and its file, the numbers beside it, and a line."""
+"""Common output of commands: a figure and its file, the saved numbers, and a summary line."""
 
 import argparse
 from collections.abc import Callable
@@ -9,12 +9,12 @@ from jaxfil.command.steppers import STEPPERS
 from jaxfil.command.words import SectionWords
 from jaxfil.model.section import Section, maxima, minima
 
-if TYPE_CHECKING:  # mistakes are answered without loading matplotlib
+if TYPE_CHECKING:  # mistakes are reported without loading matplotlib
     from matplotlib.axes import Axes
 
 
 def draw(args: argparse.Namespace, title: str, *drawers: "Callable[[Axes], Any]") -> None:
-    """Draw side by side, under one title, in the file that was asked for."""
+    """Draw panels side by side, under one title, in the requested file."""
     from jaxfil import plot
 
     page = plot.page()
@@ -22,7 +22,7 @@ def draw(args: argparse.Namespace, title: str, *drawers: "Callable[[Axes], Any]"
         drawer(page.add_subplot(1, len(drawers), i + 1))
     asked = title if args.title is None else args.title
     style: dict[str, Any] = {"fontsize": "small" if args.title is None else None}
-    if len(drawers) == 1:  # in the place of what a picture says of itself
+    if len(drawers) == 1:  # replaces the picture's own title
         page.axes[0].set_title(asked, loc="left", **style)
     else:
         page.suptitle(asked, **style)
@@ -30,7 +30,7 @@ def draw(args: argparse.Namespace, title: str, *drawers: "Callable[[Axes], Any]"
 
 
 def numbers(args: argparse.Namespace) -> Path:
-    """The file of numbers beside a picture."""
+    """The file of numbers next to a picture."""
     return args.out.with_suffix(".npz")
 
 
@@ -40,12 +40,12 @@ def written(args: argparse.Namespace) -> str:
 
 
 def stepper_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Steps and stepper, as the library has them."""
+    """Step and stepper as keyword arguments of the library."""
     return {"steps": args.steps, "stepper": STEPPERS[args.stepper] if args.stepper else None}
 
 
 def sweep_options(args: argparse.Namespace) -> dict[str, Any]:
-    """What diagrams, planes and basins have in common."""
+    """Common keyword arguments of diagrams, planes and basins."""
     return {
         **stepper_options(args),
         "transient": args.transient,
@@ -59,14 +59,14 @@ def sweep_options(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def sampled(args: argparse.Namespace) -> str:
-    """How a sweep was sampled, in words."""
+    """A description of the sampling of a sweep."""
     what = "crossings" if args.section else "periods"
     unit = "" if args.section else f" of {args.steps} steps"
     return f"{args.transient} + {args.samples} {what}{unit}{by_stepper(args)}"
 
 
 def by_stepper(args: argparse.Namespace) -> str:
-    """The stepper that was asked for, in words."""
+    """A description of the requested stepper."""
     return f" by {args.stepper}" if args.stepper else ""
 
 

@@ -1,4 +1,4 @@
-"""A file from the command line: what was saved in it is printed, and drawn where asked for."""
+"""The command `show`, which prints and draws the contents of a file."""
 
 import argparse
 
@@ -15,13 +15,13 @@ from jaxfil.systems import TEXTBOOK
 
 
 def check(args: argparse.Namespace, of: None) -> None:
-    """Refuse what is no file."""
+    """Refuse a path without a file."""
     if not args.file.exists():
         raise Misuse(f"FILE must exist, it was {str(args.file)!r}")
 
 
 def run(args: argparse.Namespace, of: None, interrupts: Interrupts) -> int:
-    """Print the card, and draw where --out says so."""
+    """Print the card, and draw with --out."""
     found = load(args.file, system=_system(args))
     print(found)
     if args.out is not None:
@@ -30,10 +30,10 @@ def run(args: argparse.Namespace, of: None, interrupts: Interrupts) -> int:
 
 
 def _system(args: argparse.Namespace) -> System | None:
-    """A system of the class that the file names, for results that go on computing."""
+    """A system of the named class, for results that need one."""
     if args.system is not None:
         cls = class_named(args.system)[0]
-        # Any numbers: those of the file take their place.
+        # Placeholder numbers, which the values of the file replace.
         return cls(**{name: jnp.ones(()) for name in required(cls)})
     name = dataset_io.load(args.file).attributes.get("system")
     return next((cls() for cls, _ in TEXTBOOK.values() if cls.__name__ == name), None)

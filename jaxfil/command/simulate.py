@@ -1,5 +1,4 @@
-"""One run from the command line: checked arguments enter, its card, and perhaps a picture and its
-numbers leave, and the exit code."""
+"""The command `simulate`, one run."""
 
 import argparse
 
@@ -12,12 +11,12 @@ from jaxfil.integrate.run.solve import solve
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.sweep.interrupt import Interrupts
 
-# Times that are saved for a picture, at least: a curve through fewer has corners.
+# Least number of saved times for a picture; a curve through fewer has corners.
 _SAVED = 2000
 
 
 def check(args: argparse.Namespace, of: Chosen) -> None:
-    """Everything fits every system."""
+    """Accept all arguments; they fit every system."""
 
 
 def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:

@@ -1,5 +1,4 @@
-"""Lyapunov exponents from the command line: checked arguments enter, a card or a line, and perhaps
-a picture and its numbers leave, and the exit code."""
+"""The command `spectrum`, Lyapunov exponents at one value or over several."""
 
 import argparse
 from typing import Any
@@ -21,7 +20,7 @@ from jaxfil.sweep.interrupt import Interrupts
 
 
 def check(args: argparse.Namespace, of: Chosen) -> None:
-    """Refuse what does not fit the system, and half of a sweep."""
+    """Refuse arguments that do not fit the system, and an incomplete sweep."""
     swept = [args.parameter, args.start, args.stop, args.points]
     if any(word is None for word in swept) and swept != [None] * 4:
         raise Misuse("--parameter, --from, --to and --points are given together, or none of them")
@@ -30,7 +29,7 @@ def check(args: argparse.Namespace, of: Chosen) -> None:
 
 
 def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
-    """Compute, draw, save and say so."""
+    """Compute, draw, save and print a summary."""
     x0 = jnp.array(of.x0)
     options = {
         **stepper_options(args),

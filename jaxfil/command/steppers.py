@@ -1,4 +1,4 @@
-"""The steppers that the command line knows by name."""
+"""Steppers of the command line by name."""
 
 import diffrax
 

@@ -1,5 +1,4 @@
-"""How a sweep of the command line ends, finished or interrupted: outcomes enter, a line and the
-exit code leave."""
+"""The end of a sweep on the command line, finished or interrupted."""
 
 import argparse
 import sys
@@ -15,7 +14,7 @@ from jaxfil.sweep.interrupt import Interrupts
 
 @contextmanager
 def told_here() -> Iterator[None]:
-    """Within it a sweep does not warn that it was interrupted: `ended` says so."""
+    """Suppress the warning of an interrupted sweep, which `ended` reports instead."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The sweep was interrupted", RuntimeWarning)
         yield
@@ -28,7 +27,7 @@ def ended(
     keep: Callable[[], None],
     summary: Callable[[], str],
 ) -> int:
-    """Draw and save by `keep` what is finished, say so, and give the exit code."""
+    """Draw and save the finished lanes by `keep`, print a summary, and return the exit code."""
     outcomes = outcome_names(results)
     finished = int((outcomes != "interrupted").sum())
     if not finished:
@@ -41,6 +40,6 @@ def ended(
         return INTERRUPTED
     if not args.quiet:
         print(summary())
-    if interrupts.count:  # while it was drawn
+    if interrupts.count:  # during drawing
         return INTERRUPTED
     return 0 if (outcomes == "successful").any() else 1

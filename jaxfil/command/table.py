@@ -1,5 +1,4 @@
-"""Error against run time from the command line: checked arguments enter, a table and perhaps its
-picture leave, and the exit code."""
+"""The command `work-precision`, error against run time."""
 
 import argparse
 
@@ -13,11 +12,11 @@ from jaxfil.sweep.interrupt import Interrupts
 
 
 def check(args: argparse.Namespace, of: Chosen) -> None:
-    """Everything fits every system."""
+    """Accept all arguments; they fit every system."""
 
 
 def run(args: argparse.Namespace, of: Chosen, interrupts: Interrupts) -> int:
-    """Print the table, and draw it where --out says so."""
+    """Print the table, and draw it with --out."""
     system = of.system()
     unit = 1.0 if system.period is None else float(system.period)
     span = 10 * unit if args.time is None else args.time

@@ -1,7 +1,4 @@
-"""The values of single words of the command line: a word enters, its value or a complaint leaves.
-
-Nothing here needs JAX.
-"""
+"""Conversion of single arguments of the command line, without JAX."""
 
 import argparse
 import math
@@ -25,7 +22,7 @@ class Axis(NamedTuple):
 
 
 class SectionWords(NamedTuple):
-    """A section: where a component has a value, or a maximum or minimum."""
+    """A section at a value of a component, or at its maxima or minima."""
 
     kind: str
     """"at", "max" or "min"."""
@@ -54,10 +51,10 @@ def positive(text: str) -> float:
 
 
 def whole(least: int) -> Callable[[str], int]:
-    """A whole number that is not less than `least`."""
+    """An integer of at least `least`."""
 
     def parse(text: str) -> int:
-        # `int` alone would also take "1_000", " 5" and "+5".
+        # `int` alone would also accept "1_000", " 5" and "+5".
         if not re.fullmatch(r"\d+", text) or int(text) < least:
             message = f"must be a whole number of {least} or more, it was {text!r}"
             raise argparse.ArgumentTypeError(message)
@@ -80,7 +77,7 @@ def setting(text: str) -> tuple[str, float]:
 
 
 def axis(text: str) -> Axis:
-    """P=A:B:N, that is N values of P from A to B."""
+    """P=A:B:N, N values of P from A to B."""
     name, _, rest = text.partition("=")
     parts = rest.split(":")
     if not name or len(parts) != 3:
@@ -102,8 +99,8 @@ def section(text: str) -> SectionWords:
 
 
 def picture(text: str) -> Path:
-    """A file to draw in."""
-    # What cannot be written is told before hours of computing, not after.
+    """The file of a picture."""
+    # An unwritable path is reported before hours of computation.
     path = Path(text)
     if path.suffix not in PICTURES:
         raise argparse.ArgumentTypeError(f"must end in {', '.join(PICTURES)}; it was {text!r}")

@@ -1,13 +1,12 @@
 """The balance: the equations of an equilibrium in one mode of motion.
 
-A system and a mode enter; the field with its multipliers, the equations, the margins and the
-linearised flow leave. With μ the multipliers (weights w of surfaces slid on, reactions λ of those
-rested on) the unknowns are z = (x, μ), as many for all modes:
+With μ the multipliers (weights w of sliding surfaces, reactions λ of resting ones) the unknowns are
+z = (x, μ), of the same size for all modes:
 
-    F(x, μ) = 0,    H_j(x) = 0 of a surface slid or rested on,    μ_j = side_j of any other
+    F(x, μ) = 0,    H_j(x) = 0 of a sliding or resting surface,    μ_j = side_j of any other
 
 so that one program serves all modes. F is the blend of `integrate.surfaces.filippov`, here of
-functions that JAX may differentiate as often as anybody wants, in either direction.
+functions that JAX may differentiate any number of times, in either direction.
 """
 
 import functools as ft
@@ -24,30 +23,30 @@ from jaxfil.integrate.system.lowered import build
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
 
-# Surfaces at most whose 2^m combinations of sides are looked at without asking for less.
+# Largest number of surfaces whose 2^m combinations of sides are always evaluated.
 _FEW = 5
 # Rounding of H and of margins, in eps of their terms.
 _NOISE = 64
-# What the zeros across surfaces are moved to, in sizes of the Jacobian.
+# Target of shifted zeros across surfaces, in sizes of the Jacobian.
 _AWAY = 4.0
 
 
 class Balance(eqx.Module):
-    """A system in a mode: ±1 is a side of a surface, 0 slid on, ±2 rested on from that side."""
+    """A system in a mode: ±1 is a side of a surface, 0 sliding, ±2 rest from that side."""
 
     system: System
     mode: Float[Array, " m"]
     affine: bool = eqx.field(static=True)
-    """Whether m + 1 combinations of sides say everything."""
+    """Whether m + 1 combinations of sides determine the field."""
 
     @property
     def slid(self) -> Bool[Array, " m"]:
-        """The surfaces slid on."""
+        """The sliding surfaces."""
         return self.mode == 0
 
     @property
     def rested(self) -> Bool[Array, " m"]:
-        """The surfaces rested on."""
+        """The resting surfaces."""
         return abs(self.mode) == 2
 
     def split(self, z: Array) -> tuple[Array, Array]:
@@ -60,17 +59,17 @@ class Balance(eqx.Module):
         return jnp.atleast_1d(self.system.switching(jnp.zeros((), x.dtype), x))
 
     def _force(self, x: Array, sides: Array) -> Array:
-        """F on some sides."""
+        """F on given sides."""
         t = jnp.zeros((), x.dtype)
         scalar = jnp.ndim(self.system.switching(t, x)) == 0
         return field_of(self.system, t, x, sides[0] if scalar else sides)
 
     def field(self, x: Float[Array, " n"], multipliers: Float[Array, " m"]) -> Float[Array, " n"]:
-        """The blend of the fields with these weights, and the reactions."""
+        """The blend of the fields with these weights and reactions."""
         m, slid = self.mode.shape[0], self.slid
         every = every_side(m) if not self.affine else np.eye(m + 1, m, -1) * -2 + 1
         flips = every < 0
-        # A surface that is not slid on has one side in all of them: nothing is asked of the other.
+        # A surface without sliding has one side in all of them, so its other side is not evaluated.
         base = select(slid, jnp.ones_like(self.mode), jnp.sign(self.mode))
         rows = select(slid & flips, -base, jnp.broadcast_to(base, flips.shape))
         fields = jax.vmap(ft.partial(self._force, x))(rows)
@@ -86,19 +85,19 @@ class Balance(eqx.Module):
         return blend + reactions @ self.pushes(x)[0]
 
     def _approach(self, x: Array) -> Array:
-        """ψ = dH/dt along the field of the sides, (m,), which that of a surface rested on is not
-        to depend on."""
+        """ψ = dH/dt along the field of the sides, (m,), independent of them for a resting
+        surface."""
         sides = select(self.slid, jnp.ones_like(self.mode), jnp.sign(self.mode))
         return jax.jvp(self.h, (x,), (self._force(x, sides),))[1]
 
     def pushes(self, x: Float[Array, " n"]) -> tuple[Float[Array, "m n"], Float[Array, " m"]]:
-        """The directions d_j in which resets act, of such a length that ∇ψ_j·d_j = 1: a reaction is
-        the acceleration d²H/dt² that it gives; and by how much they turn ψ back, 1 + e_j. See
+        """The directions d_j of resets, scaled such that ∇ψ_j·d_j = 1, so that a reaction is the
+        acceleration d²H/dt² that it causes; and the factors 1 + e_j by which they reverse ψ. See
         `integrate.surfaces.unilateral`."""
         normals = jax.jacfwd(self._approach)(x)
         sizes = jnp.sum(normals * normals, axis=1)
         inverse = 1 / select(sizes > 0, sizes, jnp.ones_like(sizes))
-        # A reset may be written for motions that come in only.
+        # A reset may be defined for approaching motions only.
         tiny = float(np.finfo(x.dtype).tiny) ** 0.5
         depth = _NOISE * jnp.finfo(x.dtype).eps * abs(normals) @ abs(x) + tiny
         depth = jax.lax.stop_gradient(select(self.mode < 0, -depth, depth) * inverse)
@@ -122,7 +121,7 @@ class Balance(eqx.Module):
         return jnp.concatenate([self.field(x, multipliers), rows])
 
     def margins(self, z: Float[Array, " N"]) -> Float[Array, " m"]:
-        """±H_j on a side, 1 − w_j² of a surface slid on, the reaction of one rested on."""
+        """±H_j on a side, 1 − w_j² of a sliding surface, the reaction of a resting one."""
         x, multipliers = self.split(z)
         inside = (1 - multipliers) * (1 + multipliers)
         pushes = jnp.sign(self.mode) * multipliers
@@ -138,7 +137,7 @@ class Balance(eqx.Module):
 
 
 def is_affine(system: System, x: Float[Array, " n"], m: int) -> bool:
-    """Whether m + 1 combinations of sides say everything of a system's field, where it counts."""
+    """Whether m + 1 combinations of sides determine a field with many surfaces."""
     if m <= _FEW:
         return False
     structure = build(system, x, compact=True).structure
@@ -149,26 +148,26 @@ class Linearised(eqx.Module):
     """The flow of a mode near its equilibrium."""
 
     jacobian: Float[Array, "n n"]
-    """That of the field of the mode, its multipliers following the state."""
+    """Jacobian of the field of the mode, with multipliers that follow the state."""
     deflated: Float[Array, "n n"]
-    """The same, its zeros across the surfaces moved to `shift`."""
+    """The same, with its zeros across the surfaces shifted to `shift`."""
     shift: Float[Array, ""]
     """A number larger than all eigenvalues."""
     across: Float[Array, "m m"]
-    """The inverse of ∂(dH/dt)/∂w of the surfaces slid on, −1 for others: where an eigenvalue has a
-    positive real part, sliding repels."""
+    """The inverse of ∂(dH/dt)/∂w of the sliding surfaces, −1 for others. Sliding repels if an
+    eigenvalue has a positive real part."""
 
 
 def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:
     """The flow of a mode near an equilibrium, where the multipliers follow the state.
 
-    What holds a motion on surfaces stays zero: with C the gradients of H_j, or of ψ_j where one is
-    rested on,
+    The constraints that hold a motion on surfaces stay zero: with C the gradients of H_j, or of
+    ψ_j for a resting surface,
 
         A = F_x − F_μ (C F_μ)⁻¹ C F_x,    C A = 0.
 
-    With P the projection on these gradients, A + c P has c in place of the zeros across surfaces,
-    and the other eigenvalues of A, whatever the parameters: so have its derivatives.
+    With P the projection on these gradients, A + c P has c instead of the zeros across surfaces,
+    and the other eigenvalues of A, for all parameters, as do its derivatives.
     """
     x, multipliers = balance.split(z)
     by_x, by_mu = jax.jacfwd(balance.field, (0, 1))(x, multipliers)
@@ -198,7 +197,7 @@ def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:
 
 
 def _projection(rows: Float[Array, "k n"], kept: Bool[Array, " k"]) -> Float[Array, "n n"]:
-    """The orthogonal projection on the rows that are kept; the others are zero."""
+    """The orthogonal projection on the rows flagged by `kept`; other rows are zero."""
     length = jnp.sqrt(jnp.sum(rows**2, axis=1) + (~kept).astype(rows.dtype))
     rows = rows / length[:, None]
     gram = rows @ rows.T + jnp.diag((~kept).astype(rows.dtype))
@@ -206,7 +205,7 @@ def _projection(rows: Float[Array, "k n"], kept: Bool[Array, " k"]) -> Float[Arr
 
 
 def on_batches(function: Callable, dimensions: int) -> Callable:
-    """`function` of records with so many leading axes."""
+    """`function` of records with this many leading axes."""
     for _ in range(dimensions):
         function = eqx.filter_vmap(function)
     return function

@@ -1,9 +1,8 @@
-"""`BalanceCurve`: the equilibria of a system as a parameter varies, as a curve to be followed.
+"""`BalanceCurve`: the curve of equilibria of a system as a parameter varies.
 
-A balance and the name of a parameter enter; points leave, with margins and eigenvalues. Where a
-margin comes to zero an equilibrium reaches the boundary of its mode. The curve goes on from there
-as equilibria of the mode on the other side of it, which are those of the system: in the direction
-in which it came (persistence) or back (a nonsmooth fold).
+Where a margin becomes zero an equilibrium reaches the boundary of its mode. From there the curve
+continues with equilibria of the mode on the other side that are equilibria of the system, in the
+same direction (persistence) or back (a nonsmooth fold).
 """
 
 import dataclasses
@@ -37,7 +36,7 @@ _NEWTON_STEPS = 12
 
 
 class _Known(eqx.Module):
-    """What is known of an equilibrium on a curve."""
+    """Data of an equilibrium on a curve."""
 
     margins: Float[Array, " m"]
     noise: Float[Array, " m"]
@@ -46,8 +45,8 @@ class _Known(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class EquilibriumPoint(CurvePoint):
-    """An equilibrium on a curve, its parameter the last unknown. `met` is the surface whose margin
-    is zero at the end of a mode."""
+    """An equilibrium on a curve, with the parameter as its last unknown. `met` is the surface whose
+    margin is zero at the end of a mode."""
 
     mode: np.ndarray
     residual: float
@@ -56,23 +55,23 @@ class EquilibriumPoint(CurvePoint):
 
 
 class Varied(eqx.Module):
-    """A balance as one parameter varies: unknowns are (x, multipliers, parameter)."""
+    """A balance with one free parameter; unknowns are (x, multipliers, parameter)."""
 
     balance: Balance
     parameter: str = eqx.field(static=True)
 
     def at(self, u: Array) -> tuple[Balance, Array]:
-        """The balance for a value of the parameter, and the unknowns of that."""
+        """The balance at a value of the parameter, and its unknowns."""
         system = replace_parameter(self.balance.system, self.parameter, u[-1])
         return Balance(system, self.balance.mode, self.balance.affine), u[:-1]
 
     def residual(self, u: Array) -> Array:
-        """Its equations, one fewer than unknowns."""
+        """The equations, one fewer than unknowns."""
         balance, z = self.at(u)
         return balance.residual(z)
 
     def margins(self, u: Array) -> Array:
-        """Its margins."""
+        """The margins."""
         balance, z = self.at(u)
         return balance.margins(z)
 
@@ -109,12 +108,12 @@ def _walls(varied: Varied, u: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class BalanceCurve(Curve[EquilibriumPoint]):
-    """The curve of a balance and a parameter. No scale is below `least`."""
+    """The curve of a balance and a parameter; `least` bounds scales from below."""
 
     varied: Varied
     least: np.ndarray | float = 0.0
 
-    # Smooth within a mode, and its ends are located.
+    # Smooth within a mode, with located ends.
     steps = StepSizes(first=0.01, least=1e-7, growth=1.6, straight=0.995, easy=6, corner=0.0)
     solution = "equilibrium"
     place = -1
@@ -130,13 +129,13 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         return np.asarray(self.varied.balance.mode)
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
-        """By the equations of the mode."""
+        """Solve the equations of the mode."""
         return _solve(self.varied, array_of(guess), constraint, array_of(_NEWTON_STEPS, jnp.int32))
 
     def point(
         self, root: Root, constraint: ArclengthConstraint, along: np.ndarray
     ) -> EquilibriumPoint:
-        """With its margins and eigenvalues."""
+        """A point with its margins and eigenvalues."""
         return EquilibriumPoint(
             **at_root(root, constraint, along),
             mode=self.mode,
@@ -145,7 +144,7 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         )
 
     def metric(self, point: EquilibriumPoint) -> np.ndarray:
-        """Components and the parameter by their sizes, weights by one."""
+        """Scales: sizes of components and of the parameter, one for weights."""
         size, m = abs(point.u), self.mode.size
         size[size.size - 1 - m : -1] = np.maximum(size[size.size - 1 - m : -1], 1.0)
         return np.maximum(size, self.least)
@@ -157,7 +156,7 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         for kind, test in (("fold", _fold), ("hopf", _hopf)):
             if test(a) * test(b) < 0:
                 point = zero_on_curve(self, a, b, test)
-                # Where two real eigenvalues of opposite sign have the sum zero nothing happens.
+                # Two real eigenvalues of opposite sign with the sum zero are not a Hopf point.
                 if point is not None and (kind == "fold" or _is_pair(point)):
                     yield Special(kind, point, self.mode, self.mode)
 
@@ -181,8 +180,8 @@ class BalanceCurve(Curve[EquilibriumPoint]):
     def beyond_last(
         self, last: EquilibriumPoint
     ) -> tuple[Curve[EquilibriumPoint], EquilibriumPoint, Special[EquilibriumPoint]] | None:
-        """The equilibria of the mode that shares the boundary, from there on to where they are
-        those of the system."""
+        """The equilibria of the mode that shares the boundary, on the part where they are
+        equilibria of the system."""
         if last.met is None:
             return None
         beside, u = self._beyond(last.u, last.met)
@@ -230,8 +229,8 @@ def _finite(point: EquilibriumPoint) -> np.ndarray:
 
 
 def _hopf(point: EquilibriumPoint) -> float:
-    """The product of all sums of two eigenvalues, each in its own size: it goes through zero where
-    a pair is on the imaginary axis, real or complex before."""
+    """The product of all sums of two eigenvalues, each scaled, which changes its sign where a pair
+    is on the imaginary axis."""
     values = _finite(point)
     i, j = np.triu_indices(values.size, 1)
     size = np.maximum(abs(values[i]) + abs(values[j]), np.finfo(float).tiny)

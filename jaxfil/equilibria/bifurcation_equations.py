@@ -1,13 +1,13 @@
-"""The equations that define a bifurcation of equilibria, with two parameters free.
+"""The equations that define a bifurcation of equilibria, with two free parameters.
 
-A system, a mode and a kind enter; the equations of unknowns u, one fewer than these, leave. With
-r(z; p) = 0 the balance, J = ∂r/∂z and E the unit matrix on the state and zero on multipliers,
+They are one fewer than the unknowns u. With r(z; p) = 0 the balance, J = ∂r/∂z and E the unit
+matrix on the state and zero on multipliers,
 
 - boundary: the margin of surface j is zero; u = (z, p).
 - fold: J v = 0, c·v = 1; u = (z, v, p).
 - Hopf: J (v + i w) = i ω E (v + i w), c·v = 1, c·w = 0; u = (z, v, w, ω, p).
 
-J and E are those of the sliding flow too: what is not in the state follows it.
+J and E also describe the sliding flow, whose multipliers follow the state.
 """
 
 import equinox as eqx
@@ -30,7 +30,7 @@ class BifurcationEquations(eqx.Module):
     after: Float[Array, " m"]
     """The mode on the other side of a boundary."""
     across: Float[Array, " N"]
-    """c, which fixes the length and the phase of a null vector."""
+    """c, which normalises the length and the phase of a null vector."""
     free: tuple[str, str] = eqx.field(static=True)
     """The names of the two parameters."""
     family: str = eqx.field(static=True)
@@ -39,7 +39,7 @@ class BifurcationEquations(eqx.Module):
     """The surface of a boundary."""
 
     def at(self, u: Array) -> tuple[Balance, Array]:
-        """The balance for the values of the parameters, and its unknowns."""
+        """The balance at the values of the parameters, and its unknowns."""
         system = replace_parameters(self.balance.system, self.free, u[-2:])
         n = self.across.shape[0]
         return Balance(system, self.balance.mode, self.balance.affine), u[:n]
@@ -61,12 +61,12 @@ class BifurcationEquations(eqx.Module):
         return jnp.concatenate([r, *turned, jnp.stack([c @ v - 1, c @ w])])
 
     def persists(self, u: Array) -> Array:
-        """Positive where a boundary equilibrium persists, negative where it is a nonsmooth fold:
-        −det J⁺ det J, with J⁺ that of the mode on the other side; at rest its opposite."""
+        """Positive where a boundary equilibrium persists, negative at a nonsmooth fold: −det J⁺
+        det J, with J⁺ of the mode on the other side; for rest the opposite sign."""
         balance, z = self.at(u)
         beside = Balance(balance.system, self.after, balance.affine)
         both = [jax.jacfwd(b.residual)(z) for b in (balance, beside)]
-        # A row in its own size: the sign is all that counts.
+        # Rows are scaled by their sizes, because only the sign matters.
         sizes = [jnp.max(abs(v), axis=1, keepdims=True) for v in both]
         signs = [
             jnp.linalg.det(v / jnp.where(s > 0, s, 1)) for v, s in zip(both, sizes, strict=True)
@@ -81,7 +81,7 @@ def _jacobian(balance: Balance, z: Array) -> Array:
 
 
 def _frequency(at: Equilibrium) -> float:
-    """That of the pair of eigenvalues next to the imaginary axis."""
+    """The frequency of the pair of eigenvalues nearest to the imaginary axis."""
     values = np.asarray(at.eigenvalues)
     pairs = values[np.imag(values) > 0]
     return float(np.imag(pairs[np.argmin(abs(np.real(pairs)))]))
@@ -90,7 +90,7 @@ def _frequency(at: Equilibrium) -> float:
 def equations_of(
     bifurcation: EquilibriumBifurcation, free: tuple[str, str]
 ) -> tuple[BifurcationEquations, np.ndarray]:
-    """The equations of a bifurcation that has been found, and its unknowns."""
+    """The equations of a located bifurcation, and its unknowns."""
     at, kind = bifurcation.equilibrium, bifurcation.kind
     dtype = at.x.dtype
     balance = Balance(at.system, at.mode.astype(dtype), at._affine)
@@ -110,7 +110,7 @@ def equations_of(
         omega = _frequency(at)
         mass = np.diag(np.arange(size) < n).astype(float)
         vector = np.linalg.svd(jacobian - 1j * omega * mass)[2][-1].conj()
-        # Turned so that its real and imaginary parts are at right angles.
+        # Rotated so that its real and imaginary parts are orthogonal.
         vector = vector * np.exp(-0.5j * np.angle(np.sum(vector**2)))
         across = vector.real / (vector.real @ vector.real)
         more = [vector.real, vector.imag, np.array([omega])]

@@ -1,8 +1,7 @@
 """`continue_equilibrium`: a branch of equilibria by pseudo-arclength continuation.
 
-A system, the name of a parameter and an equilibrium enter; an `EquilibriumBranch` leaves:
-equilibria along the curve, regular ones, pseudo-equilibria and those at rest, and the folds, Hopf
-points and boundary equilibria on it.
+The branch contains regular equilibria, pseudo-equilibria and equilibria at rest, with folds, Hopf
+points and boundary equilibria.
 """
 
 import dataclasses
@@ -24,10 +23,10 @@ from jaxfil.orbits.curve import constraint_across, least_scales
 from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
 from jaxfil.xla.known import array_of
 
-# The least scale of an unknown, in parts of what it is at the start, is this many times that of an
-# orbit's: equilibria pass through zero more often than largest values on orbits do.
+# The least scale of an unknown, relative to its initial value, is this multiple of an orbit's,
+# because equilibria pass through zero more often than largest values on orbits do.
 _LEAST = 10.0
-# What is smaller than this part of the others is zero.
+# Values below this fraction of the others are zero.
 _SMALL = 1e-3
 
 
@@ -43,31 +42,31 @@ def continue_equilibrium(
 ) -> EquilibriumBranch:
     r"""Follow the branch of equilibria through `equilibrium` as a parameter varies.
 
-    Pseudo-arclength continuation. Where a margin of the equilibrium comes to zero, at a boundary
-    equilibrium, the branch goes on as equilibria of the other mode that are equilibria of the
-    system. With $A = F_x$ there, $C = \nabla H_j$ and $G = \tfrac12 (F_+ - F_-)$ that is in the
-    same direction of the parameter (persistence) if $C A^{-1} G > 0$, and back in a nonsmooth fold
-    if it is negative.
+    Pseudo-arclength continuation. Where a margin of the equilibrium becomes zero, at a boundary
+    equilibrium, the branch continues with equilibria of the other mode that are equilibria of the
+    system. With $A = F_x$ there, $C = \nabla H_j$ and $G = \tfrac12 (F_+ - F_-)$ it continues in
+    the same direction of the parameter (persistence) if $C A^{-1} G > 0$, and back (a nonsmooth
+    fold) if it is negative.
 
     **Arguments**
 
-    - `system`: the `System`; its value of the parameter does not matter.
+    - `system`: the `System`; its value of the parameter is ignored.
     - `parameter`: the name of a scalar parameter.
-    - `equilibrium`: where to start, as `jf.equilibrium` gives it; not a virtual one.
+    - `equilibrium`: the start, from `jf.equilibrium`; not a virtual one.
     - `stop`: the value of the parameter to end at; a pair (low, high) follows the branch both ways.
       A branch that turns back ends where it leaves this range.
-    - `max_step`: the largest step, relative to the size of the unknowns; of one that goes to zero,
-      to a part of what it is at the start.
-    - `max_points`: the most points in either direction.
+    - `max_step`: the largest step, relative to the size of the unknowns; for an unknown that goes
+      to zero, relative to a fraction of its initial value.
+    - `max_points`: the largest number of points in either direction.
     - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
-      does not begin has the equilibrium that was given as its only one.
+      does not begin contains only the given equilibrium.
 
     **Returns** an `EquilibriumBranch`. One that ends before `stop` is a success;
-    `EquilibriumBranch.ended` says why. A closed branch is followed once round.
+    `EquilibriumBranch.ended` gives the reason. A closed branch is followed once.
 
-    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
-    the equilibrium, which then is none of the system; that of the equilibrium itself where it was
-    not found, as `nonfinite`.
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method diverges
+    from the equilibrium, which then does not belong to the system; the outcome of the equilibrium
+    itself if it failed, such as `nonfinite`.
 
     **Source**: boundary equilibria: M. di Bernardo, C. Budd, A. Champneys and P. Kowalczyk,
     Piecewise-smooth Dynamical Systems, Springer (2008), § 5.1–5.2.
@@ -108,7 +107,7 @@ def continue_equilibrium(
         curve = dataclasses.replace(curve, least=_least(curve, start, ends))
         branch = _branch(curve, follow(curve, start, within, max_step, max_points))
     if throw:
-        # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
+        # Not traced, so that it raises at once and the numbers stay NumPy arrays.
         raise_if_failed(branch.values, branch.result)
     return branch
 
@@ -116,9 +115,9 @@ def continue_equilibrium(
 def _on_branch(
     system: System, parameter: str, at: Equilibrium
 ) -> tuple[BalanceCurve, EquilibriumPoint | None, RESULTS]:
-    """The branch of an equilibrium; a point of it, if Newton's method stays; its outcome."""
+    """The branch of an equilibrium; a point of it, if Newton's method converges; its outcome."""
     dtype = at.x.dtype
-    # The equilibrium says where the branch starts, whatever the system's own value is.
+    # The equilibrium defines the start of the branch; the system's own value is ignored.
     known = get_parameter(at.system, parameter)
     system = replace_parameter(cast(system, dtype), parameter, known)
     mode = np.asarray(at.mode)
@@ -130,8 +129,8 @@ def _on_branch(
 
 
 def _sizes(u: np.ndarray, m: int) -> np.ndarray:
-    """What unknowns are measured by at the start. A component that is zero there, but for rounding,
-    is measured by the largest one; weights by one."""
+    """Initial scales of unknowns. A component that is zero to rounding has the scale of the largest
+    one; weights have one."""
     size = abs(u)
     x = size[: size.size - 1 - m]
     largest = x.max() or 1.0
@@ -150,10 +149,10 @@ def _least(curve: BalanceCurve, start: EquilibriumPoint, ends: list[float]) -> n
 
 
 def _branch(curve: BalanceCurve, path: Path[EquilibriumPoint]) -> EquilibriumBranch:
-    """A path as the `EquilibriumBranch` it is."""
+    """The `EquilibriumBranch` of a path."""
     found = [_equilibrium(curve, point) for point in path.points]
     dynamic = [eqx.filter(one, eqx.is_array) for one in found]
-    # By NumPy: there is another number of points each time.
+    # In NumPy, because the number of points differs each time.
     stacked = jax.device_put(jax.tree.map(lambda *v: np.stack(v), *dynamic))
     return EquilibriumBranch(
         parameter=curve.parameter,
@@ -181,7 +180,7 @@ def _told(mode: np.ndarray) -> tuple[int, ...]:
 
 
 def _equilibrium(curve: BalanceCurve, point: EquilibriumPoint) -> Equilibrium:
-    """A point as the equilibrium it is."""
+    """The equilibrium of a point."""
     balance, m = curve.varied.balance, point.mode.size
     n = point.u.size - 1 - m
     parts = point.u[:n], point.u[n:-1], np.round(point.mode).astype(np.int32)
@@ -199,7 +198,7 @@ def _equilibrium(curve: BalanceCurve, point: EquilibriumPoint) -> Equilibrium:
 
 
 def _not_begun(curve: BalanceCurve, given: Equilibrium, result: RESULTS) -> EquilibriumBranch:
-    """Nothing but the equilibrium that was given. What it failed by itself comes first."""
+    """A branch with the given equilibrium alone; its own failure takes precedence."""
     value = float(get_parameter(given.system, curve.parameter))
     arrays, rest = eqx.partition(given, eqx.is_array)
     why = f"no branch was found at {value:.10g}"

@@ -1,8 +1,4 @@
-"""`Equilibrium`: an equilibrium of a system, and what can be asked of it.
-
-What a search has found enters; margins, kind, the linearised flow, eigenvalues, stability and a
-card leave.
-"""
+"""`Equilibrium`: an equilibrium of a system, with margins, kind, eigenvalues and stability."""
 
 import functools as ft
 from collections.abc import Callable
@@ -26,66 +22,67 @@ class Equilibrium(eqx.Module):
     """A state x in which a system stays, F = 0, on one side of each surface, sliding or at rest.
 
     The first and second derivatives of `x` and `multipliers` with respect to the float leaves of
-    the system are those of the implicit function; `margins`, `jacobian` and `eigenvalues` have
-    first ones too, `margins` and `jacobian` second ones.
+    the system follow from the implicit function theorem. `margins` and `jacobian` also have first
+    and second ones, `eigenvalues` first ones.
     """
 
     x: Float[Array, " n"]
     """The state."""
     mode: Int[Array, " m"]
-    """For each surface the side ±1 that it is looked for on, 0 where it is a pseudo-equilibrium of
-    the sliding flow, ±2 where it rests on the surface from that side."""
+    """For each surface ±1 for its side, 0 for a pseudo-equilibrium of the sliding flow, ±2 for rest
+    on the surface from that side."""
     multipliers: Float[Array, " m"]
-    """For each surface slid on the weight w of its sides, from −1 to 1 unless it is virtual:
-    F = (1 + w)/2 F_+ + (1 − w)/2 F_−; the reaction of one rested on; the side of all others."""
+    """For each sliding surface the weight w of its sides, from −1 to 1 unless it is virtual:
+    F = (1 + w)/2 F_+ + (1 − w)/2 F_−; for a resting one the reaction; for others the side."""
     residual: Float[Array, ""]
-    """The largest of the equations that is left, relative to what its terms are made of."""
+    """The largest residual of the equations, relative to their terms."""
     num_steps: Int[Array, ""]
-    """Evaluations that Newton's method took."""
+    """Number of evaluations by Newton's method."""
     result: RESULTS
-    """How the search ended."""
+    """The outcome of the search."""
     system: System
-    """The system, with the parameters for which this is its equilibrium."""
+    """The system, with the parameters of this equilibrium."""
     _affine: bool = eqx.field(static=True)
 
     @property
     def margins(self) -> Float[Array, "*batch m"]:
-        """What is positive of each surface unless the equilibrium is virtual: ±H on a side, 1 − w²
-        of one slid on, the reaction that pushes away from one rested on. Zero: a boundary
-        equilibrium."""
+        """A number of each surface that is positive unless the equilibrium is virtual: ±H on a
+        side, 1 − w² for a sliding surface, the repelling reaction of a resting one. It is zero for
+        a boundary equilibrium."""
         return self._of(_margins)
 
     @property
     def admissible(self) -> Bool[Array, "*batch"]:
-        """Whether it is one of the system: no margin is negative, but for rounding. One that is
-        not is virtual: the field or the blend that is zero there is not that of the system."""
+        """Whether it is an equilibrium of the system: no margin is negative beyond rounding.
+        Otherwise it is virtual, and the field or the blend that vanishes there is not the field of
+        the system."""
         return self._of(_admissible) & (self.result == RESULTS.successful)
 
     @property
     def jacobian(self) -> Float[Array, "*batch n n"]:
-        """The derivative of the field of its mode, shape (n, n); that of the sliding field where it
-        slides, which has a zero for each surface slid on and two for one rested on."""
+        """The derivative of the field of its mode, shape (n, n). For sliding this is the sliding
+        field, which has a zero for each sliding surface and two for each resting one."""
         return self._of(_jacobian)
 
     @property
     def eigenvalues(self) -> Complex[Array, "*batch n"]:
-        """Eigenvalues of the Jacobian, shape (n,), from the largest real part on.
+        """Eigenvalues of the Jacobian, shape (n,), by descending real part.
 
-        Sliding is reached in a finite time, so that in place of the zero of each surface slid on is
-        −∞, or +∞ where the sides repel: the limits of the eigenvalues of the smoothed system. In
-        place of the two of a surface rested on are −∞."""
+        Sliding is reached in a finite time, so the zero of each sliding surface is replaced by −∞,
+        or +∞ where the sides repel, the limits of the eigenvalues of the smoothed system. The two
+        of a resting surface are replaced by −∞."""
         return self._of(_eigenvalues)
 
     @property
     def stable(self) -> Bool[Array, "*batch"]:
-        """Whether it is one of the system and all eigenvalues have negative real parts."""
+        """Whether it belongs to the system and all eigenvalues have negative real parts."""
         return self.admissible & jnp.all(jnp.real(self.eigenvalues) < 0, axis=-1)
 
     @property
     def kind(self) -> str | np.ndarray:
-        """One of "regular", "pseudo" (it slides) and "rest", of a boundary equilibrium "boundary",
-        with "virtual " before it where it is not one of the system; of a batch an array of
-        these."""
+        """One of "regular", "pseudo" (it slides) and "rest", or "boundary" for a boundary
+        equilibrium, preceded by "virtual " if it does not belong to the system; for a batch an
+        array of these."""
         kinds = _kinds(*map(np.asarray, (self.mode, self.margins, self._of(_noise))))
         return str(kinds) if kinds.ndim == 0 else kinds
 
@@ -130,15 +127,14 @@ def _eigenvalues(at: Equilibrium) -> Array:
 
 
 def eigenvalues_of(flow: Linearised) -> Complex[Array, " n"]:
-    """The eigenvalues of a linearised flow, from the largest real part on, infinite ones across
-    surfaces."""
-    # LAPACK must not see a NaN.
+    """The eigenvalues of a linearised flow, by descending real part, infinite across surfaces."""
+    # LAPACK must not receive a NaN.
     sound = jnp.all(jnp.isfinite(flow.deflated)) & jnp.all(jnp.isfinite(flow.across))
     fine = lambda v: select(sound, v, jnp.zeros_like(v))  # noqa: E731
     values = jnp.linalg.eigvals(fine(flow.deflated))
     moved = sound & (abs(values) > 0.5 * flow.shift) & (jnp.isfinite(flow.shift))
     height = jnp.where(moved, -jnp.inf, jnp.real(values))
-    # Eigenvalues of one height by the imaginary part: the order is that of no library.
+    # Ties are ordered by the imaginary part, independent of the library.
     order = jnp.lexsort((-jnp.imag(values), -height))
     values, count = values[order], jnp.sum(moved)
     repels = jnp.sum(jnp.real(jnp.linalg.eigvals(fine(flow.across))) > 0) if flow.across.size else 0
@@ -149,7 +145,7 @@ def eigenvalues_of(flow: Linearised) -> Complex[Array, " n"]:
 
 
 def _kinds(mode: np.ndarray, margins: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """The words of each equilibrium of a batch."""
+    """The kind of each equilibrium of a batch."""
     plain = np.where(np.any(mode == 0, axis=-1), "pseudo", "regular")
     plain = np.where(np.any(abs(mode) == 2, axis=-1), "rest", plain)
     plain = np.where(np.any(abs(margins) <= noise, axis=-1), "boundary", plain)

@@ -1,8 +1,4 @@
-"""`EquilibriumBranch`: equilibria along a curve, with what happens on it.
-
-What a continuation has found enters; the equilibria at a value of the parameter, their stability, a
-picture and a card leave.
-"""
+"""`EquilibriumBranch`: equilibria along a curve, with their bifurcations."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,17 +17,17 @@ from jaxfil.xla.known import part_of
 EQUILIBRIUM_BIFURCATION_KINDS = ("fold", "hopf", "persistence", "nonsmooth-fold")
 """The kinds of points that `continue_equilibrium` locates.
 
-- `"fold"`: two equilibria of one mode meet, and the branch turns back.
+- `"fold"`: two equilibria of one mode merge, and the branch turns back.
 - `"hopf"`: a complex pair of eigenvalues is on the imaginary axis.
-- `"persistence"`: a boundary equilibrium, on one side of which there is one of one mode and on the
-  other one of the other mode: a regular one becomes a pseudo-equilibrium, or comes to rest.
-- `"nonsmooth-fold"`: a boundary equilibrium in which those of both modes meet: the branch turns
-  back.
+- `"persistence"`: a boundary equilibrium with one equilibrium of either mode on its two sides. A
+  regular one becomes a pseudo-equilibrium, or comes to rest.
+- `"nonsmooth-fold"`: a boundary equilibrium in which the equilibria of both modes merge, and the
+  branch turns back.
 """
 
 
 class EquilibriumBifurcation(eqx.Module):
-    """Where a branch of equilibria changes its character."""
+    """A bifurcation on a branch of equilibria."""
 
     kind: str = eqx.field(static=True)
     """One of `EQUILIBRIUM_BIFURCATION_KINDS`."""
@@ -40,8 +36,8 @@ class EquilibriumBifurcation(eqx.Module):
     equilibrium: Equilibrium
     """The equilibrium there, in the mode before."""
     index: int = eqx.field(static=True)
-    """It lies between the equilibria number `index` − 1 and `index` of the branch, or is that one:
-    a boundary equilibrium is one of the branch, in the mode after."""
+    """It lies between the equilibria number `index` − 1 and `index` of the branch, or is the
+    latter. A boundary equilibrium belongs to the branch, in the mode after."""
     before: tuple[int, ...] = eqx.field(static=True)
     """The mode before, in the order of the branch."""
     after: tuple[int, ...] = eqx.field(static=True)
@@ -53,27 +49,27 @@ class EquilibriumBifurcation(eqx.Module):
 
 
 class EquilibriumBranch(eqx.Module):
-    """A branch of equilibria: k of them along a curve as one parameter varies."""
+    """A branch of k equilibria along a curve as one parameter varies."""
 
     parameter: str = eqx.field(static=True)
     """The name of the parameter."""
     values: Float[np.ndarray, " k"]
     """The parameter at each equilibrium. It turns back at folds, smooth or not."""
     equilibria: Equilibrium
-    """All of them as one, whose arrays have a leading axis of k."""
+    """All equilibria as one record, whose arrays have a leading axis of k."""
     eigenvalues: Complex[np.ndarray, "k n"]
-    """Those of each, as `Equilibrium.eigenvalues`."""
+    """The eigenvalues of each, as in `Equilibrium.eigenvalues`."""
     points: list[EquilibriumBifurcation]
-    """What happens on the branch, in its order."""
+    """The bifurcations on the branch, in its order."""
     ended: tuple[str, str] = eqx.field(static=True)
-    """Why the curve ends where it does, at either side."""
+    """The reason for the end of the curve, at either side."""
     result: RESULTS
-    """How it began: `successful`, also where the branch ends before `stop`, which `ended` tells;
-    otherwise what Newton's method said at the start, and the equilibrium given is the only one."""
+    """The outcome at the start: `successful`, even if the branch ends before `stop` (see `ended`);
+    otherwise the outcome of Newton's method, and the branch has only the given equilibrium."""
 
     @property
     def stable(self) -> Bool[np.ndarray, " k"]:
-        """Which equilibria are stable: all eigenvalues have negative real parts."""
+        """Whether each equilibrium is stable: all eigenvalues have negative real parts."""
         return np.all(np.real(self.eigenvalues) < 0, axis=-1)
 
     def at(self, value: float) -> list[Equilibrium]:
@@ -85,7 +81,7 @@ class EquilibriumBranch(eqx.Module):
             part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
             next_ = min(i + 1, len(xs) - 1)
             system = part_of(self.equilibria.system, i)
-            # Between two that lie on either side of a boundary the mode is that before it.
+            # Between two equilibria on both sides of a boundary the mode is the one before it.
             found.append(
                 equilibrium(
                     replace_parameter(system, self.parameter, value),
@@ -96,8 +92,8 @@ class EquilibriumBranch(eqx.Module):
         return found
 
     def plot(self, ax: Axes | None = None, component: int = 0) -> Axes:
-        """Draw one component against the parameter: unstable parts dashed, pseudo-equilibria thick,
-        with what happens on the branch. Returns the matplotlib axes."""
+        """Draw one component against the parameter, unstable parts dashed, pseudo-equilibria thick,
+        with the bifurcations on the branch. Returns the matplotlib axes."""
         return draw(self, ax=ax, component=component)
 
     def __repr__(self) -> str:

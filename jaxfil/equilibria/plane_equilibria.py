@@ -1,7 +1,6 @@
 """The equilibria of a planar system in a window, regular ones and pseudo-equilibria.
 
-A system and a window enter; the equilibria that Newton's method finds in it from a grid of guesses,
-in every mode with at most one surface slid on, leave.
+Newton's method starts from a grid of guesses, in every mode with at most one sliding surface.
 """
 
 import itertools
@@ -17,15 +16,15 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.xla.known import array_of, part_of
 
-# Guesses along each edge, evaluations of Newton's method from each, and the distance in parts of
-# the window below which two equilibria are one.
+# Guesses along each edge, evaluations of Newton's method from each, and the distance, as a fraction
+# of the window, below which two equilibria are one.
 _GRID, _STEPS, _ONE = 7, 30, 1e-6
-# Surfaces at most whose modes are all tried.
+# Largest number of surfaces whose modes are all tried.
 _MOST = 4
 
 
 def equilibria_in(system: System, window: Float[np.ndarray, "2 2"], m: int) -> list[Equilibrium]:
-    """Those of the system, by mode and from left to right."""
+    """The equilibria of the system, by mode and from left to right."""
     axes = [np.linspace(low, high, 2 * _GRID + 1)[1::2] for low, high in window]
     guesses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     modes = _modes(m)
@@ -47,7 +46,7 @@ def equilibria_in(system: System, window: Float[np.ndarray, "2 2"], m: int) -> l
 
 
 def _modes(m: int) -> Float[np.ndarray, "k m"]:
-    """Every mode with at most one surface slid on."""
+    """Every mode with at most one sliding surface."""
     if m > _MOST:
         raise ValueError(f"`system` must have at most {_MOST} surfaces here, got {m}.")
     every = itertools.product((1.0, -1.0, 0.0), repeat=m)

@@ -1,7 +1,6 @@
-"""`equilibrium`: an equilibrium by Newton's method, in a mode of motion.
+"""`equilibrium`: an equilibrium by Newton's method, in a given mode or the mode of the guess.
 
-A system and a guess enter, and the mode, unless the guess says it; an `Equilibrium` leaves, with
-its outcome. Regular or pseudo, stable or not, of the system or virtual makes no difference.
+It finds regular equilibria and pseudo-equilibria, stable or not, virtual or not.
 """
 
 from typing import Any
@@ -25,7 +24,7 @@ from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.xla.known import array_of, compiled_if_traced
 from jaxfil.xla.select import select
 
-# A component this small is measured as if it were this large.
+# The least scale of a component.
 _SMALL = 1e-3
 # Rounding of H at a guess, in eps of its terms.
 _NOISE = 64
@@ -45,28 +44,28 @@ def equilibrium(
     $$\sum_s F_s(x) \prod_j \tfrac12 (1 + s_j w_j) + \sum_j \lambda_j d_j = 0, \qquad
     H_j(x) = 0 \text{ of each surface slid or rested on}$$
 
-    On the sides of all surfaces it is a regular equilibrium, F(x, side) = 0. On surfaces slid on it
-    is a pseudo-equilibrium, of Filippov's sliding field, and the weights w are found with it; on
-    surfaces with a reset one at rest, with the reactions λ in the direction d of the reset. It is
+    On the sides of all surfaces it is a regular equilibrium, F(x, side) = 0. On sliding surfaces it
+    is a pseudo-equilibrium of Filippov's sliding field, with the weights w among the unknowns; on
+    surfaces with a reset it may rest, with the reactions λ in the direction d of the reset. It is
     virtual where H has the other sign, |w| > 1, or a reaction would have to pull.
 
     **Arguments**
 
-    - `system`: the `System`, without a period and clocks. Its functions are taken at t = 0.
+    - `system`: the `System`, without a period and clocks. Its functions are evaluated at t = 0.
     - `guess`: a guess of the state, shape (n,).
     - `mode`: for each surface the side ±1, 0 to slide on it, ±2 to rest on it from that side, shape
-      (m,), or one number for one surface. None: the side on which the guess is; of a surface that
-      it lies on, to rounding, 0, or 2 if its reset throws back.
-    - `newton_steps`: the most evaluations of the field.
+      (m,), or one number for one surface. None: the side of the guess; for a surface through the
+      guess, to rounding, 0, or 2 if its reset reflects the motion.
+    - `newton_steps`: the largest number of evaluations of the field.
     - `throw`: whether to raise an error unless the outcome is `successful`.
 
-    **Returns** an `Equilibrium`; one that is virtual is a success, which `kind` and `admissible`
-    tell. For a batch use `equinox.filter_vmap` with `throw=False`. The first and second derivatives
-    of its `x` and `multipliers` are those of the implicit function, forward and reverse.
+    **Returns** an `Equilibrium`. A virtual one is a success (see `kind` and `admissible`). For a
+    batch use `equinox.filter_vmap` with `throw=False`. The first and second derivatives of its `x`
+    and `multipliers` follow from the implicit function theorem, forward and reverse.
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` (a fold, or sliding with two
-    fields that differ in nothing) or `newton_max_steps_reached` where none was found; `nonfinite`
-    where the field at the guess is.
+    equal fields) or `newton_max_steps_reached` without an equilibrium; `nonfinite` if the field at
+    the guess is.
 
     **Source**: M. di Bernardo, C. Budd, A. Champneys and P. Kowalczyk, Piecewise-smooth Dynamical
     Systems, Springer (2008), § 5.1; on several surfaces the blend of J. Alexander and T. Seidman,
@@ -103,7 +102,7 @@ def equilibrium(
 
 
 def autonomous(name: str, system: System) -> None:
-    """A system that nothing drives."""
+    """Check that a system is autonomous."""
     if system.period is not None or system.clocks:
         drives = "a period" if system.period is not None else "clocks"
         raise ValueError(
@@ -127,7 +126,7 @@ def modes(name: str, value: Any, m: int) -> np.ndarray:
 def in_mode(
     system: System, x: Array, mode: Array | None, newton_steps: Array, m: int, affine: bool
 ) -> Equilibrium:
-    """`equilibrium` of arguments that are known to be right; None: the mode that the guess says."""
+    """`equilibrium` of checked arguments; None stands for the mode of the guess."""
     balance, z, scale = _beginning(system, x, mode, m, affine)
     equations = _AtRest(balance.mode, scale, newton_steps, affine)
     z, root = solve_implicit(equations, system, z)
@@ -142,8 +141,8 @@ def _beginning(
     if mode is None:
         mode = _mode_of(system, x, m)
     balance, off = Balance(system, mode, affine), abs(mode) == 1
-    # Weights and reactions are those with which the field at the guess is smallest: with the field
-    # itself zero they are right.
+    # Weights and reactions minimise the field at the guess; if the field itself is zero they are
+    # exact.
     first = select(off, mode, jnp.zeros_like(mode))
     force = balance.field(x, first)
     by_first = jax.jacfwd(balance.field, 1)(x, first)
@@ -155,18 +154,18 @@ def _beginning(
 
 
 def scales(z: Array, m: int) -> Array:
-    """What unknowns are measured by: components by their sizes, weights by one."""
+    """Scales of unknowns: sizes of components, one for weights."""
     size = jnp.maximum(abs(z), _SMALL)
     return select(jnp.arange(z.shape[0]) < z.shape[0] - m, size, jnp.maximum(size, 1.0))
 
 
 def throws_back(balance: Balance, x: Array) -> Array:
-    """Whether the reset of each surface turns a motion back, e ≥ 0 to rounding, (m,)."""
+    """Whether the reset of each surface reflects a motion, e ≥ 0 to rounding, (m,)."""
     return balance.pushes(x)[1] >= 1 - float(jnp.finfo(x.dtype).eps) ** 0.5
 
 
 def _mode_of(system: System, x: Array, m: int) -> Array:
-    """The mode that a guess says."""
+    """The mode of a guess."""
     balance = Balance(system, jnp.ones((m,), x.dtype), affine=False)
     h = balance.h(x)
     terms = abs(jax.jacfwd(balance.h)(x)) @ abs(x)
@@ -179,7 +178,7 @@ def _mode_of(system: System, x: Array, m: int) -> Array:
 
 @eqx.filter_jit
 def equilibrium_of(balance: Balance, z: Array, root: Root) -> Equilibrium:
-    """The equilibrium that a solution is."""
+    """The equilibrium of a solution."""
     x, multipliers = balance.split(z)
     return Equilibrium(
         x=x,
@@ -194,7 +193,7 @@ def equilibrium_of(balance: Balance, z: Array, root: Root) -> Equilibrium:
 
 
 def evaluation(balance: Balance, z: Array, scale: Array) -> Evaluation:
-    """The equations as Newton's method wants them."""
+    """The equations in the form for Newton's method."""
     residual, jacobian = balance.residual(z), jax.jacfwd(balance.residual)(z)
     unknowns = jnp.maximum(scale, scales(z, balance.mode.shape[0]))
     terms = abs(jacobian) @ unknowns
@@ -211,7 +210,7 @@ class _AtRest(Equations):
     affine: bool = eqx.field(static=True)
 
     def balance(self, system: System) -> Balance:
-        """That of a system."""
+        """The balance of a system."""
         return Balance(system, self.mode, self.affine)
 
     @eqx.filter_jit

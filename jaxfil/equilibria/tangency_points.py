@@ -1,7 +1,6 @@
-"""`tangency_points`: where the fields of a planar system are tangent to its surfaces.
+"""`tangency_points`: the points at which fields of a planar system are tangent to its surfaces.
 
-A system and a window enter; the tangency points in it leave, visible and invisible ones and
-two-folds: the ends of sliding regions.
+Visible and invisible tangencies and two-folds are the ends of sliding regions.
 """
 
 import functools as ft
@@ -24,7 +23,7 @@ Limits = tuple[tuple[float, float], tuple[float, float]]
 """A window: ((left, right), (bottom, top))."""
 
 # Points along each edge of the window, Newton steps from cells in which there may be a tangency,
-# and distances in parts of the window below which two points are one.
+# and distances, as fractions of the window, below which two points are one.
 _GRID, _STEPS, _ONE = 201, 12, 1e-6
 
 
@@ -36,14 +35,14 @@ class FieldTangency(eqx.Module):
     surface: int = eqx.field(static=True)
     """The number of the surface."""
     side: int = eqx.field(static=True)
-    """The side whose field is tangent, 0 where those of both are: a two-fold."""
+    """The side whose field is tangent, 0 for a two-fold, where both fields are."""
     visible: tuple[int, ...] = eqx.field(static=True)
-    """The sides on which it is visible: the motion there touches the surface and stays on its
-    side; where it is invisible it would be on the other side."""
+    """The sides on which it is visible, that is, the motion touches the surface and stays on its
+    side. At an invisible tangency it would be on the other side."""
 
     @property
     def kind(self) -> str:
-        """Either "visible" or "invisible"; of a two-fold "visible two-fold", "invisible two-fold"
+        """Either "visible" or "invisible"; for a two-fold "visible two-fold", "invisible two-fold"
         or "visible-invisible two-fold"."""
         word = "visible" if self.visible else "invisible"
         if self.side != 0:
@@ -69,7 +68,7 @@ def tangency_points(system: System, limits: Limits) -> list[FieldTangency]:
 
     - `system`: the `System`, of two components, without a period and clocks; taken at t = 0.
     - `limits`: the window, ((left, right), (bottom, top)). It is searched on a grid of 200 cells
-      along each edge: tangencies of one kind in one cell may be missed.
+      along each edge, and tangencies of one kind in one cell may be missed.
 
     **Returns** a list of `FieldTangency`, by surface and from left to right.
 
@@ -165,12 +164,12 @@ def _on_side(fields: _Fields, window: np.ndarray, j: int, side: int) -> list[tup
     if not cells.size:
         return []
     middles = grid[tuple(cells.T)] + 0.5 * (grid[1, 1] - grid[0, 0])
-    # As many rows for any number of cells up to a power of two: one program.
+    # Padded to a power of two, so that few programs are compiled.
     rows = np.resize(middles, (1 << (len(middles) - 1).bit_length(), 2))
     zeros, bends = map(np.asarray, _refined(fields, jnp.asarray(rows), *at))
     size, found = np.ptp(window, axis=1), []
     for x, bend, middle in zip(zeros, bends, rows, strict=True):
-        # What is two cells away is the zero of another cell, or of none.
+        # A zero two cells away belongs to another cell, or to no cell.
         near = np.all(abs(x - middle) <= 2 * size / (_GRID - 1))
         inside = np.all((window[:, 0] <= x) & (x <= window[:, 1]))
         known = any(np.all(abs(x - other) <= _ONE * size) for other, _ in found)
@@ -180,7 +179,7 @@ def _on_side(fields: _Fields, window: np.ndarray, j: int, side: int) -> list[tup
 
 
 def _merged(on_side: list[list[tuple]], j: int, window: np.ndarray) -> list[FieldTangency]:
-    """Those of both sides of a surface, two at one point as a two-fold."""
+    """The tangencies of both sides of a surface, with two at one point as a two-fold."""
     size, (above, below) = np.ptp(window, axis=1), on_side
     found, paired = [], set()
     for x, visible in above:

@@ -1,8 +1,4 @@
-"""`continue_equilibrium_bifurcation`: a bifurcation of equilibria as two parameters vary.
-
-A bifurcation on a branch of equilibria and the names of two parameters enter; the curve on which it
-goes on leaves.
-"""
+"""`continue_equilibrium_bifurcation`: a bifurcation of equilibria as two parameters vary."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -37,12 +33,12 @@ from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
 from jaxfil.xla.known import array_of
 
 _NEWTON_STEPS = 12
-# What is smaller than this part of the largest unknown is zero.
+# Values below this fraction of the largest unknown are zero.
 _SMALL = 1e-3
 
 
 class EquilibriumCurve(PlaneCurve):
-    """A bifurcation of equilibria in two parameters: k points of a curve."""
+    """A curve of k bifurcations of equilibria in two parameters."""
 
     parameters: tuple[str, str] = eqx.field(static=True)
     """The names of the parameters."""
@@ -53,17 +49,17 @@ class EquilibriumCurve(PlaneCurve):
     kinds: tuple[str, ...] = eqx.field(static=True)
     """The kind at each point, one of `EQUILIBRIUM_BIFURCATION_KINDS`."""
     ended: tuple[str, str] = eqx.field(static=True)
-    """Why the curve ends where it does, at either side."""
+    """The reason for the end of the curve, at either side."""
     result: RESULTS
-    """How it began: `successful`, also where the curve ends before `stop`, which `ended` tells;
-    otherwise why it did not, and the bifurcation that was given is its only point."""
+    """The outcome at the start: `successful`, even if the curve ends before `stop` (see `ended`);
+    otherwise the reason, and the given bifurcation is the only point."""
     labels: Labels = eqx.field(static=True, default=Labels())
-    """What pictures call the parameters."""
+    """Names of the parameters in pictures."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _Point(CurvePoint):
-    """A bifurcation: its two parameters are the last unknowns."""
+    """A bifurcation, with the two parameters as its last unknowns."""
 
     kind: str
     admissible: bool
@@ -83,7 +79,7 @@ def _solve(equations: BifurcationEquations, u: Array, constraint: ArclengthConst
     balance, z = equations.at(root.z)
     margins, noise = balance.margins(z), balance.noise(z)
     if equations.family == "boundary":
-        # Its own margin is what vanishes.
+        # Its own margin vanishes.
         margins = margins.at[equations.surface].set(0.0)
     known = equations.persists(root.z), jnp.all(margins >= -noise)
     return dataclasses.replace(root, at=dataclasses.replace(root.at, aux=known))
@@ -91,7 +87,7 @@ def _solve(equations: BifurcationEquations, u: Array, constraint: ArclengthConst
 
 @dataclasses.dataclass(frozen=True)
 class _BifurcationCurve(Curve[_Point]):
-    """The curve of the equations of a bifurcation. No scale is below `least`."""
+    """The curve of the equations of a bifurcation; `least` bounds scales from below."""
 
     equations: BifurcationEquations
     least: np.ndarray | float = 0.0
@@ -106,11 +102,11 @@ class _BifurcationCurve(Curve[_Point]):
         return self.equations.free[0]
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
-        """By the equations of the bifurcation."""
+        """Solve the equations of the bifurcation."""
         return _solve(self.equations, array_of(guess), constraint)
 
     def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> _Point:
-        """With its kind."""
+        """A point with its kind."""
         family = self.equations.family
         persists, admissible = root.at.aux
         boundary = "persistence" if float(persists) > 0 else "nonsmooth-fold"
@@ -125,11 +121,11 @@ class _BifurcationCurve(Curve[_Point]):
         return np.maximum(abs(point.u), self.least)
 
     def special_points(self, a: _Point, b: _Point) -> Iterator[Special[_Point]]:
-        """None are looked for."""
+        """No special points."""
         return iter(())
 
     def refusal(self, ahead: _Point) -> str | None:
-        """A virtual equilibrium is none of the system."""
+        """A virtual equilibrium does not belong to the system."""
         return None if ahead.admissible else "the equilibrium is virtual"
 
     def told(self, point: _Point) -> str:
@@ -149,27 +145,27 @@ def continue_equilibrium_bifurcation(
 ) -> EquilibriumCurve:
     """Follow a fold, a Hopf point or a boundary equilibrium in two parameters.
 
-    Pseudo-arclength continuation of the equations that define it: F = 0 with a null vector of the
+    Pseudo-arclength continuation of the defining equations, F = 0 with a null vector of the
     Jacobian, with a pair of eigenvalues ±iω, or with a margin of zero. On a curve of boundary
-    equilibria persistence and nonsmooth folds are told at each point.
+    equilibria each point is classified as persistence or nonsmooth fold.
 
     **Arguments**
 
-    - `system`: the `System`. The values of all parameters are those of the bifurcation.
+    - `system`: the `System`. The bifurcation defines the values of all parameters.
     - `parameters`: the names of two scalar parameters.
-    - `bifurcation`: where to start, as in `EquilibriumBranch.points`.
+    - `bifurcation`: the start, as in `EquilibriumBranch.points`.
     - `stop`: the value of the first parameter to end at; a pair (low, high) follows the curve both
       ways.
     - `max_step`: the largest step, relative to the size of the unknowns.
-    - `max_points`: the most points in either direction.
+    - `max_points`: the largest number of points in either direction.
     - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a curve that
-      does not begin has the bifurcation that was given as its only point.
+      does not begin contains only the given bifurcation.
 
-    **Returns** an `EquilibriumCurve`. One that ends before `stop`, as where the equilibrium becomes
-    virtual, is a success; `EquilibriumCurve.ended` says why.
+    **Returns** an `EquilibriumCurve`. One that ends before `stop`, for example at a virtual
+    equilibrium, is a success; `EquilibriumCurve.ended` gives the reason.
 
-    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
-    the bifurcation.
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method diverges
+    from the bifurcation.
 
     **Source**: textbook for folds and Hopf points: W. Govaerts, Numerical Methods for Bifurcations
     of Dynamical Equilibria, SIAM (2000); boundary equilibria: M. di Bernardo, C. Budd, A. Champneys
@@ -214,13 +210,13 @@ def continue_equilibrium_bifurcation(
         curve = dataclasses.replace(curve, least=least)
         found = _curve(curve, follow(curve, start, within, max_step, max_points), result)
     if throw:
-        # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
+        # Not traced, so that it raises at once and the numbers stay NumPy arrays.
         raise_if_failed(found.values, found.result)
     return found
 
 
 def _curve(curve: _BifurcationCurve, path: Path[_Point], result: RESULTS) -> EquilibriumCurve:
-    """A path as the `EquilibriumCurve` it is."""
+    """The `EquilibriumCurve` of a path."""
     equations = curve.equations
     n = equations.across.size - equations.after.size
     return EquilibriumCurve(

@@ -1,8 +1,4 @@
-"""Means of a rate over batches of time, with what their scatter tells.
-
-How much a logarithm has grown in each batch enters; the mean rate, its running estimates, its
-standard error, and whether it was the rate of one motion throughout, leave.
-"""
+"""Means of a rate over batches of time, with standard errors from their scatter."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,17 +6,17 @@ from jaxtyping import Array
 
 from jaxfil.xla.select import select
 
-# An average is taken in this many batches, between which the lanes of a computation wait. Few of
-# them are long, and long ones are independent of each other, which the standard error needs.
+# Number of batches of an average; the lanes of a computation wait for each other between batches.
+# Few batches are long, and long ones are independent, as the standard error requires.
 BATCHES = 32
-# A change of the mean by this many standard errors is a change of the motion: with 32 batches and
-# Gaussian noise one exponent in some thousands has such a change by chance.
+# A change of the mean by this many standard errors is a change of the motion. With 32 batches and
+# Gaussian noise this happens by chance for one exponent in some thousands.
 _CHANGE = 5.0
 
 
 def batch_ends(periods: Array, batches: int) -> Array:
-    """Periods done at the end of each batch, as equal as whole numbers can be."""
-    # k·periods // batches would overflow in 32 bits: quotient and remainder apart do not.
+    """Number of periods at the end of each batch, as equal as integers can be."""
+    # k·periods // batches would overflow in 32 bits; separate quotient and remainder do not.
     k = jnp.arange(1, batches + 1, dtype=periods.dtype)
     whole, rest = periods // batches, periods % batches
     return k * whole + k * rest // batches
@@ -34,18 +30,18 @@ def averages(growth: Array, times: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _sums(of: np.ndarray, values: Array) -> Array:
-    """The sums of those rows of values (b, k) that are true in a row of `of` (c, b), shape (c, k);
-    what is added in none may be infinite. A product of matrices would end a kernel."""
+    """The sums of the rows of values (b, k) that are true in a row of `of` (c, b), shape (c, k);
+    rows outside every sum may be infinite. A matrix product would end a kernel."""
     return jnp.sum(select(jnp.asarray(of)[..., None], values, 0), axis=1)
 
 
 def _standard_error(growth: Array, times: Array) -> Array:
-    """Of the mean rate, from the scatter of the batches' rates; 0 where it is −inf."""
+    """The standard error of the mean rate, from the scatter of the batches; 0 for −inf."""
     batches = growth.shape[0]
     if batches == 1:
         return jnp.full_like(growth[0], jnp.nan)
-    # Batches may differ by a period in length: each is compared with what the mean rate would have
-    # grown in its own time.
+    # Batches may differ by a period in length. Each is compared with the growth of the mean rate in
+    # its own time.
     lasting = jnp.diff(times, prepend=0.0)
     finite = select(growth == -jnp.inf, 0.0, growth)
     mean = jnp.sum(finite, axis=0) / times[-1]
@@ -58,19 +54,19 @@ def _settled(growth: Array, times: Array) -> Array:
     """Whether no split of the batches into early and late ones shows two different means.
 
     The means of the two parts are compared with the scatter within them (Student's t, the largest
-    over all splits). What the shorter part has more or less grown by the end must also matter: a
-    factor below e is how every exponent begins. Batches in which a direction was lost, and those in
-    which none was, are compared in the same way, and each matters.
+    over all splits). The excess growth of the shorter part must also be significant, because every
+    exponent begins with a factor below e. Batches with and without a lost direction are compared in
+    the same way.
     """
     known = ~jnp.any(jnp.isnan(growth))
     if growth.shape[0] < 3:
         return known
-    # A growth of −inf has no mean: how often it happens is compared instead of how much.
+    # A growth of −inf has no mean; its frequency is compared instead of its size.
     lost = growth == -jnp.inf
     lasting = jnp.diff(times, prepend=0.0)[:, None]
     rates = select(lost, 0.0, growth) / lasting
     changes = _changes(rates, 1 / jnp.mean(lasting)) | _changes(lost.astype(growth.dtype), 0.5)
-    # NaN in one batch is a lane that failed: nothing is known of its motion.
+    # NaN in one batch marks a failed lane, whose motion is unknown.
     return known & ~jnp.any(changes)
 
 
@@ -78,18 +74,17 @@ def _changes(values: Array, least: Array | float) -> Array:
     """Whether the mean of values (batches, k) changes at some split by more than their scatter
     explains, and by more than `least` over the number of batches in the shorter part."""
     batches = values.shape[0]
-    # All splits at once, a row each: triangles tell what is on either side.
+    # All splits at once, one per row; triangular masks select either side.
     k = np.arange(1, batches)
     early = np.tri(batches - 1, batches, dtype=bool)  # a row: a split
     early_mean = _sums(early, values) / jnp.asarray(k[:, None], values.dtype)
     late_mean = _sums(~early, values) / jnp.asarray(batches - k[:, None], values.dtype)
     mean = select(jnp.asarray(early)[..., None], early_mean[:, None], late_mean[:, None])
-    # Two means were taken from the batches, which leaves so many degrees of freedom.
+    # Two means were taken from the batches, which leave this many degrees of freedom.
     variance = jnp.sum((values - mean) ** 2, axis=1) / (batches - 2)
     weight = jnp.asarray(1 / k + 1 / (batches - k), values.dtype)[:, None]
     shorter = jnp.asarray(np.minimum(k, batches - k)[:, None], values.dtype)
-    # Of all splits the largest t is taken, which is larger by chance than that of one: `_CHANGE`
-    # allows for it.
+    # The largest t over all splits exceeds a single one by chance; `_CHANGE` allows for it.
     difference = abs(early_mean - late_mean)
     beyond_chance = difference > _CHANGE * jnp.sqrt(variance * weight)
     return jnp.any(beyond_chance & (difference * shorter > least), axis=0)

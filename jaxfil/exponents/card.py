@@ -1,7 +1,4 @@
-"""The card of an averaged exponent.
-
-A result with its exponents and their standard errors enters; the lines that it prints leave.
-"""
+"""The card of an averaged exponent."""
 
 from typing import Protocol, runtime_checkable
 
@@ -25,7 +22,7 @@ class Average(Protocol):
 
     @property
     def times(self) -> Array:
-        """The time averaged over so far."""
+        """The times of the running average."""
         ...
 
     @property
@@ -42,13 +39,13 @@ class Average(Protocol):
 def average_card(
     name: str, found: Average, exponents: Array | np.ndarray, errors: Array | np.ndarray
 ) -> str:
-    """What was averaged, over how long, and whether it is to be trusted, in a few lines."""
+    """The average, its time, and its reliability, in a few lines."""
     name += precision(found.x0)
     if isinstance(found.result._value, jax.core.Tracer) or found.times.ndim > 1:
         return f"{name}: a batch of shape {found.times.shape[:-1]}"
     numbers, spreads = np.atleast_1d(exponents), np.atleast_1d(errors)
     pairs = zip(numbers, spreads, strict=True)
-    # −inf and NaN have no error to speak of: the first is exact, of the second nothing is known.
+    # −inf and NaN have no error; the first is exact, the second unknown.
     told = ", ".join(f"{a:.5g} ± {b:.1g}" if np.isfinite(a) else f"{a}" for a, b in pairs)
     state = np.array2string(np.asarray(found.x0), precision=6, separator=", ")
     lines = [

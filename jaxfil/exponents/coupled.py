@@ -1,7 +1,4 @@
-"""What a drive and its response tell: results, their cards and pictures.
-
-Arrays of numbers enter, as the verbs of `synchronization` have found them; nothing is computed.
-"""
+"""Results of drive and response, with their cards and pictures."""
 
 import equinox as eqx
 import jax
@@ -17,7 +14,7 @@ from jaxfil.model.types import Axes
 
 
 class Synchronization(eqx.Module):
-    """Which couplings synchronise drive and response.
+    """The couplings that synchronise drive and response.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -30,28 +27,28 @@ class Synchronization(eqx.Module):
     """
 
     exponent: Float[Array, ""]
-    """The smallest of `couplings` that synchronises, an estimate of λ1; NaN if none does."""
+    """The smallest of `couplings` that synchronises, an estimate of λ1; NaN without one."""
     couplings: Float[Array, " c"]
-    """As they were given."""
+    """The values of ε, as passed."""
     distances: Float[Array, " c"]
-    """The smallest distance |x − y| seen at the ends of periods, until it fell to `tolerance`; NaN
-    where the lane failed."""
+    """The smallest distance |x − y| at the ends of periods, until it fell to `tolerance`; NaN where
+    the lane failed."""
     synchronized: Bool[Array, " c"]
     """Whether that distance fell to `tolerance`."""
     tolerance: Float[Array, ""]
     """The distance that counts as synchronised."""
     time: Float[Array, ""]
-    """How long drive and response were given."""
+    """The time of the run of drive and response."""
     bias: Float[Array, ""]
-    """By how much the estimate is expected to lie above λ1: half a step of the grid, and
-    log(d0/tolerance)/time, since the distance must fall from its initial d0 within that time. NaN
-    if the lowest coupling synchronises already, or none does: λ1 is then in no step of the grid."""
+    """Expected excess of the estimate over λ1: half a step of the grid, and log(d0/tolerance)/time,
+    because the distance must fall from its initial d0 within that time. NaN if the lowest coupling
+    synchronises, or no coupling does; λ1 is then outside the grid."""
     x0: Float[Array, " n"]
     """The drive's state before the transient."""
     results: RESULTS
     """An outcome for each coupling, shape (c,)."""
     compact: bool = eqx.field(static=True, default=False)
-    """Whether the stages of a step were a loop in the program: see `solve`."""
+    """Whether the stages of a step were a loop in the program (see `solve`)."""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the distances against the couplings; returns the matplotlib axes."""
@@ -93,30 +90,30 @@ class TransverseExponent(eqx.Module):
     """
 
     exponent: Float[Array, ""]
-    """That rate plus the coupling, per unit time. NaN where the distance fell below what rounding
-    resolves within one interval."""
+    """The rate plus the coupling, per unit time. NaN where the distance fell below the resolution
+    of rounding within one interval."""
     standard_error: Float[Array, ""]
-    """Of the exponent, by batch means."""
+    """Standard error of the exponent, by batch means."""
     running: Float[Array, " batches"]
     """The estimates at `times`."""
     times: Float[Array, " batches"]
-    """The time averaged over so far."""
+    """The times of the running average."""
     separation: Float[Array, ""]
-    """The distance to which the response was set back after every interval."""
+    """The distance to which the response was reset after every interval."""
     x0: Float[Array, " n"]
     """The drive's state before the transient."""
     x_final: Float[Array, " n"]
     """The drive's state at the end."""
     settled: Bool[Array, ""]
-    """False if the growth changed for good on the way: take a longer transient."""
+    """False if the growth changed permanently within the average; use a longer transient."""
     result: RESULTS
     """The lane's outcome."""
     compact: bool = eqx.field(static=True, default=False)
-    """Whether the stages of a step were a loop in the program: see `solve`."""
+    """Whether the stages of a step were a loop in the program (see `solve`)."""
 
     @property
     def exponents(self) -> Float[Array, " 1"]:
-        """The one that is known, as `LyapunovSpectrum.exponents`."""
+        """The exponent as an array, like `LyapunovSpectrum.exponents`."""
         return self.exponent[..., None]
 
     def plot(self, ax: Axes | None = None) -> Axes:

@@ -1,7 +1,4 @@
-"""A system twice: a drive, and a response that is pulled towards it.
-
-A system and a coupling enter; a system of twice as many states and surfaces leaves.
-"""
+"""The system of a drive and a response coupled to it, with twice as many states and surfaces."""
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -32,7 +29,7 @@ class _DriveResponse(System):
         sides = (side[0], side[1]) if scalar else _halves(side)
         reaction = jnp.zeros_like(side) if reaction is None else reaction
         forces = (reaction[0], reaction[1]) if scalar else _halves(reaction)
-        # The response sees its own state and side everywhere: with the drive's in one term it would
+        # The response uses its own state and side everywhere; with the drive's in one term it would
         # synchronise at every coupling.
         pull = self.coupling * (drive - response)
         first = field_of(self.system, t, drive, sides[0], forces[0])
@@ -49,8 +46,8 @@ class _DriveResponse(System):
         )
 
     def reset(self, t: Array, x: Array, surface: Array) -> Array:
-        # Surfaces 0 … m − 1 are the drive's, m … 2m − 1 the response's; an impact of one leaves the
-        # other where it is.
+        # Surfaces 0 … m − 1 belong to the drive, m … 2m − 1 to the response; an impact of one does
+        # not move the other.
         drive, response = _halves(x)
         m = jnp.size(self.system.switching(t, drive))
         own = surface % m
@@ -81,7 +78,7 @@ class _DriveResponse(System):
 
 
 def drive_response(system: System, coupling: Scalar) -> System:
-    """A system of 2n states z = (x, y), a drive and a response that is pulled towards it.
+    """A system of 2n states z = (x, y), a drive and a response that is coupled to it.
 
         ẋ = F(t, x),    ẏ = F(t, y) + coupling · (x − y)
 
@@ -91,7 +88,7 @@ def drive_response(system: System, coupling: Scalar) -> System:
     **Arguments**
 
     - `system`: any `System`; its parameters are called `system.name` in the new one.
-    - `coupling`: the rate of the pull, per unit of time; a parameter of the new system.
+    - `coupling`: the coupling rate, per unit of time; a parameter of the new system.
 
     **Returns** a `System` with the period and the clocks of `system`.
 

@@ -1,8 +1,8 @@
 """A frame: n tangent vectors, orthonormalised one after the other.
 
-A system, and vectors of n components, enter; orthonormal ones leave, with log R_ii of each. Of a
-state that is one array the frame is one too, (n, n), a row for each vector, so that programs are of
-one size for all n; the vectors of a state of few numbers are written out.
+The orthonormalisation also gives log R_ii of each vector. For a state that is one array the frame
+is one too, (n, n), with a vector in each row, so that the size of programs does not depend on n;
+for a state of few numbers the vectors are written out.
 """
 
 from collections.abc import Callable
@@ -17,14 +17,14 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
 Frame = tuple[Components, ...] | Array
-"""The vectors, or the array of them."""
+"""The vectors, or an array of them."""
 
-# A direction to which those before it leave less than this many eps of its length is lost.
+# A direction is lost if its part outside of the previous ones is below this many eps of its length.
 _LOST = 1e4
 
 
 def generic_frame(system: ComponentSystem) -> Frame:
-    """n orthonormal vectors, none of which is likely to be special to the system."""
+    """n orthonormal vectors in directions that are unlikely to be special to the system."""
     # The axes would be special: where a slide loses x', the axis of x' is lost at once.
     q, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(system.n, system.n)))
     if zeros(system).is_array:
@@ -42,7 +42,7 @@ def for_each(
     frame: Frame,
     numbers: Components,
 ) -> tuple[Frame, Components]:
-    """`function` of each vector and its number: a vector and a number of each."""
+    """Map `function` over the vectors and their numbers; it returns a vector and a number."""
     if isinstance(frame, tuple):
         vectors, out = zip(*map(function, frame, numbers.parts), strict=True)
         return vectors, Components(out)
@@ -53,9 +53,9 @@ def for_each(
 def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple[Frame, Components]:
     """An orthonormal frame, and log R_ii of each vector.
 
-    A vector of which the ones before it leave nothing but rounding is replaced by one that is
-    orthogonal to them. Its logarithm is −inf where a slide or a reset may have `dropped` it, which
-    has then no length at all, and NaN elsewhere: it is too small to be told.
+    A vector whose part outside of the previous ones is rounding is replaced by an orthogonal one.
+    Its logarithm is −inf where a slide or a reset may have `dropped` it, with an exact length of
+    zero, and NaN elsewhere, because it is too small to be resolved.
     """
     # A QR factorisation of LAPACK would end the kernel.
     if not isinstance(frame, tuple):
@@ -64,7 +64,7 @@ def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple
     logs = []
     for v in frame:
         rest = v
-        for _ in range(2):  # the second time removes what rounding left
+        for _ in range(2):  # the second pass removes the rounding of the first
             for q in done:
                 rest = rest + -dot(q, rest) * q
         unit, log = _normalised(system, v, rest, lambda: _complement(system, done), dropped)
@@ -76,15 +76,15 @@ def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple
 def _gram_schmidt_of_array(
     system: ComponentSystem, frame: Array, dropped: Array
 ) -> tuple[Array, Components]:
-    """The same of the rows of an array."""
+    """The same for the rows of an array."""
     rows = jnp.arange(system.n, dtype=jnp.int32)
 
     def outside(done: Array, v: Array) -> Array:
-        """What the vectors done leave of one."""
+        """The part of a vector orthogonal to the vectors done."""
         return v - jnp.sum(jnp.sum(done * v, axis=1)[:, None] * done, axis=0)
 
     def complement(done: Array) -> Components:
-        """A unit vector orthogonal to those done: what they leave of the axis they leave most."""
+        """A unit vector orthogonal to those done, from the axis with the largest such part."""
         most = jax.lax.argmin(jnp.sum(done * done, axis=0), 0, jnp.int32)
         axis = (rows == most).astype(system.dtype)
         left = outside(done, axis)
@@ -92,7 +92,7 @@ def _gram_schmidt_of_array(
 
     def next_vector(done: Array, turn: tuple[Array, Array]) -> tuple[Array, Array]:
         k, v = turn
-        rest = outside(done, outside(done, v))  # the second time removes what rounding left
+        rest = outside(done, outside(done, v))  # the second pass removes the rounding of the first
         both = Components([v]), Components([rest])
         unit, log = _normalised(system, *both, lambda: complement(done), dropped)
         return select((rows == k)[:, None], unit.parts[0], done), log
@@ -108,7 +108,7 @@ def _normalised(
     complement: Callable[[], Components],
     dropped: Array,
 ) -> tuple[Components, Array]:
-    """What was left of a vector, of length one, and the logarithm of its length; or its
+    """The remaining part of a vector with unit length, and the logarithm of its length; or its
     replacement."""
     length = _norm(rest)
     lost = length <= _LOST * system.eps * _norm(v)
@@ -124,7 +124,7 @@ def _norm(v: Components) -> Array:
 
 
 def _complement(system: ComponentSystem, done: list[Components]) -> Components:
-    """A unit vector orthogonal to orthonormal ones: what they leave of the axis they leave most."""
+    """A unit vector orthogonal to orthonormal ones, from the axis with the largest such part."""
     eye = np.eye(system.n)
     best, most = system.constant(0 * eye[0]), jnp.zeros((), system.dtype)
     for j in range(system.n):

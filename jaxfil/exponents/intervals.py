@@ -1,8 +1,4 @@
-"""The intervals of time that exponents are taken over.
-
-Counts and the length of an interval, as a user gives them, enter; traced numbers and the grid of
-steps over some of the intervals leave.
-"""
+"""The intervals of time over which exponents are averaged, and their grids of steps."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +12,7 @@ from jaxfil.model.system import System
 from jaxfil.model.types import Scalar
 
 Counts = tuple[Array, Array, Array]
-"""Periods averaged over, periods before, and steps of a period."""
+"""Averaged periods, transient periods, and steps per period."""
 
 
 class Interval(eqx.Module):
@@ -24,24 +20,24 @@ class Interval(eqx.Module):
 
     length: Array
     forced: bool = eqx.field(static=True)
-    """Whether it is the period of the forcing."""
+    """Whether it is the forcing period."""
     repeats: Array | None = None
-    """Whether the system is at its end what it was; None where that is not known."""
+    """Whether the system repeats after it; None if unknown."""
 
     def of(self, system: System, x: Array) -> "Interval":
-        """The same, after a look at the system near a state."""
+        """The same, with `repeats` determined for the system near a state."""
         asked = self.forced and not system.clocks
         return Interval(
             self.length, self.forced, repeats(system, self.length, x) if asked else None
         )
 
     def grid(self, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:
-        """The grid of `count` of them after the first `start`."""
+        """The grid of `count` intervals after the first `start`."""
         return grid_of_periods(self.length, count, steps, start, repeats=self.repeats)
 
 
 def counts_of(periods: int, transient: int, steps: int) -> Counts:
-    """Whole numbers as traced values, so that new ones compile nothing."""
+    """Integers as traced values, so that new ones do not recompile."""
     periods = check.count("periods", periods)
     transient = check.count("transient", transient, least=0)
     check.number_of_steps(steps, periods=periods, transient=transient)
@@ -50,7 +46,7 @@ def counts_of(periods: int, transient: int, steps: int) -> Counts:
 
 
 def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> Interval:
-    """The interval that was asked for, by default the period of the forcing."""
+    """The requested interval, by default the forcing period."""
     if interval is not None:
         return Interval(check.scalar("interval", interval, dtype, positive=True), False)
     if system.period is None:

@@ -1,8 +1,4 @@
-"""Lyapunov exponents from the variational equation.
-
-A system and an initial state enter; all n exponents of the orbit they lead to leave, each with a
-standard error, a running estimate, and whether the orbit was the same kind of motion throughout.
-"""
+"""Lyapunov exponents from the variational equation, with standard errors."""
 
 import equinox as eqx
 import jax
@@ -48,26 +44,26 @@ class LyapunovSpectrum(eqx.Module):
     """
 
     exponents: Float[Array, " n"]
-    """−inf for a direction that sticking takes away altogether. NaN for one that contracts against
-    another by more than rounding resolves within one interval (take a shorter `interval`), and for
-    a lane that failed."""
+    """The exponents. −inf for a direction that sticking removes completely. NaN for a direction
+    that contracts against another by more than rounding resolves within one interval (use a shorter
+    `interval`), and for a failed lane."""
     standard_error: Float[Array, " n"]
-    """Of each exponent, by batch means; 0 for −inf."""
+    """Standard error of each exponent, by batch means; 0 for −inf."""
     running: Float[Array, "batches n"]
     """The estimates at `times`, for a picture of the convergence."""
     times: Float[Array, " batches"]
-    """The time averaged over so far."""
+    """The times of the running average."""
     x0: Float[Array, " n"]
-    """The state before the transient, which decides between coexisting attractors."""
+    """The state before the transient, which selects one of several coexisting attractors."""
     x_final: Float[Array, " n"]
     """The state at the end."""
     settled: Bool[Array, ""]
-    """False if the growth changed for good somewhere within the average, as it does where a
-    transient ends. The exponents are then those of no motion: take a longer transient."""
+    """False if the growth changed permanently within the average, as at the end of a transient. The
+    exponents then belong to no single motion; use a longer transient."""
     result: RESULTS
     """The lane's outcome."""
     compact: bool = eqx.field(static=True, default=False)
-    """Whether the stages of a step were a loop in the program: see `solve`."""
+    """Whether the stages of a step were a loop in the program (see `solve`)."""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the running estimates of one orbit's exponents; returns the matplotlib axes."""
@@ -93,24 +89,24 @@ def lyapunov_spectrum(
 
         λ_i = lim (1/t) Σ_k log R_ii(k),    M_k Q_{k−1} = Q_k R(k)
 
-    with M_k the derivative of the flow over period k: n tangent vectors are carried along the
+    with M_k the derivative of the flow over period k. n tangent vectors are propagated along the
     orbit, exactly through crossings, slides and resets, and orthonormalised once a forcing period.
-    The orbit runs `transient` periods first, with the tangent vectors from the last quarter of them
-    on (in a compact program from the start), which lets them turn to where they belong; then
-    `periods` more are averaged over.
+    The orbit first runs `transient` periods. The tangent vectors join it for the last quarter of
+    them (in a compact program from the start), which aligns them; the average is then taken over
+    `periods` more.
 
-    Runs under `jax.jit` and `equinox.filter_vmap` (over a system with batched leaves, or over x0),
+    Runs under `jax.jit` and `equinox.filter_vmap` (over a batched system, or over x0),
     each lane with its own outcome, and has forward-mode derivatives.
 
     **Arguments**
 
     - `system`: any `System`.
     - `x0`: initial state, shape (n,).
-    - `periods`, `transient`: forcing periods averaged over, and run before.
-    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or what `choose_step` gives,
+    - `periods`, `transient`: averaged forcing periods, and periods before the average.
+    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or the result of `choose_step`,
       which has its own `stepper`.
-    - `interval`: the time that takes the place of the forcing period; an autonomous system needs
-      one. Within an interval the ratio of two directions' growths must stay far from 1/eps.
+    - `interval`: the time that replaces the forcing period; an autonomous system needs one. Within
+      an interval the ratio of the growth of two directions must stay far from 1/eps.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `compact`: as in `solve`.
 
@@ -182,16 +178,16 @@ def _spectrum(
             compact=compact,
         )
 
-    # The averages too: what is left outside of a kernel is many small parts, slow to compile.
+    # The averages too, because many small operations outside of a kernel are slow to compile.
     return kernel_if_it_fits(run, compact)(x0)
 
 
 def _grown(problem: Problem, counts: Counts, ends: Array, x0: Array) -> tuple[LoopState, Array]:
-    """The end of the run, and how much the logarithms have grown up to each of `ends`."""
+    """The end of the run, and the growth of the logarithms up to each of `ends`."""
     _, transient, steps = counts
     state = initial_state(problem, problem.system.unpack(x0))
-    # The frame costs n times the orbit: it joins when most of the transient is over. A loop without
-    # it costs a compact program more than it saves.
+    # The frame costs n times the orbit, so it joins late in the transient. In a compact program a
+    # loop without it costs more than it saves.
     if not problem.compact:
         alone = (transient - transient // 4) * steps
         state = jax.lax.while_loop(
@@ -206,4 +202,4 @@ def _grown(problem: Problem, counts: Counts, ends: Array, x0: Array) -> tuple[Lo
 
     first = vary(problem.system, state, steps)
     last, growth = jax.lax.scan(batch, first, (transient + jnp.append(0, ends)) * steps)
-    return finish(problem.grid, last.state), growth[1:]  # the first only turned the frame
+    return finish(problem.grid, last.state), growth[1:]  # the first only aligned the frame

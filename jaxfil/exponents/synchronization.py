@@ -1,9 +1,9 @@
-"""Lyapunov exponents by chaos synchronisation, which needs no derivative.
+"""Lyapunov exponents by chaos synchronisation, without derivatives.
 
-A system enters twice: as a drive and as a response that is pulled towards it,
-ẋ = F(t, x), ẏ = F(t, y) + ε(x − y). Small distances |x − y| grow at the rate λ1 − ε. What leaves is
-λ1, either as the smallest coupling ε of a grid at which the two synchronise, or from the rate
-itself. Stefański and Kapitaniak, Discrete Dynamics in Nature and Society 4 (2000) 207–215.
+In the system of a drive and a response coupled to it, ẋ = F(t, x), ẏ = F(t, y) + ε(x − y), small
+distances |x − y| grow at the rate λ1 − ε. λ1 is either the smallest coupling ε of a grid at which
+the two synchronise, or follows from the rate itself. Stefański and Kapitaniak, Discrete Dynamics in
+Nature and Society 4 (2000) 207–215.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.lanes import lanes_of
 from jaxfil.xla.select import select
 
-# A distance of fewer eps of the size of the state is rounding: a few bits of it are right.
+# A distance below this many eps of the size of the state is rounding, with few correct bits.
 _RESOLVED = 64
 
 
@@ -61,24 +61,22 @@ def synchronization_exponent(
     The drive x runs `transient` periods from `x0` at t = 0. The response y starts 1 % away from it,
     and both run until |x − y| ≤ `tolerance`, for `periods` periods at most.
 
-    Runs under `jax.jit` and `equinox.filter_vmap`: over parameters here, over couplings inside.
+    Runs under `jax.jit` and `equinox.filter_vmap` over parameters; couplings are batched inside.
 
     **Arguments**
 
     - `system`: any `System`.
     - `x0`: initial state of the drive, shape (n,).
     - `couplings`: values of ε, per unit of time, shape (c,), ascending. Their spacing is the
-      resolution of the answer.
-    - `periods`: forcing periods that drive and response are given; short runs find too large an
-      exponent, as `Synchronization.bias` tells.
-    - `transient`: forcing periods that the drive runs before.
-    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or what `choose_step` gives,
+      resolution of the result.
+    - `periods`: forcing periods of drive and response. Short runs give too large an exponent (see
+      `Synchronization.bias`).
+    - `transient`: forcing periods of the drive before the response starts.
+    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or the result of `choose_step`,
       which has its own `stepper`.
-    - `tolerance`: the distance that counts as synchronised, positive, in units of the state. Too
-      large a one is met by chance in the middle of chaos: 1e-3 finds almost any coupling to
-      synchronise.
-    - `interval`: the time that takes the place of the forcing period; an autonomous system needs
-      one.
+    - `tolerance`: the distance that counts as synchronised, positive, in units of the state. A
+      large one is reached by chance within chaos: at 1e-3 almost any coupling synchronises.
+    - `interval`: the time that replaces the forcing period; an autonomous system needs one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `compact`: as in `solve`.
 
@@ -104,7 +102,7 @@ def synchronization_exponent(
     x = check.state("x0", x0)
     check.system("system", system)
     system = cast(system, x.dtype)
-    # Ascending: the first that synchronises is the answer.
+    # Ascending, because the first that synchronises is the result.
     grid = check.numbers("couplings", couplings, x.dtype, "real numbers of shape (c,) with c ≥ 1")
     if grid.ndim != 1 or grid.shape[0] == 0:
         raise ValueError(f"`couplings` must be of shape (c,) with c ≥ 1, got shape {grid.shape}.")
@@ -139,7 +137,7 @@ def _distance(z: Components) -> Array:
 def _settle(
     system: System, x0: Array, interval: Interval, counts: Counts, stepper: Stepper, compact: bool
 ) -> tuple[Interval, Array, RESULTS]:
-    """What is known of the interval, and the drive alone, after its transient."""
+    """The interval of the system, and the drive alone, after its transient."""
     _, transient, steps = counts
 
     def run(x0: Array) -> tuple[Interval, Array, RESULTS]:
@@ -147,7 +145,7 @@ def _settle(
         grid = between.grid(jnp.maximum(transient, 1), steps)
         problem = problem_of(build(system, x0, compact=compact), tableau_of(stepper), grid)
         state = integrate(problem, problem.system.unpack(x0))
-        # A grid needs a step: without a transient one period is run, and forgotten.
+        # A grid needs a step: without a transient one period is run and discarded.
         moved = transient > 0
         x = select(moved, pack(state.motion.x, x0.dtype), x0)
         return between, x, RESULTS.where(moved, state.result, RESULTS.successful)
@@ -156,8 +154,8 @@ def _settle(
 
 
 def _away(x: Array, part: float) -> tuple[Array, Array]:
-    """A state at a distance of `part` of the size of x, in no special direction; the distance."""
-    # A direction along an axis may be special to the system, such as the flow's own.
+    """A state at a distance of `part` times |x|, in a generic direction, and the distance."""
+    # A direction along an axis may be special to the system, such as the direction of the flow.
     direction = np.random.default_rng(0).normal(size=x.shape[0])
     unit = jnp.asarray(direction / np.linalg.norm(direction), x.dtype)
     norm = jnp.sqrt(jnp.sum(x * x))
@@ -208,9 +206,9 @@ def _threshold(
     def told(nearest: Array, results: RESULTS) -> Synchronization:
         met = nearest <= tolerance
         time = periods.astype(x0.dtype) * interval.length
-        first = jnp.argmax(met)  # 0, too, if none has met
-        # λ1 is in the step of the grid that ends at the answer, whose middle is half a step below.
-        # Nothing is known to lie below the lowest coupling: no step ends there.
+        first = jnp.argmax(met)  # also 0 without a synchronised one
+        # λ1 is in the step of the grid that ends at the result, whose middle is half a step below.
+        # No step ends at the lowest coupling.
         spacing = jnp.diff(couplings, prepend=jnp.nan)[first]
         return Synchronization(
             exponent=select(jnp.any(met), couplings[first], jnp.nan),
@@ -240,25 +238,24 @@ def transverse_exponent(
     stepper: Stepper | None = None,
     compact: bool | None = None,
 ) -> TransverseExponent:
-    """The largest Lyapunov exponent from the rate at which drive and response part.
+    """The largest Lyapunov exponent from the rate at which drive and response separate.
 
         λ1 = ε + lim (1/t) log (|x − y|(t) / |x − y|(0))    at small distance
 
     The drive x runs from `x0` at t = 0. For the last quarter of the `transient` periods the
-    response y joins it, as in `drive_response`, at a distance of eps^0.4·|x|, and is set back to
-    that once a period: the direction that grows most is found before growth is counted. λ1 is the
-    coupling at which the rate is zero, whichever coupling it was measured at.
+    response y joins it, as in `drive_response`, at a distance of eps^0.4·|x|, and is reset to that
+    distance once a period, so that it aligns with the direction of fastest growth before growth is
+    counted. The rate is zero at the coupling λ1, and λ1 does not depend on the coupling used.
 
     **Arguments**
 
     - `system`: any `System`.
     - `x0`: initial state of the drive, shape (n,).
     - `coupling`: ε, per unit of time.
-    - `periods`, `transient`: forcing periods averaged over, and run before.
-    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or what `choose_step` gives,
+    - `periods`, `transient`: averaged forcing periods, and periods before the average.
+    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or the result of `choose_step`,
       which has its own `stepper`.
-    - `interval`: the time that takes the place of the forcing period; an autonomous system needs
-      one.
+    - `interval`: the time that replaces the forcing period; an autonomous system needs one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `compact`: as in `solve`.
 
@@ -269,7 +266,7 @@ def transverse_exponent(
 
     **Source**: A. Stefański and T. Kapitaniak, Discrete Dynamics in Nature and Society 4 (2000)
     207–215, for the coupling; G. Benettin, L. Galgani and J.-M. Strelcyn, Kolmogorov entropy and
-    numerical experiments, Physical Review A 14 (1976) 2338–2345, for setting the distance back.
+    numerical experiments, Physical Review A 14 (1976) 2338–2345, for the reset of the distance.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -311,16 +308,16 @@ def _transverse(
     batches: int,
     compact: bool,
 ) -> TransverseExponent:
-    # In the last quarter of the transient the pair runs already, and its distance turns into the
-    # direction that grows most: counted, that would be a surplus of its own.
+    # The pair already runs in the last quarter of the transient, so that its distance aligns
+    # with the direction of fastest growth before it counts.
     periods, transient, steps = counts
     turning = transient // 4
     alone = (periods, transient - turning, steps)
     interval, x, settled = _settle(system, x0, interval, alone, stepper, compact)
 
     def run(x: Array, coupling: Array) -> TransverseExponent:
-        # A distance d errs by d from the curvature of the flow and by eps/d from rounding: least at
-        # √eps, and a little more leaves room to shrink within an interval.
+        # A distance d has an error of d from the curvature of the flow and of eps/d from rounding,
+        # least at √eps; a larger one has room to shrink within an interval.
         y, separation = _away(x, float(jnp.finfo(x.dtype).eps) ** 0.4)
         z = jnp.concatenate([x, y])
         pair = build(drive_response(system, coupling), z, compact=compact)
@@ -335,7 +332,7 @@ def _transverse(
         growth = growth[1:]
         times = ends.astype(x.dtype) * interval.length
         growth = select(result == RESULTS.successful, growth, jnp.nan)
-        # The pull shrinks every distance at the rate of the coupling, which is added back.
+        # The coupling shrinks every distance at its rate, which is added back.
         growth = growth + coupling * jnp.diff(times, prepend=0.0)
         exponent, running, error, steady = averages(growth[:, None], times)
         return TransverseExponent(
@@ -357,8 +354,8 @@ def _transverse(
 def _parted(
     problem: Callable[[Array], Problem], z: Array, separation: Array, ends: Array, result: RESULTS
 ) -> tuple[Array, RESULTS, Array]:
-    """Drive and response at the end, the outcome, and how much the logarithm of their distance has
-    grown in the periods, each a problem, up to each of `ends`."""
+    """Drive and response at the end, the outcome, and the growth of the logarithm of their distance
+    over the periods, each a problem, up to each of `ends`."""
     n = z.shape[0] // 2
     eps = float(jnp.finfo(z.dtype).eps)
 
@@ -368,7 +365,7 @@ def _parted(
         state = integrate(now, now.system.unpack(z))
         end = pack(state.motion.x, z.dtype)
         distance = _distance(state.motion.x)
-        # Below this nothing of the distance is known, and a wrong rate would look like any other.
+        # A smaller distance is unresolved, and would give a wrong but plausible rate.
         resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
         growth = growth + select(resolved, jnp.log(distance / separation), jnp.nan)
         apart = (end[n:] - end[:n]) * (separation / select(resolved, distance, 1.0))

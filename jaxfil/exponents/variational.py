@@ -1,12 +1,12 @@
 """The variational equation: an orbit and a frame of tangent vectors through the loop.
 
-A lane and n vectors enter; the lane at a later grid point and the orthonormalised frame leave, with
-the logarithms of how much each direction has grown. Lanes of a batch wait for nobody on the way.
+The result is the lane at a later grid point, with the orthonormalised frame and the logarithms of
+the growth of each direction. Lanes of a batch do not wait for each other.
 
-Between contacts a tangent is carried by the derivative of the iteration with respect to the state
-at fixed time. At a contact whose time moves by dt* with the initial state it jumps by the saltation
-matrix: v⁺ = R_x v + (R_x f⁻ + R_t − f⁺) dt*, dt* = −(∇g·v)/ġ, with R the reset (the identity where
-there is none) and f∓ the fields before and after. Leine and Nijmeijer, Dynamics and Bifurcations of
+Between contacts the derivative of the iteration with respect to the state at fixed time propagates
+a tangent. At a contact whose time moves by dt* with the initial state it jumps by the saltation
+matrix: v⁺ = R_x v + (R_x f⁻ + R_t − f⁺) dt*, dt* = −(∇g·v)/ġ, with R the reset (the identity
+without one) and f∓ the fields before and after. Leine and Nijmeijer, Dynamics and Bifurcations of
 Non-Smooth Mechanical Systems (2004).
 """
 
@@ -37,13 +37,13 @@ class Variation(eqx.Module):
     frame: Frame
     """The tangent vectors."""
     delay: Components
-    """dt* of each while a switch is pending."""
+    """dt* of each vector while a switch is pending."""
     left: Array
-    """Steps to the next orthonormalisation."""
+    """Number of steps to the next orthonormalisation."""
     dropped: Array
-    """Whether a slide or a reset may have taken a direction away since the last one."""
+    """Whether a slide or a reset may have removed a direction since the last orthonormalisation."""
     growth: Components
-    """Σ log R_ii."""
+    """Σ log R_ii of each vector."""
 
 
 def vary(system: ComponentSystem, state: LoopState, every: Array) -> Variation:
@@ -54,7 +54,7 @@ def vary(system: ComponentSystem, state: LoopState, every: Array) -> Variation:
 
 
 def propagate(problem: Problem, every: Array, variation: Variation, stop: Array) -> Variation:
-    """Carry an orbit and its frame to step number `stop`; `growth` starts at zero."""
+    """Propagate an orbit and its frame to step number `stop`; `growth` starts at zero."""
     still = zeros(problem.system)
 
     def step(v: Variation) -> Variation:
@@ -77,8 +77,8 @@ def _push(problem: Problem, variation: Variation) -> Variation:
         after = advance(problem, dataclasses.replace(state, motion=motion))
         return (after.motion.x, after.motion.tau), after
 
-    # A map may act at a time that differs, and so may the second of several contacts; without
-    # these a switch leaves the state alone.
+    # A map may act at a time that differs, as may the second of several contacts; without
+    # these a switch does not change the state.
     moves = system.resets or system.ticks or system.m > 1
     given = (state.motion.x, state.motion.tau) if moves else (state.motion.x,)
     _, derivative, after = jax.linearize(through, *given, has_aux=True)
@@ -93,7 +93,7 @@ def _push(problem: Problem, variation: Variation) -> Variation:
         return pushed, late
 
     frame, delay = for_each(push, variation.frame, variation.delay)
-    # A slide takes directions away, and so may a reset: only then is a lost one of length zero.
+    # Only a slide or a reset removes directions exactly; a lost one then has the length zero.
     moved = after.held
     if system.resets or system.ticks:
         moved = moved | after.pending.waits
@@ -108,14 +108,14 @@ def _push(problem: Problem, variation: Variation) -> Variation:
 
 
 def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Array) -> Components:
-    """A tangent after a switch. It was carried to the contact itself, whose time moves by dt, and
-    through its resets: it holds f⁻ dt already, and gives up f⁺ dt to be at a fixed time again."""
+    """A tangent after a switch. It was propagated to the contact itself, whose time moves by dt,
+    and through its resets. It contains f⁻ dt, and f⁺ dt is subtracted to return to a fixed time."""
     system, t = problem.system, problem.grid.t0 + after.motion.tau
     v = v + -dt * after.motion.f
     if system.slides or system.resets:
         _, _, normals = system.gradients(t, after.motion.x)
-        # On a surface a tangent has no component across it: two motions that slide there differ
-        # along it alone. What is removed is the direction that sticking takes away.
+        # On a surface a tangent has no component across it, because two motions that slide there
+        # differ along it alone. Sticking removes this component.
         on = stays_on(system, after.motion.mode)
         v = project(system, v, normals @ v, normals, on)
     return v

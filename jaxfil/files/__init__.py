@@ -1,8 +1,8 @@
-"""Results read back from files.
+"""Reading of results from files.
 
-The words of this room:
+Terms of this room:
 
-- data set: named arrays with their dimensions and attributes, whatever the file.
-- type: the attribute of a data set that says which result it is.
-- reader: what makes a result of its data set; the writer stands beside the result itself.
+- data set: named arrays with their dimensions and attributes, independent of the file format.
+- type: the attribute of a data set with the class of its result.
+- reader: a function from a data set to its result; the writer is a method of the result.
 """

@@ -1,7 +1,4 @@
-"""Basins of attraction from their data set.
-
-Named arrays enter; the basins that they were made of leave, bit for bit.
-"""
+"""Basins of attraction from their data set, bit for bit."""
 
 import numpy as np
 

@@ -1,7 +1,4 @@
-"""A bifurcation diagram from its data set.
-
-Named arrays enter; the diagram that they were made of leaves, bit for bit.
-"""
+"""A bifurcation diagram from its data set, bit for bit."""
 
 import json
 
@@ -38,12 +35,12 @@ def diagram_from(data: NamedArrays) -> BifurcationDiagram:
 
 
 def _labels(data: NamedArrays, swept: tuple[str, ...]) -> Labels:
-    """What was called how, from the names of components and the attributes of parameters."""
+    """The labels, from the names of components and the attributes of parameters."""
     names = component_names(data)
     units = dict(zip(names, map(str, data.array("unit")), strict=True)) if "unit" in data else {}
     told = {name: data.told(key_of(name, TAKEN)) for name in swept}
     units |= {name: attrs["units"] for name, attrs in told.items() if "units" in attrs}
     symbols = {n: attrs["long_name"] for n, attrs in told.items() if "long_name" in attrs}
-    symbols |= json.loads(data.attributes.get("symbols", "{}"))  # older files have none
+    symbols |= json.loads(data.attributes.get("symbols", "{}"))  # absent in older files
     known = {name: unit for name, unit in units.items() if unit}
     return Labels(names, tuple(sorted(symbols.items())), tuple(sorted(known.items())))

@@ -1,8 +1,4 @@
-"""Results read back from their files.
-
-A path enters, and the system where a result goes on with one; the result that was saved there
-leaves, bit for bit.
-"""
+"""Results from their files, bit for bit."""
 
 import os
 from collections.abc import Callable
@@ -32,28 +28,26 @@ _READERS: dict[str, Callable[[NamedArrays, System | None], _Saved]] = {
     "Orbit": orbit_from,
     "Solution": solution_from,
 }
-# What was saved before there were others does not say what it is.
+# The type of early files, which do not state it.
 _FIRST = "BifurcationDiagram"
 _OF_A_DIAGRAM = {"jaxfil_version", "system", "swept", "transient", "steps", "stepper"}
 
 
 def load(path: PathLike, *, system: System | None = None) -> Any:
-    """The result that `save` wrote, bit for bit: a diagram, basins, a branch, an orbit, a solution.
+    """Load a result that `save` wrote, bit for bit.
 
     **Arguments**
 
     - `path`: a netCDF file (.nc), a Zarr store (.zarr) or an .npz, of the command line too.
-    - `system`: for an orbit, a branch, and a solution that was saved with
-      `diffrax.SaveAt(dense=True)`, which go on computing: a system of the same class, whose
-      parameters are then those of the file. A file holds names and numbers and no functions. It
-      does not matter for anything else.
+    - `system`: a system of the same class, required for an orbit, a branch, and a solution that was
+      saved with `diffrax.SaveAt(dense=True)`, because a file contains names and numbers but no
+      functions. The parameters of the file replace its own. Other results ignore it.
 
     **Returns** a `BifurcationDiagram`, `Basins`, a `Branch`, an `Orbit` or a `Solution`.
 
-    **Raises** `FileNotFoundError` if there is nothing, `ValueError` if there is something else, or
-    another `system` is needed, or JAX does not compute in the float64 of the file, and
-    `ImportError` without the packages of `pip install 'jaxfil[xarray]'`, which an .npz does not
-    need.
+    **Raises** `FileNotFoundError` without a file, `ValueError` for another kind of file, for a
+    wrong `system`, or if JAX does not compute in the float64 of the file, and `ImportError`
+    without the packages of `pip install 'jaxfil[xarray]'`, which an .npz does not need.
 
     >>> import tempfile
     >>> import jax.numpy as jnp

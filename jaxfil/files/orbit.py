@@ -1,7 +1,4 @@
-"""Orbits and branches of them from their data sets.
-
-Named arrays and the system enter; the orbit, or the branch, leaves.
-"""
+"""Orbits and branches from their data sets."""
 
 import json
 
@@ -34,7 +31,7 @@ def branch_from(data: NamedArrays, system: System | None) -> Branch:
     one = system_from(data, system, dtype, BRANCH_TAKEN, skip=parameter)
     get_parameter(one, parameter)
     values = data.array(key_of(parameter, BRANCH_TAKEN))
-    # One by one: `jax.vmap` would compile a program.
+    # One by one, because `jax.vmap` would compile a program.
     each = [replace_parameter(one, parameter, value) for value in values]
     arrays, rest = zip(*(eqx.partition(v, eqx.is_array) for v in each), strict=True)
     stacked = jax.tree.map(lambda *v: jnp.asarray(np.stack(v)), *arrays)
@@ -73,7 +70,7 @@ def _points(data: NamedArrays, one: System, parameter: str) -> list[SpecialPoint
 
 
 def _row(data: NamedArrays, prefix: str, i: int) -> NamedArrays:
-    """Number i of what begins with a prefix, without the prefix."""
+    """Row i of the arrays with a prefix, without the prefix."""
     rows: dict[str, Variable] = {
         name.removeprefix(prefix): (dims[1:], np.asarray(array[i]))
         for name, (dims, array, *_) in data.variables.items()
@@ -83,7 +80,7 @@ def _row(data: NamedArrays, prefix: str, i: int) -> NamedArrays:
 
 
 def _orbit(data: NamedArrays, system: System) -> Orbit:
-    """An orbit, or a batch of them, of a system that is known."""
+    """An orbit, or a batch of orbits, of a given system."""
     steps, arcs, max_events, compact = (int(data.attributes[name]) for name in OPTIONS)
     options = record(
         ShootingOptions,
@@ -105,5 +102,5 @@ def _orbit(data: NamedArrays, system: System) -> Orbit:
 
 
 def _sequence(text: str) -> tuple:
-    """The contacts of an orbit: of each the surfaces met and the modes after it."""
+    """The contacts of an orbit, each with its surfaces and the modes after it."""
     return tuple((tuple(met), tuple(after)) for met, after in json.loads(text))

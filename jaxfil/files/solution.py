@@ -1,7 +1,4 @@
-"""A solution from its data set.
-
-Named arrays enter, and the system that a dense solution goes on with; the solution leaves.
-"""
+"""A solution from its data set."""
 
 import functools as ft
 import re
@@ -49,12 +46,12 @@ def solution_from(data: NamedArrays, system: System | None) -> Solution:
 
 
 def events_from(data: NamedArrays) -> Events | None:
-    """The contacts, if a table of them was kept."""
+    """The contacts, if a table was saved."""
     return record(Events, **fields_from(data, EVENTS)) if "event_t" in data else None
 
 
 def stepper_from(data: NamedArrays) -> Stepper:
-    """The stepper of the name that the data set gives."""
+    """The stepper with the name in the data set."""
     name = str(data.attributes["stepper"])
     method, _, tolerance = name.partition(", ")
     order = re.fullmatch(r"Taylor\((\d+)\)", method)

@@ -1,8 +1,8 @@
-"""An argument: a value as the user gave it, whatever it is.
+"""Validation of arguments of any kind.
 
-A name and a value enter; the value as an array of one dtype, a whole number, a flag leaves, or a
-`ValueError` of one line that names the argument, what it must be and what it was. What a system
-must be is looked at in `check`.
+Each function converts a value to an array of one dtype, an integer or a flag, or raises a one-line
+`ValueError` that names the argument, the requirement and the value received. `check` validates
+systems.
 """
 
 import inspect
@@ -20,16 +20,16 @@ from jaxtyping import Array
 
 from jaxfil.xla.known import array_of
 
-# Steps are counted in 32 bits, on every device and in every precision.
+# Steps are counted in 32-bit integers, on every device and in every precision.
 MOST_STEPS = 2**31 - 1
-# Those of NumPy: of others neither eps nor the largest number is known to it.
+# NumPy's own dtypes. It knows neither eps nor the largest number of others.
 _PRECISIONS = (np.dtype(np.float64), np.dtype(np.float32), np.dtype(np.float16))
-# Numbers of an array, and letters of anything else, that a line of an error has room for.
+# Limits of an error line: numbers of an array, and characters of any other value.
 _NUMBERS, _LETTERS = 8, 160
 
 
 def told(value: object) -> str:
-    """A value in one line: of a large array its shape."""
+    """A value in one line; for a large array its shape."""
     if isinstance(value, (np.ndarray, jax.Array)) and (value.ndim > 1 or value.size > _NUMBERS):
         return f"an array of shape {value.shape}"
     text = " ".join(repr(value).split())
@@ -37,7 +37,7 @@ def told(value: object) -> str:
 
 
 def kind_of(value: object) -> str:
-    """What kind of thing a value is."""
+    """A description of the type of a value."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     return "None" if value is None else f"an object of type {type(value).__name__}"
@@ -51,20 +51,20 @@ def concrete(value: object) -> np.ndarray | None:
 
 
 def is_real(array: Any) -> bool:
-    """Whether an array is of real numbers, which flags are not."""
+    """Whether an array holds real numbers; booleans do not count."""
     return jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)
 
 
 def real_shape(name: str, returned: Any) -> tuple[int, ...]:
-    """The shape of what a function called `name` returns, if that is an array of real numbers."""
+    """The shape of the value returned by the function `name`, which must be a real array."""
     if not hasattr(returned, "shape") or not is_real(returned):
         raise ValueError(f"`{name}` must return an array of real numbers, got {told(returned)}.")
     return tuple(returned.shape)
 
 
 def array_or_none(value: Any) -> Any:
-    """Real numbers as an array, in their own dtype; None if they are none."""
-    # True would be the number one, and words an array of characters.
+    """Real numbers as an array, in their own dtype; None for any other value."""
+    # True would become the number one, and a string an array of characters.
     if value is None or isinstance(value, (str, bytes, bool)):
         return None
     try:
@@ -88,7 +88,7 @@ def state(name: str, x: Any) -> Array:
     if not is_real(array):
         raise ValueError(f"`{name}` must be of a real dtype, got {array.dtype}.")
     if not jnp.issubdtype(array.dtype, jnp.floating):
-        array = array.astype(jnp.result_type(float))  # float32 or float64, as JAX is set
+        array = array.astype(jnp.result_type(float))  # float32 or float64, as JAX is configured
     if array.dtype not in _PRECISIONS:
         raise ValueError(
             f"`{name}` must be of dtype {', '.join(v.name for v in _PRECISIONS)}, got "
@@ -107,14 +107,14 @@ def states(name: str, x: Any) -> Array:
 
 
 def finite(name: str, x: Array) -> None:
-    """A state of finite numbers, as far as they are known."""
+    """Check that a state is finite, unless it is traced."""
     known = concrete(x)
     if known is not None and not np.isfinite(known).all():
         raise ValueError(f"`{name}` must be finite, got {told(known)}.")
 
 
 def scalar(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -> Array:
-    """A real number, traced or not; finite as far as it is known."""
+    """A real number, traced or not; finite unless it is traced."""
     number = number_called(f"`{name}`", value, dtype, positive=positive)
     known = concrete(value)
     if known is not None and not np.isfinite(known):
@@ -123,7 +123,7 @@ def scalar(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -
 
 
 def number_called(name: str, value: Any, dtype: DTypeLike, *, positive: bool = False) -> Array:
-    """A real number, which an error calls by a name of several words; infinite or NaN too."""
+    """A real number with a descriptive `name` for errors; it may be infinite or NaN."""
     must = "a positive number" if positive else "a number"
     array = array_or_none(value)
     if array is None:
@@ -131,7 +131,7 @@ def number_called(name: str, value: Any, dtype: DTypeLike, *, positive: bool = F
         raise ValueError(f"{name} must be {must}, got {was}.")
     if array.ndim != 0:
         raise ValueError(f"{name} must be {must}, got an array of shape {array.shape}.")
-    # Under `jit` the value is not known yet: its sign is then the caller's affair.
+    # Under `jit` the value is unknown; the caller is then responsible for its sign.
     known = concrete(value)
     if positive and known is not None and not known > 0:
         raise ValueError(f"{name} must be {must}, got {known}.")
@@ -139,8 +139,8 @@ def number_called(name: str, value: Any, dtype: DTypeLike, *, positive: bool = F
 
 
 def leaf(name: str, value: Any, *, positive: bool = False) -> Any:
-    """A parameter of a system to be: a number, or an array of them in a batch, finite as far as
-    they are known."""
+    """A future parameter of a system: a number, or an array of numbers in a batch, finite unless
+    traced."""
     array = array_or_none(value)
     known = None if array is None else concrete(array)
     sound = known is None or np.all(np.isfinite(known) & (known > 0 if positive else True))
@@ -151,8 +151,7 @@ def leaf(name: str, value: Any, *, positive: bool = False) -> Any:
 
 
 def numbers(name: str, value: Any, dtype: DTypeLike, must: str) -> Array:
-    """An array of real numbers, traced or not, of any shape; `must` says in words what it is to
-    be."""
+    """An array of real numbers, traced or not, of any shape; `must` states the requirement."""
     array = array_or_none(value)
     if array is None:
         raise ValueError(f"`{name}` must be {must}, got {told(value)}.")
@@ -160,7 +159,7 @@ def numbers(name: str, value: Any, dtype: DTypeLike, must: str) -> Array:
 
 
 def known_numbers(name: str, value: Any, must: str) -> np.ndarray:
-    """The same as NumPy's, in their own dtype, of what is not traced."""
+    """NumPy numbers in their own dtype, not traced."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError) as error:
@@ -172,8 +171,8 @@ def known_numbers(name: str, value: Any, must: str) -> np.ndarray:
 
 
 def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> Any:
-    """A Python integer of at least `least`, or None where that is allowed."""
-    # 40.0 is refused: counts are shapes and lengths of loops, and 40.5 would have to be as well.
+    """A Python integer of at least `least`, or None if `optional`."""
+    # 40.0 is refused, because counts are shapes and lengths of loops, as 40.5 cannot be.
     if value is None and optional:
         return None
     if not is_whole(value) or value < least:
@@ -185,20 +184,20 @@ def count(name: str, value: Any, *, least: int = 1, optional: bool = False) -> A
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Whether a value is an integer, which True is to Python."""
+    """Whether a value is an integer; True, an integer in Python, does not count."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def component(name: str, value: Any, n: int) -> int:
-    """The number of one of n components of a state, from 0, or from the end if it is negative."""
+    """The number of one of n components of a state, from 0, or from the end if negative."""
     if not is_whole(value) or not -n <= value < n:
         raise ValueError(f"`{name}` must be an integer from 0 to {n - 1}, got {told(value)}.")
     return int(value)
 
 
 def number_of_steps(steps: int, *, runs: int = 1, **periods: int) -> None:
-    """An error where `steps` steps in each of these periods are more than can be counted. `runs`: a
-    second one, at half the step, has twice as many."""
+    """Check that `steps` steps in each of these periods can be counted. A second run (`runs`), at
+    half the step, doubles their number."""
     total = sum(periods.values()) * steps * runs
     if total > MOST_STEPS:
         names = ", ".join(f"`{name}`" for name in periods)
@@ -210,14 +209,14 @@ def number_of_steps(steps: int, *, runs: int = 1, **periods: int) -> None:
 
 
 def flags(**values: object) -> None:
-    """True or False, by their names."""
+    """Check named booleans."""
     for name, value in values.items():
         if not isinstance(value, (bool, np.bool_)):
             raise ValueError(f"`{name}` must be True or False, got {told(value)}.")
 
 
 def signature_of(function: Callable[..., Any]) -> inspect.Signature | None:
-    """What a function takes; None of one that is written in C, as `max`, of which nothing is known.
+    """The signature of a function; None if it is written in C, as `max`, and has no signature.
 
     >>> list(signature_of(lambda t, x: x).parameters), signature_of(max)
     (['t', 'x'], None)
@@ -236,9 +235,9 @@ def function(name: str, value: Any, args: str) -> Callable[..., Any]:
 
 
 def returned(name: str, value: Callable[..., Any], first: str = "", **args: Any) -> Any:
-    """The shape and dtype of what a function of the user's returns, given such arguments, or that
-    of which it is a tree. `name` is what an error calls it, `first` stands before its arguments."""
-    # Bound before it is called: a TypeError from inside of the function is another mistake.
+    """The shape and dtype returned by a user's function for such arguments, or a tree of them.
+    `name` is its name in errors, `first` precedes its arguments."""
+    # Bound before the call, because a TypeError from inside the function is a different mistake.
     if (was := _other_arguments(value, args)) is not None:
         raise ValueError(f"{name} must take ({first}{', '.join(args)}), got {was}.")
     try:
@@ -253,7 +252,7 @@ def returned(name: str, value: Callable[..., Any], first: str = "", **args: Any)
 
 
 def _other_arguments(value: Callable[..., Any], args: Mapping[str, Any]) -> str | None:
-    """Those that a function takes, if it cannot take so many."""
+    """The signature of a function that cannot accept this number of arguments."""
     signature = signature_of(value)
     if signature is None:
         return None
@@ -279,7 +278,7 @@ def one_of(name: str, value: Any, members: tuple[str, ...]) -> str:
 
 
 def instance(name: str, value: object, *kinds: type) -> None:
-    """A result of one of these public kinds."""
+    """Check that a value is a result of one of these public classes."""
     if not isinstance(value, kinds):
         must = " or ".join(f"a jaxfil.{kind.__name__}" for kind in kinds)
         raise ValueError(f"`{name}` must be {must}, got {kind_of(value)}.")

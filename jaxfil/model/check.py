@@ -1,8 +1,8 @@
-"""The door: bad arguments are named before anything is compiled.
+"""Validation of systems before compilation.
 
-Arguments as the user gave them enter; arrays of one dtype leave, or a `ValueError` that names the
-argument, what it must be and what it was. What is about any value is that of `argument`; here is
-what a system must be, and what its functions must return.
+Arguments are converted to arrays of one dtype, or raise a `ValueError` that names the argument, the
+requirement and the value received. `argument` validates general values; this module validates
+systems and the values that their functions return.
 """
 
 import jax
@@ -44,8 +44,8 @@ from jaxfil.model.system import System
 
 
 def period(of: System, dtype: DTypeLike) -> Array:
-    """The period of a forced system, a positive number as far as it is known. NaN is that of
-    parameters that are NaN, and a run tells it by its outcome."""
+    """The period of a forced system, positive unless traced. It is NaN for parameters that are NaN;
+    a run then reports it as an outcome."""
     name = f"`period` of {type(of).__name__}"
     number = number_called(name, of.period, dtype)
     known = concrete(number)
@@ -55,7 +55,7 @@ def period(of: System, dtype: DTypeLike) -> Array:
 
 
 def clocks(of: System) -> Clocks:
-    """The clocks of a system, with positive periods as far as they are known."""
+    """The clocks of a system, with positive periods unless traced."""
     name, several = f"`clocks` of {type(of).__name__}", of.clocks
     if not isinstance(several, (tuple, list)) or not all(isinstance(c, Clock) for c in several):
         raise ValueError(f"{name} must be a tuple of jaxfil.Clock, got {told(several)}.")
@@ -71,13 +71,13 @@ def clocks(of: System) -> Clocks:
 
 
 def system(name: str, value: object) -> None:
-    """A `System`."""
+    """Check that a value is a `System`."""
     if not isinstance(value, System):
         what = value.__name__ if isinstance(value, type) else type(value).__name__
         hint = "; create an instance of it" if isinstance(value, type) else ""
         raise ValueError(f"`{name}` must be an instance of jaxfil.System, got {what}{hint}.")
-    # A bound method is no number, and no None either. Properties are not asked for their value,
-    # which could be a program to compile.
+    # A bound method is neither a number nor None. Properties are not evaluated, because their
+    # values could be programs to compile.
     given = vars(value).get("period", getattr(type(value), "period", None))
     if callable(given):
         raise ValueError(
@@ -87,8 +87,8 @@ def system(name: str, value: object) -> None:
 
 
 def shapes(value: System, x: Array) -> tuple[int, ...]:
-    """The shape of H, after a look at what all functions of a system return for a state like x."""
-    # Evaluated on shapes alone, which costs no compilation and no arithmetic.
+    """The shape of H, after a check of the values of all functions for a state like x."""
+    # Evaluated on shapes alone, without compilation or arithmetic.
     t = jnp.zeros((), x.dtype)
     h = _shape(value, "switching", "a scalar or an array of shape (m,)", t=t, x=x)
     if len(h) > 1:
@@ -121,7 +121,7 @@ def _same_as_state(value: System, name: str, **args: Array) -> None:
 
 
 def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...]:
-    """The shape of the numbers, in the state's precision, that a function of a system returns."""
+    """The shape of the real numbers that a function returns, in the precision of the state."""
     called = f"`{name}` of {type(value).__name__}"
     try:
         out = returned(called, getattr(value, name), "self, ", **args)

@@ -1,4 +1,4 @@
-"""Clocks: known times at which a field or a surface jumps."""
+"""Known times at which a field or a surface jumps."""
 
 import equinox as eqx
 import jax
@@ -8,14 +8,15 @@ from jaxfil.model.argument import leaf
 
 
 class Clock(eqx.Module):
-    r"""The times at which the field or a switching function jumps, whatever the state is.
+    r"""Times at which the field or a switching function jumps, independent of the state.
 
     $$t_k = \mathrm{phase} + k \cdot \mathrm{period}, \qquad k \in \mathbb{Z}$$
 
-    A `System` names its clocks in `clocks`. Steps then end on their ticks. Up to a tick the
-    functions of the system are taken just before it and from it on just after it, by some rounding
-    of times, so that a ramp `jnp.mod(t, period)` or a sampled signal `u[jnp.floor(t / period)]` may
-    be written as it is. Derivatives by the period and the phase are exact.
+    A `System` lists its clocks in `clocks`. Steps then end on their ticks. Up to a tick the
+    functions of the system are evaluated just before it, and from it on just after it, by a shift
+    of times of the order of rounding. A ramp `jnp.mod(t, period)` or a sampled signal
+    `u[jnp.floor(t / period)]` may therefore be written directly. Derivatives by the period and the
+    phase are exact.
 
     **Arguments**
 
@@ -51,13 +52,13 @@ class Clock(eqx.Module):
     """The time of a tick."""
 
     def __check_init__(self):
-        # Of a batch they are arrays: what a run is given is looked at there.
+        # In a batch they are arrays; a run checks the values of one lane.
         leaf("period", self.period, positive=True)
         leaf("phase", self.phase)
 
 
 Clocks = tuple[Clock, ...]
-"""Those of a system."""
+"""The clocks of a system."""
 
 Ticks = tuple[Array, ...]
-"""For each clock, the number of its next tick."""
+"""The number of the next tick of each clock."""

@@ -1,7 +1,7 @@
-"""What the data sets of all results have in common.
+"""Conversion between results and named arrays, common to all results.
 
-A result's arrays, outcomes, components and system enter, and leave by their names and dimensions;
-and the other way round. The files themselves are made in `dataset_io`.
+A result's arrays, outcomes, components and system become variables, coordinates and attributes, and
+are read back from them. `dataset_io` writes and reads the files.
 """
 
 import json
@@ -23,19 +23,19 @@ from jaxfil.version import __version__
 _Record = TypeVar("_Record")
 
 Fields = Mapping[str, tuple[str, str]]
-"""The names of arrays in a data set: for each the field of the record and its dimensions."""
+"""Names of arrays in a data set, each with the field of the record and its dimensions."""
 
 TYPE = "jaxfil_type"
-"""The attribute that says which result a data set is."""
+"""The attribute with the class of the result in a data set."""
 
 
 def header(kind: str) -> dict[str, Attribute]:
-    """The attributes that every data set opens with."""
+    """The first attributes of every data set."""
     return {TYPE: kind, "jaxfil_version": __version__}
 
 
 def variables_of(record: Any, fields: Fields, batch: Sequence[str] = ()) -> dict[str, Variable]:
-    """The fields of a record that are not None; `batch` are the dimensions before their own."""
+    """The fields of a record that are not None; `batch` names the leading dimensions."""
     given = {name: (getattr(record, field), dims) for name, (field, dims) in fields.items()}
     return {
         name: ((*batch, *dims.split()), np.asarray(value))
@@ -45,7 +45,7 @@ def variables_of(record: Any, fields: Fields, batch: Sequence[str] = ()) -> dict
 
 
 def fields_from(data: NamedArrays, fields: Fields) -> dict[str, Any]:
-    """The fields of a record, None for what the data set does not have."""
+    """The fields of a record, None where the data set has no array."""
     return {
         field: on_device(data.array(name)) if name in data else None
         for name, (field, _) in fields.items()
@@ -53,8 +53,8 @@ def fields_from(data: NamedArrays, fields: Fields) -> dict[str, Any]:
 
 
 def record(kind: type[_Record], **fields: Any) -> _Record:
-    """A record of one lane, or of a batch, as `jax.vmap` makes it: the dimensions that are declared
-    are those of one lane, and to call the class would check them."""
+    """A record of one lane, or of a batch as `jax.vmap` returns it. The declared dimensions are the
+    dimensions of one lane, and a call of the class would check them."""
     made = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(made, name, value)
@@ -62,7 +62,7 @@ def record(kind: type[_Record], **fields: Any) -> _Record:
 
 
 def on_device(array: np.ndarray) -> Array:
-    """The array as JAX's, every bit of it."""
+    """The array as a JAX array, bit for bit."""
     if array.dtype == np.float64 and jnp.result_type(float) != np.float64:
         raise ValueError(
             "`path` must hold float32 numbers unless JAX computes in float64, got float64: call "
@@ -72,18 +72,18 @@ def on_device(array: np.ndarray) -> Array:
 
 
 def outcome_variables(results: RESULTS, dims: Sequence[str]) -> dict[str, Variable]:
-    """Outcomes in words, by which they are read back, and as the numbers of this version."""
+    """Outcomes as names, which are read back, and as integers of this version."""
     words = outcome_names(results)
     return {"outcome": (dims, words), "outcome_code": (dims, outcome_codes(words))}
 
 
 def outcomes_from(data: NamedArrays, name: str = "outcome") -> RESULTS:
-    """The outcomes that words stand for."""
+    """The outcomes with these names."""
     return outcomes(outcome_codes(data.array(name)))
 
 
 def component_coordinates(labels: Labels, n: int) -> dict[str, Variable]:
-    """The names of n components, or their numbers, and their units where there are any."""
+    """The names of n components, or their numbers, and their units if any."""
     names = np.array(labels.state) if labels.state else np.arange(n)
     coordinates: dict[str, Variable] = {"component": ("component", names)}
     units = [labels.unit(name) for name in labels.state]
@@ -95,7 +95,7 @@ def component_coordinates(labels: Labels, n: int) -> dict[str, Variable]:
 def quantity_entries(
     averages: Mapping[str, np.ndarray], dims: Sequence[str]
 ) -> tuple[Variable, Variable, str]:
-    """Averages of lanes along these dimensions in one array, what its columns are called, and the
+    """Averages of lanes along these dimensions in one array, the names of its columns, and the
     shape of each quantity."""
     columns, names = [], []
     for name, v in averages.items():
@@ -109,7 +109,7 @@ def quantity_entries(
 
 
 def quantities_from(data: NamedArrays) -> dict[str, np.ndarray] | None:
-    """The averages that `quantity_entries` was given; None if there are none."""
+    """The averages that `quantity_entries` stored; None without averages."""
     if "averages" not in data:
         return None
     rows, found, start = data.array("averages"), {}, 0
@@ -121,52 +121,52 @@ def quantities_from(data: NamedArrays) -> dict[str, np.ndarray] | None:
 
 
 def axis_of(labels: Labels, name: str, dimension: str, values: np.ndarray) -> Variable:
-    """A parameter's values along a dimension, with its symbol and unit as xarray shows them."""
+    """A parameter's values along a dimension, with its symbol and unit in xarray's form."""
     told = {"long_name": labels.symbol(name), "units": labels.unit(name)}
-    # What says no more than the name is left out: xarray shows the name by itself.
+    # A symbol equal to the name is omitted, because xarray shows the name by itself.
     attributes = {key: word for key, word in told.items() if word not in ("", name)}
     return dimension, values, attributes
 
 
 def label_attributes(labels: Labels) -> dict[str, Attribute]:
-    """Labels whole, where coordinates do not say all of them."""
+    """All labels, where coordinates do not include all of them."""
     told = {"symbols": dict(labels.symbols), "units": dict(labels.units)}
     return {key: json.dumps(pairs, ensure_ascii=False) for key, pairs in told.items() if pairs}
 
 
 def labels_from(data: NamedArrays) -> Labels:
-    """What `component_coordinates` and `label_attributes` were made of."""
+    """The labels stored by `component_coordinates` and `label_attributes`."""
     pairs = [json.loads(data.attributes.get(key, "{}")) for key in ("symbols", "units")]
     symbols, units = (tuple(told.items()) for told in pairs)
     return Labels(component_names(data), symbols, units)
 
 
 def component_names(data: NamedArrays) -> tuple[str, ...]:
-    """The names of the components; none where they have numbers."""
+    """The names of the components; empty if they have numbers."""
     names = data.array("component")
     return () if names.dtype.kind == "i" else tuple(map(str, names))
 
 
 def key_of(name: str, taken: Collection[str]) -> str:
-    """The name of a parameter in a data set, one of whose own names gets an underscore, as one does
-    that has such an underscore already."""
+    """The name of a parameter in a data set. A name used by the data set itself, with any number of
+    underscores already appended, gets one more underscore."""
     return f"{name}_" if name.rstrip("_") in taken else name
 
 
 def name_of(key: str, taken: Collection[str]) -> str:
-    """The name of a parameter, from that in a data set: see `key_of`."""
+    """The name of a parameter from its name in a data set, the inverse of `key_of`."""
     return key[:-1] if key.endswith("_") and key.rstrip("_") in taken else key
 
 
 def parameter_entries(
     known: Mapping[str, np.ndarray], taken: Collection[str], batch: Sequence[str] = ()
 ) -> tuple[dict[str, Variable], dict[str, Attribute]]:
-    """Parameters: arrays of them, and single numbers as attributes."""
+    """Arrays of parameters, and single numbers as attributes."""
     variables: dict[str, Variable] = {}
     attributes: dict[str, Attribute] = {}
     for name, value in known.items():
         key = key_of(name, taken)
-        if value.ndim:  # a file's attributes are numbers, or rows of them
+        if value.ndim:  # attributes of a file are numbers, or rows of them
             own = [f"{key}_{i}" for i in range(value.ndim - len(batch))]
             variables[key] = (*batch, *own), value
         else:
@@ -177,7 +177,7 @@ def parameter_entries(
 def system_entries(
     system: System, taken: Collection[str], batch: Sequence[str] = (), skip: str = ""
 ) -> tuple[dict[str, Variable], dict[str, Attribute]]:
-    """The name of a system and its parameters, all but the one called `skip`."""
+    """The name of a system and its parameters, except `skip`."""
     known = {key: np.asarray(v) for key, v in parameters(system).items() if key != skip}
     variables, attributes = parameter_entries(known, taken, batch)
     return variables, {"system": type(system).__name__, **attributes}
@@ -190,12 +190,12 @@ def system_from(
     taken: Collection[str],
     skip: str = "",
 ) -> System:
-    """`system` with the parameters of the data set in the place of its own."""
+    """`system` with the parameters of the data set."""
     name = str(data.attributes["system"])
     if system is None or type(system).__name__ != name:
         told = "None" if system is None else repr(system)
         raise ValueError(
-            f"`system` must be a {name}, of which `path` holds what was found, got {told}."
+            f"`system` must be a {name}, the system of the result in `path`, got {told}."
         )
     keys = {leaf: key_of(leaf, taken) for leaf in parameters(system) if leaf != skip}
     numbers = {key for key, v in data.attributes.items() if isinstance(v, (float, np.floating))}

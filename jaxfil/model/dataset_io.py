@@ -1,8 +1,7 @@
-"""Data sets in files: netCDF, Zarr or NumPy's .npz, by the name's end.
+"""Files of data sets: netCDF, Zarr or NumPy's .npz, by the file name extension.
 
-One description of the data enters, whatever the file, and the file leaves; or a path enters and the
-description leaves, every number bit for bit. The only file that knows xarray, which is imported
-with the first use.
+One description, `NamedArrays`, serves all formats and is preserved bit for bit. Only this module
+uses xarray, imported on first use.
 """
 
 import dataclasses
@@ -22,32 +21,32 @@ Variable: TypeAlias = (
     tuple[str | Sequence[str], np.ndarray]
     | tuple[str | Sequence[str], np.ndarray, Mapping[str, str]]
 )
-"""The dimensions of an array, the array, and its own attributes."""
+"""Dimensions of an array, the array, and its attributes."""
 
 Attribute: TypeAlias = Any
-"""A text, a number, or an array of one dimension."""
+"""A string, a number, or an array of one dimension."""
 
-# The entry of an .npz that says which of the others is what.
+# The entry of an .npz that describes the others.
 _CONTENTS = "jaxfil_contents"
-# What each kind of file needs besides NumPy.
+# Packages that each format needs in addition to NumPy.
 _PACKAGES = {".nc": ("xarray", "h5netcdf", "h5py"), ".zarr": ("xarray", "zarr"), ".npz": ()}
 
 
 @dataclasses.dataclass(frozen=True)
 class NamedArrays:
-    """Arrays with their names and dimensions: the description that every file is written from."""
+    """Arrays with their names and dimensions, the common description of all file formats."""
 
     variables: Mapping[str, Variable]
-    """What was computed."""
+    """The computed arrays."""
     coordinates: Mapping[str, Variable] = dataclasses.field(default_factory=dict)
-    """What the dimensions stand for."""
+    """The values along the dimensions."""
     attributes: Mapping[str, Attribute] = dataclasses.field(default_factory=dict)
-    """What else is to be known."""
+    """Further metadata."""
     npz_names: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """The names that an .npz has for some of them: one without dimensions, coordinates and
-    attributes needs other words."""
+    """Alternative names in an .npz, which has no dimensions, coordinates and attributes of its
+    own."""
     npz_extras: Mapping[str, Attribute] = dataclasses.field(default_factory=dict)
-    """What an .npz has besides, for `numpy.load`; it is not read back."""
+    """Additional entries of an .npz for `numpy.load`, not read back."""
 
     def __contains__(self, name: str) -> bool:
         return name in self.variables or name in self.coordinates
@@ -70,7 +69,7 @@ def to_xarray(data: NamedArrays) -> Dataset:
 
 
 def save(data: NamedArrays, path: PathLike) -> None:
-    """Write to `path`, which ends in .nc, .zarr or .npz; what was there is replaced."""
+    """Write to `path`, which ends in .nc, .zarr or .npz; an existing file is replaced."""
     path = Path(path)
     packages = _packages(path)
     if path.suffix == ".npz":
@@ -84,7 +83,7 @@ def save(data: NamedArrays, path: PathLike) -> None:
 
 
 def write_zarr(data: NamedArrays, path: Path) -> None:
-    """Write to a Zarr store; what was there is replaced."""
+    """Write to a Zarr store; an existing store is replaced."""
     _xarray("xarray", "zarr")
     # Without consolidated metadata, which Zarr's third format does not specify.
     to_xarray(data).to_zarr(path, mode="w", zarr_format=3, consolidated=False)
@@ -96,7 +95,7 @@ def read_zarr(path: Path) -> Dataset:
 
 
 def load(path: PathLike) -> NamedArrays:
-    """What was saved at `path`, in memory."""
+    """The data set saved at `path`, in memory."""
     path = Path(path)
     packages = _packages(path)
     if not path.exists():
@@ -135,8 +134,8 @@ def _with_objects(variables: Mapping[str, Variable]) -> dict[str, tuple[Any, ...
 
 
 def _npz_entries(data: NamedArrays) -> dict[str, np.ndarray]:
-    """All arrays and attributes by the names of an .npz, and the contents: what each of them is."""
-    # A name that was given away is no longer free: a parameter may be called `values`.
+    """All arrays and attributes by their names in an .npz, and the table of contents."""
+    # An alternative name is no longer free, because a parameter may be called `values`.
     taken = {*data.npz_names.values(), _CONTENTS}
     entries: dict[str, np.ndarray] = {}
 
@@ -197,7 +196,7 @@ def _packages(path: Path) -> tuple[str, ...]:
 
 
 def _xarray(*packages: str) -> ModuleType:
-    """The module xarray, after a look whether `packages` are there."""
+    """The module xarray, after a check that `packages` are installed."""
     for package in packages:
         try:
             importlib.import_module(package)

@@ -1,14 +1,13 @@
-"""How a result is drawn, without knowing how.
+"""The registry of drawing functions.
 
-A function that draws one kind of result enters through `draws`; `draw` gives back the axes that it
-has drawn on. Results are made in rooms that `jaxfil.plot` imports, so they cannot import it:
-`jaxfil.plot` registers here what it draws, and each result's `plot()` looks here.
+`jaxfil.plot` imports the rooms that define results, so they cannot import it. It registers its
+functions here with `draws`, and each result's `plot()` calls `draw`, which returns the axes.
 """
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
-if TYPE_CHECKING:  # each name there needs JAX, which `jaxfil` connects pictures without
+if TYPE_CHECKING:  # each name there needs JAX, and `jaxfil` connects pictures without JAX
     from jaxfil.model.types import Axes
 
 _Drawer = TypeVar("_Drawer", bound=Callable[..., Any])
@@ -17,12 +16,12 @@ _IMPORTERS: list[Callable[[], object]] = []
 
 
 def use(importer: Callable[[], object]) -> None:
-    """Have `importer` called before a picture is drawn: it imports what registers pictures."""
+    """Call `importer`, which imports the registering modules, before a picture is drawn."""
     _IMPORTERS.append(importer)
 
 
 def draws(*kinds: type) -> Callable[[_Drawer], _Drawer]:
-    """A decorator: the function, called with a result of one of these kinds, draws it."""
+    """A decorator that registers a function to draw results of these classes."""
 
     def register(drawer: _Drawer) -> _Drawer:
         _DRAWERS.update(dict.fromkeys(kinds, drawer))
@@ -33,8 +32,8 @@ def draws(*kinds: type) -> Callable[[_Drawer], _Drawer]:
 
 def draw(result: object, **options: Any) -> "Axes":
     """Draw a result; returns the matplotlib axes."""
-    # An importer runs before every picture and not once: it is cheap (a module that is imported
-    # comes from `sys.modules`), and a second one may have been added since.
+    # Importers run before every picture. They are cheap (an imported module comes from
+    # `sys.modules`), and another one may have been added since.
     for importer in _IMPORTERS:
         importer()
     drawer = next(_DRAWERS[kind] for kind in type(result).__mro__ if kind in _DRAWERS)

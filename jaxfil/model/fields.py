@@ -1,8 +1,4 @@
-"""Fields that are numbers: what a system may hold in them.
-
-A module whose fields have types enters; an error leaves where a field that is declared to be a
-number or an array holds a word, a list or nothing.
-"""
+"""Validation of the numeric fields of a system."""
 
 import dataclasses
 import types
@@ -18,12 +14,12 @@ _NOTHING = (None, types.NoneType, "None")
 
 
 def is_no_number(value: object) -> bool:
-    """Whether a value is a word, a list or nothing."""
+    """Whether a value is a string, a list or None."""
     return value is None or isinstance(value, (str, bytes, list, tuple, dict))
 
 
 def check_numbers(module: eqx.Module) -> None:
-    """An error that names the first field which holds no number although it is declared to."""
+    """Raise an error for the first numeric field that holds another kind of value."""
     for field in dataclasses.fields(module):
         value = getattr(module, field.name, None)
         if is_no_number(value):
@@ -37,7 +33,7 @@ def check_numbers(module: eqx.Module) -> None:
 
 
 def _kinds(annotation: Any) -> list[Any]:
-    """The types that an annotation allows; of jaxtyping's the arrays that they are of."""
+    """The types that an annotation allows; for a jaxtyping annotation its array types."""
     if isinstance(annotation, str):
         return [kind.strip() for kind in annotation.split("|")]
     union = isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union

@@ -1,7 +1,7 @@
-"""What the quantities of a system are called in pictures and in named arrays.
+"""Names and units of the quantities of a system in pictures and named arrays.
 
-A system whose class gives `state_names`, `symbols` or `units` enters; its `Labels` leave, which
-results carry along, so that a picture needs no system.
+`labels_of` reads `state_names`, `symbols` and `units` of a system. Results store its `Labels`, so
+that a picture needs no system.
 """
 
 import dataclasses
@@ -15,14 +15,14 @@ from jaxfil.model import check
 from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
 
-# Pairs and not a dictionary: labels are static fields of results, and static fields are hashed.
+# Pairs instead of a dictionary, because labels are static fields, which are hashed.
 Pairs = tuple[tuple[str, str], ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class Labels:
-    """What the quantities of a system are called; what is not there is called as in the code and
-    has no unit.
+    """Names and units of the quantities of a system. A quantity without an entry has its name in
+    the code and no unit.
 
     >>> from jaxfil.model.labels import Labels
     >>> labels = Labels(state=("x", "x'"), symbols=(("omega", "Ω"),), units=(("x", "m"),))
@@ -31,24 +31,24 @@ class Labels:
     """
 
     state: tuple[str, ...] = ()
-    """Names of the components of the state, in order; empty if they have none."""
+    """Names of the components of the state, in order; empty by default."""
     symbols: Pairs = ()
     """Pairs of a parameter's name and its symbol, sorted."""
     units: Pairs = ()
     """Pairs of the name of a component, of a parameter or of the time `t`, and its unit, sorted."""
 
     def component(self, i: int, wording: str = "{}") -> str:
-        """Of the component i, `wording` around its name: "x once a period, m"."""
+        """The label of component i, with `wording` around its name: "x once a period, m"."""
         name = self.state[i] if self.state else f"x[{i}]"
         return self._with_unit(wording.format(name), name)
 
     def parameter(self, name: str) -> str:
-        """Of a parameter, its symbol: "Ω, rad/s"."""
+        """The label of a parameter: "Ω, rad/s"."""
         return self._with_unit(self.symbol(name), name)
 
     @property
     def time(self) -> str:
-        """Of the time."""
+        """The label of the time."""
         return self._with_unit("t", "t")
 
     def symbol(self, name: str) -> str:
@@ -56,12 +56,12 @@ class Labels:
         return dict(self.symbols).get(name, name)
 
     def unit(self, name: str) -> str:
-        """The unit of a component, a parameter or the time `t`; empty if none is given."""
+        """The unit of a component, a parameter or the time `t`; empty by default."""
         return dict(self.units).get(name, "")
 
     def of(self, names: tuple[str, ...]) -> "Labels":
-        """Those of the state and of these parameters alone."""
-        kept = {*self.state, *names}  # a result has no word for what it does not hold
+        """The labels of the state and of these parameters alone."""
+        kept = {*self.state, *names}  # a result has labels only for its own quantities
         return Labels(
             self.state,
             tuple(pair for pair in self.symbols if pair[0] in names),
@@ -78,12 +78,12 @@ def labels_of(system: System, n: int) -> Labels:
     names = system.state_names
     several = isinstance(names, (tuple, list)) and all(isinstance(name, str) for name in names)
     if not several or len(names) not in (0, n) or len(set(names)) < len(names):
-        check.shapes(system, jnp.zeros(n))  # is it the state that has the wrong length?
+        check.shapes(system, jnp.zeros(n))  # the length of the state may be wrong instead
         raise ValueError(
             f"`state_names` of {type(system).__name__} must be a tuple of different strings, one "
             f"for each of the {n} components of the state, got {names!r}."
         )
-    # Fields as well as leaves: a field that is None here may be a parameter in another instance.
+    # All fields, because a field that is None here may be a parameter in another instance.
     fields = {*parameters(system), *_fields(system)}
     return Labels(
         tuple(names),
@@ -93,7 +93,7 @@ def labels_of(system: System, n: int) -> Labels:
 
 
 def _fields(module: eqx.Module, path: str = "") -> Iterator[str]:
-    """The names of all fields, those of modules within with their paths."""
+    """The names of all fields, with paths for nested modules."""
     for field in dataclasses.fields(module):
         yield path + field.name
         if isinstance(value := getattr(module, field.name, None), eqx.Module):
@@ -101,7 +101,7 @@ def _fields(module: eqx.Module, path: str = "") -> Iterator[str]:
 
 
 def _pairs(system: System, attribute: str, known: list[str]) -> Pairs:
-    """A dictionary of the class, by names that the system knows, as pairs in their order."""
+    """A dictionary of the class, by names of the system, as pairs in their order."""
     given: Any = getattr(system, attribute)
     must = f"`{attribute}` of {type(system).__name__} must be a dictionary of strings"
     if not isinstance(given, Mapping):
@@ -111,5 +111,5 @@ def _pairs(system: System, attribute: str, known: list[str]) -> Pairs:
             raise ValueError(f"{must} by a name among {', '.join(known)}; got {name!r}.")
         if not isinstance(told, str):
             raise ValueError(f"{must}, got {told!r} for {name!r}.")
-    # Sorted: labels in another order are the same ones, and compile no other program.
+    # Sorted, so that the same labels in another order compile no other program.
     return tuple(sorted(given.items()))

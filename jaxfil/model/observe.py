@@ -1,8 +1,4 @@
-"""Functions of the motion, and what they ask for by the names of their arguments.
-
-A function of the user's and what is known of a motion at one time enter; what the function returns
-of that leaves.
-"""
+"""Functions of the motion and the arguments that they request by name."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
@@ -12,16 +8,16 @@ from jaxtyping import Array
 from jaxfil.model.argument import signature_of
 
 ASKED = ("side", "reaction", "mode")
-"""What a function of the motion may have arguments of these names for."""
+"""Names of the optional arguments of a function of the motion."""
 
 Observe: TypeAlias = Callable[..., Any]
-"""A function of the time, the state, shape (n,), and what it asks for, that returns an array. It
-asks for `side`, `reaction` and `mode` by arguments of these names, each of the shape of H."""
+"""A function of the time, the state, shape (n,), and optional arguments, that returns an array. The
+optional arguments are `side`, `reaction` and `mode`, each of the shape of H."""
 
 
 def asked_of(function: Callable[..., Any]) -> tuple[str, ...]:
-    """What a function of the motion asks for besides the time and the state, in its order. A third
-    argument of any other name, without a default, is that of the sides."""
+    """The optional arguments of a function of the motion, in its order. A third argument of any
+    other name, without a default, receives the sides."""
     signature = signature_of(function)
     if signature is None:
         return ("side",)
@@ -37,5 +33,5 @@ def asked_of(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def value_of(function: Observe, t: Array, x: Array, known: Mapping[str, Array]) -> Any:
-    """What a function of the motion returns, given all that may be asked for."""
+    """The value of a function of the motion, given all optional arguments."""
     return function(t, x, *(known[name] for name in asked_of(function)))

@@ -1,8 +1,7 @@
-"""A parameter by its name.
+"""Access to parameters by name.
 
-A system and the name of a float leaf (a dotted path for nested modules), or of an entry of one that
-is an array, "a[0,1]", enter; the leaf or entry, or the system with another value in its place,
-leaves.
+A name is a dotted path to a float leaf of a system, or to an entry of an array, "a[0,1]". Functions
+return the leaf or entry, or a copy of the system with another value.
 """
 
 import re
@@ -36,13 +35,13 @@ def _name(path: tuple[Any, ...]) -> str:
 
 
 def get_parameter(system: PyTree, name: str, argument: str = "parameter") -> Any:
-    """The leaf called `name`, or the entry of one; `argument` is where the name was given."""
+    """The leaf called `name`, or an entry of one; `argument` is the argument with this name."""
     leaf, entry = _found(system, name, argument)
     return leaf if entry is None else jnp.asarray(leaf).reshape(-1)[entry]
 
 
 def scalar_parameter(system: PyTree, name: str, argument: str = "parameter") -> Any:
-    """The same, if it is a scalar."""
+    """The same, for a scalar parameter."""
     leaf = get_parameter(system, name, argument)
     if np.ndim(leaf):
         raise ValueError(
@@ -52,7 +51,7 @@ def scalar_parameter(system: PyTree, name: str, argument: str = "parameter") -> 
 
 
 def _found(system: PyTree, name: str, argument: str) -> tuple[Any, int | None]:
-    """The leaf that a name speaks of, and which of its entries, in the order of C, or None."""
+    """The leaf of a name, and the index of its entry in C order, or None."""
     known = parameters(system)
     if isinstance(name, str) and name in known:
         return known[name], None
@@ -78,7 +77,7 @@ def _split(name: str) -> tuple[str, tuple[int, ...]]:
 
 
 def scalar_parameters(system: PyTree, names: Any) -> tuple[str, ...]:
-    """The names of several parameters, each different and a scalar: an argument `parameters`."""
+    """The names of different scalar parameters, from an argument `parameters`."""
     several = isinstance(names, (tuple, list)) and all(isinstance(name, str) for name in names)
     if not several or len({*names}) != len(names) or not names:
         raise ValueError(
@@ -90,7 +89,7 @@ def scalar_parameters(system: PyTree, names: Any) -> tuple[str, ...]:
 
 
 def two_parameters(system: PyTree, names: Any) -> tuple[str, str]:
-    """The names of two of them."""
+    """The names of two different scalar parameters."""
     several = scalar_parameters(system, names)
     if len(several) != 2:
         raise ValueError(f"`parameters` must be two different parameters, got {told(names)}.")
@@ -98,26 +97,26 @@ def two_parameters(system: PyTree, names: Any) -> tuple[str, str]:
 
 
 def replace_parameters(system: _Tree, names: Iterable[str], values: Iterable[ArrayLike]) -> _Tree:
-    """`system` with each of these replaced: see `replace_parameter`."""
+    """`system` with each of these replaced (see `replace_parameter`)."""
     for name, value in zip(names, values, strict=True):
         system = replace_parameter(system, name, value)
     return system
 
 
 def replace_parameter(system: _Tree, name: str, value: ArrayLike) -> _Tree:
-    """`system` with the leaf or entry called `name` replaced, shape and dtype kept."""
+    """`system` with the leaf or entry called `name` replaced, in its shape and dtype."""
     _, entry = _found(system, name, "parameter")
     base = name if entry is None else _split(name)[0]
 
     def swap(path: tuple[Any, ...], leaf: Any) -> Any:
         if _name(path) != base:
             return leaf
-        # A program is compiled for the shapes and dtypes of its leaves: a value that kept its own
-        # would compile another one.
+        # Programs are compiled for certain shapes and dtypes. A value with another dtype
+        # would compile another program.
         dtype, shape = jnp.asarray(leaf).dtype, jnp.shape(leaf)
         if entry is None:
             return jnp.broadcast_to(jnp.asarray(value, dtype), shape)
-        # Not by `.at`, which is a scatter: no kernel holds one.
+        # Not by `.at`, which is a scatter and not supported in a kernel.
         flat, one = jnp.reshape(leaf, -1), jnp.reshape(jnp.asarray(value, dtype), 1)
         parts = flat[:entry], one, flat[entry + 1 :]
         return jnp.concatenate([v for v in parts if v.size]).reshape(shape)
@@ -126,7 +125,7 @@ def replace_parameter(system: _Tree, name: str, value: ArrayLike) -> _Tree:
 
 
 def replace_leaves(system: _Tree, values: Mapping[str, Array]) -> _Tree:
-    """`system` with each leaf that is named replaced, whatever its shape and dtype."""
+    """`system` with each named leaf replaced, of any shape and dtype."""
 
     def swap(path: tuple[Any, ...], leaf: Any) -> Any:
         return values.get(_name(path), leaf)
@@ -136,12 +135,12 @@ def replace_leaves(system: _Tree, values: Mapping[str, Array]) -> _Tree:
 
 def is_parameter(leaf: object) -> bool:
     """Whether a leaf of a system is a real number or an array of them."""
-    # Integers are no parameters: a count or an index has no derivative.
+    # Integers are not parameters, because a count or an index has no derivative.
     return isinstance(leaf, (float, np.floating)) or eqx.is_inexact_array(leaf)
 
 
 def cast(system: _Tree, dtype: DTypeLike) -> _Tree:
-    """`system`, or another pytree, with every float leaf an array of the given dtype, so that none
-    is static."""
-    # A Python float would be a constant of the compiled program, and a new value another program.
+    """`system`, or another pytree, with every float leaf as an array of the given dtype, so that no
+    float is static."""
+    # A Python float would be a constant of the compiled program, and a new value a new program.
     return jax.tree.map(lambda leaf: array_of(leaf, dtype) if is_parameter(leaf) else leaf, system)

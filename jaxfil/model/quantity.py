@@ -1,7 +1,7 @@
-"""Quantities: single numbers that say something of a motion over a span of time.
+"""Numbers that summarise a motion over a span of time.
 
-A user's functions enter, each in the record of what is made of it; `integrate.run.averaging` takes
-the numbers. A plain function stands for its mean.
+Each class wraps a user's function; a plain function stands for its mean.
+`integrate.run.averaging` computes the numbers.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,10 +13,10 @@ from jaxfil.model import argument
 
 
 class _OfFunction(eqx.Module):
-    """What is made of a function along a motion."""
+    """A quantity of a function along a motion."""
 
     function: Callable[..., Any]
-    """g."""
+    """The function g."""
     _given: ClassVar[str] = "(t, x, side)"
 
     def __check_init__(self):
@@ -32,7 +32,7 @@ class RMS(_OfFunction):
 
     - `function`: g, as in `jf.average`.
 
-    **Raises** `ValueError` if it is no function.
+    **Raises** `ValueError` if `function` is not callable.
 
     **Source**: textbook.
 
@@ -52,16 +52,16 @@ class Maximum(_OfFunction):
 
     $$g_\mathrm{max} = \max_t\, g(t, x(t), \mathrm{side}(t))$$
 
-    Where the rate of g along the motion vanishes within a step, the state there is that of a step
-    of the method, and the value has its order. Both ends of a jump count. Which of two maxima is
-    the larger is told from a cubic through the values and rates at both ends of steps: where they
-    differ by less than its error, it may be the smaller one that is given.
+    Where the rate of g along the motion vanishes within a step, a step of the method gives the
+    state there, so the value has the order of the method. Both ends of a jump count. A cubic
+    through the values and rates at both ends of steps decides which of two maxima is larger; where
+    they differ by less than its error, the smaller one may be returned.
 
     **Arguments**
 
     - `function`: g, as in `jf.average`.
 
-    **Raises** `ValueError` if it is no function.
+    **Raises** `ValueError` if `function` is not callable.
 
     **Source**: E. Hairer, S. P. Nørsett and G. Wanner, Solving Ordinary Differential Equations I,
     Springer (1993), section II.6, for the cubic.
@@ -82,13 +82,13 @@ class Minimum(_OfFunction):
 
     $$g_\mathrm{min} = \min_t\, g(t, x(t), \mathrm{side}(t))$$
 
-    It is found as that of `Maximum`.
+    It is computed like `Maximum`.
 
     **Arguments**
 
     - `function`: g, as in `jf.average`.
 
-    **Raises** `ValueError` if it is no function.
+    **Raises** `ValueError` if `function` is not callable.
 
     **Source**: as of `Maximum`.
 
@@ -104,22 +104,22 @@ class Minimum(_OfFunction):
 
 
 class EventSum(_OfFunction):
-    r"""A sum over the events of a motion: impacts, crossings, ends of slides, ticks.
+    r"""A sum over the events of a motion, such as impacts, crossings, ends of slides, ticks.
 
     $$\sum_i g(t_i, x(t_i^-), x(t_i^+), \mathrm{surfaces}_i)$$
 
     **Arguments**
 
     - `function`: g, a function of the time of an event, the state before it and the state after it,
-      both of shape (n,), and flags of 0 and 1 that say which surfaces are those of the event, as
-      `System.switching` counts them, shape () or (m,); none is that of a tick. It returns an array
-      of any shape: the flags themselves count the events of each surface. If it has an argument
-      `system`, it is given the system of the lane.
+      both of shape (n,), and flags of 0 and 1 for the surfaces of the event, in the order of
+      `System.switching`, shape () or (m,), all 0 for a tick. It returns an array of any shape; the
+      flags themselves count the events of each surface. An argument `system` receives the system of
+      the lane.
 
-    A graze is an event, with the same state on both sides. Of infinitely many impacts that die out
-    those count that are told apart from rest; the others have no energy left to speak of.
+    A graze is an event with the same state on both sides. Of infinitely many impacts that die out,
+    the sum includes those before rest is detected; the energy of the others is negligible.
 
-    **Raises** `ValueError` if it is no function.
+    **Raises** `ValueError` if `function` is not callable.
 
     **Source**: textbook.
 
@@ -139,7 +139,7 @@ class EventSum(_OfFunction):
 KINDS = RMS, Maximum, Minimum, EventSum
 
 Quantity: TypeAlias = Callable[..., Any] | RMS | Maximum | Minimum | EventSum
-"""What is made of a function along a motion; of a plain one its mean."""
+"""A quantity of a motion; a plain function stands for its mean."""
 
 Quantities: TypeAlias = Quantity | Mapping[str, Quantity]
-"""One of them, or several by their names."""
+"""One quantity, or several by name."""

@@ -1,9 +1,8 @@
-"""Errors at run time, their sentence first.
+"""Errors at run time that start with their sentence.
 
-A value, flags of failure and sentences enter; the same value leaves, or the error. Where the flags
-are known, as they are under `jax.vmap` and `jax.grad` alone, it is the sentence and nothing else.
-Under `jax.jit` JAX puts its own stack around what a callback raises; but before that it logs the
-failure, and what is logged is made the sentence here.
+Where the flags of failure are known, as under `jax.vmap` and `jax.grad` alone, the message is the
+sentence alone. Under `jax.jit` JAX adds its own stack to an error from a callback, but first logs
+the failure; this module replaces the logged text by the sentence.
 """
 
 import logging
@@ -24,8 +23,8 @@ _SENTENCES: set[str] = set()
 
 
 def raise_first(value: _Tree, failures: Sequence[tuple[Any, str]]) -> _Tree:
-    """The same value, or an error with the last of those sentences whose flag is set, in any lane
-    of a batch."""
+    """The same value, or an error with the last of these sentences whose flag is set in any lane of
+    a batch."""
     _SENTENCES.update(sentence for _, sentence in failures)
     flags = [np.any(v) if is_known(v) else eqxi.unvmap_any(v) for v, _ in failures]
     if is_known(flags):
@@ -39,7 +38,7 @@ def raise_first(value: _Tree, failures: Sequence[tuple[Any, str]]) -> _Tree:
 
 
 class _SentenceOnly(logging.Filter):
-    """JAX's record of a failed callback, of one of these sentences made that alone."""
+    """Reduces JAX's log record of a failed callback to one of these sentences."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else None

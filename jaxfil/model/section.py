@@ -1,7 +1,6 @@
-"""What is watched without being part of the system: sections, extrema and bounds.
+"""Sections, extrema and bounds, observations that do not change the motion.
 
-Functions of time and state enter; `Section`s leave, which a run locates as it does contacts, and
-which change nothing of its motion.
+A run locates the zeros of a `Section` as it locates contacts.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,9 +19,9 @@ class Section(eqx.Module):
 
     $$\Sigma = \{(t, x) : S(t, x) = 0\}$$
 
-    A crossing is a change of sign of S along the motion, beyond rounding: a start on the section is
-    none, nor is a touch, nor an impact that throws back. Where S jumps across zero, by an impact or
-    a change of the field, that is one too, at this time.
+    A crossing is a change of sign of S along the motion, beyond rounding. A start on the section, a
+    touch, and an impact that reflects the motion are not crossings. If S jumps across zero, by an
+    impact or a change of the field, this is a crossing at that time.
 
     **Arguments**
 
@@ -31,9 +30,9 @@ class Section(eqx.Module):
       without a new program.
     - `direction`: +1 for crossings where S grows with time, −1 where it falls, 0 for both.
     - `terminal`: the number of the crossing of this section at which the run ends, with the outcome
-      `section_reached`; None if it goes on to the end.
+      `section_reached`; None to continue to the end.
 
-    **Raises** `ValueError` for another direction, and for a `terminal` that is no positive integer.
+    **Raises** `ValueError` for another direction, or a `terminal` that is not a positive integer.
 
     **Source**: M. Hénon, On the numerical computation of Poincaré maps, Physica D 5 (1982) 412–414.
 
@@ -49,15 +48,15 @@ class Section(eqx.Module):
     """
 
     function: Callable[[Array, Array], Array]
-    """S."""
+    """The function S."""
     direction: int = eqx.field(static=True, default=0)
     """+1, −1, or 0 for both."""
     terminal: int | None = eqx.field(static=True, default=None)
-    """The crossing at which a run ends."""
+    """The number of the crossing at which a run ends."""
     of_rate: bool = eqx.field(static=True, default=False, kw_only=True)
-    """Whether the rate of the function along the motion is S, as of `maxima`."""
+    """Whether S is the rate of the function along the motion, as in `maxima`."""
     is_bound: bool = eqx.field(static=True, default=False, kw_only=True)
-    """Whether to cross it is a failure, as of `bound`."""
+    """Whether a crossing is a failure, as in `bound`."""
 
     def __check_init__(self):
         argument.function("function", self.function, "(t, x)")
@@ -77,12 +76,12 @@ def maxima(function: Callable[[Array, Array], Array], terminal: int | None = Non
 
         d/dt f(t, x(t)) = ∂f/∂t + ∇f·F = 0, falling
 
-    Where the field or the state jumps the rate may change its sign at once: a corner of f is a
-    maximum too.
+    Where the field or the state jumps, the rate may change its sign at once. Such a corner of f is
+    a maximum too.
 
     **Arguments**
 
-    - `function`: f, as that of a `Section`.
+    - `function`: f, as in `Section`.
     - `terminal`: as in `Section`.
 
     **Returns** a `Section`.
@@ -125,14 +124,14 @@ def minima(function: Callable[[Array, Array], Array], terminal: int | None = Non
 
 
 def bound(function: Callable[[Array, Array], Array]) -> Section:
-    """A bound of the region f(t, x) ≥ 0: a run that leaves it, or starts outside, ends there.
+    """A bound of the region f(t, x) ≥ 0. A run that leaves it, or starts outside, ends there.
 
-    Its outcome is `out_of_bounds`, which is no success: an overturned block or a voltage that has
-    run away is told from a motion that has come to its end.
+    The outcome is `out_of_bounds`, which is not a success. It distinguishes, for example, an
+    overturned block or a diverging voltage from a run that reached its end.
 
     **Arguments**
 
-    - `function`: f, as that of a `Section`.
+    - `function`: f, as in `Section`.
 
     **Returns** a `Section`.
 
@@ -153,7 +152,7 @@ def bound(function: Callable[[Array, Array], Array]) -> Section:
 
 
 def sections_of(name: str, sections: Sections | None, x0: Array) -> tuple[Section, ...]:
-    """The sections that an argument asks for, none for None, each with a scalar function."""
+    """The sections of an argument, () for None, each with a scalar function."""
     if sections is None:
         return ()
     several = (sections,) if isinstance(sections, Section) else sections

@@ -1,8 +1,4 @@
-"""What the user writes: a nonsmooth system as an equinox module.
-
-Vector fields and switching functions enter; a `System` leaves, whose float leaves are the
-parameters of the problem.
-"""
+"""The base class of nonsmooth systems, an equinox module with parameters as float leaves."""
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
@@ -25,15 +21,15 @@ class System(eqx.Module):
     $$\dot x = F(t, x, \mathrm{side}), \qquad \mathrm{side}_j = \mathrm{sgn}\, H_j(t, x)$$
 
     Write a subclass with `vector_field`, and `switching` unless the system is smooth. Every float
-    leaf is a parameter, arrays included, whose entries are named as "a[0,1]": it may be swept,
-    differentiated, batched, and new values never recompile.
+    leaf is a parameter, including arrays, whose entries are named as "a[0,1]". Parameters may be
+    swept, differentiated and batched, and new values never recompile.
 
-    `reset` is there for impacts: without it none are compiled. `period` is that of the forcing.
-    One that wraps another system gives `slides`, `resets`, `feels_reactions`, `ticks`, `period` and
-    `clocks` of that, as properties.
+    `reset` defines impacts; otherwise no impact code is compiled. `period` is the forcing period.
+    A class that wraps another system forwards `slides`, `resets`, `feels_reactions`, `ticks`,
+    `period` and `clocks` as properties.
 
     **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer
-    (1988), for what a solution is on a surface.
+    (1988), for the definition of a solution on a surface.
 
     >>> import jax
     >>> import jax.numpy as jnp
@@ -61,15 +57,15 @@ class System(eqx.Module):
     """
 
     slides: ClassVar[bool] = True
-    """False in a system that only ever crosses its surfaces: the code for sliding is then not
-    compiled, and meeting a sliding region is the outcome `undeclared_sliding`."""
+    """False for a system that only crosses its surfaces. The code for sliding is then not compiled,
+    and a sliding region gives the outcome `undeclared_sliding`."""
     state_names: ClassVar[Sequence[str]] = ()
-    """What pictures and named arrays call the components of the state; by default x[0], x[1], …"""
+    """Names of components of the state in pictures and named arrays; by default x[0], x[1], …"""
     symbols: ClassVar[Mapping[str, str]] = {}
-    """What they call parameters, by their names in the code; by default these names."""
+    """Symbols of parameters in pictures, by their names in the code; by default these names."""
     units: ClassVar[Mapping[str, str]] = {}
-    """Units of components, parameters and the time `t`, by name; by default none."""
-    # Whether `vector_field` is given the mode of motion: with what is observed of it.
+    """Units of components, parameters and the time `t`, by name; empty by default."""
+    # Whether `vector_field` receives the mode of motion, for observed functions.
     _observes_mode: ClassVar[bool] = False
 
     def __check_init__(self):
@@ -80,35 +76,36 @@ class System(eqx.Module):
         """F, shape (n,). `side` is exactly +1 or -1: a scalar if `switching` returns a scalar,
         of shape (m,) if it returns (m,).
 
-        With a fourth argument, `reaction`, of the shape of `side`, it is given the force with which
-        each surface holds the motion while it rests there, ≥ 0, and 0 of others; F must be affine
-        in it. F says what that does: of a mass M on a table at y = 0, y″ = −g + reaction/M, and of
-        dry friction there x″ = −μ reaction side/M. Where no reaction enters y″ it is added there,
-        in the direction in which the reset acts, and is the acceleration d²H/dt² that it gives.
+        A fourth argument, `reaction`, of the shape of `side`, receives the force ≥ 0 with which
+        each surface holds the motion while it rests there, and 0 for other surfaces. F must be
+        affine in it and defines its effect. For a mass M on a table at y = 0, y″ = −g + reaction/M,
+        and for dry friction there x″ = −μ reaction side/M. If y″ does not depend on the reaction,
+        it is added there in the direction of the reset, as the acceleration d²H/dt² that it causes.
         """
 
     def switching(self, t: Float[Array, ""], x: Float[Array, " n"]) -> Array:
-        """H, a scalar or shape (m,): the surfaces are its zeros. Not overridden: smooth."""
-        return jnp.zeros((0,), x.dtype)  # no surface: nothing that looks for one is compiled
+        """H, a scalar or shape (m,), whose zeros are the surfaces. By default the system is
+        smooth."""
+        return jnp.zeros((0,), x.dtype)  # without surfaces, no search for contacts is compiled
 
     def reset(
         self, t: Float[Array, ""], x: Float[Array, " n"], surface: Int[Array, ""]
     ) -> Float[Array, " n"]:
         """The state, shape (n,), just after an impact on surface number `surface`.
 
-        What goes on from there is decided by H and its rates there: the motion is thrown back,
-        let through, carried off the surface, or rests on it until its reaction would have to pull.
-        Of surfaces met together each is reset in turn, the lowest number first, until the motion
-        runs into none. A surface that throws back bounds the region H ≥ 0: a run that starts on it
-        and moves towards H < 0 starts with an impact, one that moves away has left it.
+        H and its rates there determine the motion after it. It is reflected, passes through, is
+        carried off the surface, or rests on it until its reaction would have to pull. For
+        simultaneous contacts resets are applied one at a time, lowest number first, until the
+        motion runs into no surface. A reflecting surface bounds the region H ≥ 0. A run that starts
+        on it and moves towards H < 0 starts with an impact, one that moves away does not.
         """
-        return x  # never called: a system without a `reset` of its own has no `resets`
+        return x  # never called: a system without its own `reset` has no `resets`
 
     @property
     def resets(self) -> bool:
-        """Whether contacts are impacts: by default if the class defines `reset`. Where this is
-        False the code for impacts is not compiled and `reset` is never called, so that a wrapper
-        may define `reset` for any system, and give that system's `resets` here."""
+        """Whether contacts are impacts; by default True if the class defines `reset`. If False, the
+        code for impacts is not compiled and `reset` is never called. A wrapper may therefore define
+        `reset` for any system and forward that system's `resets`."""
         return type(self).reset is not System.reset
 
     def tick(
@@ -116,33 +113,33 @@ class System(eqx.Module):
     ) -> Float[Array, " n"]:
         """The state, shape (n,), just after a tick of clock number `clock` of `clocks`.
 
-        What a sampled controller holds, a latch that is set, a dose, a kick: what changes at known
-        times. Of ticks at one time each has its turn, the clock with the lowest number first. A
-        state that it carries across a surface has a contact there, at that time.
+        It describes changes at known times, such as a sampled controller, a latch, a dose or a
+        kick. Simultaneous ticks are applied one at a time, lowest clock number first. A state that
+        it carries across a surface has a contact there at that time.
         """
-        return x  # never called: a system without a `tick` of its own has no `ticks`
+        return x  # never called: a system without its own `tick` has no `ticks`
 
     @property
     def ticks(self) -> bool:
-        """Whether the state changes at ticks: by default if the class defines `tick`. Where this is
-        False `tick` is never called, as with `resets`."""
+        """Whether the state changes at ticks; by default True if the class defines `tick`. If
+        False, `tick` is never called, as with `resets`."""
         return type(self).tick is not System.tick
 
     @property
     def feels_reactions(self) -> bool:
-        """Whether the field depends on reactions: by default if `vector_field` has an argument
+        """Whether the field depends on reactions; by default True if `vector_field` has an argument
         `reaction`."""
         return takes_reaction(type(self).vector_field)
 
     @property
     def period(self) -> Array | float | None:
-        """Period of the forcing in units of t; None if the system is autonomous. Of several forces
-        that of the one to sample by."""
+        """Period of the forcing in units of t; None if the system is autonomous. With several
+        forces, the period at which to sample."""
         return None
 
     @property
     def clocks(self) -> Clocks:
-        """The `Clock`s at whose ticks the field, H or the state jumps; none by default."""
+        """The `Clock`s at whose ticks the field, H or the state jumps; () by default."""
         return ()
 
 
@@ -160,8 +157,8 @@ def field_of(
     reaction: Array | None = None,
     mode: Array | None = None,
 ) -> Array:
-    """F of a system, (n,), whether it feels reactions or not; None: there are none. The mode, of
-    the shape of `side`, is asked for by what is observed alone; None: that of no slide or rest."""
+    """F of a system, (n,), with or without reactions; None stands for no reactions. Only observed
+    functions use the mode, of the shape of `side`; None stands for no slide or rest."""
     if not system.feels_reactions and not system._observes_mode:
         return system.vector_field(t, x, side)
     given = (jnp.zeros_like(side) if reaction is None else reaction,)
@@ -182,7 +179,7 @@ class _Piecewise(System):
                 "`switching` must return a scalar, for two fields meet at one surface, got shape "
                 f"{jnp.shape(side)}. More surfaces, or none: write a jaxfil.System."
             )
-        # Both fields are evaluated and one is chosen: lanes of a batch are on different sides.
+        # Both fields are evaluated and one is chosen, because lanes of a batch differ in side.
         return jnp.where(
             jnp.reshape(side, ()) > 0, self._part("f_plus", t, x), self._part("f_minus", t, x)
         )
@@ -208,23 +205,23 @@ def piecewise(
     switching: Callable[[Array, Array], Array],
     period: Array | float | None = None,
 ) -> System:
-    """The system of two smooth fields that meet at one surface.
+    """The system of two smooth fields on either side of one surface.
 
         ẋ = f_plus(t, x)  where H(t, x) > 0,    ẋ = f_minus(t, x)  where H(t, x) < 0
 
-    For what needs no class: more surfaces, none, impacts or labels are written as a `System`.
+    It needs no class. Write a `System` for more surfaces, no surface, impacts or labels.
 
     **Arguments**
 
     - `f_plus`, `f_minus`: functions of the time, shape (), and the state, shape (n,), that return
-      an array of the state's shape. All functions here may be equinox modules: their float leaves
-      are then parameters of the system, called `f_plus.name` and so on.
-    - `switching`: H, a function of the same that returns a scalar.
+      an array of the state's shape. All functions here may be equinox modules, whose float leaves
+      are then parameters of the system, called `f_plus.name`, for example.
+    - `switching`: H, a function of the same arguments that returns a scalar.
     - `period`: the period of the forcing in units of t; None if the system is autonomous.
 
     **Returns** a `System`.
 
-    **Raises** `ValueError` if one of the functions is none; what they return is checked with the
+    **Raises** `ValueError` if one of the functions is not callable; their values are checked on
     first use.
 
     **Source**: A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer
@@ -254,7 +251,7 @@ class _Smoothed(System):
         scalar = jnp.ndim(self.system.switching(t, x)) == 0
         blend = 2 / np.pi * fast_trig.arctan(h / self.width)
         total = jnp.zeros_like(x)
-        # 2^m fields, one for each choice of sides, their weights products that sum to one.
+        # 2^m fields, one for each choice of sides; their weights are products that sum to one.
         for corner in np.ndindex(*(2,) * h.shape[0]):
             sides = 1.0 - 2.0 * jnp.asarray(corner, x.dtype)
             weight = jnp.prod(0.5 * (1 + sides * blend))
@@ -277,7 +274,7 @@ class _Smoothed(System):
     def clocks(self) -> Clocks:
         return self.system.clocks
 
-    # Properties in place of the class variables: what things are called is the system's affair.
+    # Properties in place of the class variables, because the wrapped system defines the names.
     @property
     def state_names(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.system.state_names
@@ -298,9 +295,9 @@ def smoothed(system: System, width: Array | float) -> System:
 
         ẋ = Σ_s Π_j (1 + s_j (2/π) arctan(H_j/width))/2 · F(t, x, s),    s ∈ {−1, +1}^m
 
-    The two fields of each surface are blended, with product weights where there are several
-    surfaces. What the event-driven answer is compared with: the error is of the order of `width`,
-    and the smooth field is stiff, with rates of the order of 1/width.
+    The two fields of each surface are blended, with product weights for several surfaces. Use it to
+    check the event-driven result. The error is of the order of `width`, and the smooth field is
+    stiff, with rates of the order of 1/width.
 
     **Arguments**
 
@@ -310,7 +307,7 @@ def smoothed(system: System, width: Array | float) -> System:
 
     **Returns** a `System` without surfaces.
 
-    **Raises** `ValueError` if the system has impacts, which no blend of fields replaces.
+    **Raises** `ValueError` if the system has impacts, which a blend of fields cannot replace.
 
     **Source**: J. Sotomayor and M. A. Teixeira, Regularization of discontinuous vector fields,
     International Conference on Differential Equations, Lisboa (1996) 207–223.

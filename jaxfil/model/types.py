@@ -1,7 +1,4 @@
-"""Names for the types that signatures use more than once.
-
-Nothing enters; what leaves are aliases, which say in one word what an argument may be.
-"""
+"""Aliases of types that several signatures use."""
 
 import os
 from collections.abc import Sequence
@@ -11,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 Scalar: TypeAlias = Array | np.ndarray | np.generic | float | int
-"""A real number: a Python number, or an array of shape ()."""
+"""A Python number, or an array of shape ()."""
 
 Times: TypeAlias = Scalar | Float[Array, "*shape"] | Float[np.ndarray, "*shape"] | Sequence[float]
 """One time, or an array of them."""
@@ -20,7 +17,7 @@ State: TypeAlias = Float[Array, " n"] | Float[np.ndarray, " n"]
 """A state of n components, shape (n,)."""
 
 States: TypeAlias = Float[Array, "*shape n"] | Float[np.ndarray, "*shape n"]
-"""One state, shape (n,), or an array of them, such as one for each lane."""
+"""One state, shape (n,), or an array of states, such as one for each lane."""
 
 SweptValues: TypeAlias = (
     Float[Array, " p"]
@@ -29,18 +26,18 @@ SweptValues: TypeAlias = (
     | Float[np.ndarray, "p k"]
     | Sequence[Any]
 )
-"""What parameters are swept over: values of one, points of k, or an array for each of k."""
+"""Values of one swept parameter, points of k parameters, or an array for each of k."""
 
 PathLike: TypeAlias = str | os.PathLike[str]
-"""Where a file or a folder is."""
+"""Path of a file or a folder."""
 
 Axes: TypeAlias = Any
-"""`matplotlib.axes.Axes`. Only `jaxfil.plot` imports matplotlib, so that the name is all that the
-other rooms know of it."""
+"""`matplotlib.axes.Axes`. Only `jaxfil.plot` imports matplotlib, so the other rooms use its name
+alone."""
 
 Dataset: TypeAlias = Any
-"""`xarray.Dataset`. xarray is an optional package and imported with its first use, so that no
-signature can name it."""
+"""`xarray.Dataset`. xarray is an optional package, imported on first use, so signatures cannot
+import its class."""
 
 Widget: TypeAlias = Any
-"""`ipywidgets.Widget`, of an optional package too."""
+"""`ipywidgets.Widget`, from another optional package."""

@@ -1,8 +1,7 @@
-"""What depends on some unknowns, to first order: one form for all, whatever the unknowns are.
+"""First-order models of functions of some unknowns, in one form for all unknowns.
 
-A function of unknowns u and a point enter; an `Affine` leaves, with the same value and derivative
-there. A program of an `Affine` does not know what was varied, a parameter of this name or of that,
-a period or nothing at all: it is compiled once for all of them.
+A program of an `Affine` does not depend on which unknowns vary (a parameter, a period, or no
+unknown), and is compiled once for all of them.
 """
 
 from collections.abc import Callable
@@ -21,18 +20,18 @@ class Affine(eqx.Module, Generic[_Tree]):
 
     value: _Tree
     slopes: _Tree
-    """Those of its float leaves, with a leading axis of W; None for any other leaf."""
+    """The derivatives of its float leaves, with a leading axis of W; None for any other leaf."""
 
     @property
     def width(self) -> int:
-        """W."""
+        """The number W of unknowns."""
         return jax.tree.leaves(self.slopes)[0].shape[0]
 
     def __call__(self, s: Float[Array, " W"]) -> _Tree:
         moving, still = eqx.partition(self.value, eqx.is_inexact_array)
 
         def moved(v: _Tree, row: tuple[Array, _Tree]) -> tuple[_Tree, None]:
-            # Not a product of matrices, which would end a kernel.
+            # Not a matrix product, which would end a kernel.
             return jax.tree.map(lambda v, slope: v + row[0] * slope, v, row[1]), None
 
         return eqx.combine(jax.lax.scan(moved, moving, (s, self.slopes))[0], still)
@@ -41,8 +40,8 @@ class Affine(eqx.Module, Generic[_Tree]):
 def affine(
     function: Callable[[Array], _Tree], u: Float[Array, " N"], width: int, first: Array | int = 0
 ) -> Affine[_Tree]:
-    """A function near u, as its unknowns number `first`, `first` + 1, … move, `width` of them; what
-    there is no unknown for has slopes of zero."""
+    """A function near u, as its unknowns number `first`, `first` + 1, … vary, `width` of them;
+    missing unknowns have slopes of zero."""
     value = jax.tree.map(_typed, function(u))
     slopes = jax.jacfwd(lambda u: eqx.filter(function(u), eqx.is_inexact_array))(u)
 
@@ -55,5 +54,5 @@ def affine(
 
 
 def _typed(v: Any) -> Any:
-    """A number whose type is not weak: a program of weak ones is another one."""
+    """A number whose type is not weak, because weak types would compile another program."""
     return jax.lax.convert_element_type(v, v.dtype) if eqx.is_inexact_array(v) else v

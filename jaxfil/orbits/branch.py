@@ -1,8 +1,4 @@
-"""`Branch`: periodic orbits along a curve, with its special points.
-
-What a continuation has found enters; the orbits at a value of the parameter, their extreme values
-and stability, a picture and a card leave.
-"""
+"""`Branch`: periodic orbits along a curve, with its special points."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,18 +19,18 @@ from jaxfil.xla.known import part_of
 
 
 class SpecialPoint(eqx.Module):
-    """Where a branch of periodic orbits changes its character."""
+    """A point at which a branch of periodic orbits changes its character."""
 
     kind: str = eqx.field(static=True)
     """One of "fold" (the branch turns back), "period-doubling" (a multiplier is −1),
     "neimark-sacker" (a complex pair of multipliers leaves the unit circle), "branch-point" (another
-    branch crosses, as one that breaks a symmetry), "rest" (it begins or
-    ceases to rest on a surface) and "contacts" (their sequence changes otherwise). Impacts that die
-    out are infinitely many, of which one more or less is no change."""
+    branch crosses, as one that breaks a symmetry), "rest" (it begins or ceases to rest on a
+    surface) and "contacts" (their sequence changes otherwise). Impacts that die out are infinitely
+    many, and their number does not change."""
     value: float
-    """The parameter there, located to about 1e-10."""
+    """The parameter value, located to about 1e-10."""
     orbit: Orbit
-    """The orbit there; where the contacts change, the first one after."""
+    """The orbit at this value; where the contacts change, the first one after the change."""
     index: int = eqx.field(static=True)
     """It lies between the orbits number `index` − 1 and `index` of the branch."""
     before: tuple = eqx.field(static=True)
@@ -54,33 +50,33 @@ class SpecialPoint(eqx.Module):
 
 
 class Branch(eqx.Module):
-    """A branch of periodic orbits: k orbits along a curve as one parameter varies."""
+    """A branch of k periodic orbits along a curve as one parameter varies."""
 
     parameter: str = eqx.field(static=True)
     """The name of the parameter."""
     values: Float[np.ndarray, " k"]
     """The parameter at each orbit. It turns back at a fold."""
     orbits: Orbit
-    """All orbits as one, whose arrays have a leading axis of k."""
+    """All orbits as one record, whose arrays have a leading axis of k."""
     points: list[SpecialPoint]
     """The special points, in the order of the curve."""
     sequences: tuple = eqx.field(static=True)
-    """The contacts of each orbit in order: for each the surfaces met and the modes after it."""
+    """The contacts of each orbit in order, each with its surfaces and the modes after it."""
     ended: tuple[str, str] = eqx.field(static=True)
-    """Why the curve ends where it does, at either side: in "closed at …" it has come back to its
-    start, in "the branch of half the period was met at …" two orbits of opposite phase become one,
-    at its period doubling. "no orbit was found beyond … (…)" has in brackets the outcome that the
-    shortest step has met, or that it leads away from the curve, as beyond a grazing orbit, and a
-    multiplier that is large, as on the other side of one."""
+    """The reason for the end of the curve, at either side. At "closed at …" it has returned to its
+    start. At "the branch of half the period was met at …" two orbits of opposite phase coincide, at
+    its period doubling. "no orbit was found beyond … (…)" has in parentheses the outcome of the
+    shortest step, or that it leads away from the curve, as beyond a grazing orbit, and a large
+    multiplier, as on the other side of one."""
     periods: int = eqx.field(static=True)
     """Forcing periods after which an orbit closes."""
     result: RESULTS
-    """How it began: `successful`, also where the branch ends before `stop`, which `ended` tells;
-    otherwise what Newton's method said at the start, and the orbit given there is the only one."""
+    """The outcome at the start: `successful`, even if the branch ends before `stop` (see `ended`);
+    otherwise the outcome of Newton's method, and the branch has only the given orbit."""
 
     @property
     def stable(self) -> np.ndarray:
-        """Which orbits are stable, shape (k,)."""
+        """Whether each orbit is stable, shape (k,)."""
         return np.asarray(self.orbits.stable)
 
     def at(self, value: float) -> list[Orbit]:
@@ -115,13 +111,13 @@ class Branch(eqx.Module):
 
     def plot(self, ax: Axes | None = None, component: int = 0, extremes: bool = False) -> Axes:
         """Draw one component of x0, or its smallest and largest value on the orbit, against the
-        parameter: unstable parts dashed, with the special points. Returns the matplotlib axes."""
+        parameter, unstable parts dashed, with the special points. Returns the matplotlib axes."""
         return draw(self, ax=ax, component=component, extremes=extremes)
 
     def to_xarray(self) -> Dataset:
         """An `xarray.Dataset` of the arrays of its orbits (see `Orbit.to_xarray`) along `orbit`,
-        where the coordinate of the parameter is, and of its special points along `special`:
-        `special_kind`, `special_value`, `special_x0` and so on.
+        with the parameter as coordinate, and of its special points along `special`, such as
+        `special_kind`, `special_value` and `special_x0`.
 
         Sequences of contacts are JSON. Needs the package xarray.
         """
@@ -130,7 +126,7 @@ class Branch(eqx.Module):
     def save(self, path: PathLike) -> None:
         """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
 
-        `jaxfil.load(path, system=…)` gives the same branch back, bit for bit. What was there is
+        `jaxfil.load(path, system=…)` returns the same branch, bit for bit. An existing file is
         replaced.
         """
         dataset_io.save(branch_arrays(self), path)

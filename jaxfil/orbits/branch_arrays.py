@@ -1,8 +1,5 @@
-"""Branches of orbits by name: what their arrays are called in a data set.
-
-A branch enters; named arrays leave, with its orbits along one dimension and its special points
-along another.
-"""
+"""Named arrays of a branch in a data set, with orbits along one dimension and special points along
+another."""
 
 import json
 from collections.abc import Mapping
@@ -26,14 +23,14 @@ from jaxfil.orbits.orbit_arrays import TAKEN as ORBIT_TAKEN, option_attributes, 
 
 _ALONG, _SPECIAL = "orbit", "special"
 _POINT = ("kind", "value", "index", "before", "after")
-# Names of its data set that are no parameter's.
+# Names of its data set that are not parameters.
 TAKEN = {*ORBIT_TAKEN, "sequence", "branch_outcome", "branch_outcome_code", "ended_before"}
 TAKEN |= {"ended_after", "periods", "swept", _ALONG, _SPECIAL}
 TAKEN |= {f"special_{name}" for name in {*_POINT, *ORBIT_TAKEN}}
 
 
 def branch_arrays(branch: Any) -> NamedArrays:
-    """Those of a `Branch`."""
+    """The named arrays of a `Branch`."""
     orbits, parameter = branch.orbits, branch.parameter
     first = jax.tree.map(lambda v: v[0], eqx.filter(orbits.system, eqx.is_array))
     system = eqx.combine(first, orbits.system)
@@ -71,7 +68,7 @@ def _points(points: list[Any]) -> dict[str, Variable]:
 
 
 def _plain(value: Any) -> Any:
-    """Contacts as text; what is a number or a word as it is."""
+    """Contacts as text; numbers and strings unchanged."""
     return json.dumps(value) if isinstance(value, tuple) else value
 
 

@@ -1,7 +1,7 @@
-"""Chattering on orbits: infinitely many impacts that end in rest are one event.
+"""Chattering on orbits: infinitely many impacts that end in rest count as one event.
 
-The contacts of two orbits next to each other enter; whether they are the same but for the last
-impacts before a rest leaves. How many of these are followed one by one is a matter of rounding.
+The number of these impacts that are integrated one by one depends on rounding, and is ignored when
+the contacts of two neighbouring orbits are compared.
 """
 
 import dataclasses
@@ -11,27 +11,27 @@ import numpy as np
 
 from jaxfil.integrate.run.solution import Events, switches
 
-# Times of the same contact on two neighbours, and what is left of a chattering whose rest is
-# completed, in parts of the period.
+# Tolerance of times of the same contact on two neighbours, and the remainder of a chattering whose
+# rest is completed, as fractions of the period.
 _SAME = 1e-5
 
 
 @dataclasses.dataclass(frozen=True)
 class _Group:
-    """A contact, or a rest with the impacts that lead to it."""
+    """A contact, or a rest with the impacts before it."""
 
     what: tuple
     times: list[float]
 
 
 def rests_in(sequence: tuple) -> Counter:
-    """How often each surface comes to be rested on in contacts as `contacts_of` tells them."""
+    """How often each surface begins to be rested on, in contacts of the form of `contacts_of`."""
     return Counter(j for surfaces, modes in sequence for j in surfaces if abs(modes[j]) == 2)
 
 
 def differ_by_chattering(a: Events | None, b: Events | None, period: float) -> bool:
-    """Whether contacts of two orbits are the same but for the number of the last impacts before
-    rests, at which their heights are rounding."""
+    """Whether contacts of two orbits are the same except for the number of the last impacts before
+    rests, whose heights are rounding."""
     if a is None or b is None:
         return False
     first, second = _contacts(a), _contacts(b)
@@ -57,7 +57,7 @@ def _is_rest(what: tuple) -> bool:
 
 
 def _groups(contacts: list[tuple[tuple, float]], start: int, period: float) -> list[_Group]:
-    """The contacts in order from number `start` on, at times that grow, impacts with their rest."""
+    """The contacts from number `start` on, at increasing times, impacts with their rest."""
     turned = contacts[start:] + [(what, t + period) for what, t in contacts[:start]]
     groups: list[_Group] = []
     for what, t in turned:
@@ -78,7 +78,7 @@ def _agree(a: list[_Group], b: list[_Group], period: float) -> bool:
 
 
 def _same_times(a: list[float], b: list[float], period: float) -> bool:
-    """Whether times are the same, those of one chattering as far as both are told."""
+    """Whether times are the same; for chattering, as far as both are recorded."""
     short, long = sorted((a, b), key=len)
     common, shift = len(short) - 1, period * round((long[-1] - short[-1]) / period)
     pairs = [*zip(short[:common], long[:common], strict=True), (short[-1], long[-1])]

@@ -1,8 +1,7 @@
 """The equations of a periodic orbit: every arc ends where the next one starts.
 
-A system and a guess of its unknowns (starts of the arcs, period if it is unknown, and a parameter
-if one is free) enter; how far the equations are from holding leaves, with all derivatives, as
-Newton's method wants it.
+Unknowns are the starts of the arcs, the period if it is unknown, and a parameter if one is free.
+The residual has all derivatives for Newton's method.
 """
 
 import dataclasses
@@ -24,13 +23,13 @@ from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
 from jaxfil.xla.known import is_known
 from jaxfil.xla.select import select
 
-# An autonomous period below this part of the guess is not looked for.
+# The least autonomous period, relative to the guess.
 _SHORTEST = 1 / 16
 
 
 class OrbitProblem(eqx.Module):
-    """The orbits of a system, as `parameter` varies unless that has no name. Unknowns u are the
-    starts of all arcs and q: the period of an autonomous system, and the parameter."""
+    """The orbits of a system, as `parameter` varies, if it is named. Unknowns u are the starts of
+    all arcs and q, which is the period of an autonomous system, and the parameter."""
 
     system: System
     options: ShootingOptions
@@ -58,7 +57,7 @@ class OrbitProblem(eqx.Module):
 
 
 class PhaseCondition(eqx.Module):
-    """normal · (x(t0) − anchor) = 0, which picks one of the states of an autonomous orbit. The
+    """normal · (x(t0) − anchor) = 0, which selects one of the states of an autonomous orbit. The
     normal, of length one, is the field at the anchor."""
 
     anchor: Float[Array, " n"]
@@ -68,14 +67,14 @@ class PhaseCondition(eqx.Module):
 
 @eqx.filter_jit
 def phase_condition(problem: OrbitProblem, u: Array) -> PhaseCondition | None:
-    """The condition at a state of an autonomous system; None of a forced one."""
+    """The condition at a state of an autonomous system; None for a forced one."""
     if not problem.autonomous:
         return None
     starts, q = problem.split(u)
     anchor = starts[0]
     normal = velocity(problem.setting, problem.options, anchor, q)
     size = jnp.sqrt(normal @ normal)
-    # At rest there is no direction; a row of zeros then makes the Jacobian singular, and says so.
+    # At rest there is no direction; a row of zeros then makes the Jacobian singular.
     return PhaseCondition(anchor, normal / select(size == 0, 1, size), q[0])
 
 
@@ -86,9 +85,9 @@ def solve_closing(
     newton_steps: Array,
     more: Callable[[Evaluation, Array], Evaluation] = as_it_is,
 ) -> Root:
-    """Newton's root of the closing of all arcs and, of an autonomous orbit, its phase, by all
-    unknowns, whose scales are their sizes. What else is known is the `Shot`. What `more` makes of
-    an evaluation, more equations perhaps, is solved in its place."""
+    """Newton's root of the closure of all arcs and, for an autonomous orbit, its phase, by all
+    unknowns, whose scales are their sizes. The further data is the `Shot`. `more`, applied to an
+    evaluation, may append equations."""
 
     def work(near: tuple) -> Shot:
         setting, still, starts = near
@@ -101,13 +100,13 @@ def solve_closing(
     return root_of(stages, guess, newton_steps, more, known=is_known((problem, phase)))
 
 
-# One program for all that varies: see `affine`.
+# One program for all varying unknowns (see `affine`).
 shoot_near = eqx.filter_jit(shoot)
 
 
 @eqx.filter_jit
 def _near(problem: OrbitProblem, u: Array) -> tuple[Affine[tuple[System, Array]], Array, Array]:
-    """The setting near u, the unknowns of that, which are zero there; and the starts."""
+    """The setting near u, its unknowns, which are zero there, and the starts."""
     starts, q = problem.split(u)
     near = affine(problem.setting, q, 1 + int(problem.autonomous))
     return near, jnp.zeros(near.width, q.dtype), starts
@@ -123,13 +122,13 @@ class _Closing(eqx.Module):
         starts, q, phase = u[: m * n].reshape(m, n), u[m * n :], self.phase
         shot = dataclasses.replace(shot, by_global=shot.by_global[:, :, : q.shape[0]])
         residual, jacobian = _closing(shot, starts)
-        # A component is measured by its largest value on the orbit, as an unknown and as a
-        # mismatch.
+        # The scale of a component, as an unknown and as a mismatch, is its largest value on the
+        # orbit.
         equations = jnp.tile(shot.size, m)
         unknowns = jnp.append(equations, abs(q))
         result = shot.result
         if phase is not None:
-            # Every state closes after no time at all: a period far below the guess is no answer,
+            # Every state closes for a period of zero. A period far below the guess is not an orbit,
             # and a step towards it is too long.
             vanished = (result == RESULTS.successful) & (q[0] < _SHORTEST * phase.period)
             result = RESULTS.where(vanished, RESULTS.newton_stalled, result)
@@ -143,7 +142,7 @@ class _Closing(eqx.Module):
 def _closing(shot: Shot, starts: Array) -> tuple[Array, Array]:
     """The mismatch of every arc's end with the next one's start, shape (M n,), and its derivative
     with respect to all starts and the global unknowns, shape (M n, M n + k)."""
-    # Block by block: the arc's own derivative on the diagonal, −1 for the next start, round about.
+    # Block by block: the arc's own derivative on the diagonal, −1 for the next start, cyclically.
     m, n = starts.shape
     residual = shot.ends - jnp.roll(starts, -1, axis=0)
     own = np.eye(m, dtype=starts.dtype)
@@ -155,26 +154,26 @@ def _closing(shot: Shot, starts: Array) -> tuple[Array, Array]:
 
 
 class ClosedOrbit(Equations):
-    """The equations of an orbit of a given system. Unknowns are the starts of all arcs and, of an
-    autonomous system, the period."""
+    """The equations of an orbit of a given system. Unknowns are the starts of all arcs and the
+    period of an autonomous system."""
 
     options: ShootingOptions
     newton_steps: Array
     periods: int = eqx.field(static=True)
 
     def problem(self, system: System) -> OrbitProblem:
-        """That of a system."""
+        """The orbit problem of a system."""
         return OrbitProblem(system, self.options, "", self.periods)
 
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
-        """Newton's iteration; what else is known is its `Root`, with the `Shot`."""
+        """Newton's iteration; the further data is its `Root`, with the `Shot`."""
         problem = self.problem(system)
         root = solve_closing(problem, phase_condition(problem, guess), guess, self.newton_steps)
         return root.z, root.at.jacobian, root
 
     @eqx.filter_jit
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
-        """By one shot in which the parameters are global unknowns too."""
+        """The derivative by one shot in which the parameters are global unknowns too."""
         starts, period = self.problem(system_of(theta)).split(z)
         k = period.shape[0]
 
@@ -183,12 +182,12 @@ class ClosedOrbit(Equations):
 
         shot = shoot(setting, self.options, starts, jnp.concatenate([period, theta]))
         by_theta = shot.by_global[:, :, k:].reshape(starts.size, -1)
-        # The condition on the phase is that of the guess, and does not move.
+        # The phase condition belongs to the guess, and is constant.
         return jnp.concatenate([by_theta, jnp.zeros((k, theta.shape[0]), theta.dtype)])
 
     @eqx.filter_jit
     def by_unknowns(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
-        """The same by one shot, without the condition on the phase, which is constant."""
+        """The derivative by one shot, without the phase condition, which is constant."""
         problem = self.problem(system_of(theta))
         starts, period = problem.split(z)
         _, jacobian = _closing(shoot(problem.setting, self.options, starts, period), starts)

@@ -1,8 +1,7 @@
 """`continue_orbit`: a branch of periodic orbits by pseudo-arclength continuation.
 
-A system, the name of a parameter and an orbit enter; a `Branch` leaves: orbits along the curve, and
-the special points on it: folds, period doublings, Neimark–Sacker points, branch points, and every
-value where the sequence of contacts changes.
+Special points on the branch are folds, period doublings, Neimark–Sacker points, branch points, and
+every change of the sequence of contacts.
 """
 
 import dataclasses
@@ -33,9 +32,9 @@ from jaxfil.orbits.phase_shift import problem_at
 from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_ahead, range_around
 from jaxfil.xla.known import array_of
 
-# A guess of a state this small is measured as if it were this large.
+# The least scale of a guessed state.
 _SMALL = 1e-3
-# Steps off a branch, along the critical vector, to the one that leaves it.
+# Trial steps off a branch, along the critical vector.
 _OFF = (1e-2, 3e-3, 1e-3)
 
 
@@ -51,37 +50,37 @@ def continue_orbit(
 ) -> Branch:
     """Follow the branch of periodic orbits through `orbit` as a parameter varies.
 
-    Pseudo-arclength continuation: the predictor goes along the tangent, the corrector is Newton's
-    method across it, so that folds are no obstacle. Steps adapt to the curve. Special points are
-    located on the way to about 1e-10 of the parameter.
+    Pseudo-arclength continuation predicts along the tangent and corrects by Newton's method across
+    it, so that it passes folds. Steps adapt to the curve. Special points are located to about 1e-10
+    of the parameter.
 
     **Arguments**
 
-    - `system`: the `System`; its value of the parameter does not matter.
+    - `system`: the `System`; its value of the parameter is ignored.
     - `parameter`: the name of a scalar parameter.
-    - `orbit`: where to start, as `periodic_orbit` gives it; or a special point of another branch: a
-      period doubling, from which the branch of doubled period is followed, or a branch point, from
-      which the branch that crosses is followed to one side.
+    - `orbit`: the start, from `periodic_orbit`, or a special point of another branch: from a period
+      doubling the branch of doubled period is followed, from a branch point the branch that crosses
+      there, to one side.
     - `stop`: the value of the parameter to end at; a pair (low, high) follows the branch both ways.
       A branch that turns back ends where it leaves this range. From a special point it goes one
       way, where a single value bounds one side.
-    - `max_step`: the largest step, relative to the size of the unknowns; of one that goes to zero,
-      to a part of what it is at the start.
-    - `max_points`: the most points in either direction.
+    - `max_step`: the largest step, relative to the size of the unknowns; for an unknown that goes
+      to zero, relative to a fraction of its initial value.
+    - `max_points`: the largest number of points in either direction.
     - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
-      does not begin has the orbit that was given as its only one.
+      does not begin contains only the given orbit.
 
-    Where a contact passes the phase t0 of the orbit, x(t0) jumps and the orbit does not: the branch
-    is then shot from a phase far from contacts, and its orbits are seen from t0 again in the end.
+    Where a contact passes the phase t0 of the orbit, x(t0) jumps although the orbit does not. The
+    branch is then shot from a phase far from contacts, and its orbits are converted back to t0.
     A special point there has its orbit at that other phase (`options.t0`).
 
-    **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` says why. A
-    closed branch is followed once round, and one of doubled period to where it joins that of half
-    the period.
+    **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` gives the
+    reason. A closed branch is followed once, and a branch of doubled period to where it joins the
+    branch of half the period.
 
-    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method leaves
-    the orbit, which then is none of the system, or finds none of doubled period; that of the orbit
-    itself where it was not found, as `nonfinite`.
+    **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method diverges
+    from the orbit, which then does not belong to the system, or finds no orbit of doubled period;
+    the outcome of the orbit itself if it failed, such as `nonfinite`.
 
     **Source**: textbook: H. Keller, Numerical solution of bifurcation and nonlinear eigenvalue
     problems, in: Applications of Bifurcation Theory (1977); H. Dankowicz, F. Schilder, Recipes for
@@ -121,7 +120,7 @@ def continue_orbit(
         curve, start = _known(curve, start, ends)
         branch = _branch(curve, follow(curve, start, along, max_step, max_points))
     if throw:
-        # Nothing here is traced: it raises at once, and the numbers stay NumPy's.
+        # Not traced, so that it raises at once and the numbers stay NumPy arrays.
         raise_if_failed(branch.values, branch.result)
     return branch
 
@@ -129,7 +128,8 @@ def continue_orbit(
 def _on_branch(
     system: System, parameter: str, orbit: Orbit
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
-    """The branch of an orbit; the orbit as a point of it, if Newton's method stays; its outcome."""
+    """The branch of an orbit; the orbit as a point of it, if Newton's method converges; its
+    outcome."""
     curve, u, constraint = _given(system, parameter, orbit)
     return curve, *curve.begin(u, constraint, curve.axis(u))
 
@@ -137,24 +137,24 @@ def _on_branch(
 def _given(
     system: System, parameter: str, orbit: Orbit
 ) -> tuple[OrbitCurve, np.ndarray, ArclengthConstraint]:
-    """The branch of an orbit, the orbit as a guess of a point of it, and the constraint that it
-    keeps its value of the parameter."""
-    # A float leaf that is no array would be static, and compile a program for each of its values.
+    """The branch of an orbit, the orbit as a guess of a point of it, and the constraint of a fixed
+    parameter."""
+    # A float leaf that is not an array would be static, and compile a program for each value.
     system = cast(system, orbit.x0.dtype)
     periods = 1
     if system.period is not None:
         with np.errstate(all="ignore"):
             ratio = float(np.divide(orbit.period, np.asarray(orbit.system.period)))
-        # Of a period that is NaN none is a multiple; Newton's method will say what is wrong.
+        # A period of NaN has no multiple; Newton's method then reports the failure.
         periods = round(ratio) if np.isfinite(ratio) else 1
-    # The orbit says where the branch starts, whatever the system's own value is.
+    # The orbit defines the start of the branch; the system's own value is ignored.
     known = get_parameter(orbit.system, parameter)
     system = replace_parameter(system, parameter, known)
     curve = OrbitCurve(OrbitProblem(system, orbit.options, parameter, periods))
     q = [float(orbit.period), float(known)] if curve.problem.autonomous else [float(known)]
     starts = np.asarray(orbit.starts)
     u = np.append(starts.ravel(), q)
-    # Before the first shot nothing better is known of the size of a component on the orbit.
+    # Before the first shot the size of a component on the orbit is unknown.
     size = np.maximum(np.max(abs(starts), axis=0), _SMALL)
     scale = np.append(np.tile(size, orbit.options.arcs), [abs(v) or 1.0 for v in q])
     return curve, u, constraint_across(u, scale, curve.axis(u), 0.0)
@@ -163,8 +163,8 @@ def _given(
 def _known(
     curve: OrbitCurve, start: OrbitPoint, ends: list[float]
 ) -> tuple[OrbitCurve, OrbitPoint]:
-    """A curve and its start, with what follows from that for all of it: the least scales, and that
-    its orbits run through none twice, if the first one does not."""
+    """A curve and its start, with the least scales, and the condition that no orbit runs twice
+    through another one, if the first does not."""
     least = least_scales(curve.metric(start), curve.place, ends)
     curve = dataclasses.replace(curve, least=least)
     if may_be_doubled(curve.problem):
@@ -177,7 +177,7 @@ def _off_branch(
     system: System, parameter: str, doubling: SpecialPoint
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
     """The branch of doubled period at a period doubling, or the one that crosses at a branch point;
-    a point of it beside that, if there is one; the outcome of Newton's method."""
+    a neighbouring point of it, if it exists; the outcome of Newton's method."""
     if doubling.kind == "branch-point":
         return _across(system, parameter, doubling.orbit)
     if doubling.kind != "period-doubling":
@@ -199,8 +199,8 @@ def _off_branch(
 def _beside(
     curve: OrbitCurve, base: np.ndarray, scale: np.ndarray, along: np.ndarray
 ) -> tuple[OrbitPoint | None, RESULTS]:
-    """A point of the branch a little along a direction, if there is one; the outcome of Newton's
-    method."""
+    """A point of the branch at a small distance along a direction, if it exists; the outcome of
+    Newton's method."""
     result = RESULTS.newton_stalled
     for ds in _OFF:
         constraint = constraint_across(base, scale, along, ds)
@@ -213,10 +213,10 @@ def _beside(
 def _across(
     system: System, parameter: str, orbit: Orbit
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
-    """The branch that crosses at a branch point: off along the null vector at a fixed value of the
-    parameter, which breaks a symmetry if the branch has one."""
+    """The branch that crosses at a branch point, reached along the null vector at a fixed value of
+    the parameter, which breaks a symmetry if the branch has one."""
     curve, u, constraint = _given(system, parameter, orbit)
-    # One evaluation: Newton's method does not converge where branches cross.
+    # One evaluation, because Newton's method does not converge where branches cross.
     root = solve_across(curve.problem, array_of(u), constraint, array_of(1, jnp.int32))
     jacobian = np.asarray(root.at.jacobian)
     if not np.isfinite(jacobian).all():
@@ -230,16 +230,16 @@ def _doubled(
     single: OrbitCurve, at: OrbitPoint, monodromy: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The orbit at a period doubling run through twice, as unknowns, their scale, and the direction
-    in which it parts from the branch."""
+    in which it separates from the branch."""
     base, scale = at.u.copy(), single.metric(at)
     values, vectors = np.linalg.eig(monodromy)
-    # Both sections of the new orbit lie along the eigenvector of −1, at the same parameter but for
-    # the square of their distance, and after the same time but for that.
+    # Both sections of the new orbit lie along the eigenvector of −1, with the same parameter and
+    # time up to the square of their distance.
     away = np.real(vectors[:, np.argmin(abs(values + 1))])
     if single.problem.autonomous:
         base[-2] *= 2
         scale[-2] *= 2
-        # The phase is fixed across the flow, whose direction is that of the multiplier of one.
+        # The phase is fixed across the flow, the direction of the multiplier one.
         flow = np.real(vectors[:, np.argmin(abs(values - 1))])
         away = away - (away @ flow) / (flow @ flow) * flow
     along = np.append(away, np.zeros(at.u.size - away.size)) / scale
@@ -247,11 +247,11 @@ def _doubled(
 
 
 def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
-    """A path as the `Branch` it is."""
+    """The `Branch` of a path."""
     problem = curve.problem
     orbits = [_orbit(curve, _at_the_phase(curve, point)) for point in path.points]
     dynamic = [eqx.filter(orbit, eqx.is_array) for orbit in orbits]
-    # By NumPy: there is another number of points each time.
+    # In NumPy, because the number of points differs each time.
     stacked = jax.device_put(jax.tree.map(lambda *v: np.stack(v), *dynamic))
     return Branch(
         parameter=problem.parameter,
@@ -271,21 +271,21 @@ def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
 
 
 def _orbit(curve: OrbitCurve, point: OrbitPoint) -> Orbit:
-    """A point as the orbit it is, at the phase at which it was shot."""
+    """The orbit of a point, at the phase at which it was shot."""
     problem = curve.problem
     return orbit_of(problem if point.t0 is None else problem_at(problem, point.t0), point)
 
 
 def _at_the_phase(curve: OrbitCurve, point: OrbitPoint) -> OrbitPoint:
-    """A point seen from the phase of the branch, if it was shot from another one, and no contact
-    falls on that."""
+    """A point converted to the phase of the branch, if it was shot from another one, and no contact
+    is at that phase."""
     if point.t0 is None:
         return point
     return curve.seen_again(problem_at(curve.problem, point.t0), point) or point
 
 
 def _not_begun(curve: OrbitCurve, orbit: Orbit, result: RESULTS) -> Branch:
-    """Nothing but the orbit that was given. What it failed by itself comes first."""
+    """A branch with the given orbit alone; its own failure takes precedence."""
     value = float(get_parameter(orbit.system, curve.parameter))
     arrays, rest = eqx.partition(orbit, eqx.is_array)
     why = f"no branch was found at {value:.10g}"

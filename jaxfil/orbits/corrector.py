@@ -1,8 +1,6 @@
-"""Orbits of a system as one parameter varies: what brings a guess onto their branch.
+"""Points of a branch of orbits, and their correction under a constraint.
 
-A system, the name of its parameter and a guess u = (starts of the arcs, the period if it is
-unknown, the parameter) enter, with a constraint that the point is to fulfil; Newton's root leaves,
-and the point of the branch that it is.
+Unknowns are u = (starts of the arcs, the period if it is unknown, the parameter).
 """
 
 import dataclasses
@@ -25,10 +23,10 @@ from jaxfil.xla.known import compiled_if_traced
 
 @dataclasses.dataclass(frozen=True)
 class OrbitPoint(CurvePoint):
-    """A point of a branch: an orbit, with its `Shot` as NumPy arrays. Where a branch of half the
-    period may be met, `half_gap` is x(t0 + T/2) − x(t0), each component in its size; it is empty
-    elsewhere. `t0` is the phase at which it is shot, where that is not the problem's. `rows` is the
-    derivative of its equations, by scaled unknowns, each row of length one."""
+    """A point of a branch: an orbit, with its `Shot` as NumPy arrays. If a branch of half the
+    period may be reached, `half_gap` is x(t0 + T/2) − x(t0), each component scaled; otherwise it is
+    empty. `t0` is the phase of the shot, if it differs from the problem's. `rows` is the derivative
+    of its equations, by scaled unknowns, each row of length one."""
 
     shot: Shot
     residual: float
@@ -38,20 +36,20 @@ class OrbitPoint(CurvePoint):
 
     @property
     def is_doubled(self) -> bool:
-        """Whether it is an orbit of half the period, run through twice, as far as is known."""
+        """Whether it is known to be an orbit of half the period, run through twice."""
         if not self.half_gap.size:
             return False
         return bool(abs(self.half_gap).max() < np.sqrt(np.finfo(self.u.dtype).eps))
 
     @property
     def sequence(self) -> tuple:
-        """The contacts in order, as `contacts_of` tells them."""
+        """The contacts in order, in the form of `contacts_of`."""
         return contacts_of(self.shot.events)
 
 
 def contacts_of(events: Events | None) -> tuple:
-    """The contacts of an orbit in order: surfaces and modes after. An orbit has no first contact:
-    of all rotations the least is taken, so that a contact may pass t0."""
+    """The contacts of an orbit in order, as surfaces and modes after. An orbit has no first
+    contact, so the least of all rotations is taken, and a contact may pass t0."""
     if events is None:
         return ()
     members, modes = np.asarray(events.members), np.asarray(events.modes)
@@ -66,13 +64,13 @@ def contacts_of(events: Events | None) -> tuple:
 def solve_across(
     problem: OrbitProblem, u: Array, constraint: ArclengthConstraint, newton_steps: Array
 ) -> Root:
-    """Newton's root of the closing equations and a constraint, with the `Shot` there."""
+    """Newton's root of the closure equations and a constraint, with the `Shot` there."""
     phase = phase_condition(problem, constraint.base)
     return solve_closing(problem, phase, u, newton_steps, constraint.appended)
 
 
 def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:
-    """A root as the point it is, its tangent to the side of `along`."""
+    """The point of a root, with its tangent to the side of `along`."""
     root = jax.tree.map(np.asarray, root)
     return OrbitPoint(
         **at_root(root, constraint, along),
@@ -83,16 +81,16 @@ def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> 
 
 
 def rows_of(root: Root, scale: np.ndarray) -> np.ndarray:
-    """The derivative of the equations at a root, but for the constraint, by unknowns of this scale;
-    each row of length one, unless it is zero."""
+    """The derivative of the equations at a root, except the constraint, by scaled unknowns, with
+    each row normalised unless it is zero."""
     rows = np.asarray(root.at.jacobian)[:-1] * scale
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
     return rows / np.where(lengths == 0, 1, lengths)
 
 
 def orbit_of(problem: OrbitProblem, point: OrbitPoint) -> Orbit:
-    """A point as the `Orbit` it is."""
-    # Put there as they are: `jnp.asarray` would compile a program for each shape.
+    """The `Orbit` of a point."""
+    # Put there unchanged, because `jnp.asarray` would compile a program for each shape.
     u, shot, residual, num_steps = jax.device_put(
         (point.u, point.shot, np.asarray(point.residual), np.asarray(point.num_steps))
     )

@@ -1,8 +1,6 @@
-"""A curve of solutions, as pseudo-arclength continuation sees it.
+"""Curves of solutions for pseudo-arclength continuation.
 
-A guess and an `ArclengthConstraint` enter; the point of the curve that fulfils it leaves, with what
-is known there. What differs from curve to curve (orbits as a parameter varies, tangencies as two
-do) is said by a class of its own, a `Curve`.
+Each kind of curve (orbits as a parameter varies, tangencies as two do) is a subclass of `Curve`.
 """
 
 import abc
@@ -21,7 +19,7 @@ from jaxfil.orbits.newton import Evaluation, Root
 
 
 class ArclengthConstraint(eqx.Module):
-    """normal · (u − base)/scale = offset, or many of them."""
+    """normal · (u − base)/scale = offset, or a batch of such constraints."""
 
     base: Float[Array, "*many N"]
     scale: Float[Array, "*many N"]
@@ -29,7 +27,7 @@ class ArclengthConstraint(eqx.Module):
     offset: Float[Array, "*many"]
 
     def appended(self, at: Evaluation, u: Array) -> Evaluation:
-        """What is known at u, with this equation as the last one."""
+        """The evaluation at u, with this equation as the last one."""
         gap = jnp.sum(self.normal * (u - self.base) / self.scale) - self.offset
         return dataclasses.replace(
             at,
@@ -44,14 +42,14 @@ class ArclengthConstraint(eqx.Module):
 def constraint_across(
     base: np.ndarray, scale: np.ndarray, normal: np.ndarray, offset: float | np.ndarray
 ) -> ArclengthConstraint:
-    """An `ArclengthConstraint` of NumPy arrays, or many of them."""
+    """An `ArclengthConstraint` of NumPy arrays, or a batch."""
     return ArclengthConstraint(*jax.device_put((base, scale, normal, np.asarray(offset))))
 
 
 @dataclasses.dataclass(frozen=True)
 class CurvePoint:
     """A point of a curve: its unknowns u, their scales, the tangent of the curve in scaled unknowns
-    (of length one), and the evaluations that Newton's method took."""
+    (of length one), and the number of evaluations by Newton's method."""
 
     u: np.ndarray
     scale: np.ndarray
@@ -60,8 +58,8 @@ class CurvePoint:
 
 
 def tangent_of(root: Root, scale: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """The tangent at a root, in unknowns of this scale, to the side of `along`: what the equations
-    without the last one, the constraint, leave free."""
+    """The tangent at a root, in scaled unknowns, to the side of `along`. It is the null vector of
+    the equations without the last one, the constraint."""
     # The last right singular vector is the null vector, and has length one; its sign is arbitrary.
     rows = np.asarray(root.at.jacobian)[:-1] * scale
     tangent = np.linalg.svd(rows)[2][-1]
@@ -69,8 +67,7 @@ def tangent_of(root: Root, scale: np.ndarray, along: np.ndarray) -> np.ndarray:
 
 
 def at_root(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> dict[str, Any]:
-    """What a root is as a `CurvePoint`, by the names of its fields; the tangent to the side of
-    `along`."""
+    """The fields of a `CurvePoint` at a root, by name; the tangent to the side of `along`."""
     scale = np.asarray(constraint.scale)
     return {
         "u": np.asarray(root.z),
@@ -80,14 +77,14 @@ def at_root(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> d
     }
 
 
-# What an unknown is measured by on a curve is this part at least of what it is at the start, and a
-# parameter by this part: steps relative to a number that goes to zero would never get there.
+# The least scale of an unknown on a curve, relative to its initial value, and of a parameter: steps
+# relative to a number that goes to zero would never reach zero.
 _LEAST, _LEAST_OF_PARAMETER = 0.01, 0.1
 
 
 def least_scales(at_start: np.ndarray, place: int, ends: list[float]) -> np.ndarray:
-    """The least scales of unknowns, by their scales at the start of a curve. That of the parameter,
-    which may start at zero too, is by the least of what it starts from and is to end at."""
+    """The least scales of unknowns, from their scales at the start of a curve. The scale of the
+    parameter, which may also start at zero, follows from the smaller of its start and end."""
     least = _LEAST * np.where(at_start == 0, 1.0, at_start)
     values = [abs(v) for v in (at_start[place], *ends) if v != 0]
     least[place] = _LEAST_OF_PARAMETER * min(values, default=1.0)
@@ -99,7 +96,7 @@ _Point = TypeVar("_Point", bound=CurvePoint)
 
 @dataclasses.dataclass(frozen=True)
 class Special(Generic[_Point]):
-    """A special point: what happens there, and what is different before and after it. It lies
+    """A special point: its kind, and the properties that differ before and after it. It lies
     between the points number index − 1 and index of its curve."""
 
     kind: str
@@ -111,9 +108,9 @@ class Special(Generic[_Point]):
 
 @dataclasses.dataclass(frozen=True)
 class StepSizes:
-    """How steps adapt, in scaled unknowns: the first and the least one, and by how much a step
-    grows where the tangent has turned by no more than the cosine `straight` and Newton's method
-    took at most `easy` evaluations. A step below `corner` may turn as it likes."""
+    """Step size control, in scaled unknowns: the first and the least step, and the growth of a step
+    where the cosine of the tangent's turn is at least `straight` and Newton's method took at most
+    `easy` evaluations. A step below `corner` may turn by any angle."""
 
     first: float
     least: float
@@ -124,14 +121,14 @@ class StepSizes:
 
 
 class Curve(abc.ABC, Generic[_Point]):
-    """A curve of solutions of N − 1 equations for N unknowns u, and what happens on it."""
+    """A curve of solutions of N − 1 equations for N unknowns u, with its special points."""
 
     steps: ClassVar[StepSizes]
-    """Its steps."""
+    """Step size control of the curve."""
     solution: ClassVar[str]
-    """What a point of it is, in a word."""
+    """The word for a point of it."""
     place: ClassVar[int]
-    """Which of the unknowns is the parameter that it is followed in."""
+    """The index of the unknown that is the continuation parameter."""
 
     @property
     @abc.abstractmethod
@@ -144,7 +141,7 @@ class Curve(abc.ABC, Generic[_Point]):
 
     @abc.abstractmethod
     def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> _Point:
-        """A root as a point, its tangent to the side of `along`."""
+        """The point of a root, with its tangent to the side of `along`."""
 
     @abc.abstractmethod
     def metric(self, point: _Point) -> np.ndarray:
@@ -155,44 +152,44 @@ class Curve(abc.ABC, Generic[_Point]):
         """The special points between two neighbours, in order."""
 
     def beyond_end(self, here: _Point) -> tuple[_Point, Special[_Point]] | None:
-        """The point from which the curve goes on where no step leads on, and what happens there."""
+        """The point from which the curve continues if no step succeeds, and its special point."""
         return None
 
     def special_end(self, here: _Point) -> Iterable[Special[_Point]]:
-        """What happens at a point beyond which there is none."""
+        """Special points at the end of the curve."""
         return ()
 
     def elsewhere(
         self, here: _Point, start: _Point
     ) -> "tuple[Curve[_Point], _Point, _Point] | None":
-        """The same curve in other unknowns, in which it may go on where no step leads on, with the
-        point here and the start."""
+        """The same curve in other unknowns, in which it may continue where no step succeeds, with
+        the current point and the start."""
         return None
 
     def last_between(self, here: _Point, ahead: _Point) -> tuple[_Point, str] | None:
-        """The last point of the curve between two neighbours, and why it is that, although
-        solutions of the equations go on."""
+        """The last point of the curve between two neighbours, and the reason, although solutions of
+        the equations continue."""
         return None
 
     def beyond_last(self, last: _Point) -> "tuple[Curve[_Point], _Point, Special[_Point]] | None":
-        """The curve of other equations that goes on from the last point of these, that point on it,
-        and what happens there."""
+        """The curve of other equations that continues from the last point of these, that point on
+        it, and its special point."""
         return None
 
     def beside(self, point: _Point, other: _Point) -> np.ndarray:
-        """The unknowns of a point in the form in which they are most like another one's."""
+        """The unknowns of a point in the form most similar to another one's."""
         return point.u
 
     def refusal(self, ahead: _Point) -> str | None:
-        """Why a solution of the equations is none of the curve's."""
+        """The reason why a solution of the equations does not belong to the curve, or None."""
         return None
 
     def about(self, point: _Point) -> str:
-        """What is worth knowing of a point beyond which there is none, in words."""
+        """A remark on the last point of a curve."""
         return ""
 
     def told(self, point: _Point) -> str:
-        """Where a point is, in words."""
+        """The position of a point, in words."""
         return f"{self.value(point):.10g}"
 
     def value(self, point: _Point) -> float:
@@ -202,14 +199,14 @@ class Curve(abc.ABC, Generic[_Point]):
     def correct(
         self, guess: np.ndarray, constraint: ArclengthConstraint, along: np.ndarray
     ) -> _Point | None:
-        """The point near a guess that fulfils a constraint; None if there is none."""
+        """The point near a guess that satisfies a constraint, or None."""
         return self.begin(guess, constraint, along)[0]
 
     def begin(
         self, guess: np.ndarray, constraint: ArclengthConstraint, along: np.ndarray
     ) -> tuple[_Point | None, RESULTS]:
-        """`correct`, and the outcome of Newton's method. Nobody can give it more evaluations: from
-        a point of the curve it needs a few, so that to use up all of them is to be stalled."""
+        """`correct`, and the outcome of Newton's method. The user cannot raise the number of
+        evaluations, and a point of the curve needs few, so reaching it counts as stalled."""
         root = self.solve(guess, constraint)
         if is_successful(root.result):
             return self.point(root, constraint, along), root.result
@@ -218,7 +215,7 @@ class Curve(abc.ABC, Generic[_Point]):
 
     def at_value(self, a: _Point, b: _Point, value: float) -> _Point | None:
         """The point between two neighbours where the parameter has a value."""
-        # Across the axis the parameter is what the constraint says, to the last bit.
+        # Across the axis the constraint fixes the parameter to the last bit.
         part = (value - self.value(a)) / (self.value(b) - self.value(a))
         base = a.u + part * (b.u - a.u)
         base[self.place] = value

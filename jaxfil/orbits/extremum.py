@@ -1,8 +1,7 @@
-"""The largest value of a function along a trajectory, between the steps too.
+"""The largest value of a function along a trajectory, between steps too.
 
-A solution that holds every step and a function of (t, x) enter; where the function is largest, and
-the state there, leave. The value is located as an integrator would: on the likeliest steps the zero
-of the function's derivative along the field is bracketed, and the step is taken again up to it.
+On the most promising steps the zero of the function's derivative along the field is bracketed, and
+the step is repeated up to it, as an integrator locates an event.
 """
 
 from collections.abc import Callable
@@ -19,8 +18,8 @@ from jaxfil.integrate.system.lowered import build
 from jaxfil.orbits.regula_falsi import zero_between
 from jaxfil.xla.select import select
 
-# Steps on which it is located, those with the largest estimates: of two that are as large to the
-# error of a parabola, either may be the one.
+# Number of steps on which it is located, with the largest estimates. Of two maxima that are equal
+# within the error of a parabola, either may be returned.
 _LOOKED_AT = 3
 
 
@@ -34,7 +33,7 @@ class Extremum(eqx.Module):
 
 
 class _Start(eqx.Module):
-    """Where a step starts, and its length."""
+    """The start of a step, and its length."""
 
     t: Array
     x: Array
@@ -48,7 +47,7 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
     system = build(dense.system, dense.xs[0], compact=dense.compact)
 
     def look(start: _Start, h: Array) -> tuple[Array, Array, Array]:
-        """State, value and rate of change after a part h of a step."""
+        """State, value and rate after a fraction h of a step."""
         here = within_step(dense, system, start.t)
         field = ModeField(here, here.of_surfaces(start.mode.astype(dtype)))
         end = step_again(dense, here, field, start.t, here.unpack(start.x), h)
@@ -69,14 +68,14 @@ def largest(dense: Dense, function: Callable[[Array, Array], Array]) -> Extremum
     def locate(start: _Start, rates: Array) -> tuple[Array, Array, Array]:
         """The largest value on one step, its time and state."""
         peak = zero_between(lambda h: look(start, h)[2], 0 * start.h, start.h, *rates)
-        # Without a change of sign the search returns any point: the ends are the candidates.
+        # Without a change of sign the search returns any point; the ends are the candidates.
         inside = (rates[0] > 0) & (rates[1] < 0)
         ends = jnp.stack([0 * start.h, select(inside, peak, 0), start.h])
         xs, values, _ = jax.vmap(lambda h: look(start, h))(ends)
         best = jnp.argmax(values)
         return values[best], start.t + ends[best], xs[best]
 
-    # Rows beyond the last step are padding, and in a step of no length there is nothing to find.
+    # Rows beyond the last step are padding, and steps of length zero have no extremum.
     ends = jnp.append(dense.ts[1:], jnp.inf)
     real = jnp.isfinite(ends) & (ends != dense.ts)
     starts = _Start(

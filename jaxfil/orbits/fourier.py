@@ -1,7 +1,4 @@
-"""`FourierOrbit`: a periodic orbit as a Fourier series, and the waves that it is made of.
-
-Coefficients enter; states at any time, amplitudes and a card leave. Phases φ = t/T go from 0 to 1.
-"""
+"""`FourierOrbit`: a periodic orbit as a Fourier series. Phases φ = t/T range from 0 to 1."""
 
 import functools as ft
 
@@ -26,11 +23,11 @@ class FourierOrbit(eqx.Module):
     period: Float[Array, ""]
     """The period, 2π/ω."""
     residual: Float[Array, ""]
-    """The largest residual of Galerkin's equations, as a part of the size of ẋ."""
+    """The largest residual of Galerkin's equations, relative to the size of ẋ."""
     result: RESULTS
-    """How the search ended."""
+    """The outcome of the search."""
     num_steps: Int[Array, ""]
-    """Evaluations of the residual that Newton's method took."""
+    """Number of evaluations of the residual by Newton's method."""
 
     @property
     def harmonics(self) -> int:
@@ -80,7 +77,7 @@ def equal_phases(count: int, dtype: jnp.dtype) -> np.ndarray:
 def project(phases: Array, values: Array, harmonics: int) -> Array:
     """The coefficients of a series through samples at equally spaced phases."""
     basis = jax.vmap(ft.partial(waves_at, harmonics=harmonics))(phases)
-    # The mean of a squared wave is one half, that of the constant one.
+    # The mean of a squared wave is one half; for the constant it is one.
     norm = select(jnp.arange(2 * harmonics + 1) == 0, 1.0, 2.0).astype(values.dtype)
     return norm[:, None] * (basis.T @ values) / phases.shape[0]
 

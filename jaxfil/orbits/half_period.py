@@ -1,8 +1,8 @@
-"""Half a period of an orbit: whether it is another orbit's, run through twice.
+"""Detection of orbits that run twice through an orbit of half the period.
 
-An orbit problem and unknowns enter; how far the state has moved after half the period leaves. On a
-branch of doubled period this vector changes its sign where the branch joins that of half the
-period, its parent: beyond, the same orbits come again, seen from half a period later.
+On a branch of doubled period the change of the state over half the period changes its sign where
+the branch joins the branch of half the period, its parent. Beyond, the same orbits repeat, shifted
+by half a period.
 """
 
 import equinox as eqx
@@ -17,13 +17,13 @@ from jaxfil.xla.known import array_of
 
 
 def may_be_doubled(problem: OrbitProblem) -> bool:
-    """Whether half the period of an orbit may be one too: that of a forced system is a whole number
-    of forcing periods."""
+    """Whether half the period of an orbit may be a period too; for a forced system it must be an
+    integer number of forcing periods."""
     return problem.autonomous or problem.periods % 2 == 0
 
 
 def half_gap(problem: OrbitProblem, u: np.ndarray, shot: Shot) -> np.ndarray:
-    """x(t0 + T/2) − x(t0) on an orbit, each component by its largest value there."""
+    """x(t0 + T/2) − x(t0) on an orbit, each component relative to its largest value there."""
     m, n = np.shape(shot.ends)
     starts, size = u[: m * n].reshape(m, n), np.asarray(shot.size)
     if m % 2 == 0:

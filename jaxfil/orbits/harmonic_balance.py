@@ -1,12 +1,11 @@
 """`harmonic_balance`: a periodic orbit of a forced system as a Fourier series.
 
-A system, a guess and a number of harmonics enter; a `FourierOrbit` leaves. The equations are
-Galerkin's, ∫ (ẋ − F(t, x, sgn H)) ψ_k dt = 0 for the constant and every cosine and sine up to
-harmonic K: alternating between the series and values in time.
+The equations are Galerkin's, ∫ (ẋ − F(t, x, sgn H)) ψ_k dt = 0 for the constant and every cosine
+and sine up to harmonic K, alternating between the series and values in time.
 
-sgn H has no derivative that Newton could use, and sampled on a grid its jump is known to a grid
-cell only. So the zeros of H on the series are located, in every cell of the grid, and the integral
-is taken from zero to zero with a Gauss rule: the residual is then a smooth function of the
+sgn H has no useful derivative for Newton's method, and on a grid its jump is known only to a cell.
+The zeros of H on the series are therefore located in every cell of the grid, and the integral is
+taken from zero to zero with a Gauss rule. The residual is then a smooth function of the
 coefficients. Its derivative has two parts, by autodiff at every point and every zero: ∂F/∂x under
 the integral, and the jump of F at each zero times the rate at which the zero moves (Leibniz).
 """
@@ -34,8 +33,8 @@ from jaxfil.orbits.regula_falsi import zero_between
 from jaxfil.xla.known import array_of
 from jaxfil.xla.select import select
 
-# Cells of the grid per harmonic, and points of the Gauss rule in each part of a cell: a product of
-# two highest harmonics, half a turn in a cell, is integrated to 1e-10.
+# Cells of the grid per harmonic, and points of the Gauss rule in each part of a cell. They
+# integrate a product of two highest harmonics, half a turn in a cell, to 1e-10.
 _CELLS, _POINTS = 4, 6
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
 
@@ -57,11 +56,11 @@ def harmonic_balance(
 
         ∫ (ẋ − F(t, x, sgn H)) ψ_k dt = 0    for ψ = 1, cos kωt, sin kωt, k = 1 … K
 
-    Where the acceleration jumps, the harmonics of a velocity fall as 1/k² and those of a position
-    as 1/k³, and the mean square error of the position as K^(−5/2): many harmonics buy little there,
-    and shooting is exact. With friction, where the jumps are at zeros of the velocity, these are
-    displaced by what is missing of it, and all errors fall as 1/K only. Orbits that stick are out
-    of reach of a series (solve `jf.smoothed`).
+    Where the acceleration jumps, the harmonics of a velocity decay as 1/k², the harmonics of a
+    position as 1/k³, and the mean square error of the position as K^(−5/2). Many harmonics gain
+    little there, and shooting is exact. With friction, where the jumps are at zeros of the
+    velocity, the truncation displaces these zeros, and all errors decay only as 1/K. A series
+    cannot represent orbits that stick (solve `jf.smoothed`).
 
     **Arguments**
 
@@ -70,17 +69,16 @@ def harmonic_balance(
       harmonics.
     - `harmonics`: K, the number of the highest harmonic.
     - `periods`: forcing periods after which the orbit closes.
-    - `newton_steps`: the most evaluations of the residual.
+    - `newton_steps`: the largest number of evaluations of the residual.
     - `throw`: whether to raise an error unless the outcome is `successful`.
 
     **Returns** a `FourierOrbit`. For a batch use `equinox.filter_vmap` with `throw=False`.
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
-    where no orbit was found; `nonfinite` where the equations are not finite at the guess;
-    `invalid_period`.
+    without an orbit; `nonfinite` if the equations are not finite at the guess; `invalid_period`.
 
     **Source**: textbook: M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems
-    (2019); that the integrals are taken from zero to zero of H is ours.
+    (2019), except for integrals from zero to zero of H, which are ours.
 
     >>> import jax
     >>> import jax.numpy as jnp
@@ -96,7 +94,7 @@ def harmonic_balance(
     check.flags(throw=throw)
     harmonics = check.count("harmonics", harmonics)
     periods = check.count("periods", periods)
-    # Traced: another number compiles nothing.
+    # Traced, so that another number does not recompile.
     budget = jnp.asarray(check.count("newton_steps", newton_steps), jnp.int32)
     if system.period is None:
         raise ValueError(
@@ -121,7 +119,7 @@ def _first(
     assert system.period is not None
     size = 2 * harmonics + 1
     if isinstance(guess, Orbit):
-        # Where in its own period the orbit is at equally spaced times of ours, in forcing periods.
+        # Phases within the orbit's own period at equally spaced times of ours, in forcing periods.
         elapsed = periods * equal_phases(4 * size * periods, guess.x0.dtype)
         forcing = guess.period if guess.system.period is None else guess.system.period
         times, back, phases = _in_own_period(
@@ -148,8 +146,8 @@ def _first(
 def _in_own_period(
     elapsed: ArrayLike, period: Array, forcing: ArrayLike, t0: Array, periods: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """When an orbit of this period is where it is after times in forcing periods, in the order of
-    its own times; the places of those times in that order; and their phases in `periods`."""
+    """Times at which an orbit of this period has the states at given times in forcing periods,
+    sorted; the indices of those times in this order; and their phases in `periods`."""
     local = jnp.mod(elapsed * forcing, period)
     order = jnp.argsort(local)
     return t0 + local[order], jnp.argsort(order), (t0 / forcing + elapsed) / periods
@@ -157,7 +155,7 @@ def _in_own_period(
 
 @ft.partial(jax.jit, static_argnames="size")
 def _resized(c: Array, size: int) -> Array:
-    """So many coefficients: higher harmonics start from zero, or are left out."""
+    """`size` coefficients: higher harmonics start from zero, or are dropped."""
     return jnp.zeros((size, c.shape[1]), c.dtype).at[: c.shape[0]].set(c[:size])
 
 
@@ -235,7 +233,7 @@ def _equations(balance: _Balance, c: Array) -> tuple[Array, Array]:
 
 
 def _quadrature(balance: _Balance, c: Array) -> tuple[Array, Array, Array, tuple | None]:
-    """Phases (p,), weights (p,) and sides (p, m) of all points; and of every zero of H its phase,
+    """Phases (p,), weights (p,) and sides (p, m) of all points; and for every zero of H its phase,
     the jump of T F across it (n,), and the derivative of its phase with respect to x (n,)."""
     cells = _CELLS * ((balance.size - 1) // 2) + 8
     edges = jnp.arange(cells + 1).astype(c.dtype) / cells
@@ -276,7 +274,7 @@ def _cell(
         select(crosses[j], zero_between(lambda p, j=j: surfaces(p)[j], a, b, h_a[j], h_b[j]), b)
         for j in range(m)
     ]
-    # A cut where nothing crosses is the cell's end, and the piece beyond it has no weight.
+    # A cut without a crossing is at the end of the cell, and the piece beyond it has no weight.
     cuts = jnp.sort(jnp.stack([a, *zeros, b]))
     middle, half = 0.5 * (cuts[:-1] + cuts[1:]), 0.5 * (cuts[1:] - cuts[:-1])
     sides = select(jax.vmap(surfaces)(middle) > 0, 1.0, -1.0).astype(a.dtype)

@@ -1,8 +1,8 @@
 """The solution of equations that depend on a system's parameters, and its derivative.
 
-Equations r(z; θ) = 0, a system whose float leaves are θ, and a guess of z enter; the solution z
-leaves, with the derivative of the implicit function, dz/dθ = −(∂r/∂z)⁻¹ ∂r/∂θ, forward and reverse.
-With S = dz/dθ, that of S along any direction is −(∂r/∂z)⁻¹ (d(∂r/∂θ) + d(∂r/∂z) S), along θ and z.
+For equations r(z; θ) = 0 and a system whose float leaves are θ, the derivative of the solution z is
+dz/dθ = −(∂r/∂z)⁻¹ ∂r/∂θ, forward and reverse. With S = dz/dθ, the derivative of S along any
+direction is −(∂r/∂z)⁻¹ (d(∂r/∂θ) + d(∂r/∂z) S), along θ and z.
 
 `jax.lax.custom_root` has the same rule but differentiates r along one tangent of θ, which reverse
 mode would have to transpose, through an integrator's loop that only has forward derivatives. Here
@@ -31,26 +31,26 @@ SystemOf = Callable[[Array], System]
 
 
 class Equations(eqx.Module):
-    """Equations r(z; θ) = 0 for N unknowns, and how they are solved. Where all that enters is known
-    (`is_known`) both methods are called outside of every transformation, and compile what they need
-    in pieces."""
+    """Equations r(z; θ) = 0 for N unknowns, and their solver. If all inputs are known (`is_known`)
+    both methods are called outside of every transformation, and compile their programs in
+    pieces."""
 
     @abc.abstractmethod
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Any]:
-        """The solution z, shape (N,), ∂r/∂z there, shape (N, N), and what else is known there."""
+        """The solution z, shape (N,), ∂r/∂z there, shape (N, N), and further data."""
 
     @abc.abstractmethod
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
         """∂r/∂θ, shape (N, p)."""
 
     def by_unknowns(self, system_of: SystemOf, theta: Array, z: Array) -> Array | None:
-        """∂r/∂z, shape (N, N), as a function of θ and z but for a constant: what second derivatives
-        of the solution are made of. None: these are NaN."""
+        """∂r/∂z, shape (N, N), as a function of θ and z up to a constant, for second derivatives of
+        the solution. None: these are NaN."""
         return None
 
 
 class _SystemOf(eqx.Module):
-    """A system without its float leaves, and how they are cut from one vector."""
+    """A system without its float leaves, and their slices of one vector."""
 
     rest: System
     unravel: Callable[[Array], System] = eqx.field(static=True)
@@ -59,7 +59,7 @@ class _SystemOf(eqx.Module):
         return eqx.combine(self.unravel(theta), self.rest)
 
     def of_known(self, theta: Array) -> System:
-        """The same, cut in NumPy: as a program each leaf would be a part to compile."""
+        """The same, sliced in NumPy, because as a program each leaf would be compiled."""
         shapes, tree = jax.tree.flatten(eqx.filter_eval_shape(self.unravel, theta))
         rest, leaves = np.asarray(theta), []
         for v in shapes:
@@ -71,8 +71,8 @@ class _SystemOf(eqx.Module):
 def solve_implicit(
     equations: Equations, system: System, guess: Float[Array, " N"]
 ) -> tuple[Float[Array, " M"], Any]:
-    """The solution near a guess and what else is known there. The solution has derivatives with
-    respect to the float leaves of the system; those of all else are NaN."""
+    """The solution near a guess, and further data. The solution has derivatives with respect to the
+    float leaves of the system; all other derivatives are NaN."""
     theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
     system_of = _SystemOf(eqx.filter(system, is_parameter, inverse=True), unravel)
     if not is_known((equations, guess)):
@@ -103,7 +103,7 @@ def _sensitivity(
 def _slopes(
     theta: Array, z: Array, *, equations: Equations, system_of: _SystemOf, by_z: Array
 ) -> Array:
-    """S = dz/dθ, given ∂r/∂z; only its derivative asks for those of ∂r/∂θ and ∂r/∂z."""
+    """S = dz/dθ, given ∂r/∂z; only its derivative needs the derivatives of ∂r/∂θ and ∂r/∂z."""
     return _sensitivity(theta, equations, system_of, z, by_z)
 
 
@@ -142,7 +142,7 @@ def _solution_jvp(
 ) -> tuple[tuple, tuple]:
     (theta,), (direction,) = primals, tangents
     z, by_z, more = _solution(theta, equations=equations, system_of=system_of, guess=guess)
-    # A NaN is seen where somebody takes the derivative of what has none; a zero would not be.
+    # A NaN exposes an undefined derivative; a zero would not.
     none = jax.tree.map(
         lambda v: np.full(v.shape, np.nan, v.dtype) if eqx.is_inexact_array(v) else None,
         (by_z, more),

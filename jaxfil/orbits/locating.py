@@ -1,23 +1,22 @@
-"""Special points between two neighbours on a curve.
+"""Location of special points between two neighbours on a curve.
 
-Two points of a `Curve` enter, and a test function that changes its sign between them or a property
-that one of them has and the other has not; the point where that happens leaves.
+A special point is a zero of a test function, or a change of a property.
 """
 
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
-import scipy  # its parts are imported where they are first used
+import scipy  # its submodules are imported on first use
 
 from jaxfil.orbits.curve import Curve, CurvePoint, constraint_across
 
 # Special points are located to this distance, in scaled unknowns.
 _LOCATED = 1e-12
-# A test function this small is zero: a determinant of numbers of order one, known to rounding.
+# A test function below this is zero, a determinant of numbers of order one, known to rounding.
 _ZERO = 1e-13
 
-# A tangent at this cosine to a chord or more says how the curve leaves it.
+# A tangent at this cosine to a chord or more determines how the curve leaves it.
 _ALONG = 0.5
 
 _Point = TypeVar("_Point", bound=CurvePoint)
@@ -30,13 +29,13 @@ class _Lost(Exception):
 def zero_on_curve(
     curve: Curve[_Point], a: _Point, b: _Point, test: Callable[[_Point], float]
 ) -> _Point | None:
-    """The point between two at which a test function is zero, by Alefeld, Potra and Shi's
-    algorithm 748. If the curve is lost on the way, the last point that was found on it."""
+    """The zero of a test function between two points, by Alefeld, Potra and Shi's algorithm 748. If
+    the curve is lost, the last point on it."""
     last = None
 
     def value(part: float) -> float:
         nonlocal last
-        # The ends are known already.
+        # The ends are known.
         if part in (0.0, 1.0):
             return test(b if part else a)
         point = _at_part(curve, a, b, part)
@@ -57,14 +56,14 @@ def change_on_curve(
     curve: Curve[_Point], a: _Point, b: _Point, same: Callable[[_Point], bool]
 ) -> tuple[_Point, _Point]:
     """Two points next to each other, the first with a property of a, the second without, by
-    bisection: a property has no value that could say how far to go."""
+    bisection, because a property has no value for interpolation."""
     low, high, before, after = 0.0, 1.0, a, b
     while (high - low) * _distance(a, b) > _LOCATED:
         middle = 0.5 * (low + high)
         point = _at_part(curve, a, b, middle)
         if point is not None and same(point):
             low, before = middle, point
-        else:  # a point that is lost is not like a either
+        else:  # a lost point does not have the property of a
             high, after = middle, after if point is None else point
     return before, after
 
@@ -74,13 +73,13 @@ def _distance(a: CurvePoint, b: CurvePoint) -> float:
 
 
 def _at_part(curve: Curve[_Point], a: _Point, b: _Point, part: float) -> _Point | None:
-    """The point that lies this part of the way between two."""
-    # Across the chord, so that no fold between them is in the way.
+    """The point at this fraction of the distance between two."""
+    # Across the chord, so that a fold between them does not matter.
     chord = (b.u - a.u) / a.scale
     base = a.u + part * (b.u - a.u)
     constraint = constraint_across(base, a.scale, chord / np.linalg.norm(chord), 0.0)
-    # Where the curve crosses another one, Newton's method converges from nearby alone: the guess is
-    # on the cubic that has both tangents. How far it is from the chord changes by that.
+    # Where the curve crosses another one, Newton's method converges only from nearby. The guess is
+    # on the cubic with both tangents. How far it is from the chord changes by that.
     at_a = _slope(a.tangent, chord)
     at_b = _slope(b.tangent * b.scale / a.scale, chord)
     off = part * (1 - part) * ((1 - part) * at_a - part * at_b)
@@ -88,8 +87,8 @@ def _at_part(curve: Curve[_Point], a: _Point, b: _Point, part: float) -> _Point 
 
 
 def _slope(tangent: np.ndarray, chord: np.ndarray) -> np.ndarray:
-    """How fast a curve leaves a chord, for each time its length; of one that is far from being
-    along it nothing."""
+    """The rate at which a curve leaves a chord, per its length; zero for one far from parallel to
+    it."""
     length = np.linalg.norm(chord)
     along = tangent @ chord / length
     if along < _ALONG * np.linalg.norm(tangent):

@@ -1,12 +1,11 @@
-"""Damped Newton iteration with a Jacobian in hand.
+"""Damped Newton iteration with a given Jacobian.
 
-A function that gives residual, Jacobian and outcome at a point enters, with a first guess; the
-`Root` leaves. Where it is traced each lane of a batch has its own damping and its own outcome; of
-known numbers the iteration is in Python, around functions that are compiled for other verbs too.
+If the guess is traced, each lane of a batch has its own damping and outcome. For concrete numbers
+the iteration is in Python, around functions that are compiled for other uses too.
 
-A period map of a nonsmooth system is smooth only in pieces, and a step across a kink may make the
-residual larger although the direction is right. A step is halved until the residual falls, but not
-for ever: the shortest one tried is taken as it is, which carries the iteration over the kink.
+A period map of a nonsmooth system is only piecewise smooth, and a step across a kink may increase
+the residual although the direction is correct. A step is halved until the residual decreases, but
+the shortest trial step is accepted in any case, which carries the iteration over the kink.
 """
 
 import dataclasses
@@ -24,23 +23,23 @@ from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 from jaxfil.xla.known import is_known
 from jaxfil.xla.select import select
 
-# Steps are halved down to this part of the full one; then it is taken although nothing falls.
+# Steps are halved down to this fraction of the full one, which is then accepted in any case.
 _SHORTEST = 1 / 32
-# So many steps without a residual smaller than the smallest so far end the search.
+# Number of steps without a new smallest residual that ends the search.
 _PATIENCE = 6
-# A full step below this many eps of the unknowns' scales ends the iteration: its error is the
-# square of that. Where rounding of the residual is larger than that, a step below eps^(2/3) that
-# cannot be improved does.
+# A full step below this multiple of eps of the unknowns' scales ends the iteration, because its
+# error is the square of that. If rounding of the residual is larger, a step below eps^(2/3) without
+# improvement ends it.
 _CONVERGED = 256
-# A full step above this power of eps, in the unknowns' scales, leads nowhere: the Jacobian is zero
-# in some direction, but for rounding.
+# A full step above this power of eps, in the unknowns' scales, is useless: the Jacobian is zero in
+# some direction, up to rounding.
 _ENDLESS = -0.75
 
 
 class Evaluation(eqx.Module):
-    """M equations for N unknowns at a point: as many, or one fewer before the last one, a
-    constraint, is appended. Residual and Jacobian, the scales of the equations and of the unknowns,
-    the outcome of the evaluation itself, and what else is known there."""
+    """M equations for N unknowns at a point, with M = N, or N − 1 before a constraint is appended:
+    residual and Jacobian, the scales of the equations and of the unknowns, the outcome of the
+    evaluation itself, and further data."""
 
     residual: Float[Array, " M"]
     jacobian: Float[Array, "M N"]
@@ -50,16 +49,16 @@ class Evaluation(eqx.Module):
     aux: Any
 
     def size(self, scale: Array) -> Array:
-        """The largest residual, each in this scale; inf where it is not finite."""
+        """The largest scaled residual; inf if it is not finite."""
         largest = jnp.max(abs(self.residual) / scale)
         return select(jnp.isfinite(largest), largest, jnp.inf)
 
 
 class Stages(eqx.Module):
-    """The evaluation of equations in parts. At known numbers `near` gives what is needed of what
-    varies, and is compiled anew for that; `work` takes it and is compiled once for all verbs. At
-    traced ones `whole` does what both do. `finish` makes the equations of the unknowns and what was
-    worked out."""
+    """The evaluation of equations in parts. For concrete numbers `near` models the varying unknowns
+    and is compiled for each choice of them; `work` uses the model and is compiled once for all
+    functions. For traced ones `whole` does the work of both. `finish` assembles the equations from
+    the unknowns and the result."""
 
     near: Callable[[Array], Any]
     work: Callable[[Any], Any]
@@ -68,7 +67,7 @@ class Stages(eqx.Module):
 
 
 class _Finish(eqx.Module):
-    """The last part of an evaluation, with `more` done to what the equations themselves give."""
+    """The last part of an evaluation, with `more` applied to the equations."""
 
     equations: Callable[[Array, Any], Evaluation]
     more: Callable[[Evaluation, Array], Evaluation]
@@ -78,13 +77,13 @@ class _Finish(eqx.Module):
 
 
 def as_it_is(at: Evaluation, z: Array) -> Evaluation:
-    """Nothing more to be done."""
+    """The evaluation, unchanged."""
     return at
 
 
 class Root(eqx.Module):
-    """Where Newton's iteration ended: the unknowns, what is known there, the size of the residual,
-    in the largest scales on the way, and the outcome."""
+    """The end of Newton's iteration: the unknowns, the further data, the size of the residual, in
+    the largest scales so far, and the outcome."""
 
     z: Float[Array, " N"]
     at: Evaluation
@@ -94,8 +93,9 @@ class Root(eqx.Module):
 
 
 class _State(eqx.Module):
-    """The last point that was taken, its residual, the largest scales so far, the step there, and
-    the search. By its own scale the residual of what goes to zero would never fall."""
+    """The last accepted point, its residual, the largest scales so far, the step there, and the
+    search. Relative to its own scale the residual of a component that goes to zero would never
+    decrease."""
 
     z: Array
     size: Array
@@ -122,9 +122,9 @@ def newton(
     """A zero of the residual from the guess `z`, by at most `max_steps` evaluations.
 
     The outcome is `successful`, `newton_stalled`, `newton_singular`, `newton_max_steps_reached`,
-    or that of the evaluation at the guess if this one fails.
+    or the outcome of the evaluation at the guess if it fails.
     """
-    # Traced once, though it is called twice: for its shapes and in the loop.
+    # Traced once for two calls, for its shapes and in the loop.
     evaluate = eqx.filter_jit(evaluate)
     blank = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), eqx.filter_eval_shape(evaluate, z))
 
@@ -133,8 +133,8 @@ def newton(
         return state.running & (state.num_steps < max_steps)
 
     def iterate(carry: tuple[_State, Evaluation]) -> tuple[_State, Evaluation]:
-        # The one evaluation of an iteration: with a second one inside, the program would be as
-        # large again. So the length of a step is tried by the iteration after it.
+        # The only evaluation of an iteration: a second one would double the program. The length of
+        # a step is therefore tried by the next iteration.
         state, before = carry
         at = evaluate(state.trial)
         state, accepted = _judge(state, at, -_solve(at.jacobian, at.residual))
@@ -152,8 +152,8 @@ def root_of(
     *,
     known: bool,
 ) -> Root:
-    """`newton` of what `more` makes of an evaluation in stages. Where all that enters is `known`,
-    the iteration is a loop in Python."""
+    """`newton` of an evaluation in stages, with `more` applied. If all inputs are `known`, the
+    iteration is a loop in Python."""
     finish = _Finish(stages.finish, more)
     if known and is_known((z, more)):
         return _newton_of_known(stages, finish, z, int(max_steps))
@@ -172,7 +172,7 @@ def _newton_of_known(
         at = now if accepted else at
         if not running:
             break
-    assert at is not None  # the guess is always taken
+    assert at is not None  # the guess is always accepted
     return Root(state.z, at, state.size, state.num_steps, state.result)
 
 
@@ -182,7 +182,7 @@ def _finished(finish: _Finish, z: Array, done: Any) -> Evaluation:
 
 
 def _first(z: Array) -> _State:
-    """Before the first evaluation."""
+    """The state before the first evaluation."""
     zero = jnp.zeros((), jnp.int32)
     return _State(
         z=z,
@@ -200,38 +200,38 @@ def _first(z: Array) -> _State:
     )
 
 
-# One program, not one for each of its constants.
+# One program for all of its constants.
 _first_of_known = jax.jit(_first)
 
 
 def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
-    """What follows from an evaluation at the end of the damped step and from the full `step` there,
-    and whether the damped step is taken."""
+    """The next state after an evaluation at the end of the damped step with the full `step` there,
+    and whether the damped step is accepted."""
     first, trial = state.num_steps == 0, state.trial
-    # By a quarter of what the linear equations promise. A residual that is zero to rounding falls
-    # no more.
+    # By a quarter of the decrease that the linear equations predict. A residual that is zero to
+    # rounding does not decrease.
     eps = jnp.finfo(trial.dtype).eps
     scale = jnp.maximum(state.equation_scale, at.equation_scale)
     size = at.size(scale)
     falls = (size <= (1 - 0.25 * state.damping) * state.size) | (size <= 4 * eps)
     sound = (at.result == RESULTS.successful) & jnp.isfinite(size)
-    # Shorter is of no use: what does not fall along so short a step has a kink there.
+    # Shorter is useless: a residual that does not decrease along so short a step has a kink there.
     forced = state.damping <= _SHORTEST
     accepted = first | (sound & (falls | forced))
-    # An unknown that is zero to half the digits of what it has been is zero.
+    # An unknown that is zero to half the digits of its earlier size is zero.
     unknown_scale = jnp.maximum(jnp.sqrt(eps) * state.unknown_scale, at.unknown_scale)
     length = jnp.max(abs(step) / unknown_scale)
 
-    # No if the step is not finite, or so long that only rounding keeps the Jacobian regular.
+    # Not if the step is not finite, or so long that only rounding makes the Jacobian regular.
     solvable = length <= eps**_ENDLESS
-    # The step that would follow is the error of this point, and it is not taken.
+    # The next step would be the error of this point, and is not taken.
     converged = accepted & sound & (length <= _CONVERGED * eps)
-    # A full step that is short already and cannot reduce the residual: rounding is all there is.
+    # A full step that is already short and cannot reduce the residual, which is rounding.
     floor = ~accepted & (state.length <= eps ** (2 / 3)) & (state.damping == 1)
-    # An iteration that goes to and fro across a kink reduces nothing in the long run.
+    # An iteration that alternates across a kink does not reduce the residual in the long run.
     better = accepted & (size < 0.9 * state.least)
     patience = select(better, 0, state.patience + accepted.astype(jnp.int32))
-    # At the guess there is no shorter step to go back to.
+    # At the guess there is no shorter step to return to.
     failed = first & ~sound
     singular = accepted & sound & ~solvable & ~converged
     stalled = (patience >= _PATIENCE) | (~accepted & forced)
@@ -250,7 +250,7 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
         ),
         step=select(accepted & solvable, step, state.step),
         length=select(accepted, length, state.length),
-        # Back to the full step soon: the order is two with that alone.
+        # Return to the full step soon, because only it converges quadratically.
         damping=select(accepted, jnp.minimum(1, 4 * state.damping), 0.5 * state.damping),
         least=select(accepted, jnp.minimum(size, state.least), state.least),
         patience=patience,
@@ -271,12 +271,12 @@ _judged = jax.jit(kernel_if_it_fits(_judged_with_trial))
 
 
 def solve_in_numpy(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """X of A X = B, of one column or many, of known numbers; inf where A is singular. To compile a
-    factorisation takes longer than all the rest."""
+    """X of A X = B, of one column or many, of concrete numbers; inf where A is singular. Compiling
+    a factorisation would take longer than the whole iteration."""
     rows = np.max(abs(matrix), axis=1)
     rows = np.where(rows == 0, 1, rows)
     try:
-        # What is not finite is an outcome, and no warning besides.
+        # A value that is not finite is an outcome, without a warning.
         with np.errstate(all="ignore"):
             return np.linalg.solve((matrix.T / rows).T, (right.T / rows).T)
     except np.linalg.LinAlgError:
@@ -285,7 +285,7 @@ def solve_in_numpy(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def _solve(matrix: Array, right: Array) -> Array:
     """x of A x = b, not finite where A is singular to rounding."""
-    # Rows of one size, so that pivots are chosen by more than the units of the equations.
+    # Rows are normalised, so that the units of the equations do not choose the pivots.
     rows = jnp.max(abs(matrix), axis=1, keepdims=True)
     scaled = matrix / select(rows == 0, 1, rows)
     return jnp.linalg.solve(scaled, right / select(rows == 0, 1, rows)[:, 0])

@@ -1,8 +1,6 @@
-"""Orbits behind a wall, where no motion is.
+"""Detection of orbits behind a wall, which no motion reaches.
 
-A system, a state of an orbit and the mode there enter; whether the state lies on the far side of a
-surface that throws back leaves. Newton's method, which knows nothing of where a motion may come
-from, finds orbits on either side.
+Newton's method does not distinguish the sides of a wall, and may converge to such an orbit.
 """
 
 import jax.numpy as jnp

@@ -1,8 +1,4 @@
-"""`Orbit`: a periodic orbit, and what can be asked of it.
-
-The numbers that a search has found enter; multipliers, stability, states at any time, extreme
-values, a trajectory and a card leave.
-"""
+"""`Orbit`: a periodic orbit, with multipliers, stability, states at any time and extreme values."""
 
 import functools as ft
 
@@ -35,45 +31,45 @@ class Orbit(eqx.Module):
     """A periodic orbit, x(t0 + T) = x(t0).
 
     Only `x0`, `starts` and `period` have derivatives (with respect to the float leaves of the
-    system); those of all else are NaN.
+    system); all other derivatives are NaN.
     """
 
     x0: Float[Array, " n"]
-    """The state at t0, which is `options.t0`."""
+    """The state at t0 = `options.t0`."""
     period: Float[Array, ""]
-    """The period T: that of the forcing, or a multiple of it, or found."""
+    """The period T, a multiple of the forcing period, or computed for an autonomous system."""
     monodromy: Float[Array, "n n"]
-    """The monodromy matrix ∂x(t0 + T)/∂x(t0), exact through every contact. NaN where there is
-    none."""
+    """The monodromy matrix ∂x(t0 + T)/∂x(t0), exact through every contact. NaN if it does not
+    exist."""
     residual: Float[Array, ""]
     """The largest mismatch of any arc's end with the next one's start, each component relative to
     its largest value on the orbit."""
     events: Events | None
     """The contacts of one period, in order."""
     num_events: Int[Array, ""]
-    """How many contacts there are."""
+    """The number of contacts."""
     first_mode: Int[Array, " m"]
-    """The mode in which the orbit starts at t0: ±1 is a side of a surface, 0 sliding on it."""
+    """The mode at t0: ±1 is a side of a surface, 0 sliding on it."""
     result: RESULTS
-    """How the search ended."""
+    """The outcome of the search."""
     system: System
-    """The system, with the parameters for which this is its orbit."""
+    """The system, with the parameters of this orbit."""
     starts: Float[Array, "M n"]
     """The states at the starts of the M arcs of multiple shooting; the first one is `x0`."""
     num_steps: Int[Array, ""]
-    """Evaluations of the period map that Newton's method took."""
+    """Number of evaluations of the period map by Newton's method."""
     options: ShootingOptions
-    """How the orbit was integrated."""
+    """The options of the integration."""
 
     @property
     def multipliers(self) -> Complex[Array, "*batch n"]:
-        """The Floquet multipliers, eigenvalues of the monodromy matrix, shape (n,). One of an
-        autonomous system's is 1; a sticking orbit has one that is 0."""
+        """The Floquet multipliers, eigenvalues of the monodromy matrix, shape (n,). An autonomous
+        orbit has a multiplier 1; a sticking orbit has a multiplier 0."""
         return _multipliers(self.monodromy)
 
     @property
     def stable(self) -> Array:
-        """Whether all multipliers, but an autonomous system's 1, are inside the unit circle."""
+        """Whether all multipliers, except an autonomous system's 1, are inside the unit circle."""
         inside = _are_inside(self.multipliers, autonomous=self.system.period is None)
         return inside & (self.result == RESULTS.successful)
 
@@ -95,7 +91,7 @@ class Orbit(eqx.Module):
         return dense
 
     def trajectory(self, periods: int = 1) -> Solution:
-        """The orbit as a `Solution` that holds ten states for each step: a step of high order is
+        """The orbit as a `Solution` with ten states for each step, because a step of high order is
         too long for a straight line."""
         end = self.options.t0 + periods * self.period
         ts = jnp.linspace(self.options.t0, end, 10 * self._steps * periods + 1)
@@ -109,28 +105,28 @@ class Orbit(eqx.Module):
     def to_xarray(self) -> Dataset:
         """An `xarray.Dataset` of `x0`, `period`, `monodromy`, the contacts (`event_t`, `event_x`,
         `event_kind`, …), `multiplier_real` and `multiplier_imag`, `stable` and `outcome` in words;
-        of a batch with the dimension `lane` before the others.
+        for a batch with the leading dimension `lane`.
 
-        The attributes give the system, its parameters and how it was integrated. Needs the package
-        xarray.
+        The attributes have the system, its parameters and the options of the integration. Needs the
+        package xarray.
         """
         return dataset_io.to_xarray(orbit_arrays(self))
 
     def save(self, path: PathLike) -> None:
         """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
 
-        `jaxfil.load(path, system=…)` gives the same orbit back, bit for bit. What was there is
+        `jaxfil.load(path, system=…)` returns the same orbit, bit for bit. An existing file is
         replaced.
         """
         dataset_io.save(orbit_arrays(self), path)
 
     @property
     def _steps(self) -> int:
-        """Steps of a period, about."""
+        """Approximate number of steps of a period."""
         return expected_steps(self.options.steps, self.options.stepper)
 
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
-        # An array of that length is kept where every step is.
+        # An array of that length is stored if every step is saved.
         budget = enough_iterations(self._steps * periods, self.options.max_events * periods)
         t0, period = in_numpy((self.options.t0, self.period))
         return solve(
@@ -152,7 +148,7 @@ class Orbit(eqx.Module):
 
 @jax.jit
 def _multipliers(monodromy: Array) -> Array:
-    # Where the orbit was not found there are none; LAPACK must not see a NaN.
+    # A failed orbit has no multipliers; LAPACK must not receive a NaN.
     fine = jnp.all(jnp.isfinite(monodromy), axis=(-2, -1))
     values = jnp.linalg.eigvals(select(fine[..., None, None], monodromy, 0))
     return select(fine[..., None], values, jnp.nan)
@@ -160,10 +156,10 @@ def _multipliers(monodromy: Array) -> Array:
 
 @ft.partial(jax.jit, static_argnames="autonomous")
 def _are_inside(multipliers: Array, autonomous: bool) -> Array:
-    """Whether all multipliers, but an autonomous system's 1, are inside the unit circle."""
+    """Whether all multipliers, except an autonomous system's 1, are inside the unit circle."""
     size = abs(multipliers)
     if autonomous:
-        # It is 1 to the error of the orbit only: the nearest one is taken for it.
+        # It equals 1 up to the error of the orbit; the nearest multiplier is taken.
         trivial = jnp.argmin(abs(multipliers - 1), axis=-1)[..., None]
         size = select(jnp.arange(size.shape[-1]) == trivial, 0, size)
     return jnp.max(size, axis=-1) < 1
@@ -173,7 +169,7 @@ def _are_inside(multipliers: Array, autonomous: bool) -> Array:
 def _extremes(orbit: Orbit) -> tuple[Array, Array]:
     dense = orbit.dense()
     n = orbit.x0.shape[-1]
-    # The smallest value is the largest of the opposite: one search for all, as lanes of a batch.
+    # The smallest value is the largest of the negative: one search for all, as lanes of a batch.
     numbers, signs = np.repeat(np.arange(n), 2), np.tile([-1.0, 1.0], n)
 
     def extreme(i: Array, sign: Array) -> Array:

@@ -1,7 +1,4 @@
-"""Orbits by name: what their arrays are called in a data set.
-
-An orbit, of one or of a batch, enters; named arrays leave.
-"""
+"""Named arrays of an orbit, or of a batch of orbits, in a data set."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -33,14 +30,14 @@ ORBIT: Fields = {
 }
 # Static fields of `ShootingOptions` that are numbers.
 OPTIONS = ("steps", "arcs", "max_events", "compact")
-# Names of its data set that are no parameter's.
+# Names of its data set that are not parameters.
 TAKEN = {*ORBIT, *EVENTS, *OPTIONS, "t0", "stepper", "outcome", "outcome_code", "event_kind"}
 TAKEN |= {"multiplier_real", "multiplier_imag", "stable", "component", "unit", "system", "lane"}
 TAKEN |= {"jaxfil_type", "jaxfil_version", "by_component", "surface", "arc", "event", "multiplier"}
 
 
 def orbit_variables(orbit: Any, batch: Sequence[str]) -> dict[str, Variable]:
-    """Those of an `Orbit` without its system, with its multipliers and whether it is stable."""
+    """The variables of an `Orbit` without its system, with its multipliers and its stability."""
     dims = (*batch, "multiplier")
     return {
         **variables_of(orbit, ORBIT, batch),
@@ -48,20 +45,20 @@ def orbit_variables(orbit: Any, batch: Sequence[str]) -> dict[str, Variable]:
         **outcome_variables(orbit.result, batch),
         **event_variables(orbit.events, batch),
         "stable": (batch, np.asarray(orbit.stable)),
-        # No format of files knows complex numbers.
+        # No file format supports complex numbers.
         "multiplier_real": (dims, np.real(orbit.multipliers)),
         "multiplier_imag": (dims, np.imag(orbit.multipliers)),
     }
 
 
 def option_attributes(orbit: Any) -> dict[str, Attribute]:
-    """How an orbit was integrated."""
+    """The options of the integration of an orbit."""
     told = {name: int(getattr(orbit.options, name)) for name in OPTIONS}
     return {**told, "stepper": tableau_of(orbit.options.stepper).name}
 
 
 def orbit_arrays(orbit: Any) -> NamedArrays:
-    """Those of an `Orbit`."""
+    """The named arrays of an `Orbit`."""
     *shape, n = np.shape(orbit.x0)
     batch = batch_dims(shape)
     arrays, told = system_entries(orbit.system, TAKEN, batch)

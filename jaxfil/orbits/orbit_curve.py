@@ -1,9 +1,9 @@
-"""`OrbitCurve`: a branch of periodic orbits as a curve to be followed.
+"""`OrbitCurve`: a branch of periodic orbits as a curve for continuation.
 
 Where the period map has a square root (an orbit that grazes a discontinuity) the branch has a
-corner: it goes on in another direction, perhaps back. The step cannot get round it; the points of
-the branch that lie at a small distance in many directions can, and the nearest one that does not
-lie where the branch has come from goes on.
+corner and continues in another direction, perhaps back. No step passes it. Points of the branch at
+a small distance are therefore searched in many directions, and the branch continues from the
+nearest one that is not on its earlier part.
 """
 
 import dataclasses
@@ -31,35 +31,35 @@ from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_f
 from jaxfil.orbits.special_points import kind_of_change, special_orbits
 from jaxfil.xla.known import array_of
 
-# A guess taken from a neighbour converges in a few steps or not at all; one taken across a square
-# root of the period map needs many, as it is halved again and again.
+# A guess from a neighbour converges in a few steps or not at all; across a square root of the
+# period map it needs many, because steps are halved repeatedly.
 _NEWTON_STEPS, _MANY_STEPS = 12, 40
-# Directions in which the way round a corner is searched, and how far from it.
+# Number of directions of the search around a corner, and its distance.
 _DIRECTIONS, _RADIUS = 48, 1e-3
-# A point further away than so many of these distances is on another branch, one at this cosine to
-# the tangent where the branch has come from.
+# A point beyond this multiple of the distance is on another branch; one at this cosine to the
+# tangent is on the earlier part of the branch.
 _REACH, _BACK = 20, -0.95
-# A multiplier this large is told where a branch ends.
+# A multiplier above this is reported at the end of a branch.
 _LARGE = 1e3
-# How far back the way is looked at where the phase is changed, in scaled unknowns.
+# Distance along the earlier branch that is used where the phase is changed, in scaled unknowns.
 _AWAY = 1e-4
-# Where an orbit joins one of half the period, what it moves in half a period is located to this
-# part of what that changes by in the step.
+# Where an orbit joins one of half the period, its change over half a period is zero to this
+# fraction of the variation of this change over the step.
 _JOINED = 1e-2
 
 
 @dataclasses.dataclass(frozen=True)
 class OrbitCurve(Curve[OrbitPoint]):
-    """The branch of an `OrbitProblem`. The last unknown is the parameter. Where its orbits are
-    `prime`, those that run through another one twice are none of it. No scale is below `least`."""
+    """The branch of an `OrbitProblem`. The last unknown is the parameter. If `prime`, orbits that
+    run twice through another one do not belong to it. `least` bounds scales from below."""
 
     problem: OrbitProblem
     prime: bool = False
     least: np.ndarray | float = 0.0
     t0: float | None = None
-    """The phase of the problem, where points are to be seen from another one in the end."""
+    """The phase of the problem, if points are finally converted from another one."""
 
-    # The branch ends at a corner or a square root, and where it ends is known to the least step.
+    # The branch ends at a corner or a square root, whose position is known to the least step.
     steps = StepSizes(first=0.005, least=1e-9, growth=1.6, straight=0.995, easy=5, corner=1e-5)
     solution = "orbit"
     place = -1
@@ -70,12 +70,12 @@ class OrbitCurve(Curve[OrbitPoint]):
         return self.problem.parameter
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
-        """By shooting."""
+        """Solve by shooting."""
         steps = array_of(_NEWTON_STEPS, jnp.int32)
         return solve_across(self.problem, array_of(guess), constraint, steps)
 
     def point(self, root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> OrbitPoint:
-        """With its shot."""
+        """A point with its shot."""
         point = dataclasses.replace(point_of(root, constraint, along), t0=self.t0)
         if not self.prime:
             return point
@@ -84,36 +84,37 @@ class OrbitCurve(Curve[OrbitPoint]):
     def correct(
         self, guess: np.ndarray, constraint: ArclengthConstraint, along: np.ndarray
     ) -> OrbitPoint | None:
-        """Never a point of the branch of half the period, onto which Newton's method may slip."""
+        """`Curve.correct`, without points of the branch of half the period, to which Newton's
+        method may converge."""
         point = super().correct(guess, constraint, along)
         return None if point is None or point.is_doubled else point
 
     def last_between(self, here: OrbitPoint, ahead: OrbitPoint) -> tuple[OrbitPoint, str] | None:
-        """Where the branch joins that of half the period."""
+        """The point at which the branch joins the branch of half the period."""
         if not self.prime or here.half_gap @ ahead.half_gap >= 0:
             return None
         moves = here.half_gap - ahead.half_gap
-        # At the point itself the branches cross and the equations are singular: they have a
-        # solution up to where rounding makes them so.
+        # At the point itself the branches cross and the equations are singular; a solution exists
+        # up to the limit of rounding.
         point, _ = change_on_curve(self, here, ahead, lambda p: bool(p.half_gap @ moves > 0))
         if abs(point.half_gap).max() > _JOINED * abs(moves).max():
             return None  # it has turned without being zero
-        # It meets the other one at right angles to the parameter.
+        # It joins the other branch at right angles to the parameter.
         tangent = np.append(point.tangent[:-1], 0.0)
         point = dataclasses.replace(point, tangent=tangent / np.linalg.norm(tangent))
         return point, f"the branch of half the period was met at {self.told(point)}"
 
     def metric(self, point: OrbitPoint) -> np.ndarray:
-        """A state by its largest value on the orbit, a parameter by its size. All arcs together
-        count as one state."""
+        """Scales: the largest value on the orbit for a state, the size of a parameter. All arcs
+        together count as one state."""
         m = self.problem.options.arcs
         size = np.tile(np.asarray(point.shot.size) * np.sqrt(m), m)
         q = abs(point.u[size.shape[0] :])
         return np.maximum(np.append(size, q), self.least)
 
     def beside(self, point: OrbitPoint, other: OrbitPoint) -> np.ndarray:
-        """The phase of an autonomous orbit drifts along a branch: its starts are taken where it is
-        nearest to the other one."""
+        """Unknowns shifted in phase. The phase of an autonomous orbit drifts along a branch, so its
+        starts are taken where it is nearest to the other one."""
         if not self.problem.autonomous:
             return point.u
         return phased_like(orbit_of(self.problem, point), point.u, other.u)
@@ -125,13 +126,13 @@ class OrbitCurve(Curve[OrbitPoint]):
     def elsewhere(
         self, here: OrbitPoint, start: OrbitPoint
     ) -> "tuple[OrbitCurve, OrbitPoint, OrbitPoint] | None":
-        """Shot from a phase far from contacts, where one has come to fall on this one."""
+        """The curve shot from a phase far from contacts, if one has reached this phase."""
         part = quiet_phase(self.problem, here)
         if part is None:
             return None
         t0 = float(self.problem.options.t0) + part * period_of(self.problem, here)
         curve = dataclasses.replace(self, problem=problem_at(self.problem, t0), t0=t0)
-        # The way on: where a point a little further back lies, seen from there.
+        # The direction of continuation follows from an earlier point, converted to the new phase.
         back = self._seen(curve, here, -_AWAY * here.tangent)
         if back is None:
             return None
@@ -146,7 +147,7 @@ class OrbitCurve(Curve[OrbitPoint]):
         return curve, point, start if first is None else first
 
     def _seen(self, curve: "OrbitCurve", here: OrbitPoint, step: np.ndarray) -> np.ndarray | None:
-        """The unknowns, seen by another curve, of the point of this one a step from here."""
+        """The unknowns, converted to another curve, of the point of this one a step from here."""
         constraint = constraint_across(here.u, here.scale, step, float(step @ step))
         point = self.correct(here.u + step * here.scale, constraint, here.tangent)
         if point is None:
@@ -154,12 +155,12 @@ class OrbitCurve(Curve[OrbitPoint]):
         return seen_from(self.problem, point, self._part_to(curve, point))
 
     def _part_to(self, other: "OrbitCurve", point: OrbitPoint) -> float:
-        """The time from this phase to that of another curve, in parts of the period."""
+        """The time from this phase to the phase of another curve, as a fraction of the period."""
         away = float(other.problem.options.t0) - float(self.problem.options.t0)
         return (away / period_of(self.problem, point)) % 1.0
 
     def seen_again(self, problem: OrbitProblem, point: OrbitPoint) -> OrbitPoint | None:
-        """A point of the problem, which is this one's at another phase, as one of this curve."""
+        """A point of the problem, at another phase than this curve, as a point of this curve."""
         other = dataclasses.replace(self, problem=problem)
         guess = seen_from(problem, point, other._part_to(self, point))
         constraint = constraint_across(guess, point.scale, self.axis(guess), 0.0)
@@ -170,15 +171,15 @@ class OrbitCurve(Curve[OrbitPoint]):
         return dataclasses.replace(found, tangent=sign * found.tangent)
 
     def beyond_end(self, here: OrbitPoint) -> tuple[OrbitPoint, Special[OrbitPoint]] | None:
-        """The nearest way on round a corner: at a small distance in random directions, the nearest
-        point with other contacts that does not lie where the branch has come from."""
+        """The continuation around a corner: in random directions at a small distance, the nearest
+        point with other contacts that is not on the earlier part of the branch."""
         scale = self.metric(here)
         best, least = None, _REACH * _RADIUS
         for point in self._around(here, scale):
             away = (point.u - here.u) / scale
             distance = np.linalg.norm(away)
-            # −1 is where the branch has come from. A point with the same contacts is on the branch
-            # itself, or on one that passes by.
+            # −1 is the direction of the earlier part. A point with the same contacts is on the
+            # branch itself, or on a neighbouring one.
             forward = float(away @ here.tangent / distance)
             if point.sequence != here.sequence and forward > _BACK and distance < least:
                 sign = 1.0 if point.tangent @ away >= 0 else -1.0
@@ -189,7 +190,7 @@ class OrbitCurve(Curve[OrbitPoint]):
         return best, Special(kind, here, here.sequence, best.sequence)
 
     def about(self, point: OrbitPoint) -> str:
-        """Its largest multiplier, if it is so large as near a square root of the period map."""
+        """The largest multiplier, if it is as large as near a square root of the period map."""
         values = np.linalg.eigvals(np.asarray(point.shot.monodromy))
         largest = values[np.argmax(abs(values))]
         if not abs(largest) > _LARGE:
@@ -197,8 +198,8 @@ class OrbitCurve(Curve[OrbitPoint]):
         return f"largest multiplier {abs(largest):.2g}, as where an orbit grazes"
 
     def _around(self, here: OrbitPoint, scale: np.ndarray) -> list[OrbitPoint]:
-        """Points of the branch at a small distance in many directions, all in one call."""
-        # Always the same directions: a branch does not depend on chance.
+        """Points of the branch at a small distance in many directions, in one call."""
+        # The directions are fixed, so that a branch is reproducible.
         rng = np.random.default_rng(0)
         normals = rng.normal(size=(_DIRECTIONS, here.u.size))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -1,8 +1,4 @@
-"""`periodic_orbit`: a periodic orbit by Newton shooting.
-
-A system and a guess of a state on the orbit enter; an `Orbit` leaves, with its monodromy matrix,
-Floquet multipliers, contacts and outcome. Stable or unstable makes no difference.
-"""
+"""`periodic_orbit`: a stable or unstable periodic orbit by Newton shooting."""
 
 import dataclasses
 
@@ -51,36 +47,37 @@ def periodic_orbit(
         x(t0 + T; x0) = x0
 
     The Jacobian is the derivative of the flow map, exact through every contact. A forced system has
-    T = `periods` · `system.period`; of an autonomous one T is found too, with the condition that
-    x0 moves at right angles to the field at the guess.
+    T = `periods` · `system.period`; for an autonomous one T is an unknown too, with the condition
+    that x0 moves at right angles to the field at the guess.
 
     **Arguments**
 
     - `system`: the `System`.
     - `x0`: a guess of the state at `t0`, shape (n,).
     - `periods`: forcing periods after which the orbit closes.
-    - `period`: a guess of the period of an autonomous system; None for a forced one. Where it leads
-      to a multiple of the period, the prime one is told; in a batch or under `jit` the multiple.
-    - `t0`: the time, and so the phase of the forcing, at which the orbit is looked at.
+    - `period`: a guess of the period of an autonomous system; None for a forced one. If Newton's
+      method converges to a multiple of the period, the prime one is returned; in a batch or under
+      `jit` the multiple.
+    - `t0`: the initial time, and so the phase of the forcing.
     - `steps`: steps per forcing period, or per period of an autonomous system; or `Adaptive`, a
-      tolerance; or what `choose_step` gives for a forced one, which has its own `stepper`.
+      tolerance; or the result of `choose_step` for a forced one, which has its own `stepper`.
     - `stepper`: as in `solve`; None is `diffrax.Dopri8()`.
-    - `segments`: arcs of multiple shooting: more than one for orbits that are very unstable.
+    - `segments`: arcs of multiple shooting, more than one for very unstable orbits.
     - `transient`: forcing periods integrated from `x0` before Newton's method starts, for a poor
       guess of a stable orbit.
-    - `newton_steps`: the most evaluations of the period map.
-    - `max_events`: the most contacts in one arc.
+    - `newton_steps`: the largest number of evaluations of the period map.
+    - `max_events`: the largest number of contacts in one arc.
     - `throw`: whether to raise an error unless the outcome is `successful`.
     - `compact`: as in `solve`.
 
-    **Returns** an `Orbit`. For a batch use `equinox.filter_vmap` with `throw=False`: each lane
-    then has its own outcome. The first and second derivatives of `orbit.x0` and `orbit.period` with
-    respect to the float leaves of the system are those of the implicit function, forward and
-    reverse; those of all else are NaN.
+    **Returns** an `Orbit`. For a batch use `equinox.filter_vmap` with `throw=False`; each lane then
+    has its own outcome. The first and second derivatives of `orbit.x0` and `orbit.period` with
+    respect to the float leaves of the system follow from the implicit function theorem, forward and
+    reverse; all other derivatives are NaN.
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
-    where no orbit was found; `behind_surface` where the one found has H < 0 at a surface that
-    throws back; and where the guess itself cannot be integrated for a period, `nonfinite`,
+    without an orbit; `behind_surface` for an orbit with H < 0 at a surface that reflects; and if
+    the guess itself cannot be integrated for a period, `nonfinite`,
     `max_steps_reached`, `max_events_reached`, `mode_undecided`, `zeno`, `nonunique`,
     `reset_undecided`, `undeclared_sliding`, `step_too_long` or `invalid_period`.
 
@@ -135,7 +132,7 @@ def periodic_orbit(
         max_events=check.count("max_events", max_events),
         compact=is_compact_run(compact, (system, x)),
     )
-    # Traced: another number compiles nothing.
+    # Traced, so that another number does not recompile.
     budget = array_of(check.count("newton_steps", newton_steps), jnp.int32)
     settle = array_of(transient, jnp.int32) if transient else None
     orbit = _find(system, x, guess, options, periods, settle, budget)
@@ -166,26 +163,26 @@ def _find(
 def _first_unknowns(
     equations: ClosedOrbit, system: System, x0: Array, guess: Array, transient: Array | None
 ) -> Array:
-    """The guess, after a transient of so many periods."""
+    """The guess, after `transient` periods."""
     options, q = equations.options, jnp.zeros((0,), x0.dtype)
     if system.period is None:
         q = guess[None]
     if transient is not None:
-        # One forcing period after the other: the phase stays exact.
+        # One forcing period after the other, so that the phase stays exact.
         steps = options.steps // equations.periods
         one = dataclasses.replace(
             equations, options=dataclasses.replace(options, steps=steps, arcs=1), periods=1
         )
         forward = flow_map(one.problem(system).setting, one.options, q, 1.0)
         x0 = jax.lax.fori_loop(0, transient, lambda i, x: forward(x, i.astype(x.dtype)), x0)
-    # The trajectory from the guess gives the other starts: only the last arc then fails to close.
+    # The trajectory from the guess gives the other starts; only the last arc does not close.
     starts = starts_from(equations.problem(system).setting, options, x0, q)
     return jnp.append(starts.ravel(), q)
 
 
 @eqx.filter_jit
 def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbit:
-    """The orbit that a solution is."""
+    """The orbit of a solution."""
     problem, shot = equations.problem(system), root.at.aux
     starts, q = problem.split(z)
     _, period = problem.setting(q)
@@ -195,7 +192,7 @@ def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbi
     return Orbit(
         x0=starts[0],
         period=jnp.asarray(period, z.dtype),
-        # Of a shot that ended early there is none.
+        # A shot that ended early has no monodromy matrix.
         monodromy=select(shot.result == RESULTS.successful, shot.monodromy, jnp.nan),
         residual=root.size,
         events=shot.events,

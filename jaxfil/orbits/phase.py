@@ -1,8 +1,4 @@
-"""The phase of an autonomous orbit, which may start at any of its states.
-
-An orbit and the unknowns of another one enter; its own unknowns leave, started where it comes
-nearest to the start of the other.
-"""
+"""The phase of an autonomous orbit, which may start at any of its states."""
 
 import numpy as np
 
@@ -10,8 +6,8 @@ from jaxfil.orbits.orbit import Orbit
 
 
 def phased_like(orbit: Orbit, u: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The unknowns u of an orbit with the starts of its arcs moved along it, to about the square of
-    a fine step."""
+    """The unknowns u of an orbit, with the starts of its arcs shifted to where it is nearest to
+    another orbit's start, to about the square of a fine step."""
     m, n = orbit.starts.shape
     run = orbit.trajectory()
     assert run.xs is not None and run.ts is not None

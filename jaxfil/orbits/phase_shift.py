@@ -1,8 +1,8 @@
-"""The phase at which the orbits of a branch are shot, where a contact comes to fall on it.
+"""Change of the phase at which the orbits of a branch are shot, if a contact reaches it.
 
-As a contact passes the phase t0 the orbit goes on smoothly, and x(t0) jumps: by a reset, or with a
-corner. An orbit problem and points of its branch enter; the same branch, seen from a phase far from
-all contacts, leaves, with the points there, and points of that seen from t0 again.
+As a contact passes the phase t0 the orbit varies smoothly, but x(t0) jumps by a reset, or has a
+corner. The branch is then shot from a phase far from all contacts, and its points are converted
+back to t0.
 """
 
 import dataclasses
@@ -19,12 +19,12 @@ from jaxfil.orbits.closing import OrbitProblem
 from jaxfil.orbits.corrector import OrbitPoint
 from jaxfil.xla.known import array_of
 
-# A contact falls on the phase where it is nearer than this part of the period.
+# A contact is at the phase if it is nearer than this fraction of the period.
 _NEAR = 1e-3
 
 
 def contact_phases(problem: OrbitProblem, point: OrbitPoint) -> np.ndarray:
-    """When the contacts are, from t0 on, in parts of the period from 0 to 1, ascending."""
+    """The phases of contacts after t0, as fractions of the period from 0 to 1, ascending."""
     events = point.shot.events
     if events is None:
         return np.zeros(0)
@@ -40,8 +40,8 @@ def period_of(problem: OrbitProblem, point: OrbitPoint) -> float:
 
 
 def quiet_phase(problem: OrbitProblem, point: OrbitPoint) -> float | None:
-    """The middle of the longest time without a contact, in parts of the period after t0, where one
-    falls on t0; otherwise None. Of an autonomous orbit, or of several arcs, none is looked for."""
+    """The middle of the longest time without a contact, as a fraction of the period after t0, if a
+    contact is at t0; otherwise None. Not for autonomous orbits, or several arcs."""
     if problem.autonomous or problem.options.arcs > 1:
         return None
     phases = contact_phases(problem, point)
@@ -60,7 +60,8 @@ def problem_at(problem: OrbitProblem, t0: float) -> OrbitProblem:
 
 
 def seen_from(problem: OrbitProblem, point: OrbitPoint, part: float) -> np.ndarray:
-    """The unknowns of a point of the problem, with its state a part of the period after t0."""
+    """The unknowns of a point of the problem, with its state at a fraction of the period after
+    t0."""
     u = array_of(point.u)
     state = _later(problem, u, array_of(part, u.dtype))
     n = np.shape(point.shot.ends)[-1]

@@ -1,8 +1,4 @@
-"""A curve of bifurcations in the plane of two parameters, whatever it is that bifurcates.
-
-The parameters and kinds of its points enter; the picture and the card that all such curves have
-leave.
-"""
+"""Curves of bifurcations in the plane of two parameters, with their picture and card."""
 
 import equinox as eqx
 import numpy as np
@@ -15,7 +11,7 @@ from jaxfil.model.types import Axes
 
 
 class PlaneCurve(eqx.Module):
-    """What curves of bifurcations in two parameters have in common."""
+    """The base class of curves of bifurcations in two parameters."""
 
     parameters: eqx.AbstractVar[tuple[str, str]]
     values: eqx.AbstractVar[Float[np.ndarray, "k 2"]]

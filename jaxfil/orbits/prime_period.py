@@ -1,7 +1,7 @@
-"""The prime period of an autonomous orbit: a guess of the period may lead to a multiple of it.
+"""The prime period of an autonomous orbit; a guess of the period may converge to a multiple.
 
-An orbit enters; how many times it is run through in its period leaves. Contacts tell that by
-themselves; of an orbit without any the states after parts of the period do.
+Contacts show the multiplicity; for an orbit without contacts the states after fractions of the
+period do.
 """
 
 import equinox as eqx
@@ -15,10 +15,10 @@ from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.shooting import flow_map
 from jaxfil.xla.known import array_of
 
-# A multiple of the period so large is found from a guess as far off, and nobody makes one.
+# Larger multiples result only from a guess as far off, which is not expected.
 _MOST = 12
-# An orbit closes where its states differ by less than this part: integrated with other steps, they
-# differ by the error of those. Newton's method has the last word.
+# An orbit closes if its states differ by less than this fraction; with other steps they differ by
+# the error of the steps. Newton's method decides.
 _CLOSE = 1e-4
 
 
@@ -37,7 +37,7 @@ def times_round(orbit: Orbit) -> int:
 
 
 def _repeats(events: Events, period: float, k: int) -> bool:
-    """Whether contacts are the same again after each k-th part of the period."""
+    """Whether contacts repeat after each k-th of the period."""
     ts, xs = np.asarray(events.ts), np.asarray(events.xs)
     count = ts.size
     if count % k:
@@ -51,8 +51,8 @@ def _repeats(events: Events, period: float, k: int) -> bool:
 
 @eqx.filter_jit
 def _gaps(orbit: Orbit, parts: Array) -> Array:
-    """How far the orbit is from closing after each part of the period, beside the largest of
-    that."""
+    """The distance of the orbit from closing after each fraction of the period, relative to the
+    largest distance."""
 
     def gap(part: Array) -> Array:
         forward = flow_map(
@@ -64,6 +64,6 @@ def _gaps(orbit: Orbit, parts: Array) -> Array:
         return jnp.max(abs(forward(orbit.x0, jnp.zeros_like(part)) - orbit.x0))
 
     gaps = jax.lax.map(gap, parts)
-    # At rest it closes after any time, and after none: that is no multiple.
+    # At rest it closes after any time, including zero, which is not a multiple.
     largest = jnp.max(gaps)
     return gaps / jnp.where(largest == 0, gaps, largest)

@@ -1,8 +1,7 @@
-"""Pseudo-arclength continuation: along a curve of solutions, step by step.
+"""Pseudo-arclength continuation along a curve of solutions.
 
-A `Curve` and a point on it enter; the points on either side leave, in order, with the special ones
-among them and why they end. The predictor goes along the tangent, the corrector comes back to the
-curve across it: the parameter is one unknown among others, so that a fold is no obstacle.
+The predictor goes along the tangent, the corrector returns to the curve across it. The parameter is
+one unknown among others, so that folds need no special treatment.
 """
 
 import dataclasses
@@ -14,8 +13,8 @@ from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.orbits.curve import Curve, CurvePoint, Special, constraint_across
 
-# Between two points the tangent may turn by this cosine, and they may be so many steps apart: what
-# lies further away is on another curve.
+# Between two points the cosine of the tangent's turn is at least this, and their distance at most
+# this many steps; points further away are on another curve.
 _SHARP, _STRAYED = 0.9, 2.0
 
 _Point = TypeVar("_Point", bound=CurvePoint)
@@ -23,8 +22,8 @@ _Point = TypeVar("_Point", bound=CurvePoint)
 
 @dataclasses.dataclass(frozen=True)
 class Path(Generic[_Point]):
-    """Points in order, the special ones, why they end at either side, and whether the last point is
-    the first one again."""
+    """Points in order, the special ones, the reasons for the end at either side, and whether the
+    last point is the first one again."""
 
     points: list[_Point]
     special: list[Special[_Point]]
@@ -34,7 +33,7 @@ class Path(Generic[_Point]):
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """The range of the parameter in which to stay, and the directions in which to go, ±1."""
+    """The allowed range of the parameter, and the directions of continuation, ±1."""
 
     low: float
     high: float
@@ -51,7 +50,7 @@ def ends_of(stop: Any) -> list[float]:
 
 
 def range_around(ends: list[float], value: float) -> Range:
-    """What they mean for a curve that starts at a value."""
+    """The range for a curve that starts at a value."""
     if len(ends) == 1:
         (end,) = ends
         if end == value:
@@ -65,8 +64,8 @@ def range_around(ends: list[float], value: float) -> Range:
 
 
 def range_ahead(ends: list[float], value: float) -> Range:
-    """What they mean for a curve that begins at a value and is followed one way, wherever it goes:
-    a single number bounds one side only."""
+    """The range for a curve that begins at a value and is followed one way, in any direction; a
+    single number bounds one side only."""
     within = range_around(ends, value)
     if len(ends) == 1:
         (way,) = within.ways
@@ -78,7 +77,7 @@ def range_ahead(ends: list[float], value: float) -> Range:
 def follow(
     curve: Curve[_Point], start: _Point, within: Range, max_step: float, max_points: int
 ) -> Path[_Point]:
-    """The curve from one point on to its ends, ahead being where its tangent points."""
+    """The curve from one point to its ends, starting in the direction of its tangent."""
     paths: list[Path[_Point]] = []
     for way in within.ways:
         begin = dataclasses.replace(start, tangent=way * start.tangent)
@@ -93,8 +92,7 @@ def follow(
 
 
 def _joined(first: Path[_Point], ahead: Path[_Point]) -> Path[_Point]:
-    """Both ways from one point as one path, what was found on the way back in the order of the way
-    ahead."""
+    """Both directions from one point as one path, in the order of the direction ahead."""
     shift = len(first.points) - 1
     turned = [
         Special(s.kind, s.point, s.after, s.before, shift - s.index + 1)
@@ -127,7 +125,7 @@ def _follow(
                 last = curve.special_end(here)
                 special.extend(dataclasses.replace(s, index=len(points) - 1) for s in last)
                 return end(_lost(curve, here))
-            # In the new direction nothing is known of the curve: steps grow from a small one.
+            # The curve is unknown in the new direction; steps grow from a small one.
             (ahead, corner), ds = beyond, 0.1 * curve.steps.first
         refusal = curve.refusal(ahead)
         if refusal is not None:
@@ -138,7 +136,7 @@ def _follow(
         if edge is not None:
             last, gone = curve.at_value(here, ahead, edge), _reach(here, ahead)
             if last is None and corner is None and gone > curve.steps.least:
-                ds = 0.5 * gone  # what lies in between is too much for one step
+                ds = 0.5 * gone  # too many changes for one step
                 continue
             ahead, why = last or ahead, f"{curve.parameter} = {edge:.10g} was reached"
         if corner is not None:
@@ -159,7 +157,7 @@ def _follow(
 
 
 def _lost(curve: Curve[_Point], here: _Point) -> str:
-    """Why no step leads on from a point: what the shortest one meets."""
+    """The reason why no step from a point succeeds, from the shortest step."""
     scale, tangent = _measured(curve, here)
     step = curve.steps.least
     constraint = constraint_across(here.u, scale, tangent, step)
@@ -172,15 +170,15 @@ def _lost(curve: Curve[_Point], here: _Point) -> str:
 
 
 def _measured(curve: Curve[_Point], here: _Point) -> tuple[np.ndarray, np.ndarray]:
-    """The scales in which a step from a point is measured, and its tangent in these. It is known in
-    the scales in which the point was found."""
+    """The scales of a step from a point, and its tangent in these scales, which differ from the
+    scales of the point itself."""
     scale = curve.metric(here)
     tangent = here.tangent * here.scale / scale
     return scale, tangent / np.linalg.norm(tangent)
 
 
 def _last(curve: Curve[_Point], start: _Point, here: _Point, ahead: _Point) -> tuple[_Point, str]:
-    """The end of a step, and why the curve ends there, if it does."""
+    """The end of a step, and the reason if the curve ends there."""
     if _returns(curve, start, here, ahead):
         return start, f"closed at {curve.told(start)}"
     return curve.last_between(here, ahead) or (ahead, "")
@@ -190,7 +188,7 @@ def _returns(curve: Curve[_Point], start: _Point, here: _Point, ahead: _Point) -
     """Whether a step passes the start again, in the same direction."""
     scale, place = start.scale, curve.place
     reach = np.linalg.norm((ahead.u - here.u) / scale)
-    # In the parameter alone first: it must be near, and not be left behind.
+    # In the parameter alone first, which must be near, and not be passed.
     towards = (start.u[place] - here.u[place]) / scale[place]
     if here is start or abs(towards) > reach or towards * start.tangent[place] < -(reach**2):
         return False
@@ -211,7 +209,7 @@ def _returns(curve: Curve[_Point], start: _Point, here: _Point, ahead: _Point) -
 
 
 def _reach(here: _Point, ahead: _Point) -> float:
-    """How far a step has gone, in scaled unknowns."""
+    """The length of a step, in scaled unknowns."""
     return float(np.linalg.norm((ahead.u - here.u) / ahead.scale))
 
 
@@ -226,13 +224,13 @@ def _advance(
     steps = curve.steps
     scale, tangent = _measured(curve, here)
     while ds >= steps.least:
-        # The prediction fulfils the constraint already: the corrector moves at right angles to it.
+        # The prediction satisfies the constraint; the corrector moves at right angles to it.
         constraint = constraint_across(here.u, scale, tangent, ds)
         ahead = curve.correct(here.u + ds * tangent * scale, constraint, tangent)
         if ahead is not None:
             cosine = float(ahead.tangent @ tangent)
             strayed = np.linalg.norm((ahead.u - here.u) / scale) > _STRAYED * ds
-            # A corner is passed in a short step; a curve is followed in many.
+            # A corner is passed in one short step; a curve is followed in many.
             if not strayed and (cosine > _SHARP or ds < steps.corner):
                 grows = cosine > steps.straight and ahead.num_steps <= steps.easy
                 return ahead, min(max_step, steps.growth * ds) if grows else ds

@@ -1,8 +1,4 @@
-"""A bracketed zero of a smooth function, with a fixed number of evaluations.
-
-A function, the ends of an interval and the values there enter; the zero leaves. Fixed, so that all
-lanes of a batch do the same.
-"""
+"""A bracketed zero of a smooth function, with a fixed number of evaluations for all lanes."""
 
 from collections.abc import Callable
 
@@ -12,16 +8,16 @@ from jaxtyping import Array, Float
 
 from jaxfil.xla.select import select
 
-# Evaluations. The Illinois rule is of order 1.44: 12 take an interval from 1 to eps, in both
-# precisions, with two to spare.
+# Number of evaluations. The Illinois rule is of order 1.44; 12 reduce an interval from 1 to eps, in
+# both precisions, with two to spare.
 _EVALUATIONS = 14
 
 
 def zero_between(
     function: Callable[[Array], Array], a: Array, b: Array, at_a: Array, at_b: Array
 ) -> Float[Array, ""]:
-    """The zero of `function` in [a, b], by the Illinois variant of regula falsi. Any point of the
-    interval where the values at the ends have the same sign."""
+    """The zero of `function` in [a, b], by the Illinois variant of regula falsi. If the values at
+    the ends have the same sign, any point of the interval."""
 
     def narrow(_: Array, state: tuple) -> tuple:
         low, high, at_low, at_high, last = state
@@ -30,7 +26,7 @@ def zero_between(
         middle = jnp.clip(secant, jnp.minimum(low, high), jnp.maximum(low, high))
         value = function(middle)
         left = (value > 0) == (at_low > 0)
-        # An end that stays for the second time counts half.
+        # The value at an end that stays for the second time is halved.
         kept_low = select(last < 0, 0.5 * at_low, at_low)
         kept_high = select(last > 0, 0.5 * at_high, at_high)
         return (

@@ -1,8 +1,7 @@
-"""The shooting function: arcs of an orbit, how far they are from closing, and their derivatives.
+"""The shooting function: the arcs of an orbit, their closure residual, and their derivatives.
 
-A system and a period that depend on some global unknowns q (a parameter, the period itself), and
-the states at the starts of the arcs, enter; a `Shot` leaves, with the derivatives of every arc with
-respect to its own start and to q, by forward mode through every contact.
+Every arc has derivatives with respect to its own start and to global unknowns q (a parameter, the
+period itself), by forward mode through every contact.
 """
 
 import dataclasses
@@ -30,20 +29,20 @@ from jaxfil.xla.select import select
 
 
 class ShootingOptions(eqx.Module):
-    """How an orbit is integrated."""
+    """Options of the integration of an orbit."""
 
     t0: Float[Array, ""]
-    """When it starts: the phase of the forcing."""
+    """The initial time, the phase of the forcing."""
     steps: int = eqx.field(static=True)
-    """Steps for all of it."""
+    """Number of steps of the whole orbit."""
     arcs: int = eqx.field(static=True)
-    """Arcs of multiple shooting."""
+    """Number of arcs of multiple shooting."""
     stepper: Stepper = eqx.field(static=True)
-    """What a step is made by."""
+    """The stepper."""
     max_events: int = eqx.field(static=True)
-    """The most contacts in one arc."""
+    """The largest number of contacts in one arc."""
     compact: bool = eqx.field(static=True)
-    """Whether the stages of a step are in a loop: see `solve`."""
+    """Whether the stages of a step are in a loop (see `solve`)."""
 
     def problem(self, system: System, x0: Array, t0: Array, length: Array, arcs: int) -> Problem:
         """One of `arcs` arcs of equal length, from `t0`."""
@@ -55,9 +54,9 @@ class ShootingOptions(eqx.Module):
 
 
 class Shot(eqx.Module):
-    """All arcs of an orbit: their ends, derivatives, and the contacts met on the way.
+    """All arcs of an orbit: their ends, derivatives, and contacts.
 
-    `size` is the largest |x| of each component, `result` the first arc's that failed.
+    `size` is the largest |x| of each component, `result` the outcome of the first failed arc.
     """
 
     ends: Float[Array, "M n"]
@@ -79,7 +78,7 @@ class Shot(eqx.Module):
 
 
 Setting = Callable[[Array], tuple[System, Array]]
-"""Global unknowns (k,) to the system and the period."""
+"""Maps global unknowns (k,) to the system and the period."""
 
 
 def shoot(
@@ -96,7 +95,7 @@ def shoot(
             problem = options.problem(system, z[:n], t0, length, options.arcs)
             state = integrate(problem, problem.system.unpack(z[:n]))
             x = pack(state.motion.x, z.dtype)
-            # Of the states at the steps: what a component is measured by, and no more than that.
+            # From the states at the steps, which is accurate enough for the scale of a component.
             size = jnp.maximum(pack(state.motion.scale, z.dtype), abs(x))
             mode = pack(state.first_mode, z.dtype).astype(jnp.int8)
             result = period_outcome(period, state.result)
@@ -107,17 +106,17 @@ def shoot(
             by, more = jax.jacfwd(end, has_aux=True)(z)
             return by[:, :n], by[:, n:], *more
 
-        # One derivative by all that an arc depends on: the directions share the steps, the contacts
-        # and the loop.
+        # One derivative by all inputs of an arc; the directions share the steps, the contacts and
+        # the loop.
         return kernel_if_it_fits(slopes, options.compact)(jnp.concatenate([start, q]))
 
     numbers = jnp.arange(options.arcs).astype(starts.dtype)
-    if options.arcs == 1:  # a batch of one would take as long to trace as a batch
+    if options.arcs == 1:  # a batch of one would take as long to trace as a larger batch
         done = jax.tree.map(lambda v: v[None], arc(numbers[0], starts[0]))
     else:
         done = jax.vmap(arc)(numbers, starts)
     by_start, by_global, ends, sizes, events, counts, modes, results = done
-    # The last write wins: the outcome is that of the first arc that failed.
+    # The last write wins, so the outcome belongs to the first failed arc.
     result = RESULTS.successful
     for i in reversed(range(options.arcs)):
         one = jax.tree.map(lambda v, i=i: v[i], results)
@@ -167,7 +166,7 @@ def flow_map(
     setting: Setting, options: ShootingOptions, q: Array, part: float
 ) -> Callable[[Array, Array], Array]:
     """A function from a state at the start of stretch number 0, 1, …, each this `part` of the
-    period, to that at its end: the same state where it cannot be integrated."""
+    period, to the state at its end; the same state if it cannot be integrated."""
     system, period = setting(q)
     length = part * period
 

@@ -1,8 +1,7 @@
-"""What happens on a branch of orbits between two neighbours.
+"""Special points on a branch of orbits between two neighbours.
 
-Two points of the branch enter; the points between them where a test function of the orbit is zero
-(a fold, a period doubling, a Neimark–Sacker point, a branch point) or its sequence of contacts
-changes leave.
+They are zeros of test functions (a fold, a period doubling, a Neimark–Sacker point, a branch point)
+and changes of the sequence of contacts.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,22 +20,22 @@ def _fold(point: OrbitPoint) -> float:
 
 
 def _branch_point(point: OrbitPoint) -> float:
-    # Of the equations and the tangent of the curve: at a fold of the curve it does not vanish.
+    # With the tangent appended, the determinant does not vanish at a fold of the curve.
     return float(np.linalg.det(np.vstack([point.rows, point.tangent])))
 
 
 def period_doubling(monodromy: np.ndarray) -> float:
-    """Π (μ + 1): smooth, where a single multiplier would have to be told from the others."""
+    """Π (μ + 1), which is smooth where a single multiplier cannot be identified."""
     return float(np.linalg.det(monodromy + np.eye(len(monodromy))))
 
 
 def neimark_sacker(monodromy: np.ndarray) -> float:
-    """The modulus of a complex pair of multipliers less one; NaN where there is no such pair."""
+    """The modulus of a complex pair of multipliers minus one; NaN without such a pair."""
     return pair_on_circle(np.linalg.eigvals(monodromy))
 
 
 def pair_on_circle(values: np.ndarray) -> float:
-    """The same of multipliers."""
+    """The same, from multipliers."""
     pair = values[np.imag(values) > 0]
     return float(np.max(abs(pair)) - 1) if pair.size else np.nan
 
@@ -50,16 +49,16 @@ _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
 
 
 def kind_of_change(before: tuple, after: tuple) -> str:
-    """What a change of the contacts is called: "rest" where the orbit begins or ceases to rest."""
+    """The kind of a change of contacts: "rest" where the orbit begins or ceases to rest."""
     return "contacts" if rests_in(before) == rests_in(after) else "rest"
 
 
 def special_orbits(
     curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint, period: Callable[[OrbitPoint], float]
 ) -> Iterator[Special[OrbitPoint]]:
-    """Special points between two neighbours, in order. Impacts that die out are infinitely many,
-    however many of them are followed."""
-    # Test functions jump where the contacts change: they are looked at piece by piece.
+    """Special points between two neighbours, in order. Impacts that die out count as infinitely
+    many."""
+    # Test functions jump where the contacts change, so pieces between changes are searched.
     while a.sequence != b.sequence:
         contacts = a.sequence
         before, after = change_on_curve(curve, a, b, lambda p, c=contacts: p.sequence == c)

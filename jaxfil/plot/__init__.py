@@ -1,19 +1,18 @@
-"""Pictures: a diagram, a motion or an orbit enters, the matplotlib axes it was drawn on leave.
+"""Pictures of results.
 
-The only folder that knows matplotlib, which is why importing jaxfil does not import this one. Every
-picture takes the axes to draw on, or makes its own, and gives them back.
+Only this room imports matplotlib, so importing jaxfil does not import it. Every picture draws on
+given or new axes, and returns them.
 
-The words of this room:
+Terms of this room:
 
-- page: a figure that no window shows, for a picture that goes to a file.
-- canvas: what pictures are drawn on and with: pages, axes, and the colours of Okabe and Ito, which
-  colour-blind readers tell apart.
+- page: a figure without a window, for a picture in a file.
+- canvas: pages, axes, and the colours of Okabe and Ito, which colour-blind readers can distinguish.
 - history: one component against time, over bands that show the mode.
 - portrait: one component against another, with the contacts marked.
-- section: the states at which a motion meets a Poincaré section.
+- section: the states at which a motion crosses a Poincaré section.
 - band: a strip of the axes in the colour of a mode, one for each surface.
 - map: a colour for each point of a plane, of two parameters or of two components.
-- widget: sliders over a picture in a notebook, which is drawn anew as they move.
+- widget: sliders over a picture in a notebook, which is redrawn as they move.
 - kinds: the marker and the colour of each kind of bifurcation, contact and mode, in every picture.
 - hook: each picture of a result registers itself (`draws`), and the result's `plot()` finds it.
 """

@@ -1,7 +1,4 @@
-"""A motion that moves, with its contacts as they happen.
-
-A solution enters; an animation of matplotlib leaves, for a notebook or a file.
-"""
+"""An animation of a motion, with its contacts as they happen."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -30,17 +27,17 @@ def animation(
 ) -> FuncAnimation:
     """Move a point along a motion in the plane of two components.
 
-    It draws its path behind it, and each contact is marked by its kind once it has happened. Frames
-    are evenly spaced in time; between saved states the point moves on straight lines.
+    The path is drawn behind the point, and each contact is marked by its kind once it has happened.
+    Frames are evenly spaced in time; between saved states the point moves on straight lines.
 
     **Arguments**
 
     - `sol`: a `Solution` of one lane with two saved times or more.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `system`: the `System` whose surfaces are drawn; by default none are.
-    - `components`: the numbers of the two components, that to the right first.
-    - `frames`: how many there are, two or more.
-    - `interval`: how long each is shown, in milliseconds.
+    - `ax`: the axes to draw on; by default new ones.
+    - `system`: the `System` whose surfaces are drawn; None to omit them.
+    - `components`: the two components, horizontal first.
+    - `frames`: number of frames, two or more.
+    - `interval`: time of each frame in milliseconds.
 
     **Returns** a `matplotlib.animation.FuncAnimation`: keep it, `save` it to a file, or show
     `to_jshtml()` in a notebook.
@@ -97,5 +94,5 @@ def animation(
 
     show(float(ts[0]))
     moments = np.linspace(ts[0], ts[-1], frames)
-    figure: Any = ax.figure  # also of axes in a part of a figure
+    figure: Any = ax.figure  # also for axes in a subfigure
     return FuncAnimation(figure, show, frames=moments, interval=interval)

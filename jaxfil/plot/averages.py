@@ -1,7 +1,4 @@
-"""An average of the lanes of a sweep: a curve over one parameter, or a map over two.
-
-A diagram enters; the axes it was drawn on leave.
-"""
+"""An average of the lanes of a sweep, as a curve over one parameter or a map over two."""
 
 from typing import Any
 
@@ -22,17 +19,17 @@ def averages(
     colorbar: bool | Axes = True,
     **style: Any,
 ) -> Axes:
-    """Draw what was averaged of each lane of a sweep over its parameter, or as a map over two.
+    """Draw an average of each lane of a sweep over its parameter, or as a map over two.
 
-    Lanes that failed are left out.
+    Failed lanes are omitted.
 
     **Arguments**
 
     - `diagram`: a `BifurcationDiagram` of `bifurcation_diagram(..., average=…)`, of one parameter
       or over a grid of two.
-    - `name`: which average, by default the first. It is what the axis is called: "power, W".
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which number of an average of several, counted along its last dimension first.
+    - `name`: name of the average, by default the first; also the label of the axis: "power, W".
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: index into an average of several numbers, in C order.
     - `colorbar`: whether to draw the scale of colours beside a map, or the axes to draw it in.
     - `style`: matplotlib's keywords of the curve, as `color`, `lw` or `label`.
 

@@ -1,7 +1,4 @@
-"""Basins of attraction over a grid of initial states.
-
-Basins enter; the axes they were drawn on leave.
-"""
+"""Basins of attraction over a grid of initial states."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,21 +10,21 @@ from jaxfil.model.drawing import draws
 from jaxfil.plot.canvas import BLACK, WHITE, color_bar, own_axes, shades
 from jaxfil.sweep.basins import Basins
 
-# Attractors behind this part of the width have their number to the left.
+# Attractors beyond this fraction of the width have their number on their left side.
 _RIGHT = 0.95
 
 
 @draws(Basins)
 def basins(found: Basins, ax: Axes | None = None, colorbar: bool | Axes = True) -> Axes:
-    """Draw each initial state in the colour of the attractor that it leads to.
+    """Draw each initial state in the colour of its attractor.
 
     The section points of the attractors are drawn on top, each with its attractor's number. Black
-    found no period, white failed.
+    states have no detected period, white ones failed.
 
     **Arguments**
 
     - `found`: `Basins` over two values or more of each component.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 
     **Returns** the matplotlib axes.
@@ -47,7 +44,7 @@ def basins(found: Basins, ax: Axes | None = None, colorbar: bool | Axes = True) 
             f"{found.labels.shape}."
         )
     ax = own_axes(ax)
-    # A mesh needs ascending axes, and draws rows upwards: hence the order and the transpose.
+    # A mesh needs ascending axes and draws rows upwards, hence the order and the transpose.
     order = [np.argsort(axis) for axis in found.axes]
     labels = found.labels[np.ix_(*order)].T
     seen = np.unique(labels)
@@ -73,7 +70,7 @@ def basins(found: Basins, ax: Axes | None = None, colorbar: bool | Axes = True) 
         x, y = (points[:, c] for c in found.components)
         ax.plot(x, y, "o", color=WHITE, markeredgecolor=BLACK, markersize=5)
         for place in zip(x, y, strict=True):
-            # Beside the right edge there is no room.
+            # There is no space at the right edge.
             left = place[0] > _RIGHT * limits[0][1] + (1 - _RIGHT) * limits[0][0]
             number = ax.annotate(
                 str(k),

@@ -1,7 +1,4 @@
-"""The orbits along a branch, in the plane, or in the space, of their components.
-
-A branch enters; the axes it was drawn on leave.
-"""
+"""The orbits along a branch, in the plane or in the space of their components."""
 
 from collections.abc import Iterable
 
@@ -16,7 +13,7 @@ from jaxfil.plot.path import chosen, path
 from jaxfil.plot.path_in_time import draw_in_colors
 from jaxfil.xla.known import part_of
 
-# Steps of the branch from one orbit that is drawn to the next come to so many orbits.
+# Approximate number of drawn orbits, evenly spaced in steps of the branch.
 _SHOWN = 15
 
 
@@ -27,14 +24,14 @@ def branch_orbits(
     colorbar: bool | Axes = True,
     lw: float = 1.0,
 ) -> Axes:
-    """Draw orbits along a branch, some fifteen of them, in colours that tell the parameter.
+    """Draw some fifteen orbits along a branch, in colours that show the parameter.
 
     **Arguments**
 
     - `branch`: a `Branch`.
-    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default those of a
-      figure of their own.
-    - `components`: the numbers of two components, that to the right first, or of three.
+    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default new
+      ones.
+    - `components`: the numbers of two components, horizontal first, or of three.
     - `colorbar`: whether to draw the scale of the parameter beside them, or the axes to draw it in.
     - `lw`: the width of the lines in points.
 

@@ -1,7 +1,6 @@
-"""What pictures are drawn on, and with: pages, axes and colours.
+"""Pages, axes and colours of pictures.
 
-Axes, or nothing, enter; axes to draw on leave. The colours are those of M. Okabe and K. Ito, Color
-Universal Design (2008), which colour-blind readers tell apart.
+The colours are from M. Okabe and K. Ito, Color Universal Design (2008), for colour-blind readers.
 """
 
 from collections.abc import Iterable
@@ -23,8 +22,8 @@ BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
 ORANGE, SKY, YELLOW = "#E69F00", "#56B4E9", "#F0E442"
 COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 
-# For `matplotlib.rc_context`: text of 8 points, lines and marks to match, and fonts that a
-# publisher's programs can read (type 42), for pages of the width at which they are printed.
+# For `matplotlib.rc_context`: text of 8 points, matching lines and marks, and fonts of type 42 that
+# publishers accept, for pages at their printed width.
 PRINT = MappingProxyType(
     {
         "font.size": 8.0,
@@ -52,15 +51,15 @@ PRINT = MappingProxyType(
 
 
 def page(width: float = 203.2, height: float | None = None) -> Figure:
-    """An empty figure that no window shows, for a picture that goes to a file.
+    """An empty figure without a window, for a picture in a file.
 
-    Print it as wide as it is: journals have columns of 84 to 90 mm and pages of 174 to 180 mm.
+    Print it at its own width; journals have columns of 84 to 90 mm and pages of 174 to 180 mm.
     Drawn within `matplotlib.rc_context(jaxfil.plot.PRINT)`, its text has 8 points there.
 
     **Arguments**
 
-    - `width`: in millimetres; by default 8 inches.
-    - `height`: in millimetres; by default 5/8 of the width.
+    - `width`: width in millimetres; by default 8 inches.
+    - `height`: height in millimetres; by default 5/8 of the width.
 
     **Returns** a `matplotlib.figure.Figure` of 200 dots per inch: add axes with `add_subplot`, and
     write it with `savefig`.
@@ -74,32 +73,33 @@ def page(width: float = 203.2, height: float | None = None) -> Figure:
     >>> page.get_size_inches().round(2).tolist(), label.get_fontsize()
     ([3.31, 2.07], 8.0)
     """
-    # Not of pyplot, which keeps every figure alive until it is closed and may look for a display.
+    # Without pyplot, which retains every figure until it is closed and may open a display.
     inches = np.array([width, 5 / 8 * width if height is None else height]) / 25.4
     return Figure(figsize=tuple(inches), dpi=200, layout="constrained")
 
 
 def own_axes(ax: object, projection: str | None = None) -> Axes:
-    """The axes given, or without any those of a figure of their own, of a projection if need be."""
+    """The given axes, or new ones, checked for the projection."""
     if isinstance(ax, Axes):
         if projection is not None and ax.name != projection:
             raise ValueError(f'`ax` must have projection="{projection}", got "{ax.name}".')
         return ax
     if ax is not None:
         raise ValueError(f"`ax` must be matplotlib axes or None, got {type(ax).__name__}.")
-    import matplotlib.pyplot as plt  # looks for a display, so only when a window is wanted
+    import matplotlib.pyplot as plt  # opens a display, so only if axes are not given
 
     return plt.subplots(layout="constrained", subplot_kw={"projection": projection})[1]
 
 
 def styled(given: dict[str, Any], **ours: Any) -> dict[str, Any]:
-    """Keywords of a line: those given, under one name each (`linewidth` for `lw`), over ours."""
+    """Keywords of a line, where given ones, under their long names (`linewidth` for `lw`), replace
+    ours."""
     return {**ours, **normalize_kwargs(given, Line2D)}
 
 
 def legend(ax: Axes, more: Iterable[Artist] = (), **options: Any) -> None:
-    """A legend with one entry for each label, however often it was drawn, and more entries before
-    them; none without labels."""
+    """A legend with one entry for each label, however often it was drawn, after the entries `more`;
+    omitted without labels."""
     entries = {handle.get_label(): handle for handle in more}
     for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
         entries.setdefault(label, handle)
@@ -110,7 +110,8 @@ def legend(ax: Axes, more: Iterable[Artist] = (), **options: Any) -> None:
 def color_bar(
     ax: Axes, picture: ScalarMappable, colorbar: bool | Axes, **options: Any
 ) -> Colorbar | None:
-    """The scale of a picture's colours beside it, or in the axes given; none where refused."""
+    """The scale of a picture's colours next to it, or in the given axes; None if `colorbar` is
+    False."""
     if isinstance(colorbar, Axes):
         return ax.figure.colorbar(picture, cax=colorbar, **options)
     if not isinstance(colorbar, bool):
@@ -122,8 +123,8 @@ def color_bar(
 
 
 def shades(count: int) -> list[str]:
-    """That many different colours: those of `COLORS`, then lighter, then darker ones; more than
-    three times as many are spread over a spectrum."""
+    """`count` different colours: `COLORS`, then lighter and darker ones; more than three times as
+    many are spread over a spectrum."""
     if count > 3 * len(COLORS):
         from matplotlib import colormaps
 
@@ -140,7 +141,7 @@ def subscript(i: int) -> str:
 
 def marker_size(ax: Axes, columns: int) -> float:
     """The width of a column of samples in points, from 0.8 up to three."""
-    # Markers as wide as a column leave no gap and hide no neighbour; thinner ones vanish on paper.
+    # Markers as wide as a column have no gap and no overlap; thinner ones vanish on paper.
     return float(np.clip(points_of(ax)[0] / columns, 0.8, 3.0))
 
 

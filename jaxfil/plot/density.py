@@ -1,7 +1,4 @@
-"""A Poincaré section coloured by how often the motion comes to each part of it.
-
-States enter; the axes they were drawn on leave.
-"""
+"""A Poincaré section coloured by the density of its points."""
 
 from collections.abc import Iterable
 
@@ -25,16 +22,16 @@ def section_density(
 ) -> Axes:
     """Draw the density of a section's points, in a logarithmic scale of colours.
 
-    Where dots would run into each other, it still tells the often visited parts of an attractor
-    from the rare ones. The integral over the axes is one.
+    It distinguishes often visited parts of an attractor from rare ones where dots would overlap.
+    The integral over the axes is one.
 
     **Arguments**
 
-    - `xs`: states, shape (k, n) or (…, k, n); those that are not finite are left out.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `components`: the numbers of the two components, that to the right first.
-    - `system`: the `System` whose names the axes have; by default x[0], x[1], ….
-    - `bins`: into how many cells either axis is divided.
+    - `xs`: states, shape (k, n) or (…, k, n); states that are not finite are omitted.
+    - `ax`: the axes to draw on; by default new ones.
+    - `components`: the numbers of the two components, horizontal first.
+    - `system`: the `System` with the names of the axes; by default x[0], x[1], ….
+    - `bins`: number of cells along either axis.
     - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 
     **Returns** the matplotlib axes.

@@ -1,7 +1,4 @@
-"""A branch of equilibria against its parameter.
-
-An `EquilibriumBranch` enters; the axes it was drawn on leave.
-"""
+"""A branch of equilibria against its parameter."""
 
 from typing import Any
 
@@ -21,14 +18,14 @@ from jaxfil.plot.orbits import draw_stability
 def equilibrium_branch(
     branch: EquilibriumBranch, ax: Axes | None = None, component: int = 0, **style: Any
 ) -> Axes:
-    """Draw a branch of equilibria against its parameter, unstable parts dashed, those that slide or
-    rest on a surface underlaid, and what happens on the branch marked.
+    """Draw a branch of equilibria against its parameter, unstable parts dashed, parts that slide or
+    rest on a surface underlaid, and special points marked.
 
     **Arguments**
 
     - `branch`: an `EquilibriumBranch`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state is drawn, from 0.
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state to draw, from 0.
     - `style`: matplotlib's keywords of the lines, as `color` or `lw`.
 
     **Returns** the matplotlib axes.
@@ -48,7 +45,7 @@ def equilibrium_branch(
     curve = np.asarray(branch.equilibria.x)[:, check.component("component", component, n)]
     held = np.any(abs(np.asarray(branch.equilibria.mode)) != 1, axis=1)
     if held.any():
-        # A boundary equilibrium is in the mode after it, and ends the piece before it too.
+        # A boundary equilibrium has the mode after it, and also ends the piece before it.
         ends = np.isin(np.arange(1, held.size), [point.index for point in branch.points])
         shown = held | np.append(False, held[:-1] & ends)
         heights = np.where(shown, curve, np.nan)

@@ -1,7 +1,6 @@
 """Sliders of parameters over a motion, for a notebook.
 
-A system and ranges of its parameters enter; a widget leaves, whose picture is the motion at what
-the sliders say. One program is compiled, which takes the parameters as arrays.
+One program is compiled, with the parameters as array arguments.
 """
 
 import importlib
@@ -31,7 +30,7 @@ from jaxfil.model.types import Scalar, State, Widget
 from jaxfil.plot.canvas import VERMILLION
 from jaxfil.plot.portrait import phase_portrait
 
-# Of a slider.
+# Number of steps of a slider.
 _POSITIONS = 200
 
 
@@ -47,17 +46,17 @@ def explore(
     stepper: Stepper | None = None,
     **options: Any,
 ) -> Widget:
-    """Sliders of parameters above the motion from one state, drawn anew as they move.
+    """Sliders of parameters above the motion from one state, redrawn as they move.
 
-    Parameters are arrays in the program: it is compiled for the first picture, and moving a slider
-    compiles nothing. A motion that ends early is drawn as far as it came, with its outcome.
+    Parameters are arrays in the program. It is compiled for the first picture, and moving a slider
+    does not recompile. A motion that ends early is drawn up to its end, with its outcome.
 
     **Arguments**
 
     - `system`: the `System`.
     - `ranges`: the least and the greatest value of each parameter by its name. A slider starts at
-      the system's value, or at the end that is nearer.
-    - `x0`, `t0`, `t1`, `dt`, `stepper`: as `jaxfil.solve` takes them. Every step is drawn.
+      the system's value, or at the nearer end.
+    - `x0`, `t0`, `t1`, `dt`, `stepper`: as in `jaxfil.solve`. Every step is drawn.
     - `picture`: a function of this module that draws a `Solution`, as `time_history`; by default
       `phase_portrait`. It is called with the solution and the axes, and with the system if it has
       an argument `system`.
@@ -67,8 +66,8 @@ def explore(
 
     **Returns** an `ipywidgets.VBox`: a slider for each parameter, in their order, and the picture.
 
-    **Errors**: `ImportError` without ipywidgets; `ValueError` names a parameter that is none of the
-    system, or a range that is none.
+    **Errors**: `ImportError` without ipywidgets; `ValueError` names an unknown parameter or an
+    invalid range.
 
     >>> import jax
     >>> import jax.numpy as jnp
@@ -90,7 +89,7 @@ def explore(
     check.system("system", system)
     if not callable(picture):
         raise ValueError(f"`picture` must be a function of jaxfil.plot, got {picture!r}.")
-    system = cast(system, x.dtype)  # so that no parameter is a constant of the program
+    system = cast(system, x.dtype)  # so that every parameter is an argument of the program
     names = scalar_parameters(system, tuple(ranges))
     labels = labels_of(system, x.shape[0])
     sliders = [
@@ -123,14 +122,14 @@ def _ipywidgets() -> ModuleType:
 
 
 def _page() -> Figure:
-    """A page whose margins are set: to work them out takes as long as to draw a frame."""
+    """A page with fixed margins, because computing them takes as long as drawing a frame."""
     figure = Figure(figsize=(5.5, 3.6), dpi=100)
     figure.subplots_adjust(left=0.13, right=0.9, bottom=0.15, top=0.95)
     return figure
 
 
 def _positions(system: System, name: str, ends: Any) -> dict[str, Any]:
-    """Where a slider begins, ends and starts, and its step."""
+    """The range, the initial value and the step of a slider."""
     limits = np.asarray(ends)
     real = limits.dtype.kind in "fiu" and limits.shape == (2,) and np.isfinite(limits).all()
     if not real or limits[0] >= limits[1]:
@@ -148,13 +147,13 @@ def _draw(
     system: System,
     options: dict[str, Any],
 ) -> None:
-    """The picture of a motion, alone on its figure, with the outcome of one that ended early."""
+    """The picture of a motion, alone on its figure, with its outcome if it ended early."""
     figure.clear()
     space = np.size(options.get("components", ())) == 3
     ax = figure.add_subplot(projection="3d" if space else None)
     if "system" in inspect.signature(picture).parameters:
         options = {"system": system} | options
-    if np.isfinite(np.asarray(sol.ts)).sum() > 1:  # or it has not left its start
+    if np.isfinite(np.asarray(sol.ts)).sum() > 1:  # otherwise it ended at its start
         picture(sol, ax, **options)
     if not is_good(sol.result):
         told = f"{outcome_names(sol.result)} at t = {float(sol.t_final):.4g}"
@@ -163,7 +162,7 @@ def _draw(
 
 def _png(figure: Figure) -> bytes:
     canvas, pixels = FigureCanvasAgg(figure), io.BytesIO()
-    canvas.draw()  # once, and `savefig` would draw it twice
-    # A frame lives for a moment: it is packed fast, not small.
+    canvas.draw()  # once; `savefig` would draw it twice
+    # A frame is shown briefly: fast compression matters more than size.
     imsave(pixels, canvas.buffer_rgba(), format="png", pil_kwargs={"compress_level": 1})
     return pixels.getvalue()

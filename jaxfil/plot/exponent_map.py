@@ -1,7 +1,4 @@
-"""A Lyapunov exponent over two parameters.
-
-A batch of spectra over a grid enters; the axes it was drawn on leave.
-"""
+"""A Lyapunov exponent over two parameters."""
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,7 +9,7 @@ from jaxfil.exponents.lyapunov import LyapunovSpectrum
 from jaxfil.model import check
 from jaxfil.plot.canvas import BLACK, BLUE, VERMILLION, WHITE, color_bar, own_axes, subscript
 
-# Zero is white: chaos is told from regular motion by colour, and how strong it is by its depth.
+# Zero is white; the hue separates chaos from regular motion, and its depth is the strength.
 _SCALE = LinearSegmentedColormap.from_list("exponents", [BLUE, WHITE, VERMILLION])
 
 Values = Float[Array, " p"] | Float[np.ndarray, " p"]
@@ -28,16 +25,16 @@ def exponent_map(
 ) -> Axes:
     """Draw one exponent of each point of a grid, by default the largest.
 
-    Positive ones are red, chaos; negative ones blue; the line is zero. The scale reaches as far
-    down as up, and smaller exponents, −inf too, have its lowest colour. Lanes that failed are left
-    out.
+    Positive ones are red, chaos; negative ones blue; the line is zero. The scale is
+    symmetric, and smaller exponents, including −inf, have its lowest colour. Failed lanes are
+    omitted.
 
     **Arguments**
 
-    - `values`: of both parameters, shapes (a,) and (b,).
+    - `values`: values of both parameters, shapes (a,) and (b,).
     - `spectrum`: a `LyapunovSpectrum` of lanes of shape (a, b), as of `equinox.filter_vmap` twice.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `parameters`: what to write below and beside the axes.
+    - `ax`: the axes to draw on; by default new ones.
+    - `parameters`: labels of the axes.
     - `component`: which exponent, from 0, the largest.
     - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 

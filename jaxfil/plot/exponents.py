@@ -1,7 +1,4 @@
-"""Lyapunov exponents: against a parameter, and as they converge.
-
-Spectra, a transverse exponent or a synchronisation enter; the axes they were drawn on leave.
-"""
+"""Lyapunov exponents against a parameter, and their convergence."""
 
 from typing import Any
 
@@ -25,15 +22,15 @@ def lyapunov_exponents(
 ) -> Axes:
     """Draw all exponents of a batch of spectra, one for each value, against the parameter.
 
-    Exponents of −inf are ticked along the lower edge. Values whose average is no steady motion
-    (`settled` False) are drawn hollow, and left out altogether where the lane failed.
+    Exponents of −inf are ticked along the lower edge. Values whose average is not settled
+    (`settled` False) are drawn hollow, failed lanes are omitted.
 
     **Arguments**
 
-    - `values`: of the parameter, shape (p,).
+    - `values`: values of the parameter, shape (p,).
     - `spectrum`: a `LyapunovSpectrum` of p lanes, as from `equinox.filter_vmap`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `parameter`: what to write below the axis.
+    - `ax`: the axes to draw on; by default new ones.
+    - `parameter`: label of the axis.
     - `style`: matplotlib's keywords of the dots, as `ms` or `alpha`.
 
     **Returns** the matplotlib axes.
@@ -64,7 +61,7 @@ def lyapunov_exponents(
     size = float(np.clip(1.5 * marker_size(ax, values.size), 2.0, 3.0))
     for i, column in enumerate(exponents.T):
         color = COLORS[i % len(COLORS)]
-        # The largest one, of which most is asked, above the others.
+        # The largest one, the most important, above the others.
         ours: dict[str, Any] = {
             "linestyle": "none",
             "marker": "o",
@@ -72,7 +69,7 @@ def lyapunov_exponents(
             "color": color,
         }
         ours = styled(style, **ours, markeredgewidth=0, zorder=2 + 0.1 * (len(exponents.T) - i))
-        lost = np.isneginf(column)  # at no height of the axes
+        lost = np.isneginf(column)  # outside of the axes
         named: dict[str, Any] = {"label": f"λ{subscript(i + 1)}"}
         ax.plot(values[settled & ~lost], column[settled & ~lost], **ours | named)
         passing = np.isfinite(column) & ~settled
@@ -98,13 +95,13 @@ def lyapunov_convergence(
 ) -> Axes:
     """Draw the running estimates of one spectrum, or of one transverse exponent, against time.
 
-    The time is that averaged over. The band is one standard error of the last estimate wide, and
-    shrinks as 1/√t, as the error of a mean does.
+    The time is the averaging time. The band is one standard error of the last estimate wide, and
+    shrinks as 1/√t, like the error of a mean.
 
     **Arguments**
 
     - `spectrum`: a `LyapunovSpectrum` or a `TransverseExponent` of one lane.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `style`: matplotlib's keywords of the lines, as `lw`.
 
     **Returns** the matplotlib axes.
@@ -145,14 +142,14 @@ def lyapunov_convergence(
 
 @draws(Synchronization)
 def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
-    """Draw the smallest distance of drive and response seen at each coupling.
+    """Draw the smallest distance of drive and response at each coupling.
 
     Couplings that synchronised are filled, and a line stands at the exponent that follows.
 
     **Arguments**
 
     - `found`: a `Synchronization` of one lane.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
 
     **Returns** the matplotlib axes.
 
@@ -175,7 +172,7 @@ def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
         )
     ax = own_axes(ax)
     done = np.asarray(found.synchronized)
-    # Two that became equal are drawn where rounding puts them.
+    # Distances of zero are drawn at the level of rounding.
     shown = np.maximum(distances, np.finfo(distances.dtype).eps)
     ax.plot(couplings[~done], shown[~done], "o", color=COLORS[0], fillstyle="none")
     ax.plot(couplings[done], shown[done], "o", color=COLORS[0], label="synchronised")

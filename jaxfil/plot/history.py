@@ -1,7 +1,4 @@
-"""A motion against time, over bands that show its mode.
-
-A solution enters; the axes it was drawn on leave.
-"""
+"""A motion against time, over bands that show its mode."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -29,7 +26,7 @@ from jaxfil.plot.path import (
     spans,
 )
 
-# The height of a surface's strip where there are several, of that of the axes.
+# The height of a surface's strip relative to the axes, with several surfaces.
 _STRIP = 0.05
 
 
@@ -42,17 +39,18 @@ def time_history(
 ) -> Axes:
     """Draw components against time over bands that show the mode.
 
-    Of one surface the bands fill the axes; of several each has a strip below the curves. Impacts
+    For one surface the bands fill the axes; for several each has a strip below the curves. Impacts
     are marked, and their jumps dotted. A band changes at the contact between two saved times, and
-    once at most: save often, as `diffrax.SaveAt(t0=True, steps=True)` does. Of a batch every lane
+    at most once; save often, as with `diffrax.SaveAt(t0=True, steps=True)`. For a batch every lane
     is drawn, without bands.
 
     **Arguments**
 
     - `sol`: a `Solution` with two saved times or more.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `components`: which ones of the state, from 0; several have a colour each.
-    - `system`: the `System` that says where an impact leads; by default to the next saved state.
+    - `ax`: the axes to draw on; by default new ones.
+    - `components`: components of the state, from 0; each has a colour.
+    - `system`: the `System` whose reset gives the state after an impact; by default the next saved
+      state.
     - `style`: matplotlib's keywords of a line, as `color` or `lw`.
 
     **Returns** the matplotlib axes.
@@ -93,7 +91,7 @@ def time_history(
 def _mark_jumps(
     ax: Axes, sol: Solution, system: System | None, kind: EventKind, c: int, color: ColorType
 ) -> None:
-    """A mark where each jump of a kind begins, and a dotted line to where it leads."""
+    """A mark at the start of each jump of a kind, and a dotted line to its end."""
     ts, before, after = jumps(sol, system, kind)
     if not ts.size:
         return
@@ -111,7 +109,7 @@ def _shade_modes(ax: Axes, sol: Solution) -> list[Patch]:
     m = modes.shape[1]
     height = 1.0 if m == 1 else _STRIP
     if m > 1:
-        # The strips have a place of their own below the curves.
+        # The strips are below the curves.
         low, high = ax.get_ylim()
         ax.set_ylim(high - (high - low) / (1 - _STRIP * (m + 1)), high)
     for j in range(m):

@@ -1,13 +1,10 @@
-"""How each kind of bifurcation is drawn, the same in every picture.
-
-The name of a kind enters; a marker and a colour leave. Nothing is computed here.
-"""
+"""The style of each kind of bifurcation, the same in every picture."""
 
 from types import MappingProxyType
 
 from jaxfil.plot.canvas import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, YELLOW
 
-# Marker and colour. The first five are those of tangencies, which curves have too.
+# Marker and colour. The first five belong to tangencies, on curves too.
 KINDS = MappingProxyType(
     {
         "grazing": ("v", BLUE),

@@ -1,7 +1,4 @@
-"""Floquet multipliers in the complex plane.
-
-An orbit, or a branch, enters; the axes its multipliers were drawn on leave.
-"""
+"""Floquet multipliers in the complex plane."""
 
 from typing import Any
 
@@ -16,23 +13,23 @@ from jaxfil.orbits.branch import Branch
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, color_bar, legend, own_axes, styled
 
-# The colours of a branch's parameter.
+# Colours of the parameter of a branch.
 _SCALE = "viridis"
 
 
 def multipliers(
     orbit: Orbit | Branch, ax: Axes | None = None, colorbar: bool | Axes = True, **style: Any
 ) -> Axes:
-    """Draw the Floquet multipliers of an orbit, of a batch of them or of a branch.
+    """Draw the Floquet multipliers of an orbit, of a batch of orbits or of a branch.
 
-    Those outside the unit circle are drawn as crosses: the orbit is unstable. The multiplier 1 that
-    every orbit of an autonomous system has, for a shift in time, is drawn apart and says nothing of
-    stability. Those of a `Branch` have the colour of its parameter.
+    Multipliers outside the unit circle, of an unstable orbit, are crosses. The multiplier 1 of
+    every orbit of an autonomous system, for a shift in time, has a separate mark and does not
+    affect stability. On a `Branch` the colour shows the parameter.
 
     **Arguments**
 
     - `orbit`: an `Orbit`, of one lane or of many, or a `Branch`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `colorbar`: whether to draw the parameter's scale beside them, or the axes to draw it in.
     - `style`: matplotlib's keywords of the marks, as `ms` or `alpha`.
 
@@ -49,7 +46,7 @@ def multipliers(
     orbits = orbit.orbits if isinstance(orbit, Branch) else orbit
     values, trivial = _told_apart(orbits)
     ax = own_axes(ax)
-    # Stability is told by the modulus: equal axes, or the circle would be none.
+    # Stability depends on the modulus, so the scales are equal and the circle is round.
     angle = np.linspace(0, 2 * np.pi, 361)
     ax.plot(np.cos(angle), np.sin(angle), color=BLACK, linewidth=0.8)
     ax.axhline(0, color=BLACK, linewidth=0.3)
@@ -86,11 +83,11 @@ def multipliers(
 
 
 def _told_apart(orbit: Orbit) -> tuple[np.ndarray, np.ndarray]:
-    """The multipliers, and which of them are the trivial one of an autonomous system."""
+    """The multipliers, and flags of the trivial multiplier of an autonomous system."""
     values = np.asarray(orbit.multipliers, complex)
     trivial = np.zeros(values.shape, bool)
     if orbit.system.period is None:
-        # It is 1 to the error of the orbit only: the nearest one is taken for it.
+        # It equals 1 up to the error of the orbit; the nearest multiplier is taken.
         nearest = np.argmin(abs(np.where(np.isfinite(values), values, np.inf) - 1), axis=-1)
         np.put_along_axis(trivial, nearest[..., None], True, axis=-1)
     return values, trivial

@@ -1,7 +1,4 @@
-"""Branches of periodic orbits with their special points, and curves of bifurcations.
-
-A branch or a curve enters; the axes it was drawn on leave.
-"""
+"""Branches of periodic orbits with their special points, and curves of bifurcations."""
 
 from typing import Any
 
@@ -32,9 +29,9 @@ def branch(
     **Arguments**
 
     - `branch`: a `Branch`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state is drawn, from 0.
-    - `extremes`: draw its smallest and largest value on the orbit in place of that at t0.
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state to draw, from 0.
+    - `extremes`: draw its smallest and largest value on the orbit instead of its value at t0.
     - `style`: matplotlib's keywords of the lines, as `color` or `lw`.
 
     **Returns** the matplotlib axes.
@@ -65,7 +62,7 @@ def branch(
 
 
 def curves_of(branch: Branch, component: int, extremes: bool) -> tuple[list[np.ndarray], str]:
-    """What is drawn above the parameter, one curve or two, and how it is called."""
+    """One curve or two to draw above the parameter, and their label."""
     check.component("component", component, branch.orbits.x0.shape[-1])
     if extremes:
         return [column[:, component] for column in branch.extremes()], "least and largest {}"
@@ -76,7 +73,7 @@ def draw_stability(
     ax: Axes, branch: Branch | EquilibriumBranch, curve: np.ndarray, style: dict[str, Any]
 ) -> None:
     """One curve along a branch, unstable parts dashed."""
-    # A line for each style, NaN where the other one is drawn: matplotlib breaks lines there.
+    # A line for each style, NaN where the other applies; matplotlib breaks lines at NaN.
     values, heights, stable = _pieces(branch, curve)
     for solid, dash in ((True, "-"), (False, "--")):
         keep = np.append(stable == solid, False)
@@ -101,7 +98,7 @@ def bifurcation_curve(
     **Arguments**
 
     - `curve`: a `BifurcationCurve`, or an `EquilibriumCurve`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `style`: matplotlib's keywords of the lines, as `color` or `lw`.
 
     **Returns** the matplotlib axes.
@@ -157,7 +154,7 @@ def _pieces(
 def height(
     branch: Branch | EquilibriumBranch, curve: np.ndarray, value: float, index: int
 ) -> float:
-    """Of a curve at a value of the parameter between the orbits index − 1 and index."""
+    """The height of a curve at a value of the parameter between the orbits index − 1 and index."""
     pair = slice(max(index - 1, 0), index + 1)
     # `interp` needs ascending values, and a branch may go either way.
     values = np.asarray(branch.values)[pair]

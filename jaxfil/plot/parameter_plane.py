@@ -1,7 +1,4 @@
-"""The plane of two parameters that a diagram was swept over.
-
-A diagram enters; the axes of its grid in ascending order leave, and their labels on a picture.
-"""
+"""The plane of two swept parameters of a diagram."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,8 +7,8 @@ from jaxfil.sweep.diagram import BifurcationDiagram
 
 
 def plane_of(diagram: BifurcationDiagram) -> tuple[list[np.ndarray], tuple[np.ndarray, ...]]:
-    """The values of both parameters in ascending order, and where what a diagram has of each point
-    is found in this order; an error for a diagram over anything else."""
+    """The values of both parameters in ascending order, and the indices of this order; an error for
+    any other diagram."""
     values = diagram.values
     if not isinstance(values, tuple) or len(values) != 2 or min(map(len, values)) < 2:
         names = [diagram.parameter] if isinstance(diagram.parameter, str) else diagram.parameter

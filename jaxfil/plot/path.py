@@ -1,7 +1,6 @@
-"""What is drawn of a motion: its path, its contacts, its jumps, and the spans of its modes.
+"""The drawn parts of a motion: its path, contacts, jumps, and the spans of its modes.
 
-A solution enters; arrays of numpy leave, of what was reached alone. `MARKERS` and `BANDS` say how
-each kind of contact and each mode is drawn in every picture.
+`MARKERS` and `BANDS` define the style of each kind of contact and of each mode in all pictures.
 """
 
 from collections.abc import Iterable
@@ -17,9 +16,9 @@ from jaxfil.model.system import System
 from jaxfil.plot.canvas import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW
 from jaxfil.xla.known import part_of
 
-# The colour of each mode, and what the legend calls it.
+# The colour and the legend entry of each mode.
 BANDS = {1: ("H > 0", SKY), 0: ("sliding", ORANGE), 2: ("at rest", GREY), -1: ("H < 0", WHITE)}
-# The marker of each kind of contact. That at which sliding begins has the colour of sliding.
+# The marker of each kind of contact. The one that begins sliding has the colour of sliding.
 MARKERS = {
     EventKind.crossing: ("o", BLUE),
     EventKind.stick: ("s", ORANGE),
@@ -51,7 +50,7 @@ def lanes(sol: Solution) -> list[Solution]:
 
 
 def one_lane(sol: Solution) -> None:
-    """An error where a solution is of a batch."""
+    """Raise an error for the solution of a batch."""
     if np.ndim(sol.t_final):
         raise ValueError(f"`sol` must be of one lane, got {len(lanes(sol))} of them.")
 
@@ -59,7 +58,7 @@ def one_lane(sol: Solution) -> None:
 def chosen(
     name: str, components: int | Iterable[int], n: int, counts: tuple[int, ...]
 ) -> list[int]:
-    """The numbers of the components asked for, as many as `counts` allows; none for any number."""
+    """The requested components, as many as `counts` allows; an empty `counts` allows any number."""
     one = isinstance(components, (int, np.integer))
     several = [components] if one else list(components)
     for i, c in enumerate(several):
@@ -72,7 +71,7 @@ def chosen(
 
 def saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, states and modes that were saved and reached."""
-    # Times that were not reached are padded with inf.
+    # Times not reached are padded with inf.
     if sol.ts is not None:
         ts, xs, modes = map(np.asarray, (sol.ts, sol.xs, sol.modes))
         real = np.isfinite(ts) & np.isfinite(xs).all(axis=1)
@@ -86,7 +85,7 @@ def saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def contacts(sol: Solution) -> Contacts:
-    """Those of the event table."""
+    """The contacts of the event table."""
     table = sol.events
     if table is None:
         n, m = np.size(sol.x_final), np.size(sol.mode_final)
@@ -101,10 +100,10 @@ def path(sol: Solution) -> tuple[np.ndarray, np.ndarray]:
     ts, xs, _ = saved(sol)
     met = contacts(sol)
     jump = np.isin(met.kinds, JUMPS)
-    # Of a step that ends on a tick the state before it is saved too.
+    # For a step that ends on a tick the state before it is saved too.
     last = np.append(ts[1:] != ts[:-1], True) | ~np.isin(ts, met.ts[jump])
     ts, xs = ts[last], xs[last]
-    # A row of NaN after it keeps the line of a jump from being drawn.
+    # A row of NaN after it breaks the line at the jump.
     behind = np.flatnonzero(jump) + 1
     events = np.insert(met.xs, behind, np.nan, axis=0)
     every = np.concatenate([np.insert(met.ts, behind, met.ts[jump]), ts])
@@ -115,8 +114,8 @@ def path(sol: Solution) -> tuple[np.ndarray, np.ndarray]:
 def jumps(
     sol: Solution, system: System | None, kind: EventKind
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each impact, or each tick, its time, and the states before and after it: after an impact
-    by the system's reset, or without a system, as after a tick, the first that was saved then."""
+    """Time of each impact or tick, and the states before and after it. The state after an impact
+    is the value of the system's reset, or otherwise, as after a tick, the next saved state."""
     met = contacts(sol)
     hit = met.kinds == kind
     times, before = met.ts[hit], met.xs[hit]
@@ -136,8 +135,8 @@ def spans(
     ts: np.ndarray, modes: np.ndarray, met: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Start, width and mode of each span of time over which the mode stays the same."""
-    # The mode is known at saved times, the time of its change from the contact between two of them:
-    # the last one, if there are several, for it is after that one that the new mode holds.
+    # The mode is known at saved times, and changes at the last contact between two of them, after
+    # which the new mode holds.
     changes = np.flatnonzero(np.diff(modes))
     edges = [ts[0]]
     for before, after in zip(ts[changes], ts[changes + 1], strict=True):

@@ -1,7 +1,4 @@
-"""A motion in the plane, or in the space, of its components, coloured by time.
-
-A solution enters; the axes it was drawn on leave.
-"""
+"""A motion in the plane or in the space of its components, coloured by time."""
 
 from collections.abc import Iterable
 
@@ -22,14 +19,14 @@ def path_in_time(
     colorbar: bool | Axes = True,
     lw: float = 1.2,
 ) -> Axes:
-    """Draw components against each other in colours that tell the time.
+    """Draw components against each other in colours that show the time.
 
     **Arguments**
 
     - `sol`: a `Solution` of one lane with two saved times or more.
-    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default those of a
-      figure of their own.
-    - `components`: the numbers of two components, that to the right first, or of three.
+    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default new
+      ones.
+    - `components`: the numbers of two components, horizontal first, or of three.
     - `colorbar`: whether to draw the scale of times beside them, or the axes to draw it in.
     - `lw`: the width of the line in points.
 

@@ -1,7 +1,4 @@
-"""A map of the plane of two parameters: the period of the motion at each of its points.
-
-A diagram over a grid enters; the axes it was drawn on leave.
-"""
+"""A map of the period of the motion over the plane of two parameters."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +9,7 @@ from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, color_bar, own_axes
 from jaxfil.plot.parameter_plane import label_plane, plane_of
 from jaxfil.sweep.diagram import BifurcationDiagram
 
-# From this period on they share a colour.
+# Periods from this one on share a colour.
 _MANY = len(COLORS) + 1
 # A colour for each period, the same in every map.
 PERIODS = {**dict(enumerate(COLORS, start=1)), _MANY: YELLOW, 0: BLACK, -1: WHITE}
@@ -23,13 +20,14 @@ def parameter_map(
 ) -> Axes:
     """Draw the period of the motion over a grid of two parameters, a colour for each.
 
-    Periods are those of `BifurcationDiagram.periods`, in forcing periods. Black is longer than half
-    the samples can show: chaos, a torus, or a transient that is not over; white is a failed lane.
+    Periods are computed by `BifurcationDiagram.periods`, in forcing periods. Black stands for a
+    period longer than half of the samples (chaos, a torus, or an unfinished transient), white for a
+    failed lane.
 
     **Arguments**
 
     - `diagram`: a `BifurcationDiagram` over a grid of two parameters, two values or more of each.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
     - `colorbar`: whether to draw the scale of colours beside them, or the axes to draw it in.
 
     **Returns** the matplotlib axes.
@@ -48,11 +46,11 @@ def parameter_map(
     axes, place = plane_of(diagram)
     ax = own_axes(ax)
     periods = np.minimum(diagram.periods(), _MANY)[place].T
-    # The colours of all periods would fill the bar, those that occur are few.
+    # The colours of all periods would fill the bar, but few occur.
     seen = [period for period in PERIODS if (periods == period).any()]
     picture = ax.pcolormesh(
         *axes,
-        # The place of each period among those seen, for colours go by place.
+        # The index of each period among the occurring ones, which selects its colour.
         np.argmax(periods[..., None] == np.array(seen), axis=-1),
         cmap=ListedColormap([PERIODS[period] for period in seen]),
         vmin=-0.5,

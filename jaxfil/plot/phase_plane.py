@@ -1,7 +1,4 @@
-"""The phase plane of a planar system: fields, nullclines, surfaces, equilibria and separatrices.
-
-A system and a window enter; the axes on which its plane was drawn leave.
-"""
+"""The phase plane of a planar system: fields, nullclines, surfaces, equilibria and separatrices."""
 
 import itertools
 from collections.abc import Iterator
@@ -46,13 +43,13 @@ from jaxfil.xla.known import array_of
 
 # Points along each edge for nullclines, and arrows.
 _GRID, _ARROWS = 201, 17
-# How far from an equilibrium or a tangency a separatrix starts, in parts of the window; steps of
-# each, and for how long it is followed, in the slowest time of the equilibrium, or in times of the
-# motion through the window.
+# Distance of the start of a separatrix from an equilibrium or a tangency, as a fraction of the
+# window; its number of steps, and its length in the slowest time of the equilibrium, or in times of
+# the motion through the window.
 _OFF, _STEPS, _TIMES = 1e-5, 2000, 25.0
-# A separatrix ends where it is this far outside, in half windows; the power makes that smooth.
+# A separatrix ends at this distance outside, in half windows; the power makes that smooth.
 _OUTSIDE, _POWER = 1.3, 8
-# What each separatrix is drawn with.
+# The style of each separatrix.
 _UNSTABLE = {"color": VERMILLION, "linewidth": 1.4, "label": "unstable manifold"}
 _STABLE = {"color": BLUE, "linewidth": 1.4, "label": "stable manifold"}
 _TANGENT = {"color": GREEN, "linewidth": 1.0, "label": "through a visible tangency"}
@@ -61,19 +58,19 @@ _TANGENT = {"color": GREEN, "linewidth": 1.0, "label": "through a visible tangen
 def phase_plane(system: System, limits: Limits, ax: Axes | None = None, **style: Any) -> Axes:
     """Draw the phase plane of an autonomous planar system.
 
-    The field as arrows of one length; nullclines, on which one component of the field of the side
-    is zero; each surface with the parts that attract, repel and are crossed; tangency points and
-    two-folds; equilibria and pseudo-equilibria, as far as Newton's method finds them from a grid of
-    guesses; the stable and unstable manifolds of saddles and pseudo-saddles, and the orbits through
-    visible tangencies. A manifold is followed until it leaves the window, comes to rest, or is not
-    unique any more, as one that meets an attracting slide in backward time.
+    The picture shows the field as arrows of one length; nullclines, on which one component of the
+    field of the side is zero; each surface with its attracting, repelling and crossed parts;
+    tangency points and two-folds; equilibria and pseudo-equilibria that Newton's method finds from
+    a grid of guesses; the stable and unstable manifolds of saddles and pseudo-saddles, and the
+    orbits through visible tangencies. A manifold ends where it leaves the window, comes to rest, or
+    is no longer unique, as at an attracting slide in backward time.
 
     **Arguments**
 
     - `system`: the `System`, of two components and at most four surfaces, without a period, clocks
       and resets; taken at t = 0.
-    - `limits`: of the axes, ((left, right), (bottom, top)).
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `limits`: limits of the axes, ((left, right), (bottom, top)).
+    - `ax`: the axes to draw on; by default new ones.
     - `style`: matplotlib's keywords of the separatrices, as `lw`.
 
     **Returns** the matplotlib axes.
@@ -141,8 +138,7 @@ def _fields(system: System, points: Array) -> tuple[Array, Array]:
 def _on_grid(
     system: System, axes: list[np.ndarray], m: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of a grid, the fields there, each NaN where its sides are not, and the field that
-    holds."""
+    """Points of a grid, the fields there, each NaN off its own sides, and the actual field."""
     points = np.stack(np.meshgrid(*axes), axis=-1)
     sides, fields = map(np.asarray, _fields(system, array_of(points.reshape(-1, 2))))
     every = np.array(list(itertools.product((1.0, -1.0), repeat=m))).reshape(-1, m)
@@ -154,11 +150,11 @@ def _on_grid(
 
 
 def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> float:
-    """Directions of the field, and nullclines; returns how fast a motion typically is, in
+    """Draw directions of the field, and nullclines; returns the typical speed of a motion, in
     windows."""
     axes = [np.linspace(low, high, 2 * _ARROWS + 1)[1::2] for low, high in window]
     points, _, field = _on_grid(system, axes, m)
-    # Of one length on the page, whose axes have units of their own.
+    # Of one length on the page; the axes have different units.
     field = field / np.ptp(window, axis=1)
     size = np.linalg.norm(field, axis=-1, keepdims=True)
     field /= np.maximum(size, 1e-300)
@@ -181,17 +177,16 @@ def _draw_fields(ax: Axes, system: System, window: np.ndarray, m: int) -> float:
     return float(np.median(size))
 
 
-# Where a separatrix starts, for how long it is followed, negative in backward time, and what it is
-# drawn with.
+# The start of a separatrix, its time, negative for backward, and its style.
 _Start = tuple[np.ndarray, float, dict[str, Any]]
 
 
 def _from_saddles(system: System, window: np.ndarray, found: list[Equilibrium]) -> Iterator[_Start]:
-    """The starts of their stable and unstable manifolds."""
+    """The starts of the stable and unstable manifolds of saddles."""
     off = _OFF * float(np.linalg.norm(np.ptp(window, axis=1)))
     for one in found:
         x, values = np.asarray(one.x), np.asarray(one.eigenvalues)
-        # A saddle has one way in and one way out, infinitely fast perhaps.
+        # A saddle has one stable and one unstable direction, with a rate that may be infinite.
         real = np.real(values)
         if np.any(np.imag(values)) or not real[0] > 0 > real[1]:
             continue
@@ -211,13 +206,13 @@ def _from_saddles(system: System, window: np.ndarray, found: list[Equilibrium]) 
 def _from_tangencies(
     system: System, window: np.ndarray, points: list[FieldTangency], speed: float
 ) -> Iterator[_Start]:
-    """The starts of the orbits through visible ones, on either side of them."""
+    """The starts of the orbits through visible tangencies, on either side."""
     off = _OFF * float(np.linalg.norm(np.ptp(window, axis=1)))
     for point in points:
         for side in point.visible:
             field = _on_side(system, point.x, point.surface, side)
             step = off / np.linalg.norm(field)
-            # To first order it stays on a flat surface, and would be on no side.
+            # To first order it stays on a flat surface, without a side.
             bend = 0.5 * step**2 * _turn(system, point.x, point.surface, side, field)
             for way in (1.0, -1.0):
                 yield point.x + way * step * field + bend, way * _TIMES / speed, _TANGENT
@@ -248,7 +243,7 @@ def _draw_separatrices(
     starts: list[_Start],
     style: dict[str, Any],
 ) -> None:
-    """All of them, in one batch."""
+    """Draw all separatrices, computed in one batch."""
     if not starts:
         return
     middle, half = window.mean(axis=1), 0.5 * np.ptp(window, axis=1)
@@ -256,12 +251,12 @@ def _draw_separatrices(
     def room(t: Array, x: Array) -> Array:
         return _OUTSIDE**_POWER - jnp.sum(((x - middle) / half) ** _POWER)
 
-    # As many lanes for any number up to a power of two: one program for each.
+    # Padded to a power of two, so that few programs are compiled.
     rows = np.resize(np.arange(len(starts)), 1 << (len(starts) - 1).bit_length())
     x0, spans = array_of(np.array([starts[i][0] for i in rows])), [starts[i][1] for i in rows]
     sol = _followed(system, x0, array_of(np.array(spans)), bound(room))
     for one, (_, _, told) in zip(lanes(sol), starts, strict=False):
-        # One that is not unique from its start has nothing to show.
+        # A motion that is not unique from its start has no path.
         if np.isfinite(np.asarray(one.ts)).sum() > 1:
             ax.plot(*path(one)[1].T, **styled(style, **told))
 
@@ -287,7 +282,7 @@ def _followed(system: System, x0: Array, spans: Array, room: Any) -> Solution:
 
 
 def _draw_tangency(ax: Axes, point: FieldTangency) -> None:
-    """Visible ones filled, invisible ones hollow; two-folds as diamonds."""
+    """Draw a tangency, filled if visible, otherwise hollow; two-folds as diamonds."""
     marker = "D" if point.side == 0 else "v"
     face = {"visible": BLACK, "invisible": WHITE}.get(point.kind.split(" ")[0], GREY)
     told = point.kind if point.side == 0 else f"{point.kind} tangency"
@@ -295,7 +290,7 @@ def _draw_tangency(ax: Axes, point: FieldTangency) -> None:
 
 
 def _draw_equilibrium(ax: Axes, one: Equilibrium) -> None:
-    """Stable ones filled, saddles as crosses, others hollow; pseudo-equilibria as squares."""
+    """Draw an equilibrium, filled if stable, a cross for a saddle; pseudo-equilibria as squares."""
     values = np.real(np.asarray(one.eigenvalues))
     saddle = values[0] > 0 > values[1]
     face = BLACK if bool(one.stable) else WHITE

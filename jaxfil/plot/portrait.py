@@ -1,7 +1,4 @@
-"""A motion in the plane, or in the space, of components of its state.
-
-A solution, or an orbit, enters; the axes it was drawn on leave.
-"""
+"""A motion in the plane or in the space of components of its state."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -33,7 +30,7 @@ from jaxfil.plot.path import (
 )
 from jaxfil.plot.surfaces import draw_surfaces
 
-# More contacts than this are marked smaller, or they would bury the motion; more motions than this
+# More contacts than this have smaller marks, which do not cover the motion; more motions than this
 # have no arrows.
 _MANY, _ARROWS = 25, 8
 
@@ -61,17 +58,17 @@ def phase_portrait(
     """Draw components against each other, with slides, contacts and jumps.
 
     Sliding segments are thick, every contact is marked by its kind, and the jump of an impact is
-    dotted. A hollow circle is the start, an arrow the direction. Surfaces are dashed, where they
-    cut the plane of two components, at the last time and with the others as they are then. Of a
-    batch every lane is drawn.
+    dotted. A hollow circle is the start, an arrow the direction. Surfaces are dashed. They
+    are drawn in the plane of two components through the last state, at the last time. For a batch
+    every lane is drawn.
 
     **Arguments**
 
     - `sol`: a `Solution` with two saved times or more.
-    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default those of a
-      figure of their own.
-    - `system`: the `System` whose surfaces are drawn; by default none are.
-    - `components`: the numbers of two components, that to the right first, or of three.
+    - `ax`: the axes to draw on, with `projection="3d"` for three components; by default new
+      ones.
+    - `system`: the `System` whose surfaces are drawn; None to omit them.
+    - `components`: the numbers of two components, horizontal first, or of three.
     - `style`: matplotlib's keywords of the line, as `color`, `lw`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.
@@ -113,13 +110,13 @@ def _draw_motion(
     style: dict[str, Any],
     arrow: bool,
 ) -> None:
-    """One lane: its path and slides, its start, contacts and jumps."""
+    """Draw one lane, with its path and slides, its start, contacts and jumps."""
     ts, xs = path(sol)
     (line,) = ax.plot(*xs[:, shown].T, **styled(style, color=BLACK, linewidth=1))
     _draw_slides(ax, sol, ts, xs[:, shown])
     color, size = line.get_color(), rcParams["lines.markersize"]
     hollow = {"markerfacecolor": WHITE, "markeredgecolor": color, "markersize": 0.8 * size}
-    # `ax.plot` of a list of one point, for 3-D axes take no scalars.
+    # A list of one point, because `plot` of 3-D axes does not accept scalars.
     ax.plot(*xs[:1, shown].T, "o", label="start", **hollow)
     if arrow and len(shown) == 2:
         _draw_arrow(ax, xs[:, shown], color)
@@ -147,7 +144,7 @@ def _draw_motion(
 def _draw_arrow(ax: Axes, xs: np.ndarray, color: ColorType) -> None:
     """The direction, a third of the way along the drawn line."""
     steps = np.linalg.norm(np.diff(xs, axis=0), axis=1)
-    finite = np.flatnonzero(steps > 0)  # not across the gap of an impact, and not at rest
+    finite = np.flatnonzero(steps > 0)  # not across the gap of an impact, nor at rest
     if not finite.size:
         return
     length = np.cumsum(steps[finite])

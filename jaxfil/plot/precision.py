@@ -1,7 +1,4 @@
-"""Error against run time.
-
-A table of work and precision, or a choice of a step, enters; the axes it was drawn on leave.
-"""
+"""Error against run time."""
 
 import itertools
 
@@ -20,13 +17,13 @@ from jaxfil.studies.work_precision import WorkPrecision
 def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
     """Draw the error of every run against its run time, a line for each stepper.
 
-    Steps get shorter to the right. Below the dashed line, the change of the reference on halving
-    its step, errors are not resolved.
+    Steps become shorter to the right. Errors below the dashed line, the change of the reference
+    when its step is halved, are not resolved.
 
     **Arguments**
 
     - `table`: a `WorkPrecision`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
 
     **Returns** the matplotlib axes.
 
@@ -41,11 +38,11 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
     check.instance("table", table, WorkPrecision)
     ax = own_axes(ax)
     size = max(float(np.max(abs(table.reference))), np.finfo(float).tiny)
-    # No error is drawn below what the reference knows, nor at zero, where a logarithm has no place.
+    # Errors are drawn at or above the error of the reference; a logarithmic axis has no zero.
     floor = max(table.reference_error, float(np.finfo(table.reference.dtype).eps) * size)
     lines = zip(table.steppers, table.seconds, table.errors, strict=True)
     for (name, seconds, errors), color in zip(lines, itertools.cycle(COLORS)):
-        order = np.argsort(-table.dts)  # run times of neighbours may change places by chance
+        order = np.argsort(-table.dts)  # run times of neighbours may be exchanged by chance
         told = np.maximum(errors, floor)[order]
         ax.loglog(seconds[order], told, "o-", color=color, markersize=4, label=name)
     if np.isfinite(floor):
@@ -59,14 +56,14 @@ def work_precision(table: WorkPrecision, ax: Axes | None = None) -> Axes:
 
 @draws(StepChoice)
 def step_choice(choice: StepChoice, ax: Axes | None = None) -> Axes:
-    """Draw the error of every run that a choice was made from against its run time.
+    """Draw the error of every run of a choice against its run time.
 
-    A line for each stepper; the tolerance is the dashed line, and what was chosen the ring.
+    A line for each stepper; the tolerance is the dashed line, and the chosen run the ring.
 
     **Arguments**
 
     - `choice`: a `StepChoice`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
+    - `ax`: the axes to draw on; by default new ones.
 
     **Returns** the matplotlib axes.
 
@@ -80,7 +77,7 @@ def step_choice(choice: StepChoice, ax: Axes | None = None) -> Axes:
     """
     check.instance("choice", choice, StepChoice)
     ax = own_axes(ax)
-    # Below what the reference knows errors are not resolved, and a logarithm has no zero.
+    # Errors are drawn at or above the error of the reference; a logarithmic axis has no zero.
     floor = max(choice.reference_error, float(np.finfo(choice.reference.dtype).eps))
     lines = zip(choice.steppers, choice.times, choice.errors, strict=True)
     for (name, times, errors), color in zip(lines, itertools.cycle(COLORS)):
@@ -97,8 +94,7 @@ def step_choice(choice: StepChoice, ax: Axes | None = None) -> Axes:
 
 
 def _thin_ticks(ax: Axes) -> None:
-    """Numbers at 1, 2 and 5 of a decade where there are few decades, for those at each of its nine
-    steps run into each other."""
+    """Ticks at 1, 2 and 5 of a decade for few decades, because labels of all nine would overlap."""
     low, high = ax.get_xlim()
     few = np.log10(high / low) < 2
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=8))

@@ -1,7 +1,4 @@
-"""A return map: one component at a section against the same one at the section before.
-
-States of a section enter; the axes they were drawn on leave.
-"""
+"""A return map, one component at a section against the same component one return before."""
 
 from typing import Any
 
@@ -23,18 +20,18 @@ def return_map(
     lag: int = 1,
     **style: Any,
 ) -> Axes:
-    """Draw one component of every state of a section against that `lag` states before.
+    """Draw one component of every state of a section against its value `lag` states before.
 
-    Points on the diagonal repeat. A steep end that falls as a square root does is grazing; a flat
-    part is sliding, which forgets where it began.
+    Points on the diagonal repeat. A steep end like a square root indicates grazing; a flat part
+    indicates sliding, which forgets the initial state.
 
     **Arguments**
 
     - `xs`: states in the order of time, shape (k, n) or (…, k, n), as `diagram.xs`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state, from 0.
-    - `system`: the `System` whose names the axes have; by default x[0], x[1], ….
-    - `lag`: how many states lie between the two, 1 or more.
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state, from 0.
+    - `system`: the `System` with the names of the axes; by default x[0], x[1], ….
+    - `lag`: the number of returns between the two states, 1 or more.
     - `style`: matplotlib's keywords of the dots, as `color`, `ms`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.

@@ -1,7 +1,4 @@
-"""A bifurcation diagram: every sample over its value.
-
-A diagram enters; the axes it was drawn on leave.
-"""
+"""A bifurcation diagram, with every sample over its value."""
 
 import textwrap
 from typing import Any
@@ -15,9 +12,9 @@ from jaxfil.plot.canvas import BLACK, VERMILLION, legend, marker_size, own_axes,
 from jaxfil.plot.periods import parameter_map
 from jaxfil.sweep.diagram import BifurcationDiagram
 
-# Samples further than this many times the spread of most of them have diverged.
+# Samples further away than this multiple of the typical spread have diverged.
 _FAR, _MOST = 100.0, (10.0, 90.0)
-# A point drawn once for each sample of a period-1 motion is this dark; dense chaos at most so dark.
+# Darkness of a point drawn once for each sample of a period-1 motion, and of dense chaos at most.
 _DARK, _DENSE = 0.95, 0.6
 
 
@@ -39,15 +36,15 @@ def bifurcation_diagram(
 ) -> Axes:
     """Draw one component of every sample against the parameter.
 
-    The title says what else was set. A million samples take about a second, and a vector file holds
+    The title shows the conditions. A million samples take about a second, and a vector file stores
     them as an image. Values whose lane ended early are ticked along the lower edge; samples far
-    beyond all others are left outside the axes and counted.
+    beyond all others are outside the axes and counted.
 
     **Arguments**
 
     - `diagram`: a `BifurcationDiagram` of one parameter.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state, from 0.
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state, from 0.
     - `style`: matplotlib's keywords of the dots, as `color`, `ms`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.
@@ -75,7 +72,7 @@ def bifurcation_diagram(
     column = xs[..., component]
     seen = np.isfinite(column)
     size = marker_size(ax, values.size)
-    # One line of markers and no scatter plot, which draws each of a million by itself.
+    # One line of markers instead of a scatter plot, which draws each marker separately.
     ours = {"color": BLACK, "alpha": _alpha(ax, column.shape[1], size), "markersize": size}
     ours |= {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "rasterized": True}
     xy = np.broadcast_to(values[:, None], column.shape)[seen], column[seen]
@@ -94,15 +91,15 @@ def bifurcation_diagram(
 
 
 def _alpha(ax: Axes, samples: int, size: float) -> float:
-    """How opaque a dot is: a point on which all samples fall is dark, and a column in which they
-    are spread over half of the height is not yet black."""
+    """The opacity of a dot. A point on which all samples coincide is dark, and a column in which
+    they spread over half of the height is not black."""
     overlap = samples * size / (0.5 * points_of(ax)[1])
     dense = 1 - (1 - _DENSE) ** (1 / max(overlap, 1e-9))
     return float(np.clip(max(dense, 1 - (1 - _DARK) ** (1 / samples)), 0.1, 1))
 
 
 def _told(diagram: BifurcationDiagram) -> str:
-    """The system, what its other parameters were, and how long it ran."""
+    """The system, its other parameters, and the length of the run."""
     done = diagram.conditions
     values = [
         f"{diagram.labels.symbol(name)} = {float(value):.6g}"
@@ -116,12 +113,12 @@ def _told(diagram: BifurcationDiagram) -> str:
 
 
 def _sampled(diagram: BifurcationDiagram) -> str:
-    """What a component is called where it is sampled."""
+    """The label of a sampled component."""
     return "{} once a period" if diagram.conditions.section is None else "{} at the section"
 
 
 def _limit(ax: Axes, samples: np.ndarray) -> None:
-    """Keep samples that are far beyond all others from setting the axis, and count them."""
+    """Exclude samples far beyond all others from the axis limits, and count them."""
     if not samples.size:
         return
     low, high = np.percentile(samples, _MOST)

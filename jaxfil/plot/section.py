@@ -1,7 +1,4 @@
-"""A Poincaré section: the states at which a motion meets it.
-
-States enter; the axes they were drawn on leave.
-"""
+"""A Poincaré section, the states at which a motion crosses it."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -27,15 +24,15 @@ def poincare_section(
 ) -> Axes:
     """Draw one component against another at every state of a section.
 
-    A stroboscopic section is what `jaxfil.bifurcation_diagram` samples: `diagram.xs[i]` for one
-    value. One of another kind is `jaxfil.Solution.events.xs`, the states at contacts.
+    `jaxfil.bifurcation_diagram` samples a stroboscopic section, `diagram.xs[i]` for one value.
+    Another section is `jaxfil.Solution.events.xs`, the states at contacts.
 
     **Arguments**
 
-    - `xs`: states, shape (k, n) or (…, k, n); those that are not finite are left out.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `components`: the numbers of two components, that to the right first, or of three.
-    - `system`: the `System` whose names the axes have; by default x[0], x[1], ….
+    - `xs`: states, shape (k, n) or (…, k, n); states that are not finite are omitted.
+    - `ax`: the axes to draw on; by default new ones.
+    - `components`: the numbers of two components, horizontal first, or of three.
+    - `system`: the `System` with the names of the axes; by default x[0], x[1], ….
     - `style`: matplotlib's keywords of the dots, as `color`, `ms`, `alpha` or `label`.
 
     **Returns** the matplotlib axes.
@@ -52,7 +49,7 @@ def poincare_section(
     """
     points, shown = section_points(xs, components, system, (2, 3))
     ax = own_axes(ax, "3d" if len(shown) == 3 else None)
-    # A point of a page covers some thousandth of it: so many that none hides the next.
+    # Markers become smaller with the number of points, so that they do not overlap.
     size = float(np.clip(60 / np.sqrt(max(len(points), 1)), 1, 4))
     ours = {"marker": ".", "color": BLACK, "markersize": size, "markeredgewidth": 0}
     ours |= {"linestyle": "none", "rasterized": True}

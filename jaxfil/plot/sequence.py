@@ -1,7 +1,4 @@
-"""A branch of orbits with every bifurcation on it, each named and numbered.
-
-A sequence of bifurcations enters; the axes it was drawn on leave.
-"""
+"""A branch of orbits with every bifurcation on it, each named and numbered."""
 
 from typing import Any
 
@@ -26,14 +23,14 @@ def bifurcation_sequence(
 ) -> Axes:
     """Draw a branch of orbits and its bifurcations, a mark for each kind and a number for each one.
 
-    The legend says which is which, and where.
+    The legend has the name and the value of each number.
 
     **Arguments**
 
     - `found`: a `BifurcationSequence`.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `component`: which one of the state is drawn, from 0.
-    - `extremes`: draw its smallest and largest value on the orbit in place of that at t0.
+    - `ax`: the axes to draw on; by default new ones.
+    - `component`: the component of the state to draw, from 0.
+    - `extremes`: draw its smallest and largest value on the orbit instead of its value at t0.
     - `style`: matplotlib's keywords of the branch's lines, as `color` or `lw`.
 
     **Returns** the matplotlib axes.
@@ -55,14 +52,14 @@ def bifurcation_sequence(
     curves, wording = curves_of(branch, component, extremes)
     for curve in curves:
         draw_stability(ax, branch, curve, style)
-        # Each was located from the special point of the branch in the same place of its list.
+        # Each was located from the special point of the branch with the same index.
         for i, (b, point) in enumerate(zip(found, branch.points, strict=True), start=1):
             marker, color = KINDS.get(str(b.kind), KINDS["undecided"])
             value = float(b.value)
             at = value, height(branch, curve, value, point.index)
             label = f"{i}: {b.kind}, {value:.6g}"
             ax.plot(*at, marker, color=color, markeredgecolor=BLACK, label=label)
-            # Neighbours are written above and below in turn.
+            # Labels of neighbours alternate above and below.
             side = 1 if i % 2 else -1
             va = "bottom" if side > 0 else "top"
             ax.annotate(str(i), at, (0, 4 * side), textcoords="offset points", ha="center", va=va)

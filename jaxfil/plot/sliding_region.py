@@ -1,7 +1,4 @@
-"""A surface in the plane: where it attracts, where it repels and where it is crossed.
-
-A system enters; the axes on which its fields and its surface were drawn leave.
-"""
+"""A surface in the plane, with its attracting, repelling and crossed parts."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -20,7 +17,7 @@ from jaxfil.plot.canvas import BLACK, BLUE, GREY, ORANGE, PURPLE, legend, own_ax
 from jaxfil.plot.path import chosen
 from jaxfil.xla.known import array_of
 
-# What each part of a surface is drawn with.
+# The style of each part of a surface.
 _PARTS = {
     "crossing": {"color": BLACK, "linewidth": 1.0},
     "attracting sliding": {"color": ORANGE, "linewidth": 3.5},
@@ -44,18 +41,18 @@ def sliding_region(
 
     With $\dot H_\pm = \partial_t H + \nabla H \cdot F_\pm$ the surface is crossed where both have
     one sign, attracts where $\dot H_+ < 0 < \dot H_-$ and repels where $\dot H_- < 0 < \dot H_+$.
-    Arrows are the directions of the field that holds on their side, of one length. A dot is a
-    tangency, where a part ends.
+    Arrows of one length show the direction of the field of their side. A dot is a tangency, where a
+    part ends.
 
     **Arguments**
 
     - `system`: the `System`.
-    - `limits`: of the axes, ((left, right), (bottom, top)).
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `t`: the time at which fields and surface are taken.
+    - `limits`: limits of the axes, ((left, right), (bottom, top)).
+    - `ax`: the axes to draw on; by default new ones.
+    - `t`: the time of fields and surface.
     - `at`: the state through which the plane is laid, shape (n,).
-    - `components`: the numbers of the two components of the plane, that to the right first.
-    - `surface`: which surface, from 0. The sides of others are those of the state.
+    - `components`: the numbers of the two components of the plane, horizontal first.
+    - `surface`: the number of the surface, from 0. The state determines the sides of the others.
     - `style`: matplotlib's keywords of the surface's lines, as `lw`.
 
     **Returns** the matplotlib axes.
@@ -113,7 +110,7 @@ class Plane(eqx.Module):
         return _mapped(self, _height, points)
 
     def field(self, points: np.ndarray) -> np.ndarray:
-        """The two components of the field that holds at points (…, 2)."""
+        """The two components of the actual field at points (…, 2)."""
         return _mapped(self, _field, points)
 
     def rates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,10 +149,10 @@ def _on_states(plane: Plane, function: Callable, points: Array) -> Any:
 
 
 def _arrows(ax: Axes, where: Plane, limits: tuple[tuple[float, float], ...]) -> None:
-    """The directions of the fields, each on its own side."""
+    """Draw the directions of the fields, each on its own side."""
     middles = [np.linspace(*ends, 2 * _ARROWS + 1)[1::2] for ends in limits]
     points = np.stack(np.meshgrid(*middles), axis=-1)
-    # Of one length on the page, whose axes have units of their own.
+    # Of one length on the page; the axes have different units.
     size = np.array([ends[1] - ends[0] for ends in limits])
     field = where.field(points) / size
     field /= np.maximum(np.linalg.norm(field, axis=-1, keepdims=True), 1e-300)
@@ -176,11 +173,10 @@ def _arrows(ax: Axes, where: Plane, limits: tuple[tuple[float, float], ...]) -> 
 def draw_surface(
     ax: Axes, where: Plane, limits: tuple[tuple[float, float], ...], style: dict[str, Any]
 ) -> np.ndarray:
-    """Draw the parts of a surface within limits; returns where one ends and another begins,
-    (k, 2)."""
+    """Draw the parts of a surface within limits; returns the points between them, (k, 2)."""
     x, y = (np.linspace(*ends, _GRID) for ends in limits)
     heights = where.height(np.stack(np.meshgrid(x, y), axis=-1))
-    # Only its path is wanted: what is drawn are the parts of it.
+    # Only its path is used; its parts are drawn separately.
     line = ax.contour(x, y, heights, levels=[0.0], linewidths=0)
     pieces = line.get_paths()[0].to_polygons(closed_only=False)
     line.remove()

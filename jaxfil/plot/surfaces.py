@@ -1,8 +1,4 @@
-"""The surfaces of a system in a plane of two components of its state.
-
-Axes with a motion on them enter, with the system and the solution; the same axes leave, with the
-zeros of the switching functions drawn.
-"""
+"""The surfaces of a system in a plane of two components of its state."""
 
 import jax
 import jax.numpy as jnp
@@ -18,16 +14,16 @@ _GRID = 201
 
 
 def draw_surfaces(ax: Axes, system: System, sol: Solution, shown: list[int]) -> None:
-    """Dash the zeros of every switching function within what the axes show of two components."""
+    """Dash the zeros of every switching function within the axes of two components."""
     limits = ax.get_xlim(), ax.get_ylim()
     x, y = (np.linspace(*ends, _GRID) for ends in limits)
-    # A surface is a set in n dimensions, and cut by the plane through the last state.
+    # A surface in n dimensions, cut by the plane through the last state.
     last = np.broadcast_to(np.asarray(sol.x_final), (_GRID, _GRID, np.size(sol.x_final))).copy()
     last[..., shown[0]], last[..., shown[1]] = np.meshgrid(x, y)
     heights = jax.vmap(jax.vmap(lambda x: jnp.atleast_1d(system.switching(sol.t_final, x))))
     every = np.moveaxis(np.asarray(heights(jnp.asarray(last))), -1, 0)
     for j, h in enumerate(every):
-        if h.min() < 0 < h.max():  # a surface that the last state is on may be all of the plane
+        if h.min() < 0 < h.max():  # a surface through the last state may contain the plane
             number, color = subscript(j + 1) * (len(every) > 1), COLORS[j % len(COLORS)]
             ax.contour(x, y, h, levels=[0.0], colors=color, linewidths=1.0, linestyles="dashed")
             ax.plot([], [], "--", color=color, linewidth=1.0, label=f"H{number} = 0")

@@ -1,7 +1,4 @@
-"""The contacts of many motions in time, a row for each.
-
-A batch of solutions enters; the axes it was drawn on leave.
-"""
+"""The contacts of many motions in time, a row for each."""
 
 from typing import Any
 
@@ -24,14 +21,14 @@ def event_timeline(
 ) -> Axes:
     """Draw every contact of every lane at its time, marked by its kind.
 
-    Lines of marks that run together are contacts that move smoothly with the lane; where a line
-    begins, two meet or one ends, the order of contacts changes.
+    Continuous lines of marks are contacts that move smoothly with the lane. The order of contacts
+    changes where a line begins or ends, or two lines merge.
 
     **Arguments**
 
     - `sol`: a `Solution` of one lane or of a batch of p lanes.
-    - `ax`: the axes to draw on; by default those of a figure of their own.
-    - `values`: the height of each lane, as the parameter that differs; by default its number.
+    - `ax`: the axes to draw on; by default new ones.
+    - `values`: the height of each lane, such as the varied parameter; by default its number.
     - `style`: matplotlib's keywords of the marks, as `ms`.
 
     **Returns** the matplotlib axes.

@@ -1,7 +1,6 @@
-"""Averages along a motion: quadratures carried with the state.
+"""Averages along a motion, computed as quadratures that are integrated with the state.
 
-A system and a function of the motion enter; the mean of the function along a run leaves, of the
-order of the stepper and exact through contacts.
+They have the order of the stepper and are exact through contacts.
 """
 
 import diffrax
@@ -23,16 +22,16 @@ from jaxfil.model.types import Scalar, State
 
 
 class Average(eqx.Module):
-    """The mean of a function along a run, and how the run ended."""
+    """The mean of a function along a run."""
 
     value: Float[jax.Array, "*shape"]
-    """The mean; of the time that was reached where the run has ended before."""
+    """The mean, over the time before `t_final` if the run ended early."""
     result: RESULTS
-    """How the run ended."""
+    """The outcome of the run."""
     t_final: Float[jax.Array, ""]
-    """How far it came."""
+    """The final time."""
     x_final: Float[jax.Array, " n"]
-    """The state there, for another run to go on from."""
+    """The state at `t_final`, from which another run can continue."""
 
 
 def average(
@@ -47,22 +46,22 @@ def average(
     adjoint: Adjoint = diffrax.ForwardMode(),  # noqa: B008
     throw: bool = True,
 ) -> Average:
-    r"""The mean of a function along a motion: a power, a duty cycle, the share of sticking.
+    r"""The mean of a function along a motion, such as a power or the share of sticking.
 
     $$\bar g = \frac{1}{t_1 - t_0} \int_{t_0}^{t_1} g(t, x(t), \mathrm{side}(t), \dots)\, dt$$
 
-    The integral is carried with the state, at the order of the stepper, and its steps end on
-    contacts as those of the state do: a mean of 1 and 0 by the mode is a share of time, to
+    The integral is integrated with the state, at the order of the stepper, and its steps end on
+    contacts. The mean of a function of the mode that is 1 or 0 is therefore a share of time, to
     rounding. On a slide g is the blend of both sides, as the field is.
 
     **Arguments**
 
     - `system`, `x0`, `t0`, `t1`, `dt`, `stepper`, `adjoint`, `throw`: as in `solve`.
     - `function`: g, a function of the time and the state, shape (n,), that returns an array of any
-      shape, and asks for `side`, `reaction` and `mode` as the `observe` of `solve` does.
+      shape, with optional arguments `side`, `reaction` and `mode` as in `observe` of `solve`.
 
-    **Returns** an `Average` with the shape of what `function` returns. It has derivatives as the
-    states of a `Solution` have.
+    **Returns** an `Average` with the shape of the value of `function`. It has derivatives like the
+    states of a `Solution`.
 
     **Outcomes**: `successful`; `max_steps_reached`, `nonfinite`, `step_too_long`, `nonunique`,
     `mode_undecided`, `undeclared_sliding`, `zeno`, `reset_undecided` and, in backward time,

@@ -1,8 +1,7 @@
-"""`choose_step`: the cheapest stepper and step that meet a tolerance on one's own scene.
+"""`choose_step`: the cheapest stepper and step that satisfy a tolerance for a given system.
 
-A system, an initial state, a time span and a tolerance enter; a `StepChoice` leaves. Each stepper's
-steps are doubled until its error is small enough, and the place between the last two numbers of
-steps is then looked for; all errors are those against one reference that is finer than all of them.
+The steps of each stepper are doubled until its error is small enough; numbers of steps between the
+last two are then tried. All errors are relative to one reference, finer than all runs.
 """
 
 import dataclasses
@@ -33,35 +32,34 @@ from jaxfil.model.parameter import cast, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State, States, SweptValues
 
-# Steps that a search begins with, in a forcing period or the whole span.
+# Initial number of steps of a search, in a forcing period or the whole span.
 _FIRST = 4
-# Numbers of steps tried between two that differ by a factor of two: at order eight the error of
-# neighbours differs by a factor of two as well.
+# Numbers of steps tried between two that differ by a factor of two. At order eight the errors of
+# neighbours also differ by a factor of two.
 _BETWEEN = 7
-# The reference is refined until doubling its steps changes it by this part of the tolerance.
+# The reference is refined until doubling its steps changes it by this fraction of the tolerance.
 _FINE = 1e-2
-# A change below so many eps that is no smaller than half of the one before: rounding is all there
-# is.
+# A change below this many eps that is at least half of the previous change consists of rounding.
 _ROUNDING = 1e4
-# Run times are medians of so many calls.
+# Number of calls of which the median run time is taken.
 _REPEATS = 3
-# The most steps of a lane.
+# The largest number of steps of a lane.
 _MOST = 2**22
 _STEPPERS = (RK4(), diffrax.Tsit5(), diffrax.Dopri8())
 
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """All lanes at one number of steps: their ends, the first outcome that is no success, or
-    `successful`, and the run time of one."""
+    """All lanes at one number of steps: their ends, the first outcome other than `successful`, and
+    the run time of one lane."""
 
     xs: np.ndarray
     outcome: str
     seconds: float
 
     def distance(self, other: "_Run") -> float:
-        """The largest distance of two runs' ends, relative to the size of the other's; inf where
-        one of them has none."""
+        """The largest distance between the ends of two runs, relative to the size of the other's;
+        inf if a lane of either has no end."""
         if {self.outcome, other.outcome} != {"successful"}:
             return np.inf
         size = np.max(abs(other.xs), axis=1)
@@ -77,7 +75,7 @@ class _Ladder:
         self._run = run
 
     def at(self, steps: int) -> _Run:
-        """The run with so many steps."""
+        """The run with this number of steps."""
         if steps not in self.runs:
             self.runs[steps] = self._run(steps)
         return self.runs[steps]
@@ -88,12 +86,12 @@ class _Ladder:
         return max(self.runs)
 
     def change(self, steps: int) -> float:
-        """By how much it changed when the steps were doubled to so many."""
+        """The change of the ends when the number of steps was doubled to `steps`."""
         return self.runs[steps // 2].distance(self.runs[steps]) if steps > _FIRST else np.inf
 
     def double_until(self, small: float) -> None:
-        """Double the steps until that changes the ends by no more than `small`, or by rounding, or
-        they are too many."""
+        """Double the steps until this changes the ends by at most `small` or by rounding, or
+        reaches the largest number."""
         steps = max(self.runs, default=_FIRST // 2)
         while 2 * steps <= self.most:
             steps *= 2
@@ -104,8 +102,7 @@ class _Ladder:
                 return
 
     def enough(self, reference: _Run, tolerance: float) -> int | None:
-        """The least number of steps from which on all runs meet the tolerance; None if there is
-        none."""
+        """The least number of steps from which on all runs satisfy the tolerance, or None."""
         found = None
         for steps in sorted(self.runs, reverse=True):
             if not self.runs[steps].distance(reference) <= tolerance:
@@ -114,7 +111,7 @@ class _Ladder:
         return found
 
     def refine(self, reference: _Run, tolerance: float) -> None:
-        """Try numbers of steps just below those that are enough."""
+        """Try numbers of steps just below the sufficient one."""
         found = self.enough(reference, tolerance)
         if found is None or found == _FIRST:
             return
@@ -140,27 +137,27 @@ def choose_step(
 
         max_i |x_i(t1) − reference_i|  ≤  tolerance · max_i |reference_i|   in every lane
 
-    Errors are measured and not estimated from one step to the next, so that they are those of the
-    contacts too. More steps than those chosen meet the tolerance as well, as far as they were
-    tried: a step that is good by accident is not taken. Each stepper is compiled once.
+    Errors are measured instead of estimated from step to step, and include the errors of
+    contacts. A number of steps is chosen only if all larger ones that were tried also satisfy the
+    tolerance. Each stepper is compiled once.
 
     **Arguments**
 
     - `system`: a `System`, forced or not.
     - `x0`: the initial state, shape (n,), or one for each lane, shape (p, n).
-    - `t0`, `t1`: the span of time. Errors grow with it: choose one like that of the runs to come,
-      but none in which a chaotic motion forgets where it began.
+    - `t0`, `t1`: the span of time. Errors grow with it; choose a span similar to the intended runs,
+      but short enough that a chaotic motion still depends on its initial state.
     - `tolerance`: the largest error, relative to the size of x(t1), positive.
-    - `steppers`: those to choose from, as `solve` takes them; by default `RK4()`, `Tsit5()` and
-      `Dopri8()` of diffrax. For stiff fields `[jf.Rodas5P()]`.
-    - `parameter`, `values`: a parameter and a few of its values, shape (p,), a lane each: those of
-      a sweep to come, its ends among them.
+    - `steppers`: candidates, as in `solve`; by default `RK4()`, and `Tsit5()` and `Dopri8()` of
+      diffrax. For stiff fields `[jf.Rodas5P()]`.
+    - `parameter`, `values`: a parameter and a few of its values, shape (p,), one lane each, such as
+      values of an intended sweep that include its ends.
     - `throw`: whether to raise an error unless the outcome is `successful`.
 
-    **Returns** a `StepChoice`: a card, a picture, and what other verbs take as `dt` or `steps`.
+    **Returns** a `StepChoice`, accepted by other functions as `dt` or `steps`.
 
-    **Outcomes**: `successful`; `tolerance_not_met`, where the most accurate run is returned; where
-    no run reached t1, that of the last one: `max_steps_reached`, `zeno`,
+    **Outcomes**: `successful`; `tolerance_not_met`, with the most accurate run; if no run reached
+    t1, the outcome of the last run: `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite` or
     `step_too_long`.
 
@@ -182,7 +179,7 @@ def choose_step(
     ladders = [_Ladder(s, lanes.runner(s), lanes.most) for s in _checked(steppers)]
     for ladder in ladders:
         ladder.double_until(wanted)
-    # The reference is that of the stepper that got there with the fewest steps: the highest order.
+    # The reference uses the stepper that got there with the fewest steps, of the highest order.
     best = min(ladders, key=lambda v: (min(v.change(v.finest), wanted), v.finest))
     best.double_until(_FINE * wanted)
     fine = min((s for s in best.runs if s > _FIRST), key=best.change)
@@ -202,7 +199,7 @@ def _checked(steppers: Any) -> tuple[Stepper, ...]:
 
 
 class _Lanes:
-    """The scenes on which a choice is to be good: parameters, initial states and the span."""
+    """The lanes for which the choice must be good: parameters, initial states and the span."""
 
     def __init__(
         self,
@@ -242,7 +239,7 @@ class _Lanes:
         if not 0 < length < np.inf:
             raise ValueError(f"`t1` must differ from `t0` and be finite, got {t1} and {t0}.")
         units = np.asarray(jax.vmap(self._unit)(self.values))
-        # Steps are counted in a period: a lane of many periods has as many more of them.
+        # Steps are counted per period; a lane of many periods has a multiple of them.
         self.most = int(_MOST / max(1.0, float(np.max(length / units))))
 
     def _of(self, value: Array) -> System:
@@ -251,7 +248,7 @@ class _Lanes:
         return replace_parameter(self.system, self.parameter, value)
 
     def _unit(self, value: Array) -> Array:
-        """The time in which steps are counted."""
+        """The unit of time in which steps are counted."""
         period = self._of(value).period
         return abs(self.span[1] - self.span[0]) if period is None else jnp.asarray(period)
 
@@ -262,7 +259,7 @@ class _Lanes:
         return float(unit) / steps
 
     def runner(self, stepper: Stepper) -> Callable[[int], _Run]:
-        """All lanes by one compiled program, as a function of the number of steps."""
+        """A compiled program of all lanes, as a function of the number of steps."""
 
         def one(value: Array, x0: Array, steps: Array) -> tuple[Array, RESULTS]:
             system = self._of(value)
@@ -293,7 +290,7 @@ class _Lanes:
 def _choice(
     ladders: list[_Ladder], lanes: _Lanes, reference: _Run, known: float, tolerance: float
 ) -> StepChoice:
-    """The cheapest run of all that are enough; without one the most accurate run."""
+    """The cheapest sufficient run; otherwise the most accurate run."""
     width = max(len(ladder.runs) for ladder in ladders)
     counts = np.zeros((len(ladders), width), int)
     errors, times = np.full((2, len(ladders), width), np.nan)

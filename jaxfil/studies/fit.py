@@ -1,8 +1,7 @@
 """`fit`: parameters of a system from measured data.
 
-A system, the names of parameters, times, measurements and first guesses enter; a `Fit` leaves: the
-values with their covariance, and how the search ended from each guess. The residuals are those of
-the event-driven solution, their Jacobian its derivative, exact through every contact.
+The residuals come from the event-driven solution, and their Jacobian is its derivative, exact
+through every contact.
 """
 
 from collections.abc import Sequence
@@ -32,33 +31,34 @@ from jaxfil.xla.select import select
 
 
 class Fit(eqx.Module):
-    """Parameters that fit data best, of g first guesses, and how certain they are."""
+    """Parameters that fit data best, from g initial guesses, with their covariance."""
 
     values: Float[Array, " k"]
-    """The parameters."""
+    """The fitted parameters."""
     covariance: Float[Array, "k k"]
-    """Their covariance, (JᵀJ)⁻¹ with J the Jacobian of the residuals, each divided by its `sigma`;
-    without a `sigma` times the variance of the residuals. Infinite where data say nothing."""
+    """Covariance of the parameters, (JᵀJ)⁻¹ with J the Jacobian of the residuals, each divided by
+    its `sigma`; without `sigma` times the variance of the residuals. Infinite for parameters that
+    do not affect the data."""
     residuals: Float[Array, " N"]
     """(observed − measured)/sigma, in the order of the data."""
     system: System
-    """The system with these parameters."""
+    """The system with the fitted parameters."""
     result: RESULTS
-    """How the search ended from the best guess."""
+    """The outcome of the search from the best guess."""
     all_values: Float[Array, "g k"]
-    """Where the search from each guess ended."""
+    """Final parameters of the search from each guess."""
     costs: Float[Array, " g"]
-    """Half the sum of the squares of the residuals there; NaN where there is no motion."""
+    """Half the sum of squared residuals at `all_values`; NaN if there is no motion."""
     num_steps: Int[Array, " g"]
-    """Steps that each search took."""
+    """Number of steps of each search."""
     results: RESULTS
-    """How each ended."""
+    """The outcome of each search."""
     parameters: tuple[str, ...] = eqx.field(static=True)
     """The names of the parameters."""
 
     @property
     def errors(self) -> Float[Array, " k"]:
-        """Standard errors of the parameters, the roots of the variances."""
+        """Standard errors of the parameters, the square roots of the variances."""
         return jnp.sqrt(jnp.diag(self.covariance))
 
     def __repr__(self) -> str:
@@ -100,38 +100,39 @@ def fit(
 
         minimise ½ Σ_i |(observe(t_i, x(t_i)) − data_i)/sigma|²
 
-    By Levenberg and Marquardt's method from every guess at once, each with its own damping. Where a
-    step would have the motion lose a contact or win one the residuals stay continuous, but their
-    derivatives jump, and are infinite at grazing: a step after which they have not fallen is taken
-    back, and a shorter one tried. Guesses on the wrong side of such a kink may end there.
+    Levenberg and Marquardt's method runs from every guess at once, each with its own damping. Where
+    a step changes the number of contacts, the residuals stay continuous, but their derivatives
+    jump, and are infinite at grazing. A step that does not decrease the residuals is rejected, and
+    a shorter one tried. Guesses on the wrong side of such a kink may end there.
 
     **Arguments**
 
-    - `system`: the `System`; its own values are those of all other parameters.
+    - `system`: the `System`, which defines the values of all other parameters.
     - `parameters`: the names of k scalar parameters, or of entries as "a[0,1]".
-    - `ts`: times of the measurements, shape (q,), ascending, none before `t0`.
+    - `ts`: times of the measurements, shape (q,), ascending, not before `t0`.
     - `data`: measurements, shape (q,) or (q, …), finite.
     - `x0`: the state at `t0`, shape (n,).
     - `dt`, `stepper`: as in `solve`.
     - `t0`: the time of `x0`.
-    - `observe`: a function of (t, x) that returns what is measured, and may ask for more as that of
-      `solve` does; None is the whole state.
-    - `sigma`: standard deviations of the measurements, of a shape that broadcasts to that of
-      `data`; None: all the same one, which is not known.
-    - `guesses`: first guesses, shape (g, k) or (k,); None is the system's own values.
-    - `tolerance`: of the parameters and the sum, relative, at which a search ends; 8 eps at least.
-    - `max_steps`: the most steps of a search.
+    - `observe`: a function of (t, x) that returns the measured quantity, with optional arguments as
+      in `solve`; None for the whole state.
+    - `sigma`: standard deviations of the measurements, of a shape that broadcasts to the shape of
+      `data`; None if they are equal and unknown.
+    - `guesses`: initial guesses, shape (g, k) or (k,); None for the system's own values.
+    - `tolerance`: relative change of the parameters and the sum at which a search ends; at least 8
+      eps.
+    - `max_steps`: the largest number of steps of a search.
     - `throw`: whether to raise an error unless the outcome of the best guess is `successful`.
 
-    **Returns** a `Fit`, that of the guess with the smallest sum of squares.
+    **Returns** a `Fit`, from the guess with the smallest sum of squares.
 
-    **Outcomes**, in `result` and of each guess in `results`: `successful`; `fit_not_converged`; and
-    where there is no motion at the end of the search what stopped it: `max_steps_reached`,
+    **Outcomes**, in `result` and for each guess in `results`: `successful`; `fit_not_converged`;
+    and without a motion at the end of the search, its cause: `max_steps_reached`,
     `mode_undecided`, `zeno`, `nonunique`, `nonfinite`, `reset_undecided`, `undeclared_sliding` or
     `step_too_long`.
 
     **Source**: D. Marquardt, An algorithm for least-squares estimation of nonlinear parameters,
-    SIAM Journal 11 (1963), as Optimistix has it; J. Nocedal, S. J. Wright, Numerical Optimization
+    SIAM Journal 11 (1963), as in Optimistix; J. Nocedal, S. J. Wright, Numerical Optimization
     (2006), section 10.3.
 
     >>> import jax.numpy as jnp
@@ -155,7 +156,7 @@ def fit(
     own = jnp.stack([jnp.asarray(get_parameter(system, name)) for name in names])
     starts = own if guesses is None else _guesses(guesses, len(names), x.dtype)
     step, method = dt_and_stepper(dt, stepper)
-    if isinstance(dt, Adaptive):  # which `solve` is given
+    if isinstance(dt, Adaptive):  # as `solve` accepts it
         step, method = dt, stepper
     else:
         step = check.scalar("dt", step, x.dtype, positive=True)
@@ -203,7 +204,7 @@ def _data(ts: Any, data: Any, dtype: Any) -> tuple[Array, Array]:
 
 
 def _check_seen(seen: Observable | None, measured: Array, x: Array) -> None:
-    """What is measured has the shape of what is computed."""
+    """Check that data and computed values have the same shape."""
     shape = x.shape if seen is None else seen.shape
     if measured.shape[1:] != shape:
         given = (
@@ -244,7 +245,7 @@ def _guesses(guesses: Any, k: int, dtype: Any) -> Array:
 
 
 class _Model(eqx.Module):
-    """All that the residuals depend on but the parameters."""
+    """All inputs of the residuals except the parameters."""
 
     system: System
     x0: Array
@@ -262,7 +263,7 @@ class _Model(eqx.Module):
         return replace_parameters(self.system, self.names, values)
 
     def residuals(self, values: Array, _: Any = None) -> tuple[Array, RESULTS]:
-        """Residuals, NaN where there is no motion, and its outcome."""
+        """Residuals, NaN without a motion, and its outcome."""
         sol = solve(
             self.at(values),
             self.x0,
@@ -278,13 +279,13 @@ class _Model(eqx.Module):
         seen = sol.xs if self.observe is None else sol.observed
         assert seen is not None
         away = jnp.ravel((seen - self.data) / self.sigma)
-        # A step to where there is no motion is one after which nothing has fallen.
+        # A step to parameters without a motion counts as one that does not decrease the sum.
         return select(sol.result == RESULTS.successful, away, jnp.nan), sol.result
 
 
 @eqx.filter_jit
 def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: bool) -> Fit:
-    # The sum may be zero: what it falls by is then measured by rounding.
+    # The sum may be zero; its decrease is then compared with rounding.
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=rtol**2)
 
     def one(start: Array) -> tuple[Array, Array, Array, RESULTS]:
@@ -324,7 +325,7 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
 
 
 def _inverse(matrix: Array) -> Array:
-    """Of a symmetric matrix whose rows have units; infinite where it is singular."""
+    """The inverse of a symmetric matrix whose rows have units; infinite if it is singular."""
     size = jnp.sqrt(jnp.diag(matrix))
     scale = select(size > 0, size, 1)
     inverse = jnp.linalg.inv(matrix / scale / scale[:, None]) / scale / scale[:, None]

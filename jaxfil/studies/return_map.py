@@ -1,7 +1,4 @@
-"""The Poincaré map: from a state to the next crossing of a section.
-
-A system, states and a section enter; the states at the crossings, with their times, leave.
-"""
+"""The Poincaré map, from a state to the next crossing of a section."""
 
 import dataclasses
 import functools as ft
@@ -25,16 +22,16 @@ from jaxfil.model.types import Scalar, States
 
 
 class Returns(eqx.Module):
-    """Where motions have come back to a section, for one state or a batch of any shape."""
+    """Crossings at which motions return to a section, for one state or a batch of any shape."""
 
     xs: Float[jax.Array, "*batch n"]
-    """States there; the last ones that were reached where `result` is no `section_reached`."""
+    """States at the crossings; final states where `result` is not `section_reached`."""
     ts: Float[jax.Array, "*batch"]
-    """Times there."""
+    """Times of the crossings."""
     result: RESULTS
-    """How each run ended: at the section, or otherwise."""
+    """The outcome of each run."""
     num_events: Int[jax.Array, "*batch"]
-    """Contacts on the way."""
+    """Number of contacts before the crossing."""
 
 
 def poincare_map(
@@ -54,22 +51,22 @@ def poincare_map(
 
     $$P(x_0) = \varphi_{\tau}(x_0), \qquad \tau = \min\{t > 0 : S(\varphi_t(x_0)) = 0\}$$
 
-    Crossings count in the direction of the section. A state on it is taken to its return, any other
-    one to its first arrival. Derivatives, by `jax.jacfwd` or `jax.grad`, are exact: those of the
-    flow, projected along the field onto the section, through all contacts on the way.
+    Crossings count in the direction of the section. A state on it is mapped to its return, any
+    other state to its first arrival. Derivatives, by `jax.jacfwd` or `jax.grad`, are exact: the
+    flow's, projected along the field onto the section, through all contacts.
 
     **Arguments**
 
     - `system`, `dt`, `t0`, `stepper`, `adjoint`, `throw`: as in `solve`.
     - `x0`: the state, shape (n,), or a batch of them, shape (…, n).
-    - `section`: a `Section`; its `terminal` does not matter here.
-    - `max_time`: the time after which a motion is given up; backward if it is negative.
-    - `returns`: the number of the crossing to stop at, 2 for the second return.
+    - `section`: a `Section`; its `terminal` is ignored.
+    - `max_time`: the longest time of a motion; backward if negative.
+    - `returns`: the number of the crossing to stop at, such as 2 for the second return.
 
     **Returns** `Returns`: states `xs`, shape (…, n), and times `ts`.
 
-    **Outcomes**: `section_reached`; `successful` where a motion has not come back in its time, an
-    error unless outcomes are asked for; where it cannot go on `max_steps_reached`, `nonfinite`,
+    **Outcomes**: `section_reached`; `successful` for a motion that did not return in time, an error
+    with `throw=True`; for a motion that cannot continue `max_steps_reached`, `nonfinite`,
     `step_too_long`, `nonunique`, `mode_undecided`, `undeclared_sliding`, `zeno`,
     `reset_undecided` and, in backward time, `irreversible_reset`.
 
@@ -88,7 +85,7 @@ def poincare_map(
     check.instance("section", section, Section)
     check.flags(throw=throw)
     states = check.states("x0", x0)
-    # Only looked at: a number stays one, which is known under `jit`.
+    # A number is not converted, so that it stays known under `jit`.
     check.scalar("t0", t0, states.dtype)
     check.scalar("max_time", max_time, states.dtype)
     there = dataclasses.replace(section, terminal=last)
@@ -113,6 +110,6 @@ def poincare_map(
 
 
 def _back(sol: Solution) -> Solution:
-    """The same solution, or an error where it has not come back."""
+    """The same solution, or an error if it has not returned."""
     told = "`max_time` must be longer: a motion has not come back to the section within it."
     return raise_first(sol, [(sol.result == RESULTS.successful, told)])

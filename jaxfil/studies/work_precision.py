@@ -1,9 +1,4 @@
-"""Error against run time for one's own scene.
-
-A system, an initial state, a time span, steppers and step lengths enter; a `WorkPrecision` leaves:
-the error and the run time of every stepper at every step, and how good the reference is that the
-errors were taken from.
-"""
+"""Error against run time of every stepper at every step, for a given system."""
 
 import statistics
 import time
@@ -26,14 +21,14 @@ from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Scalar, State
 
-# The reference's steps, in the smallest step asked for, and the coarser ones that judge it.
+# Steps of the reference, and of coarser runs that test it, in the smallest requested step.
 _FINE, _JUDGING = 1 / 4, 1 / 2
 
 
 class WorkPrecision(eqx.Module):
     """Errors and run times of s steppers at d step lengths.
 
-    An error that is not well above `reference_error` says no more than that it is small.
+    An error close to `reference_error` is only known to be small.
     """
 
     steppers: tuple[str, ...] = eqx.field(static=True)
@@ -43,9 +38,9 @@ class WorkPrecision(eqx.Module):
     errors: Float[np.ndarray, "s d"]
     """max |x(t1) − reference| of a stepper at a step; NaN where it did not reach t1."""
     seconds: Float[np.ndarray, "s d"]
-    """Median run time of one lane, compiling left out."""
+    """Median run time of one lane, without compilation."""
     num_events: Int[np.ndarray, "s d"]
-    """Contacts on the way."""
+    """Number of contacts."""
     outcomes: np.ndarray
     """Names of `RESULTS`, shape (s, d)."""
     reached: Bool[np.ndarray, "s d"]
@@ -57,15 +52,15 @@ class WorkPrecision(eqx.Module):
     reference_events: int = eqx.field(static=True)
     """Contacts of the reference."""
     reference_error: float = eqx.field(static=True)
-    """By how much halving its step before that changed the reference; inf: there is none."""
+    """Change of the reference when its step was last halved; inf without a reference."""
     reference_check: float = eqx.field(static=True)
-    """How far the best of the other steppers is from it at that step; NaN if there is none."""
+    """Distance of the best other stepper from it at that step; NaN without one."""
     period: float | None = eqx.field(static=True)
     """The system's forcing period, by which the card counts steps."""
 
     def recommendation(self, tolerance: float = 1e-8) -> str:
-        """In one line: the fastest run with an error below `tolerance` times max |x(t1)|, or the
-        most accurate one where none is."""
+        """The fastest run with an error below `tolerance` times max |x(t1)|, or otherwise the most
+        accurate run, in one line."""
         if not np.isfinite(self.errors).any():
             return "No run reached t1."
         wanted = tolerance * max(float(np.max(abs(self.reference))), np.finfo(float).tiny)
@@ -128,23 +123,23 @@ def work_precision(
     """Measure the error and the run time of every stepper at every step length on one problem.
 
     Errors are max_i |x_i(t1) − reference_i|, against the best of the steppers at a quarter of the
-    smallest step. A motion that is sensitive to small changes by 1e10 within the span has no
-    reference, and a large `reference_error` says so.
+    smallest step. A motion that amplifies small changes by 1e10 within the span has no
+    reference, which shows as a large `reference_error`.
 
     **Arguments**
 
     - `system`: a `System`, forced or not.
     - `x0`: the initial state, shape (n,), at `t0`.
     - `t1`: the time at which errors are taken, in the system's unit of time.
-    - `steppers`: a list of what `solve` takes as `stepper`, at least one.
+    - `steppers`: a list of steppers, as in `solve`, at least one.
     - `dts`: step lengths, positive, at least one, in the unit of time.
     - `t0`: the time at which the runs start.
-    - `lanes`: how many copies of the problem a timed call solves at once; times are of one.
-    - `repeats`: run times are medians of so many calls of a compiled program.
+    - `lanes`: number of copies of the problem in a timed call; times are per copy.
+    - `repeats`: number of calls of a compiled program, whose median is the run time.
 
     **Returns** a `WorkPrecision`, a table with a picture.
 
-    **Outcomes**: those of `solve`, run by run, in `WorkPrecision.outcomes`; nothing is raised.
+    **Outcomes**: as in `solve`, for each run in `WorkPrecision.outcomes`; no error is raised.
 
     **Source**: work–precision diagrams: Hairer, Nørsett and Wanner, Solving Ordinary Differential
     Equations I, Springer 1993, section II.10.
@@ -214,7 +209,7 @@ def _compiled(
 
 
 class _Run:
-    """One stepper at one step: where it ended, how, and how long it took."""
+    """The end, outcome and run time of one stepper at one step."""
 
     def __init__(self, run: Callable, dt: float, dtype: Any, lanes: int, repeats: int):
         steps = jnp.full((lanes,), dt, dtype)
@@ -232,8 +227,8 @@ class _Run:
 
 
 def _reference(fines: list[list[_Run]]) -> tuple[int, float, float]:
-    """Which stepper changes least on halving its step, by how much, and how far from it the best of
-    the others is."""
+    """The stepper that changes least when its step is halved, its change, and the distance of the
+    best other stepper."""
     changes = []
     for finest, judging in fines:
         known = finest.reached and judging.reached

@@ -1,8 +1,4 @@
-"""Basins of attraction: which motion each initial state leads to.
-
-A forced system and a grid of initial states enter; the attractors found and the number of the one
-that each state leads to leave.
-"""
+"""Basins of attraction over a grid of initial states."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -34,16 +30,16 @@ from jaxfil.sweep.conditions import CONDITIONS, Conditions, condition_entries
 from jaxfil.sweep.diagram import BifurcationDiagram, same_state
 from jaxfil.sweep.sweep import bifurcation_diagram
 
-# Names of its data set that are no parameter's.
+# Names of its data set that are not parameters.
 TAKEN = {"label", "outcome", "outcome_code", "attractor", "period", "axis_0", "axis_1", "motion"}
 TAKEN |= {"point", "component", "unit", "components", "symbols", "units"} | CONDITIONS
 
-# Labels of states that lead to no periodic motion.
+# Labels of states without a periodic attractor.
 APERIODIC, FAILED = 0, -1
 
 
 class Basins(eqx.Module):
-    """Which attractor each initial state of a grid leads to.
+    """The attractor of each initial state of a grid.
 
     >>> import jaxfil as jf
     >>> found = jf.basins_of_attraction(
@@ -56,12 +52,12 @@ class Basins(eqx.Module):
     axes: tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"]]
     """The grid's values of the two `components`, shapes (a,) and (b,)."""
     labels: Int[np.ndarray, "a b"]
-    """`labels[i, j]` belongs to `axes[0][i]` and `axes[1][j]`: k ≥ 1 for `attractors[k - 1]`; 0
-    where no period was found (chaos, a torus, a period longer than half the samples, or a transient
-    that is not over); −1 where the lane failed."""
+    """`labels[i, j]` belongs to `axes[0][i]` and `axes[1][j]`. It is k ≥ 1 for `attractors[k - 1]`,
+    0 without a detected period (chaos, a torus, a period longer than half the samples, or an
+    unfinished transient), and −1 for a failed lane."""
     attractors: tuple[Float[np.ndarray, "period n"], ...]
-    """The section points of each periodic motion found, shape (its period, n), those of short
-    periods first. Chaotic motions share the label 0 and have no entry."""
+    """The section points of each periodic attractor, shape (its period, n), short periods first.
+    Chaotic motions share the label 0 and have no entry."""
     results: RESULTS
     """The outcome of each lane, shape (a, b)."""
     components: tuple[int, int] = eqx.field(static=True)
@@ -69,9 +65,9 @@ class Basins(eqx.Module):
     system: str = eqx.field(static=True)
     """The name of the system's class."""
     conditions: Conditions
-    """What the sweep ran with; `x0` is the state that gives the other components, shape (n,)."""
+    """The conditions of the sweep; `x0` has the other components, shape (n,)."""
     names: Labels = eqx.field(static=True, default=Labels())
-    """What pictures call the components."""
+    """Names of the components in pictures."""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the basins and the section points of their attractors; returns the axes."""
@@ -82,20 +78,20 @@ class Basins(eqx.Module):
         two components of the initial state, and of the section points `attractor` (motion, point,
         component), NaN beyond the `period` (motion) of each.
 
-        The attributes give the system, its parameters and what else the sweep ran with. Needs the
-        package xarray.
+        The attributes have the system, its parameters and the other conditions. Needs the package
+        xarray.
         """
         return dataset_io.to_xarray(self.named_arrays())
 
     def save(self, path: PathLike) -> None:
         """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
 
-        `jaxfil.load(path)` gives the same basins back, bit for bit. What was there is replaced.
+        `jaxfil.load(path)` returns the same basins, bit for bit. An existing file is replaced.
         """
         dataset_io.save(self.named_arrays(), path)
 
     def named_arrays(self) -> NamedArrays:
-        """What `save` writes, whatever the file."""
+        """The data that `save` writes, for every file format."""
         lanes = ("axis_0", "axis_1")
         longest = max((len(points) for points in self.attractors), default=0)
         n = self.conditions.x0.size
@@ -154,20 +150,20 @@ def basins_of_attraction(
 
         |x(t + mT) − x(t)| ≤ tolerance · max |x|
 
-    in every component, and motions of one period are one attractor if one passes, at the phase of
-    the section, near a point of the other.
+    in every component. Motions of one period are one attractor if one passes, at the phase of the
+    section, near a point of the other.
 
     **Arguments**
 
-    - `system`: a `System` with a `period`, or with a `section` any.
+    - `system`: a `System` with a `period`, or any `System` with a `section`.
     - `axes`: the values of the two components in the grid, shapes (a,) and (b,).
     - `x0`: the other components of every initial state, shape (n,); by default zeros (2,).
-    - `components`: which two of the state the grid is of.
+    - `components`: the two components of the state along the grid.
     - `transient`: forcing periods, or crossings, before the first sample. Near a bifurcation
       transients are long.
-    - `samples`: forcing periods, or crossings, looked at; periods of up to half their
-      number are found.
-    - `tolerance`: how near a motion must come to where it was, relative to its size.
+    - `samples`: number of sampled forcing periods, or crossings; the longest detectable period is
+      half of it.
+    - `tolerance`: the largest distance of a motion from its earlier state, relative to its size.
     - `options`: `steps`, `stepper`, `progress`, `checkpoint`, `compact`, `section` and `max_return`
       of `bifurcation_diagram`.
 
@@ -210,8 +206,8 @@ def basins_of_attraction(
     names = [name for name, leaf in parameters(system).items() if np.ndim(leaf) == 0]
     if not names:
         raise ValueError(f"`system` must have a float field, got {type(system).__name__}.")
-    # One lane for each state: a sweep over a parameter that stays what it is has the program, the
-    # chunks and the checkpoints of any other.
+    # One lane for each state, as a sweep over a parameter with a constant value, so that it uses
+    # the program, the chunks and the checkpoints of other sweeps.
     leaf = np.full(states[..., 0].size, parameters(system)[names[0]])
     diagram = bifurcation_diagram(
         system,
@@ -264,15 +260,15 @@ def _classified(
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """The label of every lane, and the section points of every attractor."""
     periods = diagram.periods(tolerance)
-    # Short periods first, each motion claiming all lanes that pass near it: a pass over the lanes
-    # for each attractor, of which there are few.
+    # Short periods first; each attractor claims all lanes that pass near it, in one pass over the
+    # lanes per attractor, of which there are few.
     labels = np.where(periods > 0, APERIODIC, periods)
     attractors: list[np.ndarray] = []
     for period in np.unique(periods[periods > 0]):
         left = np.flatnonzero(periods == period)
         while left.size:
-            points = diagram.xs[left[0], -period:]  # the last ones have had the longest transient
-            # Ten times what two lanes of one motion may be away from where they repeat.
+            points = diagram.xs[left[0], -period:]  # after the longest transient
+            # Ten times the largest distance at which two lanes of one motion repeat.
             near = 10 * same_state(points, tolerance)
             away = np.abs(diagram.xs[left, -1][:, None] - points)
             same = np.any(np.all(away <= near, axis=-1), axis=-1)

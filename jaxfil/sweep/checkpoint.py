@@ -1,11 +1,10 @@
-"""Checkpoints: finished chunks of a sweep on disk, and what the sweep was asked for.
+"""Checkpoints: finished chunks of a sweep on disk, with the record of the sweep.
 
-A folder and a record of every argument enter; chunks of finished lanes leave and come back. The
-folder holds Zarr groups that xarray opens: `sweep.zarr`, the record, and one for each chunk. A
-group is written under a name of its own and then renamed, which the file system does whole or not
-at all: what bears its name is complete, whenever a process was killed, and two at the same work
-harm nothing. Each carries a checksum of its numbers, its name and the record: what was damaged on
-the disk since, or put in another's place, is found out.
+The folder holds Zarr groups that xarray opens: `sweep.zarr`, the record, and one for each chunk. A
+group is written under a temporary name and then renamed, which is atomic. A group with its final
+name is therefore complete, even if a process was killed, and two processes do not interfere. Each
+carries a checksum of its numbers, its name and the record, which detects damaged or exchanged
+groups.
 """
 
 import dataclasses
@@ -33,19 +32,19 @@ _T = TypeVar("_T")
 
 @dataclasses.dataclass(frozen=True)
 class FinishedChunk:
-    """Lanes of a chunk that have run to their end."""
+    """The finished lanes of a chunk."""
 
     samples: Samples[np.ndarray]
-    """Their samples, shape (lanes, samples, k)."""
+    """Samples of the lanes, shape (lanes, samples, k)."""
     codes: np.ndarray
-    """Codes of their outcomes, shape (lanes,)."""
+    """Codes of the outcomes, shape (lanes,)."""
     end: np.ndarray
     """Last states, shape (lanes, n), or the last state of all, shape (n,), where each lane starts
-    from the last one's end."""
+    from the end of the previous one."""
 
 
 class Checkpoint:
-    """The folder of one sweep, made if it is not there, refused if it holds another one.
+    """The folder of one sweep, created if necessary, refused if it belongs to another sweep.
 
     The samples of a sweep at a section are `timed`.
     """
@@ -65,7 +64,7 @@ class Checkpoint:
             self._put(_RECORD, _pack(record, self._record))
         before = self._intact(_RECORD, _unpack)
         if before is None:
-            # Whose it was is not known any more; each piece says for itself that it is this one's.
+            # The damaged record cannot identify the sweep, but each piece identifies itself.
             self._put(_RECORD, _pack(record, self._record))
             return
         changes = _changes(before, record)
@@ -76,8 +75,7 @@ class Checkpoint:
             )
 
     def read(self, start: int, stop: int) -> FinishedChunk | None:
-        """The lanes from number `start` to `stop`, or None if they are not finished, or not as they
-        were written."""
+        """The lanes from number `start` to `stop`, or None if they are unfinished or damaged."""
         name = _name(start, stop)
         if not (self._path / name).exists():
             return None
@@ -94,9 +92,9 @@ class Checkpoint:
         return self._intact(name, unpack)
 
     def write(self, start: int, stop: int, chunk: FinishedChunk) -> None:
-        """Keep finished lanes."""
+        """Store finished lanes."""
         name = _name(start, stop)
-        # A dimension of its own: a chunk that is filled up has more last states than lanes.
+        # A separate dimension, because a padded chunk has more last states than lanes.
         end = ("end_lane", "end_component")[-chunk.end.ndim :]
         variables: dict[str, Variable] = {
             "x": (("lane", "sample", "component"), _columns(chunk.samples)),
@@ -110,7 +108,7 @@ class Checkpoint:
         self._put(name, NamedArrays(variables, attributes=checksum))
 
     def tell_damaged(self) -> None:
-        """Warn of what was not as it was written."""
+        """Warn of damaged groups."""
         if self._damaged:
             warn(
                 f"The checkpoint {self._path} held what was damaged, or another sweep's, and is "
@@ -128,19 +126,19 @@ class Checkpoint:
         return digest({**piece, **numbers, "end": chunk.end}).hex()
 
     def _intact(self, name: str, unpack: Callable[[Dataset], _T | None]) -> _T | None:
-        """A group that is as it was written; another one is put away, and None leaves."""
+        """An intact group, or None after a damaged one is set aside."""
         path = self._path / name
         try:
-            # Whatever Zarr, xarray or a codec say of a file that something has written into.
+            # Any error of Zarr, xarray or a codec for a damaged file.
             found = unpack(dataset_io.read_zarr(path))
-        except (ImportError, MemoryError, PermissionError):  # which say nothing of the group
+        except (ImportError, MemoryError, PermissionError):  # not about the group
             raise
         except Exception:
             found = None
         if found is None and path.exists():
             self._damaged.append(name)
             away = self._path / f".{uuid.uuid4().hex}-{name}"
-            with suppress(FileNotFoundError):  # another process has put it away
+            with suppress(FileNotFoundError):  # another process has set it aside
                 os.rename(path, away)
             shutil.rmtree(away, ignore_errors=True)
         return found
@@ -151,15 +149,15 @@ class Checkpoint:
             dataset_io.write_zarr(data, partial)
             os.rename(partial, self._path / name)
         except Exception as error:
-            # Another process has put the same there first: a folder that is not empty stays.
+            # Another process has written the same group first; a folder that is not empty stays.
             if not (self._path / name).exists():
                 shutil.rmtree(partial, ignore_errors=True)
                 if not isinstance(error, OSError):
                     raise
                 why = f"{error.strerror or error}; what was finished before is kept"
                 raise OSError(error.errno, why, str(self._path / name)) from error
-        # What is left by a run that was killed while it wrote is no use to anyone.
-        for left in self._path.glob(f".*-{name}"):  # by a run that was killed
+        # Remove partial groups of a run that was killed during writing.
+        for left in self._path.glob(f".*-{name}"):
             shutil.rmtree(left, ignore_errors=True)
 
 
@@ -168,7 +166,7 @@ def _name(start: int, stop: int) -> str:
 
 
 def _columns(samples: Samples[np.ndarray]) -> np.ndarray:
-    """Samples as one array: times are the last column."""
+    """Samples as one array; times are the last column."""
     xs = np.asarray(samples.xs)
     if samples.times is None:
         return xs
@@ -178,13 +176,13 @@ def _columns(samples: Samples[np.ndarray]) -> np.ndarray:
 def _from_columns(
     x: np.ndarray, timed: bool, halvings: np.ndarray, averages: np.ndarray | None
 ) -> Samples[np.ndarray]:
-    """The samples of which `_columns` made one array, and what there is of each lane."""
+    """The samples from the array of `_columns`, and the further numbers of each lane."""
     xs, times = (x[..., :-1], x[..., -1]) if timed else (x, None)
     return Samples(xs, times, halvings, averages)
 
 
 def _names(chunk: FinishedChunk) -> np.ndarray:
-    # Names and not codes: a later version may number its outcomes in another order.
+    # Names instead of codes, because a later version may number its outcomes in another order.
     return outcome_names(outcomes(chunk.codes))
 
 
@@ -199,12 +197,12 @@ def _unpack(data: Dataset) -> Record | None:
     attributes = dict(data.attrs)
     checksum = attributes.pop("checksum", None)
     record = attributes | {name: data[name].values for name in data}
-    # Without one it was begun by an earlier version, which is told by name.
+    # A record without a version was begun by an earlier one, which the message names.
     return record if checksum in (None, digest(record).hex()) else None
 
 
 def _changes(before: Record, now: Record) -> list[str]:
-    """What differs between two records, from what to what."""
+    """The differences between two records, with old and new values."""
     changes = []
     for name in dict.fromkeys([*now, *before]):
         a, b = before.get(name, "absent"), now.get(name, "absent")
@@ -220,5 +218,5 @@ def _changes(before: Record, now: Record) -> list[str]:
 
 
 def _bits(array: np.ndarray) -> np.ndarray:
-    # Compared as integers: NaN is equal to itself, and 0.0 is not -0.0.
+    # Compared as integers: NaN equals itself, and 0.0 differs from -0.0.
     return array.view(f"u{array.dtype.itemsize}")

@@ -1,8 +1,7 @@
 """The program of a chunk of lanes.
 
-What each lane samples, the points in parameter space of many and their initial states enter; their
-samples, outcomes and last states leave. On a CPU it consists of single kernels, each of one lane or
-of a block of them, where the system fits into one.
+On a CPU it consists of single kernels, each of one lane or of a block of lanes, if the system
+fits into one.
 """
 
 import functools as ft
@@ -23,17 +22,17 @@ from jaxfil.xla.kernel import BLOCK, kernel_of_rows
 from jaxfil.xla.program import opened, operations
 
 Saved: TypeAlias = tuple[Kept, RESULTS, Array]
-"""What lanes have found, their outcomes, and their last states."""
+"""Data of lanes for their samples, their outcomes, and their last states."""
 
 
 class Chunk(eqx.Module):
-    """Lanes that have run."""
+    """The results of a chunk."""
 
     samples: Samples[Array]
     results: RESULTS
     end: Array
     """Last states, shape (lanes, n), or the last state of all, shape (n,), where each lane starts
-    from the last one's end."""
+    from the end of the previous one."""
     in_kernels: bool = eqx.field(static=True)
     """Whether its lanes, or blocks of them, are single kernels."""
 
@@ -41,8 +40,8 @@ class Chunk(eqx.Module):
 def run_chunk(
     sampling: Sampling, rows: Array, states: Array, lanes: Array, *, followed: bool
 ) -> Chunk:
-    """The first so many lanes of a chunk, side by side, or one after the other each from the last
-    one's end."""
+    """The first `lanes` lanes of a chunk, side by side, or one after the other, each from the end
+    of the previous one."""
     points = sampling.points(rows, states)
     run = _one_after_another if followed else _side_by_side
     (saved, results, end), in_kernels = run(sampling, points, states, lanes)
@@ -58,8 +57,8 @@ def _lane(sampling: Sampling, point: Point, x0: Array) -> Saved:
 
 
 def _row_of_one(sampling: Sampling, lanes: Array, *row: Any) -> Saved:
-    """The lane of a row of one point, one state and one number, if it is one of the first so many:
-    those that fill up a chunk are not run."""
+    """The lane of a row of one point, one state and one number, unless it is padding, which is not
+    run."""
     point, x0, i = jax.tree.map(lambda v: v[0], row)
     found = _if(i < lanes, ft.partial(_lane, sampling), point, x0)
     return jax.tree.map(lambda v: v[None], found)
@@ -68,7 +67,7 @@ def _row_of_one(sampling: Sampling, lanes: Array, *row: Any) -> Saved:
 def _side_by_side(
     sampling: Sampling, points: Point, states: Array, lanes: Array
 ) -> tuple[Saved, bool]:
-    """Each lane from its own state; and whether they are in kernels."""
+    """Each lane from its own state, and whether they are in kernels."""
 
     def block(points: Point, states: Array, _: Array) -> Saved:
         return sampling.outcome(integrate_batch(sampling.problem, points, states))
@@ -77,7 +76,7 @@ def _side_by_side(
         return jax.vmap(ft.partial(_lane, sampling))(points, states)
 
     rows = points, states, jnp.arange(len(states), dtype=jnp.int32)
-    # One lane after the other is the program of one lane: half the time to compile.
+    # One lane after the other uses the program of one lane, which compiles in half the time.
     alone = ft.partial(_row_of_one, sampling, lanes)
     function, size = (alone, 1) if sampling.compact else (block, BLOCK)
     kernel = kernel_of_rows(function, size, *rows)
@@ -87,7 +86,7 @@ def _side_by_side(
 def _one_after_another(
     sampling: Sampling, points: Point, state: Array, lanes: Array
 ) -> tuple[Saved, bool]:
-    """Each lane from the last one's end, with the end of the last; and whether they are in
+    """Each lane from the end of the previous one, with the end of the last; and whether they are in
     kernels."""
     numbers = jnp.arange(len(points.values), dtype=jnp.int32)
     alone = ft.partial(_row_of_one, sampling, lanes)
@@ -95,7 +94,7 @@ def _one_after_another(
     run = kernel or alone
 
     def next_point(x: Array, at: tuple[Point, Array]) -> tuple[Array, tuple]:
-        # A value whose lane failed leaves the next one the last good state to start from.
+        # After a failed lane the next one starts from the last good state.
         point, i = jax.tree.map(lambda v: v[None], at)
         saved, result, end = jax.tree.map(lambda v: v[0], run(point, x[None], i))
         good = (result == RESULTS.successful) & (at[1] < lanes)
@@ -106,8 +105,8 @@ def _one_after_another(
 
 
 def _if(flag: Array, function: Callable, *args: Any) -> Any:
-    """`function(*args)` if the flag is set; otherwise it is not called, and what it gives is 0."""
-    # Opened, so that it is traced once, for its result and for the shape of it.
+    """`function(*args)` if the flag is set, otherwise 0 without a call."""
+    # As a jaxpr, so that it is traced once, for its result and for the shape of it.
     program, values, tree = opened(function, args)
 
     def nothing(*_: Any) -> list[Array]:

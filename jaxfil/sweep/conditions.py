@@ -1,6 +1,6 @@
-"""The conditions of a sweep: what it ran with besides the values swept.
+"""The conditions of a sweep, that is, its arguments other than the swept values.
 
-They enter and leave a data set as attributes, and as arrays what is none of a few numbers.
+A data set stores them as attributes, and larger ones as arrays.
 """
 
 from collections.abc import Collection, Sequence
@@ -22,7 +22,7 @@ from jaxfil.sweep.identity import (
 from jaxfil.sweep.plan import SweepPlan
 from jaxfil.version import __version__
 
-# Names of a data set that are no parameter's.
+# Names of a data set that are not parameters.
 CONDITIONS = {
     "jaxfil_type",
     "jaxfil_version",
@@ -42,43 +42,44 @@ CONDITIONS = {
 
 
 class Conditions(eqx.Module):
-    """What a sweep ran with besides the values swept: all it takes to make it again."""
+    """The conditions of a sweep, sufficient to repeat it."""
 
     parameters: dict[str, np.ndarray]
-    """The system's other parameters, by name."""
+    """The parameters that were not swept, by name."""
     x0: Float[np.ndarray, "*lanes n"]
     """The initial state, shape (n,), or one for each lane."""
     transient: int = eqx.field(static=True)
     """Forcing periods, or crossings of the section, before the first sample."""
     steps: int = eqx.field(static=True)
-    """Steps per forcing period; of an autonomous system per unit of time."""
+    """Steps per forcing period; for an autonomous system per unit of time."""
     stepper: str = eqx.field(static=True)
     """The stepper's name."""
     follow: str | None = eqx.field(static=True)
-    """"up" or "down" if each value began where the last one ended; None if all began at `x0`."""
+    """"up" or "down" if each value began at the end of the previous one; None if all began at
+    `x0`."""
     version: str = eqx.field(static=True)
     """The version of jaxfil that computed it."""
     compact: bool = eqx.field(static=True, default=False)
-    """Whether the program was compact: see `solve`."""
+    """Whether the program was compact (see `solve`)."""
     section: str | None = eqx.field(static=True, default=None)
-    """The section that was sampled at; None: once a forcing period."""
+    """The sampled section; None for once a forcing period."""
     max_return: float | None = eqx.field(static=True, default=None)
-    """The time that a return to it was given."""
+    """The bound of the mean time of a return to the section."""
     transient_time: float | None = eqx.field(static=True, default=None)
-    """The time before which no crossing of it counted; None: all did."""
+    """The time before which no crossing counted; None if all did."""
     observe: str | None = eqx.field(static=True, default=None)
-    """The function that was kept of the samples; None: the states themselves."""
+    """The function stored at the samples; None for the states themselves."""
     average: str | None = eqx.field(static=True, default=None)
-    """What was averaged, by name; None: nothing."""
+    """The averages, by name; None without averages."""
 
 
 def conditions_of(plan: SweepPlan) -> Conditions:
-    """What a diagram says of the plan that it was made by."""
+    """The conditions in the diagram of a plan."""
     each, state = plan.sampling, np.zeros(plan.x0.shape[-1:], plan.x0.dtype)
     others = {k: np.asarray(v) for k, v in parameters(each.system).items() if k not in each.names}
     section, observable = each.section, each.observable
     longest, before, averaging = each.max_return, each.transient_time, each.averaging
-    # What the values swept were before, functions that ask for the system are never given.
+    # The previous values of swept parameters are not passed to functions of the system.
     first, _ = each.at(jnp.asarray(plan.grid.rows[0]))
     return Conditions(
         parameters=others,
@@ -100,7 +101,7 @@ def conditions_of(plan: SweepPlan) -> Conditions:
 def condition_entries(
     given: Conditions, taken: Collection[str], lanes: Sequence[str]
 ) -> tuple[dict[str, Variable], dict[str, Attribute]]:
-    """What a data set says of them, whose lanes have these dimensions."""
+    """The entries of a data set whose lanes have these dimensions."""
     variables, attributes = parameter_entries(given.parameters, taken)
     if given.x0.ndim > 1:
         last = "component" if given.observe is None else "x0_component"
@@ -116,9 +117,9 @@ def condition_entries(
 
 
 def conditions_from(data: NamedArrays, dtype: np.dtype, taken: Collection[str]) -> Conditions:
-    """What `condition_entries` was given."""
+    """The conditions stored by `condition_entries`."""
     told = data.attributes
-    # An attribute of one number comes back as a number, and one of float32 as float64.
+    # An attribute of one number is read as a number, and one of float32 as float64.
     x0 = data.array("x0") if "x0" in data else np.reshape(told["x0"], (-1,)).astype(dtype)
     longest, before = told.get("max_return"), told.get("transient_time")
     return Conditions(

@@ -1,8 +1,4 @@
-"""A bifurcation diagram: motions settled on, against one parameter or several.
-
-Samples and outcomes of all lanes and the conditions they ran under enter; pictures, named arrays
-and files leave.
-"""
+"""Bifurcation diagrams: long-term motions against one parameter or several."""
 
 import functools as ft
 import json
@@ -29,27 +25,27 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.sweep.conditions import CONDITIONS, Conditions, condition_entries
 
-# Names of its data set that are no parameter's.
+# Names of its data set that are not parameters.
 TAKEN = {"x", "t", "outcome", "outcome_code", "error", "sample", "component", "point", "unit"}
 TAKEN |= {"averages", "quantity", "quantities"}
 TAKEN |= {"swept", "symbols", "halvings"} | CONDITIONS
 
-# Components below this many eps of the largest one are rounding.
+# Components below this multiple of eps of the largest one are rounding.
 _ROUNDING = 1024
 
 
 def same_state(xs: np.ndarray, tolerance: float) -> np.ndarray:
-    """How far two of the states of a motion, (…, k, n), may be apart to be the same, (…, n)."""
+    """The largest distance of equal states of a motion, (…, k, n), per component, (…, n)."""
     size = np.max(np.abs(xs), axis=-2)
     largest = np.max(size, axis=-1, keepdims=True)
     return np.maximum(tolerance * size, _ROUNDING * np.finfo(xs.dtype).eps * largest)
 
 
 class BifurcationDiagram(eqx.Module):
-    """The motion settled on against a parameter, or several.
+    """The long-term motion against a parameter, or several.
 
-    Lanes are along the first dimension of its arrays, shape (p,), or along one for each parameter
-    of a grid, shape (p1, p2, …). It prints, draws and saves itself.
+    Lanes are along the first dimension of its arrays, shape (p,), or along one dimension for each
+    parameter of a grid, shape (p1, p2, …).
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -61,39 +57,38 @@ class BifurcationDiagram(eqx.Module):
     """
 
     values: Float[np.ndarray, " p"] | Float[np.ndarray, "p k"] | tuple[np.ndarray, ...]
-    """The values swept, shape (p,); for a grid one array for each of its parameters, `xs[i, j]`
-    belonging to `values[0][i]` and `values[1][j]`; for points one by one shape (p, k)."""
+    """The swept values, shape (p,); for a grid one array for each of its parameters, where
+    `xs[i, j]` belongs to `values[0][i]` and `values[1][j]`; for single points shape (p, k)."""
     xs: Float[np.ndarray, "*shape samples n"]
-    """`xs[i, k]` is the state of lane i at its k-th sampled time, a multiple of the forcing period
-    or a crossing of the section, or what is observed of it; NaN from where the lane failed."""
+    """`xs[i, k]` is the state of lane i at its k-th sample, a multiple of the forcing period or a
+    crossing of the section, or its observed value; NaN after a failure of the lane."""
     results: RESULTS
-    """The outcome of each lane: `jf.RESULTS.names(diagram.results)[i]` is the name of that of lane
-    i."""
+    """The outcome of each lane; `jf.RESULTS.names(diagram.results)[i]` is its name for lane i."""
     parameter: str | tuple[str, ...] = eqx.field(static=True)
-    """The name of the parameter that was swept, or a tuple of names."""
+    """The name of the swept parameter, or a tuple of names."""
     system: str = eqx.field(static=True)
     """The name of the system's class."""
     conditions: Conditions
-    """What the sweep ran with besides."""
+    """The other arguments of the sweep."""
     labels: Labels = eqx.field(static=True, default=Labels())
-    """What pictures and named arrays call its quantities."""
+    """Names of its quantities in pictures and named arrays."""
     errors: Float[np.ndarray, "*shape n"] | None = None
-    """Estimated largest |xs − exact| of each lane, component by component, if asked for: its
-    largest distance from a run at half the step. NaN where one of the two failed. It is of the size
-    of the attractor where a lane is chaotic, whose samples are on the attractor but no longer those
-    of the initial state."""
+    """Estimated largest |xs − exact| of each lane and component, if requested, from the largest
+    distance to a run at half the step. NaN where one of the two failed. For a chaotic lane, whose
+    samples are on the attractor but not on the exact orbit of the initial state, it is as large as
+    the attractor."""
     times: Float[np.ndarray, "*shape samples"] | None = None
-    """The times of the crossings sampled, of which `numpy.diff` gives the times of return; NaN from
-    where the lane failed. None once a forcing period."""
+    """The times of the sampled crossings, whose `numpy.diff` are the return times; NaN after a
+    failure of the lane. None for once a forcing period."""
     halvings: Int[np.ndarray, "*shape"] | None = None
-    """How often a step of each lane could not be trusted, and was halved."""
+    """The number of halved steps of each lane."""
     averages: dict[str, Float[np.ndarray, "..."]] | None = None
-    """What was averaged over the time of the samples, by name: `averages["power"][i]` is that of
-    lane i, NaN if it failed. None if nothing was."""
+    """Averages over the time of the samples, by name: `averages["power"][i]` belongs to lane i and
+    is NaN if it failed. None without averages."""
 
     @property
     def successful(self) -> np.ndarray:
-        """Which lanes reached their end, shape (p,), or that of the grid."""
+        """Whether each lane reached its end, shape (p,), or the shape of the grid."""
         return np.asarray(self.results == RESULTS.successful)
 
     def plot(self, ax: Axes | None = None, component: int = 0) -> Axes:
@@ -106,13 +101,13 @@ class BifurcationDiagram(eqx.Module):
         integers of shape (p,) or the grid's.
 
         It is the least m with max_k |x[k + m] − x[k]| ≤ `tolerance` · max_k |x[k]| in every
-        component, over all samples and for m up to half their number; 0 where there is none
-        (chaos, a torus, a longer period or a transient not yet over), −1 where the lane failed. A
-        component below 1024 eps of the lane's largest one is rounding, or has decayed: it has no
-        period of its own.
+        component, over all samples and for m up to half their number. It is 0 without such m
+        (chaos, a torus, a longer period or an unfinished transient), and −1 where the lane failed.
+        A component below 1024 eps of the lane's largest one is rounding, or has decayed, and has no
+        separate period.
         """
-        # Relative to the largest |x| of the lane and not to its spread, which is zero for a motion
-        # of period one. The shortest period that fits is the answer, since its multiples fit too.
+        # Relative to the largest |x| of the lane instead of its spread, which is zero for a motion
+        # of period one. The shortest period that fits is chosen, because its multiples fit too.
         xs = self.xs
         bound = same_state(xs, tolerance)
         found = np.where(self.successful, 0, -1)
@@ -127,16 +122,16 @@ class BifurcationDiagram(eqx.Module):
         estimated, of the times `t` (parameters, sample) of crossings of a section, and of
         `averages` (parameters, quantity), whose `quantity` is a name, or one with an index.
 
-        The codes are those of this version. Components have the names that the system gives them,
-        and a coordinate `unit` where it gives units; parameters have their symbol as `long_name`.
-        The attributes say what else it takes to make the diagram again: the system, its other
-        parameters, the initial state, steps and stepper. Points in parameter space have the
-        dimension `point` and a coordinate for each parameter. Needs the package xarray.
+        The codes belong to this version. Components have the names defined by the system, and a
+        coordinate `unit` if it defines units; parameters have their symbol as `long_name`. The
+        attributes have all other conditions: the system, its other parameters, the initial state,
+        steps and stepper. Points in parameter space have the dimension `point` and a coordinate for
+        each parameter. Needs the package xarray.
         """
         return dataset_io.to_xarray(self.named_arrays())
 
     def named_arrays(self) -> NamedArrays:
-        """What `save` writes, whatever the file: arrays with their dimensions, and attributes."""
+        """Arrays with dimensions and attributes that `save` writes, for every file format."""
         dims, coordinates = self._coordinates()
         samples, n = self.xs.shape[-2:]
         variables: dict[str, Variable] = {
@@ -164,7 +159,7 @@ class BifurcationDiagram(eqx.Module):
         return NamedArrays(variables | arrays, coordinates, attributes, self._npz_names())
 
     def _npz_names(self) -> dict[str, str]:
-        """In an .npz things have the names of the fields here."""
+        """Names in an .npz, equal to the names of the fields here."""
         names = {"x": "xs", "outcome": "results", "error": "errors", "swept": "parameter"}
         names["t"] = "times"
         if isinstance(self.parameter, str):
@@ -187,9 +182,9 @@ class BifurcationDiagram(eqx.Module):
     def save(self, path: PathLike) -> None:
         """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
 
-        `jaxfil.load(path)` gives the same diagram back, bit for bit. `xarray.open_dataset` opens
-        the first two, which need `pip install 'jaxfil[xarray]'`; `numpy.load` opens the last, where
-        the numbers have the names of the fields here. What was there is replaced.
+        `jaxfil.load(path)` returns the same diagram, bit for bit. `xarray.open_dataset` opens the
+        first two, which need `pip install 'jaxfil[xarray]'`; `numpy.load` opens the last, in which
+        the numbers have the names of the fields here. An existing file is replaced.
         """
         dataset_io.save(self.named_arrays(), path)
 
@@ -221,7 +216,7 @@ def _range(name: str, axis: np.ndarray) -> str:
 
 
 def _halvings_line(halvings: np.ndarray) -> str:
-    """In how many lanes steps were halved, and how often at most."""
+    """The number of lanes with halved steps, and the largest number of halvings."""
     lanes = int(np.sum(halvings > 0))
     plural = "" if lanes == 1 else "s"
     return f"  steps halved in {lanes} lane{plural}, {int(halvings.max())} times at most"
@@ -230,7 +225,7 @@ def _halvings_line(halvings: np.ndarray) -> str:
 def _errors_line(errors: np.ndarray) -> str:
     """The errors of lanes, each the largest of its components."""
     lanes = np.max(errors, axis=-1)
-    lanes = lanes[np.isfinite(lanes)]  # not `nanmax`: it warns where nothing is known
+    lanes = lanes[np.isfinite(lanes)]  # not `nanmax`, which warns without finite values
     if not lanes.size:
         return "  error unknown: no lane has ended, or none at half the step"
     return (

@@ -1,7 +1,6 @@
-"""Identities of what has no name of its own: equations, sections, functions observed.
+"""Identities of functions: hashes of equations, sections and observed functions.
 
-A function enters, of a system or of a user's; a hash of what it computes leaves, which another
-process or another day finds again.
+A hash of the computation is the same in other processes and on other days.
 """
 
 import hashlib
@@ -24,12 +23,12 @@ from jaxfil.model.system import System, field_of
 
 
 def equations(system: System, x: np.ndarray) -> str:
-    """A hash of what a system computes from its parameters, a time and a state.
+    """A hash of the computation of a system from its parameters, a time and a state.
 
-    It is that of the program lowered for XLA: of everything the functions of the system do, their
-    constants included, and of nothing that changes from one process to the next.
+    It hashes the program lowered for XLA, which includes all operations and constants of the
+    functions of the system, and is the same in every process.
     """
-    # Parameters are arguments of the program and not constants in it: a record has their values.
+    # Parameters are arguments of the program instead of constants; a record has their values.
     leaves, static = eqx.partition(system, is_parameter)
     state = jnp.asarray(x)
     h = check.shapes(system, state)
@@ -46,14 +45,14 @@ def equations(system: System, x: np.ndarray) -> str:
 
 
 def identity_of_section(section: Section, x: np.ndarray) -> str:
-    """A section in words, and a hash of its function and that function's numbers."""
+    """A section in words, and a hash of its function and of that function's numbers."""
     sha = _fingerprint(section.function, jnp.zeros((), x.dtype), jnp.asarray(x))
     rate = ", of its rate" if section.of_rate else ""
     return f"function {sha}{rate}, direction {section.direction}"
 
 
 def identity_of_observable(observable: Observable, system: System, x: np.ndarray) -> str:
-    """The name of what is observed, and the same of its function."""
+    """The name of the observed function, and its identity."""
     sha = _of_motion(observable.function, system, jnp.asarray(x))
     return f"{observable.name}, function {sha}"
 
@@ -66,7 +65,7 @@ def _of_motion(function: Any, system: System, x: Array) -> str:
 
 
 def identity_of_averaging(averaging: Averaging, system: System, x: np.ndarray) -> str:
-    """The names of what is averaged, what of it, and the same of the functions."""
+    """The names and kinds of averaged quantities, and the identities of their functions."""
     state, told = jnp.asarray(x), []
     for name, quantity, function in averaging.functions(system):
         if isinstance(quantity, EventSum):

@@ -1,7 +1,4 @@
-"""The initial states of a sweep, one for all lanes or one for each.
-
-What a user gives enters; the precision of the run and the states as an array leave.
-"""
+"""The initial states of a sweep, one for all lanes or one for each."""
 
 from typing import Any
 

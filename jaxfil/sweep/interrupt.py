@@ -1,7 +1,7 @@
-"""Ctrl-C, put off until it can be heeded.
+"""Deferred Ctrl-C.
 
-Signals enter; a count of them leaves. A `KeyboardInterrupt` that Python raises while XLA compiles
-passes through code that is not made for it: it is lost there, or ends the process without a word.
+A `KeyboardInterrupt` that Python raises while XLA compiles passes through code that does not handle
+it. It is lost there, or ends the process silently. Signals are therefore counted.
 """
 
 import signal
@@ -11,12 +11,12 @@ from contextlib import contextmanager
 
 
 class Interrupts:
-    """How often Ctrl-C has been pressed; called as the handler of its signal."""
+    """The number of Ctrl-C signals; called as their handler."""
 
     def __init__(self) -> None:
         self.count = 0
         self.keeps = False
-        """Whether there is, or soon will be, something finished."""
+        """Whether a result is, or soon will be, finished."""
 
     def __call__(self, number: int, frame: object) -> None:
         """Count one more."""
@@ -25,11 +25,11 @@ class Interrupts:
 
 @contextmanager
 def counted(interrupts: Interrupts | None = None) -> Iterator[Interrupts]:
-    """Count Ctrl-C within, instead of raising a `KeyboardInterrupt`; within another one of these,
-    in that one.
+    """Count Ctrl-C within the context, instead of raising a `KeyboardInterrupt`. A nested context
+    counts in the outer one.
 
-    In a thread that is not the main one, and where somebody else handles the signal, or it is
-    ignored, everything stays as it is.
+    In a thread other than the main one, or if the signal is ignored or handled elsewhere, the
+    context has no effect.
     """
     interrupts = interrupts or Interrupts()
     before = signal.getsignal(signal.SIGINT)

@@ -1,7 +1,7 @@
-"""Several processes at one sweep, through JAX's own runtime.
+"""Several processes for one sweep, through JAX's own runtime.
 
-What each process has done enters and the whole leaves, the same in all of them. Without
-`jax.distributed.initialize` there is one process, and everything is left as it is.
+Without `jax.distributed.initialize` there is one process, and these functions do not change their
+arguments.
 """
 
 from collections.abc import Sequence
@@ -11,21 +11,21 @@ import numpy as np
 
 
 def share(chunks: Sequence[int]) -> Sequence[int]:
-    """The chunks of this process: one in so many, in turn, for neighbours cost alike.
+    """The chunks of this process: every n-th for n processes, because neighbours cost alike.
 
-    A chunk is given by the number of its first lane.
+    A chunk is identified by the number of its first lane.
     """
     return chunks[jax.process_index() :: jax.process_count()]
 
 
 def gather(rows: np.ndarray, size: int) -> np.ndarray:
-    """The rows of all processes, of which each has set those of its share of chunks of `size`."""
+    """The rows of all processes, each of which has set the rows of its chunks of `size`."""
     if jax.process_count() == 1:
         return rows
     from jax.experimental import multihost_utils
 
-    # As many rows in each process, for a gathering is of equal shapes: (round, process, row in the
-    # chunk) is the order of `share`, so that transposing puts every row where it belongs.
+    # Padded to as many rows in each process, because a gathering needs equal shapes. (round,
+    # process, row in the chunk) is the order of `share`, so that transposing restores the order.
     count, p = jax.process_count(), len(rows)
     rounds = -(-p // (size * count))
     every = np.zeros((rounds * count * size, *rows.shape[1:]), rows.dtype)
@@ -36,17 +36,17 @@ def gather(rows: np.ndarray, size: int) -> np.ndarray:
 
 
 def from_first(rows: np.ndarray) -> np.ndarray:
-    """The rows that the first process has."""
+    """The rows of the first process."""
     if jax.process_count() == 1:
         return rows
     from jax.experimental import multihost_utils
 
-    # Not `broadcast_one_to_all`: it adds zeros, and makes 0.0 of -0.0.
+    # Not `broadcast_one_to_all`, which adds zeros and turns -0.0 into 0.0.
     return np.asarray(multihost_utils.process_allgather(rows))[0]
 
 
 def same(digest: bytes) -> None:
-    """Refuse to go on unless all processes have come here with the same arguments."""
+    """Raise an error unless all processes have the same arguments."""
     from jax.experimental import multihost_utils
 
     multihost_utils.assert_equal(

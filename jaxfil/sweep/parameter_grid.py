@@ -1,8 +1,4 @@
-"""The parameter grid: what a sweep goes over.
-
-A system, names of its parameters and their values, as a user gives them, enter; the points in
-parameter space in order, and the shape of the result that they make, leave.
-"""
+"""The parameter grid of a sweep: its points in parameter space and the shape of its result."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,23 +14,23 @@ from jaxfil.model.types import SweptValues
 
 @dataclasses.dataclass(frozen=True)
 class ParameterGrid:
-    """p points in the space of k parameters: on a line, on a product grid, or one by one."""
+    """p points in the space of k parameters, on a line, on a product grid, or one by one."""
 
     names: tuple[str, ...]
-    """The k parameters."""
+    """Names of the k parameters."""
     values: np.ndarray | tuple[np.ndarray, ...]
-    """As they were given: shape (p,) for one name, k arrays for a product grid, shape (p, k) for
-    points one by one."""
+    """The values as passed: shape (p,) for one name, k arrays for a product grid, shape (p, k) for
+    single points."""
     rows: np.ndarray
-    """A point a row, shape (p, k); the last parameter of a product grid varies fastest."""
+    """One point per row, shape (p, k); the last parameter of a product grid varies fastest."""
     shape: tuple[int, ...]
-    """That of the result: (p,), or a dimension for each parameter of a product grid."""
+    """Shape of the result: (p,), or a dimension for each parameter of a product grid."""
 
 
 def parameter_grid(
     system: System, parameter: str | Sequence[str], values: SweptValues, dtype: DTypeLike
 ) -> ParameterGrid:
-    """The grid that `parameter`, of a system, and `values` ask for, in a float precision."""
+    """The grid of the arguments `parameter` and `values`, in a float precision."""
     if isinstance(parameter, str):
         get_parameter(system, parameter)
         axis = _axis(values, dtype, "(p,) with p ≥ 1")
@@ -47,8 +43,8 @@ def parameter_grid(
         )
     for name in names:
         get_parameter(system, name)
-    # An array is points one by one, anything else a product grid: k arrays of one length could be
-    # either.
+    # An array means single points, any other value a product grid, because k arrays of one length
+    # could mean either.
     if hasattr(values, "ndim"):
         return _one_by_one(names, np.asarray(values), dtype)
     if not isinstance(values, Sequence) or len(values) != len(names):
@@ -76,7 +72,7 @@ def _one_by_one(names: tuple[str, ...], rows: np.ndarray, dtype: DTypeLike) -> P
 
 def _axis(values: object, dtype: DTypeLike, shape: str) -> np.ndarray:
     array = check.known_numbers("values", values, f"real numbers of shape {shape}")
-    # Not finite is allowed: such a lane fails by itself and harms no other.
+    # Values that are not finite are allowed: such a lane fails without affecting others.
     if array.ndim != 1 or array.shape[0] == 0:
         raise ValueError(
             f"`values` must be real numbers of shape {shape}, got shape {array.shape} of dtype "

@@ -1,8 +1,7 @@
-"""The plan of a sweep: every argument of it once, checked.
+"""The plan of a sweep, its checked arguments.
 
-The arguments of `bifurcation_diagram` enter; a `SweepPlan` leaves. What each lane does
-(`sampling`), what a checkpoint knows its sweep by (`record`) and what a saved diagram says of its
-conditions (`conditions`) are made of it.
+It defines the work of each lane (`sampling`), the record by which a checkpoint identifies its sweep
+(`record`) and the conditions in a saved diagram (`conditions`).
 """
 
 import dataclasses
@@ -31,23 +30,23 @@ from jaxfil.xla.kernel import BLOCK
 
 @dataclasses.dataclass(frozen=True)
 class SweepPlan:
-    """All that the numbers of a sweep depend on."""
+    """All arguments that affect the numbers of a sweep."""
 
     sampling: Sampling
-    """The system, and what each lane does with it."""
+    """The system, and the sampling of each lane."""
     grid: ParameterGrid
-    """The points in parameter space, a lane each."""
+    """The points in parameter space, one for each lane."""
     x0: np.ndarray
     """The initial state of all lanes, shape (n,), or one for each."""
     follow: str | None
-    """"up" or "down" if each value begins where the last one ended."""
+    """"up" or "down" if each value begins at the end of the previous one."""
     labels: Labels
-    """What pictures and named arrays call its quantities."""
+    """Names of its quantities in pictures and named arrays."""
 
     @property
     def start(self) -> np.ndarray:
-        """What lanes start from: the initial states, and where each starts at the phase of the
-        forcing at which the last one ended, a phase of 0 behind it."""
+        """The initial states of lanes. If each lane starts at the phase of the forcing at which the
+        previous one ended, a phase of 0 is appended."""
         return np.append(self.x0, self.x0.dtype.type(0)) if self.sampling.phased else self.x0
 
     @property
@@ -57,7 +56,7 @@ class SweepPlan:
         return (int(each.transient) + each.samples) * int(each.steps)
 
     def unfinished(self) -> Samples[np.ndarray]:
-        """Samples of all lanes, none of which is known."""
+        """Samples of all lanes before the run, all unknown."""
         each, observable = self.sampling, self.sampling.observable
         k = self.x0.shape[-1] if observable is None else observable.size
         shape, dtype = (len(self.grid.rows), each.samples), self.x0.dtype
@@ -69,7 +68,7 @@ class SweepPlan:
         return Samples(np.full((*shape, k), np.nan, dtype), times, halvings, averages)
 
     def at_half_the_step(self) -> "SweepPlan":
-        """The same with twice as many steps."""
+        """The same plan with twice as many steps."""
         each = self.sampling
         half = dataclasses.replace(each, steps=2 * each.steps, share=FINER * each.share)
         return dataclasses.replace(self, sampling=half)
@@ -94,8 +93,8 @@ def sweep_plan(
     average: Any,
     runs: int,
 ) -> SweepPlan:
-    """The plan that these arguments of `bifurcation_diagram` ask for, with so many `runs` of it:
-    a second one is at half the step. They are checked here, so that they have no types yet."""
+    """The plan of these arguments of `bifurcation_diagram`, with `runs` runs; a second one is at
+    half the step. They are checked here and therefore have no types yet."""
     check.system("system", system)
     dtype = state_type(x0)
     state = np.zeros(np.shape(x0)[-1:], dtype)
@@ -143,7 +142,7 @@ def sweep_plan(
 def averaging_of(
     average: Any, system: System, state: np.ndarray, section: Section | None, samples: int
 ) -> Averaging:
-    """What is averaged between the samples."""
+    """The averages between the samples."""
     averaging = checked_averaging("average", average, system, jnp.asarray(state))
     if section is not None and samples < 2:
         raise ValueError(
@@ -154,7 +153,7 @@ def averaging_of(
 
 
 def _run(system: System, averaging: Averaging | None, x: Array) -> tuple[System, Array]:
-    """What a lane runs: the system and a state like x, with what is integrated along."""
+    """The system of a lane and a state like x, both extended by the integrals along the motion."""
     return (system, x) if averaging is None else averaging.carried(system, x)
 
 
@@ -172,8 +171,8 @@ def sampled_at(
     transient_time: Any,
     state: np.ndarray,
 ) -> tuple[Section | None, Array | None, Array | None]:
-    """The section to sample at, the mean time that a return to it may take, and the transient in
-    time, in the precision of the run; None once a forcing period."""
+    """The section to sample at, the bound of its mean return time, and the transient in time, in
+    the precision of the run; None for once a forcing period."""
     if section is None:
         if system.period is None:
             raise ValueError(
@@ -207,7 +206,7 @@ def sampled_at(
 
 
 def _observable(observe: Any, system: System, state: np.ndarray) -> Observable:
-    """What is recorded in place of the samples' states."""
+    """The function recorded instead of the states at samples."""
     observable = checked_observable("observe", observe, system, jnp.asarray(state))
     if len(observable.shape) > 1:
         raise ValueError(
@@ -217,7 +216,7 @@ def _observable(observe: Any, system: System, state: np.ndarray) -> Observable:
 
 
 def _labels(system: System, grid: ParameterGrid, observable: Observable | None, n: int) -> Labels:
-    """Names of the samples' components, and of the parameters swept."""
+    """Names of the samples' components, and of the swept parameters."""
     named = labels_of(system, n)
     # Titles name the other parameters too, without units.
     labels = dataclasses.replace(named.of(grid.names), symbols=named.symbols)

@@ -1,7 +1,4 @@
-"""The record of a sweep: all arguments that its numbers depend on, by name.
-
-A plan enters; the record leaves by which a checkpoint, or another process, knows the same sweep.
-"""
+"""The record of a sweep, by which a checkpoint or another process identifies the same sweep."""
 
 import hashlib
 from collections.abc import Mapping
@@ -15,13 +12,13 @@ from jaxfil.sweep.identity import equations
 from jaxfil.sweep.plan import SweepPlan
 
 Record = Mapping[str, str | int | np.ndarray]
-"""What a sweep was asked for: every argument by name."""
+"""Every argument of a sweep by name."""
 
 
 def record_of(plan: SweepPlan) -> Record:
-    """All that the numbers of a sweep depend on, by the names that a user knows."""
+    """All arguments that affect the numbers of a sweep, by their public names."""
     grid, each, given = plan.grid, plan.sampling, conditions_of(plan)
-    # The coefficients as well as the name: another version of diffrax may have other digits.
+    # The coefficients as well as the name, because another version of diffrax may differ in digits.
     table = repr(tableau_of(each.stepper)).encode()
     columns = grid.values if isinstance(grid.values, tuple) else grid.rows.T
     return {
@@ -45,7 +42,7 @@ def record_of(plan: SweepPlan) -> Record:
         "transient_time": str(given.transient_time),
         "jaxfil": given.version,
         # Other versions and other machines give other last bits, and a diagram of two halves that
-        # differ in them is equal to neither.
+        # differ in them would be reproducible on neither.
         "jax": jax.__version__,
         "backend": jax.default_backend(),
     }
@@ -53,7 +50,7 @@ def record_of(plan: SweepPlan) -> Record:
 
 def digest(record: Record) -> bytes:
     """A hash of all arguments."""
-    sha = hashlib.sha256()  # and not `hash`, which is another one in each process
+    sha = hashlib.sha256()  # not `hash`, which differs between processes
     for name, value in sorted(record.items()):
         sha.update(f"{name} {shown(value)} ".encode())
         sha.update(value.tobytes() if isinstance(value, np.ndarray) else b"")
@@ -61,7 +58,7 @@ def digest(record: Record) -> bytes:
 
 
 def shown(value: str | int | np.ndarray) -> str:
-    """An argument in words; of an array its shape and dtype."""
+    """A description of an argument; for an array its shape and dtype."""
     if isinstance(value, np.ndarray):
         return f"of shape {value.shape} and dtype {value.dtype}"
     return str(value)

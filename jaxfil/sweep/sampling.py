@@ -1,8 +1,4 @@
-"""What each lane of a sweep does: how long it runs, and what is sampled of it.
-
-A `Sampling`, a point in parameter space and an initial state enter; the problem to be integrated
-leaves, and at the end of the lane its samples.
-"""
+"""The sampling of each lane of a sweep: the length of its run and its samples."""
 
 import dataclasses
 from typing import Any, Generic, TypeVar
@@ -41,77 +37,77 @@ _Array = TypeVar("_Array", Array, np.ndarray)
 
 
 class Point(eqx.Module):
-    """A point in parameter space, or a row of them, as lanes are given it."""
+    """A point in parameter space, or a row of points, one per lane."""
 
     values: Array
-    """The values of the parameters swept, shape (k,)."""
+    """Values of the swept parameters, shape (k,)."""
     repeats: Array | None
-    """Whether the system is after a forcing period what it was, so that the clock of the lane may
-    start anew; None where the time goes on in any case."""
+    """Whether the system repeats after a forcing period, so that the clock of the lane may restart;
+    None if time always continues."""
 
 
 class Samples(eqx.Module, Generic[_Array]):
     """The samples of a lane, or of many."""
 
     xs: _Array
-    """The states, or what is observed of them, shape (…, samples, k)."""
+    """The states, or observed values, shape (…, samples, k)."""
     times: _Array | None
-    """The times of the crossings sampled, shape (…, samples); None once a forcing period."""
+    """Times of the sampled crossings, shape (…, samples); None for once a forcing period."""
     halvings: _Array
-    """How often a step was halved on the way, shape (…,)."""
+    """Number of halved steps, shape (…,)."""
     averages: _Array | None = None
-    """The numbers of all quantities that are averaged, shape (…, k); None: there are none."""
+    """The numbers of all averaged quantities, shape (…, k); None without averages."""
 
 
 class Kept(eqx.Module):
-    """What a lane, or many, have found on the way, of which samples are made."""
+    """Recorded data of a lane, or of many, from which samples are computed."""
 
     saved: SavedStates
-    """The states at the samples; times at a section alone, and modes if something is observed."""
+    """States at the samples, times only at a section, and modes only for observed values."""
     halvings: Array
-    """How often a step was halved."""
+    """Number of halved steps."""
     averages: tuple[Any, ...]
-    """The states of the extensions that average."""
+    """States of the averaging extensions."""
 
 
 class Sampling(eqx.Module):
     """A system, and the part of its motion that each lane samples.
 
     Once a forcing period, or at the crossings of a `section`. Counts and times are arrays, so that
-    new ones compile nothing; `samples` is a shape.
+    new values do not recompile; `samples` is a shape.
     """
 
     system: System
     names: tuple[str, ...] = eqx.field(static=True)
-    """The parameters swept."""
+    """Names of the swept parameters."""
     transient: Array
     """Forcing periods, or crossings, before the first sample."""
     samples: int = eqx.field(static=True)
-    """Forcing periods, or crossings, sampled."""
+    """Number of sampled forcing periods, or crossings."""
     steps: Array
-    """Steps per forcing period; of an autonomous system per unit of time."""
+    """Steps per forcing period; for an autonomous system per unit of time."""
     stepper: Stepper
     compact: bool = eqx.field(static=True)
-    """The grade of the program: see `grade`."""
+    """The grade of the program (see `grade`)."""
     share: Array
-    """The part of the usual error at which a step is halved."""
+    """The fraction of the usual error at which a step is halved."""
     section: Section | None = None
     max_return: Array | None = None
-    """The longest time from one crossing to the next, on average."""
+    """The longest mean time from one crossing to the next."""
     transient_time: Array | None = None
-    """The time before which no crossing counts; None: all do."""
+    """The time before which no crossing counts; None if all do."""
     observable: Observable | None = None
-    """What is recorded of each sample; None: the state."""
+    """The function recorded at each sample; None for the state."""
     averaging: Averaging | None = None
-    """What is averaged from the end of the transient to the last sample, or from the first sample
-    at a section."""
+    """The averages from the end of the transient to the last sample, or at a section from the first
+    sample to the last."""
     phased: bool = eqx.field(static=True, default=False)
-    """Whether lanes start at the phase of the forcing at which the last one has ended, the last
+    """Whether lanes start at the phase of the forcing at which the previous one ended, the last
     number of their initial states."""
 
     def at(self, values: Array) -> tuple[System, Array]:
-        """The system at a point in parameter space, and its period; of an autonomous one the unit
-        of time."""
+        """The system at a point in parameter space, and its period, or the unit of time for an
+        autonomous system."""
         system = replace_parameters(
             self.system, self.names, [values[i] for i in range(len(self.names))]
         )
@@ -119,13 +115,13 @@ class Sampling(eqx.Module):
         return system, jnp.asarray(period, values.dtype)
 
     def points(self, rows: Array, states: Array) -> Point:
-        """Points in parameter space, shape (p, k), with what lanes that start in these states ask
-        of them."""
+        """Points in parameter space, shape (p, k), with the properties needed by lanes from these
+        states."""
         return jax.vmap(self.point, (0, 0 if states.ndim > 1 else None))(rows, states)
 
     def point(self, values: Array, x0: Array) -> Point:
-        """One of them."""
-        # At a section all of the run is one span of time, and clocks have phases of their own.
+        """One point."""
+        # At a section the whole run is one span of time, and clocks have different phases.
         if self.section is not None or self.system.clocks:
             return Point(values, None)
         system, period = self.at(values)
@@ -133,11 +129,11 @@ class Sampling(eqx.Module):
         return Point(values, repeats(carrying, period, x))
 
     def _carried(self, system: System, x0: Array) -> tuple[System, Array]:
-        """A system with what is integrated along its motion, and its state with these."""
+        """A system and its state, both extended by the integrals along the motion."""
         return (system, x0) if self.averaging is None else self.averaging.carried(system, x0)
 
     def problem(self, point: Point, start: Array) -> tuple[Problem, Components]:
-        """What a lane integrates, and what from."""
+        """The integration problem of a lane, and its initial components."""
         system, period = self.at(point.values)
         x0, phase = self.split(start)
         carrying, x = self._carried(system, x0)
@@ -163,11 +159,11 @@ class Sampling(eqx.Module):
 
     @property
     def _first(self) -> Array:
-        """The number of the grid point, or of the crossing, from which on averages are taken."""
+        """The number of the grid point, or of the crossing, at which averages begin."""
         return self.transient * self.steps if self.section is None else self.transient + 1
 
     def split(self, start: Array) -> tuple[Array, Array]:
-        """Of what a lane starts from the state, and the phase of the forcing, a part of 1."""
+        """The state and the phase of the forcing, a fraction of 1, at the start of a lane."""
         return (start[:-1], start[-1]) if self.phased else (start, jnp.zeros((), start.dtype))
 
     def _to_the_last_crossing(
@@ -198,7 +194,7 @@ class Sampling(eqx.Module):
         return problem_of(field, tableau, grid, recording, watched, others=others)
 
     def _longest_grid(self, unit: Array, t0: Array) -> TimeGrid:
-        """The grid of a lane that returns to its section as seldom as it may."""
+        """The grid of a lane with the longest allowed returns to its section."""
         assert self.max_return is not None
         count = (self.transient + self.samples).astype(unit.dtype)
         dt = unit / self.steps.astype(unit.dtype)
@@ -211,15 +207,15 @@ class Sampling(eqx.Module):
         return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps), share=self.share)
 
     def outcome(self, state: LoopState) -> tuple[Kept, RESULTS, Array]:
-        """What a lane, or many, have found; the outcome; the last state (n,), and in lanes that are
-        `phased` the time since the start behind it."""
+        """The recorded data of a lane, or of many; the outcome; the last state (n,), in `phased`
+        lanes followed by the time since the start."""
         sections = sections_in(state)
         saved = state.saves if sections is None else sections.table
         assert saved is not None
         xs = jnp.where(jnp.isfinite(saved.xs), saved.xs, jnp.nan)
         modes = None if self.observable is None else saved.modes
         timed = self.observable is not None or self.section is not None
-        # Components are numbers, or one array of them.
+        # Components are numbers, or one array of numbers.
         rows = [v.reshape(*xs.shape[:-2], -1) for v in state.motion.x.parts]
         if self.averaging is not None:
             rows = [jnp.concatenate(rows, axis=-1)[..., : self.averaging.n]]
@@ -233,15 +229,15 @@ class Sampling(eqx.Module):
         return kept, result, jnp.concatenate(rows, axis=-1)
 
     def ended(self, point: Point, start: Array, end: Array) -> Array:
-        """What the next lane starts from, of one that has started from `start`: its last state, and
-        in place of the time since then the phase of the forcing."""
+        """The start of the next lane after one from `start`: its last state, followed by the phase
+        of the forcing instead of the time."""
         if not self.phased:
             return end
         _, period = self.at(point.values)
         return end.at[-1].set(jnp.mod(start[-1] + end[-1] / period, 1.0))
 
     def sampled(self, point: Point, x0: Array, kept: Kept, result: RESULTS) -> Samples[Array]:
-        """The samples of a lane that has found this; averages if it has come to its end."""
+        """The samples of a lane from its recorded data; averages if it has reached its end."""
         saved, averages, times = kept.saved, None, None
         if self.averaging is not None:
             averages = self._averaged(self.averaging, point, x0, kept)
@@ -268,7 +264,7 @@ class Sampling(eqx.Module):
     def _observed(
         self, observable: Observable, point: Point, x0: Array, saved: SavedStates
     ) -> Array:
-        """What is observed at the samples, shape (samples, k)."""
+        """The observed values at the samples, shape (samples, k)."""
         (problem, _), (x0, _) = self.problem(point, x0), self.split(x0)
         system, period = self.at(point.values)
         if self.section is None:

@@ -1,7 +1,7 @@
-"""Averages of one lane: those of a diagram, as arrays with derivatives.
+"""Averages of one lane, as arrays with derivatives.
 
-A system and an initial state enter; what is averaged of the motion settled on leaves. It runs under
-every transformation, so that what a diagram shows on a map is also what an optimiser follows.
+They equal the averages of a diagram and run under every transformation, so that an optimiser can
+follow the map of a diagram.
 """
 
 from typing import Any
@@ -30,7 +30,7 @@ from jaxfil.xla.lanes import lanes_of
 
 
 class SettledAverage(eqx.Module):
-    """What is averaged of the motion that a lane settles on, and how it ended.
+    """The averages of the long-term motion of one lane.
 
     >>> import jax.numpy as jnp
     >>> import jaxfil as jf
@@ -42,7 +42,7 @@ class SettledAverage(eqx.Module):
     """
 
     averages: dict[str, Float[Array, "..."]]
-    """The averages by name, as those of a `BifurcationDiagram`; NaN where the lane failed."""
+    """The averages by name, as in `BifurcationDiagram`; NaN where the lane failed."""
     result: RESULTS
     """The outcome of the lane."""
     x_final: Float[Array, " n"]
@@ -63,7 +63,7 @@ def settled_average(
     max_return: Scalar | None = None,
     transient_time: Scalar | None = None,
 ) -> SettledAverage:
-    """Averages of the motion that a system settles on from `x0`: one lane of
+    """Averages of the long-term motion of a system from `x0`, one lane of
     `bifurcation_diagram(..., average=…)`, with derivatives.
 
     The system runs `transient` forcing periods T from t = 0, then `samples` more, over which the
@@ -71,16 +71,16 @@ def settled_average(
 
         averages[name] = 1/(samples T) ∫ g(t, x(t), side(t)) dt
 
-    or what else is asked for; with a `section`, from one of its crossings to another.
+    or another quantity; with a `section`, from one of its crossings to another.
 
-    Runs under `jax.jit` and `equinox.filter_vmap` (over a system with batched leaves, or over x0),
+    Runs under `jax.jit` and `equinox.filter_vmap` (over a batched system, or over x0),
     each lane with its own outcome, and has forward-mode derivatives, `jax.jvp` and `jax.jacfwd`, by
     x0 and every float leaf of the system, exact through crossings, slides and resets. They are
-    those of the motion settled on as soon as the transient has forgotten x0.
+    the derivatives of the settled motion as soon as the transient has forgotten x0.
 
     **Arguments**
 
-    - `system`: any `System` with a `period`, or with a `section` any.
+    - `system`: any `System` with a `period`, or any `System` with a `section`.
     - `average`: as in `bifurcation_diagram`.
     - `x0`: initial state, shape (n,).
     - `transient`, `samples`, `steps`, `section`, `max_return`, `transient_time`: as in

@@ -1,7 +1,4 @@
-"""Step halving: the same lanes at half the step, and how far apart the two runs are.
-
-Samples and outcomes of both enter; an estimate of the error of each lane leaves.
-"""
+"""Step halving: an error estimate of each lane from a second run at half the step."""
 
 import math
 
@@ -10,7 +7,7 @@ from jaxtyping import Float, Int
 
 from jaxfil.model.outcomes import RESULTS, code
 
-# Where the run at half the step has its checkpoint, in that of its sweep.
+# Folder of the checkpoint of the run at half the step, within the checkpoint of its sweep.
 FOLDER = "half_step"
 
 
@@ -21,17 +18,17 @@ def errors(
     half_codes: Int[np.ndarray, " p"],
     num_steps: int,
 ) -> Float[np.ndarray, "p n"]:
-    """The largest distance of each lane's samples from those at half the step, shape (p, n).
-    `num_steps`: steps that a lane takes at half the step.
+    """The largest distance of each lane's samples from the samples at half the step, shape (p, n).
+    `num_steps`: number of steps of a lane at half the step.
 
-    As for one solution (`integrate.solution.errors`): with a global error C·dtᵖ the distance is
-    (1 − 2⁻ᵖ) of it, and rounding, which two runs may share, is taken to be one unit a step at
+    As for one solution (`integrate.solution.errors`), with a global error C·dtᵖ the distance is
+    (1 − 2⁻ᵖ) of it, and rounding, which two runs may share, is taken as one unit per step at
     random. A lane that failed in one of the runs has an unknown error, NaN.
     """
     good = code(RESULTS.successful)
     known = ((codes == good) & (half_codes == good))[:, None]
-    size = np.max(abs(xs), axis=(1, 2))[:, None]  # of all components: they feed each other
-    # Errors of one unit at random add up as a walk does: √(number of steps) units.
+    size = np.max(abs(xs), axis=(1, 2))[:, None]  # of all components, which affect each other
+    # Errors of one unit at random add up like a random walk, to √(number of steps) units.
     units = math.sqrt(num_steps)
     rounding = np.finfo(xs.dtype).eps * size * units
     distance = np.max(abs(xs - half_xs), axis=1)

@@ -1,8 +1,6 @@
-"""Many lanes: parameters of a system swept over thousands of values.
+"""`bifurcation_diagram`: parameters of a system swept over thousands of values.
 
-A system, the name of a parameter and its values enter; the motion that each value settles on,
-sampled once a forcing period, leaves. Lanes run in chunks, a chunk on every core at a time, and
-each has its own outcome.
+Lanes run in chunks, a chunk on every core at a time, and each lane has its own outcome.
 """
 
 from collections.abc import Sequence
@@ -57,80 +55,78 @@ def bifurcation_diagram(
 ) -> BifurcationDiagram:
     """Sweep a parameter of a system, or several, and sample the motion at each value.
 
-    For each value the system runs `transient` forcing periods T from t = 0 unseen, then `samples`
-    periods, and its state is kept at the end of each: a stroboscopic Poincaré section,
+    For each value the system discards the first `transient` forcing periods T from t = 0, then runs
+    `samples` periods and stores its state at the end of each, a stroboscopic Poincaré section,
 
         xs[i, k] = x((transient + k + 1) T; values[i])
 
-    With a `section` it is sampled at its crossings instead, of forced and of autonomous systems:
+    With a `section` its crossings are sampled instead, for forced and autonomous systems:
     xs[i, k] is the state at crossing number transient + k + 1 from `transient_time` on, and
     times[i, k] its time.
 
-    Ctrl-C ends the sweep after the chunks under way, or once it is compiled, with a warning, and
-    returns what is done; a second one does not wait for chunks. The numbers do not depend on how
-    many cores the machine has.
+    Ctrl-C stops after the running chunks (or after compiling), with a warning, and returns the
+    finished lanes; a second one stops at once. The numbers do not depend on the number of cores.
 
     **Several machines.** After `jax.distributed.initialize()` in every process (on a cluster, of
-    `srun python sweep.py`) each makes this same call, computes its share of the chunks, on its
-    cores or its one accelerator, and returns the whole diagram, equal to that of one process on the
-    same hardware. A checkpoint may be on a file system that they share. With `follow` each computes
-    the whole. On a CPU XLA lets a process wait half an hour for the slowest one, or as long as
-    `XLA_FLAGS=--xla_cpu_collective_timeout_seconds=…` says.
+    `srun python sweep.py`) each process makes this same call, computes its share of the chunks, on
+    its cores or its one accelerator, and returns the whole diagram, equal to the diagram of one
+    process on the same hardware. A checkpoint may be on a file system that they share. With
+    `follow` each computes the whole. On a CPU XLA lets a process wait half an hour for the slowest
+    one, or the time in `XLA_FLAGS=--xla_cpu_collective_timeout_seconds=…`.
 
     **Arguments**
 
-    - `system`: a `System` with a `period`, or with a `section` any.
+    - `system`: a `System` with a `period`, or any `System` with a `section`.
     - `parameter`: a float leaf of the system; a dotted path for nested modules, and "a[0,1]" for
       an entry of an array. Or k such names.
     - `values`: shape (p,). New values never recompile. For k names, a tuple of k arrays, whose
-      product grid is swept, or one array of shape (p, k), a point in parameter space a row.
+      product grid is swept, or one array of shape (p, k), one point in parameter space per row.
     - `x0`: the initial state of every lane, shape (n,), or one for each, shape (p, n); on a grid
       (p1, p2, …, n).
     - `transient`: forcing periods, or crossings, before the first sample, 0 or more; by default
       200, and with a `transient_time` 0.
-    - `samples`: forcing periods, or crossings, sampled, 1 or more.
-    - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or what `choose_step` gives,
-      which has its own `stepper`;
-      of an autonomous system per unit of time.
+    - `samples`: sampled forcing periods, or crossings, 1 or more.
+    - `steps`: steps per forcing period, for an autonomous system per unit of time; or `Adaptive`, a
+      tolerance; or the result of `choose_step`, which has its own `stepper`.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
-    - `follow`: "up" or "down" starts each value, in ascending or descending order, from the last
-      one's end, which follows an attractor; by default each starts from `x0`. At a `section` the
-      phase of the force goes on too: a lane starts at a time of its first period.
-    - `checkpoint`: a folder that keeps every chunk of lanes as soon as it is finished. The same
-      call goes on from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
-      numbers bit for bit. A call with other arguments is refused. Needs xarray and zarr.
-    - `progress`: show a progress bar, and above it, if all of the first lanes to finish have
-      failed, why the first one has.
-    - `estimate_error`: sweep a second time at half the step, and give the largest distance between
-      the samples of the two as `errors`, an estimate of the global error; the cost is threefold.
+    - `follow`: "up" or "down" starts each value, in ascending or descending order, from the end of
+      the previous one, which follows an attractor; by default each starts from `x0`. At a `section`
+      the phase of the force continues too, and a lane starts at a time of its first period.
+    - `checkpoint`: a folder in which every chunk of lanes is stored as soon as it is finished. The
+      same call resumes from there, after Ctrl-C, a time limit or `kill -9`, and ends with the same
+      numbers bit for bit. A call with other arguments raises an error. Needs xarray and zarr.
+    - `progress`: show a progress bar, and above it the cause of the first failure if all of the
+      first lanes to finish have failed.
+    - `estimate_error`: sweep a second time at half the step, and return the largest distance
+      between the samples of the two as `errors`, an estimate of the global error; the cost is
+      threefold.
     - `compact`: as in `solve`.
-    - `section`: a `Section` whose crossings are sampled, such as `jf.maxima(…)`; its `terminal`
-      does not matter here.
-    - `max_return`: with a `section`, a time that is longer than the mean one from a crossing to the
-      next: a lane is given up after transient + samples times that.
-    - `transient_time`: with a `section`, a transient in time and not in crossings: crossings before
+    - `section`: a `Section` whose crossings are sampled, such as `jf.maxima(…)`; its `terminal` is
+      ignored.
+    - `max_return`: with a `section`, a time longer than the mean time between crossings. A lane
+      ends after transient + samples times this time.
+    - `transient_time`: with a `section`, a transient in time instead of crossings. Crossings before
       t = `transient_time` do not count. It is the same for all lanes, however often each returns.
-    - `observe`: as in `solve`, a function that returns a number or k of them, shape () or (k,):
-      they are kept in place of the states, and called as the function is.
-    - `average`: numbers of each lane over the time in which it is sampled, from the end of the
-      transient to the last sample, or with a `section` from the first sample to the last: a
-      function of the time, the state and the sides, whose mean is taken as in `average`; or
-      `jf.RMS`, `jf.Maximum`, `jf.Minimum` or `jf.EventSum` of one; or a dictionary of these by
-      their names. A function that also has an argument `system` is given the system of the lane,
-      with the values swept. The share of time on a side of a surface is the mean of
-      0.5·(1 + side). Where a function jumps off the surfaces of the system, the error of its mean
-      is that of a step, or with `Adaptive` the tolerance. Times are those that `vector_field` is
-      given, which may start anew each period.
+    - `observe`: as in `solve`, a function that returns a number or k numbers, shape () or (k,).
+      They are stored instead of the states, under the name of the function.
+    - `average`: numbers of each lane over the sampled time, from the end of the transient to the
+      last sample, or with a `section` from the first sample to the last. Pass a function of the
+      time, the state and the sides, whose mean is taken as in `average`; or `jf.RMS`, `jf.Maximum`,
+      `jf.Minimum` or `jf.EventSum` of one; or a dictionary of these by name. An argument `system`
+      receives the system of the lane, with the swept values. The share of time on a side of a
+      surface is the mean of 0.5·(1 + side). Where a function jumps off the surfaces of the system,
+      the error of its mean is of the order of a step, or with `Adaptive` of the tolerance. Times
+      are the times in `vector_field`, which may restart each period.
 
     **Returns** a `BifurcationDiagram`: samples `xs`, shape (p, samples, n) or (p1, p2, …, samples,
-    n), their `times` with a `section`, and `errors`, shape (p, n) or (p1, p2, …, n), if asked for;
-    of what is observed the last dimension is 1 or k. `averages` holds what is averaged by name, an
-    array of the shape of the lanes and of what its function returns, NaN of a lane that failed.
+    n), their `times` with a `section`, and `errors`, shape (p, n) or (p1, p2, …, n), if requested;
+    for observed values the last dimension is 1 or k. `averages` holds the averages by name, arrays
+    of the shape of the lanes and of the function's value, NaN for a failed lane.
 
     **Outcomes**, one for each lane in `results`: `successful`, `max_steps_reached`, `zeno`,
     `nonunique`, `mode_undecided`, `reset_undecided`, `undeclared_sliding`, `nonfinite`,
     `step_too_long`, `invalid_period`, `section_not_reached`, and after Ctrl-C `interrupted`. A lane
-    that fails harms no other.
+    that fails does not affect the others.
 
     **Source**: textbook; S. H. Strogatz, Nonlinear Dynamics and Chaos, Perseus (1994), section 10.2
     for diagrams and 12.5 for stroboscopic sections.
@@ -196,9 +192,9 @@ def _errors(
     checkpoint: PathLike | None,
     progress: bool,
 ) -> np.ndarray:
-    """The distance of the samples from those of a second sweep."""
-    # The same lanes at half the step and not at twice: where a step is long against the motion
-    # between two contacts, the error at twice the step says little of the error at one.
+    """The distance of the samples from the samples of a second sweep."""
+    # The same lanes at half the step instead of twice the step. Where a step is long against the
+    # motion between two contacts, the error at twice the step does not predict the error.
     half = plan.at_half_the_step()
     kept = None
     if checkpoint is not None:
@@ -212,7 +208,7 @@ def _errors(
 def _assembled(
     plan: SweepPlan, found: Samples[np.ndarray], codes: np.ndarray, errors: np.ndarray | None
 ) -> BifurcationDiagram:
-    """The diagram of all lanes, which it has along the dimensions of the grid."""
+    """The diagram of all lanes, along the dimensions of the grid."""
     grid, xs, times = plan.grid, found.xs, found.times
     return BifurcationDiagram(
         values=grid.values,
@@ -230,7 +226,7 @@ def _assembled(
 
 
 def _averages(plan: SweepPlan, rows: np.ndarray | None) -> dict[str, np.ndarray] | None:
-    """The averages of all lanes by their names, along the dimensions of the grid."""
+    """The averages of all lanes by name, along the dimensions of the grid."""
     averaging = plan.sampling.averaging
     if averaging is None or rows is None:
         return None
@@ -238,7 +234,7 @@ def _averages(plan: SweepPlan, rows: np.ndarray | None) -> dict[str, np.ndarray]
 
 
 def _begun(checkpoint: PathLike | None, plan: SweepPlan, estimate_error: bool) -> Checkpoint | None:
-    """The checkpoint, if one is asked for, after a look whether all processes ask for the same."""
+    """The checkpoint, if requested, after a check that all processes have the same arguments."""
     # Processes with other arguments would wait for each other's chunks for ever.
     if jax.process_count() > 1:
         multiprocess.same(digest({**record_of(plan), "estimate_error": str(estimate_error)}))
@@ -250,7 +246,7 @@ def _checkpoint(path: PathLike, plan: SweepPlan) -> Checkpoint:
 
 
 def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike | None) -> bool:
-    """Whether Ctrl-C left no lane unfinished; a warning where it did."""
+    """Whether all lanes are finished; warns if Ctrl-C ended the sweep."""
     missing = codes == code(RESULTS.interrupted)
     if missing.any():
         rest = "" if checkpoint is None else f"; the same call goes on from {checkpoint}"

@@ -1,14 +1,14 @@
-"""Textbook systems with known answers: parameters enter, a system ready for every verb leaves.
+"""Textbook systems with known answers.
 
-Parameters are float leaves with defaults. `TEXTBOOK` names the systems for the command line, each
-with an initial state that shows what it is known for.
+Parameters are float leaves with defaults. `TEXTBOOK` lists the systems for the command line, each
+with an initial state that shows its typical motion.
 
-The words of this room:
+Terms of this room:
 
-- forced: with a field or a surface that depends on time; all but `MovingBelt`, whose two
-  frequencies have no common period, have a `period` and can be sampled once in each.
-- autonomous: with neither.
-- dimensionless: in units in which the constants that are not named, a mass or a stiffness, are one.
+- forced: with a field or a surface that depends on time. All forced systems but `MovingBelt`, whose
+  two frequencies have no common period, have a `period` and can be sampled once per period.
+- autonomous: without such a field or surface.
+- dimensionless: in units in which unnamed constants, a mass or a stiffness, are one.
 """
 
 from jaxfil.model.system import System

@@ -1,7 +1,4 @@
-"""Systems that nothing drives from outside, most of them solved in closed form.
-
-Parameters enter; modules leave whose fields and surfaces do not depend on time.
-"""
+"""Systems without forcing, most of them solved in closed form."""
 
 from typing import ClassVar
 
@@ -15,8 +12,8 @@ from jaxfil.systems.default import check_restitution, default
 class CoulombOscillator(System):
     """A mass on a spring with dry friction, dimensionless: x'' = −x − F sgn x';  H = x'.
 
-    From (3, 0), as in `TEXTBOOK`, with F = 0.4 it turns at π, 2π, 3π and sticks for good at t = 4π
-    with x = 3 − 8F.
+    From (3, 0), as in `TEXTBOOK`, with F = 0.4 it turns at π, 2π, 3π and sticks from t = 4π on with
+    x = 3 − 8F.
 
     **Source**: textbook; J. P. Den Hartog, Mechanical Vibrations, McGraw–Hill (1934).
 
@@ -42,13 +39,12 @@ class CoulombOscillator(System):
 
 
 class RotatingOscillator(System):
-    """Two spirals that turn in opposite senses and meet at a circle, dimensionless.
+    """Two spirals that turn in opposite senses on both sides of a circle, dimensionless.
 
         ẋ = A₁x for |x| < 1, A₂x outside;  A₁ = [[1, ω], [−ω, 1]], A₂ = [[1, −ω], [ω, 1]]
 
     H = |x|² − 1 is curved. From (1/e, 0), as in `TEXTBOOK`, with ω = −2π it crosses at t = 1, and
-    x(T) = e^{T−1}(cos 2π(T−1), −sin 2π(T−1)) after: the problem for measuring the order of a
-    method.
+    x(T) = e^{T−1}(cos 2π(T−1), −sin 2π(T−1)) after. It measures the order of a method.
 
     **Source**: A. Nurkanović and M. Diehl, NOSNOC: a software package for numerical optimal control
     of nonsmooth systems, IEEE Control Systems Letters 6 (2022) 3110–3115.
@@ -62,7 +58,7 @@ class RotatingOscillator(System):
     """
 
     omega: Array = default(-6.283185307179586)
-    """Angular velocity ω, radians per unit of time; its sign says which way."""
+    """Angular velocity ω, radians per unit of time; its sign is the sense of rotation."""
 
     slides: ClassVar[bool] = False
     state_names: ClassVar = ("x₁", "x₂")
@@ -98,8 +94,8 @@ class SlipStick(System):
     state_names: ClassVar = ("x₁", "x₂")
 
     def vector_field(self, t: Array, x: Array, side: Array) -> Array:
-        # Each quotient is zero off its own side, where it may have a pole: an infinity that is not
-        # chosen would still make the derivatives NaN.
+        # Each quotient is zero off its own side, where it may have a pole. An infinity in the
+        # branch not taken would still make the derivatives NaN.
         below, above = side < 0, side > 0
         pull = jnp.where(below, 1 / jnp.where(below, 1.2 - x[1], 1.0), 0.0)
         push = jnp.where(above, 1 / jnp.where(above, 0.8 + x[1], 1.0), 0.0)
@@ -112,8 +108,8 @@ class SlipStick(System):
 class BouncingBall(System):
     """A ball that bounces on a floor: y'' = −g for y > 0, y' → −e y' at y = 0;  H = y.
 
-    From rest at height h the impacts accumulate at √(2h/g)(1 + e)/(1 − e): the textbook Zeno
-    system. `TEXTBOOK` starts it from (10, 0).
+    From rest at height h the impacts accumulate at √(2h/g)(1 + e)/(1 − e), the textbook Zeno
+    example. `TEXTBOOK` starts it from (10, 0).
 
     **Source**: textbook; B. Brogliato, Nonsmooth Mechanics, Springer (2016).
 
@@ -204,7 +200,7 @@ class VisibleFold(System):
 
 
 class TwoRelays(System):
-    """Two constant fields that meet at a line, dimensionless and without parameters.
+    """Two constant fields separated by a line, dimensionless and without parameters.
 
         ẋ = (−2, 1.5) where x > y, (2, −3) where x < y;  H = x − y
 

@@ -1,8 +1,4 @@
-"""Parameters that have a default.
-
-A number enters; the field of a system leaves whose value is always an array, so that a new value
-compiles nothing.
-"""
+"""Parameters with a default value, stored as arrays so that new values do not recompile."""
 
 from typing import Any
 
@@ -17,18 +13,18 @@ from jaxfil.xla.known import array_of
 
 
 def default(value: float) -> Any:
-    """A parameter of that value if none is given."""
+    """A parameter with a default value."""
     return eqx.field(converter=_array, default=value)
 
 
 def _array(value: Any) -> Any:
-    """The parameter as an array. What is no number stays as it is: the system refuses it by name,
-    which is not known here."""
+    """The parameter as an array. Other values are returned unchanged; the system refuses them by
+    name, which is unknown here."""
     return value if is_no_number(value) else array_of(value)
 
 
 def check_restitution(system: Any) -> None:
-    """An error where the restitution of a system is known to be negative."""
+    """Raise an error if the restitution of a system is negative."""
     value = system.restitution
     known = eqx.is_array(value) and not isinstance(value, jax.core.Tracer)
     if known and np.any(np.asarray(value) < 0):
@@ -38,10 +34,10 @@ def check_restitution(system: Any) -> None:
 
 
 def none_if_zero(value: Scalar | None) -> Any:
-    """The parameter, or None where it is known to be zero."""
+    """The parameter, or None if it is a concrete zero."""
     if is_no_number(value):
         return value
-    # A traced zero is a parameter like any other: what it is at run time cannot choose a program.
+    # A traced zero stays a parameter, because its value at run time cannot choose a program.
     known = not isinstance(value, jax.core.Tracer)
     zero = known and np.all(np.asarray(value) == 0)
     return None if zero else array_of(value)

@@ -1,7 +1,7 @@
-"""Oscillators that a force, a belt or a wall drives from outside.
+"""Oscillators driven by a force, a belt or a wall.
 
-Parameters enter; modules leave whose field or surface depends on time. Where there is one frequency
-its period is the system's, and diagrams sample once in each.
+Where there is one forcing frequency, its period is the period of the system, and diagrams sample
+once per period.
 """
 
 from typing import ClassVar
@@ -42,8 +42,8 @@ class SDOscillator(System):
     omega: Array = default(0.7)
     """Frequency Ω of the force."""
     alpha: Array | None = eqx.field(converter=none_if_zero, default=0.0)
-    """How far the arch is from flat; None stands for α = 0: the discontinuous system has no such
-    parameter."""
+    """Deviation α of the arch from flat; None stands for α = 0, the discontinuous system, which has
+    no such parameter."""
 
     slides: ClassVar[bool] = False
     state_names: ClassVar = ("x", "x'")
@@ -55,7 +55,7 @@ class SDOscillator(System):
         return jnp.stack([x[1], force - 2 * self.zeta * x[1] - x[0] + snap])
 
     def switching(self, t: Array, x: Array) -> Array:
-        # Smooth for α > 0: no surface at all, and no code for one is compiled.
+        # Smooth for α > 0, without surfaces.
         return x[0] if self.alpha is None else jnp.zeros((0,), x.dtype)
 
     @property
@@ -92,7 +92,7 @@ class BeltFriction(System):
     mu: Array = default(0.6)
     """Coefficient μ of dry friction, dimensionless."""
     alpha: Array = default(-0.05)
-    """Slope of friction against velocity, s/m; a negative one damps."""
+    """Slope of friction against velocity, s/m; negative values damp."""
     beta: Array = default(0.0)
     """Cubic term of friction against velocity, s³/m³."""
     gamma1: Array = default(0.0)
@@ -143,7 +143,7 @@ class BeltFriction(System):
 
 
 class MovingBelt(System):
-    """Oscillator on a belt whose velocity changes, dimensionless: a surface that moves.
+    """Oscillator on a belt whose velocity changes, dimensionless, with a moving surface.
 
         x'' = −x − 0.4x' + cos 0.7t − F sgn(x' − v(t)),  v = cos t + 0.7;  H = x' − v(t)
 
@@ -198,7 +198,7 @@ class DenHartog(System):
     friction: Array = default(0.3)
     """Friction force S, in units of the amplitude of the force."""
     omega: Array = default(0.8)
-    """Frequency Ω of the force, in units of the natural one."""
+    """Frequency Ω of the force, in units of the natural frequency."""
 
     state_names: ClassVar = ("x", "x'")
     symbols: ClassVar = {"friction": "S", "omega": "Ω"}
@@ -242,7 +242,7 @@ class ImpactOscillator(System):
     omega: Array = default(1.0)
     """Frequency ω of the force, radians per unit of time."""
     wall: Array = default(1.0)
-    """Place d of the wall, a length."""
+    """Position d of the wall, a length."""
     restitution: Array = default(0.8)
     """Coefficient e of restitution, from 0 to 1, dimensionless."""
 
