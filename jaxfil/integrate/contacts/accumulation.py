@@ -5,15 +5,18 @@ kind follow one another at times that shrink in one ratio, so does their limit: 
 and the surfaces met on the way, on which the next switch chooses the mode.
 
 Near the point that a twisting controller or a spiral through the sides of two surfaces runs into,
-the motion is self-similar: each turn takes q times as long as the last one, and moves a component
-of the state q times as far, or a power of q. What is left of either after a turn that has moved it
-by D is the geometric series
+the motion is self-similar: each turn takes q times as long as the last one. The time left after a
+turn of length T is a geometric series, Aitken's extrapolation, and the mean velocity V of turns is
+linear in the time of their middle, a smooth motion's as well as one that dies out with the first
+or second power of the time left:
 
-    D r/(1 − r),   r = D/D_before   (of the time: r = q; of the state: |r| ≤ q),
+    τ = T q/(1 − q),   q = T/T_before,
+    x + τ (V + (V − V_before) (T + τ)/(T + T_before)),   V = D/T after a turn that moves x by D.
 
-Aitken's extrapolation. Where the fields are constant it is exact, with its derivatives; elsewhere
-its error is of the order of the square of what is left. It is taken when two turns one after the
-other predict the same limit to within rounding, in time and in every component of the state.
+Where the fields are constant both are exact, with their derivatives; elsewhere the error of the
+time is of the order of the square of what is left, and of the state of its cube. They are taken
+when two turns one after the other predict the same limit to within rounding, in time and in every
+component of the state.
 """
 
 import dataclasses
@@ -34,7 +37,6 @@ from jaxfil.integrate.system.components import (
     any_of,
     largest,
     maximum,
-    on_each,
     total,
     where,
 )
@@ -119,8 +121,11 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
     upcoming = done & turn.met
     if end.jump is not None and end.next is not None:
         jump, upcoming = select(done, jump, end.jump), where(done, upcoming, end.next)
+    # What this switch changes of other surfaces is a part of what is completed.
+    again = None if end.again is None else end.again & ~done
     return dataclasses.replace(
         end,
+        again=again,
         motion=dataclasses.replace(end.motion, x=where(done, x, end.motion.x)),
         turn=turn,
         jump=jump,
@@ -149,7 +154,15 @@ def _turned(
     ratio = select(shrinks, time, 0) / select(shrinks, turn.length, 1)
     left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
     move = end.motion.x - turn.x
-    limit = end.motion.x + on_each(_rest_of_series, move, turn.move, ratio)
+    took, before = select(shrinks, time, 1), select(shrinks, turn.length, 1)
+    mean = move / took
+    change = (mean - turn.move / before) / (took + before)
+
+    def ahead(span: Array) -> Components:
+        """The state after so much of the time that is left."""
+        return end.motion.x + span * (mean + (time + span) * change)
+
+    limit = ahead(select(shrinks, left, 0))
     agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit, move)
     # At a grid point it may be late by the rounding of its prediction.
     late = jnp.maximum(stop_gradient(left - length.room), 0)
@@ -176,7 +189,8 @@ def _turned(
         contacts=select(starts, 0, turn.contacts + 1),
         completed=completed,
     )
-    return now, select(completed, left - late, 0), limit
+    jump = select(completed, left - late, 0)
+    return now, jump, ahead(jump)
 
 
 def _clear(
@@ -190,14 +204,6 @@ def _clear(
     h = problem.system.switching(t, limit)
     mode, met = end.motion.mode, state.pending.surfaces | state.turn.met
     return ~any_of(~(met | stays_on(problem.system, mode) | (mode * h >= 0)))
-
-
-def _rest_of_series(now: Array, before: Array, most: Array) -> Array:
-    """What is left of a geometric series after two of its terms, their ratio being `most` at most:
-    nothing moves more than in proportion to time, but rounding."""
-    ratio = select(before == 0, 0, now / select(before == 0, 1, before))
-    ratio = jnp.clip(ratio, -most, most)
-    return now * ratio / (1 - ratio)
 
 
 def _kind(hit: Components, mode: Components) -> Array:

@@ -160,12 +160,15 @@ def _view(
     """The surfaces as constraints."""
     system, sides = problem.system, unilateral.sides_of(state.motion.mode)
     c = unilateral.constraints(system, t, x, sides)
-    field = filippov.field if filippov.holds_together(system) else filippov.free_field
+    together = filippov.holds_together(system)
+    field = filippov.field if together else filippov.free_field
     f = field(system, t, x, state.motion.mode)
     a = unilateral.accelerations(system, t, x, sides, f)
     size, fast = (
         maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))
     )
+    if together:  # rounding of what reactions cancel is in the rates, however small the rest
+        fast = maximum(fast, abs(system.field(t, x, sides)))
     inside, dt = system.rate_rounding(t, x, sides), typical_step(problem, state)
     by_time = a - c.gradients @ f
     return View(

@@ -5,6 +5,7 @@ import functools as ft
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
@@ -47,3 +48,30 @@ def test_no_answer_is_wrong_and_called_successful():
 
 def test_all_problems_are_answered():
     assert all(name == "successful" for name, _ in answers())
+
+
+@pytest.mark.parametrize(
+    ("shape", "numbers"),
+    [
+        # Turns that end with an impact that starts a slip; a friction that relieves a wall.
+        ((2, 1, 1), (47, 96)),
+        # A phase that goes on while impacts die out; impacts on two walls at one time, for ever.
+        pytest.param((2, 2, 2), (26, 178, 190), marks=pytest.mark.slow),
+    ],
+)
+def test_masses_whose_impacts_never_came_to_an_end(shape, numbers):
+    problems = [random_machine([0, *shape, i], *shape) for i in numbers]
+    machines = zip(*(numbers_of(machine) for machine, _ in problems), strict=True)
+
+    @eqx.filter_vmap
+    def run(numbers, x0):
+        system = system_of(numbers)
+        sol = jf.solve(system, x0, 0.0, T1, 0.02, max_events=500, throw=False, compact=True)
+        return sol.result, sol.x_final
+
+    batch = tuple(jnp.asarray(np.stack(column)) for column in machines)
+    results, ends = run(batch, jnp.asarray(np.stack([x0 for _, x0 in problems])))
+    assert set(map(str, outcome_names(results))) == {"successful"}
+    for problem, end in zip(problems, ends, strict=True):
+        motion = propagate(*problem, T1)
+        np.testing.assert_allclose(end, motion.x, rtol=0, atol=1e-8 * (1 + motion.size))
