@@ -74,8 +74,9 @@ def begin(
     back = back & (returns | (seen.unmade & ~timed & (direction > 0)))
     owed = (wall & (direction * rates < 0) & ~flat) | back
     start = where(wall, 1.0, where(back, side, sides))
-    # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
-    lean = where(a * rates > 0, a, where(flat, rates, a))
+    # Of a rate that is rounding not even the sign is known: the acceleration decides, and where
+    # that vanishes the first higher derivative that does not.
+    lean = where(flat, where(a != 0, direction * a, rates), a)
     rests, consistent = unilateral.pressed(c.reaction, lean, above, wall & flat)
     return Beginning(
         sides=start,

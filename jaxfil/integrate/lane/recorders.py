@@ -172,7 +172,8 @@ class SaveSteps(Recorder):
         return _empty(system, self.size, self.size, self.size)
 
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
-        motion = step.end.motion
+        # Without surfaces `after` is behind a tick that the step ends on.
+        motion = step.end.motion if problem.system.m > 0 else after.motion
         end = problem.grid.t0 + motion.tau, motion.x, motion.mode
         return _entered(state, after, problem.system, end, step.moved)
 

@@ -257,11 +257,17 @@ def _followed(
     verdicts: list[Verdict | None],
 ) -> LoopState:
     """`after`, with what is saved of the step, and what the extensions make of it."""
-    after, following = problem.recording.recorder.record(problem, state, after, taken), []
+    recorder, following = problem.recording.recorder, []
+    # Without surfaces a tick has no switch of its own: the end of the step is behind it.
+    behind_ticks = problem.system.m == 0 and not recorder.at_known_times
+    if not behind_ticks:
+        after = recorder.record(problem, state, after, taken)
     each = zip(problem.extensions, state.extensions, verdicts, strict=True)
     for extension, own, verdict in each:
         after, following_own = extension.after_step(problem, state, after, own, taken, verdict)
         following.append(following_own)
+    if behind_ticks:
+        after = recorder.record(problem, state, after, taken)
     return next_period(problem.grid, dataclasses.replace(after, extensions=tuple(following)))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.lane import clocks
-from jaxfil.integrate.lane.problem import NOTHING, Problem, even_grid
+from jaxfil.integrate.lane.problem import NOTHING, SAME_TIME, Problem, even_grid
 from jaxfil.integrate.lane.state import CrossingTable, EventTable, SavedStates
 from jaxfil.integrate.run.dataset import solution_arrays
 from jaxfil.integrate.run.observed import Observable, checked_observable, observed
@@ -231,10 +231,12 @@ def _values(dense: Dense, observable: Observable, ts: Array) -> Array:
 
 
 def _step_at(dense: Dense, t: Array) -> Array:
-    """The number of the step that contains a time: of one that is a contact the step after it."""
+    """The number of the step that contains a time: of a contact or a tick, to within rounding of
+    times, the step after it."""
     sign = select(dense.t1 >= dense.t0, 1.0, -1.0).astype(t.dtype)
     keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
-    return jnp.maximum(jnp.searchsorted(keys, sign * t, side="right") - 1, 0)
+    same = SAME_TIME * jnp.finfo(t.dtype).eps * jnp.maximum(abs(t), abs(t - dense.t0))
+    return jnp.maximum(jnp.searchsorted(keys, sign * t + same, side="right") - 1, 0)
 
 
 def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:

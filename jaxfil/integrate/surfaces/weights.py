@@ -80,6 +80,20 @@ def determinant(mode: Components, rates: Corners, w: Components) -> Array:
     return ft.reduce(jnp.multiply, [v if v.ndim == 0 else jnp.prod(v) for v in sizes.parts])
 
 
+def response(mode: Components, rates: Corners, change: Components) -> Components:
+    """The change of the weights of a mode that changes dH/dt by `change` on the surfaces slid on; 0
+    where the weights are undetermined."""
+    slides = mode == 0
+    if rates.are_of_one:
+        slope = 0.5 * (rates[0] - rates[1])
+        slides = slides & (slope != 0)
+        return where(slides, change / where(slides, slope, 1), 0.0)
+    w = weights(mode, rates)
+    slides = slides & (determinant(mode, rates, w) > 0)
+    mode = where(slides, mode, 1.0)
+    return where(slides, _correction(mode, rates, w, change), 0.0)
+
+
 @jax.custom_jvp
 def _implicit_weights(mode: Components, rates: Corners) -> Components:
     """`weights` on several surfaces. Their derivative is the implicit one, made of the weights

@@ -117,6 +117,16 @@ def test_dense_output_is_that_just_after_a_tick(system):
     assert_array_equal(got, [0, 1, 1, 2, 2])
 
 
+@pytest.mark.parametrize("period", [0.3, 0.7, 0.123456789])
+def test_dense_output_at_a_tick_that_is_a_grid_point_but_for_rounding(period):
+    """With steps of 0.1 the tick is at 0.7000000000000001."""
+    sol = solve(Counter(jnp.asarray(period)), [0.0, 0.0], 3.5, saveat=diffrax.SaveAt(dense=True))
+    ticks = period * jnp.arange(1.0, 4.0)
+    assert_array_equal(sol.evaluate(ticks)[:, 0], [1, 2, 3])
+    assert_array_equal(sol.evaluate(ticks + 0.01)[:, 0], [1, 2, 3])
+    assert_array_equal(sol.evaluate(ticks - 0.01)[:, 0], [0, 1, 2])
+
+
 def test_lanes_count_ticks_of_their_own():
     """Those in (t0, t1], where either may be a tick."""
     T = np.array([1.0, 0.3, 0.7, 0.25, 0.1])

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 from jaxfil import RESULTS, EventKind
+from jaxfil.model.outcomes import outcome_names
 
 G = 9.8
 
@@ -446,3 +447,35 @@ def test_a_reset_that_leads_nowhere_is_told():
     sol = solve(Clutch(), (0.5, 0), 5.0)
     assert sol.result == RESULTS.reset_undecided
     assert_allclose(sol.t_final, 1.0, rtol=1e-13)
+
+
+class Away(jf.System):
+    """A mass (q, v) that an acceleration of 2 takes away from a wall at q = 0."""
+
+    e: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], 2.0 + 0 * t])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-self.e)
+
+
+def test_rounding_of_the_first_velocity_does_not_hold_a_mass_at_a_wall_that_it_is_pulled_from():
+    """As a run leaves it that was cut at the tick that ends a rest."""
+
+    @jax.jit
+    @jax.vmap
+    def ends(v, e):
+        x0 = jnp.stack([0 * v, v])
+        sol = jf.solve(Away(e), x0, 0.0, 1.0, 0.05, throw=False, compact=True)
+        return sol.x_final, sol.result
+
+    v = -np.array([1e-3, 1e-9, 1e-14, 1e-16, 1e-20, 1e-67, 1e-300, 0.0, -1e-60])
+    x, results = ends(jnp.asarray(np.tile(v, 2)), jnp.repeat(jnp.array([0.5, 0.0]), len(v)))
+    assert set(map(str, outcome_names(results))) == {"successful"}
+    bounce = np.concatenate([-0.5 * np.minimum(v, 0), 0 * v])
+    np.testing.assert_allclose(x, np.stack([1 + bounce, 2 + bounce], axis=1), rtol=1e-13)

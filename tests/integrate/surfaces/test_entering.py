@@ -1,0 +1,108 @@
+"""Derivatives of motions that start on a slide, or that a map puts on one, against closed forms."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfil as jf
+
+
+class Belt(jf.System):
+    """A block (q, v) on a spring, with dry friction 0.7 on a belt of velocity u."""
+
+    u: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - 0.7 * side])
+
+    def switching(self, t, x):
+        return x[1] - self.u
+
+
+class Placed(jf.System):
+    """A slide on p = a whose sides push r, r' = 0.3 s. A tick at t = 1 puts p = 1/2."""
+
+    a: jax.Array
+    clocks = (jf.Clock(10.0, 1.0),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([-side, 0.3 * side])
+
+    def switching(self, t, x):
+        return x[0] - self.a
+
+    def tick(self, t, x, clock):
+        return x.at[0].set(0.5)
+
+
+class Slanted(jf.System):
+    """Two surfaces, p = a and q = 0, on which the sides also push what is not constrained:
+    r' = q + (3 s₁ + 2 s₂)/10."""
+
+    a: jax.Array
+
+    def vector_field(self, t, x, side):
+        r = x[1] + 0.3 * side[0] + 0.2 * side[1]
+        return jnp.stack([-side[0] + 0.2 * side[1], -2 * side[1] + 0.4 * side[0], r])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - self.a, x[1]])
+
+
+@eqx.filter_jit
+def run(system, x0, t1, dt=0.1):
+    return jf.solve(system, x0, 0.0, t1, dt, compact=True).x_final
+
+
+@pytest.mark.parametrize("jacobian", [jax.jacfwd, jax.jacrev])
+def test_a_block_that_starts_on_its_belt(jacobian):
+    """Whatever its velocity is, it is at once that of the belt."""
+    u, x0 = jnp.asarray(0.3), jnp.array([0.1, 0.3])
+    by_u, by_x = jacobian(lambda u, x0: run(Belt(u), x0, 0.95), (0, 1))(u, x0)
+    np.testing.assert_allclose(by_u, [0.95, 1], rtol=1e-14)
+    np.testing.assert_allclose(by_x, [[1, 0], [0, 0]], rtol=0, atol=1e-14)
+
+
+def test_a_tick_that_puts_the_state_on_a_slide():
+    """At t = 1 it is above p = a, and with any other a it is beside p = a after the tick."""
+    by_a = jax.jacfwd(lambda a: run(Placed(a), jnp.array([2.0, 0.0]), 1.5))(jnp.asarray(0.5))
+    np.testing.assert_allclose(by_a, [1, -0.3], rtol=1e-13)
+
+
+def test_a_start_on_two_surfaces_whose_sides_push_aside():
+    """S from ∂f/∂w and ∂ψ/∂w, and from a start beside the surfaces."""
+    a, x0 = jnp.asarray(0.5), jnp.array([0.5, 0.0, 0.0])
+    by_a, by_x = jax.jacfwd(lambda a, x0: run(Slanted(a), x0, 0.5), (0, 1))(a, x0)
+    slopes, pushes = np.array([[-1, 0.2], [0.4, -2]]), np.array([0.3, 0.2])
+    aside = -pushes @ np.linalg.inv(slopes)
+    expected = [[0, 0, 0], [0, 0, 0], [aside[0], aside[1], 1]]
+    np.testing.assert_allclose(by_x, expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(by_a, [1, 0, -aside[0]], rtol=0, atol=1e-14)
+    off = jnp.array([2e-4, -1e-4, 0.0])
+    moved = run(Slanted(a), x0 + off, 0.5, 0.0501)
+    np.testing.assert_allclose(moved, run(Slanted(a), x0, 0.5) + by_x @ off, rtol=0, atol=1e-7)
+
+
+class Table(jf.System):
+    """A block (q, v) that slides on a belt of velocity u while a mass (z, w) rests on a floor, and
+    presses on it: friction z'' shares."""
+
+    u: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - 0.7 * side[0], x[3], -1 + 0.1 * x[1] - 0.2 * side[0]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[1] - self.u, x[2]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 1, x.at[3].multiply(-0.5), x)
+
+
+def test_a_start_on_a_slide_beside_a_rest():
+    u, x0 = jnp.asarray(0.3), jnp.array([0.1, 0.3, 0.0, 0.0])
+    by_u, by_v = jax.jacfwd(lambda u, v: run(Table(u), x0.at[1].set(v), 0.95), (0, 1))(u, x0[1])
+    np.testing.assert_allclose(by_u, [0.95, 1, 0, 0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(by_v, np.zeros(4), rtol=0, atol=1e-14)
