@@ -95,9 +95,9 @@ def solve(
       of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
     - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` take the forward
       derivative by each number that moves, transposed; for hundreds of parameters,
-      `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, for first derivatives alone.
-      First and second ones with respect to x0, t0, t1 and every float leaf of the system are exact
-      through crossings, slides and resets; third ones raise.
+      `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, for which second derivatives
+      are `jax.jacfwd(jax.grad(…))`. First and second ones with respect to x0, t0, t1 and every
+      float leaf of the system are exact through crossings, slides and resets; third ones raise.
     - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it. The
       error says t, x and the surface where it stopped, but not from within `jit`.
     - `estimate_error`: also run at half the step, and give the distance between the two as
