@@ -175,10 +175,10 @@ def sections_of(
 
 
 def _check_scalar(name: str, section: Section, system: System, x0: Array) -> None:
-    given = {"t": jnp.zeros((), x0.dtype), "x": x0}
-    if asked := asked_of(section.function):
-        given |= dict.fromkeys(asked, jnp.ones(check.shapes(system, x0), x0.dtype))
-    out = argument.returned(f"`{name}`", section.function, **given)
+    asked = asked_of(section.function)
+    given = dict.fromkeys(asked, jnp.ones(check.shapes(system, x0), x0.dtype)) if asked else {}
+    t = jnp.zeros((), x0.dtype)
+    out = argument.returned(f"`{name}`", section.function, "", t=t, x=x0, **given)
     if getattr(out, "shape", None) != () or out.dtype != x0.dtype:
         was = f"shape {out.shape}, dtype {out.dtype}" if hasattr(out, "shape") else repr(out)
         raise ValueError(
