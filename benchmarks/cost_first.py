@@ -76,6 +76,56 @@ def bifurcations(orbit):
     return jf.find_bifurcations(belt(), "omega", orbit, stop=10.0)
 
 
+def averages():
+    """A diagram of 200 lanes with two numbers of each: a mean and an amplitude."""
+    average = {
+        "power": lambda t, x, side: -side * x[1],
+        "amplitude": jf.Maximum(lambda t, x, side: x[0]),
+    }
+    options = dict(transient=20, samples=20, average=average)
+    return jf.bifurcation_diagram(belt(), "omega", np.linspace(11, 12, 200), X0, **options).averages
+
+
+def graze():
+    """Where an orbit grazes a wall."""
+    wall = jf.systems.ImpactOscillator(omega=1.2, amplitude=0.43)
+    found = jf.periodic_orbit(wall, np.array([0.5, 0.5]))
+    return wall, jf.find_bifurcation(wall, "amplitude", found, "grazing")
+
+
+def grazing_curve(found):
+    """The curve of this grazing in two parameters."""
+    wall, grazing = found
+    return jf.continue_bifurcation(wall, ("omega", "amplitude"), grazing, stop=(1.1, 1.3)).values
+
+
+class Line(jf.System):
+    """An equilibrium that meets a surface."""
+
+    mu: jax.Array = eqx.field(default_factory=lambda: jnp.asarray(1.0))
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, self.mu - x, -jnp.ones_like(x))
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def equilibrium():
+    """The equilibrium, on its side."""
+    return jf.equilibrium(Line(), np.ones(1))
+
+
+def equilibria(found):
+    """Its branch, through the surface."""
+    return jf.continue_equilibrium(Line(), "mu", found, stop=-1.0).values
+
+
+def tangencies():
+    """The visible fold of a planar system."""
+    return [p.x for p in jf.tangency_points(jf.systems.VisibleFold(), ((-2, 0), (-2, 0)))]
+
+
 def everything():
     """Every verb once."""
     end(X0), jax.jacfwd(end)(X0), jax.grad(lambda x: end(x)[0])(X0), sweep()
@@ -216,6 +266,11 @@ CALLS = {
         lambda: (found := orbit(), margin(found))[0],
         lambda found: jax.grad(lambda s: margin(found, s))(belt()),
     ),
+    "averages of a sweep": (NOTHING, lambda _: averages()),
+    "continue_bifurcation after the graze": (graze, grazing_curve),
+    "an equilibrium": (NOTHING, lambda _: equilibrium().x),
+    "its branch": (equilibrium, equilibria),
+    "tangency points": (NOTHING, lambda _: tangencies()),
     "all verbs, once each": (NOTHING, lambda _: everything()),
     "Filippov's spiral": (NOTHING, lambda _: textbook("filippov-spiral")),
     "two separate relays": (NOTHING, lambda _: textbook("two-relays")),

@@ -3,13 +3,15 @@
 A run locates the zeros of a `Section` as it locates contacts.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.model import argument
+from jaxfil.model import argument, check
+from jaxfil.model.observe import Observe, asked_of
+from jaxfil.model.system import System
 
 _DIRECTIONS = (-1, 0, 1)
 
@@ -26,8 +28,10 @@ class Section(eqx.Module):
     **Arguments**
 
     - `function`: S, a function of the time, shape (), and the state, shape (n,), that returns a
-      scalar. It may be an equinox module, whose float leaves then have derivatives and may change
-      without a new program.
+      scalar. Arguments named `side`, `reaction` and `mode` receive these, each of the shape of H,
+      as in the observed functions of `solve`. On a slide S is the blend of both sides. It may be
+      an equinox module, whose float leaves then have derivatives and may change without a new
+      program.
     - `direction`: +1 for crossings where S grows with time, −1 where it falls, 0 for both.
     - `terminal`: the number of the crossing of this section at which the run ends, with the outcome
       `section_reached`; None to continue to the end.
@@ -47,7 +51,7 @@ class Section(eqx.Module):
     [4.7124, 9.4248]
     """
 
-    function: Callable[[Array, Array], Array]
+    function: Observe
     """The function S."""
     direction: int = eqx.field(static=True, default=0)
     """+1, −1, or 0 for both."""
@@ -71,7 +75,7 @@ Sections = Section | Sequence[Section]
 """One section, or several."""
 
 
-def maxima(function: Callable[[Array, Array], Array], terminal: int | None = None) -> Section:
+def maxima(function: Observe, terminal: int | None = None) -> Section:
     """The section at which a function of time and state has a maximum along the motion.
 
         d/dt f(t, x(t)) = ∂f/∂t + ∇f·F = 0, falling
@@ -99,7 +103,7 @@ def maxima(function: Callable[[Array, Array], Array], terminal: int | None = Non
     return Section(function, -1, terminal, of_rate=True)
 
 
-def minima(function: Callable[[Array, Array], Array], terminal: int | None = None) -> Section:
+def minima(function: Observe, terminal: int | None = None) -> Section:
     """The section at which a function of time and state has a minimum along the motion.
 
         d/dt f(t, x(t)) = ∂f/∂t + ∇f·F = 0, growing
@@ -123,7 +127,7 @@ def minima(function: Callable[[Array, Array], Array], terminal: int | None = Non
     return Section(function, 1, terminal, of_rate=True)
 
 
-def bound(function: Callable[[Array, Array], Array]) -> Section:
+def bound(function: Observe) -> Section:
     """A bound of the region f(t, x) ≥ 0. A run that leaves it, or starts outside, ends there.
 
     The outcome is `out_of_bounds`, which is not a success. It distinguishes, for example, an
@@ -151,8 +155,11 @@ def bound(function: Callable[[Array, Array], Array]) -> Section:
     return Section(function, -1, 1, is_bound=True)
 
 
-def sections_of(name: str, sections: Sections | None, x0: Array) -> tuple[Section, ...]:
-    """The sections of an argument, () for None, each with a scalar function."""
+def sections_of(
+    name: str, sections: Sections | None, system: System, x0: Array
+) -> tuple[Section, ...]:
+    """The sections of an argument in runs of a system from a state like x0, () for None, each with
+    a scalar function."""
     if sections is None:
         return ()
     several = (sections,) if isinstance(sections, Section) else sections
@@ -162,12 +169,15 @@ def sections_of(name: str, sections: Sections | None, x0: Array) -> tuple[Sectio
             f"{argument.told(sections)}."
         )
     for number, section in enumerate(several):
-        _check_scalar(f"{name}[{number}].function", section, x0)
+        _check_scalar(f"{name}[{number}].function", section, system, x0)
     return tuple(several)
 
 
-def _check_scalar(name: str, section: Section, x0: Array) -> None:
-    out = argument.returned(f"`{name}`", section.function, t=jnp.zeros((), x0.dtype), x=x0)
+def _check_scalar(name: str, section: Section, system: System, x0: Array) -> None:
+    asked = asked_of(section.function)
+    given = dict.fromkeys(asked, jnp.ones(check.shapes(system, x0), x0.dtype)) if asked else {}
+    t = jnp.zeros((), x0.dtype)
+    out = argument.returned(f"`{name}`", section.function, "", t=t, x=x0, **given)
     if getattr(out, "shape", None) != () or out.dtype != x0.dtype:
         was = f"shape {out.shape}, dtype {out.dtype}" if hasattr(out, "shape") else repr(out)
         raise ValueError(

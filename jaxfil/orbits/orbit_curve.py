@@ -34,11 +34,12 @@ from jaxfil.xla.known import array_of
 # A guess from a neighbour converges in a few steps or not at all; across a square root of the
 # period map it needs many, because steps are halved repeatedly.
 _NEWTON_STEPS, _MANY_STEPS = 12, 40
-# Number of directions of the search around a corner, and its distance.
-_DIRECTIONS, _RADIUS = 48, 1e-3
-# A point beyond this multiple of the distance is on another branch; one at this cosine to the
-# tangent is on the earlier part of the branch.
-_REACH, _BACK = 20, -0.95
+# Number of directions of the search around a corner, and its distances: the larger one where the
+# continuation turns sharply, as beside the square root of a graze.
+_DIRECTIONS, _RADII = 48, (1e-3, 1e-2)
+# A point further away than this is on another branch; one at this cosine to the tangent is on the
+# earlier part of the branch.
+_REACH, _BACK = 2e-2, -0.95
 # A multiplier above this is reported at the end of a branch.
 _LARGE = 1e3
 # Distance along the earlier branch that is used where the phase is changed, in scaled unknowns.
@@ -174,17 +175,20 @@ class OrbitCurve(Curve[OrbitPoint]):
         """The continuation around a corner: in random directions at a small distance, the nearest
         point with other contacts that is not on the earlier part of the branch."""
         scale = self.metric(here)
-        best, least = None, _REACH * _RADIUS
-        for point in self._around(here, scale):
-            away = (point.u - here.u) / scale
-            distance = np.linalg.norm(away)
-            # −1 is the direction of the earlier part. A point with the same contacts is on the
-            # branch itself, or on a neighbouring one.
-            forward = float(away @ here.tangent / distance)
-            if point.sequence != here.sequence and forward > _BACK and distance < least:
-                sign = 1.0 if point.tangent @ away >= 0 else -1.0
-                best, least = dataclasses.replace(point, tangent=sign * point.tangent), distance
-        if best is None:
+        best, least = None, _REACH
+        for radius in _RADII:
+            for point in self._around(here, scale, radius):
+                away = (point.u - here.u) / scale
+                distance = np.linalg.norm(away)
+                # −1 is the direction of the earlier part. A point with the same contacts is on the
+                # branch itself, or on a neighbouring one.
+                forward = float(away @ here.tangent / distance)
+                if point.sequence != here.sequence and forward > _BACK and distance < least:
+                    sign = 1.0 if point.tangent @ away >= 0 else -1.0
+                    best, least = dataclasses.replace(point, tangent=sign * point.tangent), distance
+            if best is not None:
+                break
+        else:
             return None
         kind = kind_of_change(here.sequence, best.sequence)
         return best, Special(kind, here, here.sequence, best.sequence)
@@ -197,15 +201,15 @@ class OrbitCurve(Curve[OrbitPoint]):
             return ""
         return f"largest multiplier {abs(largest):.2g}, as where an orbit grazes"
 
-    def _around(self, here: OrbitPoint, scale: np.ndarray) -> list[OrbitPoint]:
+    def _around(self, here: OrbitPoint, scale: np.ndarray, radius: float) -> list[OrbitPoint]:
         """Points of the branch at a small distance in many directions, in one call."""
         # The directions are fixed, so that a branch is reproducible.
         rng = np.random.default_rng(0)
         normals = rng.normal(size=(_DIRECTIONS, here.u.size))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         base, scales = (np.broadcast_to(v, normals.shape) for v in (here.u, scale))
-        constraints = constraint_across(base, scales, normals, np.full(_DIRECTIONS, _RADIUS))
-        guesses = array_of(base + _RADIUS * normals * scales)
+        constraints = constraint_across(base, scales, normals, np.full(_DIRECTIONS, radius))
+        guesses = array_of(base + radius * normals * scales)
         steps = array_of(_MANY_STEPS, jnp.int32)
         solve = lambda u, constraint: solve_across(self.problem, u, constraint, steps)  # noqa: E731
         roots = eqx.filter_vmap(solve)(guesses, constraints)

@@ -90,7 +90,7 @@ def conditions_of(plan: SweepPlan) -> Conditions:
         follow=plan.follow,
         version=__version__,
         compact=each.compact,
-        section=None if section is None else identity_of_section(section, state),
+        section=None if section is None else identity_of_section(section, first, state),
         max_return=None if longest is None else float(longest),
         transient_time=None if before is None else float(before),
         average=averaging and identity_of_averaging(averaging, first, state),

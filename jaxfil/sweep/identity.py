@@ -44,9 +44,9 @@ def equations(system: System, x: np.ndarray) -> str:
     return hashlib.sha256(f"{text} {system.slides}".encode()).hexdigest()[:16]
 
 
-def identity_of_section(section: Section, x: np.ndarray) -> str:
+def identity_of_section(section: Section, system: System, x: np.ndarray) -> str:
     """A section in words, and a hash of its function and of that function's numbers."""
-    sha = _fingerprint(section.function, jnp.zeros((), x.dtype), jnp.asarray(x))
+    sha = _of_motion(section.function, system, jnp.asarray(x))
     rate = ", of its rate" if section.of_rate else ""
     return f"function {sha}{rate}, direction {section.direction}"
 
@@ -58,10 +58,11 @@ def identity_of_observable(observable: Observable, system: System, x: np.ndarray
 
 
 def _of_motion(function: Any, system: System, x: Array) -> str:
-    """`_fingerprint` of a function of time, state and sides."""
-    side = jnp.ones(check.shapes(system, x), x.dtype)
-    given = (side for _ in asked_of(function))
-    return _fingerprint(function, jnp.zeros((), x.dtype), x, *given)
+    """`_fingerprint` of a function of the motion, with what it asks for besides sides: numbers of
+    one shape, which no program tells apart."""
+    side, asked = jnp.ones(check.shapes(system, x), x.dtype), asked_of(function)
+    sha = _fingerprint(function, jnp.zeros((), x.dtype), x, *(side for _ in asked))
+    return f"{sha} of {', '.join(asked)}" if set(asked) - {"side"} else sha
 
 
 def identity_of_averaging(averaging: Averaging, system: System, x: np.ndarray) -> str:

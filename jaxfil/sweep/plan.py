@@ -191,7 +191,7 @@ def sampled_at(
             )
         return None, None, None
     check.instance("section", section, Section)
-    sections_of("section", section, jnp.asarray(state))
+    sections_of("section", section, system, jnp.asarray(state))
     if section.is_bound:
         raise ValueError("`section` must be one that motions cross, got a bound.")
     longest = check.scalar("max_return", max_return, state.dtype, positive=True)

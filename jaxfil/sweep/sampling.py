@@ -22,9 +22,8 @@ from jaxfil.integrate.lane.recorders import SaveSamples
 from jaxfil.integrate.lane.state import LoopState, SavedStates
 from jaxfil.integrate.loop.extensions import problem_of, sections_in
 from jaxfil.integrate.run.averaging import Averaging, averages_in
-from jaxfil.integrate.run.observed import Observable, observed
+from jaxfil.integrate.run.observed import Observable, observed, sections_of_run
 from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
-from jaxfil.integrate.surfaces.sections import watch_sections
 from jaxfil.integrate.system.components import Components
 from jaxfil.integrate.system.lowered import ComponentSystem, build
 from jaxfil.model.outcomes import RESULTS
@@ -142,7 +141,7 @@ class Sampling(eqx.Module):
         if self.averaging is not None:
             others = self.averaging.extensions(system, field, x, self._first)
         if self.section is not None:
-            run = self._to_the_last_crossing(self.section, field, period, (x, phase), others)
+            run = self._to_the_last_crossing(carrying, field, period, (x, phase), others)
             return run, field.unpack(x)
         count = self.transient + self.samples
         grid = grid_of_periods(period, count, self.steps, repeats=point.repeats)
@@ -168,17 +167,18 @@ class Sampling(eqx.Module):
 
     def _to_the_last_crossing(
         self,
-        section: Section,
+        system: System,
         field: ComponentSystem,
         unit: Array,
         start: tuple[Array, Array],
         others: tuple[Extension, ...],
     ) -> Problem:
         """The problem of a lane that ends with its last sample at a section."""
-        x0, phase = start
+        (x0, phase), section = start, self.section
+        assert section is not None
         if self.averaging is not None:
             section = self.averaging.section(section)
-        sections = watch_sections((section,), field, x0)
+        sections = sections_of_run((section,), system, field, x0)
         assert sections is not None
         t0 = phase * unit
         since = None if self.transient_time is None else t0 + self.transient_time

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, fsolve
+from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
@@ -277,6 +277,40 @@ def test_round_the_grazing_of_a_wall():
     beyond = branch.orbits.num_events[point.index + 1 :]
     assert len(beyond) > 3 and (beyond == 1).all()
     assert (branch.orbits.residual < 1e-10).all()
+
+
+def amplitude_of_impacts(speed):
+    """By hand, of a wall at 1, a resonance at 1, damping 0.1 and restitution 0.8: the force at
+    which the orbit with one impact a period leaves the wall with a speed. A flight, of one period,
+    is e^{-ct/2} (a cos + b sin) + P cos t + Q sin t."""
+    c, e, period = 0.1, 0.8, 2 * np.pi
+    w = np.sqrt(1 - c * c / 4)
+    decay, cos, sin = np.exp(-c * period / 2), np.cos(w * period), np.sin(w * period)
+    rates = [
+        [-c / 2, w, 0, 1],
+        [decay * (-c / 2 * cos - w * sin), decay * (-c / 2 * sin + w * cos), 0, 1],
+    ]
+    rows = [[1, 0, 1, 0], [decay * cos, decay * sin, 1, 0], *rates]
+    _, _, p, q = np.linalg.solve(rows, [1, 1, -speed, speed / e])
+    return c * np.hypot(p, q)
+
+
+def test_a_branch_goes_on_where_a_resonance_grazes():
+    """The orbit with an impact begins at the graze, A = 0.1, turns at a fold 3e-5 below, and goes
+    on above: the way round that corner is so sharp that no guess close by finds it."""
+    system = jf.systems.ImpactOscillator(omega=1.0, amplitude=0.08)
+    orbit = jf.periodic_orbit(system, jnp.array([0.0, 0.5]), steps=40)
+    branch = jf.continue_orbit(system, "amplitude", orbit, stop=(0.07, 0.102))
+    assert "no orbit" not in "".join(branch.ended)
+    points = {p.kind: p.value for p in branch.points}
+    assert_allclose(points["contacts"], 0.1, rtol=0, atol=1e-9)
+    # In an orbit with one impact a period the last speed is e times the one before.
+    speeds = 0.8 * branch.orbits.events.xs[:, 0, 1]
+    hits = np.array([len(s) == 1 for s in branch.sequences])
+    exact = [amplitude_of_impacts(v) for v in speeds[hits]]
+    assert_allclose(branch.values[hits], exact, rtol=0, atol=1e-11)
+    least = minimize_scalar(amplitude_of_impacts, bounds=(1e-3, 0.3), options={"xatol": 1e-9})
+    assert_allclose(points["fold"], least.fun, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("stop", [0.0, -0.03])

@@ -20,7 +20,7 @@ from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.loop.event_sums import Sums, event_sums
 from jaxfil.integrate.loop.extremes import Extremes, SoFar
 from jaxfil.integrate.loop.window import Window
-from jaxfil.integrate.run.observed import Observable, checked_observable, with_rate
+from jaxfil.integrate.run.observed import Observable, OfState, checked_observable, with_rate
 from jaxfil.integrate.system.lowered import ComponentSystem, build
 from jaxfil.model import check
 from jaxfil.model.argument import signature_of
@@ -82,20 +82,6 @@ class _Row(eqx.Module):
         return jnp.concatenate([jnp.ravel(jnp.asarray(f(*at), t.dtype)) for f in self.functions])
 
 
-class _OfState(eqx.Module):
-    """A function of time, state and what follows, of a state with more components behind it."""
-
-    function: Callable[..., Any]
-    n: int = eqx.field(static=True)
-
-    def __call__(self, t: Array, x: Array, *others: Any) -> Any:
-        return self.function(t, x[: self.n], *others)
-
-    @property
-    def __signature__(self) -> inspect.Signature:
-        return inspect.signature(self.function)
-
-
 class Averaging(eqx.Module):
     """The quantities of a lane, by their names."""
 
@@ -138,7 +124,7 @@ class Averaging(eqx.Module):
         for (_, quantity, rate), shape in zip(self.functions(system), self.shapes, strict=True):
             if not isinstance(quantity, (*_EXTREMES, EventSum)):
                 rate = _Square(rate) if isinstance(quantity, RMS) else rate
-                own = Observable(_OfState(rate, self.n), shape)
+                own = Observable(OfState(rate, self.n), shape)
                 wider, x = with_rate(wider, own, x)
         return wider, x
 
@@ -149,7 +135,7 @@ class Averaging(eqx.Module):
 
     def section(self, section: Section) -> Section:
         """A section of states that carry integrals."""
-        return eqx.tree_at(lambda s: s.function, section, _OfState(section.function, self.n))
+        return eqx.tree_at(lambda s: s.function, section, OfState(section.function, self.n))
 
     def extensions(
         self, system: System, field: ComponentSystem, x: Array, first: Array
@@ -162,7 +148,7 @@ class Averaging(eqx.Module):
         for (_, quantity, function), shape in zip(self.functions(system), self.shapes, strict=True):
             size = math.prod(shape)
             if isinstance(quantity, _EXTREMES):
-                own = Observable(_OfState(function, self.n), shape)
+                own = Observable(OfState(function, self.n), shape)
                 wider, start = with_rate(wider, own, start)
                 signs += [1.0 if isinstance(quantity, Maximum) else -1.0] * size
             elif isinstance(quantity, EventSum):

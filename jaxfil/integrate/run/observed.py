@@ -6,7 +6,9 @@ at what was saved. The mode that it may ask for is that of the motion, on all si
 """
 
 import dataclasses
+import inspect
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -18,12 +20,14 @@ from jaxfil.integrate.lane import clocks
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import SavedStates
 from jaxfil.integrate.surfaces.filippov import ModeField
+from jaxfil.integrate.surfaces.sections import WatchedSections, watch_sections
 from jaxfil.integrate.system.components import pack
-from jaxfil.integrate.system.lowered import build
+from jaxfil.integrate.system.lowered import ComponentSystem, build
 from jaxfil.model import check
 from jaxfil.model.clock import Clocks
 from jaxfil.model.observe import Observe, asked_of, value_of
 from jaxfil.model.parameter import cast
+from jaxfil.model.section import Section
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
 
@@ -49,6 +53,20 @@ class Observable(eqx.Module):
     def names(self) -> tuple[str, ...]:
         """What a number, or each of a row of them, is called."""
         return tuple(f"{self.name}[{i}]" for i in range(self.size)) if self.shape else (self.name,)
+
+
+class OfState(eqx.Module):
+    """A function of time, state and what follows, of a state with more components behind it."""
+
+    function: Callable[..., Any]
+    n: int = eqx.field(static=True)
+
+    def __call__(self, t: Array, x: Array, *others: Any) -> Any:
+        return self.function(t, x[: self.n], *others)
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        return inspect.signature(self.function)
 
 
 class _WithRate(System):
@@ -116,6 +134,26 @@ def with_rate(system: System, observable: Observable, x: Array) -> tuple[System,
     """A system with more components, whose rate is what is observed; its state, x and zeros."""
     wider = _WithRate(system, observable.function, x.shape[0])
     return wider, jnp.concatenate([x, jnp.zeros((observable.size,), x.dtype)])
+
+
+def sections_of_run(
+    sections: Sequence[Section],
+    system: System,
+    field: ComponentSystem,
+    x0: Array,
+    transposed: bool = False,
+) -> WatchedSections | None:
+    """The sections of a run of a system in its field, from states shaped like x0, shape (n,); None
+    if there are none."""
+    asking = [s.function for s in sections if asked_of(s.function)]
+    wider, start = system, x0
+    for function in asking:
+        own = OfState(cast(function, x0.dtype), x0.shape[0])
+        wider, start = with_rate(wider, Observable(own, ()), start)
+    found = None
+    if asking:
+        found = build(wider, start, compact=field.compact, transposed=transposed)
+    return watch_sections(sections, field, x0, found, transposed)
 
 
 def checked_observable(name: str, function: Any, system: System, x: Array) -> Observable:

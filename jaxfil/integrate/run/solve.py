@@ -20,7 +20,7 @@ from jaxfil.integrate.lane.state import LoopState, SavedStates
 from jaxfil.integrate.loop.extensions import problem_of, sections_in
 from jaxfil.integrate.loop.iterate import integrate, integrate_with_checkpoints
 from jaxfil.integrate.run.failure import raise_unless_successful
-from jaxfil.integrate.run.observed import Observable, checked_observable, observed
+from jaxfil.integrate.run.observed import Observable, checked_observable, observed, sections_of_run
 from jaxfil.integrate.run.options import (
     Adjoint,
     Options,
@@ -32,7 +32,6 @@ from jaxfil.integrate.run.solution import Dense, Solution, crossings_of, errors,
 from jaxfil.integrate.run.step_choice import StepLength, dt_and_stepper
 from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
-from jaxfil.integrate.surfaces.sections import watch_sections
 from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.grade import is_compact_run
 from jaxfil.integrate.system.lowered import build
@@ -96,9 +95,9 @@ def solve(
       of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
     - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` take the forward
       derivative by each number that moves, transposed; for hundreds of parameters,
-      `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward. First and second derivatives
-      with respect to x0, t0, t1 and every float leaf of the system are exact through crossings,
-      slides and resets; third ones raise.
+      `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, for which second derivatives
+      are `jax.jacfwd(jax.grad(…))`. First and second ones with respect to x0, t0, t1 and every
+      float leaf of the system are exact through crossings, slides and resets; third ones raise.
     - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it. The
       error says t, x and the surface where it stopped, but not from within `jit`.
     - `estimate_error`: also run at half the step, and give the distance between the two as
@@ -168,7 +167,7 @@ def solve(
                 "`observe` must be None with a `saveat` of dense, which saves no times: give it to "
                 f"`evaluate(t, observe=…)`; got {check.told(observe)}."
             )
-    watched = sections_of("sections", sections, x)
+    watched = sections_of("sections", sections, system, x)
     if estimate_error and any(s.terminal is not None for s in watched):
         raise ValueError(
             "`estimate_error` must be False with a section that ends the run: errors are estimated "
@@ -256,7 +255,7 @@ def _problem(
     """A solve as the loop is given it."""
     recording = Recording(options.recorder.since(t0), options.max_events, options.max_events)
     field = build(system, x0, compact=options.compact, transposed=options.reverse)
-    watched = watch_sections(sections, field, x0, options.reverse)
+    watched = sections_of_run(sections, system, field, x0, options.reverse)
     grid = _time_grid(t0, t1, dt, options)
     return problem_of(field, tableau_of(stepper), grid, recording, watched, limited=True)
 

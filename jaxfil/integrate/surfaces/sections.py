@@ -1,9 +1,11 @@
 """The functions of sections, and their rates along the motion.
 
 `Section`s enter; `WatchedSections` leave, on components, which say of a state what its sections'
-functions are there.
+functions are there. Those that ask for the side, the mode or the reaction enter as the rates of
+components behind the state (`run.observed`): they are blended on a slide as the field is.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,6 +19,7 @@ from jaxfil.integrate.surfaces.filippov import ModeField, field_terms
 from jaxfil.integrate.surfaces.second_order import beyond_newton_to
 from jaxfil.integrate.system.components import Components, dot, pack, total, where
 from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
+from jaxfil.model.observe import asked_of
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section
 from jaxfil.xla.trace import Traced
@@ -25,7 +28,8 @@ from jaxfil.xla.trace import Traced
 class WatchedSections(eqx.Module):
     """k sections, as the loop sees them."""
 
-    functions: tuple[ParametrizedFunction, ...]
+    functions: tuple[ParametrizedFunction | None, ...]
+    """S of each, a function of time and state; None of one that asks for more than these."""
     directions: tuple[int, ...] = eqx.field(static=True)
     of_rate: tuple[bool, ...] = eqx.field(static=True)
     """Whether S is the rate of the function along the motion,"""
@@ -37,10 +41,12 @@ class WatchedSections(eqx.Module):
     """Crossings that are counted and not kept; None: none."""
     since: Array | None = None
     """The time before which crossings are not even counted; None: all are."""
+    asking: ComponentSystem | None = None
+    """A field whose last components are the functions that ask for more; None: there are none."""
 
     def value(self, j: int, system: ComponentSystem, mode: Components) -> Callable:
         """S number j, a function of time and state, on a motion of some mode."""
-        function = self.functions[j]
+        function = self.functions[j] or self._asking_value(j, system, mode)
         if not self.of_rate[j]:
             return function
 
@@ -49,6 +55,21 @@ class WatchedSections(eqx.Module):
             return jax.jvp(function, (t, x), (jnp.ones_like(t), field))[1]
 
         return rate
+
+    def _asking_value(self, j: int, system: ComponentSystem, mode: Components) -> Callable:
+        """The function of a section that asks for more than time and state, on such a motion."""
+        assert self.asking is not None
+        # Between ticks, as the field of the motion is.
+        wider = dataclasses.replace(self.asking, window=system.window)
+        field = ModeField(wider, wider.of_surfaces(pack(mode, wider.dtype)))
+        place = system.n + [i for i, f in enumerate(self.functions) if f is None].index(j)
+        zeros = jnp.zeros((wider.n - system.n,), wider.dtype)
+
+        def function(t: Array, x: Components) -> Array:
+            state = wider.unpack(jnp.concatenate([pack(x, wider.dtype), zeros]))
+            return field(t, state).number(place)
+
+        return function
 
 
 class Sight(eqx.Module):
@@ -60,14 +81,22 @@ class Sight(eqx.Module):
 
 
 def watch_sections(
-    sections: Sequence[Section], system: ComponentSystem, x0: Array, transposed: bool = False
+    sections: Sequence[Section],
+    system: ComponentSystem,
+    x0: Array,
+    asking: ComponentSystem | None,
+    transposed: bool = False,
 ) -> WatchedSections | None:
-    """The sections of a run from states shaped like `x0`, shape (n,); None if there are none."""
+    """The sections of a run from states shaped like `x0`, shape (n,); None if there are none. The
+    functions of those that ask for more than time and state are the last components of `asking`."""
     if not sections:
         return None
     t0, x = jnp.zeros((), x0.dtype), system.unpack(x0)
     functions = []
     for section in sections:
+        if asked_of(section.function):
+            functions.append(None)
+            continue
         leaves, static = eqx.partition(cast(section.function, x0.dtype), eqx.is_array)
         traced = Traced(
             _on_components(static, x0.dtype),
@@ -85,6 +114,7 @@ def watch_sections(
         of_rate=tuple(s.of_rate for s in sections),
         bounds=tuple(s.is_bound for s in sections),
         terminal=tuple(last),
+        asking=asking,
     )
 
 
