@@ -1,6 +1,7 @@
 """The measured rows as a table, as JSON, as a picture, and as ratios at equal error.
 
-In: rows as `throughput.row` makes them. Out: text on standard output, and two files in `results/`.
+In: rows as `throughput.row` makes them. Out: text on standard output, and files in `results/`:
+all rows, the picture, and the ratios.
 """
 
 import json
@@ -16,6 +17,8 @@ from benchmarks.table import Column, table
 
 LEVELS = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 OURS = "jaxfil"
+# The method of a sweep that names none, and the errors at which others are set beside it.
+DEFAULT, FINER = "Dopri8", (1e-6, 1e-8, 1e-10, 1e-12)
 
 
 def core_counts(rows):
@@ -117,22 +120,46 @@ def relative(rows):
     return table(columns, body, title, note)
 
 
+def methods(rows):
+    """Every method's rate over that of jaxfil's default one at equal error, on one core, and what
+    jaxfil's methods take to compile, as a table."""
+    columns = [Column("scene"), Column("who"), Column("method"), Column("first call, s", ">.1f")]
+    columns += [Column(f"at {level:.0e}", ">.2f") for level in FINER]
+    body = []
+    for scene in dict.fromkeys(r["scene"] for r in rows):
+        here = [r for r in rows if r["scene"] == scene]
+        curves = {}
+        for r in sorted(here, key=lambda r: (r["who"] != OURS, r["who"])):
+            curves.setdefault((r["who"], r["method"]), []).append(r)
+        base = [rate_at(curves.get((OURS, DEFAULT), []), level, 1) for level in FINER]
+        for (who, method), some in curves.items():
+            own = [rate_at(some, level, 1) for level in FINER]
+            pairs = zip(own, base, strict=True)
+            times = [a / b if a and b else None for a, b in pairs]
+            first = max(r["compile_seconds"] for r in some) if who == OURS else None
+            body.append([scene, who, method, first, *times])
+    title = f"Each method's rate relative to jaxfil's {DEFAULT} at equal error, on one core"
+    return table(columns, body, title, "No entry: one of the two does not get there.")
+
+
 def picture(rows, path):
     """Error against rate on one core, both logarithmic: a panel a scene, and a curve a program, the
-    best of its methods at each error."""
+    best of its methods at each error; of jaxfil's default method another one."""
     names = sorted({r["who"] for r in rows}, key=lambda who: (who != OURS, who))
     scenes = list(dict.fromkeys(r["scene"] for r in rows))
     with paper.style():
         figure = paper.canvas(paper.PAGE, 92)
         axes = figure.subplots(1, len(scenes), squeeze=False)[0]
         for ax, scene in zip(axes, scenes, strict=True):
+            here = [r for r in rows if r["scene"] == scene]
             for who in names:
-                some = [r for r in rows if r["scene"] == scene and r["who"] == who]
                 color, marker = style_of(who)
                 style = {"color": color, "marker": marker, "ms": 4, "label": who}
-                ax.plot(
-                    *np.reshape(front(_points(some, min(core_counts(rows)))), (-1, 2)).T, **style
-                )
+                _curve(ax, [r for r in here if r["who"] == who], **style)
+                if who == OURS:
+                    plain = [r for r in here if (r["who"], r["method"]) == (OURS, DEFAULT)]
+                    style |= {"ls": ":", "mfc": "white", "label": f"{who}, {DEFAULT} alone"}
+                    _curve(ax, plain, **style)
             ax.set(xscale="log", yscale="log", xlabel="error (smaller to the right)")
             ax.set_xlim(1e-3, 1e-14)
             ax.grid(alpha=0.3)
@@ -140,6 +167,11 @@ def picture(rows, path):
         axes[0].set_ylabel("lane-periods per second")
         paper.below(figure, axes[0].get_legend_handles_labels()[0], 4)
         paper.save(figure, path)
+
+
+def _curve(ax, rows, **style):
+    """The best of some rows at each error."""
+    ax.plot(*np.reshape(front(_points(rows, 1)), (-1, 2)).T, **style)
 
 
 def front(points):
@@ -153,7 +185,7 @@ def front(points):
 
 
 def write(rows, skipped, about):
-    """Print the table and the ratios, and write both files."""
+    """Print the table and the ratios, and write the files."""
     RESULTS.mkdir(exist_ok=True)
     kept = dict(about, processor=platform.machine(), python=platform.python_version(), rows=rows)
     kept["skipped"] = skipped
@@ -167,4 +199,6 @@ def write(rows, skipped, about):
         "counts the lanes it had.\n"
     )
     if any(r["who"] == OURS for r in rows):
-        print(relative(rows))
+        text = f"{relative(rows)}\n\n{methods(rows)}\n"
+        (RESULTS / "throughput.txt").write_text(text)
+        print(text)

@@ -3,7 +3,8 @@
 Every lane runs 200 forcing periods unseen and 100 sampled ones. Each integrator has a process for
 one core and one for all of them; they take turns, setting by setting, and the rounds are repeated,
 so that what else the machine does hits all alike; medians are shown. Compilation is left out of the
-rates and has its own column. Writes `results/throughput.json` and `results/throughput.png`.
+rates and has its own column. Writes `results/throughput.json`, `throughput.png` and
+`throughput.txt`.
 """
 
 import argparse

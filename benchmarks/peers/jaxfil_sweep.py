@@ -10,7 +10,9 @@ import numpy as np
 from benchmarks import installed
 
 NAME = "jaxfil"
-SETTINGS = [dict(stepper="Dopri8", steps=n) for n in (16, 20, 25, 32, 40, 64, 100)]
+SETTINGS = [dict(stepper="Dopri8", steps=n) for n in (12, 16, 20, 25, 32, 40, 64, 100, 160)]
+SETTINGS += [dict(stepper="Taylor12", steps=n) for n in (6, 8, 12, 16, 25, 40, 64, 100)]
+SETTINGS += [dict(stepper="Taylor16", steps=n) for n in (6, 8, 12, 25, 40, 64)]
 SETTINGS += [dict(stepper="Tsit5", steps=n) for n in (40, 80, 160)]
 SETTINGS += [dict(stepper="RK4", steps=n) for n in (100, 200)]
 SHAPED = True
@@ -45,11 +47,13 @@ def effort(quick):
 
 @functools.cache
 def stepper(name):
-    """The stepper of that name."""
+    """The stepper of that name; of a Taylor method the order stands behind it."""
     import diffrax
 
     import jaxfil as jf
 
+    if name.startswith("Taylor"):
+        return jf.Taylor(int(name.removeprefix("Taylor")))
     return jf.RK4() if name == "RK4" else getattr(diffrax, name)()
 
 
