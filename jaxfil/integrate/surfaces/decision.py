@@ -135,7 +135,8 @@ def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Componen
         side = where(digit == 0, 1.0, where(digit == 1, -1.0, 0.0)).astype(dtype)
         # Of what holds to within rounding a slide is tried first.
         slide = rounds == 2 if question.walls is None else ~question.walls & (rounds == 2)
-        side = where(slide, where(digit == 0, 0.0, where(digit == 1, 1.0, -1.0)), side)
+        last = where(digit == 0, 0.0, where(digit == 1, 1.0, -1.0)).astype(dtype)
+        side = where(slide, last, side)
         return _try(question, found, where(on, side, mode), rounds)
 
     zero = jnp.zeros((), jnp.int32)
