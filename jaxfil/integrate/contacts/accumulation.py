@@ -151,10 +151,10 @@ def _turned(
     time = (end.motion.tau - turn.tau) + stop_gradient(state.tau_low - turn.tau_low)
     again = switches & (kind == turn.kind) & (time > 0)
     shrinks = again & (time < turn.length)
-    ratio = select(shrinks, time, 0) / select(shrinks, turn.length, 1)
+    took, before = select(shrinks, time, 1), select(shrinks, turn.length, 1)
+    ratio = select(shrinks, time, 0) / before
     left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
     move = end.motion.x - turn.x
-    took, before = select(shrinks, time, 1), select(shrinks, turn.length, 1)
     mean = move / took
     change = (mean - turn.move / before) / (took + before)
 
