@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.lane import clocks
-from jaxfil.integrate.lane.problem import NOTHING, SAME_TIME, Problem, even_grid
+from jaxfil.integrate.lane.problem import NOTHING, Problem, even_grid
 from jaxfil.integrate.lane.state import CrossingTable, EventTable, SavedStates
 from jaxfil.integrate.run.dataset import solution_arrays
 from jaxfil.integrate.run.observed import Observable, checked_observable, observed
+from jaxfil.integrate.run.options import resolution
 from jaxfil.integrate.steppers.explicit import Stepper, compact_step, step, tableau_of
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import Components, pack
@@ -235,8 +236,8 @@ def _step_at(dense: Dense, t: Array) -> Array:
     times, the step after it."""
     sign = select(dense.t1 >= dense.t0, 1.0, -1.0).astype(t.dtype)
     keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
-    same = SAME_TIME * jnp.finfo(t.dtype).eps * jnp.maximum(abs(t), abs(t - dense.t0))
-    return jnp.maximum(jnp.searchsorted(keys, sign * t + same, side="right") - 1, 0)
+    late = sign * t + resolution(dense.t0, t)
+    return jnp.maximum(jnp.searchsorted(keys, late, side="right") - 1, 0)
 
 
 def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
