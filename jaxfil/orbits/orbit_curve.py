@@ -174,24 +174,26 @@ class OrbitCurve(Curve[OrbitPoint]):
     def beyond_end(self, here: OrbitPoint) -> tuple[OrbitPoint, Special[OrbitPoint]] | None:
         """The continuation around a corner: in random directions at a small distance, the nearest
         point with other contacts that is not on the earlier part of the branch."""
-        scale = self.metric(here)
-        best, least = None, _REACH
         for radius in _RADII:
-            for point in self._around(here, scale, radius):
-                away = (point.u - here.u) / scale
-                distance = np.linalg.norm(away)
-                # −1 is the direction of the earlier part. A point with the same contacts is on the
-                # branch itself, or on a neighbouring one.
-                forward = float(away @ here.tangent / distance)
-                if point.sequence != here.sequence and forward > _BACK and distance < least:
-                    sign = 1.0 if point.tangent @ away >= 0 else -1.0
-                    best, least = dataclasses.replace(point, tangent=sign * point.tangent), distance
+            best = self._beyond(here, radius)
             if best is not None:
-                break
-        else:
-            return None
-        kind = kind_of_change(here.sequence, best.sequence)
-        return best, Special(kind, here, here.sequence, best.sequence)
+                kind = kind_of_change(here.sequence, best.sequence)
+                return best, Special(kind, here, here.sequence, best.sequence)
+        return None
+
+    def _beyond(self, here: OrbitPoint, radius: float) -> OrbitPoint | None:
+        """The same for one distance."""
+        scale, best, least = self.metric(here), None, _REACH
+        for point in self._around(here, scale, radius):
+            away = (point.u - here.u) / scale
+            distance = np.linalg.norm(away)
+            # −1 is the direction of the earlier part. A point with the same contacts is on the
+            # branch itself, or on a neighbouring one.
+            forward = float(away @ here.tangent / distance)
+            if point.sequence != here.sequence and forward > _BACK and distance < least:
+                sign = 1.0 if point.tangent @ away >= 0 else -1.0
+                best, least = dataclasses.replace(point, tangent=sign * point.tangent), distance
+        return best
 
     def about(self, point: OrbitPoint) -> str:
         """The largest multiplier, if it is as large as near a square root of the period map."""
