@@ -8,18 +8,7 @@ import pytest
 
 import jaxfil as jf
 from jaxfil.sweep.identity import identity_of_section
-
-
-class Belt(jf.System):
-    """A mass on a spring and a belt of velocity 1."""
-
-    force: jax.Array
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], -x[0] - self.force * side])
-
-    def switching(self, t, x):
-        return x[1] - 1
+from tests.problems.systems import UnitBelt
 
 
 class Table(jf.System):
@@ -60,7 +49,7 @@ def belt(force, level, **options):
         jf.maxima(lambda t, x, side: side * x[0]),
     )
     x0 = jnp.array([-2.0, 0.0])
-    return jf.solve(Belt(force), x0, 0.0, 4.5, 0.1, sections=sections, max_events=12, **options)
+    return jf.solve(UnitBelt(force), x0, 0.0, 4.5, 0.1, sections=sections, max_events=12, **options)
 
 
 def times(force, level):
@@ -92,7 +81,7 @@ def test_where_it_begins_to_stick_and_how_hard_it_is_held_are_sections():
     slack = half - float(level)
     np.testing.assert_allclose(ts[numbers == 3], [slack], rtol=0, atol=1e-12)
     # What is watched changes no bit of the motion.
-    alone = jf.solve(Belt(force), jnp.array([-2.0, 0.0]), 0.0, 4.5, 0.1, max_events=12)
+    alone = jf.solve(UnitBelt(force), jnp.array([-2.0, 0.0]), 0.0, 4.5, 0.1, max_events=12)
     assert np.array_equal(alone.x_final, sol.x_final)
     assert np.array_equal(alone.events.ts, sol.events.ts)
 
@@ -140,7 +129,7 @@ def test_a_diagram_is_sampled_at_a_force_and_averages_from_there_on():
     """From the jump of friction to where it has come back to two fifths of its limit."""
     forces = np.array([1.25, 1.5])
     diagram = jf.bifurcation_diagram(
-        Belt(jnp.array(1.0)),
+        UnitBelt(jnp.array(1.0)),
         "force",
         forces,
         np.array([-2.0, 0.0]),
@@ -161,7 +150,7 @@ def test_a_diagram_is_sampled_at_a_force_and_averages_from_there_on():
 def test_a_record_tells_apart_what_sections_ask_for():
     """The programs of these two are the same."""
     section, same = jf.Section(lambda t, x, side: side), jf.Section(lambda t, x, mode: mode)
-    names = [identity_of_section(s, Belt(jnp.array(1.0)), np.zeros(2)) for s in (section, same)]
+    names = [identity_of_section(s, UnitBelt(jnp.array(1.0)), np.zeros(2)) for s in (section, same)]
     assert names[0] != names[1]
 
 
