@@ -31,7 +31,7 @@ from jaxfil.integrate.lane.state import FreeStep, LoopState, Motion, StepEnd
 from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
-from jaxfil.integrate.surfaces.entering import entered
+from jaxfil.integrate.surfaces.entering import held_from_here
 from jaxfil.integrate.surfaces.normals import project
 from jaxfil.integrate.surfaces.second_order import beyond_newton
 from jaxfil.integrate.system.components import (
@@ -171,7 +171,7 @@ def evaluate_step_end(
     if system.slides and maps.h is not None:
         # A map may put the state on a surface that it then slides on.
         put = (choice.mode == 0) & ~stays_on(system, state.motion.mode) & ~state.pending.surfaces
-        x = entered(system, t, x, choice.mode, (fields, rates), put & state.pending.waits)
+        x = held_from_here(system, t, x, choice.mode, put & state.pending.waits)
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
     if free is not None:
         stays, found = ~state.pending.waits & ~state.held, (free.f, free.g, free.rate)

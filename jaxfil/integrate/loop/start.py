@@ -41,7 +41,7 @@ from jaxfil.integrate.surfaces.corners import (
     on_corners,
 )
 from jaxfil.integrate.surfaces.decision import decide, question_of
-from jaxfil.integrate.surfaces.entering import entered
+from jaxfil.integrate.surfaces.entering import held_from_here
 from jaxfil.integrate.system.components import (
     Components,
     all_finite,
@@ -224,9 +224,8 @@ def _start(problem: Problem, x: Components) -> Start:
         met = ~problem.kept.on
         mode, on = where(met, mode, problem.kept.mode), on & met
         owed = None if owed is None else owed & met
-    if system.slides:
-        on_sides = filippov.corners(system.in_mode(mode), t, x)
-        x = entered(system, t, x, mode, on_sides, on & (mode == 0))
+    if system.slides or system.resets:
+        x = held_from_here(system, t, x, mode, on)
     if filippov.holds_together(system):
         f = filippov.field(system, t, x, mode)
     else:

@@ -6,7 +6,7 @@
 - decision: the weights and reactions of all surfaces that a state is on, found together.
 - reaction: what holds a motion at rest on a surface with a reset (`unilateral`).
 - normal: ∇H, and projection along it (`normals`).
-- entering: the derivative of a state that starts on a slide, or is put there by a map.
+- entering: the derivative of a state that starts on a slide or a rest, or is put there by a map.
 - section: a function whose zeros are watched, and its rate along the motion (`sections`).
 - second order: what second derivatives of a landing add to Newton's step in time.
 """

@@ -1,57 +1,104 @@
-"""Entering a slide: the derivative of a state that starts, or that a map puts, on its surface.
+"""The derivative of a state that starts on surfaces, or that a map puts on them, and stays there.
 
-A state on a surface H = 0 by its numbers need not stay there when a parameter or the state itself
-changes. Pushed off by δ it is back after a time δ/|ψ| along the field f of that side, with ψ the
-rate of H, and then slides along f_s. To first order the state has moved by (f − f_s) δ/|ψ|. The
-difference f − f_s is a multiple of ∂f/∂w, the change of the field with the weight w of the slide,
-so both sides give the same derivative,
+A state on a surface H = 0 by its numbers need not stay on it when a parameter or the state itself
+changes. Pushed off by δ where it slides, it is back after a time δ/|ψ| along the field f of that
+side, with ψ the rate of H, and then slides along f_s. To first order it has moved by (f − f_s)
+δ/|ψ|. The difference f − f_s is a multiple of ∂f/∂w, the change of the field with the weight w of
+the slide, so both sides give the same derivative,
 
     S = I − ∂f/∂w (∂ψ/∂w)⁻¹ ∇H,
 
-the saltation matrix of a slide that begins (Leine & Nijmeijer, Dynamics and Bifurcations of
-Non-Smooth Mechanical Systems, 2004, section 7.3). For several surfaces ∂ψ/∂w is a matrix. A contact
-that is located has this derivative by the derivative of its time.
+the saltation matrix of a slide that begins (R. Leine and H. Nijmeijer, Dynamics and Bifurcations of
+Non-Smooth Mechanical Systems, 2004). For several surfaces ∂ψ/∂w is a matrix.
+
+Where it rests, H = 0 and ψ = 0, impulses along the direction d of the reaction bring it back, in a
+time of the order of √δ. Their sum and their first moment are free, which moves the state by
+multiples of d and of (∂F/∂x) d, such that H and ψ vanish again.
+
+A contact that is located has these derivatives by the derivative of its time. Derivatives of second
+order are exact unless both of them move the state off a surface: on either side others hold.
 """
 
+from typing import Any
+
+import equinox as eqx
 import jax
-from jax.lax import stop_gradient
+import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.surfaces import filippov
-from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.surfaces import filippov, unilateral
 from jaxfil.integrate.surfaces.weights import response, weights
 from jaxfil.integrate.system.components import Components, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 
 
-def entered(
-    system: ComponentSystem,
-    t: Array,
-    x: Components,
-    mode: Components,
-    on_sides: tuple[Corners, Corners],
-    surfaces: Components,
+def held_from_here(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, surfaces: Components
 ) -> Components:
-    """x, n components, with the derivative of a state from which a slide on some `surfaces`, m
-    flags, begins. `on_sides` are the fields on all sides and the rates along them."""
-    h = where(surfaces, system.switching(t, x), 0.0)
-    system, t, at, mode, (fields, rates) = stop_gradient((system, t, x, mode, on_sides))
-    if filippov.holds_together(system):
-        held = filippov.balance(system, t, at, mode, fields, rates)
-        fields, rates, mode = held.fields, held.rates, held.mode
-    w, change = weights(mode, rates), response(mode, rates, h)
-    _, moved = jax.jvp(lambda w: filippov.blend_fields(system, fields, mode, w), (w,), (change,))
-    return _less(x, moved)
-
-
-@jax.custom_jvp
-def _less(x: Components, moved: Components) -> Components:
-    """x, with the derivative of x − moved: numbers stay to the last bit, and a program without
+    """x, n components, with the derivative of a state from which a slide or a rest on some
+    `surfaces`, m flags, begins. The numbers stay, to the last bit, and a program without
     derivatives has no trace of this."""
-    return x
+    return _held((system, t, x), mode, surfaces)
 
 
-@_less.defjvp
-def _less_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
-    (x, _), (rate, change) = primals, tangents
-    return x, rate - change
+@eqx.filter_custom_jvp
+def _held(at: Any, mode: Components, surfaces: Components) -> Components:
+    return at[2]
+
+
+@_held.def_jvp
+def _held_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
+    (at, mode, surfaces), (by_at, _, _) = primals, tangents
+    system, _, x = at
+    # Equinox has left out tangents that are zero.
+    rate = eqx.combine(by_at[2], jax.tree.map(jnp.zeros_like, x))
+
+    def change(function: Any, rate: Components) -> Components:
+        """The change of a function of system, time and state."""
+        value, by = eqx.filter_jvp(lambda at: function(*at), (at,), ((*by_at[:2], rate),))
+        return eqx.combine(by, jax.tree.map(jnp.zeros_like, value))
+
+    if system.resets:
+        rate = _to_rest(at, mode, surfaces & unilateral.rests_of(mode), change, rate)
+    if system.slides:
+        off = where(surfaces & (mode == 0), change(ComponentSystem.switching, rate), 0.0)
+        rate = rate - _by_weights(at, mode, off)
+    return _held(at, mode, surfaces), rate
+
+
+def _to_rest(
+    at: tuple[ComponentSystem, Array, Components],
+    mode: Components,
+    rests: Components,
+    change: Any,
+    rate: Components,
+) -> Components:
+    """The tangent of a state that is brought to rest on surfaces."""
+    (system, t, x), sides = at, unilateral.sides_of(mode)
+    impulse = unilateral.constraints(system, t, x, sides).impulse
+
+    def psi(system: ComponentSystem, t: Array, x: Components) -> Components:
+        return unilateral.contact_rates(system, t, x, sides)
+
+    def bring(changed: Components, x: Components) -> Components:
+        return impulse.directions.added(x, unilateral.multipliers(impulse.gains, changed, rests))
+
+    moments = bring(change(ComponentSystem.switching, rate), 0.0 * x)
+    _, moved = jax.jvp(lambda x: system.field(t, x, sides), (x,), (moments,))
+    rate = rate + moved
+    return bring(change(psi, rate), rate)
+
+
+def _by_weights(
+    at: tuple[ComponentSystem, Array, Components], mode: Components, off: Components
+) -> Components:
+    """∂f/∂w (∂ψ/∂w)⁻¹ of what the state is off its slides."""
+    system, t, x = at
+    system = system.in_mode(mode)
+    fields, rates = filippov.corners(system, t, x)
+    if filippov.holds_together(system):
+        held = filippov.balance(system, t, x, mode, fields, rates)
+        fields, rates, mode = held.fields, held.rates, held.mode
+    w, change = weights(mode, rates), response(mode, rates, off)
+    _, moved = jax.jvp(lambda w: filippov.blend_fields(system, fields, mode, w), (w,), (change,))
+    return moved

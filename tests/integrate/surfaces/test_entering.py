@@ -1,4 +1,5 @@
-"""Derivatives of motions that start on a slide, or that a map puts on one, against closed forms."""
+"""Derivatives of motions that start on a slide or a rest, or that a map puts on one, against closed
+forms."""
 
 import equinox as eqx
 import jax
@@ -22,13 +23,14 @@ class Belt(jf.System):
 
 
 class Placed(jf.System):
-    """A slide on p = a whose sides push r, r' = 0.3 s. A tick at t = 1 puts p = 1/2."""
+    """A slide on p = a whose sides push r, r' = b s. A tick at t = 1 puts p = 1/2."""
 
     a: jax.Array
+    b: jax.Array = eqx.field(default_factory=lambda: jnp.asarray(0.3))
     clocks = (jf.Clock(10.0, 1.0),)
 
     def vector_field(self, t, x, side):
-        return jnp.stack([-side, 0.3 * side])
+        return jnp.stack([-side, self.b * side])
 
     def switching(self, t, x):
         return x[0] - self.a
@@ -71,6 +73,16 @@ def test_a_tick_that_puts_the_state_on_a_slide():
     np.testing.assert_allclose(by_a, [1, -0.3], rtol=1e-13)
 
 
+def test_a_slide_begins_with_a_derivative_that_depends_on_the_field():
+    """r changes by b δ where the start is δ off the surface."""
+
+    def end(b, p):
+        return run(Placed(jnp.asarray(0.5), b), jnp.stack([p, 0 * p]), 0.5)
+
+    mixed = jax.jacfwd(jax.jacfwd(end, 1))(jnp.asarray(0.3), jnp.asarray(0.5))
+    np.testing.assert_allclose(mixed, [0, 1], rtol=0, atol=1e-14)
+
+
 def test_a_start_on_two_surfaces_whose_sides_push_aside():
     """S from ∂f/∂w and ∂ψ/∂w, and from a start beside the surfaces."""
     a, x0 = jnp.asarray(0.5), jnp.array([0.5, 0.0, 0.0])
@@ -106,3 +118,44 @@ def test_a_start_on_a_slide_beside_a_rest():
     by_u, by_v = jax.jacfwd(lambda u, v: run(Table(u), x0.at[1].set(v), 0.95), (0, 1))(u, x0[1])
     np.testing.assert_allclose(by_u, [0.95, 1, 0, 0], rtol=0, atol=1e-14)
     np.testing.assert_allclose(by_v, np.zeros(4), rtol=0, atol=1e-14)
+
+
+class Leaning(jf.System):
+    """Two masses (p, q, v, w), coupled by inertia c, of which the first is pressed on a wall at
+    p = 0, and the distance r that the first has gone."""
+
+    c: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        push = jnp.stack([-1 - 0 * x[0], self.c - x[1]])
+        return jnp.concatenate([x[2:4], push, x[2:3]])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        push = -1.5 * x[2]
+        return x.at[2].add(push).at[3].add(-self.c * push)
+
+
+@pytest.mark.parametrize("jacobian", [jax.jacfwd, jax.jacrev])
+def test_a_start_at_rest(jacobian):
+    """What the wall takes from the first mass, it takes c times from the second, the other way."""
+    c, x0 = 0.4, jnp.array([0.0, 0.3, 0.0, 0.2, 0.0])
+    t = 0.95
+
+    def end(x):
+        return run(Leaning(jnp.asarray(c)), x, t)
+
+    by_x = jacobian(end)(x0)
+    start = np.array([[c, 0], [1, 0], [0, c], [0, 1]])  # (q, w) by p, q, v and w
+    turn = np.array([[np.cos(t), np.sin(t)], [-np.sin(t), np.cos(t)]])
+    expected = np.zeros((5, 5))
+    expected[[1, 3], :4] = turn @ start.T
+    expected[4, [0, 4]] = [-1, 1]
+    np.testing.assert_allclose(by_x, expected, rtol=0, atol=1e-13)
+    # It falls and bounces for a time of the order of the root of the height.
+    for j, small in ((0, 1e-6), (2, 1e-4)):
+        moved = end(x0.at[j].add(small)) - end(x0)
+        np.testing.assert_allclose(moved / small, by_x[:, j], rtol=0, atol=5e-3)
