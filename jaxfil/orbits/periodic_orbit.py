@@ -130,7 +130,7 @@ def periodic_orbit(
         arcs=check.count("segments", segments),
         stepper=stepper,
         max_events=check.count("max_events", max_events),
-        compact=is_compact_run(compact, (system, x)),
+        compact=is_compact_run(compact, system, x),
     )
     # Traced, so that another number does not recompile.
     budget = array_of(check.count("newton_steps", newton_steps), jnp.int32)

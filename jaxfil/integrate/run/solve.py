@@ -108,7 +108,9 @@ def solve(
       1.5 to 2 times as long to run for one lane, 5 to 30 times for many. By default a run of up to
       8 lanes of a `jax.vmap` around it is compact (a `vmap` around a `jax.jit` that the call is in
       cannot be detected); diagrams, basins and exponents are where that is estimated to take less
-      time, compiling included: up to some 3 to 20 million steps of all lanes together.
+      time, compiling included: up to some 3 to 20 million steps of all lanes together. Systems of
+      several surfaces with resets and four or more numbers in the state always are: written out
+      they would compile for minutes and run no faster.
     - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
       nothing of the motion. The table of them has `max_events` rows too.
     - `observe`: a function of the time and the state, shape (n,), that returns an array of any
@@ -150,7 +152,7 @@ def solve(
     if not adaptive:
         length = check.scalar("dt", step, dtype, positive=True)
     stepper = checked_stepper(stepper)
-    compact = is_compact_run(compact, (system, x, start, stop, length))
+    compact = is_compact_run(compact, system, x, (start, stop, length))
     times = t0, t1, length if adaptive else step
     options = options_of(saveat, max_events, max_steps, adjoint, compact, times, dtype, adaptive)
     recorder = options.recorder

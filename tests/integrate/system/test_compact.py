@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from jaxfil.integrate.system.grade import is_compact_sweep, program_size
+from jaxfil.integrate.system.grade import is_compact_run, is_compact_sweep, program_size
 from jaxfil.xla.lanes import lanes_of
 from tests.oracles import cost_scenes, hlo
 
@@ -70,6 +70,38 @@ def test_grade_follows_from_the_lanes():
     compact, written = (jax.vmap(lambda x, g=grade: end(x, compact=g)) for grade in (True, False))
     assert operations(batch, 8) == operations(compact, 8) < operations(written, 8)
     assert operations(batch, 9) == operations(written, 9)
+
+
+class LeaningBlock(jf.System):
+    """A block with friction between two walls, driven by a rotating pair of numbers."""
+
+    e: jax.Array
+
+    def vector_field(self, t, x, side):
+        q, v, u, w = x
+        return jnp.stack([v, u - q - 0.1 * v - 0.2 * side[0], 2.0 * w, -2.0 * u])
+
+    def switching(self, t, x):
+        return jnp.stack([x[1], 1 - x[0], 1 + x[0]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface > 0, x.at[1].mul(-self.e), x)
+
+
+@pytest.mark.parametrize("lanes", [9, 4096])
+def test_a_batch_of_frictions_and_walls_is_compact(lanes):
+    """Written out it would compile for minutes, and run no faster."""
+    seen = []
+
+    def grade(e, x0):
+        seen.append(is_compact_run(None, LeaningBlock(e), x0))
+        seen.append(is_compact_run(None, BELT, x0[:2]))
+        return e
+
+    jax.vmap(grade)(jnp.linspace(0.5, 0.9, lanes), jnp.ones((lanes, 4)))
+    assert seen == [True, False]
+    work = {"stages": 13, "lanes": lanes, "steps": 10**6}
+    assert is_compact_sweep(None, LeaningBlock(jnp.asarray(0.9)), jnp.ones(4), **work)
 
 
 def test_orbits_of_both_grades_agree():
