@@ -1,9 +1,9 @@
 """Numbers at known places, moved by slices.
 
 The program of a function enters; the same program leaves, in which arrays are taken apart and put
-together by slices and concatenations alone, wherever the places are known: `x.at[0].add(v)`,
-`x[jnp.array([2, 0])]`, `jnp.split`, `jnp.cumsum`. As JAX has them they are scatters and
-the like, which no single kernel holds and which say nothing of where a number has gone.
+together by slices and concatenations alone, wherever the places are known: `x.at[0].mul(v)`,
+`x[jnp.array([2, 0])]`, `jnp.split`, `jnp.cumsum`; one unknown place is a mask. As JAX has them they
+are scatters and the like, which no single kernel holds and which do not show where a number goes.
 """
 
 import itertools
@@ -24,7 +24,15 @@ from jaxfil.xla.program import interpreted, names, pruned
 _SLICES = 32
 # Terms of a sum into one and the same place at most.
 _TERMS = 8
-_ADDITIONS = ("scatter-add", "scatter_add")
+# Numbers of an array that a mask finds an unknown place in.
+_MASKED = 64
+_COMBINED: dict[str, Callable] = {
+    "scatter-add": jax.lax.add,
+    "scatter-max": jax.lax.max,
+    "scatter-min": jax.lax.min,
+    "scatter-mul": jax.lax.mul,
+    "scatter-sub": jax.lax.sub,
+}
 # What is done with whole numbers whose values are known, besides moving them.
 _ON_NUMBERS: dict[str, Callable] = {
     "add": np.add,
@@ -144,20 +152,59 @@ def _gather(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Array
 
 
 def _scatter(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Array] | None:
+    operand, index, updates = arrays
+    combine, repeats = _combination(eqn)
     place = _places(eqn, numbers[1])
     if place is None:
+        return _scatter_to_unknown(eqn, operand, index, updates)
+    terms, out = _terms(place.ravel(), operand.size), operand
+    if len(terms) > repeats:
         return None
-    operand, _, updates = arrays
-    terms = _terms(place.ravel(), operand.size)
-    if eqn.primitive.name in _ADDITIONS:
-        if len(terms) > _TERMS:
-            return None
-        others, out = jnp.zeros_like(operand), operand
-        for term in terms:
-            out = out + _replaced(others, updates, term)
-        return [out]
-    # Of several numbers in one place any may be the one.
-    return [_replaced(operand, updates, terms[0])] if len(terms) == 1 else None
+    for term in terms:
+        there = np.flatnonzero(term >= 0)
+        # At these places alone: elsewhere a function that is applied may have no derivative.
+        new = combine(taken(jnp.ravel(out), there), taken(jnp.ravel(updates), term[there]))
+        term[there] = np.arange(there.size)
+        out = _replaced(out, new, term)
+    return [out]
+
+
+def _combination(eqn: Any) -> tuple[Callable[[Array, Array], Array], int]:
+    """The function of old numbers and updates that a scatter puts in place of the old ones, and how
+    many updates of one place it may take in turn."""
+    name = eqn.primitive.name.replace("_", "-")
+    if name != "scatter":
+        return _COMBINED[name], _TERMS
+    if not applies_function(eqn):
+        # Of several numbers set in one place any may be the one.
+        return lambda old, new: new, 1
+
+    def applied(old: Array, new: Array) -> Array:
+        program, consts = eqn.params["update_jaxpr"], eqn.params["update_consts"]
+        return jax.core.eval_jaxpr(program, consts, old, new)[0]
+
+    # JAX has no derivative of this scatter; here it is the derivative of the function.
+    return jnp.vectorize(applied), 1
+
+
+def applies_function(eqn: Any) -> bool:
+    """Whether a scatter applies a function to numbers, as `x.at[0].apply(jnp.negative)` does."""
+    return eqn.primitive.name == "scatter" and eqn.params["update_jaxpr"] is not None
+
+
+def _scatter_to_unknown(eqn: Any, operand: Array, index: Array, updates: Array) -> list | None:
+    """A scatter to one place along one axis, by a mask: `x.at[surface].set(0)`."""
+    d, combine = eqn.params["dimension_numbers"], _combination(eqn)[0]
+    axes = d.scatter_dims_to_operand_dims
+    at_one = index.shape == (1,) and len(axes) == 1 and d.inserted_window_dims == axes
+    clips = eqn.params["mode"] == jax.lax.GatherScatterMode.CLIP
+    if not at_one or clips or operand.size > _MASKED:
+        return None
+    there = jax.lax.broadcasted_iota(index.dtype, operand.shape, axes[0]) == index[0]
+    # The old numbers in all places: elsewhere a function that is applied may have no derivative.
+    old = jnp.sum(operand, axes[0], keepdims=True, where=there)
+    new = combine(old, jnp.expand_dims(updates, axes[0]))
+    return [jnp.where(there, new, operand)]
 
 
 def _terms(place: np.ndarray, size: int) -> list[np.ndarray]:
@@ -211,5 +258,6 @@ _RULES: dict[str, Callable] = {
     "scatter": _scatter,
     "split": _split,
     "unstack": _unstack,
-    **dict.fromkeys(_ADDITIONS, _scatter),
+    **dict.fromkeys(_COMBINED, _scatter),
+    **dict.fromkeys((name.replace("-", "_") for name in _COMBINED), _scatter),
 }

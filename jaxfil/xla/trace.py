@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from jaxfil.xla import elements, fast_trig, matrix_product
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
-from jaxfil.xla.moves import by_slices
+from jaxfil.xla.moves import applies_function, by_slices
 from jaxfil.xla.program import interpreted, names, operations, programs, pruned
 from jaxfil.xla.select import select
 from jaxfil.xla.series import Expansion
@@ -41,6 +41,14 @@ _SAFE = {"atan2": _arctan2}
 _SOME = 3
 # What takes longer than a few multiplications.
 _DEAR = (*_FAST, *_SAFE, "exp", "log", "log2", "pow", "tan", "tanh")
+# Operations whose results depend each on the numbers in its own place. Of any other one each result
+# depends on all numbers, whatever their shapes: of a sort, of a conditional, of a product of square
+# matrices.
+_NAMES = """
+bessel_i0e bessel_i1e copy_p device_put imag nextafter real reduce_precision shift_left
+shift_right_arithmetic shift_right_logical copy stop_gradient
+"""
+_ON_EACH = elements.ON_EACH.union(ELEMENTWISE, _NAMES.split())
 # What has no forward derivatives, unless a rule of the user's own stands around it.
 _NO_DERIVATIVES = {
     "custom_vjp_call": "jax.custom_vjp",
@@ -285,6 +293,8 @@ def _through(program: Any, args: Sequence[Any], rule: Callable, kind: type) -> l
         name, shape = eqn.primitive.name, eqn.outvars[0].aval.shape
         if name in elements.MOVES:
             return [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
+        if name == "custom_jvp_call":
+            return _through(eqn.params["call_jaxpr"], inputs, rule, kind)
         return rule(eqn, inputs)
 
     return interpreted(program, args, lambda v: np.zeros(np.shape(v), kind), known)
@@ -298,7 +308,7 @@ def _dependencies(program: Any, args: Sequence[Any], sources: Collection[str] = 
         shapes = [v.aval.shape for v in eqn.outvars]
         if eqn.primitive.name in sources:
             return [np.ones(shape, bool) for shape in shapes]
-        if len(shapes) == 1 and all(x.shape in ((), shapes[0]) for x in inputs):
+        if eqn.primitive.name in _ON_EACH and all(x.shape in ((), shapes[0]) for x in inputs):
             flag = np.zeros(shapes[0], bool)
             for x in inputs:
                 flag = flag | x
@@ -335,6 +345,8 @@ def _degrees(program: Any, args: Sequence[np.ndarray]) -> list:
 def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:
     """The degree of what one operation gives, number by number where that is easily told."""
     name, highest = eqn.primitive.name, [int(np.max(d, initial=0)) for d in inputs]
+    if name == "convert_element_type" and eqn.outvars[0].aval.dtype not in _FLOATS:
+        return _CURVED if any(highest) else 0  # what is cut off to whole numbers
     if name in ("add", "add_any", "sub", "neg", "convert_element_type", "copy"):
         return ft.reduce(np.maximum, inputs)
     if name == "mul":
@@ -347,7 +359,7 @@ def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:
         return np.max(inputs[0], axis=tuple(eqn.params["axes"]), initial=0)
     if name == "dot_general":
         return min(sum(highest), _CURVED)
-    numbers = _LINEAR.get(name, ())
+    numbers = () if applies_function(eqn) else _LINEAR.get(name, ())
     if numbers and not any(d for k, d in enumerate(highest) if k not in numbers):
         return max(highest[k] for k in numbers)
     return _CURVED if any(highest) else 0

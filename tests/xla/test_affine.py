@@ -19,6 +19,7 @@ CURVED = {
     "a quotient": lambda x, s: x / (2 + s),
     "a power": lambda x, s: s**2,
     "an absolute value": lambda x, s: abs(s) * x,
+    "cut off": lambda x, s: x * s.astype(int).astype(x.dtype),
     "an exponential": lambda x, s: jnp.exp(s),
 }
 

@@ -64,6 +64,37 @@ def test_affine_or_not_is_one_motion(m, more):
     assert_allclose(sol.events.ts, other.events.ts, rtol=1e-11)
 
 
+WORDS = {
+    "plainly": lambda f: f + 0.6 * f[::-1],
+    "by a conditional": lambda f: jax.lax.cond(
+        jnp.sum(f) < 1e3, lambda f: f + 0.6 * f[::-1], lambda f: f, f
+    ),
+    "by a checkpoint": jax.checkpoint(lambda f: f + 0.6 * f[::-1]),
+}
+
+
+class Pair(jf.System):
+    """Two masses with friction, coupled by inertia."""
+
+    word: str = eqx.field(static=True)
+
+    def vector_field(self, t, x, side):
+        q, v = jnp.split(x, 2)
+        forces = WORDS[self.word](-q - jnp.array([1.0, 0.4]) * side)
+        return jnp.concatenate([v, forces + jnp.array([0.3, -0.2]) * jnp.sin(3 * t)])
+
+    def switching(self, t, x):
+        return x[2:]
+
+
+def test_a_coupling_is_seen_in_whatever_words():
+    """A conditional that is given an array and returns one mixes its numbers."""
+    x0 = jnp.array([3.0, 1.0, 0.0, 0.5])
+    plain, *others = (jf.solve(Pair(word), x0, 0.0, 8.0, 0.05) for word in WORDS)
+    for sol in others:
+        assert_allclose(sol.x_final, plain.x_final, rtol=1e-12)
+
+
 @jax.jit
 def solved(a, b):
     """By elimination: the solution, and the size of the determinant."""

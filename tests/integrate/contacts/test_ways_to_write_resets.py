@@ -1,0 +1,73 @@
+"""A reset is the same however it is written: each of JAX's ways to change one number of a state."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxfil as jf
+
+WAYS = {
+    "set": lambda x, k: x.at[k].set(-0.8 * x[k]),
+    "multiply": lambda x, k: x.at[k].mul(-0.8),
+    "divide": lambda x, k: x.at[k].divide(-1.25),
+    "subtract": lambda x, k: x.at[k].subtract(1.8 * x[k]),
+    "at least": lambda x, k: x.at[k].max(-0.8 * x[k]),
+    "apply": lambda x, k: x.at[k].apply(lambda v: -0.8 * v),
+}
+
+
+class Balls(jf.System):
+    """Two balls above a table, which bounce at different times."""
+
+    way: str = "set"
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t), x[3], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return x[::2]
+
+    def reset(self, t, x, surface):
+        return WAYS[self.way](x, 2 * surface + 1)
+
+
+class OneBall(jf.System):
+    """The first of them, whose place in the state is known."""
+
+    way: str = "set"
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return WAYS[self.way](x, 1)
+
+
+def bounced(height, t, e=0.8):
+    """The height and velocity of a ball from rest at a height, after one bounce."""
+    fall = jnp.sqrt(2 * height)
+    flight = t - fall
+    return jnp.stack([e * fall * flight - flight**2 / 2, e * fall - flight])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_reset_at_a_known_place(way):
+    def end(x0):
+        return jf.solve(OneBall(way), x0, 0.0, 2.0, 0.1).x_final
+
+    heights = jnp.array([1.0, 0.9])
+    x0 = jnp.stack([heights, 0 * heights], 1)
+    assert_allclose(jax.vmap(end)(x0), jax.vmap(bounced, (0, None))(heights, 2.0), rtol=1e-12)
+    exact = jax.jacfwd(bounced)(heights[0], 2.0)
+    assert_allclose(jax.jacfwd(end)(x0[0])[:, 0], exact, rtol=1e-11)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_reset_at_the_place_of_its_surface(way):
+    sol = jf.solve(Balls(way), jnp.array([1.0, 0.0, 0.9, 0.0]), 0.0, 2.0, 0.1)
+    both = jnp.concatenate([bounced(1.0, 2.0), bounced(0.9, 2.0)])
+    assert_allclose(sol.x_final, both, rtol=1e-12)
