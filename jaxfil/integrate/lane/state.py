@@ -108,7 +108,7 @@ class Pending(eqx.Module):
     """Surfaces whose H may have jumped at the same time, m flags."""
     together: Array | None
     """Whether the surfaces of the landing are decided together, and not one after the other; None
-    for systems in which the two agree."""
+    for separate surfaces and for systems with resets."""
     repeats: Array
     """Number of consecutive contacts at one time."""
     tau: Array
