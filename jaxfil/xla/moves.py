@@ -1,9 +1,8 @@
-"""Numbers at known places, moved by slices.
+"""Numbers at known positions, moved by slices.
 
-The program of a function enters; the same program leaves, in which arrays are taken apart and put
-together by slices and concatenations alone, wherever the places are known: `x.at[0].add(v)`,
-`x[jnp.array([2, 0])]`, `jnp.split`, `jnp.cumsum`. As JAX has them they are scatters and
-the like, which no single kernel holds and which say nothing of where a number has gone.
+Operations such as `x.at[0].add(v)`, `x[jnp.array([2, 0])]`, `jnp.split` and `jnp.cumsum` become
+slices and concatenations where positions are known. JAX traces them as scatters, gathers and the
+like, which a single kernel cannot contain, and which hide the dependencies between numbers.
 """
 
 import itertools
@@ -20,12 +19,12 @@ from jaxfil.xla.known import is_known
 from jaxfil.xla.masked_product import evaluate_one
 from jaxfil.xla.program import interpreted, names, pruned
 
-# Slices that an array is put together from at most: more are a gather.
+# The largest number of slices that replace a gather.
 _SLICES = 32
-# Terms of a sum into one and the same place at most.
+# The largest number of terms added to one position.
 _TERMS = 8
 _ADDITIONS = ("scatter-add", "scatter_add")
-# What is done with whole numbers whose values are known, besides moving them.
+# Operations on known integers, in addition to rearrangements.
 _ON_NUMBERS: dict[str, Callable] = {
     "add": np.add,
     "lt": np.less,
@@ -52,20 +51,20 @@ def by_slices(program: Any) -> Any:
 
 
 def taken(array: Array, places: np.ndarray) -> Array:
-    """`array[places]` of a vector, by slices where they are few: a gather takes longer to compile
-    than all that is made of it, and none of it is in vectors."""
+    """`array[places]` of a vector, by slices if they are few. A gather takes longer to compile than
+    all operations on its result, and is not vectorised."""
     return _put_together([array], np.zeros_like(places), places)
 
 
 def _whole(value: Any) -> np.ndarray | None:
-    """The numbers of a value that is known, if they are whole ones."""
+    """The numbers of a known value, if they are integers or flags."""
     if not is_known(value) or jnp.result_type(value).kind not in "iub":
         return None
     return np.asarray(value)
 
 
 def _made(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
-    """What one equation gives of values, each with its known whole numbers or None."""
+    """The results of one equation, for values each with its known integers or None."""
     arrays, numbers = [v for v, _ in inputs], [k for _, k in inputs]
     known = _computed(eqn, numbers)
     if known is not None:
@@ -78,12 +77,12 @@ def _made(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
 
 
 def _shown(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list:
-    """What has no result, as it is."""
+    """An equation without results, evaluated unchanged."""
     return evaluate_one(jaxpr, eqn, [v for v, _ in inputs])
 
 
 def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | None:
-    """What one equation gives of known whole numbers; None of others."""
+    """The result of one equation on known integers; None for other operands."""
     name, out = eqn.primitive.name, eqn.outvars[0].aval
     known = [v for v in numbers if v is not None]
     if len(known) < len(numbers) or out.dtype.kind not in "iub":
@@ -101,7 +100,7 @@ def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | No
 
 
 def _put_together(arrays: Sequence[Array], source: np.ndarray, place: np.ndarray) -> Array:
-    """The array whose numbers are those at each `place` of the flat array of number `source`."""
+    """The array whose numbers are at each `place` of the flat array number `source`."""
     cuts = np.flatnonzero((np.diff(source.ravel()) != 0) | (np.diff(place.ravel()) != 1)) + 1
     flat = [jnp.ravel(v) for v in arrays]
     if len(cuts) >= _SLICES:
@@ -114,14 +113,14 @@ def _put_together(arrays: Sequence[Array], source: np.ndarray, place: np.ndarray
 
 
 def _places(eqn: Any, indices: np.ndarray | None) -> np.ndarray | None:
-    """Where the numbers of a gather's result, or of a scatter's updates, are in its flat operand;
-    None if that is not known, or some are outside."""
+    """The positions in the flat operand of a gather's results, or of a scatter's updates; None if
+    unknown or partly outside."""
     d, gathers = eqn.params["dimension_numbers"], eqn.primitive.name == "gather"
     if indices is None or d.operand_batching_dims:
         return None
     numbers = eqn.outvars[0].aval if gathers else eqn.invars[2].aval
-    # The axes of the numbers that are those of the operand, but for the dropped ones, and the axes
-    # of the operand that indices are of.
+    # `window` has the axes of the numbers that correspond to axes of the operand (except for the
+    # dropped ones), `to` the axes of the operand that are indexed.
     window = d.offset_dims if gathers else d.update_window_dims
     dropped = d.collapsed_slice_dims if gathers else d.inserted_window_dims
     to = d.start_index_map if gathers else d.scatter_dims_to_operand_dims
@@ -156,13 +155,13 @@ def _scatter(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Arra
         for term in terms:
             out = out + _replaced(others, updates, term)
         return [out]
-    # Of several numbers in one place any may be the one.
+    # Of several updates of one position, JAX does not define which one remains.
     return [_replaced(operand, updates, terms[0])] if len(terms) == 1 else None
 
 
 def _terms(place: np.ndarray, size: int) -> list[np.ndarray]:
-    """Which of some numbers goes to each of so many places, −1 for none; as often as several go to
-    one."""
+    """For each of `size` positions the index of an update that goes there, −1 without one; repeated
+    until all updates are used."""
     left, terms = np.arange(place.size), []
     while left.size:
         places, first = np.unique(place[left], return_index=True)
@@ -174,7 +173,7 @@ def _terms(place: np.ndarray, size: int) -> list[np.ndarray]:
 
 
 def _replaced(operand: Array, updates: Array, term: np.ndarray) -> Array:
-    """The operand with the updates that a `term` names in their places."""
+    """The operand with the updates given by a `term` in their positions."""
     place = np.where(term < 0, np.arange(term.size), term).reshape(operand.shape)
     return _put_together((updates, operand), (term < 0).astype(int).reshape(operand.shape), place)
 
@@ -186,14 +185,14 @@ def _split(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
 
 
 def _unstack(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
-    """What `list(x)` is from JAX 0.11 on."""
+    """The equation of `list(x)` from JAX 0.11 on."""
     (x,), axis = arrays, eqn.params["axis"]
     one = [jax.lax.slice_in_dim(x, k, k + 1, axis=axis) for k in range(x.shape[axis])]
     return [jax.lax.squeeze(v, (axis,)) for v in one]
 
 
 def _cumsum(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
-    """By doubling: sums of 2, 4, 8, … numbers."""
+    """A cumulative sum by doubling, over 2, 4, 8, … numbers."""
     (x,), axis, reverse = arrays, eqn.params["axis"], eqn.params["reverse"]
     size, shift = x.shape[axis], 1
     while shift < size:
