@@ -17,8 +17,8 @@ WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 PARTS = dict.fromkeys(WHOLE)
 """The attributes that cancel these for the functions inside a call, which would inherit them."""
 
-# Earlier versions abort the process: they split loops over 64 lanes among threads inside a kernel
-# too, by a function that kernels are not linked with.
+# Earlier versions abort the process, because they split loops over 64 lanes among threads inside a
+# kernel too, by a function that kernels are not linked with.
 _OLDEST = (0, 7, 2)
 
 

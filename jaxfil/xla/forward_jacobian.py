@@ -51,7 +51,7 @@ def with_derivatives(program: Any, make: Make) -> Callable:
     def spread(batched: Sequence[bool]) -> list[bool]:
         return [any(batched)] * len(program.out_avals)
 
-    # Without derivatives there are no tangents, but the primitive is used too: it is traced when it
+    # Without derivatives there are no tangents, but the primitive is used too. It is traced when it
     # is compiled, and not at all if it is only the start of a derivative.
     still = Lane.of(program, (), spread, make)
     return lambda *values: bind(still, values, [])[0]

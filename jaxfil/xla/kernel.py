@@ -39,8 +39,8 @@ def _kernel_of(program: Any) -> Callable:
 
     def call(*values: Any) -> Any:
         # XLA aborts on a kernel with an unused argument. Two barriers keep all arguments in use.
-        # After the kernel: a number computed from all of them, which XLA would remove otherwise.
-        # Before the kernel: arguments that XLA knows as constants, such as a t0 of zero under a
+        # After the kernel it is a number computed from all of them, which XLA would remove otherwise.
+        # Before the kernel it is arguments that XLA knows as constants, such as a t0 of zero under a
         # user's `jit`, which it would write into the kernel. (One constant alone was harmless; a
         # copy of it as the initial value of a user's loop was not.)
         whole = kernel_of_all(lambda *values: (run(*values), _all_used(values)))
@@ -202,7 +202,7 @@ def _one_by_one(function: Callable, batched: Sequence[bool], values: Sequence[An
 
 
 def kernel_of_rows(function: Callable, size: int, *args: Any) -> Callable | None:
-    """A function of `size` leading rows of all its arguments, extended to any number of rows: it is
+    """A function of `size` leading rows of all its arguments, extended to any number of rows. It is
     applied to `size` rows at a time, as a single kernel. None if it does not fit into one.
 
     This is for lanes that wait for each other, as in a sweep, and have no derivatives; for

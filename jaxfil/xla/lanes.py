@@ -1,6 +1,6 @@
 """The number of lanes in a call.
 
-It is the size of the batch made by `jax.vmap`, as far as Python can see it: a `vmap` around the
+It is the size of the batch made by `jax.vmap`, as far as Python can see it. A `vmap` around the
 call is detected, under `jit` or not, but not one around a `jit` that contains the call.
 """
 

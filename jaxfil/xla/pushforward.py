@@ -318,8 +318,8 @@ def _batch(args: Any, dims: Any, *, push: Push, **_: Any) -> tuple[list, list]:
 
 
 def _partial_eval(trace: Any, *tracers: Any, push: Push, **params: Any) -> list:
-    """The rule for known values and unknown rates: results and derivatives are computed now,
-    tangents later."""
+    """The rule for known values and unknown rates, by which results and derivatives are computed
+    now, and tangents later."""
     values, rates = tracers[: push.count], tracers[push.count :]
     if all(v.is_known() for v in rates) or not all(v.is_known() for v in values):
         return trace.default_process_primitive(pushforward_p, tracers, {"push": push, **params})

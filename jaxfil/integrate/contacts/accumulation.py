@@ -244,7 +244,7 @@ def _agrees(
     # The factor 1/(1 − q) of a ratio of two times magnifies their rounding twice.
     shrink = 1 - ratio
     rounding = _AGREE * (same / shrink + _lateness(state) / (shrink * shrink))
-    # If rounding is a large part of a turn, all predictions agree and mean nothing.
+    # If rounding is a large part of a turn, all predictions agree, without meaning.
     agrees = (abs(left - (turn.left - time)) <= rounding) & (rounding <= _TOLD * time)
     size, speed = (
         maximum(abs(limit), abs(end.motion.x)),

@@ -54,8 +54,8 @@ def begin(
     other surface is reached from the side that the motion comes from, by the sign of its rate, and
     its reset is due if the state cannot be the result of one. If it can, as for a kick that adds a
     constant, the reset counts as applied, since the span is open at t0. The same holds for a
-    surface that depends on time alone, like a tick. Backward in time a reset is only undone if it
-    leads to the side from which the motion comes.
+    surface that depends on time alone, like a tick. Backward in time a reset is only undone if the
+    state after it is on the side from which the motion comes.
     """
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     above = sides.like(jnp.ones_like(t))
@@ -99,7 +99,7 @@ class Trace(eqx.Module):
     """H after the reset."""
     unmade: Components
     """Whether the state cannot be the result of a reset. The reset then moves it, and is either
-    idempotent or leads off the surface."""
+    idempotent or moves the state off the surface."""
 
 
 def _traces(

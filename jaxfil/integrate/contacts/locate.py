@@ -87,7 +87,7 @@ def _searched(system: ComponentSystem, near: Array, *guard: Array) -> Array:
 
 def _searched_to(state: LoopState, end: StepEnd) -> Components:
     """The rounding assumed by the search. For a guard not armed it is the noise of the landing; for
-    one left long ago it may be all rounding accumulated since t0 in the state."""
+    an armed one it may be all rounding accumulated since t0 in the state."""
     return maximum(end.motion.noise, where(state.armed, end.gathered, state.motion.noise))
 
 
@@ -125,7 +125,7 @@ def find_contact(
 
     A slide that repels at the end of the step is followed to where it ceases to attract.
     """
-    system, h = problem.system, stop_gradient(length.h)  # nothing here has a derivative
+    system, h = problem.system, stop_gradient(length.h)  # the search has no derivatives
     # A slide or a rest that ends at a grid point ends next to it, by the rounding of times. In the
     # brief step to the grid point the field may still point back, which is not a new contact.
     rounding, dt = problem.grid.same_time(end.motion.tau), typical_step(problem, state)

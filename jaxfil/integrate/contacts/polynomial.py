@@ -92,7 +92,7 @@ def first_zero(system: ComponentSystem, noise: Array, *c: Array) -> tuple[Array,
     should end because the guard is unknown beyond it, at a minimum that is zero to rounding, or
     where the search has stopped; `NEVER` without one. The third value is 1 if both are known, else
     0. `noise` is the rounding of the guard."""
-    # A guard entirely within rounding says nothing about zeros.
+    # A guard entirely within rounding has no meaningful zeros.
     quiet = sum(map(abs, c)) <= _CLOSE * noise
     noise = select(c[0] > 0, noise, 0.0)
     kind = system.hold(select(quiet, float(_NO_ZERO), _kind(_reduced(c), noise)))

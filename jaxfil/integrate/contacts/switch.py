@@ -248,7 +248,7 @@ def _to_later(problem: Problem, state: LoopState, end: StepEnd) -> StepEnd:
     jump = delta if end.jump is None else end.jump + delta
     misfit = None
     if state.pending.together is not None:
-        # A contact that would not come, or leads to no mode, belongs to several surfaces at one
+        # A contact that would not come, or has no mode after it, belongs to several surfaces at one
         # point, which are then decided together.
         fine = ~any_of(end.next & ~falls) & (end.num_modes == 1)
         misfit = state.pending.waits & any_of(end.next) & ~fine

@@ -261,7 +261,7 @@ def _problem(
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     """The grid of a solve. Invalid values that were traced, and therefore not checked earlier, make
-    it NaN, which leads to an outcome."""
+    it NaN, which has an outcome of its own."""
     length = t1 - t0
     valid = dt > resolution(t0, t1)
     if isinstance(options.recorder, SaveTimes):

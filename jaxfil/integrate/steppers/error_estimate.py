@@ -182,7 +182,7 @@ def _terms(
     """The size of the terms summed in a step of length h, given a time, the state and the field.
 
     Rounding of the state and of h f propagates through the derivative of the field from component
-    to component. Zero for a step so long that this grows without bound and means nothing.
+    to component. Zero for a step so long that this grows without bound.
     """
     t, x, f = at
 

@@ -73,7 +73,7 @@ def held_together(
 
 def determinant(mode: Components, rates: Corners, w: Components) -> Array:
     """|det ∂(dH/dt)/∂w| over the sliding surfaces with weights w; 1 without sliding. The weights
-    are undetermined where it vanishes, at a two-fold or where two roots meet."""
+    are undetermined where it vanishes, at a two-fold or where two roots merge."""
     if not rates.are_of_one:
         slid = (mode == 0).parts[0] if mode.is_array else None
         return small_linear.size_of_determinant(_matrix(mode, rates, w), slid)

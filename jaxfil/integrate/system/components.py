@@ -215,7 +215,7 @@ def largest(v: Components) -> Array:
 
 
 def first_set(flags: Components) -> Components:
-    """The flags with only the first set one left set."""
+    """The flags, with all but the first set one cleared."""
     if flags.is_array:
         (flag,) = flags.parts
         number = jnp.arange(len(flag), dtype=jnp.int32)

@@ -36,7 +36,7 @@ class ParametrizedFunction(eqx.Module):
         return self.traced.ahead(self.parameters, t)
 
     def expanded(self, expansion: Expansion, *args: Any) -> list[Any]:
-        """Power series of its results, given those of its arguments or constants."""
+        """Power series of its results, given series of its arguments or constants."""
         return self.traced.expanded(expansion, self.parameters, *args)
 
     def expanded_rate(
@@ -90,7 +90,7 @@ def on_components(
 def reacting(
     field: Callable, traced: Callable[..., Traced], at: tuple[Any, ...], asked: tuple[Any, ...]
 ) -> tuple[Traced, Traced]:
-    """A field that depends on reactions, as a function (leaves, t, x, sides, reaction, *asked), and
+    """A field that depends on reactions, as a function `(leaves, t, x, sides, reaction, *asked)`, and
     the part of the field that reactions add, as a function of the same arguments."""
 
     def felt(leaves: System, t: Array, x: Components, sides: Components, *given: Any) -> Components:
@@ -107,7 +107,7 @@ def reacting(
 
 
 def rate_of(field: Callable, switching: Callable) -> Callable:
-    """dH/dt along a field without reactions, as a function (leaves, t, x, sides)."""
+    """dH/dt along a field without reactions, as a function `(leaves, t, x, sides)`."""
 
     def rate(leaves: System, t: Array, x: Components, sides: Components) -> Components:
         along = jnp.ones_like(t), field(leaves, t, x, sides)
