@@ -74,7 +74,7 @@ def chosen(args: argparse.Namespace) -> Chosen:
         _one_of("--set", name, [p for p in own if p not in swept])
     missing = [p for p in required(cls) if p not in settings and p not in swept]
     if missing:
-        raise Misuse(f"--set must give {', '.join(missing)}: there is no default")
+        raise Misuse(f"--set must give {', '.join(missing)}, which has no default")
     return Chosen(args.system, cls, settings, _state(args, default))
 
 

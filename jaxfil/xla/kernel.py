@@ -38,11 +38,11 @@ def _kernel_of(program: Any) -> Callable:
     run = call_of(by_sums(program))
 
     def call(*values: Any) -> Any:
-        # XLA aborts on a kernel with an unused argument. Two barriers keep all arguments in use.
-        # After the kernel it is a number computed from all of them, which XLA would remove otherwise.
-        # Before the kernel it is arguments that XLA knows as constants, such as a t0 of zero under a
-        # user's `jit`, which it would write into the kernel. (One constant alone was harmless; a
-        # copy of it as the initial value of a user's loop was not.)
+        # XLA aborts on a kernel with an unused argument. Two barriers keep all of them in use. The
+        # one after the kernel holds a number computed from all of them, which XLA would remove
+        # otherwise. The one before it holds arguments that XLA knows as constants, such as a t0 of
+        # zero under a user's `jit`, which it would write into the kernel. (One constant alone was
+        # harmless; a copy of it as the initial value of a user's loop was not.)
         whole = kernel_of_all(lambda *values: (run(*values), _all_used(values)))
         out = whole(*jax.lax.optimization_barrier(_in_memory(values)))
         out, _ = jax.lax.optimization_barrier(out)

@@ -29,8 +29,8 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
 THIRD = (
-    "Third derivatives through contacts are not available: derivatives by `x0`, times and "
-    "parameters are exact to the second; take central differences of those."
+    "Third derivatives through contacts are not available. Derivatives with respect to `x0`, times "
+    "and parameters are exact to second order; take central differences of those."
 )
 """The error message of a third derivative."""
 

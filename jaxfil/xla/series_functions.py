@@ -1,7 +1,7 @@
 """Power series of functions: the recurrence of each operation.
 
-Most of the rules are of one kind, in which y = f(u) has y' = g u' with a g that depends on u and y, so that
-k y_k = Σ i u_i g_{k−i}.
+Most of the rules are of one kind, in which y = f(u) has y' = g u' with a g that depends on u and y,
+so that k y_k = Σ i u_i g_{k−i}.
 """
 
 from collections.abc import Callable

@@ -225,7 +225,7 @@ def _follow(
     walls = c.throws_back & ~(reset.heard & (outward < -noise))
     # A surface that a map has carried the state across has a contact at this time.
     across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
-    # A waiting reset is dropped if the state was moved back, or no longer moves towards the surface.
+    # A waiting reset is dropped if the state was moved back, or no longer moves to its surface.
     back = at.off & (state.motion.mode * at.h > 0)
     parts = c.throws_back & there & (outward > noise)
     spared = reset.waits & (back | (reset.moved & parts))

@@ -39,7 +39,7 @@ def _jumps(system: System, sol: Solution) -> str:
     if not found:
         return ""
     names = " and ".join(f"`{name}`" for name in found)
-    return f" Its vector field jumps by {names} of the state: let `switching` vanish there."
+    return f" Its vector field jumps by {names} of the state; let `switching` vanish there."
 
 
 def _place(sol: Solution, system: System, x0: Array) -> str:

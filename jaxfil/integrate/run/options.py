@@ -140,13 +140,13 @@ def _refuse_unknown(saveat: diffrax.SaveAt, sub: diffrax.SubSaveAt | None) -> No
         return
     if sub.steps not in (0, 1):
         raise ValueError(
-            f"`saveat.steps` must be True: every step is saved (take every {sub.steps}th row of "
-            f"the result); got {sub.steps!r}."
+            f"`saveat.steps` must be True, since every step is saved (take every {sub.steps}th row "
+            f"of the result); got {sub.steps!r}."
         )
     if sub.fn is not _SAVE_STATE:
         raise ValueError(
-            "`saveat.fn` must be left out: states are saved (apply the function to the result's "
-            f"`ts` and `xs`); got {sub.fn!r}."
+            "`saveat.fn` must be omitted, since states are saved (apply the function to the "
+            f"result's `ts` and `xs`); got {sub.fn!r}."
         )
 
 

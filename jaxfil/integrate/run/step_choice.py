@@ -1,4 +1,6 @@
-"""`StepChoice`: a stepper and a number of steps that meet a tolerance, accepted in place of a step.
+"""`StepChoice`: a stepper and a number of steps that meet a tolerance.
+
+Verbs accept it in place of a step.
 """
 
 from typing import Any, TypeAlias

@@ -73,5 +73,5 @@ def _known(name: str, value: Any, *, positive: bool = False) -> float:
     check.scalar(name, value, float, positive=positive)
     known = check.concrete(value)
     if known is None:
-        raise ValueError(f"`{name}` must be known, for programs are made for it; got one traced.")
+        raise ValueError(f"`{name}` must be a constant of the program, got a traced number.")
     return float(known)

@@ -147,8 +147,8 @@ def controlled(tolerance: Adaptive, stepper: Any) -> Controlled:
     tableau = tableau_of(method)
     if tableau.crude or not tableau.d:
         raise ValueError(
-            "`stepper` must estimate its error where steps follow a tolerance, as "
-            "diffrax.Dopri8(), Dopri5(), Tsit5() and jaxfil.Rodas5P() do; got "
+            "`stepper` must have an error estimate if steps follow a tolerance, such as "
+            "diffrax.Dopri8(), Dopri5(), Tsit5() and jaxfil.Rodas5P(); got "
             f"{told(stepper)}."
         )
     return Controlled(method, tolerance)
@@ -181,7 +181,9 @@ def _refuse_others(stepper: Any, name: str = "stepper") -> None:
         )
     kind = getattr(stepper, "scan_kind", None)
     if kind is not None:
-        raise ValueError(f"`{name}.scan_kind` must be None: stages are written out; got {kind!r}.")
+        raise ValueError(
+            f"`{name}.scan_kind` must be None, since stages are written out; got {kind!r}."
+        )
 
 
 def tableau_of(stepper: Stepper) -> Tableau:

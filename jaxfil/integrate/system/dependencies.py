@@ -41,8 +41,9 @@ def of(
     asked: tuple = (),
 ) -> Structure:
     """The structure of a field `(leaves, t, x, sides, *asked)` and a switching function
-    `(leaves, t, x)`. If the field is `reacting`, the first entry of `asked` is the reaction. `at` is
-    `(leaves, t)`; each of `of_number` flags one number of the state, each of `of_side` one side."""
+    `(leaves, t, x)`. If the field is `reacting`, the first entry of `asked` is the reaction. `at`
+    is `(leaves, t)`; each of `of_number` flags one number of the state, each of `of_side` one
+    side."""
     field, switching = functions
     n, m = len(of_number), len(of_side)
     nothing, still = jax.tree.map(lambda _: False, (at, of_number[0]))

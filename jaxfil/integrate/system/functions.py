@@ -90,8 +90,8 @@ def on_components(
 def reacting(
     field: Callable, traced: Callable[..., Traced], at: tuple[Any, ...], asked: tuple[Any, ...]
 ) -> tuple[Traced, Traced]:
-    """A field that depends on reactions, as a function `(leaves, t, x, sides, reaction, *asked)`, and
-    the part of the field that reactions add, as a function of the same arguments."""
+    """A field that depends on reactions, as a function `(leaves, t, x, sides, reaction, *asked)`,
+    and the part of the field that reactions add, as a function of the same arguments."""
 
     def felt(leaves: System, t: Array, x: Components, sides: Components, *given: Any) -> Components:
         reaction, *asked = given

@@ -103,7 +103,7 @@ class ProgramSize:
     spelled: bool
     """Whether the numbers of a state are spelled out in a program that is written out."""
     normals: int
-    """Size of the normals of surfaces with resets (m·n numbers) for several surfaces; otherwise 0."""
+    """Size of the normals of several surfaces with resets, m·n numbers; otherwise 0."""
 
     @property
     def always_compact(self) -> bool:

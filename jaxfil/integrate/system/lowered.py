@@ -226,7 +226,7 @@ class ComponentSystem(eqx.Module):
         return self._switching(self.held(t), x)
 
     def rounding(self, t: Array, x: Components) -> Components | None:
-        """The rounding error inside H, in eps, in addition to the rounding of t and x; None if zero."""
+        """The rounding error inside H, in eps, excluding the rounding of t and x; None if zero."""
         return self._rounding and self._rounding(self.held(t), x)
 
     def rate_rounding(self, t: Array, x: Components, sides: Components) -> Components | None:

@@ -18,8 +18,8 @@ def check_affine(system: System, structure: Structure, m: int) -> None:
     if m > _MOST_PRODUCTS and not (structure.separate or structure.affine):
         raise ValueError(
             f"`vector_field` of {type(system).__name__} must be affine in its sides (a + b * side, "
-            f"not side[0] * side[1]) with more than {_MOST_PRODUCTS} surfaces, for otherwise each "
-            f"of the 2**m combinations of sides has a field of its own; got m = {m}."
+            f"not side[0] * side[1]) with more than {_MOST_PRODUCTS} surfaces, since otherwise "
+            f"each of the 2**m combinations of sides has a field of its own; got m = {m}."
         )
 
 
@@ -31,10 +31,10 @@ def check_reactions(system: System, field: Traced, at: tuple, asked: tuple) -> N
     if not field.is_affine(*nothing, all_reactions, *more):
         name = type(system).__name__
         # Private names belong to the library's own wrapper of a system and an observable.
-        what = "What is observed" if name.startswith("_") else f"`vector_field` of {name}"
+        what = "The observable" if name.startswith("_") else f"`vector_field` of {name}"
         raise ValueError(
             f"{what} must be affine in its reactions (a + b * reaction, not "
-            "jnp.maximum(reaction, 0.0), for they are never negative), got one that is not."
+            "jnp.maximum(reaction, 0.0), since they are never negative), got one that is not."
         )
 
 
@@ -59,6 +59,6 @@ def check_derivatives(**functions: Traced) -> None:
         found = function.without_derivatives()
         if found is not None:
             raise TypeError(
-                f"`{name}` must have forward derivatives, which contacts are located with, got one "
-                f"that calls `{found}`: wrap it in `jax.custom_jvp`."
+                f"`{name}` must have forward derivatives, which are used to locate contacts, got "
+                f"one that calls `{found}`. Wrap it in `jax.custom_jvp`."
             )
