@@ -177,7 +177,9 @@ def _one_of(what: str, name: str, allowed: Collection[str], more: str = "") -> N
     if what.startswith("--") and _is_path(name):
         return
     if not allowed:
-        raise Misuse(f"{what} must name a parameter, and there is none; it was {name!r}")
+        raise Misuse(
+            f"{what} must name a parameter, but the system has no parameters; it was {name!r}"
+        )
     if name not in allowed:
         told = f"{what} must be one of {', '.join(allowed)}{more and ', '}{more}; it was {name!r}"
         raise Misuse(f"{told}{_suggestion(name, allowed)}")

@@ -45,8 +45,8 @@ def array_of(value: Any, dtype: DTypeLike | None = None) -> Array:
 
 
 def in_numpy(tree: Any) -> Any:
-    """A tree with its arrays as NumPy arrays if they are known, whose arithmetic compiles
-    nothing."""
+    """A tree with its arrays as NumPy arrays if they are known, whose arithmetic needs no
+    compilation."""
     return jax.tree.map(np.asarray, tree) if is_known(tree) else tree
 
 

@@ -50,7 +50,7 @@ def begin(
     of the first derivative that does not vanish.
 
     A surface whose reset throws back bounds H ≥ 0. A motion towards H < 0 then starts with an
-    impact at t0, a pressed motion without a rate rests, and any other has left the surface. Any
+    impact at t0, a pressed motion without a rate rests, and any other is off the surface. Any
     other surface is reached from the side that the motion comes from, by the sign of its rate, and
     its reset is due if the state cannot be the result of one. If it can, as for a kick that adds a
     constant, the reset counts as applied, since the span is open at t0. The same holds for a

@@ -158,7 +158,7 @@ def _known(
         settles = settles & ~later
     left = where(settles, where(at.h > 0, one, -one), left)
     # A surface that will be reached within the rounding of times is decided now, since its contact
-    # would follow at the same rounded time. A surface just left is not.
+    # would follow at the same rounded time, unless it is not armed yet.
     near = abs(state.motion.rate) * problem.grid.same_time(state.motion.tau)
     close = (state.motion.mode != 0) & (abs(at.h) < near) & state.armed
     on = (hit & ~leaving) | close
@@ -173,7 +173,7 @@ def _known(
     if led is None:
         return left, on
     beside, on = unilateral.sides_of(left), on & ~led.walls
-    # A surface at which a rest ends, or that needs a reset, is left to its side.
+    # At a surface where a rest ends, or that needs a reset, the motion takes its side.
     ends = hit & unilateral.rests_of(left) & ~resets.at_limit(state)
     ends = ends if later is None else ends | later
     left = where((ends | led.pushed) & switching & ~settles, beside, left)

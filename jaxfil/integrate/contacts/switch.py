@@ -128,7 +128,7 @@ def _with_rounding_of_forces(
 ) -> Surfaces:
     """The surfaces with additional rounding for a state that is held on one, or has just left it.
     The forces that hold it are rounded in proportion to their size, however small the state. A
-    surface that the state cannot leave because others hold it is then neither reached nor left."""
+    surface that the state cannot leave because others hold it then causes no contact."""
     since = select(any_of(~state.armed), abs(stop_gradient(length.h)), 0.0)
     # While a state is held, rounding accumulates over many steps.
     since = select(state.held, typical_step(problem, state), since)

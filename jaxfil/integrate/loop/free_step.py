@@ -74,7 +74,7 @@ def end_of_free_step(
 
 def is_near(problem: Problem, state: LoopState) -> Array:
     """Whether a lane slides or rests, is at or near a contact, or takes steps shorter than the
-    grid's. With polynomial steps a surface that has just been left counts like any other."""
+    grid's. With polynomial steps a surface that is not armed counts like any other."""
     near = state.held | state.pending.waits | (state.search.length != 0)
     if not isinstance(problem.tableau, TaylorTableau):
         near = near | any_of(~state.armed)

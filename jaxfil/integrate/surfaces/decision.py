@@ -71,7 +71,7 @@ class Question(eqx.Module):
     direction: Array
     """+1 forward in time, −1 backward."""
     threshold: Array | float
-    """The rate above which a surface is left, relative to all rates there."""
+    """The rate above which the motion leaves a surface, relative to all rates there."""
 
 
 def question_of(
