@@ -92,6 +92,8 @@ def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, A
     def step(state: tuple) -> tuple:
         table, basis, entering, _, failed, count = state
         column, right = table[:, entering], table[:, -1]
+        # Entries within rounding of zero are not used as pivots; they would magnify the rounding of
+        # the whole tableau.
         falls = column > 64 * eps * jnp.max(abs(column))
         ratio = select(falls, jnp.maximum(right, 0) / select(falls, column, 1), jnp.inf)
         least = jnp.min(ratio)
@@ -104,6 +106,7 @@ def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, A
         after = pivoted(table, row, entering)
         table = select(failed, table, after)
         basis = select(failed | (number != row), basis, entering)
+        # Lemke's rule: the next variable is the complement of the one that was removed.
         then = select(leaves < size, leaves + size, leaves - size)
         return table, basis, then, leaves == last, failed, count + 1
 
@@ -118,6 +121,7 @@ def is_monotone(matrix: Float[Array, "k k"], taken: Bool[Array, " k"]) -> Bool[A
     the inequality has exactly one solution for any q."""
     both = taken[:, None] & taken[None, :]
     part = select(both, 0.5 * (matrix + matrix.T), jnp.eye(len(matrix), dtype=matrix.dtype))
+    # Scaled to a unit diagonal, so that a multiple of eps is a threshold for any units.
     scale = jnp.sqrt(jnp.maximum(jnp.diag(part), 0))
     scale = select(scale == 0, 1.0, scale)
     scaled = part / (scale[:, None] * scale[None, :])

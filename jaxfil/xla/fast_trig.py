@@ -79,6 +79,7 @@ def _reduced_sine(x: Array, turns: Array, parity: Array) -> Array:
     """(−1)^parity sin(x − turns·π), for an argument of at most π/2."""
     single = x.dtype == jnp.float32
     pi, sine = (_PI_SINGLE, _SINE[:_SINGLE_TERMS]) if single else (_PI, _SINE)
+    # Part by part; the first two products are exact (see `_PI`).
     r = ((x - turns * pi[0]) - turns * pi[1]) - turns * pi[2]
     if single:  # beyond 1e7 the parity is lost and r is meaningless
         r = select(abs(turns) < 2.0**22, r, 0 * r)
@@ -110,6 +111,7 @@ def arctan(x: Array) -> Array:
     quarters = select(far, 2.0, select(near, 0.0, 1.0)).astype(x.dtype)
     above = select(far, -1.0, select(near, size, size - 1.0))
     below = select(far, size, select(near, 1.0, size + 1.0))
+    # One division for all three ranges, which are selected before it.
     r = above / below
     z = r * r
     tail = z * _horner(_ARCTAN_P, z) / _horner(_ARCTAN_Q, z)

@@ -49,6 +49,7 @@ def _all_fit(jaxpr: Any) -> bool:
             continue
         if name not in FITTING or not all(map(_all_fit, programs(eqn.params))):
             return False
+        # A longer reduction becomes a library call.
         if name in _REDUCTIONS and eqn.invars[0].aval.size > SHORT:
             return False
     return True

@@ -64,6 +64,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple:
 def _transpose(cotangent: Any, a: Any, b: Any) -> list:
     if type(cotangent) is ad.Zero:
         return [None, None]
+    # The product with the cotangent is masked too, which is the purpose of this primitive.
     if ad.is_undefined_primal(a):
         return [masked_product(b, cotangent), None]
     return [None, masked_product(a, cotangent)]

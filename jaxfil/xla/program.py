@@ -68,6 +68,7 @@ def _pruned(program: Any, done: dict[int, tuple]) -> Any:
     # JAX has no pruning rule for the bodies of loops, so they are pruned here.
     equations = [_with_programs(eqn, lambda v: _pruned(v, done)) for eqn in jaxpr.eqns]
     out = jexc.ClosedJaxpr(jaxpr.replace(eqns=equations), program.consts)
+    # The program is stored too, since the identity of a deleted one could be used again.
     done[id(program)] = program, out
     return out
 

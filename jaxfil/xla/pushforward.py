@@ -183,6 +183,7 @@ def _joint(base: Any, moving: tuple[int, ...]) -> Any:
         out, tangents = jax.jvp(moved, [values[k] for k in moving], list(rates))
         return [*out, *(v for v in tangents if v.dtype != jax.dtypes.float0)]
 
+    # Many tangents are zero by structure; pruning removes them before XLA receives them.
     return pruned(jax.make_jaxpr(both)(*_shapes(base, range(count)), *_shapes(base, moving)))
 
 

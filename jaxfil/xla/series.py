@@ -123,6 +123,8 @@ class Expansion:
         others = [v for v in self.made if v not in lasting]
         before = [dict(v.known) for v in carried]
 
+        # Inside `run` the known coefficients are traced arguments, which replace the outer ones.
+        # `others` are cleared before and after, since they would hold traced values.
         def made(known: list) -> list:
             for v, own in zip(carried, known, strict=True):
                 v.known = dict(own)

@@ -74,6 +74,8 @@ def _made_sine_and_cosine(expansion: Expansion, a: Series) -> tuple[Series, Seri
     def first(name: str) -> Any:
         return expansion.first(name, first_of(a))
 
+    # A linear argument needs no recurrence: coefficient k is ± the sine or cosine of its start
+    # times rate^k/k!.
     if a.degree == 1:
         start_sine = expansion.series(lambda _: first("sin"), 0)
         start_cosine = expansion.series(lambda _: first("cos"), 0)

@@ -84,6 +84,8 @@ class Traced:
         order = when or (LATE,) * len(example)
         each = zip(order, example, strict=True)
         self._when = [k for k, arg in each for _ in jax.tree.leaves(arg)]
+        # The flags of the results that depend on a sine. With only one, a call whose result is used
+        # `alone` needs no fence.
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
         waves = _dependencies(self._closed, nothing, sources=self._functions)
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1

@@ -266,6 +266,7 @@ def _kinds_of_end(
     small = system.eps ** (2 / 3)
     rate, aimed = end.motion.rate, length.cutting & state.search.surfaces
     falls = direction * rate < 0
+    # Where a guard does not fall, a rate of the right sign keeps the quotient finite.
     missing = -end.motion.g / where(falls, rate, -direction)
     size = abs(stop_gradient(missing))
     # g̈ h, from the rates at both ends; the error of Newton's step is of the order of δ g̈/ġ.

@@ -40,6 +40,7 @@ Guard = tuple[Array, ...]
 def _bounds(c: Sequence[Array]) -> tuple[Array, Array]:
     """Lower and upper bounds of a polynomial on [0, 1]."""
     c0, c1, c2, c3, *higher = (*c, 0.0, 0.0, 0.0)
+    # Bernstein coefficients of the cubic part.
     inner = c0 + c1 / 3, c0 + (2 * c1 + c2) / 3, c0 + c1 + c2 + c3
     low, high = c0, c0
     for v in inner:
@@ -185,6 +186,8 @@ def _descending(system: ComponentSystem, c: Guard, todo: Array, high: Array) -> 
     def improved(s: Array, low: Array, high: Array, todo: Array) -> tuple:
         value, slope = _value_and_slope(c, s)
         low, above = select(value > 0, s, low), select(value > 0, high, s)
+        # Newton's method for the polynomial divided by s^zeros, whose logarithmic derivative is
+        # slope/value − zeros/s.
         rate = slope - zeros * value / s
         new = s - value / select(rate == 0, 1, rate)
         inside = (new >= low) & (new <= above) & (rate != 0)

@@ -268,7 +268,8 @@ def _chattering(
     # The neglected error is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * typical_step(problem, state))
     held = c.reaction.answered(seen.a, unilateral.multipliers(c.reaction.gains, seen.a, rests))
-    away, fall = sides * c.rate, -sides * held * (2 - c.impulse.gains.diagonal())  # that is 1 − e
+    # The flights last 2ψ/(|a| (1 − e)) in all; `fall` is |a| (1 − e), with 1 − e = 2 − ∇ψ·d.
+    away, fall = sides * c.rate, -sides * held * (2 - c.impulse.gains.diagonal())
     bounces = reset.acted & c.throws_back & (away > seen.noise) & (fall > 0) & ~more
     times = 2 * away / where(bounces, fall, 1)
     low = away * away <= 2 * abs(held) * at.gathered

@@ -64,6 +64,7 @@ class TimeGrid(eqx.Module):
     def same_time(self, tau: Array) -> Array:
         """The rounding of times near the elapsed time `tau`."""
         t0, tau, dt = stop_gradient((self.t0, tau, self.dt))
+        # The last term is a floor, so that the rounding is not zero at t = 0.
         size = jnp.maximum(jnp.maximum(abs(t0 + tau), abs(tau)), 1e-3 * abs(dt))
         return SAME_TIME * jnp.finfo(dt.dtype).eps * size
 

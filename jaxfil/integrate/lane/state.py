@@ -254,4 +254,5 @@ def later(tau: Array, low: Array, h: Array) -> tuple[Array, Array]:
     """
     h = low + h
     end = tau + h
+    # The derivative of the time is carried by `end` alone.
     return end, stop_gradient(h - (end - tau))

@@ -67,6 +67,7 @@ def hidden(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> 
     allowed one, as an error of the order of the stepper."""
     system, start, stop, h = problem.system, state.motion, end.motion, length.h
     t, x0, x1, f0, f1 = problem.grid.t0 + start.tau + 0.5 * h, start.x, stop.x, start.f, stop.f
+    # Hermite's cubics in the middle of the step, for the state here and for the guard below.
     middle = 0.5 * (x0 + x1) + 0.125 * h * (f0 - f1)
     known = stop_gradient((system, t, middle, start.mode))
     g0, d0, g1, d1 = stop_gradient((start.g, h * start.rate, stop.g, h * stop.rate))

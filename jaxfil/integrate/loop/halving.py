@@ -120,6 +120,8 @@ def next_trust(
     goes_on = taken.advances
     steps = trust.taken + goes_on.astype(jnp.int32)
     again = steps >= _CALM
+    # Below the length that was refused last, lengths double at each step; that length itself is
+    # tried again after `_CALM` steps.
     grows = goes_on & (again | (2 * trust.longest < trust.ceiling))
     longest = select(grows, 2 * trust.longest, trust.longest)
     longest = select(longest < dt, longest, jnp.inf)

@@ -135,6 +135,8 @@ def _look(
     sight = dataclasses.replace(sight, value=landed)
     here = select(watch.seeking, watch.length, h)
     looks = watch.seeking & ~any_of(watch.aim)
+    # The next watch is one of four: a search that starts, one that comes closer, one that has
+    # located its crossing, or one that has examined a minimum.
     found, begun = _begun(watched, problem, watch, sight, here)
     begins = found & (looks | (passes & ~watch.seeking))
     closer, delta, done = _approach(problem, state, watch, sight, end.tau)
@@ -277,9 +279,11 @@ def _approach(
     delta = select(falls, -g / select(falls, rate, 1.0), 0.0)
     at, size = watch.length, abs(stop_gradient(delta))
     g = stop_gradient(g)
+    # A bracket of lengths around the crossing, by the sign of S.
     low, high = select(g > 0, at, watch.low), select(g < 0, at, watch.high)
     newton = at + stop_gradient(delta)
     inside = ((newton - low) * grid.direction >= 0) & ((high - newton) * grid.direction >= 0)
+    # Newton's error is of order δ² S̈/Ṡ, bounded as for contacts in `locate.land`.
     bend = size * abs(rate - rate0) <= small * abs(rate * (at - watch.start))
     close = falls & inside & (size <= known) & bend
     narrow = abs(high - low) <= grid.same_time(tau)

@@ -179,6 +179,8 @@ def observed(
 
     def value(t: Array, x: Array, mode: Array) -> Array:
         reached = jnp.isfinite(t) & jnp.all(jnp.isfinite(x))
+        # Unreached entries are inf; they are replaced before the evaluation, whose derivatives
+        # would be NaN, and inf again after it.
         t, x = select(reached, t, problem.grid.t0), select(reached, x, x0)
         mode = select(reached, mode.astype(x.dtype), 1.0)
         here = clocks.just_after(around, t).system

@@ -310,6 +310,7 @@ def compact_step(
         new = field(t + time * h, x + h * _sum_of_rows(row, slopes), own)
         return on_each(ft.partial(put, k), slopes, new)
 
+    # Slopes that are not yet computed are zero, so that each stage can sum over all rows.
     first = on_each(lambda v: select(_column(number == 0, v[None]), v, 0.0), f)
     slopes = jax.lax.fori_loop(1, stages, stage, first)
     end = x + h * _sum_of_rows(np.asarray(tableau.b, h.dtype), slopes)

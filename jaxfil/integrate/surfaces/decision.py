@@ -126,6 +126,8 @@ def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Componen
     place, powers = _powers(on, dtype)
     size = place.astype(jnp.int32)
 
+    # `number` counts through the combinations, as digits to base 3, one for each surface to decide,
+    # and through the three rounds.
     def goes_on(found: _Found) -> Array:
         rounds = found.number // size
         inside = found.number % size != 0
@@ -133,6 +135,7 @@ def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Componen
 
     def next_one(found: _Found) -> _Found:
         number, rounds = (found.number % size).astype(dtype), found.number // size
+        # A quotient of whole numbers as floats; 1e-3 keeps rounding from lowering its floor.
         digit = on_each(lambda power: jnp.floor(number / power + 1e-3) % 3, powers)
         side = where(digit == 0, 1.0, where(digit == 1, -1.0, 0.0)).astype(dtype)
         # In the third round, within rounding, a slide is tried first.

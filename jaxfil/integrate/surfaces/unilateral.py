@@ -235,6 +235,7 @@ def rate_noise(
 
 def multipliers(gains: Rows, a: Components, rests: Components) -> Components:
     """λ of the resting surfaces, 0 for others, given the accelerations a without reactions."""
+    # Surfaces without a rest have rows and columns of the identity.
     right = where(rests, -a, 0.0)
     if gains.is_array:
         (on,), (force,), unit = rests.parts, right.parts, jnp.eye(len(rests.parts[0]))

@@ -127,6 +127,8 @@ def _root_of_two(mode: Components, rates: Corners) -> Components:
     first, second = mode.parts
     eps = jnp.finfo(first.dtype).eps
     terms = []
+    # a, b, c, d of each surface from the rates on the four corners, scaled, so that their rounding
+    # is a multiple of eps.
     for pp, pm, mp, mm in zip(*(rates[k].parts for k in range(4)), strict=True):
         row = (pp + pm + mp + mm, pp + pm - mp - mm, pp - pm + mp - mm, pp - pm - mp + mm)
         scale = sum(abs(v) for v in row)
@@ -137,7 +139,9 @@ def _root_of_two(mode: Components, rates: Corners) -> Components:
     # For one surface listed twice the discriminant is only rounding.
     told = abs(disc) > (64 * eps) ** 2
     root = jnp.sqrt(jnp.maximum(disc, 0))
+    # The root with the positive determinant is (−b − root)/2a, by the formula that does not cancel.
     w1 = _near(select(b > 0, -b - root, 2 * c), select(b > 0, 2 * a, root - b))
+    # The other weight, from the equation in which its coefficient is larger.
     low, high = c1 + d1 * w1, c2 + d2 * w1
     other = abs(high) > abs(low)
     w2 = _near(-select(other, a2 + b2 * w1, a1 + b1 * w1), select(other, high, low))

@@ -116,6 +116,7 @@ class ComponentSystem(eqx.Module):
         if self.window is None:
             return t
         low, high = self.window
+        # The clamped value, with the derivative of t.
         return t + jax.lax.stop_gradient(jnp.clip(t, low, high) - t)
 
     @property
