@@ -60,7 +60,9 @@ def guesses(orbit: Orbit, *kinds: str) -> list[list[tuple[Tangency, Array]]]:
     """For every lane the nearest candidates for a bifurcation of one of these kinds, each with a
     flag that it is missing. A lane without candidates, or with a failed orbit, has one of NaN."""
     if isinstance(orbit.x0, jax.core.Tracer):
-        raise ValueError("`orbit` must be known numbers, got a traced Orbit: find it outside.")
+        raise ValueError(
+            "`orbit` must not be traced, got a traced Orbit. Compute it outside the transformation."
+        )
     # Evaluated on concrete numbers, also while the system is traced.
     with jax.core.eval_context():
         if orbit.x0.ndim == 1:

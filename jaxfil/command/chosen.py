@@ -74,7 +74,7 @@ def chosen(args: argparse.Namespace) -> Chosen:
         _one_of("--set", name, [p for p in own if p not in swept])
     missing = [p for p in required(cls) if p not in settings and p not in swept]
     if missing:
-        raise Misuse(f"--set must give {', '.join(missing)}: there is no default")
+        raise Misuse(f"--set must give {', '.join(missing)}, which has no default")
     return Chosen(args.system, cls, settings, _state(args, default))
 
 
@@ -177,7 +177,9 @@ def _one_of(what: str, name: str, allowed: Collection[str], more: str = "") -> N
     if what.startswith("--") and _is_path(name):
         return
     if not allowed:
-        raise Misuse(f"{what} must name a parameter, and there is none; it was {name!r}")
+        raise Misuse(
+            f"{what} must name a parameter, but the system has no parameters; it was {name!r}"
+        )
     if name not in allowed:
         told = f"{what} must be one of {', '.join(allowed)}{more and ', '}{more}; it was {name!r}"
         raise Misuse(f"{told}{_suggestion(name, allowed)}")

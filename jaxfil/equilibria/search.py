@@ -92,8 +92,8 @@ def equilibrium(
     budget = array_of(check.count("newton_steps", newton_steps), jnp.int32)
     if system.feels_reactions and (known is None or np.any(abs(known) == 2)):
         raise ValueError(
-            f"`mode` must be given, with no rest in it, of {type(system).__name__}, whose field "
-            f"feels reactions; got {check.told(mode)}."
+            f"`mode` must be given, without a rest, for {type(system).__name__}, whose field takes "
+            f"reactions; got {check.told(mode)}."
         )
     affine = is_affine(system, x, m)
     given = None if known is None else array_of(np.asarray(known), x.dtype)
@@ -106,7 +106,7 @@ def autonomous(name: str, system: System) -> None:
     if system.period is not None or system.clocks:
         drives = "a period" if system.period is not None else "clocks"
         raise ValueError(
-            f"`{name}` must be autonomous, for a forced system has no equilibria (see "
+            f"`{name}` must be autonomous, since a forced system has no equilibria (see "
             f"`periodic_orbit`); {type(system).__name__} has {drives}."
         )
 

@@ -51,7 +51,7 @@ def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> In
         return Interval(check.scalar("interval", interval, dtype, positive=True), False)
     if system.period is None:
         raise ValueError(
-            f"`interval` must be a positive number: {type(system).__name__} has no forcing period "
-            "to take its place; got None."
+            f"`interval` must be a positive number, since {type(system).__name__} has no forcing "
+            "period to replace it; got None."
         )
     return Interval(check.period(system, dtype), True)

@@ -59,8 +59,8 @@ def stepper_from(data: NamedArrays) -> Stepper:
     cls = own or getattr(diffrax, method, None)
     if cls is None:
         raise ValueError(
-            "`path` must be of a run by a stepper of jaxfil or diffrax, which alone are known by "
-            f"name, got {name!r}."
+            "`path` must be of a run by a stepper of jaxfil or diffrax, since others are not known "
+            f"by name, got {name!r}."
         )
     if not tolerance:
         return checked_stepper(cls())

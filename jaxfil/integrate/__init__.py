@@ -1,14 +1,14 @@
-"""integrate: a system from one state to the next.
+"""integrate: the integration of a system from one state to the next.
 
-The words of this room, in the order in which a step meets them; each folder explains its own:
+The words of this room, in the order in which a step uses them; each folder has its own list:
 
-- side, mode: a surface's side is +1 or −1; the mode of a motion is its side of each surface, 0
-  where it slides on it, or twice the side where it rests on it.
-- `system`: what the loop sees of a user's system.
+- side, mode: a surface's side is +1 or −1; the mode of a motion is, for each surface, the side, 0
+  for a slide, or twice the side for a rest.
+- `system`: the loop's view of a user's system.
 - `steppers`: one smooth step.
 - `surfaces`: fields and forces on surfaces, of any mode.
 - `lane`: the data of one member of a batch.
-- `contacts`: where a step meets a surface, and what goes on from there.
+- `contacts`: where a step reaches a surface, and how the motion continues from there.
 - `loop`: the iteration.
 - `run`: `solve`, its options and its result.
 """

@@ -244,10 +244,10 @@ def returned(name: str, value: Callable[..., Any], first: str = "", **args: Any)
         return eqx.filter_eval_shape(value, *args.values())
     except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
         raise ValueError(
-            f"{name} must be made of jnp functions, for it is compiled, and {', '.join(args)} have "
-            "no values until it runs: jnp.where(side > 0, a, b) instead of `if`, jnp.sin instead "
-            "of math.sin or np.sin, jnp.stack instead of np.array; got "
-            f"{type(error).__name__}."
+            f"{name} must use jnp functions, since it is compiled, and {', '.join(args)} have no "
+            "values before it runs; got "
+            f"{type(error).__name__}. Write jnp.where(side > 0, a, b) instead of `if`, jnp.sin "
+            "instead of math.sin or np.sin, jnp.stack instead of np.array."
         ) from error
 
 

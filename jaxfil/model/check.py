@@ -82,7 +82,7 @@ def system(name: str, value: object) -> None:
     if callable(given):
         raise ValueError(
             f"`period` of {type(value).__name__} must be a number, a property or None, got a "
-            "method: write @property above it."
+            "method; write @property above it."
         )
 
 
@@ -101,8 +101,8 @@ def shapes(value: System, x: Array) -> tuple[int, ...]:
     _same_as_state(value, "vector_field", t=t, x=x, **given)
     if value.feels_reactions and not value.resets:
         raise ValueError(
-            f"`vector_field` of {type(value).__name__} must not take `reaction` without a `reset`: "
-            "only surfaces that throw back are rested on, and have one."
+            f"`vector_field` of {type(value).__name__} must not take `reaction` without a `reset`, "
+            "since motions rest only on surfaces that throw back."
         )
     if value.resets:
         _same_as_state(value, "reset", t=t, x=x, surface=jnp.zeros((), jnp.int32))
@@ -135,14 +135,14 @@ def _shape(value: System, name: str, must: str, **args: Array) -> tuple[int, ...
             f"come from `equinox.filter_vmap`), got {got}: {error}"
         ) from error
     if not isinstance(out, jax.ShapeDtypeStruct):
-        hint = ": write jnp.stack([…])" if isinstance(out, (list, tuple)) else ""
+        hint = "; write jnp.stack([…])" if isinstance(out, (list, tuple)) else ""
         raise ValueError(f"{called} must return {must}, got no array but {kind_of(out)}{hint}.")
     if not is_real(out):
         raise ValueError(f"{called} must return real numbers, got {out.dtype}.")
     dtype = args["x"].dtype
     if out.dtype != dtype:
         raise ValueError(
-            f"{called} must return numbers of the state's dtype, {dtype}, got {out.dtype}: write "
+            f"{called} must return numbers of the state's dtype, {dtype}, got {out.dtype}; write "
             "1.0 instead of 1, or .astype(x.dtype)."
         )
     return out.shape

@@ -65,7 +65,7 @@ def on_device(array: np.ndarray) -> Array:
     """The array as a JAX array, bit for bit."""
     if array.dtype == np.float64 and jnp.result_type(float) != np.float64:
         raise ValueError(
-            "`path` must hold float32 numbers unless JAX computes in float64, got float64: call "
+            "`path` must hold float32 numbers unless JAX computes in float64, got float64; call "
             'jax.config.update("jax_enable_x64", True) first.'
         )
     return jnp.asarray(array)

@@ -76,12 +76,12 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "`max_events`, or `max_events=None` for no table."
     )
     mode_undecided = (
-        "No mode of motion continues the solution at a contact: neither side nor sliding is "
-        "consistent with the vector fields there."
+        "No mode of motion continues the solution at a contact, since neither side nor sliding "
+        "is consistent with the vector fields there."
     )
     zeno = (
-        "Contacts accumulate: infinitely many happen in a finite time (Zeno behaviour), without a "
-        "rule for the motion after them. The solution was followed up to that time."
+        "Infinitely many contacts happen in a finite time (Zeno behaviour), without a rule for the "
+        "motion after them. The solution was followed up to that time."
     )
     nonunique = (
         "The solution is not unique from here: a repelling sliding region, a two-fold or a corner "
@@ -91,7 +91,7 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "The solution reaches an attracting sliding region, but the system says `slides = False`."
     )
     newton_stalled = (
-        "Newton's method cannot reduce the residual any further: perhaps there is no solution near "
+        "Newton's method cannot reduce the residual any further. Perhaps there is no solution near "
         "the guess. Try a better guess, more `steps`, or more `segments`."
     )
     newton_singular = (
@@ -111,12 +111,12 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     )
     other_kind = "A bifurcation was located, but it is of another kind than requested."
     orbit_lost = (
-        "Newton's method has converged to a point that is not an orbit of the system: it reaches a "
+        "Newton's method has converged to a point that is not an orbit of the system. It reaches a "
         "surface elsewhere, so that the orbit ends or changes before the bifurcation."
     )
     not_nearest = (
-        "The point is on the grazing set, but does not minimise the distance: neighbouring points "
-        "of the set are nearer. Start from an orbit closer to the set."
+        "The point is on the grazing set, but does not minimise the distance, since neighbouring "
+        "points of the set are nearer. Start from an orbit closer to the set."
     )
     tolerance_not_met = (
         "No number of steps that was tried meets the tolerance, which is below the limit set by "
@@ -131,18 +131,18 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "inf), or the switching function is too large to be squared."
     )
     step_too_long = (
-        "No step from here can be trusted, however often it is halved: the error that the stepper "
-        "estimates is too large relative to the change of the state. The field is stiff (try "
-        "`stepper=jf.Rodas5P()`), or jumps where no surface is declared."
+        "No step from here can be trusted, however often it is halved, since the error that the "
+        "stepper estimates is too large relative to the change of the state. The field is stiff "
+        "(try `stepper=jf.Rodas5P()`), or jumps where no surface is declared."
     )
     interrupted = "The sweep was interrupted before this lane was finished."
     irreversible_reset = (
-        "The motion has reached a reset in backward time, which cannot be reversed: the state "
-        "before it does not follow from the state after it."
+        "The motion has reached a reset in backward time, which cannot be reversed, since the "
+        "state before it does not follow from the state after it."
     )
     reset_undecided = (
-        "No admissible motion continues from the state after the reset: on its surface, neither a "
-        "side, nor sliding, nor rest is consistent with the vector fields there."
+        "No admissible motion continues from the state after the reset, since on its surface "
+        "neither a side, nor sliding, nor rest is consistent with the vector fields there."
     )
     invalid_period = (
         "The forcing period is negative, zero or infinite, so that the motion cannot be sampled "
@@ -151,8 +151,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     section_reached = "The run has ended at a section, as requested."
     out_of_bounds = "The motion has left the region that a bound allows."
     section_not_reached = (
-        "The motion has not come back to its section as often as requested within the given time: "
-        "it has come to rest, or stays on one side of it. Try a larger `max_return`."
+        "The motion has not come back to its section as often as requested within the given time. "
+        "It has come to rest, or stays on one side of it. Try a larger `max_return`."
     )
 
 

@@ -176,8 +176,8 @@ class _Piecewise(System):
     def vector_field(self, t: Array, x: Array, side: Array) -> Array:
         if jnp.size(side) != 1:
             raise ValueError(
-                "`switching` must return a scalar, for two fields meet at one surface, got shape "
-                f"{jnp.shape(side)}. More surfaces, or none: write a jaxfil.System."
+                "`switching` must return a scalar, since two fields have one surface, got shape "
+                f"{jnp.shape(side)}. Write a jaxfil.System for any other number of surfaces."
             )
         # Both fields are evaluated and one is chosen, because lanes of a batch differ in side.
         return jnp.where(

@@ -98,7 +98,7 @@ def harmonic_balance(
     budget = jnp.asarray(check.count("newton_steps", newton_steps), jnp.int32)
     if system.period is None:
         raise ValueError(
-            f"`system` must be forced, but the period of {type(system).__name__} is None: use "
+            f"`system` must be forced, but the period of {type(system).__name__} is None; use "
             "`periodic_orbit`."
         )
     check.period(system, jnp.result_type(float))

@@ -101,13 +101,13 @@ def periodic_orbit(
     autonomous = system.period is None
     if autonomous and period is None:
         raise ValueError(
-            f"`period` must be a guess of the period: {type(system).__name__} is autonomous; "
+            f"`period` must be a guess of the period, since {type(system).__name__} is autonomous; "
             "got None."
         )
     if not autonomous and period is not None:
         raise ValueError(
-            f"`period` must be None: that of {type(system).__name__} is known (use `periods`); "
-            f"got {check.told(period)}."
+            f"`period` must be None, since {type(system).__name__} has a forcing period (use "
+            f"`periods`); got {check.told(period)}."
         )
     if not autonomous:
         check.period(system, dtype)

@@ -48,7 +48,9 @@ def averages(
     check.instance("diagram", diagram, BifurcationDiagram)
     known = diagram.averages or {}
     if not known:
-        raise ValueError("`diagram` must be one with averages, of `average`; it has none.")
+        raise ValueError(
+            "`diagram` must have averages, by its argument `average`, got one without."
+        )
     name = check.one_of("name", next(iter(known)) if name is None else name, tuple(known))
     lanes = diagram.successful.shape
     numbers = known[name].reshape(*lanes, -1)

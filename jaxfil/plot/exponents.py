@@ -119,7 +119,7 @@ def lyapunov_convergence(
     times = np.asarray(spectrum.times)
     if times.ndim != 1:
         raise ValueError(
-            f"`spectrum` must be of one lane, got {times.shape[0]} of them: take lane i with "
+            f"`spectrum` must be of one lane, got {times.shape[0]} of them; take lane i with "
             "jax.tree.map(lambda a: a[i], spectrum)."
         )
     exponents = np.asarray(spectrum.exponents)
@@ -167,7 +167,7 @@ def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
     couplings, distances = np.asarray(found.couplings), np.asarray(found.distances)
     if couplings.ndim != 1:
         raise ValueError(
-            f"`found` must be of one lane, got {couplings.shape[0]} of them: take lane i with "
+            f"`found` must be of one lane, got {couplings.shape[0]} of them; take lane i with "
             "jax.tree.map(lambda a: a[i], found)."
         )
     ax = own_axes(ax)

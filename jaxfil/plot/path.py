@@ -79,7 +79,7 @@ def saved(sol: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             # Rest looks the same from either side.
             return ts[real], xs[real], np.where(modes[real] == -2, 2, modes[real])
     raise ValueError(
-        "`sol` must hold two saved times or more: "
+        "`sol` must hold two saved times or more; "
         "solve with saveat=diffrax.SaveAt(t0=True, steps=True) or diffrax.SaveAt(ts=...)."
     )
 

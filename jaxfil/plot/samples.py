@@ -25,8 +25,8 @@ def _diagram(diagram: BifurcationDiagram, ax: Axes | None = None, component: int
         return bifurcation_diagram(diagram, ax, component)
     if component != 0:
         raise ValueError(
-            "`component` must be left out for a grid of two parameters, whose map of periods is "
-            f"that of all components, got {component!r}."
+            "`component` must be omitted for a grid of two parameters, since a map of periods is "
+            f"computed from all components, got {component!r}."
         )
     return parameter_map(diagram, ax)
 

@@ -197,8 +197,7 @@ def _data(ts: Any, data: Any, dtype: Any) -> tuple[Array, Array]:
     known = check.concrete(measured)
     if known is not None and not np.isfinite(known).all():
         raise ValueError(
-            "`data` must be finite: leave out what was not measured, its times too; got "
-            f"{check.told(known)}."
+            f"`data` must be finite, got {check.told(known)}. Omit times without a measurement."
         )
     return times, measured
 

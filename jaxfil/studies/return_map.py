@@ -111,5 +111,5 @@ def poincare_map(
 
 def _back(sol: Solution) -> Solution:
     """The same solution, or an error if it has not returned."""
-    told = "`max_time` must be longer: a motion has not come back to the section within it."
+    told = "`max_time` must be longer, since a motion has not returned to the section within it."
     return raise_first(sol, [(sol.result == RESULTS.successful, told)])

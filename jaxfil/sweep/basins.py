@@ -188,8 +188,8 @@ def basins_of_attraction(
     if options.get("section") is None:
         if system.period is None:
             raise ValueError(
-                "`system` must be forced: motions are looked at once a forcing period, and the "
-                f"period of {type(system).__name__} is None. Give a `section` to look at them at."
+                "`system` must be forced, since motions are sampled once a forcing period, and the "
+                f"period of {type(system).__name__} is None. Give a `section` to sample at."
             )
         check.period(system, jnp.result_type(float))
     several = axes if isinstance(axes, (tuple, list, np.ndarray)) else ()

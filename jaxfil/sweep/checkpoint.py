@@ -70,8 +70,8 @@ class Checkpoint:
         changes = _changes(before, record)
         if changes:
             raise ValueError(
-                f"`checkpoint` must be a new folder, or the arguments those of the run that began "
-                f"{path}: {'; '.join(changes)}."
+                f"`checkpoint` must be a new folder, or all arguments must be the same as in the "
+                f"run that began {path}. They differ: {'; '.join(changes)}."
             )
 
     def read(self, start: int, stop: int) -> FinishedChunk | None:
@@ -111,8 +111,8 @@ class Checkpoint:
         """Warn of damaged groups."""
         if self._damaged:
             warn(
-                f"The checkpoint {self._path} held what was damaged, or another sweep's, and is "
-                f"computed again: {', '.join(sorted(self._damaged))}.",
+                f"The checkpoint {self._path} has parts that are damaged or belong to another "
+                f"sweep, and are computed again: {', '.join(sorted(self._damaged))}.",
                 RuntimeWarning,
             )
         self._damaged = []

@@ -176,8 +176,8 @@ def sampled_at(
     if section is None:
         if system.period is None:
             raise ValueError(
-                f"`system` must be forced: a diagram samples once a forcing period, and the period "
-                f"of {type(system).__name__} is None. Give a `section` to sample at."
+                f"`system` must be forced, since a diagram samples once a forcing period, and the "
+                f"period of {type(system).__name__} is None. Give a `section` to sample at."
             )
         if max_return is not None:
             raise ValueError(
@@ -186,8 +186,8 @@ def sampled_at(
             )
         if transient_time is not None:
             raise ValueError(
-                "`transient_time` must be None without a `section`: forcing periods are counted by "
-                f"`transient`; got {check.told(transient_time)}."
+                "`transient_time` must be None without a `section`, since forcing periods are "
+                f"counted by `transient`; got {check.told(transient_time)}."
             )
         return None, None, None
     check.instance("section", section, Section)

@@ -249,7 +249,7 @@ def _all_finished(what: str, lost: str, codes: np.ndarray, checkpoint: PathLike 
     """Whether all lanes are finished; warns if Ctrl-C ended the sweep."""
     missing = codes == code(RESULTS.interrupted)
     if missing.any():
-        rest = "" if checkpoint is None else f"; the same call goes on from {checkpoint}"
+        rest = "" if checkpoint is None else f"; the same call continues from {checkpoint}"
         warn(
             f"The {what} was interrupted: {int((~missing).sum())} of {missing.size} lanes are "
             f"finished, the {lost} of the others are NaN{rest}.",

@@ -1,8 +1,7 @@
-"""What XLA's CPU backend can do in this process, asked before it is relied on.
+"""Abilities of XLA's CPU backend in this process, tested before they are relied on.
 
-Nothing enters; whether a call can be compiled into a single kernel leaves. The attributes that ask
-for one are XLA's own and not documented: a version that does not know them ignores them, and some
-that know them end the process on what others compile.
+A call is compiled into a single kernel by attributes of XLA that are not documented. Versions
+without them ignore them, and some versions with them abort the process on certain programs.
 """
 
 import functools as ft
@@ -16,34 +15,34 @@ from jaxlib import version as jaxlib_version
 WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 """The attributes of a call that XLA neither inlines nor splits."""
 PARTS = dict.fromkeys(WHOLE)
-"""What takes these back, for they are those of the call, not of what it calls."""
+"""The attributes that cancel these for the functions inside a call, which would inherit them."""
 
-# Earlier ones split loops over 64 lanes among threads inside of a kernel too, by a function that
-# kernels are not linked with, and end the process.
+# Earlier versions abort the process, because they split loops over 64 lanes among threads inside a
+# kernel too, by a function that kernels are not linked with.
 _OLDEST = (0, 7, 2)
 
 
 @ft.cache
 def makes_whole_kernels() -> bool:
-    """Whether XLA compiles a call into a single kernel where it is asked to.
+    """Whether XLA compiles a call into a single kernel on request.
 
-    Of a version that is known to end the process at some programs it is asked nothing. Of any other
-    one it is: two short loops are compiled and looked at, once.
+    Versions that are known to abort the process at some programs are excluded. For others, two
+    short loops are compiled and inspected, once.
     """
     if jax.default_backend() != "cpu" or _version(jaxlib_version.__version__) < _OLDEST:
         return False
     try:
         text = jax.jit(_probe).lower(jax.ShapeDtypeStruct((), jnp.float32)).compile().as_text()
     except Exception:
-        return False  # whatever it was that a later version refuses
-    # In parts they would be two loops, or two calls that XLA has made of them itself.
+        return False  # a later version may refuse the attributes with any exception
+    # Otherwise they would be two loops, or two calls created by XLA itself.
     entry = (text or "").partition("ENTRY")[2]
     return entry.count(" call(") == 1 and " while(" not in entry
 
 
 def may_be_spread() -> bool:
-    """Whether the arrays of a program that is being traced may be spread over several devices, as
-    those of a `NamedSharding` are: not where there is one, nor under `jax.shard_map`."""
+    """Whether the arrays of a program being traced may be distributed over several devices, as with
+    a `NamedSharding`. They are not if there is one device, nor under `jax.shard_map`."""
     if jax.local_device_count() == 1:
         return False
     mesh = jax.sharding.get_abstract_mesh()
@@ -62,6 +61,6 @@ def _loops(x: Any) -> Any:
 
 
 def _version(text: str) -> tuple[int, ...]:
-    """The numbers of a version, without what stands behind the third."""
+    """The first three numbers of a version."""
     digits = [part for part in text.split(".")[:3] if part.isdigit()]
     return tuple(map(int, digits))

@@ -4,15 +4,15 @@
                             F_i(z) ≥ 0  where z_i = l_i,     F = q + M z.
                             F_i(z) ≤ 0  where z_i = u_i,
 
-With z = l + y and a multiplier t ≥ 0 of each upper bound it is a linear complementarity problem of
+With z = l + y and a multiplier t ≥ 0 for each upper bound it is a linear complementarity problem of
 twice the size,
 
     s = q + M l + M y + t ≥ 0,   s·y = 0,       r = u − l − y ≥ 0,   r·t = 0,
 
-which Lemke's method solves in about as many pivots as there are unknowns that are not at their
-lower bound. It finds a solution if the symmetric part of M is positive semidefinite, as for dry
-friction and frictionless contacts, and ends without one on a ray otherwise, or finds one. (R. W.
-Cottle, J.-S. Pang and R. E. Stone, The Linear Complementarity Problem, 1992, section 4.4.)
+which Lemke's method solves in about as many pivots as there are unknowns off their lower bound. It
+returns a solution if the symmetric part of M is positive semidefinite, as for dry friction and
+frictionless contacts; otherwise it returns one or terminates on a ray. (R. W. Cottle, J.-S. Pang
+and R. E. Stone, The Linear Complementarity Problem, 1992, section 4.4.)
 """
 
 import jax
@@ -23,7 +23,7 @@ from jaxfil.xla.select import select
 
 # Rounding of F at a solution, in eps of its terms.
 _NOISE = 4096
-# Pivots at most, in unknowns of the linear complementarity problem.
+# The largest number of pivots, as a multiple of the unknowns of the linear complementarity problem.
 _PIVOTS = 8
 
 
@@ -33,16 +33,17 @@ def solve_on_box(
     low: Float[Array, " k"],
     high: Float[Array, " k"],
 ) -> tuple[Float[Array, " k"], Bool[Array, ""]]:
-    """z, and whether one was found. Bounds may be infinite above; where both are the same, z is
-    that bound, whatever F is."""
+    """z, and whether a solution was computed. Upper bounds may be infinite; where both bounds are
+    equal, z is that bound for any F."""
     k = len(q)
     free = high > low
     size = select(free & jnp.isfinite(high), high - low, 1.0)
-    # An unknown that cannot move, and a bound that is not there, take no part.
+    # Fixed unknowns and infinite bounds are decoupled from the rest.
     open_ = select(free[:, None] & free[None, :], matrix, 0.0)
     bounded = (free & jnp.isfinite(high)).astype(q.dtype)
     start = select(free, q + matrix @ low, 1.0)
-    # Unknowns of very different sizes, weights and reactions, share the covering vector.
+    # Rows are scaled, since unknowns of very different sizes, weights and reactions, share the
+    # covering vector.
     scale = jnp.sum(abs(open_), axis=1) + abs(start)
     scale = select(free, select(scale == 0, 1.0, scale), 1.0)
     open_, start, link = open_ / scale[:, None], start / scale, jnp.diag(bounded / scale)
@@ -53,7 +54,7 @@ def solve_on_box(
     close = _NOISE * jnp.finfo(q.dtype).eps
     z = select(z >= high - close * size, high, select(z <= low + close * size, low, z))
     z = select(free, z, low)
-    # Where M is singular, what is left of a pivot may be rounding.
+    # For a singular M the residual after a pivot may be rounding, so the solution is verified.
     value = q + matrix @ z
     noise = _NOISE * jnp.finfo(q.dtype).eps * (abs(q) + abs(matrix) @ abs(z))
     wrong = ((value < -noise) & (z < high)) | ((value > noise) & (z > low))
@@ -61,10 +62,10 @@ def solve_on_box(
 
 
 def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, Array]:
-    """y ≥ 0 with w = q + M y ≥ 0 and w·y = 0, and whether it was found.
+    """y ≥ 0 with w = q + M y ≥ 0 and w·y = 0, and whether it was computed.
 
-    The tableau holds w − M y − d a = q with the artificial variable a, whose column d is all ones
-    but for small differences, so that ties are rare.
+    The tableau represents w − M y − d a = q with the artificial variable a. Its column d is all
+    ones up to small differences, so that ties are rare.
     """
     size, eps = len(q), jnp.finfo(q.dtype).eps
     number = jnp.arange(size)
@@ -91,10 +92,12 @@ def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, A
     def step(state: tuple) -> tuple:
         table, basis, entering, _, failed, count = state
         column, right = table[:, entering], table[:, -1]
+        # Entries within rounding of zero are not used as pivots; they would magnify the rounding of
+        # the whole tableau.
         falls = column > 64 * eps * jnp.max(abs(column))
         ratio = select(falls, jnp.maximum(right, 0) / select(falls, column, 1), jnp.inf)
         least = jnp.min(ratio)
-        # Among equals the artificial variable leaves, which ends the search.
+        # In a tie the artificial variable is chosen, which completes the search.
         tied = ratio <= least + 64 * eps * (abs(least) + eps)
         ends = tied & (basis == last) & falls
         row = select(jnp.any(ends), jnp.argmax(ends), jnp.argmin(ratio))
@@ -103,6 +106,7 @@ def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, A
         after = pivoted(table, row, entering)
         table = select(failed, table, after)
         basis = select(failed | (number != row), basis, entering)
+        # Lemke's rule: the next variable is the complement of the one that was removed.
         then = select(leaves < size, leaves + size, leaves - size)
         return table, basis, then, leaves == last, failed, count + 1
 
@@ -113,10 +117,11 @@ def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, A
 
 
 def is_monotone(matrix: Float[Array, "k k"], taken: Bool[Array, " k"]) -> Bool[Array, ""]:
-    """Whether the symmetric part of the rows and columns that are taken is positive definite, so
-    that the inequality has one solution whatever q is."""
+    """Whether the symmetric part of the rows and columns in `taken` is positive definite, so that
+    the inequality has exactly one solution for any q."""
     both = taken[:, None] & taken[None, :]
     part = select(both, 0.5 * (matrix + matrix.T), jnp.eye(len(matrix), dtype=matrix.dtype))
+    # Scaled to a unit diagonal, so that a multiple of eps is a threshold for any units.
     scale = jnp.sqrt(jnp.maximum(jnp.diag(part), 0))
     scale = select(scale == 0, 1.0, scale)
     scaled = part / (scale[:, None] * scale[None, :])

@@ -1,8 +1,7 @@
-"""Compiled programs kept on disk, by JAX's own cache.
+"""Compiled programs stored on disk, by JAX's own cache.
 
-The name of a program that runs on its own enters; JAX then keeps what it compiles in a folder of
-the user's, so that a later process only has to trace. A library does not do so by itself: the
-setting is the whole process's.
+A program such as the command line asks for it, so that later processes only have to trace. The
+library does not do so by itself, since the setting applies to the whole process.
 """
 
 import os
@@ -13,8 +12,8 @@ import jax
 
 
 def keep_compiled_programs(name: str) -> None:
-    """Keep compiled programs in the user's folder for caches, under `name`, unless JAX has been
-    told of a folder or none can be made."""
+    """Store compiled programs in the user's cache folder, under `name`, unless JAX already has a
+    folder or this one cannot be created."""
     if jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
         return
     folder = user_cache() / name
@@ -23,12 +22,12 @@ def keep_compiled_programs(name: str) -> None:
     except OSError:
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    # By default JAX keeps only what took a second.
+    # JAX's default stores only programs that took a second to compile.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 def user_cache() -> Path:
-    """Where this platform has caches: `XDG_CACHE_HOME` or ~/.cache, ~/Library/Caches,
+    """The platform's folder for caches: `XDG_CACHE_HOME` or ~/.cache, ~/Library/Caches,
     `LOCALAPPDATA`."""
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches"

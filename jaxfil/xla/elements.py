@@ -1,9 +1,8 @@
 """Small arrays as their elements.
 
-Operations on arrays of a few numbers enter, made of scalars by `jnp.stack` and its like; the same
-operations on each number leave. XLA would compute a small array again for each element that is
-taken out of it, and keep it in memory: a field written with arrays compiles like one written with
-scalars.
+Operations on small arrays that consist of scalars, as by `jnp.stack`, are replaced by operations on
+each number. XLA would recompute a small array for each element taken from it, and store it in
+memory. With this, a field written with arrays compiles like one written with scalars.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 MOST = 32
-"""Numbers of an array at most."""
+"""The largest number of elements of such an array."""
 
 MOVES = (
     "broadcast_in_dim",
@@ -28,7 +27,7 @@ MOVES = (
     "stack",
     "transpose",
 )
-"""Operations that only move elements about."""
+"""Operations that only rearrange elements."""
 _NAMES = """
 abs acos acosh add add_any and asin asinh atan atan2 atanh ceil convert_element_type cos cosh div eq
 erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p log2 logistic lt max min mul ne
@@ -38,32 +37,32 @@ ON_EACH = frozenset(_NAMES.split())
 
 
 class Elements:
-    """An array as its elements: a NumPy array of scalars."""
+    """An array as its elements, a NumPy array of scalars."""
 
     def __init__(self, values: np.ndarray, dtype: Any):
         self.values = values
         self.dtype = dtype
 
     def array(self) -> Array:
-        """The array."""
+        """The elements as an array."""
         flat = [jnp.asarray(v, self.dtype) for v in self.values.ravel()]
         return jnp.stack(flat).reshape(self.values.shape)
 
 
 def array_of(value: Any) -> Any:
-    """A value that may be in elements, as an array."""
+    """A value as an array, even if it is in elements."""
     return value.array() if isinstance(value, Elements) else value
 
 
 def in_elements(eqn: Any, inputs: Sequence[Any], mixed: bool) -> bool:
-    """Whether an operation is done element by element; `mixed`: also of scalars and of arrays that
-    are none of scalars yet."""
+    """Whether an operation is evaluated element by element. With `mixed` this includes operations
+    on scalars together with arrays that are not yet in elements."""
     (out, *more), name = eqn.outvars, eqn.primitive.name
     shapes = [v.aval.shape for v in eqn.invars]
     if more or not all(0 < v.aval.size <= MOST for v in (out, *eqn.invars)):
         return False
     if not any(isinstance(v, Elements) for v in inputs):
-        # Where a scalar enters, an array of scalars begins.
+        # An operation with a scalar operand and an array result starts an array of scalars.
         numbers = [v for v in eqn.invars if not isinstance(v, jexc.Literal)]
         scalars = [v.aval.shape == () for v in numbers]
         if out.aval.shape == () or not (any(scalars) if mixed else scalars and all(scalars)):
@@ -76,7 +75,7 @@ def in_elements(eqn: Any, inputs: Sequence[Any], mixed: bool) -> bool:
 
 
 def evaluate(eqn: Any, inputs: Sequence[Any], one: Callable) -> Any:
-    """An operation in elements; `one` does it on scalars."""
+    """The value of an operation in elements; `one` evaluates it on scalars."""
     parts = [_split(v, x) for v, x in zip(eqn.invars, inputs, strict=True)]
     name, out = eqn.primitive.name, eqn.outvars[0].aval
     if name in MOVES:
@@ -102,7 +101,7 @@ def _split(atom: Any, value: Any) -> np.ndarray:
 
 
 def _objects(scalars: list, shape: tuple[int, ...]) -> np.ndarray:
-    """An array of scalars, which NumPy must not look into."""
+    """An array of scalars, filled one by one because NumPy would convert a list of JAX scalars."""
     values = np.empty(len(scalars), object)
     for k, scalar in enumerate(scalars):
         values[k] = scalar
@@ -110,7 +109,7 @@ def _objects(scalars: list, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def moved(name: str, params: dict, parts: Sequence[np.ndarray], shape: tuple) -> np.ndarray:
-    """What an operation of `MOVES` makes of NumPy arrays, whatever their elements are."""
+    """The result of an operation of `MOVES` on NumPy arrays with elements of any type."""
     first = parts[0]
     if name == "concatenate":
         return np.concatenate(parts, params["dimension"])
@@ -132,11 +131,11 @@ def moved(name: str, params: dict, parts: Sequence[np.ndarray], shape: tuple) ->
         return np.transpose(first, params["permutation"])
     if name == "reshape" and params["dimensions"] is not None:
         first = np.transpose(first, params["dimensions"])
-    return first.reshape(shape)  # as does squeeze
+    return first.reshape(shape)  # squeeze is the same
 
 
 def _padded(array: np.ndarray, fill: np.ndarray, config: Sequence[tuple], shape: tuple) -> Any:
-    """An array between others of one number, some of its own cut off."""
+    """The array padded with one number on each side and in between; negative padding crops it."""
     out = np.broadcast_to(fill, shape).astype(array.dtype)
     at = np.indices(array.shape)
     for axis, (low, _, between) in enumerate(config):
@@ -147,6 +146,6 @@ def _padded(array: np.ndarray, fill: np.ndarray, config: Sequence[tuple], shape:
 
 
 def are_inside(at: np.ndarray, shape: tuple) -> np.ndarray:
-    """Whether places, whose first axis is that of their coordinates, are in an array."""
+    """Flags of the positions, with coordinates along the first axis, that lie inside an array."""
     ends = np.reshape(shape, (-1, *[1] * (at.ndim - 1)))
     return np.asarray(np.all((at >= 0) & (at < ends), axis=0))

@@ -1,13 +1,13 @@
 """Sine, cosine and arctangent that vectorise.
 
-Arrays of float32 or float64 enter, their sine, cosine or arctangent leaves: a polynomial or a
-rational function after range reduction. XLA's own sine and cosine are one scalar library call a
-lane on CPU, and cost more than all the rest of a typical oscillator's field; its arctangent of
-jaxlib 0.10.2 is wrong for arrays of 50 numbers and more (jax-ml/jax issue 39352).
+Each is a polynomial or a rational function after range reduction, for arrays of float32 or float64.
+XLA's own sine and cosine are a scalar library call for each lane on CPU, which costs more than the
+rest of a typical oscillator's field. Its arctangent in jaxlib 0.10.2 is wrong for arrays of 50 or
+more numbers (jax-ml/jax issue 39352).
 
-Accuracy of sine and cosine: within 2 ulp of one for |x| < 1e5 (in float32 1e4); beyond, the error
-stays of the order of eps·|x|, which is what rounding of the argument itself does. The arctangent's
-relative error is below 2 eps for every x.
+Accuracy of sine and cosine: within 2 ulp of one for |x| < 1e5 (in float32 1e4). Beyond that the
+error stays of the order of eps·|x|, which is the effect of rounding the argument itself. The
+arctangent's relative error is below 2 eps for every x.
 """
 
 import jax
@@ -52,7 +52,7 @@ _ARCTAN_Q = (
     4.853903996359136964868e2,
     1.945506571482613964425e2,
 )
-# pi/2 to double length: what its float64 leaves out.
+# The part of pi/2 beyond its float64 value.
 _HALF_PI_REST = 6.123233995736765886130e-17
 
 
@@ -64,10 +64,10 @@ def _horner(coefficients: tuple[float, ...], z: Array) -> Array:
 
 
 def _negated(x: Array, turns: Array) -> Array:
-    """x, negated where a whole number of turns is odd.
+    """x, negated if `turns`, a whole number, is odd.
 
-    A number of 1.5·2^52 (in float32 1.5·2^23) has no bits for fractions: added to it, an integer
-    has its parity in the lowest bit.
+    At the size of 1.5·2^52 (in float32 1.5·2^23) consecutive floats are consecutive integers, so
+    that after its addition the lowest bit of a whole number is its parity.
     """
     digits, size, word = (23, 32, jnp.int32) if x.dtype == jnp.float32 else (52, 64, jnp.int64)
     parity = jax.lax.bitcast_convert_type(turns + 1.5 * 2.0**digits, word)
@@ -79,8 +79,9 @@ def _reduced_sine(x: Array, turns: Array, parity: Array) -> Array:
     """(−1)^parity sin(x − turns·π), for an argument of at most π/2."""
     single = x.dtype == jnp.float32
     pi, sine = (_PI_SINGLE, _SINE[:_SINGLE_TERMS]) if single else (_PI, _SINE)
+    # Part by part; the first two products are exact (see `_PI`).
     r = ((x - turns * pi[0]) - turns * pi[1]) - turns * pi[2]
-    if single:  # beyond 1e7, where the parity is lost, nothing is known of r
+    if single:  # beyond 1e7 the parity is lost and r is meaningless
         r = select(abs(turns) < 2.0**22, r, 0 * r)
     z = r * r
     r = _negated(r, parity)
@@ -105,11 +106,12 @@ def cos(x: Array) -> Array:
 def arctan(x: Array) -> Array:
     """Arctangent of a float array, of any shape."""
     size = abs(x)
-    # tan 3π/8: beyond it π/2 − arctan(1/x), and above 0.66 π/4 + arctan((x − 1)/(x + 1)).
+    # tan 3π/8; above it π/2 − arctan(1/x), and above 0.66 π/4 + arctan((x − 1)/(x + 1)).
     far, near = size > 2.414213562373095, size <= 0.66
     quarters = select(far, 2.0, select(near, 0.0, 1.0)).astype(x.dtype)
     above = select(far, -1.0, select(near, size, size - 1.0))
     below = select(far, size, select(near, 1.0, size + 1.0))
+    # One division for all three ranges, which are selected before it.
     r = above / below
     z = r * r
     tail = z * _horner(_ARCTAN_P, z) / _horner(_ARCTAN_Q, z)

@@ -1,7 +1,6 @@
-"""What fits into a single kernel.
+"""The test whether a program fits into a single kernel.
 
-A program enters; whether XLA's CPU backend can compile all of it into one kernel leaves, known from
-its operations before it is compiled.
+It examines the operations of a program before compilation.
 """
 
 from typing import Any
@@ -10,11 +9,11 @@ from jaxfil.xla.compiler import makes_whole_kernels
 from jaxfil.xla.matrix_product import SHORT, is_middling
 from jaxfil.xla.program import programs
 
-# What a single kernel can hold, alone, as a few lanes and with forward derivatives, none of which
-# add anything that is not here: arithmetic, control flow, shapes. Left out is what XLA refuses:
-# scatters, sorts, and calls of libraries, which a product of matrices may become. (A `psum` over
-# the axis of a batch has become a sum over an axis of an array by then; a `device_put`, which older
-# versions of JAX make of an array of constants, nothing at all.)
+# Operations that a single kernel supports, for one or more lanes, including forward derivatives,
+# which add no other kinds: arithmetic, control flow, shapes. Operations that XLA refuses are
+# excluded: scatters, sorts, and library calls, which a product of matrices may become. (A `psum`
+# over the axis of a batch is a sum over an axis of an array at this point; a `device_put`, which
+# older versions of JAX create for an array of constants, is a no-op.)
 _NAMES = """
 abs acos acosh add add_any and argmax argmin asin asinh atan atan2 atanh bitcast_convert_type
 broadcast_in_dim cbrt ceil clamp concatenate cond convert_element_type copy copy_p cos cosh
@@ -29,26 +28,28 @@ FITTING = frozenset(_NAMES.split())
 """Names of operations that fit."""
 
 LARGE = 8192
-"""Bytes of an array from which on XLA treats a constant as a buffer of its own: a little less, for
-it has its own measure."""
+"""Size in bytes above which XLA treats a constant array as a buffer of its own. It is a little less
+than XLA's limit, which is measured differently."""
 
 _REDUCTIONS = ("reduce_sum", "reduce_max", "reduce_min")
 
 
 def fits(jaxpr: Any) -> bool:
-    """Whether all operations of a program fit into a single kernel, and XLA makes such kernels."""
+    """Whether all operations of a program fit into a single kernel, and XLA compiles such
+    kernels."""
     return makes_whole_kernels() and _all_fit(jaxpr)
 
 
 def _all_fit(jaxpr: Any) -> bool:
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if name == "custom_vmap_call":  # that of `masked_write`, which knows what to be in a batch
+        if name == "custom_vmap_call":  # from `masked_write`, whose batch rule fits
             continue
-        if name == "dot_general" and is_middling(eqn):  # of sums: see `kernel`
+        if name == "dot_general" and is_middling(eqn):  # replaced by sums in `kernel`
             continue
         if name not in FITTING or not all(map(_all_fit, programs(eqn.params))):
             return False
+        # A longer reduction becomes a library call.
         if name in _REDUCTIONS and eqn.invars[0].aval.size > SHORT:
             return False
     return True

@@ -1,15 +1,15 @@
-"""Derivatives of what JAX cannot run backward: reverse mode by the forward Jacobian.
+"""Reverse-mode derivatives of loops, by the forward Jacobian.
 
-A program whose loops have forward derivatives only enters; a function leaves that computes it and
-has both modes. Its derivative is one primitive, `pushforward`, which gives results and their
-tangents at once:
+JAX cannot differentiate a while loop in reverse mode. A program whose loops have forward
+derivatives is wrapped in one primitive, `pushforward`, which returns results and their tangents
+together:
 
     (v, v̇)  →  (y, ẏ),   ẏ = J(v) v̇
 
-so that values and tangents share one run. A linearisation, of which reverse mode makes its
-gradient, needs y before it knows v̇: it has y and J in one run too, a direction of forward mode for
-each number that moves, and ẏ and v̄ = Jᵀ ȳ are products with J. That takes the memory of a forward
-run, and the work of as many tangents as numbers move.
+so that values and tangents share one run. A linearisation, on which reverse mode is based, needs y
+before v̇ is known. It computes y and J in one run too, with a direction of forward mode for each
+number that varies; ẏ and v̄ = Jᵀ ȳ are products with J. This takes the memory of a forward run, and
+the work of one tangent for each number that varies.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,18 +40,18 @@ def by_forward_jacobian(function: Callable) -> Callable:
 
 
 def plainly(program: Any, _: Spread) -> Callable:
-    """A program that closes over nothing, as a function."""
+    """A closed program as a function."""
     return operations(program)
 
 
 def with_derivatives(program: Any, make: Make) -> Callable:
-    """A program that closes over nothing as the function that `make` makes of it, with both modes;
-    so are its derivatives. All of its results are those of a batch if any of its arguments is."""
+    """A closed program as the function that `make` builds from it, with forward and reverse mode of
+    every order. All results are batched if any argument is."""
 
     def spread(batched: Sequence[bool]) -> list[bool]:
         return [any(batched)] * len(program.out_avals)
 
-    # Where nothing moves yet there are no tangents. This too is the primitive: it is traced when it
-    # is compiled, and not at all if it is only the beginning of a derivative.
+    # Without derivatives there are no tangents, but the primitive is used too. It is traced when it
+    # is compiled, and not at all if it is only the start of a derivative.
     still = Lane.of(program, (), spread, make)
     return lambda *values: bind(still, values, [])[0]

@@ -1,8 +1,4 @@
-"""Operations of a function that jump with an argument.
-
-A function and its arguments enter; what it calls that is not continuous in the first of them
-leaves.
-"""
+"""Discontinuous operations of a function, for error messages."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,7 +7,7 @@ import jax
 
 from jaxfil.xla.program import interpreted
 
-# What a user has written who finds one of these operations in a program.
+# Operations of a program, and the functions by which a user writes them.
 _JUMPS = {
     "sign": "sign",
     "floor": "floor",
@@ -23,7 +19,7 @@ _JUMPS = {
 
 def jumps_of(function: Callable, *args: Any) -> list[str]:
     """The names of operations that jump with the first argument: `sign`, `floor`, `ceil`, `round`,
-    and `where` for all that depends on a comparison, in the order in which they come.
+    and `where` for any comparison, in program order.
 
     >>> import jax.numpy as jnp
     >>> jumps_of(lambda x, t: jnp.sign(x) + jnp.floor(t) + jnp.maximum(x, 0.0), 1.0, 0.0)

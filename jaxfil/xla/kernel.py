@@ -1,9 +1,9 @@
 """One kernel for a whole function.
 
-A function of arrays enters; the same function leaves, which XLA's CPU backend compiles into a
-single kernel, its loops and conditionals included, instead of one kernel for each of their parts.
-Starting kernels is then no reason to put many lanes in a batch, and a batch can be so small that
-its numbers stay in the first-level cache.
+On a CPU, XLA compiles a function into one kernel for each of its parts. The functions here make it
+compile the whole function into a single kernel, loops and conditionals included. Large batches are
+then no longer needed to amortise the start of kernels, and a batch can be small enough for its
+numbers to stay in the first-level cache.
 """
 
 import functools as ft
@@ -29,20 +29,20 @@ from jaxfil.xla.select import select
 _Tree = TypeVar("_Tree")
 
 BLOCK = 64
-"""Lanes that are one kernel together, at most: few enough for all of their numbers to stay in the
-first-level cache, and to wait for few others. A larger batch is so many of them at a time."""
+"""The largest number of lanes in one kernel. All of their numbers stay in the first-level cache,
+and lanes wait for few others. A larger batch is processed in blocks of this size."""
 
 
 def _kernel_of(program: Any) -> Callable:
-    """A program that closes over nothing, as a function of its arguments and a single kernel."""
+    """A closed program as a function of its arguments, compiled into a single kernel."""
     run = call_of(by_sums(program))
 
     def call(*values: Any) -> Any:
-        # On an argument that a kernel has no use for XLA aborts. The barriers keep all of them in
-        # use: behind the kernel a number made of them all, which nobody else needs and XLA would
-        # take out; before it those that XLA knows, such as a t0 of zero under a user's `jit`, and
-        # would write into the kernel. (One of these alone did no harm, but as the copy of it that a
-        # loop of the user's starts from it did.)
+        # XLA aborts on a kernel with an unused argument. Two barriers keep all of them in use. The
+        # one after the kernel holds a number computed from all of them, which XLA would remove
+        # otherwise. The one before it holds arguments that XLA knows as constants, such as a t0 of
+        # zero under a user's `jit`, which it would write into the kernel. (One constant alone was
+        # harmless; a copy of it as the initial value of a user's loop was not.)
         whole = kernel_of_all(lambda *values: (run(*values), _all_used(values)))
         out = whole(*jax.lax.optimization_barrier(_in_memory(values)))
         out, _ = jax.lax.optimization_barrier(out)
@@ -52,12 +52,12 @@ def _kernel_of(program: Any) -> Callable:
 
 
 def _in_memory(values: Sequence[Any]) -> list[Any]:
-    """The same values, none of which is a large array that the compiler knows: on a kernel with one
-    as an argument XLA aborts (jaxlib 0.7.2 to 0.10.2)."""
+    """The same values, with large constant arrays hidden from the compiler. XLA aborts on a kernel
+    with one as an argument (jaxlib 0.7.2 to 0.10.2)."""
     large = [v.size * v.dtype.itemsize >= LARGE for v in values]
     if not any(large):
         return list(values)
-    # A copy that is not to be known: the compiler does not know that no square ends in 3.
+    # A selection that XLA cannot fold, since it does not know that no square is 3 modulo 4.
     number = jax.lax.optimization_barrier(_all_used(values)).astype(jnp.int32)
     never = (number * number) & 3 == 3
     return [
@@ -67,8 +67,8 @@ def _in_memory(values: Sequence[Any]) -> list[Any]:
 
 
 def kernel_of_all(function: Callable) -> Callable:
-    """`function` as a single kernel, where it uses all of its arguments and closes over nothing: on
-    another one XLA (jaxlib 0.10.2) aborts."""
+    """`function` as a single kernel. It must use all of its arguments and close over nothing, since
+    XLA (jaxlib 0.10.2) aborts otherwise."""
     if not makes_whole_kernels():
         return function
 
@@ -84,7 +84,7 @@ def kernel_of_all(function: Callable) -> Callable:
 
 
 def _all_used(values: Sequence[Array]) -> Array:
-    """A number made of all values."""
+    """A number computed from all values."""
     firsts = [jnp.ravel(v)[0].astype(jnp.float32) for v in values if v.size]
     return jnp.asarray(sum(firsts), jnp.float32)
 
@@ -92,18 +92,18 @@ def _all_used(values: Sequence[Array]) -> Array:
 def kernel_if_it_fits(function: Callable, one_by_one: bool = False) -> Callable:
     """`function` of arrays as a single kernel on a CPU, if all of it fits into one.
 
-    That is known from its operations, before it is compiled, so that this also serves inside of a
-    transformation that somebody else compiles. So are its derivatives, of both modes: see
-    `forward_jacobian`; and the blocks of a batch of either. Lanes that are run `one_by_one` take
-    the program of one lane, which compiles in half the time of a block's; the directions of a
-    Jacobian share a lane and stay a block.
+    This is decided from its operations before compilation, so that it also works inside a
+    transformation that is compiled elsewhere. Its derivatives of both modes are single kernels too
+    (`forward_jacobian`), and so are the blocks of a batch. Lanes that are run `one_by_one` use the
+    program of one lane, which compiles in half the time of a block's; the directions of a Jacobian
+    share a lane and remain a block.
     """
 
     def call(*args: Any) -> Any:
-        # What the function has closed over becomes an argument: it may come as a batch.
+        # Values that the function closes over become arguments, since they may be batched.
         program, values, tree = opened(function, args)
         whole = fits(program.jaxpr)
-        # What derivatives add to the arguments of a program are rates, the last ones of theirs.
+        # The arguments that derivatives add to a program are rates, at the end of its arguments.
         alone = len(values) if one_by_one else 0
         make = ft.partial(_whole, lanes=1, alone=alone) if whole else plainly
         return jax.tree.unflatten(tree, with_derivatives(program, make)(*values))
@@ -112,7 +112,7 @@ def kernel_if_it_fits(function: Callable, one_by_one: bool = False) -> Callable:
 
 
 def tree_in_kernel(function: Callable[[], _Tree]) -> _Tree:
-    """What a function returns, whose arrays are made by a single kernel if all of it fits into one.
+    """The result of a function, with its arrays computed by a single kernel if they fit into one.
     Many small parts take longer to compile than one kernel of them."""
     rest: list[Any] = []
 
@@ -125,15 +125,15 @@ def tree_in_kernel(function: Callable[[], _Tree]) -> _Tree:
 
 
 def _whole(program: Any, spread: Spread, lanes: int, alone: int) -> Callable:
-    """A program of so many lanes as a function, and as a single kernel. `spread` says which of its
-    results are a batch's if some of its arguments are. A batch of any of the first `alone` ones is
-    run one by one."""
+    """A program for a number of lanes as a function, and as a single kernel. `spread` says which of
+    its results are batched, given its batched arguments. If any of the first `alone` arguments is
+    batched, the lanes are run one by one."""
     return ft.partial(kernel_p.bind, program=program, spread=spread, lanes=lanes, alone=alone)
 
 
-# A kernel under `vmap` would be taken apart by JAX's own rules, and its parts put together again by
-# XLA as it likes. Here the batch is a kernel again. (Tangents are too: see `pushforward`.) And what
-# is put into a batch at once is not traced as one lane before.
+# A primitive, since under `vmap` JAX's own rules would take a kernel apart, and XLA would fuse its
+# parts in its own way. With the rule below, a batch is a kernel again. (So are tangents, see
+# `pushforward`.) A function that is batched at once is also not traced for one lane before.
 kernel_p = jexc.Primitive("kernel")
 kernel_p.multiple_results = True
 
@@ -152,19 +152,19 @@ def _batch(
     size, batched, values = rows_of(args, dims)
     spreads = spread(batched)
     out_axes = [0 if flag else None for flag in spreads]
-    if size == 0:  # there is no lane to run, and none to take a result's shape from
+    if size == 0:  # a batch of zero lanes; the shapes of its results come from the program
         outs = zip(program.out_avals, spreads, strict=True)
         return [jnp.zeros(((0,) if flag else ()) + v.shape, v.dtype) for v, flag in outs], out_axes
     if any(batched[:alone]):
         whole = _whole(program, spread, lanes, alone)
         return _one_by_one(whole, batched, values), out_axes
     run, axes = operations(program), [0 if flag else None for flag in batched]
-    # A batch of batches counts all its lanes: more than a block does not stay in the cache.
+    # In a batch of batches all lanes count, since more than a block does not stay in the cache.
     rows = min(size, max(1, BLOCK // lanes))
     several = jax.vmap(run, axes, out_axes, axis_size=rows)
     some = [v[:rows] if flag else v for v, flag in zip(values, batched, strict=True)]
     together = jax.make_jaxpr(several)(*some)
-    if not fits(together.jaxpr):  # sums that are long enough in a batch
+    if not fits(together.jaxpr):  # sums may be too long in a batch
         return jax.vmap(run, axes, out_axes, axis_size=size)(*values), out_axes
     block = _whole(together, spread, lanes * rows, alone)
     return _in_turns(block, batched, spreads, size, rows)(*values), out_axes
@@ -180,9 +180,9 @@ def _in_parts(*values: Any, program: Any, **_: Any) -> list:
 
 
 def _lowered(context: Any, *values: Any, **params: Any) -> Any:
-    """A kernel, or its parts where a program is made for several devices: XLA would spread its
-    arrays over them, by functions that kernels are not linked with. Under `jax.shard_map` each
-    device has a program of its own."""
+    """A kernel, or its parts if the program is compiled for several devices. XLA would distribute
+    the kernel's arrays over them, by functions that kernels are not linked with. Under
+    `jax.shard_map` each device has a program of its own, so a kernel is possible."""
     several = (getattr(context.module_context.axis_context, "num_devices", None) or 1) > 1
     lower = mlir.lower_fun(_in_parts if several else _run, multiple_results=True)
     return lower(context, *values, **params)
@@ -192,29 +192,29 @@ mlir.register_lowering(kernel_p, _lowered)
 
 
 def _one_by_one(function: Callable, batched: Sequence[bool], values: Sequence[Any]) -> Any:
-    """A function of the rows of those values that are `batched`, applied to one after the other."""
+    """A function applied to the rows of the `batched` values one after the other."""
 
     def turn(row: list) -> Any:
         return function(*(v if own is None else own for own, v in zip(row, values, strict=True)))
 
-    # A None is nothing to go along.
+    # None is an empty tree, which `lax.map` ignores.
     return jax.lax.map(turn, [v if flag else None for v, flag in zip(values, batched, strict=True)])
 
 
 def kernel_of_rows(function: Callable, size: int, *args: Any) -> Callable | None:
-    """A function of `size` leading rows of all its arguments, for any number of rows: applied to so
-    many of them at a time, each time as a single kernel. None where it does not fit into one.
+    """A function of `size` leading rows of all its arguments, extended to any number of rows. It is
+    applied to `size` rows at a time, as a single kernel. None if it does not fit into one.
 
-    This is for lanes that wait for each other, as those of a sweep do, and have no derivatives:
-    lanes that do not are `kernel_if_it_fits` under `jax.vmap`. `args` are what it will be called
-    with, or arrays of the same shapes but for the number of rows.
+    This is for lanes that wait for each other, as in a sweep, and have no derivatives; for
+    independent lanes use `kernel_if_it_fits` under `jax.vmap`. `args` are the arguments, or arrays
+    of the same shapes up to the number of rows.
     """
     some = jax.tree.map(lambda v: jnp.zeros((size, *v.shape[1:]), v.dtype), args)
     program, values, tree = opened(function, some)
     if not fits(program.jaxpr):
         return None
     count = len(jax.tree.leaves(args))
-    # What the function has closed over comes first, and is the same for all rows.
+    # Values that the function closes over come first, and are the same for all rows.
     closed = values[: len(values) - count]
     batched = [False] * len(closed) + [True] * count
     every = [True] * len(program.out_avals)
@@ -232,13 +232,14 @@ def kernel_of_rows(function: Callable, size: int, *args: Any) -> Callable | None
 def _in_turns(
     function: Callable, batched: Sequence[bool], spreads: Sequence[bool], p: int, size: int
 ) -> Callable:
-    """A function of `size` rows of those arguments that are `batched`, for p rows: applied to
-    `size` of them at a time. Of its results those that `spreads` flags are rows too."""
+    """A function of `size` rows of the `batched` arguments, extended to p rows, by applying it to
+    `size` of them at a time. The results flagged in `spreads` are rows too."""
     count = -(-p // size)
 
     def call(*args: Any) -> Any:
         if p == size:
             return function(*args)
+        # The last block is filled up with copies of the last row, cut off again in `joined`.
         pick = jnp.minimum(jnp.arange(count * size), p - 1).reshape(count, size)
 
         def turn(rows: Array) -> Any:

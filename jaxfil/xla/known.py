@@ -1,8 +1,7 @@
-"""Known numbers: what is not being traced, and may be asked for its value.
+"""Known numbers: values that are not traced, and can be read.
 
-Arguments enter; whether all their numbers are known leaves. Outside of every transformation a verb
-is a loop in Python around a few compiled functions that other verbs use too; inside of one it is a
-part of the program that is being made.
+Outside every transformation a verb is a loop in Python around a few compiled functions that other
+verbs share; inside one it is part of the program being traced.
 """
 
 import functools as ft
@@ -32,8 +31,8 @@ def is_known(tree: Any) -> bool:
 
 
 def array_of(value: Any, dtype: DTypeLike | None = None) -> Array:
-    """`jnp.asarray` of a number or of arrays of numbers. Numbers of Python's or NumPy's are put on
-    the device as they are: `jnp.asarray` would compile a program for each shape and type.
+    """`jnp.asarray` of a number or of arrays of numbers. Python and NumPy numbers are put on the
+    device directly, since `jnp.asarray` would compile a program for each shape and type.
 
     >>> array_of(1), array_of(2.0, "float32").dtype
     (Array(1, dtype=int64, weak_type=True), dtype('float32'))
@@ -46,13 +45,14 @@ def array_of(value: Any, dtype: DTypeLike | None = None) -> Array:
 
 
 def in_numpy(tree: Any) -> Any:
-    """A tree of arrays as NumPy's where they are known: arithmetic of them compiles nothing."""
+    """A tree with its arrays as NumPy arrays if they are known, whose arithmetic needs no
+    compilation."""
     return jax.tree.map(np.asarray, tree) if is_known(tree) else tree
 
 
 def part_of(tree: Any, index: Any) -> Any:
-    """A tree with the part of each of its arrays at an index of their leading axes. Of known ones
-    NumPy takes it: JAX would compile programs for each shape and type.
+    """A tree with the part of each of its arrays at an index of their leading axes. Known arrays
+    are indexed by NumPy, since JAX would compile programs for each shape and type.
 
     >>> part_of({"a": jnp.arange(6.0).reshape(3, 2), "b": jnp.arange(3), "f": len}, 1)
     {'a': Array([2., 3.], dtype=float64), 'b': Array(1, dtype=int64), 'f': <built-in function len>}
@@ -63,8 +63,8 @@ def part_of(tree: Any, index: Any) -> Any:
 
 
 def power_of_two(count: int) -> int:
-    """The smallest power of two that is not below a count. Arrays have as many rows where each
-    count would compile a program of its own.
+    """The smallest power of two that is at least `count`. Arrays are padded to this length if each
+    exact length would need a compiled program of its own.
 
     >>> [power_of_two(count) for count in (1, 5, 8)]
     [1, 8, 8]
@@ -73,15 +73,16 @@ def power_of_two(count: int) -> int:
 
 
 def compiled_if_traced(function: _F) -> _F:
-    """`function`, called as it is where its arguments are known, and compiled as a whole where they
-    are not: under `vmap` alone it would be run operation by operation."""
+    """`function`, called directly if its arguments are known, and otherwise compiled as a whole,
+    since under `vmap` alone it would be run operation by operation."""
     whole = eqx.filter_jit(function)
 
     @ft.wraps(function)
     def call(*args: Any) -> Any:
         if not is_known(args):
             return whole(*args)
-        # What is known may be called by a derivative: its programs are those of other calls too.
+        # A derivative may call this with known values; they must not be traced into it, so that the
+        # programs are shared with other calls.
         with jax.core.eval_context():
             return function(*args)
 

@@ -1,7 +1,7 @@
-"""How many lanes a call is a batch of.
+"""The number of lanes in a call.
 
-Arguments enter; the size of the batch that `jax.vmap` makes of them leaves, as far as Python sees
-it: a `vmap` around the call, under `jit` or not, but not one around a `jit` that the call is in.
+It is the size of the batch made by `jax.vmap`, as far as Python can see it. A `vmap` around the
+call is detected, under `jit` or not, but not one around a `jit` that contains the call.
 """
 
 from typing import Any
@@ -12,8 +12,8 @@ from jax.custom_batching import custom_vmap
 
 
 def is_batch_first(tree: Any) -> bool:
-    """Whether `jax.vmap` is the first transformation around a call with these arguments: its
-    derivative is then that of the batch.
+    """Whether `jax.vmap` is the innermost transformation around a call with these arguments; a
+    derivative of it is then the derivative of the batch.
 
     >>> import jax.numpy as jnp
     >>> seen = []
@@ -23,12 +23,12 @@ def is_batch_first(tree: Any) -> bool:
     >>> seen
     [True, False]
     """
-    # The class is not public.
+    # Tested by name, since the class is not public.
     return any(type(leaf).__name__ == "BatchTracer" for leaf in jax.tree.leaves(tree))
 
 
 def lanes_of(tree: Any) -> int:
-    """The number of lanes of the batch that the arrays of `tree` belong to: 1 outside of `vmap`.
+    """The number of lanes in the batch of the arrays of `tree`; 1 outside `vmap`.
 
     >>> import jax.numpy as jnp
     >>> seen = []
@@ -45,7 +45,7 @@ def lanes_of(tree: Any) -> int:
     @same.def_vmap
     def count(axis_size: int, batched: list, v: Any) -> tuple:
         nonlocal lanes
-        inner = same(v)  # asks the batches around this one
+        inner = same(v)  # counts the batches around this one
         if batched[0]:
             lanes *= axis_size
         return inner, batched[0]

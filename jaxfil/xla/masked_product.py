@@ -1,13 +1,13 @@
-"""Derivatives of which a cotangent of zero takes nothing.
+"""Derivatives that are zero where the cotangent is zero.
 
-A function of numbers enters; the same function leaves, whose derivative in reverse mode is that of
-forward mode where a branch that is not taken has no derivative:
+With `jnp.where`, reverse mode multiplies the derivative of a branch that is not taken by a zero
+cotangent, which is NaN if that derivative is infinite or NaN. Forward mode has no such problem:
 
     where(x > 0, sqrt(x), -x) at x = −1:    forward    select(NaN·dx, −dx) = −dx
                                             reverse    NaN·0 + (−1)·1 = NaN
 
-The tangent of each operation is a sum of products a·dx here, of which the transpose is zero where
-the cotangent is, whatever a may be.
+Here the tangent of each operation is a sum of products a·dx whose transpose is zero where the
+cotangent is, for any a.
 """
 
 import functools as ft
@@ -24,8 +24,8 @@ from jaxtyping import Array
 
 from jaxfil.xla.select import select
 
-# Operations on one element each that may be infinite, or not a number, or have such a derivative,
-# where their arguments are finite; and others that pass that on to their derivatives.
+# Elementwise operations whose value or derivative may be infinite or NaN for finite arguments, and
+# others, which pass this on to their derivatives.
 _SINGULAR = """
 acos acosh asin atan2 atanh cbrt cosh digamma div erf_inv exp exp2 expm1 integer_pow lgamma log
 log1p log2 pow rem rsqrt sinh sqrt tan
@@ -46,8 +46,8 @@ def _product(a: Any, b: Any) -> Array:
 
 
 def masked_product(a: Any, b: Any) -> Array:
-    """a b, and 0 where one of them is, whatever the other one is; so are its derivatives and their
-    transposes."""
+    """a b, or 0 where one of them is 0, for any value of the other; the same for derivatives and
+    their transposes."""
     return masked_product_p.bind(a, b)
 
 
@@ -64,6 +64,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple:
 def _transpose(cotangent: Any, a: Any, b: Any) -> list:
     if type(cotangent) is ad.Zero:
         return [None, None]
+    # The product with the cotangent is masked too, which is the purpose of this primitive.
     if ad.is_undefined_primal(a):
         return [masked_product(b, cotangent), None]
     return [None, masked_product(a, cotangent)]
@@ -84,8 +85,8 @@ mlir.register_lowering(masked_product_p, mlir.lower_fun(_product, multiple_resul
 
 
 def masked(function: Callable) -> Callable:
-    """`function`, of arrays of one shape or numbers, element by element, to another one, with a
-    derivative made of masked products, and so are all further ones."""
+    """`function`, which acts elementwise on numbers or arrays of one shape, with derivatives of
+    every order made of masked products."""
 
     @jax.custom_jvp
     def call(*args: Any) -> Array:
@@ -108,7 +109,7 @@ def masked(function: Callable) -> Callable:
 
 
 def _slope(function: Callable, args: tuple, k: int) -> Any:
-    """The derivative by argument number k, element by element."""
+    """The derivative by argument number k, elementwise."""
 
     def slope(*args: Any) -> Array:
         def by_one(v: Any) -> Array:
@@ -121,7 +122,7 @@ def _slope(function: Callable, args: tuple, k: int) -> Any:
 
 
 def _evaluated(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> list:
-    """A program, its own derivatives made of masked products too."""
+    """The results of a program, with derivatives made of masked products too."""
     values: dict[Any, Any] = dict(zip(jaxpr.invars, args, strict=True))
     values.update(zip(jaxpr.constvars, consts, strict=True))
 
@@ -131,7 +132,8 @@ def _evaluated(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> list:
     for eqn in jaxpr.eqns:
         run = ft.partial(evaluate_one, jaxpr, eqn)
         inputs = [read(v) for v in eqn.invars]
-        # That of a function of one element each holds no other calls than such, as of a cosine.
+        # The `custom_jvp_call`s in the derivative of an elementwise function are elementwise too,
+        # such as a cosine.
         single = eqn.primitive.name in (*ELEMENTWISE, "custom_jvp_call")
         outputs = [masked(lambda *v, run=run: run(v)[0])(*inputs)] if single else run(inputs)
         values.update(zip(eqn.outvars, outputs, strict=True))
@@ -139,7 +141,7 @@ def _evaluated(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> list:
 
 
 def evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
-    """One equation of a program as it stands."""
+    """The results of one equation of a program, evaluated unchanged."""
     pairs = zip(eqn.invars, inputs, strict=True)
     free = [(v, x) for v, x in pairs if not isinstance(v, jexc.Literal)]
     single = jaxpr.replace(

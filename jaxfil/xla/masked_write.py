@@ -1,7 +1,6 @@
-"""An entry of a table, written by those lanes that have one.
+"""Masked writes: an entry of a table, written by the lanes that have one.
 
-Arrays of k entries, a number and one entry enter; the arrays with that entry leave. This is what a
-loop over lanes keeps its events, states and samples with.
+A loop over lanes stores its events, states and samples with them.
 """
 
 import functools as ft
@@ -19,11 +18,11 @@ from jaxfil.xla.select import select
 
 @jax.custom_jvp
 def masked_write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
-    """Arrays of k entries, with `row`, one of each, as entry number i where `yes`.
+    """Arrays of k entries, with `row`, one entry for each array, as entry number i where `yes`.
 
-    A batch of these would be a scatter, which no single kernel may hold and which takes the time of
-    all lanes for the few that write. Here it is a loop over the lanes, entered if any of them
-    writes. It has forward derivatives only.
+    A batch of writes would be a scatter, which a single kernel cannot contain, and whose cost
+    grows with all lanes although few write. Here it is a loop over the lanes, entered if any of
+    them writes. It has only forward derivatives.
     """
     return _write(rows, i, row, yes)
 
@@ -50,7 +49,7 @@ def _write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
 
 @_write.def_vmap
 def _write_batch(axis_size: int, batched: Any, *args: Any) -> tuple:
-    if axis_size == 0:  # none of them writes
+    if axis_size == 0:  # a batch of zero lanes
         out, *_ = _broadcast(axis_size, batched, args)
     elif jax.default_backend() != "cpu":
         axes = jax.tree.map(lambda flag: 0 if flag else None, list(batched))
@@ -61,7 +60,7 @@ def _write_batch(axis_size: int, batched: Any, *args: Any) -> tuple:
 
 
 def _broadcast(axis_size: int, batched: Any, args: Any) -> Any:
-    """Arguments all of which have the axis of the batch."""
+    """The arguments, all broadcast to the axis of the batch."""
 
     def rows(flag: bool, v: Array) -> Array:
         return v if flag else jnp.broadcast_to(v, (axis_size, *v.shape))
@@ -72,8 +71,8 @@ def _broadcast(axis_size: int, batched: Any, args: Any) -> Any:
 @custom_vmap
 def _write_lanes(rows: Any, i: Array, row: Any, yes: Array) -> Any:
     """`_write` for lanes along a first axis of all arguments."""
-    # Not `kernel_if_it_fits`, whose barrier would copy the rows.
-    # XLA would gather arrays that are spread inside of the kernel, which cannot.
+    # `kernel_if_it_fits` is not used, since its barrier would copy the rows. Distributed arrays are
+    # written outside a kernel, since XLA would gather them inside it, which kernels do not support.
     every = _write_each if may_be_spread() else kernel_of_all(_write_each)
     return jax.lax.cond(jnp.any(yes), every, lambda rows, *_: rows, rows, i, row, yes)
 

@@ -1,8 +1,7 @@
-"""Products of matrices without a library.
+"""Products of matrices without library calls, which a kernel cannot contain.
 
-An operation `dot_general` of a program enters; a product written out, or a program in which it is
-made of sums, leaves: a kernel holds no call of a library. Outside of kernels products are left to
-the library, which is faster for those of many lanes.
+Small products are written out; others are replaced by sums. Outside kernels products remain library
+calls, which are faster for many lanes.
 """
 
 import math
@@ -16,11 +15,11 @@ from jaxtyping import Array
 from jaxfil.xla.program import replaced
 
 SHORT = 4095
-"""Numbers at most of which XLA makes a sum, or finds the largest or smallest, without a library."""
+"""The largest number of terms that XLA sums, or takes an extremum of, without a library call."""
 
-# Multiplications at most that are written out one by one, and that a kernel holds.
+# The largest numbers of multiplications in a product that is written out, and in a kernel.
 _SMALL, _MIDDLE = 64, 1 << 16
-# Columns that are summed at a time.
+# Numbers of columns that may be summed at a time.
 _WIDTHS = range(8, 0, -1)
 
 
@@ -31,12 +30,12 @@ def is_small(eqn: Any) -> bool:
 
 
 def is_middling(eqn: Any) -> bool:
-    """Whether a product is small enough to be made of sums."""
+    """Whether a product is small enough to be replaced by sums."""
     return _multiplications(eqn) <= _MIDDLE
 
 
 def _multiplications(eqn: Any) -> float:
-    """How many a product of matrices of real numbers takes; inf of another product."""
+    """The number of multiplications of a product of real matrices; inf for other products."""
     (contracted, _), _ = eqn.params["dimension_numbers"]
     a, out = eqn.invars[0].aval, eqn.outvars[0].aval
     count = out.size * np.prod([a.shape[k] for k in contracted])
@@ -45,7 +44,7 @@ def _multiplications(eqn: Any) -> float:
 
 
 def written_out(eqn: Any, a: Array, b: Array) -> Array:
-    """A product of small matrices number by number: in a batch, XLA would leave it to a library."""
+    """A product of small matrices number by number; in a batch XLA would call a library for it."""
     (rows,), (columns,) = _matrices(eqn, a, b)
     terms = [
         [sum(u * v for u, v in zip(row, column, strict=True)) for column in columns] for row in rows
@@ -66,7 +65,7 @@ def _matrices(eqn: Any, a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def by_sums(program: Any) -> Any:
-    """A program that closes over nothing with its products made of sums."""
+    """A closed program with its products replaced by sums."""
     return replaced(program, "dot_general", _summed)
 
 
@@ -81,7 +80,7 @@ def _summed(eqn: Any, a: Array, b: Array) -> Array:
 
     if each * summed <= SHORT:
         out = product(rows, columns)
-    else:  # some columns after the others: a sum of each row alone is no loop of vectors
+    else:  # in chunks of columns, since a sum of a whole row is not vectorised
         width = next(k for k in _WIDTHS if summed % k == 0 and each * k <= max(each, SHORT))
         zero = jnp.zeros((*rows.shape[:2], columns.shape[1]), a.dtype)
 

@@ -1,9 +1,9 @@
-"""Numbers at known places, moved by slices.
+"""Numbers at known positions, moved by slices.
 
-The program of a function enters; the same program leaves, in which arrays are taken apart and put
-together by slices and concatenations alone, wherever the places are known: `x.at[0].mul(v)`,
-`x[jnp.array([2, 0])]`, `jnp.split`, `jnp.cumsum`; one unknown place is a mask. As JAX has them they
-are scatters and the like, which no single kernel holds and which do not show where a number goes.
+Operations such as `x.at[0].mul(v)`, `x[jnp.array([2, 0])]`, `jnp.split` and `jnp.cumsum` become
+slices and concatenations where positions are known, and a mask where one is not. JAX traces them as
+scatters, gathers and the like, which a single kernel cannot contain, and which hide the
+dependencies between numbers.
 """
 
 import itertools
@@ -20,11 +20,11 @@ from jaxfil.xla.known import is_known
 from jaxfil.xla.masked_product import evaluate_one
 from jaxfil.xla.program import interpreted, names, pruned
 
-# Slices that an array is put together from at most: more are a gather.
+# The largest number of slices that replace a gather.
 _SLICES = 32
-# Terms of a sum into one and the same place at most.
+# The largest number of terms added to one position.
 _TERMS = 8
-# Numbers of an array that a mask finds an unknown place in.
+# The largest array in which a mask replaces one unknown position.
 _MASKED = 64
 _COMBINED: dict[str, Callable] = {
     "scatter-add": jax.lax.add,
@@ -33,7 +33,7 @@ _COMBINED: dict[str, Callable] = {
     "scatter-mul": jax.lax.mul,
     "scatter-sub": jax.lax.sub,
 }
-# What is done with whole numbers whose values are known, besides moving them.
+# Operations on known integers, in addition to rearrangements.
 _ON_NUMBERS: dict[str, Callable] = {
     "add": np.add,
     "lt": np.less,
@@ -60,20 +60,20 @@ def by_slices(program: Any) -> Any:
 
 
 def taken(array: Array, places: np.ndarray) -> Array:
-    """`array[places]` of a vector, by slices where they are few: a gather takes longer to compile
-    than all that is made of it, and none of it is in vectors."""
+    """`array[places]` of a vector, by slices if they are few. A gather takes longer to compile than
+    all operations on its result, and is not vectorised."""
     return _put_together([array], np.zeros_like(places), places)
 
 
 def _whole(value: Any) -> np.ndarray | None:
-    """The numbers of a value that is known, if they are whole ones."""
+    """The numbers of a known value, if they are integers or flags."""
     if not is_known(value) or jnp.result_type(value).kind not in "iub":
         return None
     return np.asarray(value)
 
 
 def _made(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
-    """What one equation gives of values, each with its known whole numbers or None."""
+    """The results of one equation, for values each with its known integers or None."""
     arrays, numbers = [v for v, _ in inputs], [k for _, k in inputs]
     known = _computed(eqn, numbers)
     if known is not None:
@@ -86,12 +86,12 @@ def _made(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
 
 
 def _shown(jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list:
-    """What has no result, as it is."""
+    """An equation without results, evaluated unchanged."""
     return evaluate_one(jaxpr, eqn, [v for v, _ in inputs])
 
 
 def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | None:
-    """What one equation gives of known whole numbers; None of others."""
+    """The result of one equation on known integers; None for other operands."""
     name, out = eqn.primitive.name, eqn.outvars[0].aval
     known = [v for v in numbers if v is not None]
     if len(known) < len(numbers) or out.dtype.kind not in "iub":
@@ -109,12 +109,14 @@ def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | No
 
 
 def _put_together(arrays: Sequence[Array], source: np.ndarray, place: np.ndarray) -> Array:
-    """The array whose numbers are those at each `place` of the flat array of number `source`."""
+    """The array whose numbers are at each `place` of the flat array number `source`."""
+    # A run of consecutive numbers of one array is one slice.
     cuts = np.flatnonzero((np.diff(source.ravel()) != 0) | (np.diff(place.ravel()) != 1)) + 1
     flat = [jnp.ravel(v) for v in arrays]
     if len(cuts) >= _SLICES:
         starts = np.cumsum([0, *(v.size for v in flat)])
         joined = jnp.concatenate(flat)
+        # Positions are known to be inside, so that no clamping is compiled.
         return joined.at[starts[source] + place].get(mode="promise_in_bounds")
     runs = zip(np.split(source.ravel(), cuts), np.split(place.ravel(), cuts), strict=True)
     pieces = [jax.lax.slice(flat[s[0]], (p[0],), (p[-1] + 1,)) for s, p in runs]
@@ -122,14 +124,14 @@ def _put_together(arrays: Sequence[Array], source: np.ndarray, place: np.ndarray
 
 
 def _places(eqn: Any, indices: np.ndarray | None) -> np.ndarray | None:
-    """Where the numbers of a gather's result, or of a scatter's updates, are in its flat operand;
-    None if that is not known, or some are outside."""
+    """The positions in the flat operand of a gather's results, or of a scatter's updates; None if
+    unknown or partly outside."""
     d, gathers = eqn.params["dimension_numbers"], eqn.primitive.name == "gather"
     if indices is None or d.operand_batching_dims:
         return None
     numbers = eqn.outvars[0].aval if gathers else eqn.invars[2].aval
-    # The axes of the numbers that are those of the operand, but for the dropped ones, and the axes
-    # of the operand that indices are of.
+    # `window` has the axes of the numbers that correspond to axes of the operand (except for the
+    # dropped ones), `to` the axes of the operand that are indexed.
     window = d.offset_dims if gathers else d.update_window_dims
     dropped = d.collapsed_slice_dims if gathers else d.inserted_window_dims
     to = d.start_index_map if gathers else d.scatter_dims_to_operand_dims
@@ -162,7 +164,7 @@ def _scatter(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Arra
         return None
     for term in terms:
         there = np.flatnonzero(term >= 0)
-        # At these places alone: elsewhere a function that is applied may have no derivative.
+        # Only at these positions: a function that is applied may have no derivative elsewhere.
         new = combine(taken(jnp.ravel(out), there), taken(jnp.ravel(updates), term[there]))
         term[there] = np.arange(there.size)
         out = _replaced(out, new, term)
@@ -170,20 +172,20 @@ def _scatter(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Arra
 
 
 def _combination(eqn: Any) -> tuple[Callable[[Array, Array], Array], int]:
-    """The function of old numbers and updates that a scatter puts in place of the old ones, and how
-    many updates of one place it may take in turn."""
+    """The function of old numbers and updates that gives the new numbers, and the largest number of
+    updates of one position, applied one after the other."""
     name = eqn.primitive.name.replace("_", "-")
     if name != "scatter":
         return _COMBINED[name], _TERMS
     if not applies_function(eqn):
-        # Of several numbers set in one place any may be the one.
+        # Of several updates of one position, JAX does not define which one remains.
         return lambda old, new: new, 1
 
     def applied(old: Array, new: Array) -> Array:
         program, consts = eqn.params["update_jaxpr"], eqn.params["update_consts"]
         return jax.core.eval_jaxpr(program, consts, old, new)[0]
 
-    # JAX has no derivative of this scatter; here it is the derivative of the function.
+    # Also differentiable, which this scatter is not in JAX.
     return jnp.vectorize(applied), 1
 
 
@@ -193,7 +195,7 @@ def applies_function(eqn: Any) -> bool:
 
 
 def _scatter_to_unknown(eqn: Any, operand: Array, index: Array, updates: Array) -> list | None:
-    """A scatter to one place along one axis, by a mask: `x.at[surface].set(0)`."""
+    """A scatter to one position along one axis, by a mask: `x.at[surface].set(0)`."""
     d, combine = eqn.params["dimension_numbers"], _combination(eqn)[0]
     axes = d.scatter_dims_to_operand_dims
     at_one = index.shape == (1,) and len(axes) == 1 and d.inserted_window_dims == axes
@@ -201,15 +203,15 @@ def _scatter_to_unknown(eqn: Any, operand: Array, index: Array, updates: Array) 
     if not at_one or clips or operand.size > _MASKED:
         return None
     there = jax.lax.broadcasted_iota(index.dtype, operand.shape, axes[0]) == index[0]
-    # The old numbers in all places: elsewhere a function that is applied may have no derivative.
+    # The old number at all positions: a function that is applied may have no derivative elsewhere.
     old = jnp.sum(operand, axes[0], keepdims=True, where=there)
     new = combine(old, jnp.expand_dims(updates, axes[0]))
     return [jnp.where(there, new, operand)]
 
 
 def _terms(place: np.ndarray, size: int) -> list[np.ndarray]:
-    """Which of some numbers goes to each of so many places, −1 for none; as often as several go to
-    one."""
+    """For each of `size` positions the index of an update that goes there, −1 without one; repeated
+    until all updates are used."""
     left, terms = np.arange(place.size), []
     while left.size:
         places, first = np.unique(place[left], return_index=True)
@@ -221,7 +223,7 @@ def _terms(place: np.ndarray, size: int) -> list[np.ndarray]:
 
 
 def _replaced(operand: Array, updates: Array, term: np.ndarray) -> Array:
-    """The operand with the updates that a `term` names in their places."""
+    """The operand with the updates given by a `term` in their positions."""
     place = np.where(term < 0, np.arange(term.size), term).reshape(operand.shape)
     return _put_together((updates, operand), (term < 0).astype(int).reshape(operand.shape), place)
 
@@ -233,14 +235,14 @@ def _split(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
 
 
 def _unstack(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
-    """What `list(x)` is from JAX 0.11 on."""
+    """The equation of `list(x)` from JAX 0.11 on."""
     (x,), axis = arrays, eqn.params["axis"]
     one = [jax.lax.slice_in_dim(x, k, k + 1, axis=axis) for k in range(x.shape[axis])]
     return [jax.lax.squeeze(v, (axis,)) for v in one]
 
 
 def _cumsum(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
-    """By doubling: sums of 2, 4, 8, … numbers."""
+    """A cumulative sum by doubling, over 2, 4, 8, … numbers."""
     (x,), axis, reverse = arrays, eqn.params["axis"], eqn.params["reverse"]
     size, shift = x.shape[axis], 1
     while shift < size:

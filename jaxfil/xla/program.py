@@ -1,8 +1,8 @@
 """Programs of functions, and functions of programs.
 
-A function of arrays enters; its program leaves, which closes over nothing. The same program enters
-again; a function leaves that runs it, operation by operation or as a single call, or the program
-without what nothing is made of.
+A program is closed: values that the function closes over are arguments. It can be run as a
+function, operation by operation or as a single call, interpreted, and stripped of unused
+operations.
 """
 
 import functools as ft
@@ -19,11 +19,11 @@ from jaxfil.xla.known import is_known
 
 
 def opened(function: Callable, args: tuple) -> tuple[Any, list, Any]:
-    """The program of a function, which takes what the function has closed over as arguments; the
-    values that it takes, and the structure of what its results stand for."""
+    """The program of a function, with the values that it closes over as arguments; the values of
+    all arguments; and the tree structure of the results."""
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-    # An array that is known would be written out in a kernel's code, and a tracer that the function
-    # has closed over would be taken for one lane's number in a batch: both become arguments.
+    # A constant array would be written out in a kernel's code, and a tracer in the closure would be
+    # mistaken for one lane's number in a batch, so both become arguments.
     jaxpr, consts = _with_known_numbers(closed)
     whole = jaxpr.replace(constvars=(), invars=[*jaxpr.constvars, *jaxpr.invars])
     values = [*map(jnp.asarray, (*consts, *jax.tree.leaves(args)))]
@@ -31,9 +31,9 @@ def opened(function: Callable, args: tuple) -> tuple[Any, list, Any]:
 
 
 def _with_known_numbers(closed: Any) -> tuple[Any, list]:
-    """A program in whose operations the single numbers that it closes over are written, if they are
-    known, as those of a system that is a constant under somebody else's `jax.jit`; and what else it
-    closes over."""
+    """A program in which known scalars of its closure are literals, and the remaining values of its
+    closure. Known scalars belong, for example, to a system that is constant under a user's
+    `jax.jit`."""
     jaxpr, known, rest = closed.jaxpr, {}, []
     for var, value in zip(jaxpr.constvars, closed.consts, strict=True):
         if np.ndim(value) == 0 and is_known(value):
@@ -52,28 +52,29 @@ def _with_known_numbers(closed: Any) -> tuple[Any, list]:
 
 
 def pruned(program: Any) -> Any:
-    """The same program without the operations whose results nobody needs, such as the tangents of
-    what has a derivative only in form. XLA would remove them too, after they have been written out
-    for it."""
+    """The same program without operations whose results are unused, such as tangents of values
+    whose derivative is zero by structure. XLA would remove them too, but only after they have been
+    lowered."""
     return _pruned(program, {})
 
 
 def _pruned(program: Any, done: dict[int, tuple]) -> Any:
-    """`pruned`, given the programs that are pruned already, by identity: what several calls share
-    they share after it."""
+    """`pruned`, given the programs already pruned, by identity, so that programs shared by several
+    calls remain shared."""
     if id(program) in done:
         return done[id(program)][1]
     every = [True] * len(program.out_avals)
     jaxpr, _ = pe.dce_jaxpr(program.jaxpr, every, instantiate=True)
-    # What JAX has no rule for it leaves as it is: the bodies of loops.
+    # JAX has no pruning rule for the bodies of loops, so they are pruned here.
     equations = [_with_programs(eqn, lambda v: _pruned(v, done)) for eqn in jaxpr.eqns]
     out = jexc.ClosedJaxpr(jaxpr.replace(eqns=equations), program.consts)
+    # The program is stored too, since the identity of a deleted one could be used again.
     done[id(program)] = program, out
     return out
 
 
 def _with_programs(eqn: Any, change: Callable) -> Any:
-    """An operation with the programs that it runs changed."""
+    """An operation with its inner programs changed."""
     found = {
         name: jax.tree.map(lambda v: change(v) if _is_program(v) else v, value)
         for name, value in eqn.params.items()
@@ -83,7 +84,8 @@ def _with_programs(eqn: Any, change: Callable) -> Any:
 
 
 def programs(params: Any) -> list:
-    """The programs inside of an operation: the bodies of a loop, the branches of a conditional."""
+    """The programs inside an operation, such as the body of a loop or the branches of a
+    conditional."""
     leaves = jax.tree.leaves(params, is_leaf=lambda v: hasattr(v, "eqns"))
     return [v for v in leaves if hasattr(v, "eqns")]
 
@@ -93,8 +95,8 @@ def _is_program(value: Any) -> bool:
 
 
 def replaced(program: Any, name: str, rule: Callable) -> Any:
-    """The same program with the operations of a name, those of loops and conditionals included, in
-    place of which `rule(eqn, *operands)` makes the one result."""
+    """The same program with each operation `name`, including those in loops and conditionals,
+    replaced by the single result of `rule(eqn, *operands)`."""
     return _replaced(program, name, rule, {}) if _holds(program.jaxpr, name) else program
 
 
@@ -106,7 +108,7 @@ def _holds(jaxpr: Any, name: str) -> bool:
 
 
 def _replaced(program: Any, name: str, rule: Callable, done: dict[int, tuple]) -> Any:
-    """`replaced`, given the programs that are so already, by identity."""
+    """`replaced`, given the programs already done, by identity."""
     if id(program) in done:
         return done[id(program)][1]
     equations = []
@@ -122,7 +124,7 @@ def _replaced(program: Any, name: str, rule: Callable, done: dict[int, tuple]) -
 
 def _call(function: Callable, shapes: Sequence[Any]) -> Any:
     """The operation that calls a function."""
-    # Not `function` itself, which may have no name: JAX looks for it.
+    # Wrapped, since JAX asks a function for its name, which `function` may lack.
     with jax.disable_jit(False):
         shown = jax.make_jaxpr(jax.jit(lambda *values: function(*values)))(*shapes)
     (call,) = shown.eqns
@@ -133,7 +135,7 @@ _CALLS = ("jit", "pjit", "closed_call")
 
 
 def names(jaxpr: Any) -> set[str]:
-    """The operations of a program, those of the functions that it calls included."""
+    """The names of a program's operations, including those in the functions it calls."""
     inner = [eqn.params["jaxpr"].jaxpr for eqn in jaxpr.eqns if eqn.primitive.name in _CALLS]
     return {eqn.primitive.name for eqn in jaxpr.eqns}.union(*map(names, inner))
 
@@ -145,10 +147,10 @@ def interpreted(
     rule: Callable,
     show: Callable | None = None,
 ) -> list[Any]:
-    """What becomes of some arguments in a program, operation by operation, those of the functions
-    that it calls included: `rule(jaxpr, eqn, inputs)` of each, and `of_known(value)` of what it
-    closes over and of numbers that are written in it. What has no result, as `jax.debug.print`, is
-    left out, unless there is a function to `show` it, of the same arguments."""
+    """Abstract values of the results of a program, operation by operation, including the functions
+    that it calls. `rule(jaxpr, eqn, inputs)` evaluates an operation, and `of_known(value)` converts
+    constants and literals. Operations without a result, such as `jax.debug.print`, are skipped,
+    unless there is a function `show` for them, with the same arguments as `rule`."""
     jaxpr = program.jaxpr
     values = dict(zip(jaxpr.constvars, map(of_known, program.consts), strict=True))
     values.update(zip(jaxpr.invars, args, strict=True))
@@ -169,11 +171,11 @@ def interpreted(
 
 
 def operations(program: Any) -> Callable:
-    """A program that closes over nothing as a function, which applies its operations."""
+    """A closed program as a function, which applies its operations."""
     run = jexc.jaxpr_as_fun(program)
 
-    # Not `run` itself: JAX looks for the name of a function that it transforms, and what has none
-    # is written out for it, the whole program.
+    # Wrapped, since JAX asks a function that it transforms for its name; without one it prints the
+    # whole program.
     def apply_operations(*values: Any) -> list:
         return run(*values)
 
@@ -181,13 +183,14 @@ def operations(program: Any) -> Callable:
 
 
 def call_of(program: Any) -> Callable:
-    """The same as one operation, that of a function under `jax.jit`, which is not traced again."""
+    """A closed program as one operation, a call of a function under `jax.jit`, which is not traced
+    again."""
 
     def same_numbers(*_: Any) -> list:
         return [jnp.zeros(())] * len(program.out_avals)
 
-    # The call of a function with as many arguments and results says all that a call says of itself
-    # in this version of JAX. Only what it calls is replaced.
+    # The call of a dummy function with as many arguments and results has all parameters that this
+    # version of JAX needs; only its program is then replaced.
     call = _call(same_numbers, program.in_avals)
     params = {**call.params, "name": "program", "jaxpr": program}
     return lambda *values: call.primitive.bind(*values, **params)

@@ -1,8 +1,8 @@
 """The primitive `pushforward`: results and their tangents.
 
-What computes them of values and rates enters, a `Push`; the primitive has the rules that JAX's
-transformations ask for: the derivative of one is another, so is its batch, and of known values and
-rates that are not known yet it finds results and the Jacobian first, tangents later.
+A `Push` computes both from values and rates. The primitive has the rules that JAX's transformations
+need: its derivative is another pushforward, and so is its batch. If values are known and rates are
+not yet, as in a linearisation, it computes results and the Jacobian first, and tangents later.
 """
 
 import abc
@@ -24,40 +24,40 @@ from jaxtyping import Array
 from jaxfil.xla.compiler import PARTS
 from jaxfil.xla.program import operations, pruned
 
-# In jax.core until JAX 0.8.
+# The module that has `set_current_trace`; `jax.core` until JAX 0.8.
 _traces: Any = jexc if hasattr(jexc, "set_current_trace") else jax.core
 
 Spread = Callable[[Sequence[bool]], list[bool]]
-"""Which results of a program are those of a batch, given which of its arguments are."""
+"""A function from flags of a program's batched arguments to flags of its batched results."""
 Make = Callable[[Any, Spread], Callable]
-"""What makes a function of a program: a kernel, or nothing in particular."""
+"""A function that turns a program into a function, for example a kernel."""
 
 
 def is_real(value: Any) -> bool:
-    """Whether a value, or what has its shape, has tangents."""
+    """Whether a value, or a shape, has tangents."""
     return jnp.issubdtype(value.dtype, jnp.inexact)
 
 
 class Push(abc.ABC):
-    """Results and their tangents, as a function of values and of the rates at which some move."""
+    """Results and their tangents, as a function of values and of the rates of some of them."""
 
     @property
     @abc.abstractmethod
     def count(self) -> int:
-        """How many values."""
+        """The number of values."""
 
     @abc.abstractmethod
     def spread(self, batched: Sequence[bool]) -> list[bool]:
-        """Which results are those of a batch, given which values are."""
+        """Flags of the batched results, given flags of the batched values."""
 
     @abc.abstractmethod
     def spread_of_both(self, batched: Sequence[bool]) -> list[bool]:
-        """Which results and tangents are, given which values and rates are."""
+        """Flags of the batched results and tangents, given the flags of values and rates."""
 
     @property
     @abc.abstractmethod
     def program(self) -> Any:
-        """That of one lane."""
+        """The program of one lane."""
 
     @property
     @abc.abstractmethod
@@ -70,38 +70,38 @@ class Push(abc.ABC):
 
     @abc.abstractmethod
     def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
-        """Results, and of each real one its derivatives by all numbers that move, the first axis
-        (of each lane)."""
+        """Results, and for each real result its derivatives by all numbers that vary, along the
+        first axis (of each lane)."""
 
     @abc.abstractmethod
     def applied(self, columns: Sequence[Array], rates: Sequence[Array]) -> list:
-        """The tangents by these derivatives."""
+        """The tangents for these derivatives and rates."""
 
     @abc.abstractmethod
     def still(self) -> "Push":
-        """Results alone."""
+        """The same push without tangents."""
 
     @abc.abstractmethod
     def derived(self, moving: tuple[int, ...]) -> "Push":
-        """The derivative of this one, whose values are the values and rates of this one, as those
-        numbered `moving` move."""
+        """The derivative of this push, whose values are the values and rates of this one, with
+        rates for those numbered `moving`."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Lane(Push):
-    """Those of a program whose values numbered `moving` move."""
+    """The push of a program with rates for the values numbered `moving`."""
 
     base: Any
     moving: tuple[int, ...]
     batches: Spread
-    """Those of its results."""
+    """`spread` of the program's results."""
     make: Make
     joint: Any
     """The program of results and tangents."""
 
     @staticmethod
     def of(base: Any, moving: tuple[int, ...], batches: Spread, make: Make) -> "Lane":
-        """The lane of a program, its joint program made."""
+        """The lane of a program, with its joint program traced."""
         return Lane(base, moving, batches, make, _joint(base, moving) if moving else base)
 
     @property
@@ -138,7 +138,7 @@ class Lane(Push):
     def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
         shapes = _shapes(self.base, self.moving)
         ends = np.cumsum([int(np.prod(v.shape)) for v in shapes])
-        # Row k of the unit matrix moves number k of all rates.
+        # Row k of the unit matrix is the direction of number k among all rates.
         parts = np.split(np.eye(ends[-1]), ends[:-1], axis=1)
         rows = [
             jnp.asarray(part.reshape(-1, *v.shape), v.dtype)
@@ -162,13 +162,13 @@ class Lane(Push):
 
 
 def _shapes(base: Any, moving: Sequence[int]) -> list[jax.ShapeDtypeStruct]:
-    """Those of the rates at which some values of a program move."""
+    """The shapes of the rates of some values of a program."""
     avals = base.in_avals
     return [jax.ShapeDtypeStruct(avals[k].shape, avals[k].dtype) for k in moving]
 
 
 def _joint(base: Any, moving: tuple[int, ...]) -> Any:
-    """The program of results and tangents, as the values numbered `moving` move."""
+    """The program of results and tangents, with rates for the values numbered `moving`."""
     run, count = operations(base), len(base.in_avals)
 
     def both(*given: Any) -> list:
@@ -183,13 +183,14 @@ def _joint(base: Any, moving: tuple[int, ...]) -> Any:
         out, tangents = jax.jvp(moved, [values[k] for k in moving], list(rates))
         return [*out, *(v for v in tangents if v.dtype != jax.dtypes.float0)]
 
+    # Many tangents are zero by structure; pruning removes them before XLA receives them.
     return pruned(jax.make_jaxpr(both)(*_shapes(base, range(count)), *_shapes(base, moving)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch(Push):
-    """Those of a batch of lanes; of its values and rates those are batches whose axis is 0, not
-    None."""
+    """The push of a batch of lanes. Values and rates whose axis is 0 are batched; None marks the
+    others."""
 
     lane: Push
     axes: tuple[int | None, ...]
@@ -211,7 +212,7 @@ class Batch(Push):
 
     @property
     def out_axes(self) -> tuple[list, list]:
-        """Those of results and of tangents."""
+        """The batch axes of results and of tangents."""
         flags = self.spread_of_both([axis == 0 for axis in self.axes])
         axes, split = [0 if flag else None for flag in flags], len(self.lane.outs[0])
         return axes[:split], axes[split:]
@@ -234,7 +235,7 @@ class Batch(Push):
         return run(list(values), list(rates))
 
     def _split_axes(self) -> tuple[list, list]:
-        """Those of values and of rates."""
+        """The batch axes of values and of rates."""
         return list(self.axes[: self.count]), list(self.axes[self.count :])
 
     def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
@@ -267,15 +268,15 @@ pushforward_p.multiple_results = True
 
 
 def bind(push: Push, values: Sequence[Any], rates: Sequence[Any]) -> tuple[list, list]:
-    """Results and tangents, by the primitive."""
-    # The program is there to be looked at: see `fits`.
+    """Results and tangents, computed by the primitive."""
+    # The program is a parameter so that `fits` can examine it.
     out = pushforward_p.bind(*values, *rates, push=push, program=push.program)
     split = len(push.outs[0])
     return out[:split], out[split:]
 
 
 def _forward(*args: Any, push: Push, **_: Any) -> list:
-    # Of a kernel that this may be in: what is traced here is no call of its.
+    # A surrounding kernel's attributes must not apply to calls that are traced here.
     with set_xla_metadata(**PARTS):
         return [*itertools.chain(*push.forward(args[: push.count], args[push.count :]))]
 
@@ -294,7 +295,7 @@ def _jvp(primals: Any, tangents: Any, *, push: Push, **params: Any) -> tuple[lis
     )
     if moving:
         out, found = bind(push.derived(moving), primals, [tangents[k] for k in moving])
-    else:  # integers alone
+    else:  # only integers have tangents
         out, found = pushforward_p.bind(*primals, push=push, **params), []
     rates = iter(found)
     return out, [
@@ -304,7 +305,7 @@ def _jvp(primals: Any, tangents: Any, *, push: Push, **params: Any) -> tuple[lis
 
 
 def rows_of(args: Any, dims: Any) -> tuple[int, list[bool], list]:
-    """The size of a batch, which of its arguments have rows, and the arguments, rows first."""
+    """The size of a batch, flags of its batched arguments, and the arguments with rows first."""
     (size,) = {v.shape[d] for v, d in zip(args, dims, strict=True) if d is not None}
     rows = [v if d is None else jnp.moveaxis(v, d, 0) for v, d in zip(args, dims, strict=True)]
     return size, [d is not None for d in dims], rows
@@ -318,7 +319,8 @@ def _batch(args: Any, dims: Any, *, push: Push, **_: Any) -> tuple[list, list]:
 
 
 def _partial_eval(trace: Any, *tracers: Any, push: Push, **params: Any) -> list:
-    """Of known values and unknown rates, results and derivatives are found now, tangents later."""
+    """The rule for known values and unknown rates, by which results and derivatives are computed
+    now, and tangents later."""
     values, rates = tracers[: push.count], tracers[push.count :]
     if all(v.is_known() for v in rates) or not all(v.is_known() for v in values):
         return trace.default_process_primitive(pushforward_p, tracers, {"push": push, **params})
@@ -328,7 +330,10 @@ def _partial_eval(trace: Any, *tracers: Any, push: Push, **params: Any) -> list:
 
 
 def _partial_eval_of_eqn(_: Any, unknown: Sequence[bool], made: Sequence[bool], eqn: Any) -> tuple:
-    """The same in a program whose residuals are computed again, as `jax.checkpoint` has them."""
+    """The same rule in a program whose residuals are recomputed, as in `jax.checkpoint`.
+
+    It is an entry of JAX's `partial_eval_jaxpr_custom_rules`, and follows the protocol there.
+    """
     push, still = eqn.params["push"], eqn.params["push"].still()
     split = len(push.outs[0])
     needed = [v for v, there in zip(eqn.invars, made, strict=True) if not there]

@@ -1,10 +1,10 @@
-"""What rounding does to the results of a function, computed from its operations.
+"""Bounds of the rounding inside a function, computed from its operations.
 
-A function is traced, and its program is run with a bound beside each value: an operation passes on
-the bounds of its operands, with its derivatives, and adds the rounding of its own result, an eps of
-its size. Arguments are taken as exact: what their own rounding does, the derivatives of the
-function say. Results are taken before they are rounded, so that x − a, of two arguments, is exact:
-near zero, where it matters, it is.
+The program of a function is evaluated with a bound beside each value. An operation propagates the
+bounds of its operands by its derivatives, and adds the rounding of its own result, eps times its
+size. Arguments are taken as exact, since the effect of their rounding is given by the derivatives
+of the function. The last operation of a result is not counted, so that x − a, for two arguments, is
+exact; near zero, where the bound matters, the subtraction is indeed exact.
 
 The first-order analysis of Wilkinson, Rounding Errors in Algebraic Processes (1963).
 """
@@ -21,11 +21,11 @@ from jaxfil.xla import elements
 from jaxfil.xla.masked_product import evaluate_one
 from jaxfil.xla.program import interpreted
 
-# Operations that only move numbers about, chosen by operands that are whole numbers or flags.
+# Operations that only move numbers, possibly selected by integers or flags.
 _CHOICES = ("select_n", "gather", "dynamic_slice", "copy", "stop_gradient")
 # Sums of many terms.
 _SUMS = ("reduce_sum", "cumsum", "dot_general")
-# Operations whose results are not rounded.
+# Operations whose results are exact.
 _NAMES = """
 abs argmax argmin ceil clamp convert_element_type eq floor ge gt is_finite le lt max min ne neg
 reduce_max reduce_min round sign
@@ -34,24 +34,24 @@ _EXACT = frozenset(_NAMES.split())
 
 
 class _Rounded(NamedTuple):
-    """A value, and what rounding has done to it, in eps; None: nothing."""
+    """A value with bounds of its rounding error, in eps; None for zero."""
 
     value: Any
     passed_on: Array | None = None
-    """By what it was made of."""
+    """The bound inherited from the operands."""
     own: Array | None = None
-    """By its own operation."""
+    """The bound of its own operation."""
 
     @property
     def bound(self) -> Array | None:
-        """Both together."""
+        """The sum of both bounds."""
         return _sum([v for v in (self.passed_on, self.own) if v is not None])
 
 
 def rounding_of(function: Callable, *example: Any) -> Callable | None:
-    """A function of the same arguments that gives, for each float result of `function`, a bound of
-    what rounding inside of it does to it, in eps; None if nothing is rounded before the last
-    operation of any result.
+    """A function of the same arguments that returns, for each float result of `function`, a bound
+    of the rounding inside `function`, in eps; None if only the last operation of each result is
+    rounded.
 
     >>> bound = rounding_of(lambda x, shift: (x + shift) - shift, 1.0, 1e6)
     >>> float(bound(1.0, 1e6)), rounding_of(lambda x, shift: x - shift, 1.0, 1e6)
@@ -73,7 +73,7 @@ def rounding_of(function: Callable, *example: Any) -> Callable | None:
 
 
 def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
-    """What one operation gives."""
+    """The results of one operation with their bounds."""
     name = eqn.primitive.name
     run = ft.partial(evaluate_one, jaxpr, eqn)
     outputs = run([v.value for v in inputs])
@@ -87,7 +87,7 @@ def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]
     if name not in _SUMS:
         own = [abs(v) if _is_float(v) else None for v in outputs]
         return [_Rounded(*each) for each in zip(outputs, passed_on, own, strict=True)]
-    # Terms of a sum may cancel: its rounding is that of their sizes, also where it is zero.
+    # Terms of a sum may cancel, so its rounding is proportional to their sizes, even at zero.
     (size,) = run([abs(jnp.asarray(v.value)) for v in inputs])
     if passed_on[0] is None:
         return [_Rounded(outputs[0], None, size)]
@@ -103,7 +103,7 @@ def _sum(terms: Sequence[Array]) -> Array | None:
 
 
 def _moved(eqn: Any, inputs: Sequence[_Rounded], value: Array) -> _Rounded:
-    """Bounds moved as their values are."""
+    """The result of an operation that moves numbers, with its bounds moved in the same way."""
 
     def along(parts: Sequence[Array | None]) -> Array | None:
         if all(v is None for v in parts):

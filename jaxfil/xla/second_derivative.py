@@ -1,17 +1,18 @@
-"""Second derivatives that a first one does not pay for.
+"""Second derivatives at no cost for programs without them.
 
-Numbers and a function whose value and first derivatives are zero at its arguments enter; the same
-numbers leave, whose second derivatives are increased by those of the function. It is traced where
-a second derivative is asked for: in the program of a value nothing stands for it, in that of a
-first derivative a zero.
+`add_second_derivative` returns given numbers, with their second derivatives increased by the second
+derivatives of a function whose value and first derivatives are zero. The function is traced only
+where a second derivative is taken. It adds no operation to the program of a value, and a zero to
+the program of a first derivative.
 
 With b a function whose first derivatives vanish, the derivative of v + b along u is
 
     dv·u + B u,   B = ∂b/∂y = 0:   a linear map of u, whose own derivative is the Hessian of b.
 
-`B u` is a primitive of its own: a zero that knows its derivative by y, and its transpose. A `where`
-or a product with zero would do for forward over forward mode alone, as JAX drops the derivative of
-a linear map by its coefficients where it transposes one (`custom_jvp`).
+`B u` is a primitive of its own: a zero with a derivative with respect to y, and a transpose. A
+`where` or a product with zero would work only for forward over forward mode, since JAX drops the
+derivative of a linear map with respect to its coefficients when it transposes the map
+(`custom_jvp`).
 """
 
 import dataclasses
@@ -28,16 +29,17 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
 THIRD = (
-    "Third derivatives through contacts are not available: derivatives by `x0`, times and "
-    "parameters are exact to the second; take central differences of those."
+    "Third derivatives through contacts are not available. Derivatives with respect to `x0`, times "
+    "and parameters are exact to second order; take central differences of those."
 )
-"""What is said of a third derivative."""
+"""The error message of a third derivative."""
 
 
 @ft.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def add_second_derivative(function: Callable, values: Any, *args: Any) -> Any:
     """`values`, with the second derivatives of `function(*args)`, a pytree of the same shapes,
-    added to theirs. Its value and first derivatives must be zero. It closes over nothing.
+    added to theirs. The value and first derivatives of the function must be zero, and it must close
+    over nothing.
 
     >>> import jax
     >>> square = lambda x: add_second_derivative(lambda x: (x - 2) ** 2, x, x)
@@ -63,7 +65,7 @@ def _add_jvp(function: Callable, primals: tuple, tangents: tuple) -> tuple:
 
 @dataclasses.dataclass(frozen=True)
 class _Pushed:
-    """(y, u) ↦ ∂b/∂y u, where u moves those leaves of y that are numbered `real`."""
+    """(y, u) ↦ ∂b/∂y u, where u has rates of the leaves of y numbered `real`."""
 
     function: Callable
     tree: Any
@@ -82,7 +84,7 @@ class _Pushed:
 
 @dataclasses.dataclass(frozen=True)
 class _Transposed:
-    """(y, c) ↦ the transpose of u ↦ B(y) u at c, u shaped as `shapes`."""
+    """(y, c) ↦ the transpose of u ↦ B(y) u at c, with u of the shapes `shapes`."""
 
     linear: Callable
     shapes: tuple
@@ -95,7 +97,7 @@ class _Transposed:
 
 @dataclasses.dataclass(frozen=True)
 class _Batched:
-    """(y, u) ↦ B(y) u for a batch of those of y and u that are flagged."""
+    """(y, u) ↦ B(y) u for a batch of the flagged entries of y and u."""
 
     linear: Callable
     of_args: tuple[bool, ...]
@@ -114,7 +116,7 @@ def _shapes(values: Sequence[Any]) -> _Shapes:
 
 
 vanishing_map_p = jexc.Primitive("vanishing_map")
-"""B u = 0 for the arguments y, of which there are `split`, and then u."""
+"""The operation B u = 0, for `split` arguments y followed by u."""
 vanishing_map_p.multiple_results = True
 
 
@@ -134,7 +136,7 @@ def _avals(*_: Any, linear: Callable, split: int, out: _Shapes) -> list:
 
 @jax.custom_jvp
 def _last(values: list) -> list:
-    """The same; of these no derivative is known."""
+    """The same values, whose derivative raises an error."""
     return values
 
 

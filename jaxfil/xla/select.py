@@ -1,8 +1,8 @@
-"""A choice between two numbers, as one operation of a program.
+"""A selection between two numbers, as one operation of a program.
 
-A flag and two numbers enter; the one that is chosen leaves. `jnp.where` is the call of a function
-of its own, with conversions of the numbers in it: three times as long to trace and five times as
-long to write out for XLA, and a program of the loop holds hundreds of them.
+`jnp.where` is a call of a function of its own, with conversions of the numbers in it. It takes
+three times as long to trace and five times as long to lower, and a program of the loop has hundreds
+of selections.
 """
 
 import functools as ft
@@ -13,12 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-# Types of Python's numbers, and the kinds of an array's types that cannot hold them.
+# Python's number types, and the kinds of array types that cannot hold them.
 _OTHER = {bool: "", int: "b", float: "biu"}
 
 
 def select(flag: Any, yes: Any, no: Any) -> Array:
-    """`jnp.where(flag, yes, no)`, of a flag and of values that are numbers of Python or arrays.
+    """`jnp.where(flag, yes, no)`, for a flag and values that are Python numbers or arrays.
 
     >>> x = jnp.float32(2.0)
     >>> float(select(x > 1, x, 0)), float(select(x > 3, x, 0))
@@ -42,7 +42,7 @@ def select_all(flag: Any, yes: Any, no: Any) -> Any:
 
 
 def _is_plain(v: Any) -> bool:
-    return type(v) in _OTHER  # a number of NumPy, which has a type, is a float too
+    return type(v) in _OTHER  # exact types, since a NumPy float, which has a dtype, is a float too
 
 
 def _same_type(a: Any, b: Any) -> bool:
@@ -50,7 +50,7 @@ def _same_type(a: Any, b: Any) -> bool:
 
 
 def _typed(v: Any, like: Any) -> Any:
-    """A number of Python as one of the type of `like`, if that can hold it."""
+    """A Python number converted to the type of `like`, if that can hold it."""
     if not _is_plain(v) or like.dtype.kind in _OTHER[type(v)]:
         return v
     number = np.asarray(v, like.dtype)

@@ -1,14 +1,14 @@
-"""Power series of what a program computes: Taylor coefficients by recurrences.
+"""Power series of a program's values: Taylor coefficients by recurrences.
 
-A program and power series of its arguments enter; power series of its results leave. Each
-operation has a recurrence that makes coefficient k of its result from coefficients up to k of its
-operands: a product is a convolution, y = exp(u) has y' = u' y, and so on (Jorba and Zou, A software
-package for the numerical integration of ODEs by means of high-order Taylor methods, Experimental
-Mathematics 14, 2005). Coefficients that are zero by structure are not computed: those of constants,
-of time, and of what is linear in time, whose sine and cosine are one of each.
+Given power series of a program's arguments, its results are power series too. Each operation has a
+recurrence for coefficient k of its result from coefficients up to k of its operands: a product is a
+convolution, y = exp(u) has y' = u' y, and so on (Jorba and Zou, A software package for the
+numerical integration of ODEs by means of high-order Taylor methods, Experimental Mathematics 14,
+2005). Coefficients that are zero by structure are not computed, for constants, for time, and for
+linear functions of time, whose sine and cosine are one of each.
 
 A solution of x' = f(t, x) is the series of its own field: coefficient k + 1 of x is coefficient k
-of f, divided by k + 1. So coefficients are made when they are asked for, and kept.
+of f, divided by k + 1. Coefficients are therefore computed on demand, and stored.
 """
 
 import functools as ft
@@ -20,25 +20,25 @@ import jax.numpy as jnp
 
 
 class Series:
-    """A value as a power series in time; `self[k]` is coefficient k, None where it is zero by
-    structure. Values are numbers or arrays."""
+    """A value as a power series in time; `self[k]` is coefficient k, None for a structural zero.
+    Values are numbers or arrays."""
 
     __slots__ = ("_make", "degree", "is_kept", "is_of_time", "known", "multiple", "terms")
 
     def __init__(self, make: Callable[[int], Any], degree: int | None = None):
         self._make = make
         self.known: dict[int, Any] = {}
-        """Coefficients that have been made."""
+        """Coefficients computed so far."""
         self.degree = degree
-        """0 of a constant, 1 of what is linear in time; None: not known to be either."""
+        """0 for a constant, 1 for a linear function of time; None for others."""
         self.is_kept = degree is not None
-        """Whether coefficients of higher orders are made of all of these."""
+        """Whether coefficients of higher orders depend on all of these."""
         self.is_of_time = False
         """Whether it depends on time alone."""
         self.multiple: tuple[Series, Series] | None = None
-        """The constant and the series that it is the product of; None: of nothing in particular."""
+        """The constant and the series of which it is the product; None for other series."""
         self.terms: tuple[tuple[float, Series], ...] | None = None
-        """The series that it is the sum of, each with a sign; None: of nothing in particular."""
+        """The series of which it is the sum, each with a sign; None for other series."""
 
     def __getitem__(self, k: int) -> Any:
         if self.degree is not None and k > self.degree:
@@ -49,7 +49,7 @@ class Series:
 
 
 class Same:
-    """A value by its identity, as a key."""
+    """A value compared by identity, for use as a key."""
 
     __slots__ = ("value",)
 
@@ -64,7 +64,7 @@ class Same:
 
 
 class Expansion:
-    """Series that belong together, and the functions that make their first coefficients.
+    """A set of related series, and the functions for their first coefficients.
 
     `functions` replace XLA's, as in `trace`; each sine and cosine goes through `hold`.
     """
@@ -75,7 +75,7 @@ class Expansion:
         self._same: dict[tuple, Any] = {}
 
     def series(self, make: Callable[[int], Any], degree: int | None = None) -> Series:
-        """A series of which coefficient k is `make(k)`."""
+        """A series with coefficient k given by `make(k)`."""
         made = Series(make, degree)
         self.made.append(made)
         return made
@@ -91,38 +91,40 @@ class Expansion:
         return self.once(("constant", Same(value)), made)
 
     def linear(self, value: Any, rate: Any) -> Series:
-        """value + rate·s."""
+        """The series value + rate·s."""
         made = Series(lambda _: None, 1)
         made.known.update({0: value, 1: rate})
         return made
 
     @property
     def num_kept(self) -> int:
-        """How many series have coefficients that higher orders are made of."""
+        """The number of series on whose coefficients higher orders depend."""
         return sum(v.is_kept for v in self.made)
 
     def once(self, key: tuple, make: Callable[[], Any]) -> Any:
-        """What `make` makes, once for each key; series are equal to themselves alone."""
+        """The result of `make`, computed once for each key; series are compared by identity."""
         if key not in self._same:
             self._same[key] = make()
         return self._same[key]
 
     def first(self, name: str, value: Any) -> Any:
-        """A function of XLA's by its name, of a number."""
+        """A function of a number, by its name in XLA."""
         given = self.functions.get(name)
         if given is not None and jnp.result_type(value) in (jnp.float32, jnp.float64):
             return self._hold(given(value))
         return getattr(jax.lax, name)(value)
 
     def stage(self, wanted: Sequence[Series], orders: range, run: Callable) -> None:
-        """Make some coefficients of some series by `run(function, arrays)`, which calls the
-        function: a compiler is kept from computing any of them twice. What no later one is made of
-        is not kept."""
+        """Computes some coefficients of some series inside `run(function, arrays)`, which calls the
+        function behind a fence, so that a compiler computes each of them once. Coefficients on
+        which later ones do not depend are dropped."""
         lasting = {v for v in self.made if v.is_kept} | set(wanted)
         carried = [v for v in self.made if v in lasting]
         others = [v for v in self.made if v not in lasting]
         before = [dict(v.known) for v in carried]
 
+        # Inside `run` the known coefficients are traced arguments, which replace the outer ones.
+        # `others` are cleared before and after, since they would hold traced values.
         def made(known: list) -> list:
             for v, own in zip(carried, known, strict=True):
                 v.known = dict(own)
@@ -145,7 +147,7 @@ class Expansion:
 
 
 def kept(*values: Series) -> None:
-    """Say of some series that coefficients of higher orders are made of all of theirs."""
+    """Marks series on all of whose coefficients higher orders depend."""
     for v in values:
         v.is_kept = True
 
@@ -188,7 +190,7 @@ def scaled(factor: float, v: Any) -> Any:
 
 
 def sum_of(expansion: Expansion, terms: Sequence[Series]) -> Series:
-    """The sum of some values, of which there is one at least."""
+    """The sum of one or more values."""
     if len(terms) == 1:
         return terms[0]
     out = expansion.series(lambda k: add([v[k] for v in terms]), degree_of(*terms))
@@ -204,7 +206,7 @@ def difference(expansion: Expansion, a: Series, b: Series) -> Series:
 
 
 def reduced_difference(expansion: Expansion, a: Series, b: Series) -> Series:
-    """a − b without the terms that both are made of: of two fields that differ by a constant, that
+    """a − b with common terms cancelled; for two fields that differ by a constant, this is the
     constant."""
     left, right = [*_spread(a)], [*_spread(b)]
     for term in left.copy():
@@ -222,8 +224,8 @@ def reduced_difference(expansion: Expansion, a: Series, b: Series) -> Series:
 
 
 def _spread(a: Series, sign: float = 1.0, factors: tuple = ()) -> Iterator[tuple]:
-    """The terms of a sum, those of sums in it included: a sign, constants and a value each, by
-    their identity."""
+    """The terms of a sum, including nested sums, each as a sign, constants and a value, by
+    identity."""
     if a.terms is not None:
         for own, term in a.terms:
             yield from _spread(term, sign * own, factors)
@@ -240,8 +242,8 @@ def convolution(a: Series, b: Series, k: int, first: int = 0) -> Any:
 
 
 def product(expansion: Expansion, a: Series, b: Series) -> Series:
-    """a b. Of multiples of two values it is that multiple of their product: of c·a times a it is
-    c·a²."""
+    """a b. For multiples of two values it is a multiple of their product, so that c·a times a is
+    c·a², computed as a square."""
     if b.degree == 0:
         a, b = b, a
     if a.degree == 0:
@@ -254,7 +256,7 @@ def product(expansion: Expansion, a: Series, b: Series) -> Series:
 
 
 def _taken_apart(a: Series) -> tuple[tuple[Series, ...], Series]:
-    """The constants that a value is a multiple by, and what of."""
+    """The constant factors of a value, and the remaining value."""
     if a.multiple is None:
         return (), a
     factor, base = a.multiple
@@ -277,7 +279,7 @@ def _product(expansion: Expansion, a: Series, b: Series) -> Series:
 
 
 def square(expansion: Expansion, a: Series) -> Series:
-    """a²."""
+    """a², with half the products of a convolution."""
     if a.degree == 0:
         return expansion.series(lambda _: a[0] * a[0], 0)
     kept(a)

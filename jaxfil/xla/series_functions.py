@@ -1,8 +1,7 @@
 """Power series of functions: the recurrence of each operation.
 
-The operation of a program and the series of its operands enter; the series of its result leaves.
-Most of the rules are of one kind: y = f(u) has y' = g u' with a g that is made of u and y, so that
-k y_k = Σ i u_i g_{k−i}.
+Most of the rules are of one kind, in which y = f(u) has y' = g u' with a g that depends on u and y,
+so that k y_k = Σ i u_i g_{k−i}.
 """
 
 from collections.abc import Callable
@@ -29,24 +28,24 @@ from jaxfil.xla.series import (
     times,
 )
 
-# Powers of a number up to this one are products: beyond, the recurrence of a real power is cheaper.
+# The largest power computed by products; above it the recurrence of a real power is cheaper.
 _PRODUCTS = 8
 
 
 def _rate(expansion: Expansion, a: Series) -> Series:
-    """k a_k."""
+    """The series with coefficients k a_k."""
     key = ("rate", a)
     return expansion.once(key, lambda: expansion.series(lambda k: scaled(float(k), a[k])))
 
 
 def _from_rate(expansion: Expansion, first: Callable, a: Series, g: Callable) -> Series:
-    """y with y_0 = `first()` and y' = a' g, of the series g that `g(y)` makes."""
+    """y with y_0 = `first()` and y' = a' g, for the series g returned by `g(y)`."""
     moves, holder = _rate(expansion, a), []
 
     def make(k: int) -> Any:
         if k == 0:
             return first()
-        # Σ i a_i g_{k−i}, i from 1 on, which ends at g_{k−1}.
+        # Σ i a_i g_{k−i} over i ≥ 1, so that g is needed only up to order k − 1.
         return scaled(1.0 / k, convolution(moves, holder[0], k, first=1))
 
     out = expansion.series(make)
@@ -75,6 +74,8 @@ def _made_sine_and_cosine(expansion: Expansion, a: Series) -> tuple[Series, Seri
     def first(name: str) -> Any:
         return expansion.first(name, first_of(a))
 
+    # A linear argument needs no recurrence: coefficient k is ± the sine or cosine of its start
+    # times rate^k/k!.
     if a.degree == 1:
         start_sine = expansion.series(lambda _: first("sin"), 0)
         start_cosine = expansion.series(lambda _: first("cos"), 0)
@@ -152,7 +153,7 @@ def _shifted(expansion: Expansion, a: Series, number: Any) -> Series:
 
 
 def _real_power(expansion: Expansion, a: Series, c: Any) -> Series:
-    """a^c of a constant c: k a_0 y_k = Σ_{i ≥ 1} (i (c + 1) − k) a_i y_{k−i}."""
+    """a^c for a constant c: k a_0 y_k = Σ_{i ≥ 1} (i (c + 1) − k) a_i y_{k−i}."""
     inverse = expansion.series(lambda _: 1.0 / jnp.asarray(a[0]), 0)
 
     def make(k: int) -> Any:
@@ -197,7 +198,7 @@ def _power(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
 
 
 def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
-    """√a: 2 y_0 y_k = a_k − Σ y_i y_{k−i} without the ends."""
+    """√a: 2 y_0 y_k = a_k − Σ y_i y_{k−i} over 0 < i < k."""
     inverse = expansion.series(lambda _: 0.5 / y[0], 0)
 
     def make(k: int) -> Any:
@@ -213,7 +214,7 @@ def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
 
 
 def _arctan2(expansion: Expansion, eqn: Any, y: Series, x: Series) -> Series:
-    """The angle of (x, y): (x y' − y x')/(x² + y²)."""
+    """The angle of (x, y), whose rate is (x y' − y x')/(x² + y²)."""
     size = sum_of(expansion, [square(expansion, x), square(expansion, y)])
     by_y = quotient(expansion, x, size)
     by_x = quotient(expansion, y, size)
@@ -306,4 +307,4 @@ FUNCTIONS: dict[str, Callable] = {
     "tan": _of_name("tan", lambda e, a, y: _one_plus_square(e, y)),
     "tanh": _of_name("tanh", lambda e, a, y: _one_plus_square(e, y, -1.0)),
 }
-"""The rules of functions by the names of their operations."""
+"""The rules of functions, by the names of their operations."""

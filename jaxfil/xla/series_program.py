@@ -1,7 +1,6 @@
 """Power series through a program, operation by operation.
 
-A program and the series of its arguments enter; those of its results leave. Small arrays are taken
-apart into their numbers, whatever they are made of, as in `elements`.
+Small arrays are taken apart into their numbers, as in `elements`.
 """
 
 import functools as ft
@@ -28,7 +27,7 @@ from jaxfil.xla.series_rules import FROZEN, LINEAR, RULES, NoSeries, selected
 
 
 def expanded(expansion: Expansion, program: Any, args: Sequence[Any]) -> list[Any]:
-    """The series of a program's results: each a `Series`, or of a small array a NumPy array of
+    """The series of a program's results, each a `Series`, or for a small array a NumPy array of
     them. `args` are such series, or values, which are constant."""
     given = [v if _is_series(v) else expansion.constant(v) for v in args]
     rule = ft.partial(_made, expansion)
@@ -36,7 +35,7 @@ def expanded(expansion: Expansion, program: Any, args: Sequence[Any]) -> list[An
 
 
 def scalars_of(expansion: Expansion, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """The numbers of an array as series, in an array of its shape."""
+    """The numbers of an array as series, in a NumPy array of its shape."""
     if not isinstance(value, Series):
         return value
     return _each(shape, lambda k: _number(expansion, value, k) if shape else value)
@@ -70,7 +69,7 @@ def _is_series(value: Any) -> bool:
 
 
 def _made(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
-    """What one operation gives; what it has given of the same operands before."""
+    """The results of one operation, shared with earlier evaluations on the same operands."""
     same = [v if isinstance(v, Series) else tuple(map(Same, v.ravel())) for v in inputs]
     key = ("operation", Same(eqn), *same)
     return expansion.once(key, lambda: _new(expansion, jaxpr, eqn, inputs))
@@ -107,7 +106,7 @@ def _is_known(value: Any) -> bool:
 
 
 def _in_elements(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> Any:
-    """An operation on small arrays, number by number; None where it is not done so."""
+    """An operation on small arrays, number by number; None if this is not supported."""
     name, out = eqn.primitive.name, eqn.outvars[0].aval
     shapes = [v.aval.shape for v in eqn.invars]
     parts = [scalars_of(expansion, v, shape) for v, shape in zip(inputs, shapes, strict=True)]
@@ -143,7 +142,7 @@ def _reduced(join: Callable, array: np.ndarray, axes: Any, shape: tuple[int, ...
 def _dotted(
     expansion: Expansion, numbers: tuple, a: np.ndarray, b: np.ndarray, shape: tuple[int, ...]
 ) -> np.ndarray | None:
-    """A product of matrices, or its like; None where it has axes of a batch."""
+    """A product of matrices or other contraction; None with batch axes."""
     (left, right), batch = numbers
     if any(batch):
         return None
@@ -161,7 +160,7 @@ def _dotted(
 
 
 def _each(shape: tuple[int, ...], make: Callable) -> np.ndarray:
-    """An array of series, each made of its place."""
+    """An array of series, each computed from its index."""
     out = np.empty(shape, object)
     for k in np.ndindex(*shape):
         out[k] = make(k)
@@ -169,7 +168,7 @@ def _each(shape: tuple[int, ...], make: Callable) -> np.ndarray:
 
 
 def _of_cond(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
-    """The branch that is taken where a step begins."""
+    """The branch that is selected at the start of a step."""
     which, *args = inputs
     branches = [expanded(expansion, branch, args) for branch in eqn.params["branches"]]
     if which.degree != 0:
@@ -183,7 +182,7 @@ def _of_cond(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> list[Any]
 
 
 def _of_one(expansion: Expansion, eqn: Any, inputs: Sequence[Series]) -> Series:
-    """What an operation with one result gives, whose operands are series of whole arrays."""
+    """The result of an operation on series of whole arrays."""
     name = eqn.primitive.name
     if name not in RULES:
         bind = ft.partial(eqn.primitive.bind, **eqn.params)

@@ -1,7 +1,7 @@
-"""Power series of all operations: those of functions, and what chooses, moves and sums numbers.
+"""Power series of all operations: functions, selections, rearrangements and sums.
 
-What is chosen by a comparison is chosen where the step begins: that a selection does not change
-within a step is for the error estimate to see.
+A selection is decided at the start of a step, and fixed within it. If it would change within the
+step, the error estimate shows it.
 """
 
 import functools as ft
@@ -25,7 +25,7 @@ from jaxfil.xla.series_functions import FUNCTIONS
 
 
 class NoSeries(ValueError):
-    """An operation, by its name in JAX, that has no power series here."""
+    """The error for an operation, by its name in JAX, without a power series."""
 
     def __init__(self, name: str):
         super().__init__(
@@ -35,7 +35,7 @@ class NoSeries(ValueError):
 
 
 def selected(expansion: Expansion, which: Callable, cases: Sequence[Series]) -> Series:
-    """One of several values, chosen by a whole number or a flag that `which` makes."""
+    """One of several values, selected by the integer or flag that `which` returns."""
 
     def make(k: int) -> Any:
         parts = [v[k] for v in cases]
@@ -115,8 +115,8 @@ RULES: dict[str, Callable] = FUNCTIONS | {
     "rem": _remainder,
     "select_n": _select_n,
 }
-"""The rules of all operations that have one of their own."""
-# Linear in the first operand, given the others.
+"""The rules of operations, by their names."""
+# Operations that are linear in the first operand, given the others.
 LINEAR = frozenset(
     [
         "broadcast_in_dim",
@@ -136,7 +136,7 @@ LINEAR = frozenset(
         "transpose",
     ]
 )
-# What does not change within a step, away from where it jumps.
+# Operations that are constant within a step, away from their jumps.
 FROZEN = frozenset(
     [
         "and",

@@ -1,9 +1,8 @@
 """Small dense linear systems.
 
-A k×k matrix as lists of scalars enters; its solution leaves, by elimination with partial pivoting
-in plain arithmetic: in a batch each scalar is an array of lanes, where a LAPACK call a lane would
-cost microseconds. Two unknowns are written out; of more, a loop over the columns is a program that
-does not grow with their number.
+They are solved by elimination with partial pivoting, in plain arithmetic on lists of scalars. In a
+batch each scalar is an array of lanes, whereas a LAPACK call for each lane would cost microseconds.
+Two unknowns are written out; for more, a loop over the columns has a program of constant size.
 """
 
 from collections.abc import Sequence
@@ -16,13 +15,13 @@ from jaxtyping import Array
 
 from jaxfil.xla.select import select
 
-# Unknowns of a system at most that is written out.
+# The largest system that is written out.
 _WRITTEN_OUT = 2
 
 
 def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> list[Array]:
-    """x of A x = b. A column without a usable pivot leaves its unknown at 0: a consistent singular
-    system (the same surface listed twice) then still gets a solution."""
+    """x of A x = b. A column without a usable pivot gives an unknown of 0, so that a consistent
+    singular system (one surface listed twice) still has a solution."""
     k = len(right)
     if k > _WRITTEN_OUT:
         found, _ = _reduced(_equilibrated_array(matrix, right))
@@ -39,8 +38,8 @@ def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> li
 
 
 def solve(matrix: Array, right: Array, taken: Array) -> Array:
-    """The same of arrays, (k, k) and (k,), for the unknowns that are taken: the others are 0. It
-    takes as long as these are many."""
+    """The same for arrays, (k, k) and (k,), and the unknowns in `taken`; the others are 0. The cost
+    grows with the number of unknowns taken."""
     rows = _equilibrated_rows(jnp.concatenate([matrix, right[:, None]], axis=1))
     return _reduced_among(rows, taken)[0]
 
@@ -48,8 +47,8 @@ def solve(matrix: Array, right: Array, taken: Array) -> Array:
 def size_of_determinant(
     matrix: Array | Sequence[Sequence[Array]], taken: Array | None = None
 ) -> Array:
-    """|det A|, and 0 where a pivot is nothing but rounding; of an array that of the rows and
-    columns that are taken."""
+    """|det A|, or 0 if a pivot is within rounding; for an array, of the rows and columns in
+    `taken`."""
     if taken is None:
         return _size_of_small(matrix)
     assert isinstance(matrix, jax.Array)
@@ -61,7 +60,7 @@ def size_of_determinant(
 
 
 def _reduced_among(rows: Array, taken: Array) -> tuple[Array, Array]:
-    """`_reduced` of the rows and columns that are taken, one after the other; no row is moved."""
+    """`_reduced` for the rows and columns in `taken`, one after the other, without row swaps."""
     k = len(rows)
     number, columns = jnp.arange(k, dtype=jnp.int32), jnp.arange(k + 1, dtype=jnp.int32)
 
@@ -115,9 +114,9 @@ def _equilibrated_rows(rows: Array) -> Array:
 
 
 def _reduced(rows: Array) -> tuple[Array, Array]:
-    """x and the pivots of a system with its right-hand side in the last column, by Gauss and
-    Jordan's elimination, column by column. Rows are chosen by sums of ones and zeros, not by their
-    number: lanes that choose others then run side by side."""
+    """x and the pivots of a system with its right-hand side in the last column, by Gauss–Jordan
+    elimination. Rows are selected by sums with ones and zeros, not by indexing, so that lanes with
+    different pivots can be vectorised."""
     k = len(rows)
     number, columns = jnp.arange(k), jnp.arange(k + 1)
 
@@ -153,7 +152,8 @@ def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
 
 
 def _equilibrated(row: Sequence[Array]) -> list[Array]:
-    """The row with entries of order one, so that one threshold tells every singular pivot."""
+    """The row scaled to entries of order one, so that one threshold detects every singular
+    pivot."""
     scale = _scale(row[:-1])
     return [v / select(scale == 0, 1, scale) for v in row]
 
@@ -163,7 +163,7 @@ def _scale(row: Sequence[Array]) -> Array:
 
 
 def _quotient(a: Array, pivot: Array) -> Array:
-    """a/pivot, and 0 where the pivot is nothing but rounding."""
+    """a/pivot, or 0 if the pivot is within rounding."""
     singular = abs(pivot) <= 64 * jnp.finfo(pivot.dtype).eps
     return select(singular, 0, a / select(singular, 1, pivot))
 
@@ -186,7 +186,7 @@ class Factors(eqx.Module):
 
 
 def factored(matrix: Sequence[Sequence[Array]]) -> Factors:
-    """The factors of a regular matrix, for many right-hand sides. One without a pivot gives inf."""
+    """The factors of a regular matrix, for many right-hand sides. A zero pivot gives inf."""
     k = len(matrix)
     zero = jnp.zeros_like(matrix[0][0])
     rows = []

@@ -1,9 +1,9 @@
 """A user's function, traced once.
 
-A function of arrays enters; a `Traced` leaves: callable as the original is, under every
-transformation, with its arctangents and products of small matrices, and if it is to be fast its
-sines and cosines, replaced by ones that vectorise; able to compute what needs only some of its
-arguments ahead of the others, and to say which of its results depend on which of its arguments.
+A `Traced` is callable like the original, under every transformation. Its arctangents and products
+of small matrices are replaced, and if it should be fast its sines and cosines too, by versions that
+vectorise. It can compute values that need only some of its arguments ahead of the others, and
+determine which of its results depend on which of its arguments.
 """
 
 import functools as ft
@@ -25,55 +25,54 @@ from jaxfil.xla.series import Expansion
 from jaxfil.xla.series_program import expanded
 
 _FLOATS = (jnp.float32, jnp.float64)
-# What stands in for XLA's functions: for one that is wrong, and for those that do not vectorise.
+# Replacements of XLA's functions: arctan is wrong (jaxlib 0.10.2), sin and cos do not vectorise.
 _RIGHT = {"atan": fast_trig.arctan}
 _FAST = {"sin": fast_trig.sin, "cos": fast_trig.cos, **_RIGHT}
 
 
 def _arctan2(y: Array, x: Array) -> Array:
-    """The angle of (x, y), x made unknown to the compiler: where it is known to be 1, XLA turns to
-    its arctangent, which is wrong (jaxlib 0.10.2)."""
+    """The angle of (x, y), with x hidden from the compiler. If x is known to be 1, XLA uses its
+    arctangent, which is wrong (jaxlib 0.10.2)."""
     return jax.lax.atan2(y, select(y == y, x, y))
 
 
 _SAFE = {"atan2": _arctan2}
-# Numbers of an array for which it pays to find it ahead in a program that is to be small.
+# The smallest array that is computed ahead in a compact program.
 _SOME = 3
-# What takes longer than a few multiplications.
+# Operations that take longer than a few multiplications.
 _DEAR = (*_FAST, *_SAFE, "exp", "log", "log2", "pow", "tan", "tanh")
-# Operations whose results depend each on the numbers in its own place. Of any other one each result
-# depends on all numbers, whatever their shapes: of a sort, of a conditional, of a product of square
-# matrices.
+# Operations of which each result depends only on the numbers at its own position. Results of other
+# ones, such as a sort, a conditional or a product of square matrices, depend on all numbers.
 _NAMES = """
 bessel_i0e bessel_i1e copy_p device_put imag nextafter real reduce_precision shift_left
 shift_right_arithmetic shift_right_logical copy stop_gradient
 """
 _ON_EACH = elements.ON_EACH.union(ELEMENTWISE, _NAMES.split())
-# What has no forward derivatives, unless a rule of the user's own stands around it.
+# Operations without forward derivatives, unless a user's own rule encloses them.
 _NO_DERIVATIVES = {
     "custom_vjp_call": "jax.custom_vjp",
     "custom_vjp_call_jaxpr": "jax.custom_vjp",
     "pure_callback": "jax.pure_callback",
     "io_callback": "jax.experimental.io_callback",
 }
-# When an argument is known: from the start, with the time, or with the state.
+# The time at which an argument is known: from the start, with the time, or with the state.
 FIRST, EARLY, LATE = range(3)
 
 
 _Flags = np.ndarray | np.bool_
-"""Of each element of an array, whether something is so."""
+"""A flag for each element of an array."""
 
 
 class Traced:
-    """`function` for arguments shaped like `example`.
+    """`function` for arguments with the shapes of `example`.
 
-    `when` says of each argument when it is known. What is dear and can be computed early, `ahead`
-    of the late arguments, a call can be given as `known`. Each sine is divided by the call's
-    `fence`, a one that the compiler cannot see through, unless the call says that its result is
-    used `alone` and one number in it depends on them: see `ComponentSystem`. With `transposed`, its
-    derivatives are those of `masked_product` where they might not be finite. Unless it is `fast`,
-    sines and cosines are XLA's own, one operation in place of some twenty, arrays that numbers
-    enter into stay arrays, and no more than arrays are computed early, by functions that vectorise.
+    `when` says for each argument when it is known. Expensive values that can be computed early,
+    `ahead` of the late arguments, can be passed to a call as `known`. Each sine is divided by the
+    call's `fence`, the number 1 hidden from the compiler, unless the call says that its result is
+    used `alone` and only one number in it depends on sines (see `ComponentSystem`). With
+    `transposed`, derivatives that may be infinite or NaN use `masked_product`. Unless it is `fast`,
+    sines and cosines are XLA's own, one operation in place of some twenty, arrays built from
+    numbers remain arrays, and only arrays are computed early, by functions that vectorise.
     """
 
     def __init__(
@@ -92,12 +91,14 @@ class Traced:
         order = when or (LATE,) * len(example)
         each = zip(order, example, strict=True)
         self._when = [k for k, arg in each for _ in jax.tree.leaves(arg)]
+        # The flags of the results that depend on a sine. With only one, a call whose result is used
+        # `alone` needs no fence.
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
         waves = _dependencies(self._closed, nothing, sources=self._functions)
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
         self._masks = transposed and not SINGULAR.isdisjoint(names(self._closed.jaxpr))
-        # As functions of their own they are put through a transformation once, however often they
-        # are called.
+        # Under `jit`, so that a transformation processes each function once, for any number of
+        # calls.
         self._run, self._ahead = jax.jit(self._evaluated), jax.jit(self._found)
 
     def _evaluated(self, leaves: list, known: list | None, fence: Array | None) -> list:
@@ -123,29 +124,29 @@ class Traced:
         return jax.tree.unflatten(self._tree, out)
 
     def ahead(self, *args: Any) -> list:
-        """What is dear and early, given all arguments that are not late."""
+        """The expensive early values, given all arguments that are not late."""
         return self._ahead(jax.tree.leaves(args))
 
     def expansion(self, fence: Array | None = None) -> Expansion:
-        """Where power series of the function are made."""
+        """A new expansion for power series of the function."""
         return Expansion(self._functions, _same if fence is None else lambda v: v / fence)
 
     def expanded(self, made: Expansion, *args: Any) -> list[Any]:
-        """Power series of the results as `series_program.expanded` gives them, of such series or of
-        values, which are constant."""
+        """Power series of the results (see `series_program.expanded`), given series of the
+        arguments, or values, which are constant."""
         return expanded(made, self._closed, jax.tree.leaves(args))
 
     def expanded_rate(
         self, made: Expansion, known: Any, moving: Sequence[Any], along: Sequence[Any]
     ) -> list[Any]:
-        """The same of the rates of the results, as the arguments after those `known` move along a
+        """Power series of the rates of the results, as the arguments after `known` move along a
         direction."""
         program = self._rates(len(moving))
         args = [*jax.tree.leaves(known), *moving, *along]
         return expanded(made, program, args)
 
     def _rates(self, count: int) -> Any:
-        """The program of the rates of the results, as the last arguments, so many, move."""
+        """The program of the rates of the results, as the last `count` arguments move."""
         if count in self._of_rates:
             return self._of_rates[count]
         run = operations(self._closed)
@@ -160,12 +161,12 @@ class Traced:
         return program
 
     def without_derivatives(self) -> str | None:
-        """What the function calls that has no forward derivatives, by its name in JAX."""
+        """An operation of the function without forward derivatives, by its name in JAX."""
         return _without_derivatives(self._closed.jaxpr)
 
     def depends(self, *args: Any) -> Any:
-        """Which results depend on the flagged arguments, number by number: pytrees of flags in, of
-        flags out."""
+        """Flags of the results that depend on the flagged arguments, number by number, as
+        pytrees."""
         jaxpr = self._closed.jaxpr
         flags = [
             np.broadcast_to(flag, v.aval.shape)
@@ -175,7 +176,7 @@ class Traced:
         return jax.tree.unflatten(self._tree, list(map(np.asarray, out)))
 
     def is_affine(self, *args: Any) -> bool:
-        """Whether all results are affine in the flagged arguments, as far as the operations say."""
+        """Whether all results are provably affine in the flagged arguments."""
         jaxpr = self._closed.jaxpr
         degrees = [
             np.full(v.aval.shape, int(flag))
@@ -199,11 +200,11 @@ def _same(v: Array) -> Array:
 
 
 class _Evaluation:
-    """A function equation by equation, with `functions` in place of XLA's.
+    """The evaluation of a function equation by equation, with `functions` in place of XLA's.
 
-    What is dear and early is left in `found`, or taken from `known`, in order. An unknown value is
-    None, and what is made of it too. What has no result, as `jax.debug.print`, is done if it
-    `shows`.
+    Expensive early values are appended to `found`, or taken from `known`, in order of evaluation.
+    An unknown value is None, as are all values that depend on it. Operations without a result, such
+    as `jax.debug.print`, are executed if `shows`.
     """
 
     def __init__(
@@ -228,16 +229,17 @@ class _Evaluation:
         return [elements.array_of(v) for v, _ in out]
 
     def _shown(self, jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list:
-        """What has no result, as it is."""
+        """An equation without results, evaluated unchanged."""
         return evaluate_one(jaxpr, eqn, [elements.array_of(v) for v, _ in inputs])
 
     def _made_when(self, jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
-        """What one equation gives of values with when they are known, and when that is."""
+        """The results of one equation, given values and the times at which they are known, with
+        their own times."""
         when = max((k for _, k in inputs), default=FIRST)
         return [(v, when) for v in self._made(jaxpr, eqn, [v for v, _ in inputs], when)]
 
     def _made(self, jaxpr: Any, eqn: Any, inputs: Sequence[Any], when: int) -> Sequence[Any]:
-        """What one equation gives."""
+        """The results of one equation."""
         if any(v is None for v in inputs):
             return [None] * len(eqn.outvars)
         if not self._masks and elements.in_elements(eqn, inputs, self._mixed):
@@ -247,7 +249,7 @@ class _Evaluation:
         return self._ahead(eqn, when, make, [elements.array_of(v) for v in inputs])
 
     def _ahead(self, eqn: Any, when: int, make: Callable, inputs: Sequence[Any]) -> Sequence[Any]:
-        """What one equation gives, unless it is known ahead."""
+        """The results of one equation, taken from the values computed ahead if it is among them."""
         name, aval = eqn.primitive.name, eqn.outvars[0].aval
         if when != EARLY or name not in _DEAR or not (self._mixed or aval.size >= _SOME):
             return make(*inputs)
@@ -273,7 +275,7 @@ class _Evaluation:
     def _evaluate(
         self, jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable
     ) -> Sequence[Any]:
-        """One equation, by the function that stands in for its own if there is one."""
+        """The results of one equation, by its replacement if it has one."""
         name = eqn.primitive.name
         if name in self._functions and eqn.invars[0].aval.dtype in _FLOATS:
             return [hold(self._functions[name](jnp.asarray(inputs[0])))]
@@ -285,9 +287,9 @@ class _Evaluation:
 
 
 def _through(program: Any, args: Sequence[Any], rule: Callable, kind: type) -> list[Any]:
-    """What is known of each number, as arrays of a kind that is False or 0 of a constant, through a
-    program: what only moves numbers about moves it too, and `rule(eqn, inputs)` is that of any
-    other operation."""
+    """Properties of each number, propagated through a program, as arrays of a `kind` that is False
+    or 0 for constants. Rearrangements move them, and `rule(eqn, inputs)` handles other
+    operations."""
 
     def known(_: Any, eqn: Any, inputs: Sequence[Any]) -> Sequence[Any]:
         name, shape = eqn.primitive.name, eqn.outvars[0].aval.shape
@@ -301,7 +303,7 @@ def _through(program: Any, args: Sequence[Any], rule: Callable, kind: type) -> l
 
 
 def _dependencies(program: Any, args: Sequence[Any], sources: Collection[str] = ()) -> list[_Flags]:
-    """Element-wise dependency flags through a program; what the primitives `sources` give is
+    """Elementwise dependency flags through a program; results of the primitives `sources` are
     flagged."""
 
     def flags(eqn: Any, inputs: Sequence[_Flags]) -> list[_Flags]:
@@ -319,9 +321,9 @@ def _dependencies(program: Any, args: Sequence[Any], sources: Collection[str] = 
     return _through(program, args, flags, bool)
 
 
-# More than affine.
+# A degree above 1.
 _CURVED = 2
-# Operations that are linear in their operands of these numbers, given all others.
+# Operations that are linear in the operands with these numbers, given all others.
 _LINEAR = {
     "dynamic_slice": (0,),
     "dynamic_update_slice": (0, 1),
@@ -334,7 +336,7 @@ _LINEAR = {
 
 def _degrees(program: Any, args: Sequence[np.ndarray]) -> list:
     """The degree of each number in the arguments of degree 1, through a program: 0, 1, or `_CURVED`
-    for whatever else."""
+    for any other dependence."""
 
     def degrees(eqn: Any, inputs: Sequence[np.ndarray]) -> list:
         return [np.broadcast_to(_degree(eqn, inputs), v.aval.shape) for v in eqn.outvars]
@@ -343,10 +345,10 @@ def _degrees(program: Any, args: Sequence[np.ndarray]) -> list:
 
 
 def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:
-    """The degree of what one operation gives, number by number where that is easily told."""
+    """The degree of the result of one operation, number by number where this is simple."""
     name, highest = eqn.primitive.name, [int(np.max(d, initial=0)) for d in inputs]
     if name == "convert_element_type" and eqn.outvars[0].aval.dtype not in _FLOATS:
-        return _CURVED if any(highest) else 0  # what is cut off to whole numbers
+        return _CURVED if any(highest) else 0  # truncated to integers
     if name in ("add", "add_any", "sub", "neg", "convert_element_type", "copy"):
         return ft.reduce(np.maximum, inputs)
     if name == "mul":

@@ -420,7 +420,7 @@ def test_a_bifurcation_is_found_under_jit(sd, sd_grazing):
     orbit = lane(orbits, 0)
     value = jax.jit(lambda s: jf.find_bifurcation(s, "omega", orbit, "grazing").value)
     np.testing.assert_allclose(value(system), sd_grazing.value, rtol=1e-14)
-    with pytest.raises(ValueError, match="`orbit` must be known numbers, got a traced Orbit"):
+    with pytest.raises(ValueError, match="`orbit` must not be traced, got a traced Orbit"):
         eqx.filter_jit(jf.find_bifurcation)(system, "omega", orbit, "grazing")
 
 

@@ -100,9 +100,8 @@ PERIOD = "`period` of SDOscillator must be a positive number"
 BACKWARD = jf.systems.SDOscillator(omega=-0.7)
 SHAPE = "`vector_field` of Custom must return an array of the shape of the state, (2,)"
 COMPILED = (
-    "`vector_field` of Custom must be made of jnp functions, for it is compiled, and t, x, side "
-    "have no values until it runs: jnp.where(side > 0, a, b) instead of `if`, jnp.sin instead of "
-    "math.sin or np.sin, jnp.stack instead of np.array"
+    "`vector_field` of Custom must use jnp functions, since it is compiled, and t, x, side have no "
+    "values before it runs; got "
 )
 LEAVES = (
     "`parameter` must be a parameter of _DriveResponse, one of system.f0, system.zeta, system.omega"
@@ -237,7 +236,7 @@ CALLS = {
     ),
     "saved by a function": (
         lambda: solve(saveat=diffrax.SaveAt(t1=True, fn=lambda t, y, args: y[0])),
-        "`saveat.fn` must be left out",
+        "`saveat.fn` must be omitted",
         "lambda",
     ),
     "every fifth step is saved": (
@@ -343,7 +342,7 @@ CALLS = {
     "field is a list": (
         lambda: solve(custom(field=list)),
         SHAPE,
-        "type list: write jnp.stack",
+        "type list; write jnp.stack",
     ),
     "field without side": (
         lambda: solve(Short()),
@@ -353,7 +352,7 @@ CALLS = {
     "field of integers": (
         lambda: solve(custom(field=lambda x: jnp.array([1, 2]))),
         "`vector_field` of Custom must return numbers of the state's dtype, float64",
-        "int64: write 1.0 instead of 1",
+        "int64; write 1.0 instead of 1",
     ),
     "field in single precision": (
         lambda: solve(custom(field=lambda x: x.astype(jnp.float32))),
@@ -392,7 +391,7 @@ CALLS = {
     ),
     "section branches": (
         lambda: solve(sections=jf.Section(lambda t, x: x[0] if x[1] > 0 else t)),
-        "`sections[0].function` must be made of jnp functions",
+        "`sections[0].function` must use jnp functions",
         "TracerBoolConversionError",
     ),
     "observed without a state": (
@@ -427,12 +426,12 @@ CALLS = {
     ),
     "piecewise by two surfaces": (
         lambda: solve(jf.piecewise(same, same, lambda t, x: x)),
-        "`switching` must return a scalar, for two fields meet at one surface",
+        "`switching` must return a scalar, since two fields have one surface",
         "(2,)",
     ),
     "piecewise by no surface": (
         lambda: solve(jf.piecewise(same, same, lambda t, x: x[:0])),
-        "`switching` must return a scalar, for two fields meet at one surface",
+        "`switching` must return a scalar, since two fields have one surface",
         "(0,)",
     ),
     "piecewise of a list": (
@@ -472,7 +471,7 @@ CALLS = {
     ),
     "diagram without a period": (
         lambda: diagram(GOOD, "friction"),
-        "`system` must be forced: a diagram samples once a forcing period",
+        "`system` must be forced, since a diagram samples once a forcing period",
         "CoulombOscillator",
     ),
     "diagram of an integer": (
@@ -487,7 +486,7 @@ CALLS = {
     ),
     "basins without a period": (
         lambda: jf.basins_of_attraction(GOOD, ([0.0], [0.0])),
-        "`system` must be forced: motions are looked at once a forcing period",
+        "`system` must be forced, since motions are sampled once a forcing period",
         "CoulombOscillator",
     ),
     "basins over three axes": (

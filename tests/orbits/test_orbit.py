@@ -403,10 +403,13 @@ def test_an_orbit_of_a_negative_period_is_told():
     [
         ({"x0": jnp.zeros((2, 2))}, r"`x0` must be of shape \(n,\)"),
         ({"system": S.SlipStick}, "`system` must be an instance"),
-        ({"system": S.SlipStick()}, "`period` must be a guess of the period: SlipStick is auto"),
+        (
+            {"system": S.SlipStick()},
+            "`period` must be a guess of the period, since SlipStick is auto",
+        ),
         ({"system": S.SlipStick(), "period": -1.0}, "`period` must be a positive number, got -1"),
         ({"system": S.SlipStick(), "period": 9.0, "periods": 2}, "`periods` and `transient`"),
-        ({"period": 9.0}, "`period` must be None: that of SDOscillator is known"),
+        ({"period": 9.0}, "`period` must be None, since SDOscillator has"),
         ({"periods": 0}, "`periods` must be an integer of at least 1, got 0"),
         ({"steps": 2.5}, "`steps` must be an integer of at least 1, got 2.5"),
         ({"segments": 0}, "`segments` must be an integer of at least 1, got 0"),

@@ -451,7 +451,7 @@ def test_a_lane_that_diverges_does_not_set_the_axis():
 
 
 def test_a_component_of_a_map_of_periods_is_refused():
-    with pytest.raises(ValueError, match="`component` must be left out for a grid"):
+    with pytest.raises(ValueError, match="`component` must be omitted for a grid"):
         periods().plot(component=1)
 
 

@@ -1,4 +1,4 @@
-"""Prose of the package and of its site: the frequency of constructions that are hard to read.
+"""Prose of the package, of its messages and of its site: how often it is hard to read.
 
 Each construction has a bound, in occurrences per 10,000 words. `MEASURED` has the values of diffrax
 0.7.2, by `counts` of all docstrings and comments of its package (19,232 words). Bounds are a little
@@ -79,20 +79,7 @@ BOUNDS = {
     "colon": 45,
 }
 
-# Rooms in plain words; `integrate` and `xla` are to follow.
-ROOMS = (
-    "model",
-    "systems",
-    "studies",
-    "sweep",
-    "exponents",
-    "plot",
-    "files",
-    "command",
-    "equilibria",
-    "bifurcations",
-    "orbits",
-)
+ROOMS = sorted(file.parent.name for file in PACKAGE.glob("*/__init__.py"))
 
 
 def words(text):
@@ -124,6 +111,24 @@ def docstrings_and_comments(source):
         if token.type == tokenize.COMMENT and not re.match(r"# ?(pyright|noqa):", token.string):
             comments.append(token.string.lstrip("# "))
     yield "\n".join(comments)
+
+
+def messages(source):
+    """All literals of a file that a user may read as a sentence, with `x` in place of values."""
+    tree = ast.parse(source)
+    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    formatted = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
+    parts = {id(part) for node in formatted for part in node.values}
+    texts = [
+        "".join(str(part.value) if isinstance(part, ast.Constant) else "x" for part in node.values)
+        for node in formatted
+    ]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            texts += [node.value] if id(node) not in docstrings | parts else []
+    for text in texts:
+        if " must " in text or (text.endswith(".") and text.count(" ") > 2):
+            yield text
 
 
 def occurrences(texts):
@@ -164,11 +169,25 @@ def test_the_site_is_in_plain_words():
     assert too_many(page.read_text() for page in pages) == {}
 
 
-def prose(folder):
+def prose(folder, texts=docstrings_and_comments):
     for file in sorted(folder.rglob("*.py")):
-        yield from docstrings_and_comments(file.read_text())
+        yield from texts(file.read_text())
 
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_a_room_is_in_plain_words(room):
     assert too_many(prose(PACKAGE / room)) == {}
+
+
+def test_messages_are_in_plain_words():
+    assert too_many(prose(PACKAGE, messages)) == {}
+
+
+def test_a_message_is_seen():
+    source = """def f(x):
+    "It must be a docstring."
+    raise ValueError(f"`x` must be None: what is {x} left for?" if x else "Try a larger `x`.")"""
+    assert sorted(messages(source)) == [
+        "Try a larger `x`.",
+        "`x` must be None: what is x left for?",
+    ]

@@ -1,22 +1,22 @@
 """Accumulations: infinitely many switchings in a finite time, completed by their limit.
 
-A lane at a switch and what follows from it enter; the same leaves, and where contacts of the same
-kind follow one another at times that shrink in one ratio, so does their limit: its time, its state
-and the surfaces met on the way, on which the next switch chooses the mode.
+Where contacts of the same kind follow one another at intervals that shrink by a constant ratio, a
+switch jumps to their limit, given by its time, its state and the surfaces reached in between. The
+next switch chooses the mode on these.
 
-Near the point that a twisting controller or a spiral through the sides of two surfaces runs into,
-the motion is self-similar: each turn takes q times as long as the last one. The time left after a
-turn of length T is a geometric series, Aitken's extrapolation, and the mean velocity V of turns is
-linear in the time of their middle, a smooth motion's as well as one that dies out with the first
-or second power of the time left:
+Near the point to which a twisting controller or a spiral through the sides of two surfaces
+converges, the motion is self-similar, and each turn takes q times as long as the last one. The time
+remaining after a turn of length T is a geometric series (Aitken's extrapolation). The mean velocity
+V of turns is linear in the time of their middle, both for a smooth motion and for one that decays
+with the first or second power of the remaining time:
 
     τ = T q/(1 − q),   q = T/T_before,
     x + τ (V + (V − V_before) (T + τ)/(T + T_before)),   V = D/T after a turn that moves x by D.
 
-Where the fields are constant both are exact, with their derivatives; elsewhere the error of the
-time is of the order of the square of what is left, and of the state of its cube. They are taken
-when two turns one after the other predict the same limit to within rounding, in time and in every
-component of the state.
+Where the fields are constant both are exact, with their derivatives. Elsewhere the error of the
+time is of the order of the square of the remaining time, and the error of the state of its cube.
+The limit is used when two consecutive turns predict the same one to within rounding, in time and in
+every component of the state.
 """
 
 import dataclasses
@@ -43,11 +43,11 @@ from jaxfil.integrate.system.components import (
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
-# A contact that has not come again after so many others is no part of a turn.
+# A contact that is not repeated within this many others does not belong to a turn.
 _LONGEST = 16
-# Two predictions agree to so many times the rounding of what they are made of.
+# Tolerance for equal predictions, in multiples of the rounding of their terms.
 _AGREE = 4
-# and that must be less than this part of a turn.
+# The largest such rounding, as a part of the length of a turn.
 _TOLD = 1 / 16
 
 
@@ -55,7 +55,7 @@ class Turn(eqx.Module):
     """A turn through the sides of coupled surfaces, from one contact to the next of its kind."""
 
     kind: Array
-    """The kind of the contact that it began with; −1: there has been none."""
+    """The kind of the contact at which the turn started; −1 before the first contact."""
     tau: Array
     """Elapsed time of that contact."""
     tau_low: Array
@@ -63,32 +63,32 @@ class Turn(eqx.Module):
     x: Components
     """State at that contact, n components."""
     length: Array
-    """The time that the turn before took; 0: there is none."""
+    """Length in time of the turn before; 0 without one."""
     move: Components
-    """How far that has moved the state, n components."""
+    """Displacement of the state in the turn before, n components."""
     left: Array
-    """Time from that contact to the limit of turns, as the turn before has predicted it; inf if it
-    has predicted none."""
+    """Time from that contact to the limit of turns, as predicted by the turn before; inf without a
+    prediction."""
     limit: Components
     """State at this limit, n components."""
     met: Components
-    """The surfaces met since, m components."""
+    """The surfaces reached since that contact, m components."""
     late: Array
-    """How uncertain the times of these contacts are."""
+    """Uncertainty of the times of these contacts."""
     contacts: Array
-    """How many contacts there have been since."""
+    """Number of contacts since."""
     completed: Array
     """Whether the next switch is the one at the limit."""
 
 
 def has_turns(system: ComponentSystem) -> bool:
-    """Whether contacts may accumulate by turns: through the sides of coupled surfaces, or from one
+    """Whether contacts may accumulate by turns, through the sides of coupled surfaces or from one
     wall to another."""
     return system.m > 1 and (system.resets or (system.slides and not system.structure.separate))
 
 
 def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
-    """What is known of turns at t0."""
+    """The turn at t0, before any contact."""
     if not has_turns(system):
         return None
     zero, false = jnp.zeros((), system.dtype), jnp.zeros((), bool)
@@ -109,8 +109,8 @@ def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
 
 
 def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> StepEnd:
-    """The end of a step with the turn that a switch made there belongs to, and if that is the last
-    one needed, with the limit of those that follow."""
+    """The end of a step with the turn that its switch belongs to. If that turn completes the
+    accumulation, the step jumps to the limit of all later turns."""
     turn = state.turn
     if turn is None:
         return end
@@ -121,7 +121,7 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
     upcoming = done & turn.met
     if end.jump is not None and end.next is not None:
         jump, upcoming = select(done, jump, end.jump), where(done, upcoming, end.next)
-    # What this switch changes of other surfaces is a part of what is completed.
+    # Changes of other surfaces by this switch are part of the completed turns.
     again = None if end.again is None else end.again & ~done
     return dataclasses.replace(
         end,
@@ -145,7 +145,7 @@ def _turned(
     """The turn after a switch, and the time and the state of the limit of turns."""
     turn, same = state.turn, problem.grid.same_time(end.motion.tau)
     assert turn is not None
-    # What follows the limit of turns begins anew.
+    # After the limit, turns are counted from the start.
     switches = state.pending.waits & ~state.pending.grazes & ~turn.completed
     kind = _kind(state.pending.surfaces, end.motion.mode)
     time = (end.motion.tau - turn.tau) + stop_gradient(state.tau_low - turn.tau_low)
@@ -159,17 +159,17 @@ def _turned(
     change = (mean - turn.move / before) / (took + before)
 
     def ahead(span: Array) -> Components:
-        """The state after so much of the time that is left."""
+        """The state after a part `span` of the remaining time."""
         return end.motion.x + span * (mean + (time + span) * change)
 
     limit = ahead(select(shrinks, left, 0))
     agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit, move)
-    # At a grid point it may be late by the rounding of its prediction.
+    # The predicted limit may be past a grid point by the rounding of the prediction.
     late = jnp.maximum(stop_gradient(left - length.room), 0)
     completed = shrinks & (agrees & (late <= rounding) | (left <= same) & (late <= same))
     completed = completed & _clear(problem, state, end, left, limit)
     if problem.system.resets:
-        # Of one wall `resets` knows more.
+        # For a single wall, `resets` has a better prediction, by the reset itself.
         soon = problem.system.eps**0.5 * typical_step(problem, state)
         together = total((turn.met | state.pending.surfaces).astype(jnp.int32)) > 1
         completed = completed & (together | (left <= soon))
@@ -196,7 +196,7 @@ def _turned(
 def _clear(
     problem: Problem, state: LoopState, end: StepEnd, left: Array, limit: Components
 ) -> Array:
-    """Whether no surface that the turn has not met is crossed on the way to the limit."""
+    """Whether no surface outside the turn is crossed on the way to the limit."""
     assert state.turn is not None
     if problem.system.m == 2:
         return jnp.ones((), bool)
@@ -207,17 +207,17 @@ def _clear(
 
 
 def _kind(hit: Components, mode: Components) -> Array:
-    """The surfaces of a contact and the mode after it, as one number."""
+    """The surfaces of a contact and the mode after it, encoded as one number."""
     codes = 2 * (mode + 2) + hit.astype(mode.number(0).dtype)
-    if codes.is_array:  # no two sums of such multiples are the same
+    if codes.is_array:  # square roots, so that different codes have different sums
         (numbers,) = stop_gradient(codes).parts
         return jnp.sum(numbers * np.sqrt(np.arange(2.0, 2.0 + len(numbers))))
     return stop_gradient(ft.reduce(lambda number, code: 10 * number + code, codes.parts))
 
 
 def _lateness(state: LoopState) -> Array:
-    """How much later or earlier rounding may have put the contacts of a turn: the time of each is
-    as good as its guard."""
+    """The uncertainty of the contact times of a turn. It is the rounding of a guard divided by its
+    rate."""
     assert state.turn is not None
     late = where(
         state.pending.surfaces & (state.motion.rate != 0),
@@ -237,20 +237,20 @@ def _agrees(
     limit: Components,
     move: Components,
 ) -> tuple[Array, Array]:
-    """Whether the limit is the one that the turn before has predicted, to within rounding, and this
+    """Whether the limit equals the one predicted by the turn before, to within rounding, and the
     rounding of its time."""
     turn, same = state.turn, problem.grid.same_time(state.motion.tau)
     assert turn is not None
-    # A ratio of two times gains 1/(1 − q) twice on their rounding.
+    # The factor 1/(1 − q) of a ratio of two times magnifies their rounding twice.
     shrink = 1 - ratio
     rounding = _AGREE * (same / shrink + _lateness(state) / (shrink * shrink))
-    # Where rounding is much of a turn, all predictions agree.
+    # If rounding is a large part of a turn, all predictions agree, without meaning.
     agrees = (abs(left - (turn.left - time)) <= rounding) & (rounding <= _TOLD * time)
     size, speed = (
         maximum(abs(limit), abs(end.motion.x)),
         maximum(abs(end.motion.f), abs(state.motion.f)),
     )
-    # A reset gives a rounding of its time to what stands still before and after it, too.
+    # A reset moves the state at a rounded time, also if the velocity is zero before and after it.
     speed = maximum(speed, abs(move) / select(time > 0, time, 1))
     apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
     return agrees & ~any_of(~(abs(limit - turn.limit) <= apart)), rounding

@@ -1,7 +1,8 @@
-"""Beginnings: how a run starts on surfaces with resets.
+"""Beginnings: the start of a run on surfaces with resets.
 
-A state on surfaces enters; leave the sides that it starts on, the surfaces that it rests on, and
-those whose reset is owed: what a state says of the past is whether a reset can have led to it.
+A state alone does not tell which resets have already happened. The rules here decide, from the
+state, on which sides the run starts, on which surfaces it rests, and which resets are due. A reset
+is due only if the state cannot be its result.
 """
 
 import equinox as eqx
@@ -22,38 +23,39 @@ _NOISE = 64
 
 
 class Beginning(eqx.Module):
-    """How a run starts on surfaces with resets. Components are m."""
+    """The start of a run on surfaces with resets. Components are m."""
 
     sides: Components
-    """The side to start on, where nothing else is said."""
+    """The side to start on, unless another rule decides."""
     known: Components
-    """Surfaces on which no mode is to be chosen."""
+    """Surfaces whose mode is decided here."""
     owed: Components
-    """Surfaces whose reset comes first."""
+    """Surfaces whose reset is due at t0."""
     still: Components
-    """Surfaces without a rate, that may be rested on."""
+    """Surfaces with zero rate, on which the motion may rest."""
     rests: Components
-    """Surfaces rested on; of several surfaces with the field on side + alone."""
+    """Surfaces that the motion rests on; for several surfaces only with the field on side +."""
     consistent: Array
-    """Whether their reactions are all that is needed."""
+    """Whether the reactions of these are consistent (see `unilateral.pressed`)."""
     constraints: Constraints
     """The surfaces as constraints."""
     by_time: Components
-    """∂ψ/∂t of these."""
+    """∂ψ/∂t of the constraints."""
 
 
 def begin(
     problem: Problem, x: Components, on: Components, sides: Components, rates: Components
 ) -> Beginning:
-    """How a run starts on the surfaces marked `on`, given the rates of H on side + with the sign of
-    the first derivative that does not vanish.
+    """The start of a run on the surfaces marked `on`, given the rates of H on side + with the sign
+    of the first derivative that does not vanish.
 
-    A surface that throws back bounds H ≥ 0: a motion towards H < 0 is an impact at t0, one that
-    has no rate and is pressed rests, any other has left. Any other surface is met from where the
-    motion comes, by the sign of its rate, and the reset is owed if no reset can have led to this
-    state. If one can, as to one whose kick is a sum, it has been made: the span is half open. So it
-    has on a surface in time alone, as at a tick. Backward in time only that is undone which leads
-    to where the motion comes from.
+    A surface whose reset throws back bounds H ≥ 0. A motion towards H < 0 then starts with an
+    impact at t0, a pressed motion without a rate rests, and any other is off the surface. Any
+    other surface is reached from the side that the motion comes from, by the sign of its rate, and
+    its reset is due if the state cannot be the result of one. If it can, as for a kick that adds a
+    constant, the reset counts as applied, since the span is open at t0. The same holds for a
+    surface that depends on time alone, like a tick. Backward in time a reset is only undone if the
+    state after it is on the side from which the motion comes.
     """
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     above = sides.like(jnp.ones_like(t))
@@ -74,8 +76,8 @@ def begin(
     back = back & (returns | (seen.unmade & ~timed & (direction > 0)))
     owed = (wall & (direction * rates < 0) & ~flat) | back
     start = where(wall, 1.0, where(back, side, sides))
-    # Of a rate that is rounding not even the sign is known: the acceleration decides, and where
-    # that vanishes the first higher derivative that does not.
+    # A rate within rounding has an unknown sign, so the acceleration decides, and where that
+    # vanishes the first higher derivative that does not.
     lean = where(flat, where(a != 0, direction * a, rates), a)
     rests, consistent = unilateral.pressed(c.reaction, lean, above, wall & flat)
     return Beginning(
@@ -91,19 +93,19 @@ def begin(
 
 
 class Trace(eqx.Module):
-    """What a state on a surface says of the reset of that surface. Components are m."""
+    """The effect of a surface's reset on a state on that surface. Components are m."""
 
     h: Components
-    """H where the reset leads to."""
+    """H after the reset."""
     unmade: Components
-    """Whether no reset can have led to this state: this one moves it, and made twice it is made
-    once, or leads off the surface."""
+    """Whether the state cannot be the result of a reset. The reset then moves it, and is either
+    idempotent or moves the state off the surface."""
 
 
 def _traces(
     system: ComponentSystem, t: Array, x: Components, on: Components, noise: Components
 ) -> Trace:
-    """What a state says of the resets of its surfaces, given the rounding of H there."""
+    """The effect of the resets of a state's surfaces, given the rounding of H there."""
 
     def own(number: Array) -> tuple[Array, Array, Array]:
         once = system.reset(t, x, number)
@@ -121,8 +123,8 @@ def _traces(
 
 
 def _changed(system: ComponentSystem, t: Array, x: Components, on: Components) -> Array:
-    """Whether the resets of the surfaces that a state is on, made in turn, lead elsewhere. Of
-    resets that undo each other, in the state that all of them have led to, they do not."""
+    """Whether the resets of the surfaces that a state is on, applied in order, change the state.
+    Resets that undo each other do not, in a state that is the result of all of them."""
     numbers = pack(on, bool)
 
     def made(j: Array, x: Components) -> Components:

@@ -1,6 +1,6 @@
 """The cubic through values and rates of a guard at both ends of a step, and its first zero.
 
-Hermite's cubic stands for the guard within a step: see `locate`.
+Hermite's cubic interpolates the guard within a step (see `locate`).
 """
 
 import equinox as eqx
@@ -12,9 +12,9 @@ from jaxfil.xla.select import select
 NEVER = 2.0
 """θ of a contact that does not happen in this step."""
 
-# A minimum in the middle of a step this small a part of the guard's range is stepped to and looked
-# at: the cubic's own error could hide a dip below it. Towards the ends of a step that error falls
-# like θ²(1 − θ)², and so does what is looked at.
+# A minimum in the middle of a step that is below this part of the guard's range is examined by a
+# step to it, since the cubic's own error could hide a dip below zero. Towards the ends of a step
+# that error falls like θ²(1 − θ)², and so does this limit.
 SUSPICIOUS = 1 / 64
 
 
@@ -62,9 +62,9 @@ def quotient(a: Array, b: Array) -> Array:
 def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
     """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
 
-    A guard that starts at zero, at θ = 0, and has its maximum at lo comes back to zero between
-    1.5 lo (where its rate started at zero too) and 2 lo (a parabola). Two of Halley's iterations
-    leave about the cubic's own error; what they leave the next trial step finds.
+    A guard that starts at zero, at θ = 0, and has its maximum at lo returns to zero between 1.5 lo
+    (if its rate started at zero too) and 2 lo (a parabola). Two iterations of Halley's method are
+    accurate to about the cubic's own error; the next trial step corrects the rest.
     """
     theta = select(armed, 0.5 * (lo + hi), jnp.minimum(1.75 * lo, hi))
     for _ in range(2):
@@ -77,49 +77,51 @@ def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
 def first_contact(
     g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array
 ) -> tuple[Array, Array]:
-    """θ of the first contact, and θ of a minimum to be looked at; `NEVER` where there is none.
+    """θ of the first contact, and θ of a minimum to be examined; `NEVER` in place of either if it
+    does not exist.
 
-    `d0`, `d1` are rates times the step. `noise` is what rounding does to the guard; a surface not
-    `armed` was left at this step's start or has not been left by more than `noise` since.
+    `d0`, `d1` are rates times the step. `noise` is the rounding of the guard. A surface that is not
+    `armed` was left at the start of this step, or its guard has not exceeded `noise` since.
     """
     cubic = Cubic(g0, d0, g1, d1)
     inside = (cubic.low > 0) & (cubic.low < 1)
     low_value = cubic(cubic.low)
-    # The end alone would not do: a dip below zero and back is two contacts, or an impact missed.
+    # The sign at the end is not enough, since a dip below zero and back is two contacts, or an
+    # impact that would be missed.
     dips = inside & (low_value < -noise)
-    # One that has not been left and rises is leaving, from however little below zero.
+    # A rising guard that is not armed is leaving its surface, however little below zero it starts.
     contact = dips | ((g1 < -noise) & (armed | (d1 < 0)))
-    # The first root lies before the minimum, if that is below zero, and after the maximum: between
-    # the two the cubic falls, and Halley's iteration cannot leave for another root.
+    # The first root lies before the minimum, if that is below zero, and after the maximum. Between
+    # the two the cubic decreases, and Halley's iteration cannot jump to another root.
     hi = select(dips, cubic.low, 1.0)
     rises_first = (cubic.high > 0) & (cubic.high < hi)
     lo = select(rises_first, cubic.high, 0.0)
     root = _descending_root(cubic, lo, hi, armed)
-    # A surface just left must rise before it can be met again. If the cubic does not show that
-    # rise the step is too long for it: look at a quarter.
+    # A surface just left must rise before it can be reached again. If the cubic does not show that
+    # rise, the step is too long for it, and a quarter of it is tried.
     root = select(armed | rises_first, root, 0.25 * hi)
     reach = abs(d0) + abs(d1)
-    # A guard that is rounding where it starts, as of a mass at the very limit of its friction,
-    # says no more at a minimum.
+    # A guard within rounding at its start, as for a mass at the limit of its friction, has no
+    # meaningful minimum.
     starts = jnp.maximum(abs(g0), abs(d0))
     inner = 4 * cubic.low * (1 - cubic.low)
     hidden = SUSPICIOUS * inner * inner * reach
     near = ((abs(low_value) <= 4 * noise) | (low_value <= hidden)) & (starts > 4 * noise)
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
-    # Where squares of guards overflow no contact can be told from none: both are then NaN.
+    # If squares of guards overflow, contacts cannot be detected, and both results are NaN.
     known = 0 * cubic.disc
     theta = select(contact, root, NEVER) + known
     return theta, select(look & ~contact, cubic.low, NEVER) + known
 
 
 def lower_bound(g0: Array, d0: Array, g1: Array, d1: Array) -> Array:
-    """The least of the cubic's Bernstein coefficients, above which it lies."""
+    """The smallest of the cubic's Bernstein coefficients, a lower bound on [0, 1]."""
     return jnp.minimum(jnp.minimum(g0, g1), jnp.minimum(g0 + d0 / 3, g1 - d1 / 3))
 
 
 def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array:
-    """Whether an armed guard stays so far above zero that `first_contact` finds nothing. Cheaper,
-    and never true in error."""
+    """Whether an armed guard stays so far above zero that `first_contact` has no result. It is
+    cheaper, and a True is always right."""
     low = lower_bound(g0, d0, g1, d1)
     return low > jnp.maximum(SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
 

@@ -1,9 +1,9 @@
-"""The decision: which mode goes on after a discontinuity.
+"""The decision of the mode that continues after a discontinuity.
 
-The rates of H on all sides at the corrected state enter, with what is known of the surfaces there;
-the mode leaves, and in how many modes the motion could go on. Whatever has brought the lane here, a
-contact, a tick of a clock or a map, all surfaces that the state is on are decided together, in the
-fields that hold from now on; of all others H says the side.
+Whether a contact, a tick of a clock or a map has brought the lane here, all surfaces that the state
+is on are decided together, at the corrected state and in the fields that hold from now on. The
+result is the mode and the number of modes in which the motion could continue. The side of all other
+surfaces is the sign of H.
 """
 
 import equinox as eqx
@@ -29,22 +29,22 @@ from jaxfil.integrate.system.components import Components, any_of, first_set, ma
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
-# At a graze a rate is told from zero above this multiple of what is left of the motion's own.
+# At a graze a rate counts as nonzero above this multiple of the motion's own remaining rate.
 _TANGENT = 64
 
 
 class Decision(eqx.Module):
-    """The mode after a switch; elsewhere the one before."""
+    """The mode after a switch, or the unchanged mode without one."""
 
     mode: Components
-    """m components."""
+    """The mode, m components."""
     count: Array
-    """How many modes could go on. Of a slide that goes on, on its surfaces, at least 1."""
+    """Number of modes that could continue; at least 1 where a slide continues on its surfaces."""
 
 
 def later_contacts(problem: Problem, state: LoopState) -> Components | None:
-    """Surfaces met together with one that has its turn first, without resets: each is a contact of
-    its own, at a time that has its own derivative. None where there can be none."""
+    """Surfaces reached at the same time as one that is switched first, in systems without resets.
+    Each is a contact of its own, at a time with its own derivative. None if there cannot be any."""
     pending = state.pending
     if problem.system.m == 1 or problem.system.resets:
         return None
@@ -62,7 +62,8 @@ def _once(system: ComponentSystem, mode: Components, count: Array) -> Decision:
     if system.m > 1:
         mode, number = system.hold((mode, number))
         return Decision(mode, number.astype(jnp.int32))
-    # Of one surface both are one number, |mode| ≤ 2, so that one value is held and not two.
+    # With one surface |mode| ≤ 2, so mode and count fit in one number, and only one value needs a
+    # fence.
     both = system.hold(mode + 8 * number)
     number = jnp.floor(0.125 * both.number(0) + 0.5)
     return Decision(both - 8 * number, number.astype(jnp.int32))
@@ -77,13 +78,13 @@ def decided(
     led: Impact | None,
     later: Components | None,
 ) -> Decision:
-    """The mode that goes on from a time and state, given the fields on all sides and the rates of H
-    along them. `later` are surfaces that have their turn in another switch."""
+    """The mode that continues from a time and state, given the fields on all sides and the rates of
+    H along them. `later` are surfaces that are decided in another switch."""
     system, grid, waits = problem.system, problem.grid, state.pending.waits
-    # Which mode goes on is no number that could have a derivative; its field has.
+    # The choice of a mode is discrete and has no derivative; the field of the mode has.
     fields, rates = stop_gradient(on_sides)
-    # A graze only touches: it switches nothing, even where two modes could go on. Backward in time
-    # it may be the end of a slide, to which all motions come that have left the slide there.
+    # A graze does not switch the mode, even where two modes could continue. Backward in time it may
+    # be the end of a slide, to which all motions that left the slide there return.
     grazes = jnp.zeros((), bool)
     if system.slides and not system.resets:
         grazes = waits & state.pending.grazes & (grid.direction < 0)
@@ -99,7 +100,8 @@ def decided(
     if system.slides:
         on = on | (left == 0 if later is None else (left == 0) & ~later)
     decide = waits & ~state.pending.grazes & any_of(opened)
-    # Where a slide on an intersection ends, another mode begins: rounding must not show both.
+    # Where a slide on an intersection ends, both the slide and the next mode would be admissible
+    # within rounding.
     threshold = select(waits, 0.0, NOISE * system.eps)
     if are_coupled(system):
         kept, walls = opened & ~state.pending.surfaces, None
@@ -136,32 +138,32 @@ def _known(
     led: Impact | None,
     later: Components | None,
 ) -> tuple[Components, Components]:
-    """The mode as far as it follows from what has happened, and the surfaces that the state is on
-    and that are still to be decided.
+    """The mode as far as the event determines it, and the surfaces that the state is on and that
+    are still to be decided.
 
     A slide that has reached the end of its weight leaves to that side; a surface that the state is
-    off is left to the side that H says; of a reset `led` says what follows.
+    off is left to the side given by H; after a reset, `led` determines the rest.
     """
     mode, pending = state.motion.mode, state.pending
     switching, one = pending.waits & ~pending.grazes, jnp.ones_like(state.motion.tau)
     hit = pending.surfaces if later is None else pending.surfaces & ~later
-    # A slide ends at w = ±1, where the field of that side has become the blend. A limit of turns is
-    # on their surfaces, and ends nothing.
+    # A slide ends at w = ±1, where the blend equals the field of that side. At a limit of turns the
+    # state is on the surfaces, so no slide ends there.
     leaving = hit & (mode == 0) & ~at.off
     if state.turn is not None:
         leaving = leaving & ~state.turn.completed
     left = where(leaving & switching, _ended_at(problem, state, rates), mode)
     settles = at.off & switching
-    if later is not None:  # what the state has been carried across has its turn first
+    if later is not None:  # surfaces that the state was carried across are switched first
         settles = settles & ~later
     left = where(settles, where(at.h > 0, one, -one), left)
-    # A surface that will be met within the rounding of times is met now: its contact could not be
-    # told from this one, and would follow it at once. One that has just been left is not.
+    # A surface that will be reached within the rounding of times is decided now, since its contact
+    # would follow at the same rounded time, unless it is not armed yet.
     near = abs(state.motion.rate) * problem.grid.same_time(state.motion.tau)
     close = (state.motion.mode != 0) & (abs(at.h) < near) & state.armed
     on = (hit & ~leaving) | close
     if at.unsettled is not None:
-        # What the steps before have rounded is in the guard of a side.
+        # The guard of a side has the rounding of the steps before.
         before = where(abs(mode) == 1, state.motion.noise, 0.0)
         here = at.unsettled & (abs(at.h) <= maximum(at.gathered, before))
         on = on | ((here | (left == 0)) & ~leaving)
@@ -171,7 +173,7 @@ def _known(
     if led is None:
         return left, on
     beside, on = unilateral.sides_of(left), on & ~led.walls
-    # What ends a rest, and what asks for a reset, leaves to its side.
+    # At a surface where a rest ends, or that needs a reset, the motion takes its side.
     ends = hit & unilateral.rests_of(left) & ~resets.at_limit(state)
     ends = ends if later is None else ends | later
     left = where((ends | led.pushed) & switching & ~settles, beside, left)
@@ -183,7 +185,7 @@ def _known(
 
 
 def _ended_at(problem: Problem, state: LoopState, rates: Corners) -> Components:
-    """The side at which each slide ends, where its weight has come to an end."""
+    """The side at which each slide ends when its weight reaches ±1."""
     mode, one = state.motion.mode, jnp.ones_like(state.motion.tau)
     if not problem.system.slides:
         return mode
@@ -192,7 +194,7 @@ def _ended_at(problem: Problem, state: LoopState, rates: Corners) -> Components:
 
 
 def _asked(system: ComponentSystem, question: Question) -> tuple[Components, Array]:
-    """`decision.decide`, asked only where the state is on a surface."""
+    """`decision.decide`, evaluated only where the state is on a surface."""
 
     def same(question: Question) -> tuple[Components, Array]:
         return question.mode, jnp.ones((), jnp.int32)
@@ -203,10 +205,10 @@ def _asked(system: ComponentSystem, question: Question) -> tuple[Components, Arr
 def _rates_at_graze(
     problem: Problem, state: LoopState, rates: Corners, gathered: Components, grazes: Array
 ) -> Corners:
-    """dH/dt along the fields of all sides, those of a surface that is grazed told from rounding.
+    """dH/dt along the fields of all sides, with rounding removed on grazed surfaces.
 
-    They vanish on the side of the motion, which stays there: what is no larger than that leads to
-    this side too.
+    The rate of a grazed surface vanishes on the side of the motion, which stays there. Rates within
+    rounding of zero are replaced by ones that point to this side.
     """
     direction, dt = problem.grid.direction, typical_step(problem, state)
     noise = _TANGENT * abs(state.motion.rate) + gathered / dt

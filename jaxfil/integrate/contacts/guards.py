@@ -1,7 +1,7 @@
-"""Guards: what is positive within a mode, what rounding does to them, and when they are armed.
+"""Guards: functions that are positive within a mode, their rounding, and when they are armed.
 
-A mode and a state enter; the guards of its surfaces leave, with their rates and their noise, and
-after a step which of them count as left.
+They are evaluated with their rates and their noise at a state in a mode, and after a step it is
+decided which of them are armed.
 """
 
 import dataclasses
@@ -20,23 +20,23 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
 
-# A guard is zero to rounding below this many eps times the size of its terms.
+# A guard counts as zero below this many eps times the size of its terms.
 NOISE = 32
-# What is rounded inside of H is rounded anew by each evaluation: it does not gather, as the
-# rounding of states does. Twice the bound is how far two evaluations may differ.
+# Rounding inside H is independent in each evaluation, so it does not accumulate as the rounding of
+# states does. The factor 2 is the largest difference between two evaluations.
 _INSIDE = 2
-# What is left after a step of the size of a state that decides on its rounding: a transient from
-# 1e14 is forgotten after some five hundred, a period of forty steps is not.
+# Factor per step by which the running maximum of |x| decreases. It forgets a transient from 1e14
+# after about five hundred steps, but not a period of forty steps.
 _FADE = 15 / 16
-# A turn of four contacts may make a state twenty times as small.
+# Factor per switch in turns; a turn of four contacts may shrink a state twentyfold.
 _FADE_IN_TURN = 1 / 4
 
 
 class Surfaces(eqx.Module):
-    """The surfaces at the end of a step. Components are m, unless said otherwise."""
+    """The surfaces at the end of a step. Components are m unless stated otherwise."""
 
     h: Components
-    """H there, after a reset."""
+    """H after a reset."""
     h_t: Components
     """∂H/∂t."""
     normals: Rows
@@ -44,16 +44,15 @@ class Surfaces(eqx.Module):
     scale: Components
     """Running maximum of |x|, n components."""
     noise: Components
-    """What rounding of this step does to H: it decides whether a contact is here."""
+    """Rounding of H in this step, which decides whether a contact is here."""
     gathered: Components
-    """What all rounding since t0 may have done to H, which is of the largest state of late: it
-    decides whether a touch is more than rounding."""
+    """Bound of the rounding of H since t0, from the largest recent state, which decides whether a
+    graze is more than rounding."""
     off: Components
-    """Surfaces that a jump of H, or a map, has led the state off."""
+    """Surfaces that the state has been moved off, by a jump of H or by a map."""
     unsettled: Array | None
-    """Whether something has jumped, so that all surfaces that the state is on are decided anew,
-    whatever the mode was. None where nothing but a contact changes a field, and no more than one.
-    """
+    """Whether something has jumped, so that all surfaces that the state is on are decided again in
+    any mode. None for systems in which only a contact changes a field, one at a time."""
 
 
 def surface_noise(
@@ -64,9 +63,9 @@ def surface_noise(
     h_t: Components,
     normals: Rows,
 ) -> Components:
-    """What rounding does to H: a multiple of eps and of the size of its terms. These are t and x,
-    whose rounding is that of states of some `size`, and all that H makes of them on the way, as
-    t + φ in a sine with a phase φ."""
+    """The rounding of H, a multiple of eps and of the size of its terms. These are t and x, whose
+    rounding is proportional to the running maximum `size` of states, and all intermediate values
+    in H, such as t + φ in a sine with a phase φ."""
     system, t, x, size, h_t, normals = stop_gradient((system, t, x, size, h_t, normals))
     noise = NOISE * system.eps * (abs(normals) @ size + abs(h_t * t))
     inside = system.rounding(t, x)
@@ -74,8 +73,9 @@ def surface_noise(
 
 
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:
-    """The largest |x| of late: what rounding it has left fades with the motion, and faster where it
-    `turns` through the sides of surfaces."""
+    """The running maximum of |x|, with geometric forgetting, since the rounding left by a large
+    state decays with the motion. It forgets faster while the motion `turns` through the sides of
+    surfaces."""
     fade = _FADE if turns is None else select(turns, _FADE_IN_TURN, _FADE)
     return maximum(fade * stop_gradient(size), abs(stop_gradient(x)))
 
@@ -95,10 +95,10 @@ def guards(
     noise: Components,
     forcing: Forcing,
 ) -> tuple[Components, Components, Components]:
-    """The guards of a mode, their rates along its field f, and their noise, given that of H.
-    `forcing` is that of t: see `ComponentSystem.forcing`."""
+    """The guards of a mode, their rates along its field f, and their noise, given the noise of H.
+    `forcing` is the value of `ComponentSystem.forcing` at t."""
     one = jnp.ones_like(t)
-    # Found once for the fields of all sides, as forcing is.
+    # Computed once for the fields of all sides, like the forcing itself.
     change = (
         system.once(lambda t: jax.jvp(system.forcing_at, (t,), (one,))[1], t) if forcing else []
     )
@@ -109,19 +109,21 @@ def guards(
         (t, x, forcing),
         (one, f, change),
     )
-    # The guard of a slide, 1 - w², is of order one.
+    # The guard of a slide, 1 − w², has terms of order one.
     noise = where(mode == 0, NOISE * system.eps, noise)
     if together:
         noise = _noise_of_rest(system, t, x, mode, noise)
     elif system.resets:
         g, rate, noise = _guards_of_rest(system, t, x, f, mode, (g, rate, noise))
+    # Rates have no derivative: Newton's correction δ = −g/ġ holds ġ constant, and its second
+    # derivatives are added separately (`second_order`).
     return system.hold(g), stop_gradient(system.hold(rate)), noise
 
 
 def _noise_of_rest(
     system: ComponentSystem, t: Array, x: Components, mode: Components, noise: Components
 ) -> Components:
-    """The same noise, with that of reactions where a mode rests."""
+    """The same noise, with the noise of reactions where a mode rests."""
     rests = unilateral.rests_of(mode)
 
     def of_forces(t: Array, x: Components, noise: Components) -> Components:
@@ -139,8 +141,7 @@ def _guards_of_rest(
     mode: Components,
     known: tuple[Components, Components, Components],
 ) -> tuple[Components, Components, Components]:
-    """The same guards, rates and noise, with those of the surfaces that a mode rests on: the
-    reactions."""
+    """The same guards, rates and noise, with reactions in their place on resting surfaces."""
     rests = unilateral.rests_of(mode)
 
     def reactions(t: Array, x: Components, f: Components, known: tuple) -> tuple:
@@ -156,8 +157,8 @@ def _guards_of_rest(
 
 
 def unguarded(kept: KeptMode | None, motion: Motion, num_modes: Array) -> tuple[Motion, Array]:
-    """A motion and the number of modes that could go on, with guards that are far from zero where a
-    lane keeps its mode."""
+    """A motion and the number of modes that could continue, with guards far from zero where a lane
+    is pinned to its mode."""
     if kept is None:
         return motion, num_modes
     free = dataclasses.replace(
@@ -170,22 +171,22 @@ def unguarded(kept: KeptMode | None, motion: Motion, num_modes: Array) -> tuple[
 
 
 def rearmed(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Motion, Components]:
-    """The motion at the start of the next step, and which of its guards are armed.
+    """The motion at the start of the next step, and the flags of its armed guards.
 
-    A surface just met counts as left only when its guard has risen above rounding. Until then the
-    guard starts at exactly zero, and its rate at zero or above.
+    A surface just reached is armed again once its guard has risen above rounding. Until then the
+    guard starts at exactly zero, with a rate of zero or above.
     """
     system, direction, motion = problem.system, problem.grid.direction, end.motion
     waits, before = state.pending.waits, stays_on(system, state.motion.mode)
     met = waits & state.pending.surfaces
     hit = met | (waits & (motion.mode != state.motion.mode))
-    # The rounding of the landing counts until the surface is left, also where the state has
+    # The rounding of the landing counts until the surface is armed again, even if the state has
     # become smaller since.
     kept = (hit | ~state.armed) & ~before
     noise = maximum(motion.noise, where(kept, state.motion.noise, 0.0))
     armed = stays_on(system, motion.mode) | (~hit & state.armed) | (motion.g > noise)
-    # Leaving a slide, or a touch, is a double root of the guard: its rate is zero, whatever
-    # rounding says. Taken as computed, 3e-15 of it held one lane on its stick for ever.
+    # Leaving a slide, or a graze, is a double root of the guard, so its rate is set to exactly
+    # zero. With the computed rate, 3e-15 from rounding, one lane never left its stick.
     double = met & (before | state.pending.grazes)
     if end.still is not None:
         double = double | end.still

@@ -1,24 +1,24 @@
 """Event location: the first contact inside a step.
 
-The guards' values and rates at both ends of a trial step enter; where in the step one of them first
-becomes negative leaves, as a fraction θ of the step, and, when a step has ended on a contact, the
-time δ that is missing.
+From the guards' values and rates at both ends of a trial step follows the fraction θ of the step at
+which one of them first becomes negative, and, when a step has ended on a contact, the remaining
+time δ to it.
 
-A guard is positive in the current mode. Between the ends of a step it is taken as the cubic through
-its values and rates there (Hermite's): the values are those of the trial itself, so that this needs
-no dense output of the stepper, and a step that is cut where the cubic has its root is taken again,
-so that the cubic's error of order four costs iterations and not accuracy:
+A guard is positive in the current mode. Within a step it is interpolated by the cubic through its
+values and rates at the ends (Hermite's). The values are available from the trial itself, so that no
+dense output of the stepper is needed. A step that is cut at a root of the cubic is repeated, so
+that the cubic's error of order four costs iterations, not accuracy:
 
     g0 ╲                                 the trial step, H at both ends: g < 0 at its end
         ╲___     θ h          h          1. reject, cut at the cubic's first root θ
     ────────╲────┼────────────┼─── 0     2. step again to θ h: close enough for Newton
              ╲___╱ dip         ╲         3. land: t += δ, x += δ f, δ = −g/ġ
 
-The cubic's minimum is looked at too, so that a dip below zero and back inside one step is found. A
-surface that the lane has just left starts at exactly zero with a rate that is zero or positive: its
-contact is a root after the cubic's maximum, never the one at the start.
+The cubic's minimum is examined too, so that a dip below zero and back inside one step is detected.
+A surface that the lane has just left starts at exactly zero with a rate that is zero or positive;
+its contact is a root after the cubic's maximum, never the one at the start.
 
-Three tolerances tell a contact from rounding, none of them a bare number: the noise of a guard, a
+Three tolerances separate a contact from rounding, each with a scale: the noise of a guard, a
 multiple of eps and of the size of its terms (`guards.surface_noise`); the rounding of times
 (`TimeGrid.same_time`); and eps^(2/3), up to which one Newton correction in time is exact to
 rounding in the state and in its derivative.
@@ -51,26 +51,27 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select
 
-# A minimum to be looked at is told from a contact by so much: what was found at a surface is then
-# one number, and its cubic is computed once.
+# Offset that encodes "minimum to examine" in the same number as a contact, so that the search of a
+# surface has one result, and its cubic is computed once.
 _LOOK = 4.0
-# Rejections in a row after which the search is helped along.
+# Number of consecutive rejections after which the search is modified.
 _STALLED = 12
-# A slide nears a singular point in a step by which its determinant falls below this part; the step
-# is cut to that part of the distance, and to no less than this part of itself.
+# A slide approaches a singular point in a step in which its determinant falls below the first
+# factor. The step is then cut to the second factor of the distance, but not below the third factor
+# of itself.
 _FADED, _NEARER, _LEAST_NEARER = 0.25, 0.7, 1e-3
-# It has come to the point when the distance is this multiple of the rounding of times: much nearer
-# the weights are rounding.
+# The point counts as reached at this multiple of the rounding of times; much closer to it the
+# weights are dominated by rounding.
 _LAST_LOOK = 64
-# A step to a grid point is brief, of so many times the rounding of times and no more than this part
-# of the grid's.
+# A step to a grid point is brief if it is below this multiple of the rounding of times, and below
+# this part of the grid's step.
 _BRIEF, _BRIEF_PART = 4, 1 / 16
 # Contacts closer than this part of the time to the first are one event.
 _TOGETHER = 1e-6
 
 
 def _found(g0: Array, d0: Array, g1: Array, d1: Array, armed: Array, noise: Array) -> Array:
-    """`first_contact` as one number."""
+    """The results of `first_contact` as one number."""
     theta, low = first_contact(g0, d0, g1, d1, armed, noise)
     return select(theta < NEVER, theta, low + _LOOK)
 
@@ -85,25 +86,25 @@ def _searched(system: ComponentSystem, near: Array, *guard: Array) -> Array:
 
 
 def _searched_to(state: LoopState, end: StepEnd) -> Components:
-    """What the search takes for rounding: a guard just met has its own; one left long ago may have
-    gathered all of t0 to here, in the state that it is made of."""
+    """The rounding assumed by the search. For a guard not armed it is the noise of the landing; for
+    an armed one it may be all rounding accumulated since t0 in the state."""
     return maximum(end.motion.noise, where(state.armed, end.gathered, state.motion.noise))
 
 
 class Contact(eqx.Module):
-    """What a trial step has run over: θ of the earliest contact or minimum to be looked at
-    (`NEVER`: nothing), the surfaces of that contact (none for a minimum), and all those run
-    over."""
+    """The contacts within a trial step: θ of the earliest contact or minimum to be examined
+    (`NEVER` without one), the surfaces of that contact (empty for a minimum), and all surfaces
+    crossed."""
 
     theta: Array
     surfaces: Components
     all: Components
     singular: Array
-    """Whether θ only leads nearer to a point at which a slide ceases to be unique."""
+    """Whether θ only approaches a point at which a slide ceases to be unique."""
 
     @property
     def found(self) -> Array:
-        """Whether there is something."""
+        """Whether there is a contact or a minimum."""
         return self.theta < NEVER
 
 
@@ -119,14 +120,14 @@ def find_contact(
     length: Length,
     searched: Components | None = None,
 ) -> Contact:
-    """The earliest contact of a trial step, over all surfaces; θ is NaN where guards are too large
-    for it to be found. Of surfaces that have been `searched` only the end is looked at.
+    """The earliest contact of a trial step, over all surfaces. θ is NaN where guards are too large
+    to locate one. For surfaces already `searched` only the end is examined.
 
     A slide that repels at the end of the step is followed to where it ceases to attract.
     """
-    system, h = problem.system, stop_gradient(length.h)  # nothing here has a derivative
-    # A slide or a rest that ends at a grid point ends beside it, by rounding of times. There the
-    # field may still point back, and the surface is not met again for that.
+    system, h = problem.system, stop_gradient(length.h)  # the search has no derivatives
+    # A slide or a rest that ends at a grid point ends next to it, by the rounding of times. In the
+    # brief step to the grid point the field may still point back, which is not a new contact.
     rounding, dt = problem.grid.same_time(end.motion.tau), typical_step(problem, state)
     brief = length.known & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
     noise = _searched_to(state, end)
@@ -139,12 +140,13 @@ def find_contact(
     if searched is not None:
         found = where(near, found, NEVER + _LOOK)
     found = system.hold(where(brief & ~state.armed, NEVER + _LOOK, found))
-    # The earliest counts, whichever surface is listed first; contacts beat minima at the same θ.
+    # The earliest counts, in any order of the surfaces; contacts have priority over minima at the
+    # same θ.
     thetas = minimum(found, NEVER)
     contact = least(thetas)
     lowest = jnp.minimum(least(where(found < _LOOK, NEVER, found - _LOOK)), NEVER)
-    # A dip may be just before the end of a step that was cut at its bottom, which each look finds
-    # more closely.
+    # A dip may be just before the end of a step that was cut at its bottom. Each further step to
+    # its bottom would find one again, ever closer, so minima are ignored after many rejections.
     lowest = select(state.search.rejections >= _STALLED, NEVER, lowest)
     singular = jnp.zeros((), bool)
     if system.slides:
@@ -152,7 +154,7 @@ def find_contact(
         lowest = select(singular, jnp.minimum(lowest, theta), lowest)
     first = (contact < NEVER) & (contact <= lowest)
     surfaces = first & met_together(thetas, contact)
-    # A search that does not converge from one side is helped by a step that falls short.
+    # A search that does not converge from one side is helped by a shorter step.
     theta = jnp.minimum(contact, lowest)
     stalled = (
         (theta < NEVER) & (state.search.rejections >= _STALLED) & (state.search.rejections % 4 == 3)
@@ -163,12 +165,12 @@ def find_contact(
 def _to_singular_point(
     problem: Problem, state: LoopState, end: StepEnd, h: Array
 ) -> tuple[Array, Array]:
-    """Whether a step is too long for a slide that repels at its end, or whose weights are hardly
-    determined there any more, and θ of a shorter one.
+    """Whether a step is too long for a slide that repels at its end, or whose weights are nearly
+    undetermined there, and θ of a shorter one.
 
-    No guard is zero where a slide turns repelling. At a two-fold the determinant of its weights is,
-    and in a step across it they are 0/0: the point is neared by steps of a part of the distance.
-    The last of them is long enough to be told apart from rounding, and steps over it.
+    No guard is zero where a slide becomes repelling. At a two-fold the determinant of its weights
+    vanishes, and in a step across it they are 0/0. The point is approached by steps of a part of
+    the distance. The last of them is long compared with rounding, and passes over the point.
     """
     assert state.motion.determinant is not None and end.motion.determinant is not None
     least = _LAST_LOOK * problem.grid.same_time(end.motion.tau)
@@ -180,7 +182,7 @@ def _to_singular_point(
 
 
 def _nearer(now: Array, then: Array, least: Array, h: Array) -> Array:
-    """θ of a step towards where a determinant vanishes that is `now` here and `then` after h."""
+    """θ of a step towards the zero of a determinant that is `now` here and `then` after h."""
     return jnp.clip(_NEARER * quotient(now, now - then), least / h, _NEARER)
 
 
@@ -188,14 +190,14 @@ def _not_nearer(now: Array, *_: Array) -> Array:
     return jnp.full_like(now, NEVER)
 
 
-# What the end of a step is to a surface.
+# Relations of the end of a step to a surface.
 _NOTHING, _BRUSHED, _HIT, _HERE, _JUMPED = 0.0, 1.0, 2.0, 3.0, 4.0
 
 
 class Landing(eqx.Module):
-    """Whether a step has ended on a contact, the surfaces, whether they are only touched, the
-    signed time δ from the end of the step to the contact, the state there, n components, and
-    whether it is at the end exactly, where H has jumped."""
+    """The landing of a step on a contact: whether it has landed, on which surfaces, whether it only
+    grazes them, the signed time δ from the end of the step to the contact, the state there, n
+    components, and whether H has jumped, in which case the contact is exactly at the end."""
 
     landed: Array
     surfaces: Components
@@ -206,29 +208,30 @@ class Landing(eqx.Module):
 
 
 def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> Landing:
-    """Whether this step has ended on a contact.
+    """The landing of a step, if it has ended on a contact.
 
-    δ is one Newton step: with g the guard, its error is of order δ² g̈/ġ, and that of its derivative
-    of order δ g̈/ġ, which is what is kept small here. The second derivative is `beyond_newton`'s.
+    δ is one Newton step. With g the guard, its error is of order δ² g̈/ġ, and the error of its
+    derivative of order δ g̈/ġ, which is bounded here. Second derivatives are added by
+    `beyond_newton`.
     """
     system, direction = problem.system, problem.grid.direction
     kinds, times = _kinds_of_end(problem, state, end, length)
-    # One number a surface, computed once: all that follows is made of it.
+    # One number for each surface, computed once, since all later values use it.
     kinds = system.hold(kinds)
     hits = kinds >= _HIT
     landed = any_of(hits)
     touched = any_of(kinds == _BRUSHED) & ~landed
-    # A contact that is `_HERE` has δ = 0, but the derivative of its time.
+    # A contact that is `_HERE` has δ = 0, with the derivative of its time.
     times = on_each(_time_of, kinds, times)
-    # Of several surfaces those within the rounding of times of the one met first are met with it; a
-    # later one is left to a step of its own.
+    # Contacts within the rounding of times of the first are reached with it; a later one needs a
+    # step of its own.
     best = least(where(hits, direction * stop_gradient(times), jnp.inf))
     same = problem.grid.same_time(end.motion.tau)
     hits = hits & ((kinds >= _HERE) | (direction * stop_gradient(times) <= best + same))
-    # Their order is that of their turns.
+    # The surfaces are switched in the order of their numbers.
     first = first_set(hits)
     delta = total(where(first, times, 0.0))
-    # Rounding can put a contact just past the end of the span it belongs to.
+    # Rounding can put a contact just past the end of its span.
     room = length.room
     late = (stop_gradient(delta) - room) * direction > 0
     late_delta = delta - stop_gradient(delta) + stop_gradient(room)
@@ -248,8 +251,8 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
 
 
 def _time_of(kind: Array, missing: Array) -> Array:
-    """δ of a contact: 0 if it is here, with the derivative of its time, and without one if H has
-    jumped, at a time that nothing moves."""
+    """δ of a contact. It is 0 for one that is here, with the derivative of its time; without a
+    derivative if H has jumped, since that time is fixed."""
     here = select(kind == _HERE, missing - stop_gradient(missing), missing)
     return select(kind == _JUMPED, 0.0, here)
 
@@ -257,38 +260,41 @@ def _time_of(kind: Array, missing: Array) -> Array:
 def _kinds_of_end(
     problem: Problem, state: LoopState, end: StepEnd, length: Length
 ) -> tuple[Components, Components]:
-    """What the end of a step is to each surface, as floats, and the times missing to contacts."""
+    """The relation of the end of a step to each surface, as floats, and the times to contacts."""
     system, grid, h = problem.system, problem.grid, length.h
     direction, same = grid.direction, grid.same_time(end.motion.tau)
     small = system.eps ** (2 / 3)
     rate, aimed = end.motion.rate, length.cutting & state.search.surfaces
     falls = direction * rate < 0
+    # Where a guard does not fall, a rate of the right sign keeps the quotient finite.
     missing = -end.motion.g / where(falls, rate, -direction)
     size = abs(stop_gradient(missing))
-    # g̈ h, from the rates at both ends: what Newton's step leaves out is of the order of δ g̈/ġ.
+    # g̈ h, from the rates at both ends; the error of Newton's step is of the order of δ g̈/ġ.
     bend = direction * (rate - state.motion.rate)
     known = small * typical_step(problem, state)
     close = (size <= known) & (size * abs(bend) <= small * abs(rate * h))
     inside = (length.room - stop_gradient(missing)) * direction >= 0
-    # Rounding of t hides what is missing to the end of a slide or a rest, whose guard is made of
-    # fields. A state knows its surface better: it is there when all that is left of g is rounding.
+    # For the end of a slide or a rest, whose guard consists of fields, the remaining time is hidden
+    # by the rounding of t. For H the state is more accurate: it is on the surface when g is within
+    # its own rounding.
     g = stop_gradient(end.motion.g)
     bound = end.motion.mode == 0 if system.slides else end.motion.mode.like(jnp.zeros((), bool))
     if system.resets:
         bound = bound | (abs(end.motion.mode) == 2)
     zero = abs(g) <= end.motion.noise
-    # So do several surfaces: those met within the rounding of times are met together.
+    # With several surfaces, contacts within the rounding of times are reached together.
     loose = bound | (system.m > 1)
     reached = (size <= same) & (inside | zero | loose) | (length.cutting & close & inside)
-    # A contact aimed at is here, with δ = 0, where rounding hides what is missing, or the step has
-    # gone past it by no more than the search takes for rounding.
+    # The contact aimed at is here, with δ = 0, if rounding hides the remaining time, or if the step
+    # has passed it by no more than the rounding that the search assumes.
     past = (g < 0) & (-g <= maximum(end.gathered, _searched_to(state, end)))
     here = aimed & (zero | past | loose & (abs(h) <= same)) & ~reached
     hit = falls & (here | ((state.armed | aimed) & reached))
-    # H jumps at a known time, as that of a ramp or of a clock: however short the step, it is past.
+    # H may jump at a fixed time, as with a ramp or a clock; however short the step, its end is past
+    # the jump.
     across = aimed & (abs(h) <= same) & (g < -end.gathered - 2 * same * abs(rate)) & state.armed
     jumped = across & (abs(g) > 2 * same * abs(state.motion.rate)) & ~bound
-    # A touch: the vertex of the guard is here, and nothing but rounding is left of it.
+    # A graze: the vertex of the guard is here, and its value is within rounding.
     vertex = (bend > 0) & (0.5 * rate * rate * abs(h) <= end.gathered * bend)
     touch = state.armed & (abs(g) <= end.gathered) & ~bound & vertex
     kinds = where(hit, where(here, _HERE, _HIT), where(touch, _BRUSHED, _NOTHING))

@@ -1,14 +1,14 @@
 """The first zero of a guard that is a polynomial within its step.
 
-The coefficients c_k of a guard g(s) = Σ c_k s^k, s from 0 to 1, enter; the first zero leaves, or a
-minimum too close to zero to be told from one. A polynomial lies above the least of its Bernstein
-coefficients: those of the part of degree three, less the sizes of all higher terms, exclude a zero
-from nearly every step. Where they do not, the step is halved until the polynomial is monotone,
-convex or concave in it by the same bounds on its derivatives; how many zeros there are is then
-known, and Newton's method in a bracket finds the one.
+For a guard g(s) = Σ c_k s^k, s from 0 to 1, the result is its first zero, or a minimum too close to
+zero to be distinguished from one. A polynomial lies above the smallest of its Bernstein
+coefficients. The coefficients of the part of degree three, less the sizes of all higher terms,
+exclude a zero in nearly every step. Otherwise the step is halved until the polynomial is monotone,
+convex or concave in it, by the same bounds on its derivatives. The number of zeros is then known,
+and Newton's method in a bracket locates the one.
 
-What starts on its surface is divided by s, or by s² where its rate is zero too: the zero that it
-leaves is none that it comes to.
+A guard that starts at zero is divided by s, or by s² if its rate is zero too, since the zero at the
+start is not a contact.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,15 @@ from jaxfil.integrate.contacts.cubic import NEVER
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
-# The least of a guard above this multiple of its rounding is no zero.
+# A minimum above this multiple of the guard's rounding is not a zero.
 _CLOSE = 4
-# Halvings of a step until its guard is simple: one that is not by then is left to the search of
-# every step.
+# The largest number of halvings until a guard is simple. For any other guard, the search that
+# serves all steppers takes over.
 _HALVINGS = 24
-# Newton's iterations at most, bisections among them, and a move after which one is enough.
+# The largest number of Newton iterations, bisections included, and the change after which one more
+# iteration is enough.
 _NEWTON, _SMALL = 60, 0.1
-# So many of them are needed nearly always.
+# Number of iterations that nearly all zeros need, written out before the loop.
 _WRITTEN_OUT = 2
 
 
@@ -37,8 +38,9 @@ Guard = tuple[Array, ...]
 
 
 def _bounds(c: Sequence[Array]) -> tuple[Array, Array]:
-    """Numbers below and above a polynomial on [0, 1]."""
+    """Lower and upper bounds of a polynomial on [0, 1]."""
     c0, c1, c2, c3, *higher = (*c, 0.0, 0.0, 0.0)
+    # Bernstein coefficients of the cubic part.
     inner = c0 + c1 / 3, c0 + (2 * c1 + c2) / 3, c0 + c1 + c2 + c3
     low, high = c0, c0
     for v in inner:
@@ -67,7 +69,7 @@ def _zeros_at_start(c: Guard) -> tuple[Array, Array]:
 
 
 def _reduced(c: Guard) -> Guard:
-    """The polynomial without its zeros at 0, up to two of them."""
+    """The polynomial with its zeros at 0 divided out, up to two of them."""
     (once, twice), zero = _zeros_at_start(c), jnp.zeros_like(c[0])
     padded = (*c, zero, zero)
     return tuple(
@@ -76,22 +78,22 @@ def _reduced(c: Guard) -> Guard:
 
 
 def stays_positive(c: Guard, noise: Array) -> Array:
-    """Whether a guard has no zero in its step but one that it starts at, and comes near none."""
+    """Whether a guard has no zero in its step, except at the start, and stays away from zero."""
     low, _ = _bounds(_reduced(c))
     return low > select(c[0] > 0, _CLOSE * noise, 0.0)
 
 
-# What is known of the zeros of a polynomial: nothing; that there is none; that there is one; that
-# it has a minimum inside and no zero at the end.
+# Knowledge of the zeros of a polynomial: unknown; no zero; one zero; a minimum inside, and no zero
+# at the end.
 _UNKNOWN, _NO_ZERO, _ONE_ZERO, _TURNS = range(4)
 
 
 def first_zero(system: ComponentSystem, noise: Array, *c: Array) -> tuple[Array, Array, Array]:
     """The fraction of its step at which a guard has its first zero, and the one at which the step
-    should end, as more is not known of the guard: at a minimum that is zero to rounding, or where
-    the search has ended; `NEVER` where there is none. And 1 where both are known, else 0. `noise`
-    is what rounding does to the guard."""
-    # All of it is rounding: that says nothing of zeros.
+    should end because the guard is unknown beyond it, at a minimum that is zero to rounding, or
+    where the search has stopped; `NEVER` without one. The third value is 1 if both are known, else
+    0. `noise` is the rounding of the guard."""
+    # A guard entirely within rounding has no meaningful zeros.
     quiet = sum(map(abs, c)) <= _CLOSE * noise
     noise = select(c[0] > 0, noise, 0.0)
     kind = system.hold(select(quiet, float(_NO_ZERO), _kind(_reduced(c), noise)))
@@ -122,7 +124,7 @@ def first_zero(system: ComponentSystem, noise: Array, *c: Array) -> tuple[Array,
 
 
 def _kind(q: Sequence[Array], noise: Array) -> Array:
-    """What is known of the zeros of a polynomial that is positive at 0."""
+    """The kind of a polynomial that is positive at 0, by its zeros."""
     low, _ = _bounds(q)
     slope = _slope(q)
     bend = _slope(slope)
@@ -144,7 +146,7 @@ def _signs(c: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def _halved(q: Guard, kind: Array, noise: Array) -> tuple[Array, Array]:
-    """What is known in the first half, quarter and so on of a step, and which of them that is."""
+    """The kind of the polynomial in the first half, quarter and so on, and the fraction used."""
 
     def unknown(carry: tuple) -> Array:
         _, kind, _, count = carry
@@ -166,7 +168,7 @@ def _halved(q: Guard, kind: Array, noise: Array) -> tuple[Array, Array]:
 
 
 def _minimum(system: ComponentSystem, q: Guard, turns: Array, high: Array) -> tuple[Array, Array]:
-    """Where before `high` a convex polynomial is least, and how much it is there."""
+    """The position before `high` at which a convex polynomial is smallest, and its value there."""
     falls = tuple(-v for v in _slope(q))
     s = _descending(system, (*falls, jnp.zeros_like(high)), turns, high)
     return s, _value_and_slope(q, s)[0]
@@ -174,8 +176,8 @@ def _minimum(system: ComponentSystem, q: Guard, turns: Array, high: Array) -> tu
 
 def _descending(system: ComponentSystem, c: Guard, todo: Array, high: Array) -> Array:
     """The zero in (0, high) of a polynomial that is positive after 0 and negative at `high`, by
-    Newton's method in a shrinking bracket, its zeros at 0 divided out; `high` where there is
-    nothing to do."""
+    Newton's method in a shrinking bracket, with zeros at 0 divided out; `high` where `todo` is
+    false."""
     small = _SMALL * float(jnp.finfo(high.dtype).eps) ** 0.5
     once, twice = _zeros_at_start(c)
     zeros = system.hold(select(twice, 2.0, select(once, 1.0, 0.0)).astype(high.dtype))
@@ -184,6 +186,8 @@ def _descending(system: ComponentSystem, c: Guard, todo: Array, high: Array) -> 
     def improved(s: Array, low: Array, high: Array, todo: Array) -> tuple:
         value, slope = _value_and_slope(c, s)
         low, above = select(value > 0, s, low), select(value > 0, high, s)
+        # Newton's method for the polynomial divided by s^zeros, whose logarithmic derivative is
+        # slope/value − zeros/s.
         rate = slope - zeros * value / s
         new = s - value / select(rate == 0, 1, rate)
         inside = (new >= low) & (new <= above) & (rate != 0)
@@ -209,8 +213,8 @@ def _descending(system: ComponentSystem, c: Guard, todo: Array, high: Array) -> 
 
 
 def _guess(c: Guard, zeros: Array, todo: Array, high: Array) -> Array:
-    """Where the zero in (0, high) is by the part of degree three, whose rest is taken as it is at
-    `high`; `high` where there is nothing to do."""
+    """An estimate of the zero in (0, high) from the part of degree three, with the higher terms
+    fixed at their value at `high`; `high` where `todo` is false."""
     bottom = _value_and_slope(c, high)[0]
     c0, c1, c2, _ = c[:4]
     c3 = (bottom - c0 - high * (c1 + high * c2)) / (high * high * high)

@@ -1,15 +1,14 @@
-"""Impacts: what a reset leads to.
+"""Impacts: the motion after a reset.
 
-A lane that waits for its switch and the state there enter; the state after the reset leaves, and
-what H and its rates say there: which surface asks for a reset next, which the motion rests on, and
-how long a chattering lasts that ends in rest.
+From H and its rates at the state after a reset follow the surfaces that need another reset, those
+that the motion rests on, and the duration of a chattering that ends in rest.
 
-Of surfaces met together the reset hears one at a time, the lowest number first, and again of every
-one that another's reset has made the motion run into, until none is left: a ball in a corner, a
-wave through balls that touch. Each is an event of its own, at the same time. A surface that has
-been reset is then off (H ≠ 0: the motion goes on where it is), left (on the side that the rate
-points to: thrown back or let through) or, where the rate is zero too, rested on or left as the
-acceleration says.
+For surfaces reached together resets are applied one at a time, the lowest number first, and
+repeated for every surface that the motion runs into because of another's reset, until there are no
+more, as for a ball in a corner or a wave through balls that touch. Each is an event of its own, at
+the same time. After a reset a surface is off (H ≠ 0), or left to the side that the rate points to
+(thrown back or let through), or, if the rate is zero too, rested on or left as the acceleration
+decides.
 """
 
 import dataclasses
@@ -41,53 +40,54 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
 
-# How far a field carries the state at once, in sqrt(eps) steps: what it changes by is their square.
+# The longest time, in sqrt(eps) steps, over which the state is moved along a constant field; the
+# neglected change is quadratic in it.
 _LEAP = 64
 
 
 class Reset(eqx.Module):
-    """A reset just made. Components are m."""
+    """A reset just applied. Components are m."""
 
     x: Components
     """The state after it, n components."""
     heard: Components
-    """The surface that it was of, if one was due."""
+    """The surface whose reset was due."""
     acted: Components
-    """The same if it has moved the state, otherwise none."""
+    """The same surface if its reset has changed the state."""
     waits: Components
-    """Surfaces met with it that wait for theirs."""
+    """Other surfaces reached at the same time, whose resets wait."""
     h: Components
-    """H before it, where something was due."""
+    """H before the reset, on lanes where one was due."""
 
     @property
     def moved(self) -> Array:
-        """Whether it has moved the state."""
+        """Whether it has changed the state."""
         return any_of(self.acted)
 
 
 class Impact(eqx.Module):
-    """What a reset has led to. Components are m."""
+    """The consequences of a reset. Components are m."""
 
     next: Components
-    """The surfaces that ask for a reset or a choice of mode next, at once."""
+    """The surfaces that need a reset or a choice of mode next, at the same time."""
     walls: Components
-    """Surfaces that throw back, which are not slid on."""
+    """Surfaces that throw back, on which the motion cannot slide."""
     still: Components
-    """Surfaces where the rate is zero too: rested on, or left with a rate of zero."""
+    """Surfaces with zero rate, which the motion rests on or leaves with zero rate."""
     rests: Components
-    """Those of them that the motion rests on; of several surfaces in the fields before."""
+    """Surfaces that the motion rests on; for several surfaces, in the fields before."""
     pushed: Components
-    """Surfaces rested on that another one's reset has pushed it away from."""
+    """Resting surfaces from which another one's reset has pushed the motion away."""
     consistent: Array
-    """Whether these reactions are all that is needed."""
+    """Whether these reactions are consistent (see `unilateral.pressed`)."""
     jump: Array
-    """The time that a chattering takes that ends here; 0: there is none."""
+    """The duration of a chattering that ends here; 0 without one."""
     kick: Components
-    """How far it carries the state besides the field, n components."""
+    """The displacement of the state in that time beyond the field's, n components."""
     constraints: Constraints | None
-    """The surfaces as constraints, where several are decided together; otherwise None."""
+    """The surfaces as constraints, if several are decided together; otherwise None."""
     by_time: Components | None
-    """∂ψ/∂t of these."""
+    """∂ψ/∂t of the constraints."""
 
 
 class View(eqx.Module):
@@ -102,11 +102,11 @@ class View(eqx.Module):
 
 
 def make_reset(system: ComponentSystem, state: LoopState, t: Array, x: Components) -> Reset:
-    """The reset of the first surface that is due for it. It is made whether or not it moves the
-    state: a kick of zero has a derivative."""
+    """The reset of the first surface for which one is due. It is applied even if it leaves the
+    state unchanged, since a kick of zero has a derivative."""
     assert state.settled is not None
     due = state.pending.waits & ~state.pending.grazes & ~state.settled
-    # What ends a rest or a slide is no impact.
+    # The end of a rest or a slide is not an impact.
     asked = due & state.pending.surfaces & ~stays_on(system, state.motion.mode)
 
     def made(t: Array, x: Components, asked: Components) -> Reset:
@@ -131,8 +131,8 @@ def lead(
     x: Components,
     at: Surfaces,
 ) -> tuple[Components, Impact]:
-    """The state with no rate against the surfaces that it rests on, and what follows from a reset;
-    nothing of a lane that neither rests nor waits for its switch."""
+    """The state with zero rates at the surfaces that it rests on, and the consequences of a reset,
+    evaluated only for lanes that rest or wait for a switch."""
     system = problem.system
 
     def led(t: Array, x: Components, *given: Any) -> tuple[Components, Impact]:
@@ -167,7 +167,7 @@ def _view(
     size, fast = (
         maximum(abs(now), abs(old)) for now, old in ((x, state.motion.x), (f, state.motion.f))
     )
-    if together:  # rounding of what reactions cancel is in the rates, however small the rest
+    if together:  # rates include the rounding of terms that reactions cancel
         fast = maximum(fast, abs(system.field(t, x, sides)))
     inside, dt = system.rate_rounding(t, x, sides), typical_step(problem, state)
     by_time = a - c.gradients @ f
@@ -177,11 +177,11 @@ def _view(
 
 
 def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
-    """The state with no rate against the surfaces that it rests on, and how they see it then."""
+    """The state with zero rates at its resting surfaces, and the view from there."""
     c = seen.constraints
-    # What has just been thrown against them, or off, is no rounding.
+    # A rate caused by a reset or a jump is not rounding, and is kept.
     thrown = reset.moved | (state.pending.jumped & (abs(stop_gradient(c.rate)) > seen.noise))
-    # Impacts that have died out by turns have left no rates against the surfaces met.
+    # At the limit of turns the rates at the surfaces reached have died out.
     rests = (unilateral.rests_of(state.motion.mode) & ~thrown) | (at_limit(state) & c.throws_back)
     push = unilateral.multipliers(c.impulse.gains, c.rate, rests)
     c = dataclasses.replace(c, rate=c.impulse.answered(c.rate, push))
@@ -204,13 +204,14 @@ def _follow(
     seen: View,
     at: Surfaces,
 ) -> Impact:
-    """What follows from a reset, given the surfaces after it."""
+    """The consequences of a reset, given the surfaces after it."""
     system, c, direction = problem.system, seen.constraints, problem.grid.direction
     assert state.settled is not None
     switching = state.pending.waits & ~state.pending.grazes
     sides, resting = unilateral.sides_of(state.motion.mode), unilateral.rests_of(state.motion.mode)
     limit, (rate, noise) = at_limit(state), (stop_gradient(c.rate), seen.noise)
-    # Rounding of the time of a contact is more than that of H.
+    # A surface just hit counts as reached even if |H| exceeds its rounding, since the rounding of
+    # the contact's time is larger.
     here = reset.heard | (state.settled & state.pending.surfaces)
     there = ((abs(stop_gradient(at.h)) <= at.gathered) | here) & ~at.off
     on = switching & c.throws_back & there
@@ -220,11 +221,11 @@ def _follow(
     away = (reset.moved | state.pending.jumped) & resting & (outward > noise)
     jumped = reset.moved | state.settled | state.pending.jumped
     acts = jumped & on & (outward < -noise) & ~reset.heard
-    # A reset may let a fast motion through, whatever it does to slow ones.
+    # A reset may let a fast motion through, even if it throws slow ones back.
     walls = c.throws_back & ~(reset.heard & (outward < -noise))
-    # What a map has carried the state across has a contact there, at this time.
+    # A surface that a map has carried the state across has a contact at this time.
     across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
-    # What waits for its reset and has been led back, or is no longer run into, is none any more.
+    # A waiting reset is dropped if the state was moved back, or no longer moves to its surface.
     back = at.off & (state.motion.mode * at.h > 0)
     parts = c.throws_back & there & (outward > noise)
     spared = reset.waits & (back | (reset.moved & parts))
@@ -258,31 +259,32 @@ def _chattering(
     rests: Components,
     more: Array,
 ) -> tuple[Array, Components]:
-    """The time in which impacts on the surface just reset die out, if that is so short that the
-    field does not change, or their height within rounding of H, and how far they carry the state
-    besides the field."""
+    """The time in which impacts on the surface just reset die out, if it is so short that the field
+    is constant, or their height is within the rounding of H; and the displacement of the state in
+    that time beyond the field's."""
     system, grid, c = problem.system, problem.grid, seen.constraints
     sides = unilateral.sides_of(state.motion.mode)
     same = grid.same_time(state.motion.tau)
-    # What is left out is a part T ȧ/a of T.
+    # The neglected error is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * typical_step(problem, state))
     held = c.reaction.answered(seen.a, unilateral.multipliers(c.reaction.gains, seen.a, rests))
-    away, fall = sides * c.rate, -sides * held * (2 - c.impulse.gains.diagonal())  # that is 1 − e
+    # The flights last 2ψ/(|a| (1 − e)) in all; `fall` is |a| (1 − e), with 1 − e = 2 − ∇ψ·d.
+    away, fall = sides * c.rate, -sides * held * (2 - c.impulse.gains.diagonal())
     bounces = reset.acted & c.throws_back & (away > seen.noise) & (fall > 0) & ~more
     times = 2 * away / where(bounces, fall, 1)
     low = away * away <= 2 * abs(held) * at.gathered
     ends = bounces & (low | (times <= longest)) & (times <= abs(length.room) + same)
     ends = ends & (grid.direction > 0)
-    # Bounces that are low for longer are left out: rest begins earlier, by a time that nothing but
-    # these could tell, and the field carries the state no further than it is constant to rounding.
-    # It is one surface that has been reset.
+    # If low bounces last longer than the limit, the rest begins earlier, by a time that only these
+    # bounces would show, and the field moves the state only as far as it is constant to rounding.
+    # Only one surface has been reset.
     time = total(where(ends, minimum(times, _LEAP * longest), 0.0))
-    # Unless another surface is met before.
+    # The chattering is not completed if another surface would be reached in that time.
     ahead = sides * (at.h + time * (c.rate + 0.5 * time * held))
     found = any_of(ends) & ~any_of(~((ahead >= -at.gathered) | rests | ends))
     total_time = select(found, time, 0.0)
-    # All impacts together take away the rate that is left, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0,
-    # with those by which the surfaces that are rested on answer them.
+    # All impacts together remove the remaining rate, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0, including
+    # the impulses from the surfaces that the motion rests on.
     stopped = found & (rests | ends)
     left = c.rate + total_time * held
     impulses = unilateral.multipliers(c.impulse.gains, left, stopped)

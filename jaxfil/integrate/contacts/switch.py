@@ -1,10 +1,10 @@
-"""The switch: what is known at the end of a step, and the mode that goes on after a contact.
+"""The switch: the motion at the end of a step, and the mode that continues after a contact.
 
-A trial step's end enters; a `StepEnd` leaves: the state (after the map of a tick or a reset, and
-held on the surfaces it slides on), the mode, its field, the guards and their rates. Only a lane
-whose last iteration has come to a contact or a tick changes its mode, here, where all fields are
-taken at the corrected state: taken before the correction, they left the state right and its
-derivative wrong in the fourth digit. Of causes at one time each has a switch of its own.
+A `StepEnd` holds the state (after the map of a tick or a reset, and projected onto its sliding
+surfaces), the mode, its field, the guards and their rates. Only a lane whose last iteration reached
+a contact or a tick changes its mode here, with all fields evaluated at the corrected state.
+Evaluated before the correction, they would leave the state right and its derivative wrong in the
+fourth digit. Each of several causes at one time has a switch of its own.
 """
 
 import dataclasses
@@ -48,34 +48,34 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select, select_all
 
-# Backward in time a motion that has left a slide comes to its end with the errors of both ways:
-# this multiple of rounding.
+# Backward in time the state at the end of a slide has the errors of both directions, hence this
+# multiple of rounding.
 _BACKWARD = 1024.0
 
 
 class Maps(eqx.Module):
-    """What has been done to the state at this switch: a tick of a clock, a reset."""
+    """The maps applied to the state at this switch: a tick of a clock, a reset."""
 
     x: Components
-    """The state after it, n components."""
+    """The state after the maps, n components."""
     h: Components | None
-    """H before it, m components; None where no map can be."""
+    """H before the maps, m components; None for systems without maps."""
     moved: Array
-    """Whether the state has been moved."""
+    """Whether the state has changed."""
     ticked: Array | None
-    """Whether by a tick; None where none moves it."""
+    """Whether a tick has changed it; None if ticks have no map."""
     reset: Reset | None
     """The reset; None without resets."""
 
 
 def _mapped(problem: Problem, state: LoopState, t: Array, x: Components) -> Maps:
-    """The state after the map that is due: that of a tick, or of one surface."""
+    """The state after the map that is due, of a tick or of one surface."""
     system, number, before = problem.system, problem.ticked, x
     h = ticked = None
     if system.ticks and number is not None:
         due = number >= 0
 
-        # A method of a module is hashed with its arrays.
+        # A closure, since a bound method of a module would be hashed, with its arrays.
         def moved(t: Array, x: Components, number: Array) -> Components:
             return system.tick(t, x, number)
 
@@ -97,7 +97,7 @@ def _unmoved(t: Array, x: Components, number: Array) -> Components:
 def _surfaces_at(
     problem: Problem, state: LoopState, t: Array, x: Components, maps: Maps
 ) -> Surfaces:
-    """The surfaces at (t, x), where maps have led to."""
+    """The surfaces at (t, x), after maps."""
     system, pending = problem.system, state.pending
     h, h_t, normals = system.gradients(t, x)
     scale = larger(state.motion.scale, x, None if state.turn is None else pending.waits)
@@ -107,16 +107,16 @@ def _surfaces_at(
     if system.slides:
         gathered = select(problem.grid.direction < 0, _BACKWARD, 1.0) * gathered
     same = problem.grid.same_time(state.motion.tau)
-    # Jumped by more than rounding of times explains.
+    # H has jumped by more than the rounding of times explains.
     away = abs(h) > gathered + 2 * same * abs(stop_gradient(state.motion.rate))
     off, something = pending.waits & pending.across & away, pending.waits & pending.jumped
     if maps.h is not None:
-        # Whose H a map has changed: rounding of one that it has not is no way off its surface.
+        # A map must have changed H itself; rounding of an unchanged H does not leave its surface.
         off = off | (maps.moved & (abs(h) > gathered) & (abs(h - maps.h) > gathered))
         something = something | maps.moved
     unsettled = None
     if are_coupled(system):
-        # What happens on one surface may change the field on another.
+        # An event on one surface may change the field on another.
         something = something | (pending.waits & ~pending.grazes)
     if system.m > 1 or system.clocks or system.resets:
         unsettled = something
@@ -126,11 +126,11 @@ def _surfaces_at(
 def _with_rounding_of_forces(
     problem: Problem, state: LoopState, length: Length, at: Surfaces, fields: Corners
 ) -> Surfaces:
-    """The surfaces with the rounding of a state that is held on one, or has just left it: what
-    holds it there is rounded as the forces are, however small the state. A surface that it cannot
-    leave, for others hold it, is then neither met nor left."""
+    """The surfaces with additional rounding for a state that is held on one, or has just left it.
+    The forces that hold it are rounded in proportion to their size, however small the state. A
+    surface that the state cannot leave because others hold it then causes no contact."""
     since = select(any_of(~state.armed), abs(stop_gradient(length.h)), 0.0)
-    # What has gathered while it is held is that of many steps.
+    # While a state is held, rounding accumulates over many steps.
     since = select(state.held, typical_step(problem, state), since)
     size = where(since > 0, since * stop_gradient(fields.sizes()), 0.0)
     more = NOISE * problem.system.eps * (abs(stop_gradient(at.normals)) @ size)
@@ -145,18 +145,19 @@ def evaluate_step_end(
     forcing: Forcing,
     free: FreeStep | None = None,
 ) -> StepEnd:
-    """The motion at the end of a step; a pending switch is made.
+    """The motion at the end of a step, after a pending switch has been carried out.
 
-    `forcing` is that of the end: see `ComponentSystem.forcing`. What a `free` step has found is
-    taken for a lane that stays on its sides, to the last bit.
+    `forcing` is the value of `ComponentSystem.forcing` at the end. For a lane that stays on its
+    sides the results of a `free` step are used, bit for bit.
     """
     system = problem.system
     t = problem.grid.t0 + length.end
     if system.m == 0:
         return _smooth_end(system, state, length.end, t, x, forcing)
     maps = _mapped(problem, state, t, x)
-    # Everything from here on is taken after the maps: sides, rates and modes are those of the
-    # state that goes on.
+    # The order matters. Maps come first, since all later values must belong to the state that
+    # continues. Then the state is projected onto its surfaces, resets are followed up, fields and
+    # rates are evaluated there, and the mode is decided from them.
     at, led = _surfaces_at(problem, state, t, maps.x, maps), None
     later = later_contacts(problem, state) if maps.reset is None else maps.reset.waits
     x = _held(problem, state, maps.x, at, later)
@@ -169,7 +170,7 @@ def evaluate_step_end(
     choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
     choice, again = _in_turn(problem, state, maps, choice, later)
     if system.slides and maps.h is not None:
-        # A map may put the state on a surface that it then slides on.
+        # A map may put the state on a surface on which it then slides.
         put = (choice.mode == 0) & ~stays_on(system, state.motion.mode) & ~state.pending.surfaces
         x = held_from_here(system, t, x, choice.mode, put & state.pending.waits)
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
@@ -202,9 +203,9 @@ def evaluate_step_end(
 def _in_turn(
     problem: Problem, state: LoopState, maps: Maps, choice: Decision, later: Components | None
 ) -> tuple[Decision, Array | None]:
-    """The decision as far as it is one of this switch, and whether another switch has to follow at
-    once: what a contact or a map changes of other surfaces, as the end of a slide, is an event of
-    its own."""
+    """The part of the decision that belongs to this switch, and whether another switch must follow
+    at the same time. Changes that a contact or a map causes on other surfaces, such as the end of a
+    slide, are events of their own."""
     system, mode = problem.system, state.motion.mode
     if system.m == 1 and maps.ticked is None:
         return choice, None
@@ -215,14 +216,14 @@ def _in_turn(
     others = (choice.mode != mode) & ~hit
     again = cause & any_of(others)
     if later is not None:
-        # What waits for its reset has its side at once.
+        # A surface that waits for its reset takes its side at once.
         others, again = others & ~later, again & ~any_of(later)
     kept = where(others & cause, mode, choice.mode)
     return Decision(kept, select(again, jnp.maximum(choice.count, 1), choice.count)), again
 
 
 def _members(state: LoopState, maps: Maps, motion: Motion, later: Components | None) -> Components:
-    """The surfaces of the event that a switch is: those hit, or those whose mode it changes."""
+    """The surfaces of a switch's event, which are those hit and those whose mode it changes."""
     hit = state.pending.surfaces if later is None else state.pending.surfaces & ~later
     changed = state.pending.waits & (motion.mode != state.motion.mode)
     members = hit | changed
@@ -232,8 +233,8 @@ def _members(state: LoopState, maps: Maps, motion: Motion, later: Components | N
 
 
 def _to_later(problem: Problem, state: LoopState, end: StepEnd) -> StepEnd:
-    """The end of a switch, moved to the contact that comes next at the same time: by no time at
-    all, but by one with a derivative of its own."""
+    """The end of a switch, moved to the next contact at the same time. The time between them is
+    zero and has a derivative of its own."""
     if end.next is None:
         return end
     system, direction = problem.system, problem.grid.direction
@@ -247,7 +248,8 @@ def _to_later(problem: Problem, state: LoopState, end: StepEnd) -> StepEnd:
     jump = delta if end.jump is None else end.jump + delta
     misfit = None
     if state.pending.together is not None:
-        # A contact that would not come, or leads nowhere, is one of several at one point.
+        # A contact that would not come, or has no mode after it, belongs to several surfaces at one
+        # point, which are then decided together.
         fine = ~any_of(end.next & ~falls) & (end.num_modes == 1)
         misfit = state.pending.waits & any_of(end.next) & ~fine
     motion = dataclasses.replace(end.motion, x=x)
@@ -263,13 +265,13 @@ def _motion(
     choice: Decision,
     forcing: Forcing,
 ) -> Motion:
-    """The motion that goes on from x in the mode chosen, given the fields on all sides with their
-    rates, and in how many modes it could."""
+    """The motion that continues from x in the chosen mode, given the fields on all sides with their
+    rates."""
     (fields, rates), mode = on_sides, choice.mode
     system, t = problem.system.in_mode(mode), problem.grid.t0 + tau
-    if system.asks_mode:  # which is known now
+    if system.asks_mode:  # the fields depend on the mode, which is known only now
         fields, _ = filippov.corners(system, t, x, forcing=forcing)
-    # Where no mode goes on because a field is not finite, that is what is wrong.
+    # If no mode continues because a field is not finite, the outcome should say so; NaN does.
     blind = (choice.count == 0) & ~all_finite(rates)
     together = filippov.holds_together(system)
     shares, determinant = mode, None
@@ -289,7 +291,7 @@ def _motion(
 
 
 def _led_on(end: StepEnd, led: Impact) -> StepEnd:
-    """The end of a step with what follows from its reset."""
+    """The end of a step with the consequences of its reset."""
     motion = end.motion
     x = where(led.jump > 0, motion.x + led.jump * motion.f + led.kick, motion.x)
     motion = dataclasses.replace(motion, x=x)
@@ -299,7 +301,7 @@ def _led_on(end: StepEnd, led: Impact) -> StepEnd:
 def with_reactions(
     system: ComponentSystem, t: Array, x: Components, mode: Components, f: Components
 ) -> Components:
-    """The field of a mode, with the reactions of the surfaces that it rests on."""
+    """The field of a mode, with the reactions of its resting surfaces."""
     if not system.resets:
         return f
     resting = any_of(unilateral.rests_of(mode))
@@ -318,7 +320,7 @@ def _smooth_end(
     x: Components,
     forcing: Forcing,
 ) -> StepEnd:
-    """The end of a step where there are no surfaces."""
+    """The end of a step in a system without surfaces."""
     none, one = state.motion.mode, jnp.ones((), jnp.int32)
     f, scale = system.field(t, x, none, forcing=forcing), larger(state.motion.scale, x)
     motion = Motion(tau, x, f, scale, none, none, none, none, None)
@@ -342,14 +344,14 @@ def _smooth_end(
 def _held(
     problem: Problem, state: LoopState, x: Components, at: Surfaces, later: Components | None
 ) -> Components:
-    """The state on the surfaces that it slides or rests on or has just met: a slide is exact in its
-    surface, however long it lasts. Surfaces that it has been led off, or that have their turn
-    later, are left out."""
+    """The state projected onto the surfaces that it slides or rests on or has just reached, so that
+    a slide of any length stays exactly on its surface. Surfaces that it has been moved off, or that
+    are decided later, are excluded."""
     system = problem.system
     if not system.slides and not system.resets:
         return x
     off = at.off
-    if problem.kept is not None:  # a slide that is kept needs not be on its surface
+    if problem.kept is not None:  # a lane pinned to a slide need not be on the surface
         off = off | problem.kept.on
     landed = state.pending.waits & ~state.pending.grazes & state.pending.surfaces
     if later is not None:

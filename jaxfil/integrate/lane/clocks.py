@@ -1,9 +1,8 @@
-"""Clocks in the loop: steps end on their ticks, and functions never look across one.
+"""Clocks in the loop: steps end on ticks, and functions are never evaluated across a tick.
 
-A problem whose system has clocks and the ticks that come next enter; the time to the next tick
-leaves, and the problem as it is between two ticks. Where a field or H jumps at a tick, no rounding
-of the time may tell on which side of it a function is taken. Within the loop, functions of time are
-therefore given a time that is in between by more than rounding.
+Where a field or H jumps at a tick, the rounding of the time must not decide on which side of the
+jump a function is evaluated. Within the loop, functions of time therefore receive a time that is
+clamped to the open interval between two ticks, by more than rounding. See `between_ticks`.
 """
 
 import dataclasses
@@ -23,17 +22,17 @@ from jaxfil.xla.select import select
 
 
 class ClockState(eqx.Module):
-    """What a lane knows of its clocks."""
+    """The state of a lane's clocks."""
 
     ticks: Ticks
-    """The next tick of each clock, counted."""
+    """The number k of the next tick of each clock, at the time φ + kT."""
     waiting: Array
-    """The number of the clock whose tick waits for its switch; −1: none does."""
+    """The number of the clock whose tick waits for its switch; −1 without one."""
 
 
 class Clocks(Extension):
     """The clocks of a system: steps end on ticks, each of which is a discontinuity, and functions
-    see what is between two of them."""
+    are evaluated between two of them."""
 
     def before_step(self, problem: Problem, own: ClockState | None) -> Problem:
         ticks = first_ticks(problem) if own is None else own.ticks
@@ -64,7 +63,9 @@ class Clocks(Extension):
         if problem.system.m == 0:
             motion = _behind(problem, after.motion, ticks, first, ticking)
             return dataclasses.replace(after, motion=motion), ClockState(ticks, none)
-        # A switch waits, in which everything is taken just after the tick.
+        # With surfaces, the tick is applied by the pending switch of the next iteration, which
+        # evaluates all functions just after the tick. The sides of all surfaces are then decided
+        # again, since a field or H may have jumped.
         waiting = select(ticking, first, select(step.switched, none, own.waiting))
         pending = after.pending
         pending = dataclasses.replace(
@@ -79,9 +80,10 @@ class Clocks(Extension):
 
 
 def first_ticks(problem: Problem) -> Ticks:
-    """The ticks after t0, in the direction of time."""
+    """The numbers of the first ticks after t0, in the direction of time."""
     grid, ticks = problem.grid, []
     for period, phase in problem.system.clocks:
+        # A tick at t0 itself is excluded; `same` keeps the rounding of t0 − φ from including it.
         passed = stop_gradient((grid.t0 - phase) / period)
         same = _same_time(problem, jnp.zeros_like(passed)) / stop_gradient(period)
         up, down = jnp.floor(passed + same) + 1, jnp.ceil(passed - same) - 1
@@ -90,15 +92,15 @@ def first_ticks(problem: Problem) -> Ticks:
 
 
 def _taus(problem: Problem, ticks: Ticks) -> tuple[Array, ...]:
-    """The elapsed times of ticks."""
+    """The elapsed times of ticks, which carry the derivatives with respect to T and φ."""
     t0 = problem.grid.t0
     each = zip(problem.system.clocks, ticks, strict=True)
     return tuple((phase - t0) + k * period for (period, phase), k in each)
 
 
 def _next_tick(problem: Problem, ticks: Ticks) -> tuple[Array, Array]:
-    """The elapsed time of the first of the ticks that come next, and the number of its clock: the
-    lowest of several at one time."""
+    """The elapsed time of the earliest upcoming tick, and the number of its clock (the lowest one
+    among ticks at the same time)."""
     first, *others = _taus(problem, ticks)
     number = jnp.zeros((), jnp.int32)
     for j, tau in enumerate(others, start=1):
@@ -110,7 +112,7 @@ def _next_tick(problem: Problem, ticks: Ticks) -> tuple[Array, Array]:
 def _behind(
     problem: Problem, motion: Motion, ticks: Ticks, number: Array, ticking: Array
 ) -> Motion:
-    """A motion without surfaces just behind a tick of a clock, given the ticks that come next."""
+    """A motion without surfaces just after a tick of a clock, given the next ticks."""
     system, t = between_ticks(problem, ticks).system, problem.grid.t0 + motion.tau
     x = motion.x
     if system.ticks:
@@ -121,7 +123,7 @@ def _behind(
 
 
 def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
-    """The problem whose functions look no further than from the last ticks to the next."""
+    """The problem with its functions restricted to times between the last and the next ticks."""
     grid, lows, highs = problem.grid, [], []
     last = tuple(k - grid.direction for k in ticks)
     for a, b in zip(_taus(problem, last), _taus(problem, ticks), strict=True):
@@ -130,13 +132,15 @@ def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
     low, high = lows[0], highs[0]
     for a, b in zip(lows[1:], highs[1:], strict=True):
         low, high = jnp.maximum(low, a), jnp.minimum(high, b)
+    # The window is narrower than the interval by the rounding of a tick at each end, so that a
+    # field that computes the tick itself, as t − φ, is on the right side of it.
     margins = (_same_time(problem, v - grid.t0) for v in (low, high))
     window = low + next(margins), high - next(margins)
     return dataclasses.replace(problem, system=dataclasses.replace(problem.system, window=window))
 
 
 def just_after(problem: Problem, t: Array) -> Problem:
-    """The problem as it is from a time on, to the next ticks."""
+    """The problem from a time on, up to the next ticks."""
     if not problem.system.clocks:
         return problem
     grid = dataclasses.replace(problem.grid, t0=stop_gradient(t))
@@ -145,8 +149,8 @@ def just_after(problem: Problem, t: Array) -> Problem:
 
 
 def _same_time(problem: Problem, tau: Array) -> Array:
-    """The rounding of ticks near an elapsed time: that of times, and that of phases, which may be
-    much larger, in φ + kT as in a field's own t − φ."""
+    """The rounding of ticks near an elapsed time. It includes the rounding of phases, which may be
+    much larger than times, in φ + kT as well as in a field's own t − φ."""
     grid, phases = problem.grid, [abs(stop_gradient(phase)) for _, phase in problem.system.clocks]
     largest = ft.reduce(jnp.maximum, phases)
     return grid.same_time(tau) + SAME_TIME * problem.system.eps * largest

@@ -1,7 +1,7 @@
 """Extensions: features of a run that carry a state of their own through the loop.
 
-The loop calls their hooks and knows nothing else of them; a run without an extension has no trace
-of it in its program. `loop.extensions` lists them all.
+The loop knows only their hooks. An extension that a run does not use adds no operation to its
+program. `loop.extensions` lists all of them.
 """
 
 from typing import Any, ClassVar
@@ -16,55 +16,55 @@ from jaxfil.integrate.lane.step_length import Length
 
 
 class Step(eqx.Module):
-    """What an iteration does with its trial step."""
+    """The decision of an iteration about its trial step."""
 
     end: StepEnd
     length: Length
     accepted: Array
-    """Whether the trial step meets nothing and can be trusted."""
+    """Whether the trial step reaches no contact and can be trusted."""
     saving: Array
-    """Whether it then ends at a time to be saved."""
+    """Whether an accepted step ends at a saving time."""
     gridded: Array
-    """Whether it then ends at a grid point."""
+    """Whether an accepted step ends at a grid point."""
     moved: Array
-    """Whether the lane goes on to its end, and does not only look at it."""
+    """Whether the lane moves to the end of the step; if not, the step was only a probe."""
     lands: Array
-    """Whether it has ended on a contact: the lane goes on to where that is."""
+    """Whether the step ends on a contact, to whose time the lane is then corrected."""
     delta: Array
-    """The signed time from the end of the step to the contact that it lands on."""
+    """The signed time from the end of the step to the contact."""
     switched: Array
-    """Whether a pending switch was made."""
+    """Whether a pending switch was carried out."""
     made: Array
-    """Whether that switch was of a contact, and not of a clock alone."""
+    """Whether that switch belonged to a contact and not to a clock alone."""
 
     @property
     def advances(self) -> Array:
-        """Whether time goes on by it: it is taken, or lands."""
+        """Whether time advances with the step, which is accepted or lands on a contact."""
         far = stop_gradient(abs(self.length.h)) > 0
         return (self.moved & self.accepted & far) | self.lands
 
 
 class Verdict(eqx.Module):
-    """What an extension says of a trial step."""
+    """An extension's decision about a trial step."""
 
     takes_back: Array
-    """Whether the lane stays where it is."""
+    """Whether the step is taken back, so that the lane stays at its start."""
     fails: Array
     """Whether a number of the extension is not finite."""
     note: Any
-    """What `after_step` needs to know."""
+    """Data for `after_step`."""
 
 
 class Extension(eqx.Module):
     """A feature with a state of its own, of any type. Hooks do nothing unless overridden."""
 
     in_free_steps: ClassVar[bool] = False
-    """Whether it leaves the problem and all steps as they are, and follows a lane of a batch by
-    `after_free_step` where steps meet nothing: lanes then need no full iteration for them."""
+    """Whether the extension never changes the problem or a step, and follows steps without contact
+    by `after_free_step` alone; lanes of a batch then need no full iteration for these steps."""
 
     def before_step(self, problem: Problem, own: Any) -> Problem:
-        """The problem as a trial step sees it: its functions, and how far it may go. `own` is None
-        for the evaluation at t0, before `begin`."""
+        """The problem with the functions and the limits of time of a trial step. `own` is None in
+        the evaluation at t0, which precedes `begin`."""
         return problem
 
     def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, Any]:
@@ -72,7 +72,7 @@ class Extension(eqx.Module):
         return state, None
 
     def at_end(self, problem: Problem, state: LoopState, own: Any, step: Step) -> Verdict | None:
-        """What is said of a trial step with which the loop would do what `step` says."""
+        """The verdict about a trial step on which the loop would decide `step`."""
         return None
 
     def after_step(
@@ -84,12 +84,12 @@ class Extension(eqx.Module):
         step: Step,
         verdict: Verdict | None,
     ) -> tuple[LoopState, Any]:
-        """`after`, to which the step has led from `state`, and the next state of the extension."""
+        """The lane after the step from `state` to `after`, and the extension's next state."""
         return after, own
 
     def after_free_step(
         self, problem: Problem, state: LoopState, after: LoopState, own: Any, clear: Array
     ) -> Any:
-        """The next state of the extension after a step from `state` to `after` that meets nothing,
-        where it is `clear`; the same one otherwise."""
+        """The next state of the extension after a step without contact from `state` to `after`, on
+        lanes where it is `clear`; the same state on others."""
         return own

@@ -1,11 +1,11 @@
-"""The phase of the forcing: elapsed times that start anew in each of its periods.
+"""The phase of the forcing: elapsed times that restart in each of its periods.
 
-A lane that has come to the end of a forcing period enters; the same lane leaves, at time zero of
-the next one, where the forced system is what it was: whether it is so is asked of it first.
+A lane at the end of a forcing period goes on at time zero of the next one. This is valid only for a
+system that is periodic, which `repeats` tests first.
 
-A time that grows is known less and less well: after 300 periods to 5e-14 in float64, and to 2e-5
-in float32, and the phase of the forcing, and every contact, no better. A phase stays as small as
-the period, and at the start of one it is exact.
+The rounding of a time grows with it: after 300 periods it is 5e-14 in float64 and 2e-5 in float32,
+and the phase of the forcing and every contact have the same error. A phase stays as small as the
+period, and is exact at the start of one.
 """
 
 import dataclasses
@@ -21,16 +21,16 @@ from jaxfil.model import check
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
 
-# When the system is looked at, in periods: at both, forces of another period are not zero.
+# Times of the test, in periods; forces of other periods are not zero at both.
 _PHASES = (0.29, 0.83)
-# It repeats if what it does is the same to so many times eps: t + T is rounded, and cosines of
-# multiples of the frequency magnify that.
+# Tolerance of the test, in eps. The sum t + T is rounded, and cosines of multiples of the frequency
+# magnify that rounding.
 _SAME = 1024
 
 
 def repeats(system: System, period: Array, x: Array) -> Array:
-    """Whether field, H and resets at a state x are after a period what they were: not where there
-    are forces of two frequencies, or kicks at times of their own."""
+    """Whether field, H and resets at a state x are the same one period later. Forces of two
+    frequencies, or kicks at times of their own, are examples where they are not."""
     m = check.shapes(system, x)
     x, period = stop_gradient(x), stop_gradient(period)
 
@@ -51,7 +51,7 @@ def repeats(system: System, period: Array, x: Array) -> Array:
 
 
 def next_period(grid: TimeGrid, state: LoopState) -> LoopState:
-    """The lane, in the next period of the forcing if it has come to the end of one."""
+    """The lane, moved to the next period of the forcing if it is at the end of one."""
     if grid.forcing is None:
         return state
     period, over = grid.forcing.length, state.counts.in_period >= grid.forcing.steps

@@ -1,7 +1,6 @@
-"""What the loop is given: a problem of one lane.
+"""The problem of one lane: a system on components, a tableau, a time grid and recording options.
 
-A system on components, a tableau, a grid of steps and what is to be recorded enter, and travel
-together from here on as a `Problem`.
+The loop and its extensions receive these together, as a `Problem`.
 """
 
 from typing import Any, ClassVar
@@ -17,23 +16,25 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select
 
-# In a run at half the step, by which the error of another is known, a step is halved at this part
-# of the error that the other halves it at: where both halve, the lengths of their steps differ.
+# Factor on the error at which a step is halved, for the run at half the step that estimates the
+# error of another run. Without it both could halve to the same lengths, and their difference would
+# not show the error.
 FINER = 1 / 64
 # Times closer than this many eps of their size are one time.
 SAME_TIME = 8
 
 
 def iteration_budget(num_steps: Array, max_events: int | None = None) -> Array:
-    """Iterations after which a run of `num_steps` steps is given up: 32 for each step, and 64 for
-    each of `max_events` contacts, which take about four. A run that needs more would hardly end."""
+    """The number of iterations after which a run of `num_steps` steps is given up: 32 for each
+    step, and 64 for each of `max_events` contacts, which take about four. A run that exhausts it is
+    treated as one that does not terminate."""
     contacts = 100_000 if max_events is None else 64 * max_events + 1024
     return 32 * jnp.minimum(num_steps, 2**25) + contacts
 
 
 class ForcingPeriod(eqx.Module):
-    """The time after which elapsed times start anew, and how many steps of the grid that is: a
-    period of the forcing, or all of the run."""
+    """The interval after which elapsed times restart, and its number of grid steps. It is a period
+    of the forcing, or the whole run."""
 
     length: Array
     steps: Array
@@ -42,8 +43,8 @@ class ForcingPeriod(eqx.Module):
 class TimeGrid(eqx.Module):
     """The grid: `num_steps` steps of `dt` (signed) from `t0`, the last one ending at `length`.
 
-    Times in the loop are elapsed times, so that a huge t0 costs the grid no accuracy. With a
-    `forcing` they start anew from zero at the end of each of its lengths: see `forcing_phase`.
+    Times in the loop are elapsed times, so that a large t0 does not reduce the accuracy of the
+    grid. With a `forcing` they restart from zero after each of its intervals (`forcing_phase`).
     """
 
     t0: Array
@@ -53,7 +54,7 @@ class TimeGrid(eqx.Module):
     max_iterations: Array
     forcing: ForcingPeriod | None = None
     share: Array | None = None
-    """The part of the usual error at which a step is halved; None: all of it."""
+    """The factor on the usual error limit at which a step is halved; None stands for 1."""
 
     @property
     def direction(self) -> Array:
@@ -63,11 +64,12 @@ class TimeGrid(eqx.Module):
     def same_time(self, tau: Array) -> Array:
         """The rounding of times near the elapsed time `tau`."""
         t0, tau, dt = stop_gradient((self.t0, tau, self.dt))
+        # The last term is a floor, so that the rounding is not zero at t = 0.
         size = jnp.maximum(jnp.maximum(abs(t0 + tau), abs(tau)), 1e-3 * abs(dt))
         return SAME_TIME * jnp.finfo(dt.dtype).eps * size
 
     def grid_point(self, index: Array) -> Array:
-        """Elapsed time at the end of step number `index` (from 1), counted as elapsed times are."""
+        """Elapsed time at the end of step number `index` (from 1), within the forcing interval."""
         whole = self if self.forcing is None else self.forcing
         count = self.num_steps if self.forcing is None else self.forcing.steps
         return select(index >= count, whole.length, index.astype(self.dt.dtype) * self.dt)
@@ -76,8 +78,8 @@ class TimeGrid(eqx.Module):
 def even_grid(
     t0: Array, length: Array, num_steps: Array, max_events: int | None = None
 ) -> TimeGrid:
-    """The grid of `num_steps` equal steps, with the budget of `iteration_budget`. Only the end has
-    a derivative: the steps before it do not move."""
+    """The grid of `num_steps` equal steps, with the budget of `iteration_budget`. Only its end has
+    a derivative with respect to `length`; the grid points before it are constants."""
     dt = stop_gradient(length) / num_steps.astype(length.dtype)
     return TimeGrid(t0, length, dt, num_steps, iteration_budget(num_steps, max_events))
 
@@ -88,7 +90,7 @@ def _is_no_period(period: Array) -> Array:
 
 
 def period_outcome(period: Array, result: RESULTS) -> RESULTS:
-    """The outcome of lanes that ran for forcing periods, given the one that the loop has found."""
+    """The outcome of lanes that ran for forcing periods, given the outcome of the loop."""
     return RESULTS.where(_is_no_period(period), RESULTS.invalid_period, result)
 
 
@@ -100,10 +102,9 @@ def grid_of_periods(
     *,
     repeats: Array | None = None,
 ) -> TimeGrid:
-    """The grid of `count` periods after the first `start` from t = 0 on, `steps` steps each, with a
-    clock that starts anew in each if the system `repeats` after it; None: it is not known to. The
-    grid is NaN, and a run over it ends at once, where there is no such period: see
-    `period_outcome`."""
+    """The grid of `count` periods, `steps` steps each, after the first `start` periods from t = 0.
+    Elapsed times restart in each period where `repeats` is true; None means that this is unknown.
+    For an invalid period the grid is NaN, which ends the run at once (see `period_outcome`)."""
     period = select(_is_no_period(period), jnp.nan, period)
     num_steps = count * steps
     length, forcing = count.astype(period.dtype) * period, None
@@ -122,95 +123,95 @@ def grid_of_periods(
 
 
 class Recorder(eqx.Module):
-    """Decides which states of a lane are saved, and where; this one saves none.
+    """The rule for which states of a lane are saved, and where; this base class saves no state.
 
-    A subclass says how much space it takes (`empty`), which time a step must end at (`next_time`)
-    and what is saved of a step (`record`).
+    A subclass defines the space it takes (`empty`), the time at which a step must end
+    (`next_time`) and the data saved for a step (`record`).
     """
 
     name: ClassVar[str] = "t1"
-    """What `diffrax.SaveAt` calls it."""
+    """The name of the corresponding argument of `diffrax.SaveAt`."""
     at_known_times: ClassVar[bool] = True
-    """Whether it saves at times that do not depend on the steps."""
+    """Whether the saving times are independent of the steps."""
     in_free_steps: ClassVar[bool] = False
-    """Whether it saves at grid points alone, and has a `keep` for steps that meet nothing: lanes of
-    a batch then need no full iteration for them."""
+    """Whether states are saved at grid points alone, by a method `keep` for steps without contact;
+    lanes of a batch then need no full iteration for these steps."""
     with_t0: bool = eqx.field(static=True, default=False)
     """Whether the state at t0 is saved too."""
 
     def since(self, t0: Array) -> "Recorder":
-        """The same with elapsed times in place of times."""
+        """The same recorder with elapsed times in place of times."""
         return self
 
     def empty(self, system: ComponentSystem) -> Any:
-        """Space for what is saved, as `SavedStates`; None if nothing is."""
+        """Empty buffers for the saved states, a `SavedStates`; None for a recorder without."""
         return None
 
     def next_time(self, num_saved: Array) -> tuple[Array, Array] | None:
-        """The elapsed time that a step must end at to be saved next, and whether there is one;
-        None if steps may go to their grid points."""
+        """The next elapsed time at which a step must end to be saved, and whether there is one;
+        None if steps end at grid points alone."""
         return None
 
     def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:
-        """`after`, the `LoopState` that a `Step` has led to from `state`, with what is saved. It is
-        called before the extensions follow the lane."""
+        """The lane `after` a `Step` from `state`, a `LoopState`, with the states to be saved. The
+        loop calls it before the hooks of extensions."""
         return after
 
     def keep(self, problem: "Problem", state: Any, after: Any, x: Any, gridded: Array) -> Any:
-        """`after`, with the state x saved if it is at a grid point just reached (`gridded`) and one
-        of those to be saved."""
+        """The lane `after`, with the state x saved if it is at a grid point just reached
+        (`gridded`) that the recorder selects."""
         raise NotImplementedError(f"{type(self).__name__} does not save in free steps.")
 
 
 class Recording(eqx.Module):
-    """What is kept on the way."""
+    """Options of recording."""
 
     recorder: Recorder = Recorder()
-    """What is saved of the states."""
+    """The rule for saved states."""
     max_events: int | None = eqx.field(static=True, default=None)
-    """Length of the table of events; None keeps none and sets no limit."""
+    """Length of the table of events; None for no table and no limit."""
     num_crossings: int | None = eqx.field(static=True, default=None)
-    """Length of the table of crossings of sections; None keeps none and sets no limit."""
+    """Length of the table of crossings of sections; None for no table and no limit."""
 
 
 NOTHING = Recording()
-"""Neither states nor events are kept: the end alone is of interest."""
+"""Recording of neither states nor events, for runs of which only the end is used."""
 
 
 class KeptMode(eqx.Module):
-    """A mode in which a lane starts and stays, as if there were no surfaces, where it is `on`."""
+    """A mode that a lane stays in from the start, without contacts, while `on` is true."""
 
     mode: Components
     on: Array
 
 
 class Look(eqx.Module):
-    """A trial step that only looks for a crossing of a section, where one is sought."""
+    """A trial step that only searches for a crossing of a section."""
 
     seeking: Array
     length: Array
-    """Its signed length."""
+    """The signed length of the trial step."""
 
 
 class Problem(eqx.Module):
-    """A system to be integrated over a grid by a method, and what is to be recorded."""
+    """A system to be integrated over a grid by a method, and the recording options."""
 
     system: ComponentSystem
     tableau: Tableau
     grid: TimeGrid
     recording: Recording
     extensions: tuple[Any, ...] = ()
-    """Features with a state of their own, `Extension`s."""
+    """Features with a state of their own (`Extension`)."""
     kept: KeptMode | None = None
-    """A mode to stay in; None: contacts are met."""
+    """A mode to stay in; None for a run with contacts."""
     tick: Array | None = None
-    """The elapsed time of the next tick of a clock, that no step goes beyond."""
+    """The elapsed time of the next tick of a clock, which no step passes."""
     ticked: Array | None = None
-    """The number of the clock whose tick waits for its switch; −1: none does."""
+    """The number of the clock whose tick waits for its switch; −1 without one."""
     look: Look | None = None
-    """How far a step goes to look for a crossing."""
+    """The step by which a crossing is searched for."""
 
     @property
     def compact(self) -> bool:
-        """Whether the stages of a step are in a loop: see `compact_step`."""
+        """Whether the stages of a step are in a loop (see `compact_step`)."""
         return self.system.compact

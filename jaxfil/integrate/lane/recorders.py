@@ -1,7 +1,7 @@
-"""Recorders: which states of a lane are saved, and where.
+"""Recorders: rules for which states of a lane are saved, and where.
 
-One for each kind of `diffrax.SaveAt`, and one for the samples of a sweep. A new kind is a subclass
-of `Recorder`.
+There is one for each kind of `diffrax.SaveAt`, and one for the samples of a sweep. A new kind is a
+subclass of `Recorder`.
 """
 
 import dataclasses
@@ -23,17 +23,17 @@ from jaxfil.xla.masked_write import masked_write
 
 
 class SaveSamples(Recorder):
-    """Every `every`-th state at a grid point from number `first` on."""
+    """Recorder of every `every`-th state at a grid point, starting at number `first`."""
 
     name = "samples"
     in_free_steps = True
     size: int = eqx.field(static=True, kw_only=True)
-    """How many there are."""
+    """Number of samples."""
     modes: bool = eqx.field(static=True, kw_only=True)
     """Whether modes are saved too."""
     integrals: int = eqx.field(static=True, default=0, kw_only=True)
-    """How many of the last components are integrals, which begin anew `every` grid points: over a
-    long run they would lose their last digits."""
+    """Number of trailing components that are integrals. They restart from zero after every `every`
+    grid points, since sums over a long run would lose their last digits."""
     first: Array = eqx.field(kw_only=True)
     every: Array = eqx.field(kw_only=True)
 
@@ -48,7 +48,8 @@ class SaveSamples(Recorder):
     ) -> LoopState:
         saves, number = state.saves, state.counts.num_saved
         assert saves is not None
-        # Counted, since a remainder for every lane would take 7 % of the time of a sweep.
+        # Compared with a running count, since a remainder for every lane would take 7 % of the
+        # time of a sweep.
         save = gridded & (after.counts.index == self.first + number * self.every)
         rows, row = {"xs": saves.xs}, {"xs": pack(x, problem.system.dtype)}
         if self.modes:
@@ -63,7 +64,8 @@ class SaveSamples(Recorder):
 
 
 def _empty(system: ComponentSystem, size: int, ts: int, modes: int) -> SavedStates:
-    """Space for so many states, times and modes; what is not reached stays inf, as in diffrax."""
+    """Buffers for the given numbers of states, times and modes; unused entries stay inf, as in
+    diffrax."""
     return SavedStates(
         ts=jnp.full((ts,), jnp.inf, system.dtype),
         xs=jnp.full((size, system.n), jnp.inf, system.dtype),
@@ -72,7 +74,7 @@ def _empty(system: ComponentSystem, size: int, ts: int, modes: int) -> SavedStat
 
 
 def _with(after: LoopState, saves: SavedStates, save: Array) -> LoopState:
-    """`after` with what is saved, one state more if `save`."""
+    """`after` with new buffers, and one more saved state if `save`."""
     number = after.counts.num_saved + save.astype(jnp.int32)
     counts = dataclasses.replace(after.counts, num_saved=number)
     return dataclasses.replace(after, saves=saves, counts=counts)
@@ -89,7 +91,7 @@ class _InTime(eqx.Module):
 
 
 class _Linearised(eqx.Module):
-    """A field together with its linearisation, as the rate of what moves and of its tangent."""
+    """A field with its linearisation, as the rate of a point and its tangent."""
 
     field: Any
     by_field: Any
@@ -100,14 +102,14 @@ class _Linearised(eqx.Module):
 
 
 def _or_zero(rate: Any, of: Any) -> Any:
-    """A tangent, zero where equinox has left it out."""
+    """A tangent, with zeros where equinox omits them."""
     return eqx.combine(rate, jax.tree.map(jnp.zeros_like, of))
 
 
 @eqx.filter_custom_jvp
 def _moved(gap: Array, at: Any, field: Any) -> Any:
-    """`at`, which moves along the field with a gap that is zero but for its derivatives. The field
-    is computed for these alone."""
+    """The point `at`, moved along the field by a time `gap` whose value is zero and whose
+    derivatives are not. The field is evaluated in the derivatives alone."""
     return at
 
 
@@ -116,7 +118,8 @@ def _moved_jvp(primals: tuple, tangents: tuple) -> tuple:
     gap, at, field = primals
     by_gap, rate, by_field = tangents
     rate = _or_zero(rate, at)
-    # Both move themselves, which gives the second derivatives, and so on.
+    # The point and its tangent are both moved by `_moved`, so that the rule applies to itself and
+    # gives derivatives of every order.
     at, rate = _moved(gap, (at, rate), _Linearised(field, by_field))
     if by_gap is not None:
         rate = jax.tree.map(lambda own, f: own + by_gap * f, rate, field(at))
@@ -126,7 +129,7 @@ def _moved_jvp(primals: tuple, tangents: tuple) -> tuple:
 def _entered(
     state: LoopState, after: LoopState, system: ComponentSystem, end: tuple, save: Array
 ) -> LoopState:
-    """`after` with a time, a state and a mode saved if `save`, and space is left."""
+    """`after` with a time, a state and a mode saved if `save` and space remains."""
     saves, number = state.saves, state.counts.num_saved
     assert saves is not None
     (t, x, mode), size = end, saves.ts.shape[0]
@@ -136,7 +139,7 @@ def _entered(
 
 
 class SaveTimes(Recorder):
-    """The states at given times, sorted along the direction of time."""
+    """Recorder of the states at given times, sorted along the direction of time."""
 
     name = "ts"
     ts: Array = eqx.field(kw_only=True)
@@ -154,31 +157,32 @@ class SaveTimes(Recorder):
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
         motion = step.end.motion
         t, (at, _) = problem.grid.t0 + motion.tau, self.next_time(state.counts.num_saved)
-        # A grid point does not move with a saving time that is there; what is saved does.
+        # Where a saving time coincides with a grid point, the step ends at the grid point, which
+        # has no derivative with respect to the saving time; `_moved` supplies it.
         field = _InTime(ModeField(problem.system, motion.mode))
         t, x = _moved(at - motion.tau, (t, motion.x), field)
         return _entered(state, after, problem.system, (t, x, motion.mode), step.saving)
 
 
 class SaveSteps(Recorder):
-    """The state after every step, contacts included."""
+    """Recorder of the state after every step, including steps that end on contacts."""
 
     name = "steps"
     at_known_times = False
     size: int = eqx.field(static=True, kw_only=True)
-    """How many there is space for."""
+    """Capacity, in states."""
 
     def empty(self, system: ComponentSystem) -> SavedStates:
         return _empty(system, self.size, self.size, self.size)
 
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
-        # Without surfaces `after` is behind a tick that the step ends on.
+        # Without surfaces a tick is applied in the same iteration, so `after` is just after it.
         motion = step.end.motion if problem.system.m > 0 else after.motion
         end = problem.grid.t0 + motion.tau, motion.x, motion.mode
         return _entered(state, after, problem.system, end, step.moved)
 
 
 class SaveDense(SaveSteps):
-    """The states after every step, from which those at all times are computed."""
+    """Recorder of the states after every step, from which dense output is interpolated."""
 
     name = "dense"

@@ -1,4 +1,4 @@
-"""The table of events, and how an entry is written into a table."""
+"""The table of events, and the writing of an entry into a table."""
 
 from typing import Any
 
@@ -26,18 +26,18 @@ from jaxfil.xla.select import select
 
 
 def entered(record: Any, i: Array, yes: Array, entry: Any) -> Any:
-    """`record`, of arrays of k entries, with `entry`, of one each, as number i where `yes`."""
+    """`record`, a record of arrays with k rows, with `entry` as row i where `yes`."""
     if all(isinstance(v, jax.Array) for v in vars(record).values()):
         return masked_write(record, i, entry, yes)
-    # The buffers of a loop that keeps checkpoints.
-    # Equinox types it for Python's booleans; it takes arrays.
+    # A loop with checkpoints has buffers of equinox in place of arrays. The type annotation of
+    # `buffer_at_set` allows only Python booleans as `pred`; the function accepts arrays.
     put: Any = eqxi.buffer_at_set
     rows = {name: put(v, i, vars(entry)[name], pred=yes) for name, v in vars(record).items()}
     return type(record)(**rows)
 
 
 def empty_table(system: ComponentSystem, size: int | None) -> EventTable | None:
-    """An event table without events; None if none is to be kept."""
+    """An event table without entries; None for a run without a table."""
     if size is None or system.m == 0:
         return None
     return EventTable(
@@ -55,7 +55,7 @@ def mode_codes(mode: Components) -> Array:
 
 
 def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
-    """What the switch just made was, told from the modes of the surfaces hit."""
+    """The kind of the switch, from the modes of its surfaces before and after."""
     old, new = state.motion.mode, end.motion.mode
     left, held = old == 0, new == 0
     if problem.system.resets:
@@ -63,7 +63,7 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
     slip = where(left, EventKind.slip.value, EventKind.crossing.value)
     kinds = where(held, EventKind.stick.value, slip).astype(jnp.int8)
     if problem.system.resets or problem.system.ticks:
-        # Across without a zero of H on the way.
+        # The surface is on the other side without a zero of H in between.
         far = state.pending.jumped & (old * new == -1) & (end.motion.g > end.gathered)
         kinds = where(far, EventKind.carry.value, kinds).astype(jnp.int8)
     graze = jnp.asarray(EventKind.graze.value, jnp.int8)
@@ -79,16 +79,17 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
 
 @jax.custom_jvp
 def _infinite_rate(gap: Array, touched: Array) -> Array:
-    """Zero, with an infinite derivative with respect to the gap where it is touched: the time of a
-    contact as the contact becomes a touch."""
+    """Zero, with an infinite derivative with respect to `gap` where `touched`. This is the limit of
+    the derivative of a contact time as the contact becomes a graze."""
     return jnp.zeros_like(gap)
 
 
 @_infinite_rate.defjvp
 def _infinite_rate_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     gap, touched = primals
-    # Twice the square root of the largest number: no change stays no change, where a product with
-    # infinity would be NaN. The barrier keeps the two from being multiplied into one infinity.
+    # The factor 2 √max is applied twice. It overflows to infinity for a nonzero tangent and leaves
+    # a zero tangent zero, where a product with infinity would be NaN. The barrier keeps XLA from
+    # multiplying the two factors into one infinity.
     root = select(touched, 2 * jnp.sqrt(jnp.finfo(gap.dtype).max), 0.0).astype(gap.dtype)
     grown = jax.lax.optimization_barrier(tangents[0] * root)
     return jnp.zeros_like(gap), grown * root
@@ -102,7 +103,7 @@ def _event_time(problem: Problem, state: LoopState, end: StepEnd) -> Array:
 def record_event(
     problem: Problem, state: LoopState, end: StepEnd, made: Array
 ) -> EventTable | None:
-    """The event table of a lane with the switch made at the end of a step, where one was made."""
+    """The event table of a lane after a step, with an entry for its switch where one was made."""
     table = state.table
     if table is None:
         return None

@@ -1,8 +1,8 @@
 """The records of the loop.
 
-A `Motion` is what is known of a lane at one time. The `LoopState` of a lane between two iterations
-holds one, with the contact it aims at, the landing that waits for its switch, counts and tables;
-the `StepEnd` of a trial step holds the next. All are immutable, and without a decision.
+A `Motion` describes a lane at one time. The `LoopState` of a lane between two iterations holds one,
+with the contact that it aims at, the landing that waits for its switch, counts and tables; the
+`StepEnd` of a trial step holds the next. All are immutable and contain no decisions.
 """
 
 from typing import Any, TypeAlias
@@ -18,7 +18,7 @@ from jaxfil.integrate.system.components import Components, Polynomial, any_of
 from jaxfil.model.outcomes import RESULTS
 
 Column: TypeAlias = Any
-"""An array with an entry a row, or what stands for it in a loop that keeps checkpoints."""
+"""An array with an entry a row, or its counterpart in a loop with checkpoints."""
 
 
 class EventTable(eqx.Module):
@@ -37,8 +37,8 @@ class EventTable(eqx.Module):
 
 
 class SavedStates(eqx.Module):
-    """Saved times (k,), states (k, n) and modes (k, m); of samples no times, and
-    modes only if they are recorded."""
+    """Saved times (k,), states (k, n) and modes (k, m). Samples of a sweep have no times, and modes
+    only if these are recorded."""
 
     ts: Column
     xs: Column
@@ -59,7 +59,7 @@ class CrossingTable(eqx.Module):
 
 
 class Motion(eqx.Module):
-    """A motion at one time. Components are m, one for each surface, unless said otherwise."""
+    """A motion at one time. Components are m, one for each surface, unless stated otherwise."""
 
     tau: Array
     """Elapsed time."""
@@ -68,85 +68,86 @@ class Motion(eqx.Module):
     f: Components
     """Field of the mode at (tau, x), n components."""
     scale: Components
-    """Running maximum of |x| with geometric forgetting, n components: see `guards.larger`."""
+    """Running maximum of |x| with geometric forgetting, n components (see `guards.larger`)."""
     mode: Components
     """+1 or −1, 0 while sliding on the surface, +2 or −2 at rest on it from that side."""
     g: Components
-    """Guards: positive within the mode."""
+    """Guards, positive within the mode."""
     rate: Components
     """dg/dt along f."""
     noise: Components
-    """Rounding of the guards."""
+    """Rounding error of the guards."""
     determinant: Array | None
-    """Determinant of the equations of a slide's weights (`weights.determinant`); None where nothing
-    slides."""
+    """Determinant of the equations of a slide's weights (`weights.determinant`); None for systems
+    that never slide."""
 
 
 class ContactSearch(eqx.Module):
     """The contact that the next trial step aims at."""
 
     length: Array
-    """Signed length to it; 0 if none is expected."""
+    """Signed length to the contact; 0 if none is expected."""
     surfaces: Components
-    """Its surfaces, m flags."""
+    """Surfaces of the contact, m flags."""
     rejections: Array
-    """Trial steps rejected in a row."""
+    """Number of consecutive rejected trial steps."""
 
 
 class Pending(eqx.Module):
-    """A landing that waits for its switch, and how often contacts have followed each other."""
+    """A landing that waits for its switch, and a count of contacts at one time."""
 
     waits: Array
-    """Whether there is one."""
+    """Whether a landing waits."""
     surfaces: Components
-    """Its surfaces, m flags."""
+    """Surfaces of the landing, m flags."""
     grazes: Array
-    """Whether it only touches."""
+    """Whether the contact is a graze."""
     jumped: Array
-    """Whether a field, H or the state has jumped: a tick, or what a map has led to."""
+    """Whether a field, H or the state has jumped, at a tick or by a reset."""
     across: Components
-    """Surfaces whose H may have jumped with it, m flags."""
+    """Surfaces whose H may have jumped at the same time, m flags."""
     together: Array | None
-    """Whether its surfaces are decided together, and not one after the other; None where there is
-    nothing to choose between."""
+    """Whether the surfaces of the landing are decided together, and not one after the other; None
+    for separate surfaces and for systems with resets."""
     repeats: Array
-    """Contacts in a row at one and the same time."""
+    """Number of consecutive contacts at one time."""
     tau: Array
     """Elapsed time of the last contact."""
 
 
 class Trust(eqx.Module):
-    """How long a trial step may be: see `loop.halving`."""
+    """The largest length of a trial step (see `loop.halving`)."""
 
     longest: Array
-    """Its length at most, of any direction; inf where that of the grid is trusted."""
+    """The largest trusted length, without sign; inf where the grid's step is trusted."""
     ceiling: Array
-    """The length that was refused last; inf where it has been taken since."""
+    """The length that was refused last; inf after it has been accepted since."""
     taken: Array
-    """Steps taken since then."""
+    """Number of steps accepted since the last refusal."""
     refused: Array
-    """Refusals of the shortest steps since one was taken that was not so short."""
+    """Number of refusals of the shortest steps since a longer one was accepted."""
     halvings: Array
-    """All refusals since t0."""
+    """Number of refusals since t0."""
     error: Array | None = None
-    """The relative error of the last step; None where no tolerance is asked for."""
+    """The relative error of the last step; None without a tolerance."""
 
 
 class Counts(eqx.Module):
-    """What has been counted since t0."""
+    """Counts since t0."""
 
     index: Array
-    """Grid steps completed."""
+    """Number of completed grid steps."""
     num_iterations: Array
-    """Iterations of the loop."""
+    """Number of iterations of the loop."""
     num_accepted: Array
-    """Trial steps accepted."""
+    """Number of accepted trial steps."""
     num_events: Array
-    """Contacts."""
+    """Number of contacts."""
     num_saved: Array
-    """States saved."""
+    """Number of saved states."""
     period_start: Array | None = None
-    """Grid steps completed before this period of the forcing; None where elapsed times go on."""
+    """Grid steps completed before this period of the forcing; None if elapsed times never
+    restart."""
 
     @property
     def in_period(self) -> Array:
@@ -159,11 +160,11 @@ class LoopState(eqx.Module):
 
     motion: Motion
     tau_low: Array
-    """The low-order part of the elapsed time: see `later`."""
+    """The low-order part of the elapsed time (see `later`)."""
     first_mode: Components
     """The mode at t0, m components."""
     armed: Components
-    """Whether a surface has been left since the last contact with it, m flags."""
+    """Whether the guard has exceeded rounding since the last contact with the surface, m flags."""
     search: ContactSearch
     trust: Trust
     pending: Pending
@@ -172,22 +173,22 @@ class LoopState(eqx.Module):
     table: EventTable | None
     saves: SavedStates | None
     settled: Array | None
-    """Whether resets of the pending landing have been made already; None without resets."""
+    """Whether the resets of the pending landing are already applied; None without resets."""
     turn: Any
-    """The `accumulation.Turn` it is in; None where contacts cannot accumulate by turns."""
+    """The current `accumulation.Turn`; None if contacts cannot accumulate by turns."""
     extensions: tuple[Any, ...] = ()
-    """The states of the `Extension`s of the run, in their order."""
+    """The states of the run's `Extension`s, in their order."""
 
     @property
     def held(self) -> Array:
-        """Whether it slides or rests on any surface."""
+        """Whether the lane slides or rests on any surface."""
         slides = any_of(self.motion.mode == 0)
         return slides if self.settled is None else slides | any_of(abs(self.motion.mode) == 2)
 
 
 class FreeStep(eqx.Module):
-    """A trial step on the sides that a lane is on, the field at its end, the guards of these sides
-    there with their rates, and the motion within the step where it is a polynomial."""
+    """A trial step in the current mode, with the field, guards and guard rates at its end, and the
+    motion within the step if it is a polynomial."""
 
     trial: Trial
     f: Components
@@ -197,59 +198,61 @@ class FreeStep(eqx.Module):
 
 
 class StepEnd(eqx.Module):
-    """The end of a trial step, a pending switch made there. Components are m, unless said
-    otherwise."""
+    """The end of a trial step, after a pending switch has been carried out there. Components are m
+    unless stated otherwise."""
 
     motion: Motion
-    """State reset and projected onto its surfaces, mode, field and guards."""
+    """State after reset and projection onto its surfaces, with mode, field and guards."""
     gathered: Components
-    """All rounding that may have gathered in the guards since t0."""
+    """Bound of the rounding accumulated in the guards since t0."""
     num_modes: Array
-    """How many modes could go on from a switch made here; 1: the motion is unique."""
+    """Number of modes that could follow the switch; 1 means that the motion is unique."""
     moved: Array
-    """Whether a map has moved the state."""
+    """Whether a map has changed the state."""
     ticked: Array | None
-    """Whether that of a tick has; None where there is none."""
+    """Whether the map of a tick was applied; None without such maps."""
     off: Components
-    """Surfaces that a jump of H, or a map, has led the state off."""
+    """Surfaces that the state has been moved off, by a jump of H or by a map."""
     members: Components
-    """The surfaces of a switch made here, or those whose mode it changes."""
+    """Surfaces of the switch, including those whose mode it changes."""
     next: Components | None
-    """The surfaces that ask for another switch at once; None where no surface can."""
+    """Surfaces that need another switch at the same time; None if no surface can."""
     again: Array | None
-    """Whether all others do, since something has jumped; None where nothing can."""
+    """Whether all other surfaces need another switch, after a jump; None without jumps."""
     misfit: Array | None
-    """Whether surfaces cannot be met one after the other; None where they are not."""
+    """Whether surfaces cannot be decided one after the other; None if they never are."""
     jump: Array | None
-    """The time that it takes besides: a chattering that ends in rest, or all turns that follow, or
-    none, with the derivative of the time to the next surface; None where there can be neither."""
+    """Additional time that the switch takes, for a chattering that ends in rest or for all
+    remaining turns of an accumulation, and otherwise zero, with the derivative of the time to the
+    next surface; None for systems without either."""
     still: Components | None
-    """Surfaces that are rested on, or left with a rate of zero; None without resets."""
+    """Surfaces that the motion rests on or leaves with zero rate; None without resets."""
     turn: Any
-    """The turn after a switch made here; None where contacts cannot accumulate by turns."""
+    """The turn after the switch; None if contacts cannot accumulate by turns."""
 
 
 def tables_of(state: LoopState) -> list[Any]:
-    """All tables of a lane: of events, of saved states and of crossings."""
+    """All tables of a lane, for events, saved states and crossings."""
     kinds = EventTable, SavedStates, CrossingTable
     found = jax.tree.leaves(state, is_leaf=lambda v: isinstance(v, kinds))
     return [v for v in found if isinstance(v, kinds)]
 
 
 def is_running(grid: TimeGrid, state: LoopState, stop: Array | None = None) -> Array:
-    """Whether a lane has something left to do before step number `stop`, by default the last."""
+    """Whether a lane has steps to do before step number `stop`, by default the last one."""
     unfinished = state.counts.index < (grid.num_steps if stop is None else stop)
     affordable = state.counts.num_iterations < grid.max_iterations
     return unfinished & affordable & (state.result == RESULTS.successful)
 
 
 def later(tau: Array, low: Array, h: Array) -> tuple[Array, Array]:
-    """The elapsed time tau + low a time h later, as its rounded value and what rounding leaves out.
+    """The elapsed time tau + low after a further time h, as its rounded value and the remainder.
 
-    Long after t0 a contact is located more finely than times are told apart. Without the low-order
-    part each one would shift the motion after it by the rounding of its time, and these shifts add
-    up.
+    Long after t0 a contact is located more finely than the spacing of floating-point times. Without
+    the low-order part each contact would shift the motion after it by the rounding of its time, and
+    these shifts add up. This is compensated summation.
     """
     h = low + h
     end = tau + h
+    # The derivative of the time is carried by `end` alone.
     return end, stop_gradient(h - (end - tau))

@@ -1,8 +1,7 @@
-"""How far a trial step goes.
+"""The length of a trial step.
 
-A `Problem` and the `LoopState` of a lane enter; the `Length` of the next trial step leaves: to the
-next grid point, saving time or tick, to a contact expected before it, or as far as steps have been
-trusted lately, whichever is nearest.
+A trial step goes to the next grid point, saving time or tick, to a contact expected before it, or
+as far as steps are trusted, whichever is nearest.
 """
 
 import equinox as eqx
@@ -14,38 +13,41 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.xla.select import select
 
-# Where a tolerance says how long steps are, one at the start is taken for this part of the grid's.
+# First step length under a tolerance, as a fraction of the grid's step.
 _AT_START = 2.0**-6
 
 
 class Length(eqx.Module):
-    """How far a trial step goes, and what is at its end."""
+    """The length of a trial step, and the times that its end coincides with."""
 
     h: Array
     """Signed length."""
     end: Array
-    """Elapsed time at its end."""
+    """Elapsed time at the end."""
     room: Array
-    """Signed time from there to the next grid point, saving time or tick."""
+    """Signed time from the end of the step to the next grid point, saving time or tick."""
     cutting: Array
-    """Whether an expected contact is at its end."""
+    """Whether the step ends at an expected contact."""
     gridded: Array
-    """Whether a grid point is."""
+    """Whether the step ends at a grid point."""
     saving: Array
-    """Whether a time to be saved is."""
+    """Whether the step ends at a saving time."""
     ticking: Array | None = None
-    """Whether a tick of a clock is; None without clocks."""
+    """Whether the step ends at a tick of a clock; None without clocks."""
 
     @property
     def known(self) -> Array:
-        """Whether its end is one of these times, which are known."""
+        """Whether the step ends at a grid point, saving time or tick, which are known in advance.
+
+        A step that ends at a contact or at a trusted length is not known in this sense.
+        """
         known = self.gridded | self.saving
         return known if self.ticking is None else known | self.ticking
 
 
 def typical_step(problem: Problem, state: LoopState | None = None) -> Array:
-    """The length of steps here: that of the grid, or where a tolerance says it the one that it
-    allows now; without a state, at the start, a small part of the grid's."""
+    """The current length of steps. It is the grid's step, or with a tolerance the length that the
+    tolerance allows now; without a state, at the start, a small fraction of the grid's step."""
     dt = abs(problem.grid.dt)
     if problem.tableau.tolerance is None:
         return dt
@@ -53,8 +55,8 @@ def typical_step(problem: Problem, state: LoopState | None = None) -> Array:
 
 
 def choose_length(problem: Problem, state: LoopState) -> Length:
-    """To the next grid point, saving time or tick, to the contact expected before it, or as far as
-    a step is trusted."""
+    """The length up to the next grid point, saving time or tick, to the contact expected before it,
+    or to the trusted length."""
     grid, counts = problem.grid, state.counts
     target, gridded, saving = grid.grid_point(counts.in_period + 1), True, jnp.zeros((), bool)
     wanted, ticking = problem.recording.recorder.next_time(counts.num_saved), None
@@ -71,7 +73,8 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     full, longest = target - tau, grid.direction * trust.longest
     if problem.system.m == 0:
         short = abs(full) > trust.longest
-        # The state moves, be it by less than times tell apart.
+        # Without contacts `h` is not adapted to the rounding of the elapsed time; the state moves
+        # even if `end` rounds to `tau`.
         h = select(short, longest, full)
         end = select(short, tau + h, target)
         ends = gridded & ~short, saving & ~short, None if ticking is None else ticking & ~short
@@ -96,28 +99,30 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
 
 
 def _up_to_tick(problem: Problem, state: LoopState, target: Array) -> tuple[Array, Array]:
-    """The elapsed time up to which a step goes, which is the next tick if that comes before the
-    target or with it, and whether it does.
+    """The elapsed time at which a step ends, which is the next tick if that is not later than the
+    target, and whether it is a tick.
 
-    A tick is a discontinuity of its own: what is saved at its time is saved after it, by a step of
-    length zero. So is a time that the tick falls on but for rounding, which then moves with it.
+    A tick is a discontinuity of its own, so a state to be saved at its time is saved after it, by a
+    step of length zero. A target that coincides with the tick up to rounding is replaced by it, and
+    then moves with the tick in derivatives.
     """
     grid, tick = problem.grid, problem.tick
     assert tick is not None
     known, tau = stop_gradient((tick, state.motion.tau))
     ahead = (known - stop_gradient(target)) * grid.direction
     same = grid.same_time(target)
-    # Backward in time a tick at the end is not in the span, which is open where it is least.
+    # The span is open at its smallest time, so backward in time a tick at its end is outside it.
     last = (grid.direction < 0) & (state.counts.index + 1 >= grid.num_steps)
     ticking = (ahead < -same) | (ahead <= same) & ~last
     at = select(abs(ahead) <= same, stop_gradient(target), known)
-    # One of two ticks at one time comes after the other.
+    # Of two ticks at one time the second must not lie before the current time by rounding.
     at = select((at - tau) * grid.direction < 0, tau, at)
+    # The tick's value is rounded to `at`; the difference carries its derivative.
     return select(ticking, at + (tick - known), target), ticking
 
 
 def _to_crossing(problem: Problem, state: LoopState, length: Length) -> Length:
-    """The length of a trial step that only looks for a crossing, where one is sought."""
+    """The length of a trial step, or of the probe for a crossing where one is sought."""
     if problem.look is None:
         return length
     seeking, h = problem.look.seeking, problem.look.length

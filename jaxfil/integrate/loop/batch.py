@@ -1,14 +1,14 @@
 """A batch of lanes that share one loop, on a CPU.
 
-A problem for each lane and their initial states enter; the lanes at the end leave, with their
-samples. All numbers of the batch stay in the first-level cache: 64 lanes take some 54 kB.
+All numbers of the batch stay in the first-level cache; 64 lanes take some 54 kB.
 
-Nearly all steps meet nothing, and a step of which that is known beforehand needs neither the search
-for a contact, nor the other sides' fields, nor a mode: it takes half the time of a full iteration.
-But lanes in a vector do the same thing at the same time. So the loop takes turns:
+Nearly all steps are without contact. A step that is known to be so in advance needs neither the
+search for a contact, nor the other sides' fields, nor a mode, and takes half the time of a full
+iteration. But lanes in a vector execute the same operations at the same time, so the loop
+alternates between two phases:
 
     coasting      every lane tries a free step (on its own sides, `event_free`); those for which it
-                  is event-free are at its end, the others stay where they are and wait
+                  is event-free move to its end, the others stay where they are and wait
     judging       every lane does a full iteration: search, reject, land, switch
 
     lane 0   ─────┼─────┼─────┼──·      ·──x·──┼─────┼─────┼─────       ┼  a grid point
@@ -16,11 +16,10 @@ But lanes in a vector do the same thing at the same time. So the loop takes turn
     lane 2   ──·            (waits)     x──·──┼─────┼─────┼─────       ·  stopped: not event-free
              └─────── coasting ──────┘  └─ judging ─┘└─ coasting ─
 
-Coasting goes on until too many lanes wait, judging until hardly one needs it: `_CROSSING`,
-`_SLIDING`, and of steps that are polynomials `_ALONG` say how many those are. What a lane comes to
-does not depend on the others: a step that it coasts through would have been accepted, with the same
-numbers to the last bit, so that a lane alone, in a batch of 64 or in another one gives the same
-samples.
+Coasting continues until too many lanes wait, judging until hardly any lane needs it. The limits are
+`_CROSSING`, `_SLIDING`, and for steps that are polynomials `_ALONG`. The result of a lane is
+independent of the others. A step that it coasts through would have been accepted with the same
+numbers, bit for bit, so a lane has the same samples alone, in a batch of 64 or in another batch.
 """
 
 from collections.abc import Callable
@@ -53,20 +52,21 @@ from jaxfil.xla.select import select, select_all
 _BATCH = "batch"
 """The name of the axis along which lanes are counted."""
 
-# Lanes coast until one in so many cannot, and are judged until one in so many is left that could
-# not: of blocks of 64 where lanes slide, until none is. A lane that sticks is near its surface for
-# long; left behind, it would still stick when the others come to stick again. Measured: on belt
-# friction the first pair costs a tenth. Where nothing slides (3, 12) is 8 % faster on the SD
-# oscillator, which is chaotic, and 8 % slower on the impact oscillator, which is not.
+# Each pair is (N, M): coasting ends when 1/N of the lanes have stopped, judging when fewer than 1/M
+# are near a surface, which in blocks of 64 means zero lanes where M = 128. A lane that sticks is
+# near its surface for long; otherwise it would still stick when the others come to stick again.
+# Measured: on belt friction the first pair costs a tenth. Where nothing slides, (3, 12) is 8 %
+# faster on the SD oscillator, which is chaotic, and 8 % slower on the impact oscillator, which is
+# not.
 _CROSSING, _SLIDING, _ALONG = (8, 32), (16, 128), (4, 16)
 
 
 def integrate_batch(
     problem: Callable[[Any, Array], tuple[Problem, Components]], points: Any, states: Array
 ) -> LoopState:
-    """`integrate` for b lanes together, to a `LoopState` of b. `problem` makes that of a lane, and
-    what it starts from, of one of the points in parameter space, arrays of b rows, and one of the
-    states (b, n)."""
+    """`integrate` for b lanes together, returning a `LoopState` of b lanes. `problem` returns the
+    problem and the initial components of a lane, given its point in parameter space (arrays of b
+    rows) and its state (b, n)."""
 
     def lane(point: Any, x0: Array) -> LoopState:
         return _integrate_together(*problem(point, x0))
@@ -75,17 +75,18 @@ def integrate_batch(
 
 
 def _count(flag: Array) -> Array:
-    """How many lanes of the batch have a flag set: a number of the whole batch, so that loops and
-    conditionals on it stay what they are under `vmap`."""
+    """The number of lanes of the batch with a flag set. It is a number of the whole batch, so that
+    loops and conditionals on it are not batched by `vmap`."""
     return jax.lax.psum(flag.astype(jnp.int32), _BATCH)
 
 
 def _integrate_together(problem: Problem, x0: Components) -> LoopState:
-    """One lane of a batch, which asks after the others by `_count`."""
-    # Nothing to meet, or too much to coast for long; one loop is less than three.
+    """One lane of a batch; it depends on the others through `_count`."""
+    # Coasting does not pay without surfaces, or if extensions or the recorder need every iteration;
+    # one loop is then smaller than three.
     coasts_alone = problem.recording.recorder.in_free_steps
     coasts_alone = coasts_alone and all(e.in_free_steps for e in problem.extensions)
-    # Lanes coast from one grid point to the next, which steps of a tolerance know nothing of.
+    # Lanes coast from one grid point to the next; steps of a tolerance do not follow the grid.
     coasts_alone = coasts_alone and problem.tableau.tolerance is None
     if problem.system.m == 0 or problem.compact or not coasts_alone:
         return integrate(problem, x0)
@@ -121,10 +122,11 @@ def _integrate_together(problem: Problem, x0: Components) -> LoopState:
 
 
 def _each_of_the_batch(x0: Components, state: LoopState) -> LoopState:
-    """The same state; each of its numbers is the lane's own, as x0 is, and none the batch's.
+    """The same state, with each number marked as differing between lanes, as x0 is.
 
-    JAX batches the body of a loop anew until it knows which of its numbers differ between lanes,
-    and these loops are nested: it took a fifth of the time to the first sweep.
+    JAX batches the body of a loop again until it knows which of its numbers differ between lanes,
+    and these loops are nested. Without this function, that took a fifth of the time to the first
+    sweep.
     """
     first = jnp.ravel(x0.parts[0])[0]
     never = first != first
@@ -138,7 +140,7 @@ def _try(problem: Problem, state: LoopState) -> tuple[Length, FreeStep]:
 
 
 def _coast(problem: Problem, state: LoopState) -> tuple[LoopState, Array]:
-    """A lane at the end of its step if nothing is in the way, and whether it has stopped."""
+    """A lane at the end of its step if the step is event-free, and whether it has stopped."""
     length, free = _try(problem, state)
     clear = is_event_free(problem, state, length, free) & is_running(problem.grid, state)
     clear = problem.system.hold(clear.astype(problem.system.dtype))
@@ -146,8 +148,8 @@ def _coast(problem: Problem, state: LoopState) -> tuple[LoopState, Array]:
 
 
 def _judge(problem: Problem, state: LoopState) -> LoopState:
-    """A full iteration, in which the step of a lane that neither slides nor rests is the one that
-    it might have coasted through, to the last bit."""
+    """A full iteration. The step of a lane that neither slides nor rests is the same as in
+    coasting, bit for bit."""
     if isinstance(problem.tableau, TaylorTableau):
         return _judge_along(problem, state)
     length, free = _try(problem, state)
@@ -164,7 +166,7 @@ def _judge(problem: Problem, state: LoopState) -> LoopState:
 
 
 def _judge_along(problem: Problem, state: LoopState) -> LoopState:
-    """A full iteration of a step that is a polynomial up to its contact."""
+    """A full iteration with a step that is a polynomial up to its contact."""
     system, length = problem.system, choose_length(problem, state)
     path = path_of(problem, state, length, field_on_sides(problem, state))
     if system.slides or system.resets:

@@ -1,13 +1,13 @@
-"""The controller: how long the next step may be, where a tolerance says it.
+"""The controller of the step length under a tolerance.
 
-The relative error q of a trial step enters (`error_estimate.relative_error`); the length of the
-next one leaves, by the formulas of `steppers.adaptive.Adaptive`. A step that was cut short, at a
-contact or a saving time, says nothing against a longer one.
+From the relative error q of a trial step (`error_estimate.relative_error`) it chooses the length of
+the next one, by the formulas in `steppers.adaptive.Adaptive`. A step that was cut short, at a
+contact or a saving time, is no evidence against a longer one.
 
-A state that is known to its tolerance does not say that contacts are seen: while a mass sticks, any
-step is exact, and the force that ends it may go up and down in one. So each guard is looked at in
-the middle of a step too, where the cubic that contacts are found on must be right to what the
-search allows for, or be far from zero. That error is of order four.
+An accurate state does not imply that contacts are detected. While a mass sticks, every step is
+exact, and the force that ends the stick may rise and fall within one. Each guard is therefore also
+evaluated in the middle of a step, where the cubic used in the search must be accurate within the
+search's allowance, or far from zero. Its error is of order four.
 """
 
 import dataclasses
@@ -32,16 +32,16 @@ from jaxfil.integrate.system.components import (
 )
 from jaxfil.xla.select import select
 
-# Exponents of q and of the last q, times the order; what is kept of a length that would just do.
+# Exponents of q and of the last q, times the order, and the safety factor of the length.
 _NOW, _LAST, _SAFETY = 0.7, 0.4, 0.9
-# By how much a length changes at most.
+# Bounds of the factor between consecutive lengths.
 _SHRINKS, _GROWS = 0.2, 10.0
-# A guard that is off by less than this part of its least value is far from zero.
+# A guard whose error is below this part of its lower bound is far from zero.
 _CLEAR = 1 / 4
-# The least q: a step without any error.
+# The least q, in place of zero.
 _EXACT = 1e-12
-# The first step is of this part of the time in which the state changes by itself; of a state that
-# is zero to within the tolerance, or at rest, this part of the span.
+# The first step, as a part of the time in which the state changes by its own size. For a state that
+# is zero to within the tolerance, or at rest, it is the second part of the span.
 _FIRST, _BLIND = 1e-2, 1e-6
 
 
@@ -63,10 +63,11 @@ def first_length(problem: Problem, motion: Motion) -> Array:
 
 
 def hidden(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> Array:
-    """By how much a guard in the middle of a trial step is off its cubic, relative to what may be
-    off, as an error of the order of the stepper."""
+    """The deviation of a guard from its cubic in the middle of a trial step, relative to the
+    allowed one, as an error of the order of the stepper."""
     system, start, stop, h = problem.system, state.motion, end.motion, length.h
     t, x0, x1, f0, f1 = problem.grid.t0 + start.tau + 0.5 * h, start.x, stop.x, start.f, stop.f
+    # Hermite's cubics in the middle of the step, for the state here and for the guard below.
     middle = 0.5 * (x0 + x1) + 0.125 * h * (f0 - f1)
     known = stop_gradient((system, t, middle, start.mode))
     g0, d0, g1, d1 = stop_gradient((start.g, h * start.rate, stop.g, h * stop.rate))
@@ -74,9 +75,9 @@ def hidden(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> 
     low = on_each(lower_bound, g0, d0, g1, d1)
     allowed = maximum(SUSPICIOUS * (abs(d0) + abs(d1)), _CLEAR * low)
     allowed = maximum(allowed, 4 * maximum(start.noise, stop.noise))
-    # Where a guard is no number, this says nothing.
+    # A NaN guard makes the trial non-finite, which is handled elsewhere; the ratio ignores it.
     ratio = where(off > 0, off / where(allowed > 0, allowed, 1), 0.0)
-    if problem.kept is not None:  # a mode that is kept has no contacts
+    if problem.kept is not None:  # a lane pinned to its mode has no contacts
         ratio = where(problem.kept.on, 0.0, ratio)
     ratio = largest(ratio)
     return ratio ** (problem.tableau.order / 4)
@@ -85,24 +86,24 @@ def hidden(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> 
 def controlled(
     problem: Problem, state: LoopState, taken: Step, refused: Array, error: Array
 ) -> Trust:
-    """How long the next trial step may be, after one with this relative error."""
+    """The limits of the next trial step, after one with this relative error."""
     trust, tolerance, order = state.trust, problem.tableau.tolerance, problem.tableau.order
     assert tolerance is not None and trust.error is not None
     h = stop_gradient(abs(taken.length.h))
     goes_on = taken.advances
-    # The error of a trial that is not finite is no number.
+    # The error of a trial that is not finite is NaN, and then the step shrinks most.
     least = jnp.maximum(error, _EXACT)
     shorter = jnp.clip(_SAFETY * least ** (-1 / order), _SHRINKS, 1.0)
     shorter = select(least < jnp.inf, shorter, _SHRINKS)
     factor = _SAFETY * least ** (-_NOW / order) * trust.error ** (_LAST / order)
-    # After a refusal it does not grow.
+    # Directly after a refusal the length does not grow.
     factor = jnp.clip(factor, _SHRINKS, select(trust.taken == 0, 1.0, _GROWS))
     cut, following = h < trust.longest, factor * h
     following = select(cut, jnp.maximum(following, trust.longest), following)
     longest = select(refused, shorter * h, select(goes_on, following, trust.longest))
     if tolerance.dtmax is not None:
         longest = jnp.minimum(longest, tolerance.dtmax)
-    # A step that times cannot tell from none is no way out.
+    # A step shorter than the spacing of times does not count as progress.
     one, short = refused.astype(jnp.int32), h < problem.grid.same_time(state.motion.tau)
     return dataclasses.replace(
         trust,

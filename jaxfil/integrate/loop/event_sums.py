@@ -1,6 +1,6 @@
-"""Sums over events: a function of the states before and after each, added up.
+"""Sums over events: a user's function of the states before and after each event, added up.
 
-A function of the user's enters; the numbers that it has given at all events of a window leave.
+The sums cover all events in a window of the run.
 """
 
 from collections.abc import Callable
@@ -30,10 +30,10 @@ class EventSums(Extension):
 
     in_free_steps: ClassVar[bool] = True
     function: ParametrizedFunction
-    """What an event adds to each, a function of the time, the components of the state before and
-    after it, and flags of surfaces."""
+    """The contribution of an event to each sum, a function of the time, the components of the state
+    before and after it, and flags of surfaces."""
     count: int = eqx.field(static=True)
-    """k."""
+    """The number k of sums."""
     window: Window
 
     def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, Sums]:
@@ -51,7 +51,7 @@ class EventSums(Extension):
     ) -> tuple[LoopState, Sums]:
         made, before, behind = step.made, state.motion, step.end.motion
         if problem.system.m == 0 and problem.system.ticks:
-            # Without surfaces a tick moves the state at the end of the step that comes to it.
+            # Without surfaces a tick changes the state at the end of the step that reaches it.
             before, behind = step.end.motion, after.motion
             made = step.moved & any_of(before.x != behind.x)
         counts = made & self.window.is_open(state)
@@ -75,9 +75,8 @@ def event_sums(
     h_shape: tuple[int, ...],
     window: Window,
 ) -> EventSums:
-    """The sums of a function (t, before, after, surfaces) that returns `count` numbers in a row,
-    over the events of runs from states shaped like `x0`, all of which it is given. `h_shape` is
-    that of `System.switching`."""
+    """The sums of a function (t, before, after, surfaces) that returns an array of `count` numbers,
+    over the events of runs from states like `x0`. `h_shape` is the shape of `System.switching`."""
     leaves, static = eqx.partition(function, eqx.is_array)
     dtype, x, t0 = x0.dtype, system.unpack(x0), jnp.zeros((), x0.dtype)
 

@@ -1,6 +1,6 @@
-"""The extensions of a run: which there are, and where to find the state of one.
+"""The list of the extensions of a run, and access to the state of one.
 
-A new one is a subclass of `Extension`, and a line in `problem_of`.
+A new extension is a subclass of `Extension` and a line in `problem_of`.
 """
 
 import dataclasses
@@ -18,8 +18,8 @@ from jaxfil.integrate.steppers.explicit import Tableau
 from jaxfil.integrate.surfaces.sections import WatchedSections
 from jaxfil.integrate.system.lowered import ComponentSystem
 
-# Iterations at least of a run whose steps follow a tolerance, and more of each step of the grid, as
-# a period is, counted up to so many.
+# Iteration budget of a run whose steps follow a tolerance: a minimum, an addition for each step of
+# the grid (which may be a period), and the largest number of grid steps counted.
 _LEAST, _OF_EACH, _MOST_GRID_STEPS = 2**20, 4096, 2**18
 
 
@@ -34,8 +34,8 @@ def problem_of(
     others: tuple[Extension, ...] = (),
 ) -> Problem:
     """The problem of one lane, with the extensions that its system and its sections need, and
-    `others`. Unless it is `limited`, iterations are enough where a tolerance says how many steps
-    there are."""
+    `others`. Unless `limited`, the iteration budget is raised if a tolerance determines the number
+    of steps."""
     if tableau.tolerance is not None and not limited:
         most = jnp.minimum(grid.num_steps, _MOST_GRID_STEPS)
         enough = jnp.maximum(grid.max_iterations, _LEAST + _OF_EACH * most)
@@ -49,6 +49,6 @@ def problem_of(
 
 
 def sections_in(state: LoopState) -> SectionState | None:
-    """What a lane knows of its sections; None if it has none."""
+    """The state of the section search of a lane; None without sections."""
     own: list[Any] = [v for v in state.extensions if isinstance(v, SectionState)]
     return own[0] if own else None

@@ -1,17 +1,16 @@
-"""Extremes along a motion: the largest values of functions, between steps too.
+"""Extremes along a motion: the largest values of functions, including values between steps.
 
-Functions enter as the rates of components behind the state (`run.observed`); the largest value of
-each in a window leaves.
+The functions are the rates of extra components behind the state (`run.observed`).
 
     values and rates at both ends of a step ──> Hermite's cubic ──> is its maximum the largest yet?
                                                                          │ the start of the step,
                                                                          v its mode, the time to it
     at the end of the run: that step again, of the length at which the rate of g vanishes
 
-In the loop the cubic only says in which step the largest value is, so that all other steps pay for
-no search. Its error, of order four, does not enter what is found. The length is a constant in
-derivatives, as those of contacts are: at a maximum of a smooth piece, where the rate is zero, and
-at the ends of the pieces, which move with their contacts, the derivative is right.
+In the loop the cubic only determines in which step the largest value lies, so that other steps do
+not pay for a search. Its error, of order four, does not enter the result. The length is a constant
+in derivatives, like the lengths to contacts. At a maximum of a smooth piece the rate is zero, and
+the ends of the pieces move with their contacts, so the derivative is right in both cases.
 """
 
 import dataclasses
@@ -37,7 +36,7 @@ from jaxfil.integrate.system.components import Components, pack, side_of
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select, select_all
 
-# Steps of the secant method for the length at which a rate vanishes.
+# Number of secant steps for the length at which a rate vanishes.
 _SECANTS = 3
 
 
@@ -46,29 +45,29 @@ Seen: TypeAlias = tuple[tuple[Array, ...], tuple[Array, ...]]
 
 
 class Place(eqx.Module):
-    """Where on a motion one function is largest."""
+    """The position on a motion at which one function is largest."""
 
     value: Array
-    """Its value there, within a step as far as the cubic tells; −inf before there is any."""
+    """The value there, within a step approximated by the cubic; −inf at first."""
     t: Array
-    """The time at the start of the step,"""
+    """The time at the start of the step that contains the maximum."""
     x: Components
-    """the state and"""
+    """The state at the start of that step."""
     mode: Components
-    """the mode there."""
+    """The mode at the start of that step."""
     length: Array
-    """The time from there to the maximum."""
+    """The time from the start of the step to the maximum."""
     reach: Array
-    """The length of the step; 0 where the place is its end."""
+    """The length of the step; 0 if the maximum is at its end."""
 
 
 class SoFar(eqx.Module):
-    """What is known of k functions along a lane."""
+    """The values and maxima of k functions along a lane."""
 
     values: tuple[Array, ...]
-    """Their values at the lane's state,"""
+    """The values at the lane's state."""
     rates: tuple[Array, ...]
-    """and their rates along the motion."""
+    """The rates along the motion at the lane's state."""
     places: tuple[Place, ...]
 
 
@@ -78,9 +77,9 @@ class Extremes(Extension):
     in_free_steps: ClassVar[bool] = True
     field: ComponentSystem
     n: int = eqx.field(static=True)
-    """The numbers of the state that the functions are of, before those components."""
+    """The number of components of the state that precede the functions' components."""
     signs: tuple[float, ...] = eqx.field(static=True)
-    """+1 for a maximum, −1 for a minimum: the maximum of −g."""
+    """+1 for a maximum; −1 for a minimum, computed as the maximum of −g."""
     window: Window
 
     def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, SoFar]:
@@ -102,7 +101,8 @@ class Extremes(Extension):
         system, now = problem.system, self._now(own, self._seen(problem, after))
         if system.m > 0 or not system.ticks:
             return after, self._further(problem, state, after, own, now, ~step.switched)
-        # Without surfaces a tick moves the state at the end of the step that comes to it.
+        # Without surfaces a tick changes the state at the end of the step that reaches it, so the
+        # step has a smooth part up to the tick and a jump after it.
         motion = select_all(step.moved, step.end.motion, after.motion)
         before = dataclasses.replace(after, motion=motion)
         end = self._now(own, self._seen(problem, before))
@@ -122,8 +122,8 @@ class Extremes(Extension):
         return SoFar(values, rates, own.places)
 
     def _seen(self, problem: Problem, state: LoopState) -> Seen:
-        """Values and rates at the state of a lane. A lane that is not held takes those that it
-        would have in a free step, to the last bit."""
+        """Values and rates at the state of a lane. For a lane that neither slides nor rests they
+        are the same as in a free step, bit for bit."""
         system = problem.system
         if not system.slides and not system.resets:
             return self._on_sides(problem, state.motion)
@@ -145,7 +145,7 @@ class Extremes(Extension):
         return self._along(problem, ModeField(field, sides, blended=False), motion)
 
     def _field(self, problem: Problem) -> ComponentSystem:
-        # Between ticks, as the field of the motion is.
+        # The window between ticks is the same as for the field of the motion.
         return dataclasses.replace(self.field, window=problem.system.window)
 
     def _along(self, problem: Problem, field: ModeField, motion: Motion) -> Seen:
@@ -162,8 +162,8 @@ class Extremes(Extension):
         return jax.jvp(functions, (t, x), (jnp.ones_like(t), field(t, x)))
 
     def _state(self, x: Components) -> Components:
-        """A state of the run, on which others than these functions may be carried, with zeros in
-        place of their integrals."""
+        """A state of the run on the components of this field. The run may carry other components;
+        the integrals of these functions are zero."""
         zero, k = jnp.zeros((), self.field.dtype), len(self.signs)
         if self.field.as_array or x.is_array:
             numbers = pack(x, self.field.dtype)[: self.n]
@@ -171,7 +171,7 @@ class Extremes(Extension):
         return Components((*x.parts[: self.n], *(zero,) * k))
 
     def _here(self, problem: Problem, motion: Motion) -> Place:
-        """The place of a motion, of no value."""
+        """The place of a motion, without a value."""
         zero = jnp.zeros_like(motion.tau)
         mode = self.field.of_surfaces(pack(motion.mode, self.field.dtype))
         t = problem.grid.t0 + motion.tau
@@ -186,7 +186,7 @@ class Extremes(Extension):
         now: SoFar,
         smooth: Array,
     ) -> SoFar:
-        """What is known after a step, which is one of a `smooth` piece or leaves a jump behind."""
+        """The maxima after a step, which is part of a `smooth` piece or ends with a jump."""
         h = stop_gradient(after.motion.tau - state.motion.tau)
         start, end = self._here(problem, state.motion), self._here(problem, after.motion)
         inside, here = smooth & self.window.is_open(state), self.window.is_open(after)
@@ -206,8 +206,8 @@ class Extremes(Extension):
         return dataclasses.replace(now, places=tuple(places))
 
     def found(self, problem: Problem, own: SoFar) -> Array:
-        """The extremes, shape (k,), at the end of one lane; NaN where it has not come so far."""
-        # One after the other, which is the program of one.
+        """The extremes, shape (k,), at the end of one lane; NaN if it ended before the window."""
+        # A loop over the places, so that the program contains the step once.
         places = jax.tree.map(lambda *v: jnp.stack(v), *own.places)
         found = jax.lax.map(
             lambda at: self._found(problem, *at), (places, jnp.arange(len(places.t)))
@@ -228,15 +228,15 @@ class Extremes(Extension):
 
         h, missing = stop_gradient(_turning_point(at, place))
         value, rate = at(h)
-        # Its value and its derivative are those at h + missing.
+        # The value and the derivative at h + missing, to second order in `missing`.
         value = value + missing * rate - stop_gradient(0.5 * missing * rate)
         value = select(place.reach > 0, value, place.value)
         return select(place.value > -jnp.inf, value, jnp.nan)
 
 
 def _turning_point(at: Callable[[Array], tuple[Array, Array]], place: Place) -> tuple[Array, Array]:
-    """The length at which a rate vanishes in the step of a place, by the secant method, and what is
-    then still missing."""
+    """The length at which a rate vanishes in the step of a place, by the secant method, and the
+    estimated remaining error of that length."""
 
     def missing(known: tuple[Array, ...]) -> Array:
         h0, r0, h1, r1 = known
@@ -251,6 +251,6 @@ def _turning_point(at: Callable[[Array], tuple[Array, Array]], place: Place) -> 
     zero, length = jnp.zeros_like(place.length), place.length
     first = zero, at(zero)[1], length, at(length)[1]
     known = h0, _, h1, _ = jax.lax.fori_loop(0, _SECANTS, closer, first)
-    # Between two lengths that are equal to rounding the rates tell nothing.
+    # The secant through two lengths that are equal to rounding is meaningless.
     left = missing(known)
     return h1, select(abs(left) <= abs(h1 - h0), left, 0.0)

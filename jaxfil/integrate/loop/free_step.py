@@ -1,9 +1,9 @@
-"""Steps of lanes that meet nothing.
+"""Steps of lanes without contact.
 
-In most iterations a lane does no more than step from one grid point to the next, on its own side of
-every surface. A `LoopState` and the length of its step enter; the `FreeStep` leaves, whether it is
-free of events, and the lane at its end. Nothing is decided here: a step is event-free only where
-`loop.judge` would accept it too, with the same numbers.
+In most iterations a lane only steps from one grid point to the next, on its own side of every
+surface. This file computes such a step, tests whether it is event-free, and moves the lane to its
+end. It makes no other decision: a step is event-free only where `loop.judge` would accept it too,
+with the same numbers.
 """
 
 import dataclasses
@@ -38,13 +38,13 @@ from jaxfil.xla.select import select, select_all
 
 
 def field_on_sides(problem: Problem, state: LoopState) -> ModeField:
-    """The field of the sides that a lane is on."""
+    """The field on the current sides of a lane."""
     return ModeField(problem.system, side_of(state.motion.mode), blended=False, held=False)
 
 
 def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeStep:
-    """A trial step on the sides that a lane is on; where it slides, on side +1, which is not where
-    it goes."""
+    """A trial step on the current sides of a lane. For a lane that slides it is computed on side
+    +1, and not used."""
     system, tableau, h = problem.system, problem.tableau, length.h
     field = field_on_sides(problem, state)
     start, motion = problem.grid.t0 + state.motion.tau, state.motion
@@ -64,8 +64,8 @@ def end_of_free_step(
     trial: Trial,
     path: Polynomial | None = None,
 ) -> FreeStep:
-    """What is known at the end of a trial step on the sides that a lane is on, along a path that
-    may be all of it."""
+    """The end of a trial step on the current sides of a lane, with the path of the whole step if it
+    is known."""
     system, sides, t = problem.system, side_of(state.motion.mode), problem.grid.t0 + length.end
     f = system.hold(system.field(t, trial.x, sides, forcing=trial.forcing[-1]))
     value, slope = jax.jvp(system.switching, (t, trial.x), (jnp.ones_like(t), f))
@@ -74,7 +74,7 @@ def end_of_free_step(
 
 def is_near(problem: Problem, state: LoopState) -> Array:
     """Whether a lane slides or rests, is at or near a contact, or takes steps shorter than the
-    grid's. On a polynomial a surface that has just been left is no nearer than others."""
+    grid's. With polynomial steps a surface that is not armed counts like any other."""
     near = state.held | state.pending.waits | (state.search.length != 0)
     if not isinstance(problem.tableau, TaylorTableau):
         near = near | any_of(~state.armed)
@@ -82,7 +82,7 @@ def is_near(problem: Problem, state: LoopState) -> Array:
 
 
 def is_event_free(problem: Problem, state: LoopState, length: Length, free: FreeStep) -> Array:
-    """Whether a step is all there is: on no surface, and no guard comes near zero in it."""
+    """Whether a step is event-free: the lane is on no surface, and no guard comes near zero."""
     x, h = free.trial.x, length.h
     t, size = problem.grid.t0 + length.end, larger(state.motion.scale, x)
     _, h_t, normals = problem.system.gradients(t, x)
@@ -102,8 +102,8 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
 def accept_free_step(
     problem: Problem, state: LoopState, length: Length, free: FreeStep, clear: Array
 ) -> LoopState:
-    """The lane at the end of a step where it is `clear` of events, its sample kept; the same lane
-    otherwise."""
+    """The lane at the end of a step where it is `clear` of events, with its sample saved; the same
+    lane otherwise."""
     x, one, before, counts = free.trial.x, clear.astype(jnp.int32), state.motion, state.counts
     moved = dataclasses.replace(
         before,

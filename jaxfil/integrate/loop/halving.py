@@ -1,15 +1,14 @@
-"""Steps that cannot be trusted: refused, and tried again at half their length.
+"""Refusal of steps that cannot be trusted, which are repeated at half their length.
 
-What is known of a trial step enters; whether it is doubted leaves, and how long the next one may
-be. The step asked for is the longest:
+The requested step is the longest:
 
-    refused    a trial step from here is at most half as long
+    refused    the next trial step from here is at most half as long
     taken      the next one may be twice as long, up to the length that was refused last: that one
                is tried again after `_CALM` steps, and if it is taken lengths double each time
 
-At the bound of what stability allows that costs a step in nine. For `WATCHED` steps errors are
-watched more closely. Grid points, saving times, ticks and contacts are met as ever. Lengths are
-constants in derivatives, as those of contacts are.
+Near the stability limit of a method this costs one step in nine. For `WATCHED` steps after a
+refusal the error limits are tighter. Grid points, saving times, ticks and contacts are located as
+usual. Lengths are constants in derivatives, like the lengths to contacts.
 """
 
 import dataclasses
@@ -30,40 +29,40 @@ from jaxfil.integrate.surfaces.unilateral import sides_of
 from jaxfil.integrate.system.components import Components
 from jaxfil.xla.select import select
 
-# Steps after which a length that was refused is tried again.
+# Number of steps after which a refused length is tried again.
 _CALM = 8
-# So many steps after a refusal errors are watched more closely.
+# Number of steps after a refusal with tighter error limits.
 WATCHED = 128
-# A step shorter than this part of the grid's is one of the shortest.
+# A step shorter than this part of the grid's step counts as one of the shortest.
 _SHORTEST = 2.0**-10
-# So many of those are refused before a run is given up: a jump of the field at some time is closed
-# in on in some 50, one that the motion goes to and fro across is never passed. Where a tolerance
-# says how long steps are, so many in a row.
+# Number of refusals of the shortest steps after which a run is given up. An undeclared jump of the
+# field at a fixed time is located in some 50; one that the motion chatters across is never passed.
+# With a tolerance, the number of consecutive refusals.
 _MOST_REFUSED = 96
 
 
 class Doubt(eqx.Module):
-    """What speaks against a trial step."""
+    """Reasons to distrust a trial step."""
 
     infinite: Array
     """Whether its end is not finite."""
     too_long: Array
-    """Whether its estimated error says that it cannot be trusted."""
+    """Whether its estimated error is too large."""
     given_up: Array
-    """Whether half of it would not be tried any more."""
+    """Whether no shorter step will be tried."""
     error: Array | None
-    """Its error relative to the tolerance; None where none is asked for."""
+    """The error relative to the tolerance; None without a tolerance."""
 
     @property
     def refuses(self) -> Array:
-        """Whether half of it is tried."""
+        """Whether the step is refused, and a shorter one tried."""
         return (self.infinite | self.too_long) & ~self.given_up
 
 
 def smooth_step(
     problem: Problem, state: LoopState, h: Array, f1: Components, trial: Trial
 ) -> SmoothStep:
-    """A trial step of length h, with the field at its end, as its error is judged."""
+    """A trial step of length h, with the field at its end, in the form that the error tests use."""
     start, grid = state.motion, problem.grid
     return SmoothStep(
         t=grid.t0 + start.tau,
@@ -82,9 +81,10 @@ def smooth_step(
 def doubted(
     problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd, infinite: Array
 ) -> Doubt:
-    """What speaks against a trial step."""
+    """The reasons to distrust a trial step."""
     tableau = problem.tableau
-    # Where nothing is known of errors, an end that is not finite may follow from steps that were.
+    # Without an error estimate even a non-finite end may be caused by earlier, unstable steps, so
+    # halving the last one would not help.
     if not tableau.d:
         no = jnp.zeros((), bool)
         return Doubt(infinite, no, ~no, None)
@@ -100,8 +100,8 @@ def doubted(
 
 
 def trust_after_free_step(trust: Trust, clear: Array) -> Trust:
-    """`next_trust` of a lane at the end of a whole step of the grid, where it is `clear`, so that
-    in a batch it halves what it halves alone."""
+    """`next_trust` for a lane at the end of a whole step of the grid, where it is `clear`. With it,
+    a lane halves the same steps in a batch as alone."""
     return dataclasses.replace(
         trust,
         taken=trust.taken + clear.astype(jnp.int32),
@@ -112,7 +112,7 @@ def trust_after_free_step(trust: Trust, clear: Array) -> Trust:
 def next_trust(
     problem: Problem, state: LoopState, taken: Step, refused: Array, doubt: Doubt
 ) -> Trust:
-    """How long the next trial step may be."""
+    """The limits of the next trial step."""
     if doubt.error is not None:
         return controlled(problem, state, taken, refused, doubt.error)
     grid = problem.grid
@@ -120,6 +120,8 @@ def next_trust(
     goes_on = taken.advances
     steps = trust.taken + goes_on.astype(jnp.int32)
     again = steps >= _CALM
+    # Below the length that was refused last, lengths double at each step; that length itself is
+    # tried again after `_CALM` steps.
     grows = goes_on & (again | (2 * trust.longest < trust.ceiling))
     longest = select(grows, 2 * trust.longest, trust.longest)
     longest = select(longest < dt, longest, jnp.inf)

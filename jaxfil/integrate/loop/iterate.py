@@ -1,24 +1,23 @@
 """The switch-model loop: one lane from a state to a later one, through every contact.
 
-A `Problem` and an initial state enter; the `LoopState` at the end leaves, with what was kept on the
-way. Batches come from `vmap`: every lane has its own clock in the one loop and waits for nobody.
+Batches come from `vmap`: every lane has its own clock in the one loop and does not wait for others.
 
-An iteration takes one smooth step in the current mode and does one of five things with it:
+An iteration takes one smooth step in the current mode, with one of five consequences:
 
-    accept    it can be trusted, and meets nothing
+    accept    it can be trusted, and is without contact
     refuse    it cannot be trusted: the next one is half as long (`halving`)
-    reject    it has run over a contact: the next one is cut there
+    reject    it has passed a contact: the next one is cut there
     land      it has ended on a contact: one Newton correction in time, t += δ, x += δ f
     switch    after a landing, by a step of length zero: reset, and choose the mode at the
               corrected state
 
-Nothing else is in the body, so that lanes which meet nothing pay for one step and some forty
-operations around it, and a contact costs its lane two or three iterations more.
+Lanes without contact therefore pay for one step and some forty operations around it, and a contact
+costs its lane two or three iterations more.
 
-Derivatives. The lengths found by the search for contacts are constants; the Newton correction
+Derivatives. The lengths from the search for contacts are constants; the Newton correction
 x += δf, t += δ, δ = −g/ġ is not. Differentiating it, with the new mode's field taken at the
-corrected state, is the saltation matrix. What it lacks to second order is added in the programs of
-second derivatives alone (`second_order`).
+corrected state, is the saltation matrix. The missing terms of second order are added only in the
+programs of second derivatives (`second_order`).
 """
 
 import dataclasses
@@ -72,7 +71,7 @@ from jaxfil.xla.select import select, select_all
 
 
 def advance(problem: Problem, state: LoopState) -> LoopState:
-    """One iteration. A lane that has come to its end stays as it is."""
+    """One iteration. A lane that has ended is unchanged."""
     for extension, own in zip(problem.extensions, state.extensions, strict=True):
         problem = extension.before_step(problem, own)
     length = choose_length(problem, state)
@@ -87,7 +86,7 @@ def advance(problem: Problem, state: LoopState) -> LoopState:
 
 
 def _advance_along(problem: Problem, state: LoopState, length: Length) -> LoopState:
-    """An iteration whose trial step ends where a polynomial first meets a surface."""
+    """An iteration whose trial step ends at the first zero of a guard on a polynomial."""
     path = path_of(problem, state, length, ModeField(problem.system, state.motion.mode))
     return judge(problem, *step_along(problem, state, length, path))
 
@@ -104,7 +103,7 @@ def trial_step(problem: Problem, state: LoopState, length: Length, forcing: list
     grade = compact_step if problem.compact else step
     if not system.resets:
         return tried(grade, held=False)
-    # Reactions make a field large, and lanes that rest are few.
+    # Reactions enlarge the field's program, and few lanes rest, so their step is a compact one.
     held, free = ft.partial(tried, compact_step, True), ft.partial(tried, grade, False)
     return system.where_any(any_of(rests_of(motion.mode)), held, free)
 
@@ -128,7 +127,7 @@ def judge(
 
 
 def _go_on_smoothly(problem: Problem, state: LoopState, length: Length, trial: Trial) -> LoopState:
-    """The lane after a trial step where there are no surfaces."""
+    """The lane after a trial step in a system without surfaces."""
     end = evaluate_step_end(problem, state, length, trial.x, trial.forcing[-1])
     infinite = ~all_finite(end.motion.x, end.motion.f)
     doubt = doubted(problem, state, length, trial, end, infinite)
@@ -152,7 +151,7 @@ def _heard(
     action: Array,
     landing: Landing | None = None,
 ) -> tuple[Step, Array, list[Verdict | None]]:
-    """What is done with a trial step when the extensions have said what they think of it."""
+    """The decision about a trial step, after the verdicts of the extensions."""
     intended, verdicts = judging.step_of(state, length, end, action, landing), []
     before, on = action, is_running(problem.grid, state)
     for extension, own in zip(problem.extensions, state.extensions, strict=True):
@@ -169,7 +168,7 @@ def _heard(
 def _carried_out(
     problem: Problem, state: LoopState, judgement: Judgement, taken: Step, action: Array
 ) -> LoopState:
-    """The lane after what `action` says: accepted, rejected, landed, switched or taken back."""
+    """The lane after the action: accepted, rejected, landed, switched or taken back."""
     grid, end, landing, before = problem.grid, judgement.end, judgement.landing, state.pending
     length, lands, moved, switched = taken.length, taken.lands, taken.moved, taken.switched
     touches, rejected = action == judging.TOUCH, action == judging.REJECT
@@ -180,8 +179,8 @@ def _carried_out(
     if end.next is not None:
         more = switched & any_of(end.next)
         waits, surfaces = waits | more, where(switched, end.next, surfaces)
-        # What has jumped has until all that follows from it is done.
-        if end.jump is not None:  # at the end of chattering or of turns a time has passed
+        # The flag of a jump stays set until all switches that follow from it are done.
+        if end.jump is not None:  # time has passed, at the end of chattering or of turns
             more = more & ~(end.jump > 0)
         jumped, across = jumped | (more & (before.jumped | end.moved)), across | (more & end.off)
     if end.jump is not None:
@@ -195,7 +194,7 @@ def _carried_out(
     if together is not None and end.misfit is not None:
         together = (together | (before.waits & end.misfit)) & ~switched
     tau, tau_low = later(state.motion.tau, state.tau_low, h)
-    # The end of a step that is no contact's is a time that is known.
+    # The end of a step that is not a contact is a known time, and needs no low-order part.
     exact = (taken.accepted & moved & length.known) | (lands & landing.jumped)
     motion = select_all(moved, start, state.motion)
     noise = where(touches, end.gathered, end.motion.noise)
@@ -242,7 +241,7 @@ def _counted(grid: TimeGrid, state: LoopState, taken: Step) -> Counts:
         counts,
         index=counts.index + one(taken.gridded),
         num_iterations=counts.num_iterations + one(is_running(grid, state)),
-        # A step of length zero, from a tick to what is saved there, is none.
+        # A step of length zero, from a tick to a state saved at its time, does not count.
         num_accepted=counts.num_accepted
         + one(taken.moved & taken.accepted & (taken.length.h != 0)),
         num_events=counts.num_events + one(taken.made),
@@ -256,9 +255,10 @@ def _followed(
     taken: Step,
     verdicts: list[Verdict | None],
 ) -> LoopState:
-    """`after`, with what is saved of the step, and what the extensions make of it."""
+    """`after`, with the step's states saved, and the extensions' states updated."""
     recorder, following = problem.recording.recorder, []
-    # Without surfaces a tick has no switch of its own: the end of the step is behind it.
+    # Without surfaces a tick has no switch of its own, so the state after it exists only after the
+    # extensions; recorders of every step save that one.
     behind_ticks = problem.system.m == 0 and not recorder.at_known_times
     if not behind_ticks:
         after = recorder.record(problem, state, after, taken)
@@ -272,7 +272,7 @@ def _followed(
 
 
 def integrate(problem: Problem, x0: Components) -> LoopState:
-    """Run the loop from x0 to the end of the grid, or to the first failure."""
+    """The lane at the end of the grid, or at the first failure, from the initial state x0."""
     on = ft.partial(is_running, problem.grid)
     state = jax.lax.while_loop(
         lambda state: eqxi.unvmap_any(on(state)),
@@ -285,8 +285,8 @@ def integrate(problem: Problem, x0: Components) -> LoopState:
 def integrate_with_checkpoints(
     problem: Problem, x0: Components, max_iterations: int, checkpoints: int | None
 ) -> LoopState:
-    """`integrate`, for derivatives in reverse mode, in at most `max_iterations` iterations of which
-    so many are kept: by default Equinox's own choice."""
+    """`integrate` for reverse-mode derivatives, with at most `max_iterations` iterations, of which
+    `checkpoints` are stored; None leaves the number to equinox."""
     first = initial_state(problem, x0)
 
     def buffers(state: LoopState) -> list:
@@ -305,7 +305,7 @@ def integrate_with_checkpoints(
 
 
 def finish(grid: TimeGrid, state: LoopState) -> LoopState:
-    """A lane that no longer runs, told why if it has not come to its end."""
+    """A lane that has stopped, with an outcome if it has not reached the end."""
     spent = (state.counts.index < grid.num_steps) & (state.result == RESULTS.successful)
     result = RESULTS.where(spent, RESULTS.max_steps_reached, state.result)
     return dataclasses.replace(state, result=result)

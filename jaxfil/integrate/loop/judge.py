@@ -1,8 +1,8 @@
-"""The judgement of a trial step: what an iteration does with it, as one number.
+"""The judgement of a trial step: the action of an iteration, as one number.
 
-Accept, reject, land and switch are explained in `iterate`; a landing may be a touch, a lane that
-has ended is idle, and extensions may take a step back. The decision is one float, so that it is
-computed once (`ComponentSystem.hold`) and not again by everything that asks for it.
+Accept, reject, land and switch are explained in `iterate`. A landing may be a graze ("touch"), a
+lane that has ended is idle, and extensions may take a step back. The action is one float, so that
+it is computed once (`ComponentSystem.hold`); XLA would otherwise recompute it for each user.
 """
 
 import equinox as eqx
@@ -21,18 +21,18 @@ from jaxfil.integrate.system.components import all_finite, any_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select
 
-# This many contacts in a row, each at the time of the last, are an accumulation: more than surfaces
-# that are met together, one after the other, need to settle.
+# Number of consecutive contacts at one time that count as an accumulation. It is more than surfaces
+# reached together need to settle, one after the other.
 _FROZEN = 12
-# Resets of surfaces that are met together follow one another at one time, so many at most: three
-# balls on each other come to rest in some hundreds, each of which takes a few percent.
+# The same number for surfaces with resets, whose resets follow one another at one time. Three balls
+# on each other come to rest in some hundreds, each of which removes a few percent.
 _CHAIN = 4096
-# A flight that has led no further from its surface than this multiple of rounding: one that is four
-# times as high as rounding, which has hidden its start and its end.
+# A flight counts as hidden if its height is below this multiple of rounding. At four times the
+# rounding, its start and its end are hidden.
 _LOW = 16
-# What an iteration does with its trial step.
+# Actions of an iteration. A failure is FAIL plus its index in FAILURES.
 IDLE, REJECT, ACCEPT, LAND, TOUCH, SWITCH, TAKE_BACK, REFUSE, FAIL = map(float, range(9))
-# What can go wrong in it, in the order in which it is told.
+# Failures in order of precedence.
 FAILURES = (
     RESULTS.nonfinite,
     RESULTS.max_events_reached,
@@ -44,43 +44,43 @@ FAILURES = (
     RESULTS.zeno,
     RESULTS.step_too_long,
 )
-# Trial steps rejected in a row before the search for a contact is given up: halving alone takes an
-# interval to eps in 53.
+# Number of consecutive rejections after which the search for a contact is given up; bisection alone
+# needs 53 to reduce an interval to eps.
 _TRIES = 60
-# A cut of a step is no shorter than this part of the rounding of times: one of length zero would
-# say that no contact is expected.
+# The shortest cut of a step, as a part of the rounding of times. It must not be zero, since a
+# length of zero stands for "no contact expected".
 _LEAST_CUT = 1e-6
 
 
 class Judgement(eqx.Module):
-    """What is known of a trial step when it is decided what to do with it."""
+    """The data on which the action is decided."""
 
     end: StepEnd
     contact: Contact
     landing: Landing
     doubt: Doubt
     rejections: Array
-    """Trial steps rejected in a row, if this one is."""
+    """Number of consecutive rejections, if this step is rejected."""
     repeats: Array
-    """Contacts in a row at one and the same time, with the one that a switch is made of here."""
+    """Number of consecutive contacts at one time, including the one switched here."""
     hidden: Array
-    """Whether rounding hides that there was a flight between the last two of these."""
+    """Whether the flight between the last two contacts is hidden by rounding."""
 
 
 def judged(
     problem: Problem, state: LoopState, length: Length, trial: Trial, end: StepEnd
 ) -> Judgement:
-    """What is known of a trial step."""
+    """The judgement of a trial step, before the action is chosen."""
     contact = find_contact(problem, state, end, length, trial.searched)
     waits = state.pending.waits
     motion = end.motion
     infinite = ~all_finite(motion.x, motion.f, motion.g, contact.theta)
-    # A flight this short cannot be told from the correction that ends it.
+    # A shorter flight is indistinguishable from the time correction at its end.
     tau, repeats = end.motion.tau, state.pending.repeats
     flight = abs(tau - state.pending.tau)
     again, hidden = flight <= 4 * problem.grid.same_time(tau), jnp.zeros((), bool)
     if problem.system.resets and problem.system.m > 1:
-        # Nor one that leads no further from its surface than rounding.
+        # The same holds for a flight that moves no further from its surface than rounding.
         low = flight * abs(state.motion.rate) <= _LOW * state.motion.noise
         hidden = ~again & ~any_of(state.pending.surfaces & ~low)
         again = again | hidden
@@ -96,22 +96,23 @@ def judged(
 
 
 def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array:
-    """What to do with a trial step, or `FAIL` and the number of the failure it has met."""
+    """The action for a trial step, or `FAIL` plus the index of its failure."""
     contact, landing = judgement.contact, judgement.landing
-    # Where a slide nears a singular point, the end of a long step says nothing of its contacts.
+    # If a slide approaches a singular point, the end of a long step is not evidence of a contact.
     landed = landing.landed & ~contact.singular
     if problem.system.m > 1:
-        # A step that has run over one surface is not taken because it ends on another.
+        # A step that passes one surface is not accepted merely because it ends on another.
         landed = landed & ~any_of(contact.all & ~landing.surfaces)
     action = select(contact.found, REJECT, ACCEPT)
     action = select(landed, select(landing.touched, TOUCH, LAND), action)
     action = select(state.pending.waits, SWITCH, action)
     misfit = judgement.end.misfit
     failures = _failures(problem, state, judgement, landed)
-    # The first one counts.
+    # The first failure of the list has precedence.
     for failure, failed in reversed(failures):
         action = select(failed, FAIL + FAILURES.index(failure), action)
-    # Of one that cannot be trusted it is not known where it has run over a contact, or whether.
+    # A step that cannot be trusted gives no reliable information on contacts, so refusal precedes
+    # rejection and failure.
     action = select(judgement.doubt.refuses & ~state.pending.waits, REFUSE, action)
     if misfit is not None:
         action = select(misfit, TAKE_BACK, action)
@@ -122,15 +123,15 @@ def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array
 def _failures(
     problem: Problem, state: LoopState, judgement: Judgement, landed: Array
 ) -> list[tuple[RESULTS, Array]]:
-    """Each of `FAILURES`, and whether a trial step has met it."""
+    """Each of `FAILURES`, and whether a trial step has it."""
     system, end, waits = problem.system, judgement.end, state.pending.waits
     motion, found, no = end.motion, judgement.contact.found, jnp.zeros((), bool)
     most, undecided = problem.recording.max_events, end.num_modes == 0
-    # A limit of turns at which no mode goes on is none.
+    # A limit of turns from which no mode continues is an accumulation without a continuation.
     limit = no if state.turn is None else state.turn.completed & waits
     chain = _CHAIN if system.resets and system.m > 1 else _FROZEN + 2 * system.m
     full = no if most is None else _is_event(state, end) & (state.counts.num_events >= most)
-    # Contacts that fill the table with flights that rounding hides are an accumulation.
+    # If the table is full of contacts whose flights are hidden by rounding, they accumulate.
     many = full & judgement.hidden & (judgement.repeats >= _FROZEN)
     lost = (undecided & ~limit) | (judgement.rejections > _TRIES)
     return [
@@ -147,7 +148,7 @@ def _failures(
 
 
 def smooth_action_of(problem: Problem, state: LoopState, doubt: Doubt) -> Array:
-    """The same where there are no surfaces."""
+    """The same in a system without surfaces."""
     action = select(doubt.too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
     action = select(doubt.infinite, FAIL + FAILURES.index(RESULTS.nonfinite), action)
     action = select(doubt.refuses, REFUSE, action)
@@ -155,23 +156,24 @@ def smooth_action_of(problem: Problem, state: LoopState, doubt: Doubt) -> Array:
 
 
 def outcome(action: Array, result: RESULTS) -> RESULTS:
-    """The outcome of a lane after an action, given that before it."""
+    """The outcome of a lane after an action, given the one before."""
     for number, failure in enumerate(FAILURES):
         result = RESULTS.where(action == FAIL + number, failure, result)
     return result
 
 
 def _is_event(state: LoopState, end: StepEnd) -> Array:
-    """Whether a switch does something, and is not one of a clock that changes no mode."""
+    """Whether a switch is an event. A switch of a clock that changes no mode is not."""
     return state.pending.waits & (any_of(end.members) | end.moved)
 
 
 def step_of(
     state: LoopState, length: Length, end: StepEnd, action: Array, landing: Landing | None
 ) -> Step:
-    """What an action does with a trial step."""
+    """The step that results from an action."""
     lands, accepted = (action == LAND) | (action == TOUCH), action == ACCEPT
-    # A step to a saving time that is no grid point is looked at and taken back.
+    # A step to a saving time that is not a grid point is recorded and taken back, so that saving
+    # does not change the steps.
     saving, gridded, switched = (
         length.saving & accepted,
         length.gridded & accepted,
@@ -194,13 +196,13 @@ def step_of(
 def next_search_length(
     problem: Problem, state: LoopState, judgement: Judgement, step: Step, action: Array
 ) -> Array:
-    """The signed length to where a contact is expected after this trial step; 0 where none is, or
-    where the step cannot be trusted."""
+    """The signed length to the next expected contact after this trial step; 0 if none is expected,
+    or if the step cannot be trusted."""
     grid = problem.grid
     least = _LEAST_CUT * grid.same_time(state.motion.tau) * grid.direction
     cut = judgement.contact.theta * step.length.h
     cut = select(abs(cut) < abs(least), least, cut)
-    # A step that has ended just short of its contact: Newton says how much is missing.
+    # If the step has ended just short of its contact, Newton gives the remaining time.
     missing = missing_time(grid, state, judgement.end)
     ahead = select(step.length.cutting & step.accepted, missing, 0.0)
     length = select(action == REJECT, cut, select(step.moved, ahead, state.search.length))

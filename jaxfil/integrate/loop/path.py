@@ -1,8 +1,7 @@
-"""A trial step whose motion is known as a polynomial: it ends at the first contact.
+"""A trial step whose motion is a polynomial, which ends at the first contact.
 
-A `Problem` and the `LoopState` of a lane enter; the `Polynomial` of a step leaves, and then the
-step up to where a guard first comes to zero in it. What is found here is only a better length:
-what the end of the step is to a surface, `contacts.locate` says, as of every other step.
+The polynomial of a step is cut at the first zero of a guard. This only gives a better length; the
+relation of the step's end to a surface is decided in `contacts.locate`, as for every other step.
 """
 
 import dataclasses
@@ -32,14 +31,14 @@ from jaxfil.xla.select import select
 
 
 def path_of(problem: Problem, state: LoopState, length: Length, field: ModeField) -> Polynomial:
-    """The motion in a step, if the tableau is one of power series."""
+    """The motion in a step, for a Taylor tableau."""
     assert isinstance(problem.tableau, TaylorTableau)
     t, x = problem.grid.t0 + state.motion.tau, state.motion.x
     return field.polynomial(problem.tableau.order, t, x, length.h)
 
 
 def guards_of(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> tuple:
-    """The coefficients of the guards within a step, which start as the loop knows them."""
+    """The coefficients of the guards within a step, with the loop's own values at its start."""
     known = state.motion.g, length.h * state.motion.rate
     guards = stop_gradient((*known, *path.guards[2:]))
     if problem.kept is None:
@@ -61,8 +60,8 @@ def _clear(state: LoopState, path: Polynomial, guards: tuple) -> Components:
 def step_along(
     problem: Problem, state: LoopState, length: Length, path: Polynomial
 ) -> tuple[LoopState, Length, Trial]:
-    """A trial step along a path up to the first zero of a guard in it, and the lane, which aims at
-    the contact there."""
+    """A trial step along a path up to the first zero of a guard in it, and the lane, which then
+    aims at the contact there."""
     s, length, search, searched = _cut_at_contact(problem, state, length, path)
     assert isinstance(problem.tableau, TaylorTableau)
     start = problem.grid.t0 + state.motion.tau
@@ -77,7 +76,7 @@ def _cut_at_contact(
     problem: Problem, state: LoopState, length: Length, path: Polynomial
 ) -> tuple[Array, Length, ContactSearch, Components]:
     """The fraction of a path up to the first zero of a guard in it, the length to there, the
-    contact, and the surfaces of which it is known that their guards have no zero before."""
+    contact, and the surfaces whose guards are known to have no zero before."""
     system, waits = problem.system, state.pending.waits
     guards, noise = guards_of(problem, state, length, path), state.motion.noise
     clear = system.hold(_clear(state, path, guards).astype(system.dtype)) > 0
@@ -100,7 +99,7 @@ def _cut_at_contact(
     thetas, looks = where(near, thetas, NEVER), where(near, looks, NEVER)
     contact, lowest = system.hold((least(thetas), least(looks)))
     s = jnp.minimum(contact, lowest)
-    # A cut that times cannot tell from none is left to the search of every step.
+    # A cut shorter than the rounding of times is omitted; the search of every step handles it.
     h = s * length.h
     cuts = (s < 1) & (abs(h) > problem.grid.same_time(state.motion.tau))
     s, h = system.hold((select(cuts, s, 1.0), select(cuts, h, length.h)))

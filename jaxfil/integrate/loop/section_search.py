@@ -1,21 +1,22 @@
-"""Crossings of sections: found in steps that the loop has made, and recorded.
+"""Crossings of sections: located in steps that the loop has accepted, and recorded.
 
-A trial step that the loop would go on with enters; if a section is crossed in it, it is taken back,
-and the next trial steps look for the crossing:
+If a section is crossed in a trial step that the loop would accept, the step is taken back, and the
+next trial steps search for the crossing:
 
     S0 ╲           ┼           ┼          1. a full step, crossed: taken back
         ╲__ ℓ      h                      2. a step to ℓ, from Hermite's cubic: Newton, step again
     ───────╲┼──────┼─── 0                 3. close enough: t = t0 + τ + ℓ + δ, x + δ f, δ = −S/Ṡ
              ╲_____╲                      4. the full step again, watched from ℓ on
 
-The loop's own steps stay as they are to the last bit, whatever is watched. Each lane looks by
-itself, so that a batch pays for a crossing what its lane does. The state at a crossing is that of
-a step of the method, with no interpolation, and as the lengths ℓ are constants and δ is not, it
-has the exact derivative.
+Sections do not change the loop's own steps, bit for bit. Each lane searches independently, so that
+a batch pays for a crossing as much as its lane. The state at a crossing is computed by a step of
+the method, without interpolation. Since the lengths ℓ are constants and δ is not, it has the exact
+derivative.
 
-Rounding tells nothing of S: a section counts as crossed when S has been beyond its rounding on both
-sides. One that is zero where a piece of the motion begins, as at a contact with a surface that it
-coincides with, is crossed there if S goes on to the other side, and there alone.
+Values of S within rounding are ignored: a section counts as crossed when S has been beyond its
+rounding on both sides. A section that is zero where a piece of the motion begins, as at a contact
+with a surface that it coincides with, is crossed there if S continues to the other side, and only
+there.
 """
 
 import dataclasses
@@ -55,7 +56,7 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select, select_all
 
-# Newton's steps before the search goes on by halves, and trial steps at most.
+# Number of Newton steps before the search continues by bisection, and of trial steps in total.
 _NEWTON, _TRIES = 12, 60
 
 
@@ -67,7 +68,7 @@ class SectionSearch(Extension):
     def before_step(self, problem: Problem, own: SectionState | None) -> Problem:
         if own is None:
             return problem
-        # One look at a time: a second search would have to wait for the first.
+        # A problem has one probe at a time; a second search would have to wait for the first.
         assert problem.look is None
         return dataclasses.replace(problem, look=Look(own.watch.seeking, own.watch.length))
 
@@ -121,18 +122,21 @@ def _look(
     end: Motion,
     would: tuple[Array, Array, Array],
 ) -> Seen:
-    """The sections at the end of a trial step; `would` are the length of the step, corrected by its
-    landing, this correction, and whether the loop would go on with it."""
+    """The sections at the end of a trial step. `would` has the length of the step including the
+    correction of its landing, this correction, and whether the loop would accept the step."""
     h, correction, passes = would
     at = problem.grid.t0 + end.tau, end.x
     dt = typical_step(problem, state)
     sight = see(watched, problem.system, at, (end.mode, end.f), end.scale, dt)
-    # At a landing S is what it is at the contact: of a section that coincides with the surface, 0.
+    # At a landing S is evaluated at the corrected time, so that a section that coincides with the
+    # surface is zero there.
     correction = select(watch.seeking, 0.0, correction)
     landed = sight.value + stop_gradient(correction * sight.rate)
     sight = dataclasses.replace(sight, value=landed)
     here = select(watch.seeking, watch.length, h)
     looks = watch.seeking & ~any_of(watch.aim)
+    # The next watch is one of four: a search that starts, one that comes closer, one that has
+    # located its crossing, or one that has examined a minimum.
     found, begun = _begun(watched, problem, watch, sight, here)
     begins = found & (looks | (passes & ~watch.seeking))
     closer, delta, done = _approach(problem, state, watch, sight, end.tau)
@@ -161,8 +165,8 @@ def _look(
 def _begun(
     watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, here: Array
 ) -> tuple[Array, Watch]:
-    """Whether there is something to be looked at before a length `here`, and the watch of a lane
-    that begins to search for it."""
+    """Whether there is a crossing or a minimum of |S| to examine before a length `here`, and the
+    watch of a lane that starts to search for it."""
     found, length, aim = _find(watched, problem, watch, sight, here)
     begun = dataclasses.replace(
         watch,
@@ -177,7 +181,7 @@ def _begun(
 
 
 def _gone_on(problem: Problem, watch: Watch, sight: Sight) -> Watch:
-    """The watch of a lane that has looked at a minimum of |S|, watched from there on."""
+    """The watch of a lane that has examined a minimum of |S|, continued from there."""
     return dataclasses.replace(
         watch,
         value=sight.value,
@@ -189,7 +193,7 @@ def _gone_on(problem: Problem, watch: Watch, sight: Sight) -> Watch:
 
 
 def _resolved(problem: Problem, sight: Sight) -> tuple[Components, Components]:
-    """Whether |S| exceeds its rounding, and this rounding."""
+    """Whether |S| exceeds its rounding error, and that error."""
     noises = NOISE * problem.system.eps * sight.terms
     return abs(stop_gradient(sight.value)) > noises, noises
 
@@ -201,7 +205,8 @@ def _wanted(watched: WatchedSections, problem: Problem, side: Components) -> Com
 
 
 def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components:
-    """The sides that sections start from: of one that the motion starts on, the one it takes."""
+    """The sides from which sections start; for a section that is zero at the start, the side that
+    the motion takes."""
     before, after, then = h * watch.rate, h * sight.rate, stop_gradient(sight.value)
     tells = abs(before) > problem.system.eps**0.5 * (abs(then) + abs(after))
     return where(watch.side == 0, sign(where(tells, before, then)), watch.side)
@@ -210,8 +215,8 @@ def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components
 def _find(
     watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, length: Array
 ) -> tuple[Array, Array, Components]:
-    """Whether there is something to be looked at between the start of the watch and a `length`, at
-    which length, and the section that is crossed there."""
+    """Whether there is a crossing or a minimum to examine between the start of the watch and a
+    `length`, at which length, and the section crossed there."""
     h = stop_gradient(length) - watch.start
     sides, (_, noises) = _sides(problem, watch, sight, h), _resolved(problem, sight)
     wanted = _wanted(watched, problem, sides)
@@ -219,7 +224,7 @@ def _find(
     end = sides * stop_gradient(sight.value)
     ends = start, sides * h * watch.rate, end, sides * h * sight.rate
     near = ~(watch.away & on_each(stays_off, *ends, noises)) & (sides != 0)
-    # One that stays within its rounding, as along a slide or a rest, is not crossed.
+    # A section that stays within its rounding, as along a slide or a rest, is not crossed.
     near = near & ~on_each(stays_within, *ends, noises)
     thetas, lows = [], []
     for each in zip(*(v.parts for v in (near, *ends, watch.away, noises, wanted)), strict=True):
@@ -228,7 +233,7 @@ def _find(
         lows.append(low)
     thetas = where(near, where(watch.owed, 0.0, Components(thetas)), NEVER)
     first, lowest = least(thetas), least(where(near, Components(lows), NEVER))
-    # One look at a time, and none before a crossing that is known.
+    # Minima are examined one at a time, and only before the first known crossing.
     lowest = select(watch.seeking, NEVER, lowest)
     crossed = (first < NEVER) & (first <= lowest)
     theta = jnp.minimum(first, lowest)
@@ -239,13 +244,13 @@ def _find(
 def _first_of_one(
     g0: Array, d0: Array, g1: Array, d1: Array, away: Array, noise: Array, wanted: Array
 ) -> tuple[Array, Array]:
-    """θ of the first crossing of one section, S times the side that it comes from, and of a minimum
-    to be looked at."""
+    """θ of the first crossing of one section, with S multiplied by the side it comes from, and θ of
+    a minimum to examine."""
     theta, low = first_contact(g0, d0, g1, d1, away, noise)
     over = g1 < -noise
-    # Zero at the start and falling: the crossing is there.
+    # If S is zero at the start and decreases, the crossing is at the start.
     theta = select((g0 < -noise) | (~away & (d0 <= 0) & over), 0.0, theta)
-    # A crossing in the other direction, after which nothing comes, need not be located.
+    # A crossing in the unwanted direction, without a later one, need not be located.
     passed = ~wanted & over
     return select(passed, NEVER, theta), select(passed, NEVER, low)
 
@@ -257,8 +262,8 @@ def _nothing(g0: Array, *_: Array) -> tuple[Array, Array]:
 def _approach(
     problem: Problem, state: LoopState, watch: Watch, sight: Sight, tau: Array
 ) -> tuple[Watch, Array, Array]:
-    """After a trial step to where a crossing was expected, at an elapsed time: the next one,
-    Newton's step in time from here, and whether that is all that is missing."""
+    """The search after a trial step to the expected place of a crossing: the next watch, Newton's
+    step in time from here, and whether the search is complete."""
     grid, small = problem.grid, problem.system.eps ** (2 / 3)
     known = small * typical_step(problem, state)
     sides = _sides(problem, watch, sight, watch.length - watch.start)
@@ -274,9 +279,11 @@ def _approach(
     delta = select(falls, -g / select(falls, rate, 1.0), 0.0)
     at, size = watch.length, abs(stop_gradient(delta))
     g = stop_gradient(g)
+    # A bracket of lengths around the crossing, by the sign of S.
     low, high = select(g > 0, at, watch.low), select(g < 0, at, watch.high)
     newton = at + stop_gradient(delta)
     inside = ((newton - low) * grid.direction >= 0) & ((high - newton) * grid.direction >= 0)
+    # Newton's error is of order δ² S̈/Ṡ, bounded as for contacts in `locate.land`.
     bend = size * abs(rate - rate0) <= small * abs(rate * (at - watch.start))
     close = falls & inside & (size <= known) & bend
     narrow = abs(high - low) <= grid.same_time(tau)
@@ -286,7 +293,7 @@ def _approach(
     closer = dataclasses.replace(
         watch, side=sides, length=length, low=low, high=high, tries=watch.tries + 1
     )
-    # Where S only touches zero, its rate says nothing of the time.
+    # Where S only touches zero, its rate does not determine the time.
     timed = (inside | (size <= known)) & ~owed
     return closer, select(timed, delta, 0.0), done & watch.seeking & any_of(watch.aim)
 
@@ -298,13 +305,13 @@ def _crossed(
     sight: Sight,
     which: tuple[Array, Array | bool],
 ) -> tuple[Array, Watch]:
-    """Whether a crossing counts, and the watch behind it; `which` are whether it has been located
-    and whether crossings at this time count."""
+    """Whether a crossing counts, and the watch after it. `which` has whether the crossing has been
+    located, and whether crossings at this time count."""
     (done, counts), (away, _) = which, _resolved(problem, sight)
     wanted = _wanted(watched, problem, watch.side)
     counted = watch.aim & wanted & done & counts
     recorded = any_of(counted)
-    # What has jumped is on its other side at once.
+    # A section whose S has jumped is on its other side at once.
     settled = watch.aim & ~watch.owed
     after = dataclasses.replace(
         watch,
@@ -328,7 +335,7 @@ def _result(
     counts: Components,
     recorded: Array,
 ) -> RESULTS:
-    """What a crossing makes of the run."""
+    """The outcome of the run after a crossing."""
     each = zip(aim.parts, counts.parts, watched.terminal, watched.bounds, strict=True)
     for aimed, count, last, bound in each:
         if last is not None:
@@ -340,8 +347,8 @@ def _result(
 def _moved_on(
     watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, jumped: Array
 ) -> Watch:
-    """The watch of a lane that has gone on to where the sections are seen so; `jumped`: at once, by
-    a reset or another mode."""
+    """The watch of a lane after a step, with these values of the sections; `jumped` marks steps
+    with a reset or a change of mode."""
     (away, _), value = _resolved(problem, sight), stop_gradient(sight.value)
     owed = jumped & away & (watch.side * value < 0) & _wanted(watched, problem, watch.side)
     side = where(away & ~owed, sign(value), watch.side)

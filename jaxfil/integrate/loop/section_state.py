@@ -1,4 +1,4 @@
-"""What a lane knows of its sections, and what a trial step shows of them."""
+"""The state of the section search of a lane, and its update in a trial step."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,59 +12,59 @@ from jaxfil.model.outcomes import RESULTS
 
 
 class Watch(eqx.Module):
-    """How far a lane has been watched for crossings of k sections. Lengths are signed times from
-    the lane's state; components are k."""
+    """The state of the search for crossings of k sections. Lengths are signed times from the lane's
+    state, components are k, and the "watched point" is the one up to which the search is done."""
 
     side: Components
-    """Last sign of S, beyond rounding; 0: there has been none."""
+    """Last sign of S beyond rounding; 0 at first."""
     value: Components
-    """S where it has been watched up to."""
+    """S at the watched point."""
     rate: Components
-    """dS/dt there along the motion."""
+    """dS/dt at the watched point, along the motion."""
     away: Components
-    """Whether |S| exceeds its rounding there."""
+    """Whether |S| exceeds its rounding at the watched point."""
     owed: Components
-    """Whether S has jumped across zero there."""
+    """Whether S has jumped across zero at the watched point."""
     start: Array
-    """Length up to there."""
+    """Length up to the watched point."""
     seeking: Array
-    """Whether the next trial step is one to a crossing, looked at and taken back."""
+    """Whether the next trial step is a probe for a crossing, which is taken back."""
     length: Array
-    """Length of that step."""
+    """Length of that probe."""
     aim: Components
-    """The section that it is to cross; none for a minimum of |S| to be looked at."""
+    """The section that the probe aims at; empty for a minimum of |S|."""
     low: Array
     """Length before the crossing."""
     high: Array
     """Length after the crossing."""
     tries: Array
-    """Trial steps that this crossing has taken."""
+    """Number of trial steps in this search."""
     counts: Components
-    """Crossings so far of each section, in its direction."""
+    """Number of crossings so far of each section, in its direction."""
     total: Array
-    """Crossings of all sections."""
+    """Number of crossings of all sections."""
 
 
 class SectionState(eqx.Module):
-    """What a lane knows of its sections."""
+    """The sections' state of a lane."""
 
     watch: Watch
     table: CrossingTable | None
-    """Crossings so far; None where none are kept."""
+    """Crossings so far; None without a table."""
 
 
 class Seen(eqx.Module):
-    """What is known of the sections at the end of a trial step."""
+    """The sections at the end of a trial step."""
 
     sight: Sight
     seeks: Array
-    """Whether the trial step only looks for a crossing, or is taken back to do so."""
+    """Whether the trial step is a probe for a crossing, or is taken back to start one."""
     watch: Watch
-    """How the search goes on."""
+    """The next state of the search."""
     recorded: Array
     """Whether a crossing has been located."""
     number: Array
-    """The section that is crossed."""
+    """The number of the crossed section."""
     tau: Array
     """Elapsed time of the crossing."""
     tau_low: Array
@@ -72,11 +72,11 @@ class Seen(eqx.Module):
     x: Components
     """State at the crossing."""
     result: RESULTS
-    """What the crossing makes of the run."""
+    """The outcome of the run after the crossing."""
 
 
 def unwatched(k: int, zero: Array) -> Watch:
-    """The watch of k sections of which nothing is known."""
+    """The watch of k sections before the first evaluation."""
     false, none = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
     nothing, flags = Components((zero,) * k), Components((false,) * k)
     return Watch(
@@ -98,7 +98,7 @@ def unwatched(k: int, zero: Array) -> Watch:
 
 
 def empty_crossings(system: ComponentSystem, size: int | None) -> CrossingTable | None:
-    """A table without crossings; None if none are kept."""
+    """A table without crossings; None for a run without one."""
     if size is None:
         return None
     return CrossingTable(

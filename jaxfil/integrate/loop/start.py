@@ -1,7 +1,7 @@
-"""The first moment: which mode a lane starts in.
+"""The start of a run: the mode of a lane at t0.
 
-A problem and an initial state enter; a `LoopState` ready for the loop leaves. Off the surfaces the
-mode is the side. On a surface it is what the fields there say, never the sign of a zero.
+Off the surfaces the mode is the side. On a surface it is decided by the fields there, never by the
+sign of a zero.
 """
 
 import dataclasses
@@ -57,15 +57,16 @@ from jaxfil.xla.select import select
 
 # Rounding of a rate at a tangency, in eps of the largest rate there.
 _RATE_NOISE = 64
-# Coupled surfaces at most whose rates are looked at with their derivatives, on all sides.
+# The largest number of coupled surfaces for which higher derivatives are computed on all sides.
 _FEW = 3
 
 
 def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction: Array) -> Corners:
-    """dH/dt along the field of every combination of sides; where it vanishes, an infinitesimal of
-    the sign that dH/dt takes at once (from the second, then the third derivative of H)."""
+    """dH/dt along the field of every combination of sides. A vanishing one is replaced by a tiny
+    number with the sign that dH/dt takes just after (from the second, then the third derivative of
+    H)."""
     if system.m > _FEW and are_coupled(system):
-        # On so many combinations of sides first derivatives alone are known.
+        # For so many combinations of sides only first derivatives are computed.
         return filippov.corners(system, t, x)[1]
     rates, seconds, thirds = _all_rates(system, t, x)
     scales = rates.sizes()
@@ -84,8 +85,8 @@ def _resolved(
     third: Components,
     scales: Components,
 ) -> Components:
-    """A rate, in whose place an infinitesimal stands where it vanishes among rates of these sizes:
-    of the sign of the first of the higher derivatives that does not."""
+    """A rate, or where it vanishes among rates of these sizes, a tiny number with the sign of the
+    first higher derivative that does not."""
     tiny = where(scales > 0, system.eps * scales, 1.0)
     signs = where(second != 0, direction * sign(second), sign(third))
     flat = abs(rate) <= _RATE_NOISE * system.eps * scales
@@ -94,8 +95,8 @@ def _resolved(
 
 def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corners, ...]:
     """The first three derivatives of H on every combination of sides. The higher ones are not
-    affine in the sides, be the field or not."""
-    # One program for all of them, be they few: it holds third derivatives of the field.
+    affine in the sides even if the field is."""
+    # One program for all combinations, since it contains third derivatives of the field.
     three = ft.partial(_three_rates, system, t, x)
     if system.structure.separate:
         return on_corners(three, system, corner_sides(system))
@@ -127,11 +128,11 @@ def _three_rates(
 def _first_mode(
     problem: Problem, x: Components, h: Components, noise: Components
 ) -> tuple[Components, Components, Components | None, Array, Array | None]:
-    """The mode at t0, the surfaces the state starts on, those whose reset comes first, the number
-    of admissible modes, and the determinant of the weights."""
+    """The mode at t0, the surfaces that the state starts on, those with a reset due first, the
+    number of admissible modes, and the determinant of the weights."""
     system, grid, known = problem.system, problem.grid, stop_gradient(problem)
     sides, on = side_of(h), abs(h) <= noise
-    # Which mode it is has no derivative.
+    # The choice of the mode has no derivative.
     here = stop_gradient((system, grid.t0, x, grid.direction))
     if system.resets and are_coupled(system):
         return _first_mode_together(known, stop_gradient(x), on, sides)
@@ -143,7 +144,7 @@ def _first_mode(
         mode, count = filippov.choose(rates, start.sides, free, grid.direction)
         mode = where(start.rests, 2 * mode, mode)
         count = select(start.consistent, count, 0)
-        # In backward time a rest may have begun at any time.
+        # Backward in time a rest may have started at any earlier time, so the motion is not unique.
         count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
         owed = start.owed
     elif are_coupled(system) and rates.flipped is not None:
@@ -161,7 +162,7 @@ def _first_mode(
 def _first_mode_together(
     problem: Problem, x: Components, on: Components, sides: Components
 ) -> tuple[Components, Components, Components | None, Array, Array | None]:
-    """`_first_mode` on several surfaces with resets, whose reactions feel each other."""
+    """`_first_mode` on several surfaces with resets, whose reactions are coupled."""
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     fields, rates = filippov.corners(system, t, x)
     above = sides.like(jnp.ones_like(t))
@@ -171,7 +172,7 @@ def _first_mode_together(
     _, _, normals = system.gradients(t, x)
     c, by_time = start.constraints, start.by_time
     forces = unilateral.forces_of(system, t, x, above, c, by_time, normals, fields)
-    # Where it is pressed by a derivative higher than the acceleration, that one's sign counts.
+    # If the pressing acceleration vanishes, the sign of the first nonzero derivative decides.
     flat = forces.accelerations.sizes() == 0
     leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))
     forces = dataclasses.replace(forces, accelerations=leaning)
@@ -183,26 +184,26 @@ def _first_mode_together(
     )
     mode, count = decide(question)
     count = select(any_of(decided), count, 1)
-    # In backward time a rest may have begun at any time.
+    # Backward in time a rest may have started at any earlier time, so the motion is not unique.
     rests = unilateral.rests_of(mode)
     count = select(any_of(rests) & (direction < 0), 2, count)
     determinant = None
     if system.slides:
-        # As at the end of a step, so that no rounding tells the two apart.
+        # The same formula as at the end of a step, so that the two agree to the last bit.
         determinant = filippov.balance(system, t, x, mode, fields, rates).determinant
     return mode, on, start.owed, count, determinant
 
 
 class Start(eqx.Module):
-    """What is known of a lane at t0."""
+    """A lane at t0."""
 
     motion: Motion
     armed: Components
-    """Surfaces that it does not start on, or slides or rests on, m flags."""
+    """Surfaces that it does not start on, or that it slides or rests on, m flags."""
     owed: Components | None
-    """Surfaces whose reset comes first, m flags; None without resets."""
+    """Surfaces with a reset due first, m flags; None without resets."""
     num_modes: Array
-    """How many modes could go on from there; 1: the motion is unique."""
+    """Number of modes that could follow; 1 means that the motion is unique."""
 
 
 def _start(problem: Problem, x: Components) -> Start:
@@ -215,7 +216,7 @@ def _start(problem: Problem, x: Components) -> Start:
     h, h_t, normals = system.gradients(t, x)
     size = scale
     if system.resets:
-        # A state that an earlier run has left on the surface has the rounding of its steps.
+        # A state at which an earlier run ended on the surface has the rounding of its steps.
         f = system.field(t, x, h.like(jnp.ones_like(t)))
         size = size + stop_gradient(abs(typical_step(problem) * f))
     noise = surface_noise(system, t, x, size, h_t, normals)
@@ -290,10 +291,11 @@ def _first_trust(problem: Problem, motion: Motion) -> Trust:
 
 
 def _varied(state: LoopState) -> LoopState:
-    """The same lane; what contacts give derivatives has them from the start, of value zero.
+    """The same lane. Numbers that obtain derivatives at contacts have them from the start, with
+    value zero.
 
-    JAX traces the derivatives of a loop anew until it knows which of its numbers have any: a tenth
-    of the time to a first Jacobian.
+    JAX traces the derivatives of a loop again until it knows which of its numbers have any. Without
+    this function, that took a tenth of the time to a first Jacobian.
     """
 
     def kept(state: LoopState) -> list:
@@ -306,7 +308,7 @@ def _varied(state: LoopState) -> LoopState:
 
 @jax.custom_jvp
 def _with_rate_of(source: Array, v: Array) -> Array:
-    """v, with a derivative, be it zero, if `source` has one."""
+    """v, with a derivative, possibly zero, if `source` has one."""
     return v
 
 
@@ -320,7 +322,8 @@ def _with_rate_of_jvp(primals: tuple, tangents: tuple) -> tuple:
 
 
 def _first_result(problem: Problem, x: Components, start: Start) -> RESULTS:
-    """The outcome at t0: bad numbers, or a start that no single solution leaves."""
+    """The outcome at t0, which is a failure for numbers that are not finite, and for a start
+    without a unique continuation."""
     grid, count = problem.grid, start.num_modes
     result = RESULTS.where(count > 1, RESULTS.nonunique, RESULTS.successful)
     result = RESULTS.where(count < 1, RESULTS.mode_undecided, result)

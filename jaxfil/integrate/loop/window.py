@@ -1,4 +1,4 @@
-"""The span of a run that is averaged over: from one sample of a sweep to another."""
+"""The span of a run that is averaged over, from one sample of a sweep to another."""
 
 import equinox as eqx
 from jaxtyping import Array
@@ -8,14 +8,14 @@ from jaxfil.integrate.loop.extensions import sections_in
 
 
 class Window(eqx.Module):
-    """The time from a grid point on, or where a run is sampled at a section from one of its
-    crossings on, to the end of the run."""
+    """The time from a grid point to the end of the run; for a run sampled at a section, from one of
+    its crossings."""
 
     first: Array
     """The number of the grid point, or of the crossing, counted from 1."""
 
     def is_open(self, state: LoopState) -> Array:
-        """Whether a lane has come there."""
+        """Whether a lane has reached that grid point or crossing."""
         sections = sections_in(state)
         reached = state.counts.index if sections is None else sections.watch.total
         return reached >= self.first

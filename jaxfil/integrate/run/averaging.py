@@ -1,8 +1,7 @@
 """Averages of a lane over its samples: means, root mean squares, extremes, sums over events.
 
-The quantities that a user asks for enter; what the loop carries for them leaves, and at the end of
-a lane their numbers. Means are integrals carried with the state, as those of `average` are; the
-others are extensions of the loop.
+Means are integrals carried with the state, as in `average`; the other quantities are extensions of
+the loop.
 """
 
 import inspect
@@ -30,12 +29,12 @@ from jaxfil.model.section import Section
 from jaxfil.model.system import System
 
 _EXTREMES = Maximum, Minimum
-# What the only quantity is called, if its function has no name.
+# The name of a single quantity whose function has no name.
 _ALONE = "average"
 
 
 class _OfSystem(eqx.Module):
-    """A user's function that asks for the system of its lane."""
+    """A user's function that takes the system of its lane."""
 
     function: Callable[..., Any]
     system: System
@@ -64,15 +63,15 @@ class _Square(eqx.Module):
 
 
 def _with_system(function: Callable[..., Any], system: System) -> Callable[..., Any]:
-    """A user's function with the system of its lane, if it asks for it."""
+    """A user's function with the system of its lane bound, if it takes one."""
     signature = signature_of(function)
     asks = signature is not None and "system" in signature.parameters
     return _OfSystem(function, system) if asks else function
 
 
 class _Row(eqx.Module):
-    """Functions of the states before and after an event as one, which returns all of their numbers
-    in a row, of states with more components behind them."""
+    """Functions of the states before and after an event, combined into one that returns all their
+    numbers in one array. States may have more components at the end."""
 
     functions: tuple[Callable[..., Any], ...]
     n: int = eqx.field(static=True)
@@ -83,7 +82,7 @@ class _Row(eqx.Module):
 
 
 class Averaging(eqx.Module):
-    """The quantities of a lane, by their names."""
+    """The quantities of a lane, by name."""
 
     quantities: tuple[Quantity, ...]
     names: tuple[str, ...] = eqx.field(static=True)
@@ -91,18 +90,18 @@ class Averaging(eqx.Module):
     h_shape: tuple[int, ...] = eqx.field(static=True)
     """The shape of `System.switching`."""
     n: int = eqx.field(static=True)
-    """The numbers of a state."""
+    """The number of components of a state."""
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What all numbers are called, in a row."""
+        """The names of all numbers, in order."""
         each = zip(self.names, self.shapes, strict=True)
         rows = ([f"{name}[{i}]" for i in range(math.prod(s))] if s else [name] for name, s in each)
         return tuple(name for row in rows for name in row)
 
     @property
     def integrals(self) -> int:
-        """How many integrals are carried behind the state."""
+        """The number of integrals carried behind the state."""
         return sum(math.prod(s) for q, s in self._all if not isinstance(q, (*_EXTREMES, EventSum)))
 
     @property
@@ -110,7 +109,7 @@ class Averaging(eqx.Module):
         return list(zip(self.quantities, self.shapes, strict=True))
 
     def named(self, row: Any) -> dict[str, Any]:
-        """Arrays of the quantities, of one of all their numbers along the last dimension."""
+        """The quantities as arrays, from an array with all their numbers along the last axis."""
         found, start = {}, 0
         for name, shape in zip(self.names, self.shapes, strict=True):
             stop = start + math.prod(shape)
@@ -119,7 +118,7 @@ class Averaging(eqx.Module):
         return found
 
     def carried(self, system: System, x: Array) -> tuple[System, Array]:
-        """A system that carries the integrals behind its state, and its state, x and zeros."""
+        """A system that carries the integrals behind its state, and that state: x and zeros."""
         wider = system
         for (_, quantity, rate), shape in zip(self.functions(system), self.shapes, strict=True):
             if not isinstance(quantity, (*_EXTREMES, EventSum)):
@@ -129,7 +128,7 @@ class Averaging(eqx.Module):
         return wider, x
 
     def functions(self, system: System) -> list[tuple[str, Quantity, Callable[..., Any]]]:
-        """The name of each quantity, itself, and its function for lanes of a system."""
+        """The name, the quantity and its function for lanes of a system, for each quantity."""
         each = zip(self.names, self.quantities, strict=True)
         return [(name, q, _with_system(_function_of(q), system)) for name, q in each]
 
@@ -140,9 +139,9 @@ class Averaging(eqx.Module):
     def extensions(
         self, system: System, field: ComponentSystem, x: Array, first: Array
     ) -> tuple[Extension, ...]:
-        """What follows lanes of a system in its field that carries the integrals, from states
-        shaped like x with these, where the span that is averaged over begins at grid point number
-        `first`, or at this crossing of the section."""
+        """The extensions for lanes of a system whose `field` carries the integrals, from states
+        like x with these. The span of the averages starts at grid point number `first`, or at this
+        crossing of the section."""
         window, found = Window(first), []
         wider, start, signs, sums, count = system, x[: self.n], [], [], 0
         for (_, quantity, function), shape in zip(self.functions(system), self.shapes, strict=True):
@@ -162,8 +161,8 @@ class Averaging(eqx.Module):
         return tuple(found)
 
     def found(self, problem: Problem, own: tuple[SoFar | Sums, ...], means: Array) -> Array:
-        """All numbers of a lane in a row, of the states of these extensions at its end, and of the
-        means of what is carried behind the state."""
+        """All numbers of a lane in one array, from the states of these extensions at its end and
+        the means of the integrals."""
         extremes = sums = jnp.zeros((0,), means.dtype)
         for state in own:
             if isinstance(state, Sums):
@@ -191,7 +190,7 @@ def averages_in(state: LoopState) -> tuple[SoFar | Sums, ...]:
 
 
 def checked_averaging(name: str, given: Any, system: System, x: Array) -> Averaging:
-    """The quantities that an argument of this name asks for, of runs from a state like x."""
+    """The quantities in the argument `name`, for runs from a state like x."""
     several = isinstance(given, Mapping)
     quantities = dict(given) if several else {_name_of(given): given}
     if not quantities or not all(isinstance(key, str) and key for key in quantities):
@@ -212,7 +211,7 @@ def _function_of(quantity: Any) -> Any:
 
 
 def _name_of(quantity: Any) -> str:
-    """What the only quantity is called."""
+    """The name of a single quantity."""
     function = _function_of(quantity)
     name = getattr(function, "__name__", type(function).__name__)
     return _ALONE if name == "<lambda>" else name
@@ -221,13 +220,13 @@ def _name_of(quantity: Any) -> str:
 def _checked(
     name: str, quantity: Any, system: System, x: Array, h_shape: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """The shape of what a quantity's function returns."""
+    """The shape of the result of a quantity's function."""
     function = check.function(name, _function_of(quantity), "(t, x, side)")
     function = _with_system(cast(function, x.dtype), system)
     if not isinstance(quantity, EventSum):
         return checked_observable(name, function, system, x).shape
     given = {"before": x, "after": x, "surfaces": jnp.ones(h_shape, x.dtype)}
     out = check.returned(f"`{name}`", function, "", t=jnp.zeros((), x.dtype), **given)
-    if isinstance(out, (int, float)):  # as 1.0, which counts events
+    if isinstance(out, (int, float)):  # a Python number such as 1.0, which counts events
         return ()
     return check.real_shape(name, out)

@@ -1,7 +1,4 @@
-"""Solutions and events by name: what their arrays are called in a data set.
-
-A solution, of one lane or of a batch, enters; named arrays leave.
-"""
+"""Solutions and events by name: the arrays of a solution, of one lane or a batch, in a data set."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -54,7 +51,7 @@ DENSE: Fields = {
     "step_end": ("t1", ""),
 }
 STATS = ("num_steps", "num_halvings", "num_iterations", "num_saved")
-# Names of its data set that are no parameter's.
+# Names in its data set that parameters must not use.
 TAKEN = {*SOLUTION, *EVENTS, *CROSSINGS, *DENSE, *STATS, "event_kind", "outcome", "outcome_code"}
 TAKEN |= {"component", "unit", "jaxfil_type", "jaxfil_version", "system", "symbols", "units"}
 TAKEN |= {"stepper", "compact", "observed", "time", "event", "surface", "crossing", "step", "lane"}
@@ -62,12 +59,12 @@ _TIMES = ("t", "event_t", "crossing_t", "step_t")
 
 
 def batch_dims(shape: Sequence[int]) -> tuple[str, ...]:
-    """The dimensions of a batch of some shape."""
+    """The names of the dimensions of a batch."""
     return ("lane",) if len(shape) == 1 else tuple(f"lane_{i}" for i in range(len(shape)))
 
 
 def event_variables(events: Any, batch: Sequence[str]) -> dict[str, Variable]:
-    """Those of an `Events`, none for None, and what happened in words."""
+    """The variables of an `Events`, with the kinds in words; empty for None."""
     if events is None:
         return {}
     words = np.array([kind.name for kind in EventKind])
@@ -76,7 +73,7 @@ def event_variables(events: Any, batch: Sequence[str]) -> dict[str, Variable]:
 
 
 def solution_arrays(sol: Any) -> NamedArrays:
-    """Those of a `Solution`."""
+    """The named arrays of a `Solution`."""
     labels: Labels = sol.labels
     *shape, n = np.shape(sol.x_final)
     batch = batch_dims(shape)

@@ -1,7 +1,5 @@
-"""Where a run stopped, in words.
-
-A solution that is no success enters; an error leaves, with the sentence of its outcome, the time,
-the state and the surfaces there.
+"""The error of an unsuccessful run, with the sentence of its outcome, and the time, the state and
+the surfaces where it stopped.
 """
 
 import jax
@@ -18,11 +16,11 @@ from jaxfil.xla.known import is_known
 
 
 def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solution:
-    """The same solution, or an error with the sentence of its outcome; where all values are known
-    it says too where the run from x0 stopped."""
+    """The same solution, or an error with the sentence of its outcome. Outside `jit` it also says
+    where the run from x0 stopped."""
     if not is_known((sol, system, x0)):
         return raise_outcome(sol, sol.result, RESULTS.successful, RESULTS.section_reached)
-    # Compared as numbers: of arrays, each comparison would be a program.
+    # Compared as Python numbers, since a comparison of arrays would compile a program.
     if code(sol.result) in (code(RESULTS.successful), code(RESULTS.section_reached)):
         return sol
     told = f"{RESULTS[sol.result]} It stopped at {_place(sol, system, x0)}."
@@ -32,8 +30,8 @@ def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solutio
 
 
 def _jumps(system: System, sol: Solution) -> str:
-    """What in the vector field may jump where no surface says so, in a sentence; nothing if
-    nothing does."""
+    """A sentence on operations in the vector field that jump without a surface; empty without
+    any."""
     side = jnp.ones(np.shape(sol.mode_final), sol.x_final.dtype)
     if np.ndim(system.switching(sol.t_final, sol.x_final)) == 0:
         side = side[0]
@@ -41,7 +39,7 @@ def _jumps(system: System, sol: Solution) -> str:
     if not found:
         return ""
     names = " and ".join(f"`{name}`" for name in found)
-    return f" Its vector field jumps by {names} of the state: let `switching` vanish there."
+    return f" Its vector field jumps by {names} of the state; let `switching` vanish there."
 
 
 def _place(sol: Solution, system: System, x0: Array) -> str:
@@ -59,7 +57,7 @@ def _place(sol: Solution, system: System, x0: Array) -> str:
 
 
 def _surfaces(system: System, t: Array, x: Array, size: Array) -> np.ndarray:
-    """Which surfaces a state is on, but for the square root of the rounding of states of that
+    """The surfaces that a state is on, up to the square root of the rounding of states of that
     size, shape (m,)."""
 
     def switching(t: Array, x: Array) -> Array:

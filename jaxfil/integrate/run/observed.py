@@ -1,8 +1,8 @@
-"""What is observed of a motion: a function of the time, the state, and what it asks for.
+"""Observables: functions of the time, the state, and optionally side, reaction or mode.
 
-A system and the function enter; a wider system leaves, whose field has the function as the rate of
-more components: it is then blended on a slide as the field is, and held at rest. So do its values
-at what was saved. The mode that it may ask for is that of the motion, on all sides of a blend.
+An observable is the rate of extra components behind the state of a wider system, so that on a slide
+it is blended as the field is, and at rest it has the reactions. The mode that it may take is the
+mode of the motion, on all sides of a blend.
 """
 
 import dataclasses
@@ -33,14 +33,15 @@ from jaxfil.xla.select import select
 
 
 class Observable(eqx.Module):
-    """Such a function, its numbers in the precision of the run; the shape of what it returns."""
+    """A user's function, with its numbers in the precision of the run, and the shape of its
+    result."""
 
     function: Observe
     shape: tuple[int, ...] = eqx.field(static=True)
 
     @property
     def size(self) -> int:
-        """How many numbers it returns."""
+        """The number of components of the result."""
         return math.prod(self.shape)
 
     @property
@@ -51,12 +52,12 @@ class Observable(eqx.Module):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What a number, or each of a row of them, is called."""
+        """The name of the result, or of each of its components."""
         return tuple(f"{self.name}[{i}]" for i in range(self.size)) if self.shape else (self.name,)
 
 
 class OfState(eqx.Module):
-    """A function of time, state and what follows, of a state with more components behind it."""
+    """A function of time, state and more, for states with more components at the end."""
 
     function: Callable[..., Any]
     n: int = eqx.field(static=True)
@@ -70,7 +71,7 @@ class OfState(eqx.Module):
 
 
 class _WithRate(System):
-    """A system with more components behind its state, that no surface sees and no reset changes."""
+    """A system with more components behind its state, which do not affect surfaces or resets."""
 
     system: System
     function: Observe
@@ -131,7 +132,7 @@ class _WithRate(System):
 
 
 def with_rate(system: System, observable: Observable, x: Array) -> tuple[System, Array]:
-    """A system with more components, whose rate is what is observed; its state, x and zeros."""
+    """A system with extra components whose rate is the observable, and its state: x and zeros."""
     wider = _WithRate(system, observable.function, x.shape[0])
     return wider, jnp.concatenate([x, jnp.zeros((observable.size,), x.dtype)])
 
@@ -143,8 +144,8 @@ def sections_of_run(
     x0: Array,
     transposed: bool = False,
 ) -> WatchedSections | None:
-    """The sections of a run of a system in its field, from states shaped like x0, shape (n,); None
-    if there are none."""
+    """The sections of a run of a system in its field, from states like x0, shape (n,); None without
+    sections."""
     asking = [s.function for s in sections if asked_of(s.function)]
     wider, start = system, x0
     for function in asking:
@@ -168,16 +169,18 @@ def checked_observable(name: str, function: Any, system: System, x: Array) -> Ob
 def observed(
     observable: Observable, problem: Problem, system: System, x0: Array, at: SavedStates
 ) -> Array:
-    """The values at what a run from x0 has saved, shape (k, *shape); where that was not reached inf
-    as it is."""
+    """The values at the states saved in a run from x0, shape (k, *shape); inf for unreached
+    entries."""
     wider, start = with_rate(system, observable, x0)
     n, more = x0.shape[0], start[x0.shape[0] :]
-    # Values that no one sees may have no derivatives that are NaN.
+    # `transposed`, since unreached entries are computed too, and their derivatives must not be NaN.
     field = build(wider, start, compact=True, transposed=True)
     around = dataclasses.replace(problem, system=field)
 
     def value(t: Array, x: Array, mode: Array) -> Array:
         reached = jnp.isfinite(t) & jnp.all(jnp.isfinite(x))
+        # Unreached entries are inf; they are replaced before the evaluation, whose derivatives
+        # would be NaN, and inf again after it.
         t, x = select(reached, t, problem.grid.t0), select(reached, x, x0)
         mode = select(reached, mode.astype(x.dtype), 1.0)
         here = clocks.just_after(around, t).system

@@ -1,7 +1,6 @@
-"""What `solve` is asked for besides the problem: what to save, how far to go, which derivatives.
+"""The options of `solve`: which states to save, limits of the run, and the kind of derivatives.
 
-The arguments as the user gave them enter; `Options` leave, or a `ValueError` that names the
-argument, what it must be and what it was.
+Arguments are checked here; a `ValueError` names the argument, the allowed values and the given one.
 """
 
 import dataclasses
@@ -22,19 +21,20 @@ from jaxfil.model.types import Scalar
 from jaxfil.xla.known import power_of_two
 
 Adjoint: TypeAlias = diffrax.ForwardMode | diffrax.RecursiveCheckpointAdjoint
-"""How reverse mode works: by the forward Jacobian, or by a loop with checkpoints."""
+"""The kind of reverse mode: the transposed forward Jacobian, or a loop with checkpoints."""
 
-# diffrax's own function of what is saved: the state.
+# diffrax's default for the saved quantity, which is the state.
 _SAVE_STATE = diffrax.SubSaveAt(t1=True).fn
-# Contacts that a default budget leaves room for where their number has no limit.
+# Number of contacts in a default budget for runs without a limit on their number.
 _MANY_EVENTS = 256
-# Steps of a run that follow a tolerance: all iterations, and where an array of that length is kept.
+# Number of steps assumed for a run whose steps follow a tolerance: its limit of iterations, and the
+# number assumed if an array of that length is kept.
 _MANY_STEPS, _KEPT_STEPS = 2**20, 4096
 
 
 class Options(eqx.Module):
-    """What to save, at times of the user, the limits on contacts and iterations, the checkpoints of
-    reverse mode, and whether steps are compact."""
+    """The options of a run: saved states (relative to the user's times), limits on contacts and
+    iterations, checkpoints of reverse mode, and the grade of the program."""
 
     recorder: Recorder
     max_events: int | None = eqx.field(static=True)
@@ -43,10 +43,10 @@ class Options(eqx.Module):
     checkpoints: int | None = eqx.field(static=True)
     compact: bool = eqx.field(static=True)
     share: Array
-    """The part of the usual error at which a step is halved."""
+    """The factor on the usual error limit at which a step is halved."""
 
     def at_half_the_step(self) -> "Options":
-        """Those of the run at half the step, which nothing differentiates."""
+        """The options of the run at half the step, which is not differentiated."""
         budget = None if self.budget is None else 2 * self.budget
         return dataclasses.replace(self, budget=budget, reverse=False, share=FINER * self.share)
 
@@ -61,9 +61,9 @@ def options_of(
     dtype: np.dtype,
     adaptive: bool,
 ) -> Options:
-    """The options of a solve over the span (t0, t1, dt), numbers as the user gave them: under `jit`
-    they are known as long as they are no arrays of JAX. Of one that is `adaptive` it is not known
-    how many steps it takes."""
+    """The options of a solve over the span (t0, t1, dt), given as the user's numbers. Under `jit`
+    these are known unless they are arrays of JAX. The number of steps of an `adaptive` run is
+    unknown."""
     save, ts = _save_kind(saveat, dtype)
     by_steps = save in ("steps", "dense")
     span = _known_span(times, dtype)
@@ -97,13 +97,13 @@ def options_of(
 
 
 def enough_iterations(num_steps: int, max_events: int) -> int:
-    """Iterations enough for so many steps and contacts, where an array of that length is kept: one
-    for each step, and six for each contact, which takes about four."""
+    """The iterations allowed for a number of steps and contacts if an array of that length is kept:
+    one for each step, and six for each contact, which takes about four."""
     return num_steps + 6 * max_events + 16
 
 
 def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
-    """Which of t1, ts, steps and dense a `diffrax.SaveAt` asks for."""
+    """The kind of a `diffrax.SaveAt`, one of t1, ts, steps and dense, and its times if any."""
     if not isinstance(saveat, diffrax.SaveAt):
         raise ValueError(f"`saveat` must be a diffrax.SaveAt, got {type(saveat).__name__}.")
     sub = saveat.subs
@@ -111,7 +111,7 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
         raise ValueError(f"`saveat` must have a single SubSaveAt, got {sub!r}.")
     _refuse_unknown(saveat, sub)
     asked = {"dense": bool(saveat.dense)}
-    if sub is not None:  # diffrax leaves it out where only `dense` is asked for
+    if sub is not None:  # diffrax has None here if only `dense` is requested
         asked |= {"t1": bool(sub.t1), "ts": sub.ts is not None, "steps": bool(sub.steps)}
     kinds = [name for name, wanted in asked.items() if wanted]
     with_t0 = sub is not None and bool(sub.t0)
@@ -130,28 +130,28 @@ def _save_kind(saveat: Any, dtype: Any) -> tuple[str, Array | None]:
 
 
 def _refuse_unknown(saveat: diffrax.SaveAt, sub: diffrax.SubSaveAt | None) -> None:
-    """An error for what diffrax would do, and a solve does not."""
+    """Raises an error for options of diffrax that a solve does not support."""
     for name in ("solver_state", "controller_state", "made_jump"):
         if getattr(saveat, name):
             raise ValueError(
-                f"`saveat.{name}` must be False: nothing of the kind is kept; got True."
+                f"`saveat.{name}` must be False, since no such state is saved; got True."
             )
     if sub is None:
         return
     if sub.steps not in (0, 1):
         raise ValueError(
-            f"`saveat.steps` must be True: every step is saved (take every {sub.steps}th row of "
-            f"the result); got {sub.steps!r}."
+            f"`saveat.steps` must be True, since every step is saved (take every {sub.steps}th row "
+            f"of the result); got {sub.steps!r}."
         )
     if sub.fn is not _SAVE_STATE:
         raise ValueError(
-            "`saveat.fn` must be left out: states are saved (apply the function to the result's "
-            f"`ts` and `xs`); got {sub.fn!r}."
+            "`saveat.fn` must be omitted, since states are saved (apply the function to the "
+            f"result's `ts` and `xs`); got {sub.fn!r}."
         )
 
 
 class _Span(NamedTuple):
-    """A span of time and its step, not traced."""
+    """A span of time and its step, as concrete numbers."""
 
     t0: np.ndarray
     t1: np.ndarray
@@ -164,19 +164,19 @@ class _Span(NamedTuple):
 
     @property
     def steps(self) -> float:
-        """How many steps it takes."""
+        """The number of steps in the span."""
         return float(abs(self.t1 - self.t0) / self.dt)
 
 
 def _known_span(times: tuple[Scalar, Scalar, Scalar], dtype: np.dtype) -> _Span | None:
-    """The span in the precision of the run; None while a part of it is traced."""
+    """The span in the precision of the run; None if a part of it is traced."""
     known = [v.astype(dtype) for v in map(check.concrete, times) if v is not None]
     return _Span(*known) if len(known) == 3 else None
 
 
 def _check_span(span: _Span, saveat: diffrax.SaveAt) -> None:
-    """Saving times lie in the span, in its direction, a step is longer than what times of the span
-    can tell apart, and steps can be counted."""
+    """Checks that saving times lie in the span in order, that a step exceeds the rounding of times
+    in the span, and that the number of steps fits in an int32."""
     if not span.finite:
         return
     t0, t1, dt = span
@@ -200,7 +200,7 @@ def _check_span(span: _Span, saveat: diffrax.SaveAt) -> None:
 
 
 def resolution(t0: Any, t1: Any, maximum: Any = jnp.maximum) -> Any:
-    """Times of the span that are no further apart than this are one time."""
+    """The distance up to which times of the span count as equal."""
     return SAME_TIME * np.finfo(t0.dtype).eps * maximum(abs(t0), abs(t1))
 
 
@@ -224,11 +224,11 @@ def _is_reverse(adjoint: Any) -> bool:
 
 
 def _default_budget(span: _Span | None, max_events: int | None) -> int:
-    """Iterations enough for the span."""
+    """The iterations allowed for the span."""
     if span is None:
         raise ValueError(
-            "`max_steps` must be an integer here: an array of that length is kept, and `t0`, `t1` "
-            "or `dt` is traced, so that the number of steps is not known; got None."
+            "`max_steps` must be an integer here, since an array of that length is kept, and `t0`, "
+            "`t1` or `dt` is traced, so that the number of steps is unknown; got None."
         )
     num_steps = math.ceil(span.steps) if span.finite else 1
     return power_of_two(enough_iterations(num_steps, max_events or _MANY_EVENTS))

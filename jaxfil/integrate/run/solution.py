@@ -1,6 +1,6 @@
-"""The `Solution`: what happened, and what can be asked of it.
+"""The `Solution`: the result of a run.
 
-Nothing is computed here but on request: a card of a few lines, and the state between saved times.
+Its methods compute only on request: a short summary, and states between saved times.
 """
 
 import functools as ft
@@ -42,9 +42,10 @@ class Events(eqx.Module):
     xs: Float[Array, "k n"]
     """States just before (left limits, before a reset)."""
     surfaces: Int[Array, " k"]
-    """The surface, the lowest number where several are decided together; −1 at a tick alone."""
+    """The surface, the lowest number if several are decided together; −1 at a tick alone."""
     members: Bool[Array, "k m"]
-    """All surfaces of the event: those met, or those whose mode a tick or a reset has changed."""
+    """All surfaces of the event: those reached, or those whose mode a tick or a reset has
+    changed."""
     kinds: Int[Array, " k"]
     """Members of `EventKind`."""
     modes: Int[Array, "k m"]
@@ -55,7 +56,7 @@ class Events(eqx.Module):
 
 
 def events_of(table: EventTable | None) -> Events | None:
-    """The event table of a lane, as the user sees it."""
+    """The public event table of a lane."""
     if table is None:
         return None
     first = jnp.argmax(table.members, axis=-1).astype(jnp.int32)
@@ -71,16 +72,16 @@ class Crossings(eqx.Module):
     xs: Float[Array, "k n"]
     """States; where S jumps across zero, just after the jump."""
     sections: Int[Array, " k"]
-    """Numbers of the sections, in the order in which they were given."""
+    """Numbers of the sections, in the order of the argument."""
 
 
 def crossings_of(table: CrossingTable | None) -> Crossings | None:
-    """The crossings of a lane, as the user sees them."""
+    """The public crossings of a lane."""
     return None if table is None else Crossings(table.ts, table.xs, table.sections)
 
 
 def switches(events: Events | None) -> np.ndarray:
-    """The rows of those contacts that are more than a touch, after which the mode goes on."""
+    """The rows of the contacts that are not grazes, after which the mode may differ."""
     if events is None:
         return np.zeros(0, int)
     kinds = np.asarray(events.kinds)
@@ -88,58 +89,59 @@ def switches(events: Events | None) -> np.ndarray:
 
 
 class Solution(eqx.Module):
-    """What `solve` returns. Unreached entries of `ts` and `xs` are inf, as in diffrax.
+    """The result of `solve`. Unreached entries of `ts` and `xs` are inf, as in diffrax.
 
     `xs` and `modes` are right limits: a state saved at the time of a contact is the one after it.
     Modes are +1 or −1 (on that side of a surface), 0 (sliding on it), or +2 or −2 (at rest on it,
-    from that side, held by its reaction).
+    on that side, held by its reaction).
     """
 
     ts: Float[Array, " k"] | None
-    """Saved times; None with `SaveAt(dense=True)`, as `xs` and `modes`."""
+    """Saved times; None with `SaveAt(dense=True)`, as are `xs` and `modes`."""
     xs: Float[Array, "k n"] | None
     """Saved states."""
     modes: Int[Array, "k m"] | None
     """Modes at the saved times."""
     events: Events | None
-    """The event table; None where none is kept, or there are no surfaces."""
+    """The event table; None without a table or without surfaces."""
     num_events: Int[Array, ""]
-    """How many events there were, in the table or not."""
+    """Number of events, including those beyond the table."""
     result: RESULTS
-    """How the run ended."""
+    """The outcome of the run."""
     stats: dict[str, Array]
-    """`num_steps` accepted, `num_halvings` of steps that could not be trusted, `num_iterations` of
-    the loop, `num_saved` states."""
+    """Counts: `num_steps` accepted steps, `num_halvings` refusals of steps that could not be
+    trusted, `num_iterations` of the loop, `num_saved` states."""
     t_final: Float[Array, ""]
-    """How far the run came: t1, or the time of what `result` tells."""
+    """The time at the end of the run: t1, or the time of a failure."""
     x_final: Float[Array, " n"]
-    """The state there."""
+    """The state at `t_final`."""
     mode_final: Int[Array, " m"]
-    """The mode there."""
+    """The mode at `t_final`."""
     errors: Float[Array, "k n"] | None = None
-    """Estimated |xs − exact|, component by component, if asked for; inf where unknown."""
+    """Estimated |xs − exact|, componentwise, if requested; inf if unknown."""
     crossings: Crossings | None = None
-    """The crossings of `sections`; None where none are given, or no table is kept."""
+    """The crossings of `sections`; None without sections or without a table."""
     num_crossings: Int[Array, ""] | None = None
-    """How many crossings there were, in the table or not."""
+    """Number of crossings, including those beyond the table."""
     observed: Float[Array, "k *shape"] | None = None
-    """What `observe` is at the saved times; None where nothing is observed."""
+    """The values of `observe` at the saved times; None without an observable."""
     _dense: "Dense | None" = None
-    """Every step's start, for `evaluate`."""
+    """The start of every step, for `evaluate`."""
     labels: Labels = eqx.field(static=True, default=Labels())
-    """What pictures call its quantities."""
+    """The names of the quantities in pictures."""
     compact: bool = eqx.field(static=True, default=False)
-    """Whether the stages of a step were a loop in the program: see `solve`."""
+    """Whether the stages of a step were a loop in the program (see `solve`)."""
 
-    # Not a method: one of an equinox module is hashed with all arrays, and `jax.jit` refuses it.
+    # A property and not a method, since a bound method of an equinox module is hashed with all its
+    # arrays, which `jax.jit` refuses.
     @property
     def evaluate(self) -> Callable[..., Float[Array, "*shape n"]]:
         """The function `evaluate(t, observe=None)`: the state at a time of the solved span, to the
-        order of the stepper, shape (n,); of an array of times the states, shape (*t.shape, n).
-        With a function `observe`, as that of `solve`, its value there in place of the state.
+        order of the stepper, shape (n,); for an array of times the states, shape (*t.shape, n).
+        With a function `observe`, as in `solve`, its value in place of the state.
 
-        Needs `saveat=diffrax.SaveAt(dense=True)`. The step that contains `t` is taken again, up to
-        `t`: nothing is interpolated. NaN outside the span that was reached.
+        Needs `saveat=diffrax.SaveAt(dense=True)`. The step that contains `t` is repeated up to
+        `t`, without interpolation. NaN outside the span that was reached.
         """
         return jax.tree_util.Partial(_evaluate, self)
 
@@ -149,19 +151,19 @@ class Solution(eqx.Module):
         return draw(self, ax=ax)
 
     def to_xarray(self) -> Dataset:
-        """An `xarray.Dataset` of `x` and `mode` (time, …) with the coordinate `t`, of what was met
+        """An `xarray.Dataset` of `x` and `mode` (time, …) with the coordinate `t`, of the events
         (`event_t`, `event_x`, `event_kind`, …), of `crossing_t` and so on, of the end and of
-        `outcome` in words; of a batch with the dimension `lane` before the others.
+        `outcome` in words; for a batch with the dimension `lane` before the others.
 
-        What was not reached is inf and −1, as here. Needs the package xarray.
+        Unreached entries are inf and −1, as here. Needs the package xarray.
         """
         return dataset_io.to_xarray(solution_arrays(self))
 
     def save(self, path: PathLike) -> None:
         """Write to a netCDF file (`path` ends in .nc), a Zarr store (.zarr) or an .npz.
 
-        `jaxfil.load(path)` gives the same solution back, bit for bit; of one that `evaluate` can be
-        asked of `jaxfil.load(path, system=…)`. What was there is replaced.
+        `jaxfil.load(path)` returns the same solution, bit for bit; a solution with `evaluate` needs
+        `jaxfil.load(path, system=…)`. An existing file is replaced.
         """
         dataset_io.save(solution_arrays(self), path)
 
@@ -170,13 +172,13 @@ class Solution(eqx.Module):
 
 
 def errors(sol: Solution, finer: Solution) -> Float[Array, "k n"]:
-    """What is left between a solution and the one at half the step, shape (k, n).
+    """The distance between a solution and the one at half the step, shape (k, n).
 
     With a global error C·dtᵖ the distance is (1 − 2⁻ᵖ) of it. (A run at twice the step costs
-    a sixth of this one, but where a step is not small against the motion between two contacts it
-    was seen to report anything from a fifth to 500 times the error; this one keeps within a fifth
-    of it.) Rounding, which two runs may share, is taken to be one unit a step at random. A
-    finer run that fails, or a state that was not reached, leaves the error unknown, inf.
+    a sixth of this one, but where a step is not small compared with the motion between two contacts
+    it reported from a fifth to 500 times the error in tests; this one stays within a fifth of it.)
+    Rounding, which the two runs may share, is estimated as one unit per step at random. If the
+    finer run fails, or a state was not reached, the error is unknown, inf.
     """
     assert sol.xs is not None and finer.xs is not None
     xs = jax.lax.stop_gradient(sol.xs)
@@ -189,7 +191,7 @@ def errors(sol: Solution, finer: Solution) -> Float[Array, "k n"]:
 
 
 class Dense(eqx.Module):
-    """Every step's start: enough to take any step again."""
+    """The start of every step, which is enough to repeat any step."""
 
     system: System
     t0: Array
@@ -199,11 +201,11 @@ class Dense(eqx.Module):
     modes: Array
     stepper: Stepper
     compact: bool = eqx.field(static=True)
-    """Whether steps are taken as `compact_step` takes them."""
+    """Whether steps are repeated by `compact_step`."""
 
 
 def _evaluate(sol: Solution, t: Times, observe: Observe | None = None) -> Array:
-    """`Solution.evaluate`."""
+    """The value of `Solution.evaluate(t, observe)`."""
     if (dense := sol._dense) is None:
         raise ValueError("`evaluate` needs a solution saved with diffrax.SaveAt(dense=True).")
     ts = jnp.asarray(t, dense.xs.dtype)
@@ -221,7 +223,7 @@ def _states(dense: Dense, ts: Float[Array, "*shape"]) -> Float[Array, "*shape n"
 
 @eqx.filter_jit
 def _values(dense: Dense, observable: Observable, ts: Array) -> Array:
-    """What is observed at times of any shape, shape (*ts.shape, *observable.shape)."""
+    """The observable at times of any shape, shape (*ts.shape, *observable.shape)."""
     flat, x0 = ts.ravel(), dense.xs[0]
     xs = jax.vmap(ft.partial(evaluate, dense))(flat)
     modes = jax.vmap(lambda t: dense.modes[_step_at(dense, t)])(flat)
@@ -232,9 +234,10 @@ def _values(dense: Dense, observable: Observable, ts: Array) -> Array:
 
 
 def _step_at(dense: Dense, t: Array) -> Array:
-    """The number of the step that contains a time: of a contact or a tick, to within rounding of
-    times, the step after it."""
+    """The number of the step that contains a time. A time within rounding of a contact or a tick
+    belongs to the step after it."""
     sign = select(dense.t1 >= dense.t0, 1.0, -1.0).astype(t.dtype)
+    # Unreached entries become +inf in either direction of time, so that they are sorted last.
     keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
     late = sign * t + resolution(dense.t0, t)
     return jnp.maximum(jnp.searchsorted(keys, late, side="right") - 1, 0)
@@ -257,7 +260,7 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
 
 
 def within_step(dense: Dense, system: ComponentSystem, t: Array) -> ComponentSystem:
-    """A system in a step from t on: it does not look across a tick of a clock."""
+    """A system in a step from t on, without evaluations across a tick of a clock."""
     return clocks.just_after(_around(dense, system, t), t).system
 
 
@@ -270,13 +273,13 @@ def _around(dense: Dense, system: ComponentSystem, t: Array) -> Problem:
 def step_again(
     dense: Dense, system: ComponentSystem, field: ModeField, t: Array, x: Components, h: Array
 ) -> Components:
-    """The end of a step from (t, x), or of a part of one, taken as it was."""
+    """The end of a step from (t, x), or of a part of one, repeated as in the run."""
     tableau, take = tableau_of(dense.stepper), compact_step if dense.compact else step
     return take(tableau, field, t, x, field(t, x), h, system.forcing(t, h, tableau.times)).x
 
 
 def card(sol: Solution) -> str:
-    """What happened, in a few lines; shapes only for a batch or while traced."""
+    """A summary in a few lines; only shapes for a batch or while traced."""
     told = precision(sol.x_final)
     if isinstance(sol.t_final, jax.core.Tracer) or sol.t_final.ndim > 0:
         batch = tuple(sol.t_final.shape)
@@ -299,7 +302,7 @@ def card(sol: Solution) -> str:
 
 
 def event_rows(events: Events) -> str:
-    """A line for each contact of one lane; shapes only for a batch or while traced."""
+    """A line for each contact of one lane; only shapes for a batch or while traced."""
     if isinstance(events.ts, jax.core.Tracer) or events.ts.ndim > 1:
         return f"Events: tables of shape {events.ts.shape}"
     lines = [f"{'t':>18}  {'kind':<9}{'surface':<9}x just before"]

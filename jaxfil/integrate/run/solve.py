@@ -1,7 +1,4 @@
-"""`solve`: one initial value problem.
-
-A system, an initial state, a time span and a step enter; a `Solution` leaves.
-"""
+"""`solve`: one initial value problem."""
 
 import dataclasses
 import functools as ft
@@ -74,60 +71,60 @@ def solve(
     r"""Integrate a nonsmooth system from `x0` at `t0` to `t1`.
 
     ẋ = F(t, x, side), side_j = sgn H_j(t, x), in Filippov's sense where the solution stays on a
-    surface. Steps have the fixed length `dt`, or one that follows a tolerance; one is cut only at a
-    contact, and the grid is met again after it. Contacts are located to a few eps and the order of
-    the stepper is kept.
+    surface. Steps have the fixed length `dt`, or a length that follows a tolerance. A step is cut
+    only at a contact, after which the next one ends on the grid again. Contacts are located to a
+    few eps, and the order of the stepper is preserved.
 
     **Arguments**
 
     - `system`: a `System`; its float leaves are cast to the dtype of `x0`.
-    - `x0`: initial state, shape (n,). Its dtype is that of the whole computation.
+    - `x0`: initial state, shape (n,). Its dtype is the dtype of the whole computation.
     - `t0`, `t1`: the span of time; backward if t1 < t0.
     - `dt`: the length of a step, positive, and more than 8 eps·max(|t0|, |t1|); or `Adaptive`, a
-      tolerance by which each step has its own length; or what `choose_step` gives, which has its
-      own `stepper`.
+      tolerance by which each step has its own length; or the result of `choose_step`, which has
+      its own `stepper`.
     - `stepper`: an explicit diffrax Runge–Kutta solver such as `diffrax.Tsit5()`, `RK4()`,
       `Taylor()`, or for stiff fields `Rodas5P()`; by default `diffrax.Dopri8()`.
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
-      what else it can ask for is refused by name.
-    - `max_events`: length of the event table; None keeps no table and sets no limit.
+      other options raise an error that names them.
+    - `max_events`: length of the event table; None for no table and no limit.
     - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
       of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
-    - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` take the forward
-      derivative by each number that moves, transposed; for hundreds of parameters,
-      `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, for which second derivatives
-      are `jax.jacfwd(jax.grad(…))`. First and second ones with respect to x0, t0, t1 and every
+    - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` transpose the forward
+      derivative by each number that varies; for hundreds of parameters,
+      `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, with second derivatives by
+      `jax.jacfwd(jax.grad(…))`. First and second derivatives with respect to x0, t0, t1 and every
       float leaf of the system are exact through crossings, slides and resets; third ones raise.
     - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it. The
       error says t, x and the surface where it stopped, but not from within `jit`.
-    - `estimate_error`: also run at half the step, and give the distance between the two as
+    - `estimate_error`: also run at half the step, and return the distance between the two as
       `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
       or `ts`.
-    - `compact`: whether the program is compact, its stages a loop and its lanes run one after the
-      other. It compiles in a fifth to a half of the time of one that is written out, and takes
-      1.5 to 2 times as long to run for one lane, 5 to 30 times for many. By default a run of up to
-      8 lanes of a `jax.vmap` around it is compact (a `vmap` around a `jax.jit` that the call is in
-      cannot be detected); diagrams, basins and exponents are where that is estimated to take less
-      time, compiling included: up to some 3 to 20 million steps of all lanes together. Systems of
-      several surfaces with resets and four or more numbers in the state always are: written out
-      they would compile for minutes and run no faster.
-    - `sections`: a `Section`, or several, whose crossings are located on the way, which changes
-      nothing of the motion. The table of them has `max_events` rows too.
+    - `compact`: whether the program is compact, with its stages in a loop and its lanes run one
+      after the other. It compiles in a fifth to a half of the time of one that is written out, and
+      takes 1.5 to 2 times as long to run for one lane, 5 to 30 times for many. By default a run of
+      up to 8 lanes of a `jax.vmap` around it is compact (a `vmap` around a `jax.jit` that contains
+      the call cannot be detected); diagrams, basins and exponents are compact if that is estimated
+      to take less time, compilation included: up to some 3 to 20 million steps of all lanes.
+      Systems of several surfaces with resets and four or more numbers in the state are always
+      compact by default; written out they would compile for minutes and run no faster.
+    - `sections`: a `Section`, or several, whose crossings are located on the way, without an effect
+      on the motion. Their table has `max_events` rows too.
     - `observe`: a function of the time and the state, shape (n,), that returns an array of any
-      shape: an energy, a force. By arguments of these names, each of the shape of H, it asks for
-      `side`, as `System.vector_field` is given it; `reaction`, the forces of the surfaces rested
-      on, in which it must be affine; `mode`, +1 or −1 on a side, 0 on a slide, +2 or −2 at rest.
-      Its values at the saved times, just after their contacts, are `observed`. On a slide they are
-      those of the blend of both sides, as the field is: of a dry friction, −F·side, the force that
-      holds. Needs `saveat` with `t1`, `ts` or `steps`.
+      shape: an energy, a force. It may take arguments of these names, each of the shape of H:
+      `side`, as in `System.vector_field`; `reaction`, the forces of the surfaces rested on, in
+      which it must be affine; `mode`, +1 or −1 on a side, 0 on a slide, +2 or −2 at rest. Its
+      values at the saved times, just after their contacts, are `observed`. On a slide they are
+      blended from both sides, as the field is; for a dry friction, −F·side, this is the force
+      that holds. Needs `saveat` with `t1`, `ts` or `steps`.
 
-    **Returns** a `Solution`, valid up to where it stopped.
+    **Returns** a `Solution`, valid up to the time where it stopped.
 
     **Outcomes**: `successful`; `section_reached`, which is a success, and `out_of_bounds` for a run
-    that a section has ended; `max_steps_reached`, `max_events_reached`, `nonfinite` and
-    `step_too_long` for a run that cannot go on; `nonunique`, `mode_undecided`,
-    `undeclared_sliding` and `zeno` for a solution that does not; `reset_undecided` and, in
-    backward time, `irreversible_reset` for a reset that nothing follows from.
+    ended by a section; `max_steps_reached`, `max_events_reached`, `nonfinite` and `step_too_long`
+    for a run that cannot continue; `nonunique`, `mode_undecided`, `undeclared_sliding` and `zeno`
+    for a solution without a unique continuation; `reset_undecided` and, in backward time,
+    `irreversible_reset` for a reset without one.
 
     **Source**: the switch model: Piiroinen and Kuznetsov, An event-driven method to simulate
     Filippov systems with accurate computing of sliding motions, ACM Transactions on Mathematical
@@ -158,7 +155,7 @@ def solve(
     recorder = options.recorder
     if estimate_error and not recorder.at_known_times:
         raise ValueError(
-            f"`estimate_error` must be False with a `saveat` of {recorder.name}: errors are "
+            f"`estimate_error` must be False with a `saveat` of {recorder.name}, since errors are "
             "estimated at times that do not depend on the step, t1 or ts; got True."
         )
     observable = None
@@ -166,20 +163,20 @@ def solve(
         observable = checked_observable("observe", observe, system, x)
         if isinstance(recorder, SaveDense):
             raise ValueError(
-                "`observe` must be None with a `saveat` of dense, which saves no times: give it to "
+                "`observe` must be None with a `saveat` of dense, which saves no times; pass it to "
                 f"`evaluate(t, observe=…)`; got {check.told(observe)}."
             )
     watched = sections_of("sections", sections, system, x)
     if estimate_error and any(s.terminal is not None for s in watched):
         raise ValueError(
-            "`estimate_error` must be False with a section that ends the run: errors are estimated "
-            "at times that do not depend on the step; got True."
+            "`estimate_error` must be False with a section that ends the run, since errors are "
+            "estimated at times that do not depend on the step; got True."
         )
     if throw:
         check.finite("x0", x)
     run = _solve
-    # JAX (0.10) cannot batch Equinox's loop with checkpoints within a `jit` and then differentiate
-    # it: it takes the rule of one lane for that of the batch.
+    # JAX (0.10) cannot batch equinox's loop with checkpoints within a `jit` and then differentiate
+    # it, since it uses the rule of one lane for the batch.
     if options.reverse and is_batch_first((system, x, start, stop, length)):
         run = _run
     sol = run(system, x, start, stop, length, stepper, options, watched, observable)
@@ -193,13 +190,13 @@ def solve(
 
 
 def _whole(start: Array, stop: Array) -> Array:
-    """The length of the one step of a grid on which a tolerance says how long steps are."""
+    """The length of the single grid step of a run whose steps follow a tolerance."""
     length = jax.lax.stop_gradient(abs(stop - start))
     return select(length > 0, length, 1.0)
 
 
 def _constant(tree: Any) -> Any:
-    """The same without derivatives."""
+    """The same values without derivatives."""
     arrays, rest = eqx.partition(tree, eqx.is_array)
     return eqx.combine(jax.lax.stop_gradient(arrays), rest)
 
@@ -226,8 +223,8 @@ def _run(
         state = integrate_with_checkpoints(problem, x, options.budget, options.checkpoints)
         return _solution(problem, options, x0, state)
 
-    # All of it in the kernel: what is made of the end there needs no values from elsewhere for its
-    # derivatives, so that a Jacobian is one kernel, not two; and each small part left outside takes
+    # The conversion of the end is inside the kernel. Its derivatives then need no values from
+    # outside, so that a Jacobian is one kernel, not two; and each small part outside would take
     # longer to compile than to trace.
     whole = run if options.reverse else kernel_if_it_fits(run, options.compact)
     sol = whole(x0, t0, t1, dt)
@@ -254,7 +251,7 @@ def _problem(
     t1: Array,
     dt: Array,
 ) -> Problem:
-    """A solve as the loop is given it."""
+    """The problem of a solve, as the loop takes it."""
     recording = Recording(options.recorder.since(t0), options.max_events, options.max_events)
     field = build(system, x0, compact=options.compact, transposed=options.reverse)
     watched = sections_of_run(sections, system, field, x0, options.reverse)
@@ -263,8 +260,8 @@ def _problem(
 
 
 def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
-    """The grid of a solve. Bad values that were traced, and so not seen at the door, make it NaN,
-    which is an outcome."""
+    """The grid of a solve. Invalid values that were traced, and therefore not checked earlier, make
+    it NaN, which has an outcome of its own."""
     length = t1 - t0
     valid = dt > resolution(t0, t1)
     if isinstance(options.recorder, SaveTimes):
@@ -275,15 +272,15 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, most).astype(jnp.int32)
     ample, budget = iteration_budget(num_steps), options.budget
     iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
-    # More steps than an int32 holds are a budget used up at once, never a wrapped number.
+    # More steps than an int32 holds exhaust the budget at once, since the count would overflow.
     iterations = select(steps > most, 0, iterations)
     dt = select(length < 0, -dt, dt)
     return TimeGrid(t0, length, dt, num_steps, iterations, share=options.share)
 
 
 def _solution(problem: Problem, options: Options, x0: Array, state: LoopState) -> Solution:
-    """The result of a finished lane, as the user sees it. Without a recorder the only row is the
-    end, inf if the run has not reached t1."""
+    """The public result of a finished lane. Without a recorder the only row is the end, inf if the
+    run has not reached t1."""
     t0 = problem.grid.t0
     t, x, mode = (
         t0 + state.motion.tau,

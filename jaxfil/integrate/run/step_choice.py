@@ -1,7 +1,6 @@
-"""`StepChoice`: a stepper and a number of steps that meet a tolerance, and where they stand in.
+"""`StepChoice`: a stepper and a number of steps that meet a tolerance.
 
-What `choose_step` has measured enters; a card and a picture leave, and for a verb that was given a
-choice in place of a step, both the step and the stepper.
+Verbs accept it in place of a step.
 """
 
 from typing import Any, TypeAlias
@@ -19,32 +18,34 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Scalar
 
-# Steps of a period where a tolerance says how long they are.
+# Expected number of steps of a period under a tolerance.
 _EXPECTED = 40
 
 
 class StepChoice(eqx.Module):
-    """The cheapest stepper and step that meet a tolerance, of those that were measured.
+    """The cheapest measured stepper and step that meet a tolerance.
 
-    It stands for both where a verb takes `dt` or `steps`, `jf.solve(system, x0, t0, t1, choice)` or
-    `jf.bifurcation_diagram(…, steps=choice)`. The table is s steppers by d numbers of steps.
+    It replaces both arguments where a verb takes `dt` or `steps`, as in
+    `jf.solve(system, x0, t0, t1, choice)` or `jf.bifurcation_diagram(…, steps=choice)`. The table
+    is s steppers by d numbers of steps.
     """
 
     stepper: Stepper = eqx.field(static=True)
     """The stepper."""
     steps: int = eqx.field(static=True)
-    """Steps per forcing period; of an autonomous system, in the whole span."""
+    """Steps per forcing period; for an autonomous system, in the whole span."""
     dt: float = eqx.field(static=True)
-    """Their length, for the parameters of the system itself."""
+    """Length of a step, for the parameters of the system itself."""
     error: float = eqx.field(static=True)
     """The largest error of a lane: max |x(t1) − reference|, relative to max |x(t1)| of that
     lane."""
     seconds: float = eqx.field(static=True)
     """The run time of a lane."""
     tolerance: float = eqx.field(static=True)
-    """What the error was to be below."""
+    """The requested bound of the error."""
     result: RESULTS
-    """`successful`, or why no choice meets the tolerance: this one then is the most accurate."""
+    """`successful`, or the reason why no choice meets the tolerance; this one is then the most
+    accurate."""
     forced: bool = eqx.field(static=True)
     """Whether steps are counted by forcing periods."""
     steppers: tuple[str, ...] = eqx.field(static=True)
@@ -58,7 +59,7 @@ class StepChoice(eqx.Module):
     reference: Float[np.ndarray, "lanes n"]
     """x(t1) of every lane, to `reference_error`."""
     reference_error: float = eqx.field(static=True)
-    """By how much the last doubling of the steps changed the reference, as `error`."""
+    """The change of the reference by the last doubling of the steps, as `error`."""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw all errors against run times; returns the matplotlib axes."""
@@ -84,8 +85,8 @@ class StepChoice(eqx.Module):
         return "\n".join(lines)
 
     def _least(self, i: int) -> int | None:
-        """Which of the runs of a stepper has the fewest steps that meet the tolerance, and from
-        which on all do."""
+        """The index of the smallest number of steps from which on all runs of a stepper meet the
+        tolerance."""
         real = self.counts[i] > 0
         bad = np.flatnonzero(real & ~(self.errors[i] <= self.tolerance))
         k = int(bad.max(initial=-1)) + 1
@@ -93,36 +94,36 @@ class StepChoice(eqx.Module):
 
 
 StepLength: TypeAlias = Scalar | Adaptive | StepChoice
-"""`dt`: the length of a step, or what says it."""
+"""`dt`: the length of a step, or an object that determines it."""
 StepCount: TypeAlias = int | Adaptive | StepChoice
-"""`steps`: how many there are in a period, or what says it."""
+"""`steps`: the number of steps in a period, or an object that determines it."""
 
 
 def steps_and_stepper(steps: Any, stepper: Any, system: System) -> tuple[int, Any]:
-    """`steps`, a whole number, and `stepper`, still to be checked, as a verb that counts steps by
-    periods was given them, or those of a `StepChoice`."""
+    """`steps`, a whole number, and `stepper`, still unchecked, from the arguments of a verb that
+    counts steps by periods, or from a `StepChoice`."""
     if isinstance(steps, Adaptive):
         return 1, controlled(steps, stepper)
     if not isinstance(steps, StepChoice):
         return check.count("steps", steps), stepper
     if not steps.forced or system.period is None:
         raise ValueError(
-            "`steps` must be a number: a StepChoice for an autonomous system counts the steps of "
-            f"its span, not those of a period; got one of {steps.steps}."
+            "`steps` must be a number, since a StepChoice for an autonomous system counts the "
+            f"steps of its span, not of a period; got one of {steps.steps}."
         )
     return steps.steps, _its_own(steps, stepper)
 
 
 def dt_and_stepper(dt: Any, stepper: Any) -> tuple[Any, Any]:
-    """`dt` and `stepper` as they were given, still to be checked, or those of a `StepChoice`; of an
-    `Adaptive`, None in place of a step."""
+    """`dt` and `stepper` as given, still unchecked, or from a `StepChoice`; for an `Adaptive`, None
+    in place of a step."""
     if isinstance(dt, Adaptive):
         return None, controlled(dt, stepper)
     return (dt.dt, _its_own(dt, stepper)) if isinstance(dt, StepChoice) else (dt, stepper)
 
 
 def expected_steps(steps: int, stepper: Stepper) -> int:
-    """How many steps a period may take, of which so many are given."""
+    """The number of steps that a period may take, given the argument `steps`."""
     return _EXPECTED * steps if isinstance(stepper, Controlled) else steps
 
 

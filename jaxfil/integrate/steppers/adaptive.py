@@ -1,7 +1,6 @@
-"""`Adaptive`: a tolerance in place of a step.
+"""`Adaptive`: a tolerance in place of a fixed step.
 
-What the user asks for enters; numbers leave, which a tableau carries to the loop
-(`loop.controller`).
+It holds the user's tolerances as constants, which a tableau carries to `loop.controller`.
 """
 
 from typing import Any
@@ -13,30 +12,30 @@ from jaxfil.model.types import Scalar
 
 
 class Adaptive(eqx.Module):
-    """Steps as long as a tolerance allows, wherever `dt` or `steps` is an argument.
+    """Step lengths chosen by a tolerance, for use wherever `dt` or `steps` is an argument.
 
     With the estimated error e of a step from x to x', embedded in the stepper,
 
         q = ‖e_i / (atol + rtol max(|x_i|, |x'_i|))‖,    the root mean square over components,
 
-    the step is taken where q ≤ 1, and is otherwise tried again, shorter. The next one is as long as
-    a PI controller says, h' = h · 0.9 q^(−0.7/p) q_last^(0.4/p) for a stepper of order p, by no
-    less than a factor of 0.2 and no more than one of 10. Contacts, ticks of clocks and saving times
-    are met as ever, and each lane of a batch has its own steps. In derivatives the lengths are
-    constants. The error of a run grows beyond that of its steps: `estimate_error` measures it.
+    a step with q ≤ 1 is accepted, and any other is repeated with a shorter length. The next length
+    is chosen by a PI controller, h' = h · 0.9 q^(−0.7/p) q_last^(0.4/p) for a stepper of order p,
+    with the factor limited to [0.2, 10]. Contacts, ticks of clocks and saving times are located as
+    with fixed steps, and each lane of a batch has its own steps. In derivatives the lengths are
+    constants. The error of a run exceeds the error of its steps; `estimate_error` measures it.
 
-    For motions whose rates differ by orders: a spike, a stiff contact after a slow flight. Where
-    they do not, a fixed step is faster in a batch.
+    Suited to motions whose rates differ by orders of magnitude, such as a spike or a stiff contact
+    after a slow flight. For other motions a fixed step is faster in a batch.
 
     **Arguments**
 
-    - `rtol`, `atol`: the relative and the absolute tolerance, as diffrax has them; numbers, not
-      traced, `rtol` positive and `atol` not negative. An `rtol` below 16 eps of the precision is
-      taken for that.
-    - `dtmax`: the longest step, in units of t; None: no limit. A contact is looked for on the cubic
-      through a step's ends, and where H oscillates faster than the state a step may hide two.
+    - `rtol`, `atol`: the relative and the absolute tolerance, as in diffrax; numbers, not traced,
+      `rtol` positive and `atol` not negative. An `rtol` below 16 eps of the precision is replaced
+      by that value.
+    - `dtmax`: the longest step, in units of t; None for no limit. Contacts are located on the cubic
+      through a step's ends, so a step may hide two of them if H oscillates faster than the state.
 
-    **Raises** `ValueError` if one of them is no such number.
+    **Raises** `ValueError` for other values.
 
     **Source**: E. Hairer, S. P. Nørsett and G. Wanner, Solving Ordinary Differential Equations I,
     Springer (1993), II.4; K. Gustafsson, Control theoretic techniques for stepsize selection in
@@ -55,7 +54,7 @@ class Adaptive(eqx.Module):
     atol: float = eqx.field(static=True)
     """The absolute tolerance."""
     dtmax: float | None = eqx.field(static=True)
-    """The longest step; None: no limit."""
+    """The longest step; None for no limit."""
 
     def __init__(self, rtol: Scalar = 1e-6, atol: Scalar = 1e-9, dtmax: Scalar | None = None):
         self.rtol = _known("rtol", rtol, positive=True)
@@ -74,5 +73,5 @@ def _known(name: str, value: Any, *, positive: bool = False) -> float:
     check.scalar(name, value, float, positive=positive)
     known = check.concrete(value)
     if known is None:
-        raise ValueError(f"`{name}` must be known, for programs are made for it; got one traced.")
+        raise ValueError(f"`{name}` must be a constant of the program, got a traced number.")
     return float(known)

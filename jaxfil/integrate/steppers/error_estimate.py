@@ -1,16 +1,16 @@
-"""What an estimated error says of a step: too long to be trusted, or not.
+"""The decision whether a trial step is too long to be trusted, from its estimated error.
 
-A trial step's ends, its fields there and what the method says of its error enter; whether the step
-is too long leaves. It is if it has missed by a hundredth or more of what it does to a component:
-of its displacement, of |h f| at both ends, as round a turning point, or of the state, whichever is
-most. That depends on no units and on no state that is zero: a step of a motion at rest is not too
-long, since what it misses is rounding. The estimates are of a lower order than the step, whose own
-error is far less; and beyond the stability of a method they are half of the state and more, however
-large that is, so that no motion grows by it unseen.
+A step is too long if the error of a component is a hundredth or more of its change. The change is
+measured by the largest of the displacement, of |h f| at both ends (for turning points), and of the
+state. The criterion depends neither on units nor on states that are zero: a step of a motion at
+rest is not too long, since its error is rounding. The estimates are of a lower order than the step,
+whose own error is far smaller. Beyond the stability limit of a method they are half of the state or
+more, at any size of the state, so that the growth of an unstable motion is always detected.
 
-Of a long chain that is pulled at one end, a mass far away begins to move like a high power of time,
-above the method's order: all of its first steps is missed, and means nothing. Where a state is
-that large, a component is compared with what the others do to it, too (`_reached`).
+In a long chain that is pulled at one end, a distant mass starts to move like a high power of time,
+above the method's order, so that the relative error of its first steps is 1 and irrelevant. For
+states of more than a few components, an error is therefore also compared with the change that
+other components cause in it (`_reached`).
 """
 
 from collections.abc import Callable
@@ -36,22 +36,22 @@ from jaxfil.integrate.system.components import (
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
-# Estimated errors of a step up to this part of what it does are left to the user to judge; after
-# one that was worse, up to the second: an unstable motion grows unseen to what is left to judge.
+# Relative estimated error up to which a step is accepted, and the limit after a recent refusal,
+# which is lower because an unstable motion could otherwise grow by errors just below the first.
 _GROSS, _WATCHED = 1e-2, 1e-5
-# The same of a crude estimate: beyond the stability of RK4 it is more than the state.
+# The same limits for a crude estimate; beyond the stability of RK4 it exceeds the state.
 _CRUDE, _CRUDE_WATCHED = 1.0, 1e-3
-# The least relative tolerance, in eps.
+# The smallest relative tolerance, in eps.
 _LEAST_RTOL = 16
-# Rounding of a step, in eps of the terms that it is made of.
+# Rounding of a step, in eps of the terms that are summed in it.
 _ROUNDING = 64
-# An error below this part of what other components do to one in a step is none of its own.
+# An error below this part of the change that other components cause in one is ignored.
 _FAINT = 1e-4
-# A motion begins with a power of time above the order of a method only through many components:
-# at least so many are needed for one above the least order that estimates its error.
+# A motion starts with a power of time above the order of a method only through many components: at
+# least this number for a power above the lowest order of an estimate.
 _CHAIN = 4
-# So many components deep rounding is followed from one to the next. A step by which it then still
-# grows by more than this factor is beyond the stability of every explicit method.
+# Depth to which rounding is followed from component to component, and its largest growth by one
+# more; a step with a larger growth is beyond the stability of every explicit method.
 _DEEP, _STABLE = 4, 16
 
 
@@ -61,28 +61,28 @@ class SmoothStep(eqx.Module):
     t: Array
     h: Array
     longest: Array
-    """The longest that a step may be."""
+    """The longest step allowed."""
     x0: Components
     f0: Components
     f1: Components
     trial: Trial
     scale: Components
-    """The largest |x| of late."""
+    """The running maximum of |x| (see `guards.larger`)."""
     watched: Array
-    """Whether steps were refused of late."""
+    """Whether steps were refused recently."""
     share: Array | None
-    """The part of the usual error that it may have; None: all of it."""
+    """The factor on the usual error limit; None stands for 1."""
 
 
 def relative_error(tableau: Tableau, step: SmoothStep) -> Array:
-    """The estimated error of a step relative to the tolerance of its tableau, as `Adaptive` has it:
+    """The estimated error of a step relative to the tolerance of its tableau, the q of `Adaptive`;
     NaN where it is not finite."""
     assert tableau.tolerance is not None
     step = stop_gradient(step)
     error = abs(step.h * (step.trial.error + tableau.d[-1] * step.f1))
     rtol = max(tableau.tolerance.rtol, _LEAST_RTOL * float(jnp.finfo(step.h.dtype).eps))
     allowed = tableau.tolerance.atol + rtol * maximum(abs(step.x0), abs(step.trial.x))
-    # Of a number that stays zero nothing is missed, be no absolute error allowed.
+    # A component that stays zero has no error, even with an absolute tolerance of zero.
     missed = where(error > 0, error / where(allowed > 0, allowed, 1), 0.0 * error)
     missed = where((error > 0) & (allowed == 0), jnp.inf, missed)
     norm = jnp.sqrt(dot(missed, missed) / missed.size)
@@ -90,8 +90,8 @@ def relative_error(tableau: Tableau, step: SmoothStep) -> Array:
 
 
 def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:
-    """Whether a step should be looked at by `is_too_long`: cheap, and never False in error, as the
-    states at its ends are part of what the error is compared with."""
+    """Whether a step must be examined by `is_too_long`. This is cheap, and a False is always right,
+    since the states at the ends are part of the measure that the error is compared with."""
     if not tableau.d:
         return jnp.zeros((), bool)
     missed, share = _missed(tableau, step)
@@ -102,7 +102,7 @@ def may_be_too_long(tableau: Tableau, step: SmoothStep) -> Array:
 def is_too_long(
     system: ComponentSystem, tableau: Tableau, step: SmoothStep, sides: Components
 ) -> Array:
-    """Whether a step of a lane on these sides cannot be trusted: see the top of this file."""
+    """Whether a step of a lane on these sides cannot be trusted (see the top of this file)."""
     if not tableau.d:
         return jnp.zeros((), bool)
     step = stop_gradient(step)
@@ -120,16 +120,16 @@ def is_too_long(
 def _is_gross(
     system: ComponentSystem, tableau: Tableau, step: SmoothStep, sides: Components
 ) -> Array:
-    """Whether a step has missed by too much of what it does, and by more than rounding."""
+    """Whether the error of a step exceeds both its limit and rounding."""
     missed, share = _missed(tableau, step)
     h, x0, x1 = step.h, step.x0, step.trial.x
     t, x = step.t + 0.5 * h, 0.5 * (x0 + x1)
     middle, push = jax.linearize(lambda t, x: system.field(t, x, sides), t, x)
     measure = _measure(h, x0, x1, step.f0, step.f1)
     if isinstance(tableau, RosenbrockTableau):
-        # What is damped at once need not be known to a part of itself.
+        # A component that is damped within the step need not be accurate relative to itself.
         measure = maximum(measure, step.scale)
-        # What its stages take of each other, by large numbers that cancel.
+        # The coefficients are large and cancel, which magnifies the rounding of the stages.
         large = max(sum(map(abs, row)) for row in tableau.coupling)
         rounded = large * _damped_terms(h, (t, x, middle), push)
     else:
@@ -137,25 +137,26 @@ def _is_gross(
     faint = measure.like(jnp.zeros_like(t))
     if system.n > _CHAIN:
         faint = _reached(system.n, h, push, measure)
-    # What a state has been of late it is known to.
+    # The state is rounded in proportion to its recent maximum.
     known = maximum(maximum(abs(x0), abs(x1)), step.scale)
-    # And a length, to the rounding of the longest step: at a jump of the field no step is right.
+    # At a jump of the field no step is accurate, so halving would go on without end; the rounding
+    # is therefore counted in steps of the longest length.
     known = known + abs(step.longest / h * (x1 - x0))
     rounding = _ROUNDING * system.eps * (rounded + known)
     return any_of(missed > maximum(maximum(share * measure, rounding), _FAINT * faint))
 
 
 def _reached(n: int, h: Array, push: Callable, size: Components) -> Components:
-    """How far motions of these sizes move each component in a step of length h, through all others:
-    s_i = max(size_i, |h Σ_j ∂f_i/∂x_j s_j|). Zero where that grows without end, as it does where
-    the step is long beside the rates of the field."""
+    """The distance that motions of these sizes move each component in a step of length h, through
+    all others: s_i = max(size_i, |h Σ_j ∂f_i/∂x_j s_j|). Zero where the recursion does not settle,
+    which means that the step is long compared with the rates of the field."""
 
     def passed_on(_: Array | int, now: tuple[Components, Array]) -> tuple[Components, Array]:
         size, _grows = now
         after = maximum(size, abs(h) * _change(push, 0 * h, size))
         return after, any_of(after > size)
 
-    # A way through all components is n − 1 long.
+    # The longest path through all components has n − 1 links, so n passes must reach a fixed point.
     first = size, jnp.zeros((), bool)
     size, grows = jax.lax.fori_loop(0, n, passed_on, first)
     return where(grows, 0.0, size)
@@ -164,11 +165,13 @@ def _reached(n: int, h: Array, push: Callable, size: Components) -> Components:
 def _measure(
     h: Array, x0: Components, x1: Components, f0: Components, f1: Components
 ) -> Components:
-    """What the error of each component is compared with."""
-    # A jump of the field that no surface tells of costs a step a part of what it does, however
-    # short it is: beside a state that is not zero that is left to the user too.
+    """The size of the change to which the error of each component is compared."""
+    # At a jump of the field that is not declared as a surface, the relative error of the
+    # displacement does not decrease with the step. Where the state is not zero, such a step is
+    # compared with the state and accepted, as the error of any undeclared jump is the user's.
     state = maximum(abs(x0), abs(x1))
-    # The field at the end of an unstable step is no measure: it may be a thousand times the state.
+    # The smaller of the two, since after an unstable step the field may be a thousand times larger
+    # than the state.
     moved = maximum(abs(x1 - x0), abs(h) * minimum(abs(f0), abs(f1)))
     return maximum(moved, state)
 
@@ -176,11 +179,10 @@ def _measure(
 def _terms(
     n: int, h: Array, at: tuple[Array, Components, Components], push: Callable
 ) -> Components:
-    """The size of the terms that a step of length h is made of, about a time, the state and the
-    field there.
+    """The size of the terms summed in a step of length h, given a time, the state and the field.
 
-    Rounding of the state and of h f enters the field with its derivative, and so on from component
-    to component. In a step so long that it grows without end, that says nothing, and zero leaves.
+    Rounding of the state and of h f propagates through the derivative of the field from component
+    to component. Zero for a step so long that this grows without bound.
     """
     t, x, f = at
 
@@ -193,8 +195,8 @@ def _terms(
 
 
 def _damped_terms(h: Array, at: tuple[Array, Components, Components], push: Callable) -> Components:
-    """The same of a step that damps what its field damps: h f_i/(1 + |h ∂f_i/∂x_i|) of the terms of
-    f."""
+    """The same for a step that damps what its field damps: h f_i/(1 + |h ∂f_i/∂x_i|) of the terms
+    of f."""
     t, x, f = at
     terms = abs(h) * (abs(f) + _change(push, abs(t), abs(x)))
     return terms / (1 + abs(h * _diagonal(push, x, 0 * h)))
@@ -212,14 +214,14 @@ def _diagonal(push: Callable, x: Components, zero: Array) -> Components:
 
 
 def _change(push: Callable, by_t: Array, size: Components) -> Components:
-    """How much changes of time and state of these sizes change a field: along two directions, so
-    that two terms which cancel in the one do not in the other."""
+    """The size of the change of a field for changes of time and state of these sizes. It is the sum
+    over two directions, so that terms that cancel in one do not cancel in the other."""
     one, other = (push(by_t, _generic(size, sign)) for sign in (1, -1))
     return abs(one) + abs(other)
 
 
 def _generic(size: Components, sign: int) -> Components:
-    """Numbers of these sizes of which no two are alike, each times a sign by its turn."""
+    """Distinct numbers of about these sizes, with alternating signs if `sign` is −1."""
     n = size.parts[0].shape[0] if size.is_array else len(size.parts)
     factors = (1 + (0.618 * np.arange(n)) % 1) * sign ** np.arange(n)
     if size.is_array:
@@ -228,7 +230,7 @@ def _generic(size: Components, sign: int) -> Components:
 
 
 def _missed(tableau: Tableau, step: SmoothStep) -> tuple[Components, Any]:
-    """The estimated errors of a step, and the part of what it does that they may be."""
+    """The estimated errors of a step, and the allowed ratio of them to the change in it."""
     step = stop_gradient(step)
     error = step.h * (step.trial.error + tableau.d[-1] * step.f1)
     shares = (_CRUDE_WATCHED, _CRUDE) if tableau.crude else (_WATCHED, _GROSS)

@@ -1,7 +1,7 @@
-"""One smooth step: any explicit Runge–Kutta tableau, or a linearly implicit one for stiff fields.
+"""One smooth step of any explicit Runge–Kutta tableau, or of another method by its own file.
 
-A field on components, a state and a step length enter; the state at the end of the step leaves, and
-what the method says of its error. Nothing here knows of surfaces.
+A step maps a field on components, a state and a length to the state at its end and an error
+estimate. This file does not depend on surfaces.
 """
 
 import dataclasses
@@ -40,8 +40,8 @@ class RK4(eqx.Module):
     """The classical Runge–Kutta method of order four, for wherever `stepper` is an argument.
 
     k₁ = f(t, x), k₂ = f(t + h/2, x + h k₁/2), k₃ = f(t + h/2, x + h k₂/2), k₄ = f(t + h, x + h k₃);
-    x(t + h) = x + h (k₁ + 2k₂ + 2k₃ + k₄)/6. It estimates no error: only a step that has gone far
-    astray is halved, one that is unstable, or not finite.
+    x(t + h) = x + h (k₁ + 2k₂ + 2k₃ + k₄)/6. Its error estimate is crude: a step is halved only if
+    it is grossly wrong, that is, unstable or not finite.
 
     **Source**: Kutta, Beitrag zur näherungsweisen Integration totaler Differentialgleichungen,
     Zeitschrift für Mathematik und Physik 46 (1901).
@@ -57,14 +57,14 @@ class RK4(eqx.Module):
     c = np.array([0.5, 0.5, 1.0])
     a = (np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0]))
     b = np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6])
-    # With the field at the end in the place of k₄ the method is one of order three.
+    # With the field at the end in place of k₄, the method has order three.
     d = np.array([0, 0, 0, 1 / 6, -1 / 6])
 
 
 class ExplicitTableau(eqx.Module):
-    """c (s−1,), a as s−1 rows, b (s,): the explicit method without its first, trivial row. And d,
-    (s + 1,), of which h Σ d·slopes, that at the end of the step included, estimates the error of a
-    step; empty without an estimate that says anything."""
+    """An explicit method without its first, trivial row: c (s−1,), a as s−1 rows, b (s,) and
+    d (s + 1,). h Σ d·slopes, with the slope at the end of the step last, estimates the error of a
+    step; d is empty for methods without a meaningful estimate."""
 
     c: tuple[float, ...] = eqx.field(static=True)
     a: tuple[tuple[float, ...], ...] = eqx.field(static=True)
@@ -72,40 +72,40 @@ class ExplicitTableau(eqx.Module):
     d: tuple[float, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     crude: bool = eqx.field(static=True, default=False)
-    """Whether the estimate is of so low an order that it is as large as what a step does to a state
-    that starts to move from rest."""
+    """Whether the estimate is of such low order that it is as large as the change in a step from
+    rest."""
     order: int = eqx.field(static=True, default=4)
     tolerance: Adaptive | None = eqx.field(static=True, default=None)
-    """What the lengths of steps are made by; None: they are given."""
+    """The tolerance that chooses the step lengths; None for fixed lengths."""
 
     @property
     def stages(self) -> int:
-        """Evaluations of the field per step, the one at its start included."""
+        """Evaluations of the field per step, including the one at its start."""
         return len(self.b)
 
     @property
     def times(self) -> list[float]:
-        """Where in a step the field is evaluated after its start, its end last."""
+        """Times in a step, as fractions, at which the field is evaluated after its start."""
         return [*sorted({*self.c} - {1.0}), 1.0]
 
 
 Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau | TaylorTableau
-"""What a step needs to know of a stepper."""
+"""The coefficients of a stepper, as a step uses them."""
 Method: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P | Taylor
-"""What the user chooses: a one-step method."""
+"""A one-step method, as the user chooses it."""
 
 
 class Controlled(eqx.Module):
-    """A method whose steps are as long as a tolerance allows."""
+    """A method whose step lengths follow a tolerance."""
 
     method: "Stepper"
-    """What a step is made by."""
+    """The one-step method."""
     tolerance: Adaptive = eqx.field(static=True)
-    """What its length is made by."""
+    """The tolerance that chooses the step lengths."""
 
 
 Stepper: TypeAlias = Method | Controlled
-"""A method, as the loop is given it."""
+"""A method, with or without a tolerance, as the loop receives it."""
 
 
 class Trial(eqx.Module):
@@ -114,16 +114,16 @@ class Trial(eqx.Module):
     x: Components
     """The state."""
     error: Components | None
-    """Its estimated error without the share of the field at the end; None without an estimate."""
+    """The estimated error without the share of the field at the end; None without an estimate."""
     forcing: list[Forcing]
-    """The forcing at the times within the step, its end last."""
+    """The forcing at the times within the step, the end last."""
     searched: Components | None = None
-    """The surfaces of which it is known that their guards have no zero before the end, m flags;
-    None: of none."""
+    """Surfaces whose guards are known to have no zero before the end, m flags; None if unknown for
+    all."""
 
 
-# Order of a method from which on its estimate of an error says something of a single step: one of
-# lower order is as large as what a step does to a state that starts to move from rest.
+# The lowest order of a method whose error estimate is used. An estimate of lower order is as large
+# as the change in a step from rest.
 _TRUSTED = 5
 
 
@@ -135,20 +135,20 @@ _DEFAULT = diffrax.Dopri8()
 
 
 def checked_stepper(stepper: Stepper | None) -> Stepper:
-    """The stepper asked for, `diffrax.Dopri8()` by None, if it is one that `tableau_of` reads."""
+    """The requested stepper, `diffrax.Dopri8()` for None, if `tableau_of` supports it."""
     stepper = _DEFAULT if stepper is None else stepper
     _refuse_others(stepper)
     return stepper
 
 
 def controlled(tolerance: Adaptive, stepper: Any) -> Controlled:
-    """A stepper asked for, checked, with a tolerance."""
+    """The requested stepper, checked, with a tolerance."""
     method = checked_stepper(stepper)
     tableau = tableau_of(method)
     if tableau.crude or not tableau.d:
         raise ValueError(
-            "`stepper` must estimate its error where steps follow a tolerance, as "
-            "diffrax.Dopri8(), Dopri5(), Tsit5() and jaxfil.Rodas5P() do; got "
+            "`stepper` must have an error estimate if steps follow a tolerance, such as "
+            "diffrax.Dopri8(), Dopri5(), Tsit5() and jaxfil.Rodas5P(); got "
             f"{told(stepper)}."
         )
     return Controlled(method, tolerance)
@@ -166,7 +166,7 @@ def checked_steppers(name: str, steppers: Any) -> tuple[Stepper, ...]:
 
 
 def _refuse_others(stepper: Any, name: str = "stepper") -> None:
-    """An error for what is no stepper, or of no kind that `tableau_of` reads."""
+    """Raises an error for an object that is not a stepper supported by `tableau_of`."""
     if isinstance(stepper, type):
         raise ValueError(f"`{name}` must be an instance, got the class {stepper.__name__}.")
     tableau = getattr(stepper, "tableau", None)
@@ -181,7 +181,9 @@ def _refuse_others(stepper: Any, name: str = "stepper") -> None:
         )
     kind = getattr(stepper, "scan_kind", None)
     if kind is not None:
-        raise ValueError(f"`{name}.scan_kind` must be None: stages are written out; got {kind!r}.")
+        raise ValueError(
+            f"`{name}.scan_kind` must be None, since stages are written out; got {kind!r}."
+        )
 
 
 def tableau_of(stepper: Stepper) -> Tableau:
@@ -203,6 +205,7 @@ def tableau_of(stepper: Stepper) -> Tableau:
     given, order = stepper.tableau, stepper.order(None)  # pyright: ignore[reportArgumentType]
     assert isinstance(given, diffrax.ButcherTableau) and order is not None
     c, a, b = _floats(given.c), tuple(map(_floats, given.a_lower)), _floats(given.b_sol)
+    # Estimates of low order are dropped (see `_TRUSTED`).
     d = _floats(given.b_error) if order >= _TRUSTED else ()
     if given.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
         c, a, b = c[:-1], a[:-1], b[:-1]
@@ -217,7 +220,7 @@ def _combined(x: Components, h: Array, coefficients: Sequence[float], slopes: li
 
 
 def weighted(coefficients: Sequence[float], slopes: Sequence[Components]) -> Any:
-    """Σ coefficients·slopes, without the zeros of the tableau."""
+    """Σ coefficients·slopes, skipping the zeros of the tableau."""
     out: Any = 0.0
     for c, slope in zip(coefficients, slopes, strict=True):
         if c != 0:
@@ -240,8 +243,8 @@ def step(
     h: Array,
     forcing: list[Forcing],
 ) -> Trial:
-    """A step of length h from (t, x), where the field is `f`; `forcing` is what
-    `ComponentSystem.forcing` has found for `tableau.times`."""
+    """A step of length h from (t, x), with the field `f` there; `forcing` is the value of
+    `ComponentSystem.forcing` for `tableau.times`."""
     if isinstance(tableau, RosenbrockTableau):
         return Trial(*rosenbrock_step(tableau, field, t, x, f, h), forcing)
     if isinstance(tableau, TaylorTableau):
@@ -251,7 +254,8 @@ def step(
     known = dict(zip(tableau.times, forcing, strict=True))
     for c, row in zip(tableau.c, tableau.a, strict=True):
         inner = _combined(x, h, row, slopes)
-        # `once`: else each stage would be computed again inside every later one that uses it.
+        # Without `once`, XLA recomputes each stage inside every later one that uses it (see
+        # `ComponentSystem`).
         slopes.append(field.once(ft.partial(_stage, field, c), t, h, inner, known[c]))
     end, error = _combined(x, h, tableau.b, slopes), None
     if tableau.d:
@@ -266,12 +270,12 @@ def trial_of(tableau: TaylorTableau, known: Polynomial, s: Array, forcing: list[
 
 
 def _column(v: Any, rows: Array) -> Any:
-    """A number for each of some rows, as wide as they are."""
+    """One number for each row, reshaped to broadcast against the rows."""
     return v.reshape(-1, *(1,) * (rows.ndim - 1))
 
 
 def _sum_of_rows(weights: Any, slopes: Components) -> Components:
-    """Σ weights·rows. Not a product of matrices, which would end the kernel."""
+    """Σ weights·rows. A matrix product is a library call in XLA, which would end the kernel."""
     return on_each(lambda rows: jnp.sum(_column(weights, rows) * rows, axis=0), slopes)
 
 
@@ -284,8 +288,8 @@ def compact_step(
     h: Array,
     forcing: list[Forcing],
 ) -> Trial:
-    """`step` with its stages in a loop: a program as small as one evaluation of the field, for
-    fields that are large and steps that are few."""
+    """`step` with its stages in a loop. The program is about as small as one evaluation of the
+    field, for large fields and few steps."""
     if not isinstance(tableau, ExplicitTableau):
         return step(tableau, field, t, x, f, h, forcing)
     stages = tableau.stages
@@ -306,6 +310,7 @@ def compact_step(
         new = field(t + time * h, x + h * _sum_of_rows(row, slopes), own)
         return on_each(ft.partial(put, k), slopes, new)
 
+    # Slopes that are not yet computed are zero, so that each stage can sum over all rows.
     first = on_each(lambda v: select(_column(number == 0, v[None]), v, 0.0), f)
     slopes = jax.lax.fori_loop(1, stages, stage, first)
     end = x + h * _sum_of_rows(np.asarray(tableau.b, h.dtype), slopes)

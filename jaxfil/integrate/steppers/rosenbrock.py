@@ -1,17 +1,16 @@
 """A linearly implicit step for stiff fields.
 
-A field on components, a state and a step length enter; the state at the end of the step leaves,
-after s small linear systems with one and the same matrix I − γhJ, J = ∂F/∂x by automatic
-differentiation: no inner iteration, so that all lanes of a batch do the same work.
-
+Each step solves s small linear systems with one matrix I − γhJ, where J = ∂F/∂x is computed by
+automatic differentiation. Without an inner iteration, all lanes of a batch do the same work.
 With α, γ_ij and b its coefficients, c_i and γ_i the sums of rows of α and γ_ij, a step reads
 
     (I − γhJ) k_i = F(t + c_i h, x + h Σ_j α_ij k_j) + hJ Σ_{j<i} γ_ij k_j + γ_i h ∂F/∂t
     x(t + h) = x + h Σ_i b_i k_i
 
 (Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.7). The product with J is
-left out by solving for v_i = k_i + Σ_{j<i} (γ_ij/γ) k_j. The usual variables u_i = h Σ_j γ_ij k_j
-save these sums, but their coefficients, up to 165, take two digits from every step.
+eliminated by solving for v_i = k_i + Σ_{j<i} (γ_ij/γ) k_j. The usual variables
+u_i = h Σ_j γ_ij k_j would save these sums, but their coefficients, up to 165, cost two digits in
+every step.
 """
 
 import functools as ft
@@ -33,9 +32,9 @@ from jaxfil.xla.small_linear import Factors, factored
 class Rodas5P(eqx.Module):
     """Rodas5P: eight stages, order five, L-stable and stiffly accurate, for stiff fields.
 
-    Accepted wherever `stepper` is: steps need to resolve the slow motion only. It locates contacts
-    of very stiff damping (rates of 1e8) to 1e-6 in time only, and damps out, without a word, an
-    oscillation that a step does not resolve.
+    Accepted wherever `stepper` is an argument. Steps need to resolve only the slow motion. Contacts
+    under very stiff damping (rates of 1e8) are located to 1e-6 in time only, and an oscillation
+    that a step does not resolve is damped out without a warning.
 
     **Source**: G. Steinebach, Construction of Rosenbrock–Wanner method Rodas5P and numerical
     benchmarks within the Julia Differential Equations package, BIT Numerical Mathematics 63, 27
@@ -53,8 +52,8 @@ class Rodas5P(eqx.Module):
 
 
 class RosenbrockTableau(eqx.Module):
-    """The coefficients in the module's formulas: γ, c (s,), γ_i (s,), b (s,), and as s rows α and
-    γ_ij/γ."""
+    """The coefficients in the module's formulas: γ, c (s,), γ_i (s,) as `drift`, b (s,), and as s
+    rows α and γ_ij/γ (`coupling`)."""
 
     gamma: float = eqx.field(static=True)
     c: tuple[float, ...] = eqx.field(static=True)
@@ -63,13 +62,13 @@ class RosenbrockTableau(eqx.Module):
     coupling: tuple[tuple[float, ...], ...] = eqx.field(static=True)
     b: tuple[float, ...] = eqx.field(static=True)
     d: tuple[float, ...] = eqx.field(static=True)
-    """h Σ d·slopes estimates the error of a step: u of the last stage, without which the method is
-    one of order four. The last entry, of the slope at the end, is zero."""
+    """Coefficients of the error estimate h Σ d·slopes. It is u of the last stage, without which the
+    method has order four. The last entry, for the slope at the end, is zero."""
     name: str = eqx.field(static=True)
     crude: bool = eqx.field(static=True, default=False)
     order: int = eqx.field(static=True, default=5)
     tolerance: Adaptive | None = eqx.field(static=True, default=None)
-    """What the lengths of steps are made by; None: they are given."""
+    """The tolerance that chooses the step lengths; None for fixed lengths."""
 
     @property
     def stages(self) -> int:
@@ -78,13 +77,13 @@ class RosenbrockTableau(eqx.Module):
 
     @property
     def times(self) -> list[float]:
-        """Where in a step the field is evaluated as it is: at its end."""
+        """Times in a step, as fractions, at which the field is evaluated alone: its end."""
         return [1.0]
 
 
 def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> RosenbrockTableau:
-    """The table of a method published for the variables u, where x(t + h) = x + Σ m_i u_i,
-    α = aΓ and Γ⁻¹ = 1/γ − C."""
+    """The table of a method published in the variables u, where x(t + h) = x + Σ m_i u_i, α = aΓ
+    and Γ⁻¹ = 1/γ − C."""
     s = len(m)
 
     def square(rows: list) -> np.ndarray:
@@ -92,7 +91,8 @@ def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> Rosenbr
 
     full = np.linalg.inv(np.eye(s) / gamma - square(coupling))
     alpha, b = square(a) @ full, np.asarray(m) @ full
-    # Sixteen published digits leave 1e-14: a constant field must not be left with it.
+    # The published 16 digits give a sum of b that is wrong by 1e-14; corrected, so that a constant
+    # field is integrated exactly.
     b[-2] += 1 - b.sum()
     return RosenbrockTableau(
         gamma=gamma,
@@ -106,7 +106,7 @@ def _table(name: str, gamma: float, a: list, coupling: list, m: list) -> Rosenbr
     )
 
 
-# Of the published numbers those are left out that are sums of rows.
+# Published coefficients that are row sums of others are omitted, and computed in `_table`.
 # fmt: off
 _LAST = [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256,
          0.030198172008377946]
@@ -141,21 +141,21 @@ RODAS5P = _table(
 # fmt: on
 
 
-# Rows of a matrix that is factored number by number, at most.
+# The largest matrix that is factored number by number.
 _FEW = 12
 
 
 class _Linearised(eqx.Module):
-    """A step's start, with what all its stages share."""
+    """The start of a step, with the quantities that all its stages share."""
 
     t: Array
     x: Components
     f: Components
-    """The field there."""
+    """The field at the start."""
     h: Array
     factors: Factors | tuple[Array, Array]
-    """Of I − γhJ: of a few rows number by number, else L and U by LAPACK. No kernel holds these,
-    but n³ operations take longer than to start some kernels."""
+    """Factors of I − γhJ, number by number for a small matrix, else L and U by LAPACK. LAPACK calls
+    end a kernel, but n³ operations then take longer than starting some kernels."""
     drift: Components
     """h ∂F/∂t."""
 
@@ -171,7 +171,7 @@ class _Linearised(eqx.Module):
 def rosenbrock_step(
     tableau: RosenbrockTableau, field: SmoothField, t: Array, x: Components, f: Components, h: Array
 ) -> tuple[Components, Components]:
-    """The state at t + h, and what times h estimates its error; `f` is the field at (t, x)."""
+    """The state at t + h, and the error estimate divided by h; `f` is the field at (t, x)."""
     start = field.once(ft.partial(_linearised, field, tableau.gamma), t, x, f, h)
     slopes: list[Components] = []
     for row in zip(tableau.c, tableau.drift, tableau.alpha, tableau.coupling, strict=True):
@@ -217,7 +217,7 @@ def _advanced(
 
 
 _Row = tuple[float, float, tuple[float, ...], tuple[float, ...]]
-"""Of one stage: c_i, γ_i, and the rows of α and γ_ij/γ."""
+"""The coefficients of one stage: c_i, γ_i, and the rows of α and γ_ij/γ."""
 
 
 def _stage(

@@ -1,13 +1,13 @@
 """A step by the power series of a solution.
 
-A field whose operations have power series (`xla.series`) enters with a time, a state and a length;
-the polynomial of the solution within the step leaves, with those of the guards of its mode. It is
-scaled to the step: at a fraction s of a step of length h the state is
+The operations of a field have power series (`xla.series`), from which the polynomial of the
+solution within a step is computed, and the polynomials of the guards of its mode. It is scaled to
+the step; at a fraction s of a step of length h the state is
 
     x(t + s h) = Σ_k c_k s^k,   c_0 = x(t),   c_{k+1} = h f_k/(k + 1)
 
-where f_k are the coefficients of the field along it. What the series misses at its end is known
-from its defect there: h (f(t + h, x(t + h)) − Σ_k f_k)/(p + 1), p the order.
+where f_k are the coefficients of the field along the solution. The truncation error at the end is
+estimated by the defect h (f(t + h, x(t + h)) − Σ_k f_k)/(p + 1), with p the order.
 
 **Source**: À. Jorba and M. Zou, A software package for the numerical integration of ODEs by means
 of high-order Taylor methods, Experimental Mathematics 14 (2005).
@@ -26,10 +26,10 @@ from jaxfil.integrate.system.components import Components, Polynomial
 from jaxfil.model.argument import is_whole, told
 from jaxfil.xla.series import Expansion, Series, kept
 
-# Orders that make sense: below, Runge–Kutta is cheaper; above, coefficients are rounding.
+# Useful orders. Below, Runge–Kutta is cheaper; above, coefficients are dominated by rounding.
 _ORDERS = range(4, 41)
-# Orders whose coefficients are computed together. Fewer take longer to compile, and of more XLA
-# computes again what several of them use.
+# Number of orders whose coefficients are computed in one fence. With fewer, compilation takes
+# longer; with more, XLA recomputes values that several of them use.
 _TOGETHER = 5
 
 
@@ -38,16 +38,16 @@ class Taylor(eqx.Module):
 
     x(t + h) = Σ_{k ≤ p} x_k h^k of order p, with the coefficients x_k by recurrences over the
     operations of the field, which must have power series: sums, products, quotients, powers,
-    exponentials, trigonometric and hyperbolic functions and their inverses, selections. What is
-    selected is what the state at the start of the step says; a kink inside the step shows in its
-    error, which is estimated by the defect of the field at the end of the step. Contacts are
-    located on the polynomial, without a second step. Sweeps of piecewise linear systems take about
-    half the time that they take with `diffrax.Dopri8()`, those of fields with several products of
-    states up to 1.6 times as long. Steps in which a motion rests on a surface, or slides on
-    surfaces whose weights depend on each other, are those of `diffrax.Dopri8()`.
+    exponentials, trigonometric and hyperbolic functions and their inverses, selections. A selection
+    is decided by the state at the start of the step; a kink inside the step shows in the error,
+    which is estimated by the defect of the field at the end of the step. Contacts are located on
+    the polynomial, without a second step. Sweeps of piecewise linear systems take about half the
+    time that they take with `diffrax.Dopri8()`, and fields with several products of states up to
+    1.6 times as long. Steps in which a motion rests on a surface, or slides on surfaces whose
+    weights depend on each other, use `diffrax.Dopri8()`.
 
     **Errors**: a `ValueError` for an order out of range, and one that names an operation of the
-    field without a power series, as a `jax.lax.while_loop` is.
+    field without a power series, for example a `jax.lax.while_loop`.
 
     **Source**: À. Jorba and M. Zou, A software package for the numerical integration of ODEs by
     means of high-order Taylor methods, Experimental Mathematics 14 (2005).
@@ -72,7 +72,7 @@ class Taylor(eqx.Module):
 
 
 class TaylorTableau(eqx.Module):
-    """What a step needs to know of a Taylor method."""
+    """The coefficients of a Taylor method, as a step uses them."""
 
     order: int = eqx.field(static=True)
     name: str = eqx.field(static=True)
@@ -81,7 +81,7 @@ class TaylorTableau(eqx.Module):
 
     @property
     def d(self) -> tuple[float, ...]:
-        """As `ExplicitTableau.d`: the share of the field at the end."""
+        """The share of the field at the end in the error estimate (see `ExplicitTableau.d`)."""
         return (1 / (self.order + 1),)
 
     @property
@@ -91,7 +91,7 @@ class TaylorTableau(eqx.Module):
 
     @property
     def times(self) -> list[float]:
-        """Where in a step the field is evaluated as it is: at its end."""
+        """Times in a step, as fractions, at which the field is evaluated alone: its end."""
         return [1.0]
 
 
@@ -103,9 +103,9 @@ def solved(
     at: tuple[Array, Components, Array],
     like: Components,
 ) -> Polynomial:
-    """The polynomial of a step from (t, x) of length h, `at` = (t, x, h), along the field that
-    `functions` makes of series of time and state, with guards that are `like` what it makes too.
-    Each coefficient is computed `once`, as `ComponentSystem.once` has it."""
+    """The polynomial of a step of length h from (t, x), with `at` = (t, x, h). `functions` maps the
+    series of time and state to the series of the field and of the guards, which have the components
+    of `like`. Each coefficient is computed `once` (see `ComponentSystem.once`)."""
     t, x, h = at
     time, fields = expansion.linear(t, h), []
 
@@ -122,14 +122,15 @@ def solved(
     kept(*states)
     found, guards = functions(time, states)
     fields.extend(found)
-    # Guards that are linear in the state are cheaper made again than read again, and not kept.
+    # Guards that are linear in the state are cheaper to recompute than to store and read.
     others = [
         v
         for v in expansion.made
         if v.is_kept and v.degree is None and not v.is_of_time and v not in states
     ]
     _in_stages(expansion, states, others, order, once)
-    if any(v.is_kept for v in guards):  # what they are made of is known to one order less
+    # A stored guard depends on coefficients that are known only up to one order less.
+    if any(v.is_kept for v in guards):
         known = (*_coefficients(guards, order, like), 0.0 * like)
     else:
         known = _coefficients(guards, order + 1, like)
@@ -139,8 +140,8 @@ def solved(
 def _in_stages(
     expansion: Expansion, states: list[Series], others: list[Series], order: int, once: Callable
 ) -> None:
-    """Make the coefficients of the states up to an order, and those of others that they are made
-    of, a few at a time, so that a compiler computes none of them twice."""
+    """Computes the coefficients of the states up to an order, and of the `others` that they depend
+    on, a few orders at a time, so that a compiler computes each only once."""
     if not others:
         for first in range(0, order + 1, _TOGETHER):
             orders = range(first, min(first + _TOGETHER, order + 1))
@@ -153,7 +154,7 @@ def _in_stages(
 
 
 def _coefficients(parts: Sequence[Series], orders: int, like: Components) -> tuple:
-    """Components of the coefficients of some series; those that are zero by structure too."""
+    """The coefficients of some series as components, with zeros for structural zeros."""
     return tuple(
         Components(
             jnp.zeros_like(one) if v[k] is None else jnp.broadcast_to(v[k], one.shape)
@@ -166,14 +167,14 @@ def _coefficients(parts: Sequence[Series], orders: int, like: Components) -> tup
 def end_alone(
     order: int, h: Array, x0: Components, x1: Components, f: Components, m: Components
 ) -> Polynomial:
-    """The polynomial that is right at the end of a step alone, where the state is x1 and its rate
-    f: the step of another method. It has as many guards as m."""
+    """A polynomial that is right only at the end of a step, with the state x1 and the rate f there,
+    for a step of another method. It has as many guards as m."""
     nothing, none, apart = 0.0 * x0, 0.0 * m, h * f - (x1 - x0)
     x = x0, (x1 - x0) - apart, apart, *(nothing,) * (order - 2)
     return Polynomial(h, x, (none,) * (order + 1), jnp.ones((), bool))
 
 
 def error_at(tableau: TaylorTableau, known: Polynomial, s: Array) -> Components:
-    """The share of the polynomial in the estimate of an error, the defect of the field: see
-    `Trial.error`."""
+    """The share of the polynomial in the error estimate, the defect of the field (see
+    `Trial.error`)."""
     return stop_gradient(-tableau.d[0] * known.rate_at(s))

@@ -1,11 +1,12 @@
 """Corners: vectors (fields, or rates dH/dt along them) on combinations of the sides of m surfaces.
 
-How many combinations it takes depends on the surfaces:
+The number of combinations depends on the surfaces:
 
-- Two, all sides + and all sides −, where surfaces are separate (`Structure.separate`).
-- Where the field is affine in the sides, or reactions make one motion of separate ones, all sides +
-  and those with one side − that enters the field: F = F_0 − Σ_j (1 − s_j)/2 (F_0 − F_j).
-- All 2^m of others, the first surface varying slowest.
+- Two, all sides + and all sides −, for separate surfaces (`Structure.separate`).
+- One with all sides +, and one for each side that switches the field with that side −, where the
+  field is affine in the sides, or reactions couple separate surfaces:
+  F = F_0 − Σ_j (1 − s_j)/2 (F_0 − F_j).
+- All 2^m for other surfaces, the first surface varying slowest.
 """
 
 import functools as ft
@@ -23,8 +24,8 @@ from jaxfil.integrate.system.components import Components, on_each, pack, scalar
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
 
-# Combinations of sides at most that are held one by one; more are rows of arrays, so that a program
-# does not grow with their number. One of five or fewer would take longer to compile.
+# The largest number of combinations stored one by one. More are rows of arrays, so that the program
+# does not grow with their number; a program with rows of five or fewer takes longer to compile.
 _WRITTEN_OUT = 5
 
 
@@ -45,16 +46,16 @@ def corner_sides(system: ComponentSystem) -> np.ndarray:
 
 
 def are_coupled(system: ComponentSystem) -> bool:
-    """Whether the mode on one surface may depend on another's: through their sides, or through
-    reactions, which feel each other."""
+    """Whether the mode on one surface may depend on another's, through their sides or through
+    reactions, which act on each other's surfaces."""
     return system.m > 1 and (system.resets or not system.structure.separate)
 
 
 def flipped_sides(system: ComponentSystem) -> tuple[int, ...] | None:
-    """The surfaces whose sides are switched one by one, where the field is affine in them and they
-    are coupled; otherwise None."""
+    """The surfaces whose sides are switched one by one, if the field is affine in them and they are
+    coupled; otherwise None."""
     found = system.structure
-    # A number that depends on one side alone is affine in it.
+    # A number that depends on only one side is affine in it.
     if not are_coupled(system) or not (found.affine or found.separate):
         return None
     return tuple(sorted(set().union(*found.switched)))
@@ -63,15 +64,15 @@ def flipped_sides(system: ComponentSystem) -> tuple[int, ...] | None:
 def on_corners(
     function: Callable[[Components], Any], system: ComponentSystem, sides: np.ndarray
 ) -> Any:
-    """A vector, or several, on combinations of sides: `Corners` for each."""
+    """A vector, or several, on combinations of sides, as `Corners`."""
     made, is_table = _of_each(function, system, sides), _is_table(sides)
     flipped = flipped_sides(system)
     return jax.tree.map(lambda *each: Corners(each, is_table, flipped), *made, is_leaf=_is_vector)
 
 
 def for_each_corner(function: Callable[[Components], Any], system: ComponentSystem) -> list[Any]:
-    """What a function makes of the combinations of sides that determine a field on all of them: of
-    each, or where these are held as a table, one whose numbers have them as a leading axis."""
+    """The values of a function on the combinations of sides that determine a field on all of them,
+    as a list, or as one value with the combinations as a leading axis where they are a table."""
     return _of_each(function, system, corner_sides(system))
 
 
@@ -86,8 +87,8 @@ def _of_each(
         rows = sides.astype(system.dtype)
         columns = Components([rows]) if system.packed else Components(scalars(rows.T))
         return [jax.vmap(function)(columns)]
-    # Of numbers, not of an array: one that is known would be an argument of the kernel, and its
-    # ones would not be multiplied out.
+    # Built from scalars and not from an array, since a constant array would become an argument of
+    # the kernel, and XLA could not simplify the products with its ones.
     rows = [jnp.stack([jnp.asarray(float(v), system.dtype) for v in row]) for row in sides]
     return [function(system.of_surfaces(row)) for row in rows]
 
@@ -97,23 +98,23 @@ def _is_vector(v: Any) -> bool:
 
 
 def mix(s: Any, w: Any, above: Any, below: Any) -> Components:
-    """The vector on side s of one surface, or where s = 0 the blend of both with weight w. A side
-    is taken as it is, untouched by a NaN of the other."""
+    """The vector on side s of one surface, or where s = 0 the blend of both with weight w. The
+    value on a side is selected, so a NaN on the other side does not reach it."""
     share = 0.5 * (1 + w)
     return where(s > 0, above, where(s < 0, below, below + share * (above - below)))
 
 
 @jax.tree_util.register_pytree_node_class
 class Corners:
-    """One vector for each of k combinations of sides: k of them, or as a `table` one whose numbers
-    have the combinations as a leading axis."""
+    """One vector for each of k combinations of sides, as k vectors, or as a `table`, one vector
+    with the combinations as a leading axis."""
 
     __slots__ = ("flipped", "is_table", "rows")
 
     rows: tuple[Components, ...]
     is_table: bool
     flipped: tuple[int, ...] | None
-    """The surfaces that have a row with their side −, where the vectors are affine in the sides."""
+    """The surfaces with a row for their side −, if the vectors are affine in the sides."""
 
     def __init__(
         self,
@@ -125,7 +126,7 @@ class Corners:
 
     @classmethod
     def table(cls, vectors: Components) -> "Corners":
-        """Those whose numbers have the combinations as a leading axis."""
+        """Corners from numbers that have the combinations as a leading axis."""
         return cls([vectors], is_table=True)
 
     def tree_flatten(self) -> tuple[tuple, Any]:
@@ -144,16 +145,16 @@ class Corners:
 
     @property
     def are_of_one(self) -> bool:
-        """Whether surfaces are separate: each has its own two sides alone."""
+        """Whether surfaces are separate, so that each has only its own two sides."""
         return self.flipped is None and len(self) == 2
 
     def map(self, function: Callable[..., Components], *others: "Corners") -> "Corners":
-        """`function`, which acts number by number, of the vectors on each combination."""
+        """`function`, which acts elementwise, applied to the vectors on each combination."""
         rows = map(function, self.rows, *(c.rows for c in others))
         return Corners(rows, self.is_table, self.flipped)
 
     def each(self, function: Callable[..., Components], *others: "Corners") -> "Corners":
-        """`function`, of whole vectors, on each combination."""
+        """`function`, which acts on whole vectors, applied on each combination."""
         if self.is_table:
             function = jax.vmap(function)
         return self.map(function, *others)
@@ -171,14 +172,14 @@ class Corners:
         return Corners.table(function(above, below))
 
     def sizes(self) -> Components:
-        """Σ |v| over the combinations, number by number."""
+        """Σ |v| over the combinations, elementwise."""
         if self.is_table:
             return on_each(lambda v: jnp.sum(abs(v), axis=0), self.rows[0])
         return ft.reduce(operator.add, map(abs, self.rows))
 
     def blend(self, mode: Components, weights: Components) -> Components:
-        """Σ_s v_s Π_j (1 + s_j w_j)/2 over all combinations s of sides; of separate surfaces, of
-        whose vectors each number is of one surface, number by number."""
+        """Σ_s v_s Π_j (1 + s_j w_j)/2 over all combinations s of sides; for separate surfaces an
+        elementwise blend, in which each number of the vectors belongs to one surface."""
         if self.are_of_one:
             return mix(mode, weights, self[0], self[1])
         if self.flipped is not None:
@@ -198,7 +199,7 @@ class Corners:
             table = jnp.stack(of_rows)
 
             def blended(v: Array) -> Array:
-                # What has no share may be no number.
+                # A row without a share may be NaN.
                 p = table.reshape(-1, *(1,) * (v.ndim - 1))
                 return v[0] - jnp.sum(select(p == 0, 0.0, p * (v[0] - v[1:])), axis=0)
 
@@ -209,8 +210,8 @@ class Corners:
         return total
 
     def slopes(self) -> Array:
-        """∂ blend/∂w_j in column j, of vectors of numbers one for each of m surfaces that are
-        affine in the sides, shape (m, m)."""
+        """∂ blend/∂w_j in column j, shape (m, m), for vectors of one number for each of m surfaces
+        that are affine in the sides."""
         assert self.flipped is not None
         first = pack(self[0], float)
         m = first.shape[0]
@@ -220,13 +221,13 @@ class Corners:
             below = self.rows[0].parts[0][1:]
         else:
             below = jnp.stack([pack(self[1 + k], float) for k in range(len(self.flipped))])
-        # A column for each side that enters, put where its surface is.
+        # A column for each side that switches the field, put at the index of its surface.
         place = np.zeros((len(self.flipped), m))
         place[np.arange(len(self.flipped)), list(self.flipped)] = 1.0
         return 0.5 * (first - below).T @ jnp.asarray(place, first.dtype)
 
     def slope(self, mode: Components, weights: Components, j: int) -> Components:
-        """∂ blend/∂w_j, of surfaces that are not separate."""
+        """∂ blend/∂w_j, for surfaces that are not separate."""
         if self.flipped is not None:
             if j not in self.flipped:
                 return 0.0 * self[0]

@@ -1,18 +1,19 @@
-"""The decision: in which mode a motion goes on from a point on several surfaces.
+"""The decision: the mode in which a motion continues from a point on several surfaces.
 
-The fields on all sides enter, with the surfaces that the state is on; a mode leaves, and in how
-many modes the motion could go on. On each surface the unknown is a weight w in [−1, 1] where it can
-be slid on, a reaction λ ≥ 0 where it can be rested on. With the rates ψ = dH/dt along the field of
-all weights and reactions, and the accelerations a = dψ/dt,
+Given the fields on all sides and the surfaces that the state is on, it is the mode, and the number
+of modes in which the motion could continue. The unknown of a surface is a weight w in [−1, 1] if
+the motion can slide on it, and a reaction λ ≥ 0 if it can rest on it. With the rates ψ = dH/dt
+along the field of all weights and reactions, and the accelerations a = dψ/dt,
 
     ψ_i = 0 inside of −1 < w_i < 1,    ψ_i ≥ 0 at w_i = 1,    ψ_i ≤ 0 at w_i = −1,
     a_j = 0 where λ_j > 0,             a_j ≥ 0 at λ_j = 0.
 
-That is one variational inequality on a box. Where few surfaces are active each combination is
-tried: (w = 1, w = −1, slide) or (off, rest). Where many are, and the field is affine in its sides,
-pivoting solves it (`xla.complementarity`). Several solutions that are one motion, as of blocks that
-rub on the ground and on each other, count as one. Where rounding leaves none, the mass at the very
-limit of its friction, one that holds to within rounding is taken: the motions agree to that order.
+This is one variational inequality on a box. For a few active surfaces each combination of (w = 1,
+w = −1, slide) or (off, rest) is tried. For many, with a field that is affine in its sides, it is
+solved by pivoting (`xla.complementarity`). Several solutions with one velocity, as for blocks that
+rub on the ground and on each other, count as one motion. If rounding excludes every solution, as
+for a mass at the limit of its friction, a solution to within rounding is taken; the motions agree
+to that order.
 """
 
 from typing import Any
@@ -38,38 +39,39 @@ from jaxfil.integrate.system.components import (
 from jaxfil.xla.complementarity import is_monotone, solve_on_box
 from jaxfil.xla.select import select
 
-# Active surfaces whose combinations are tried, at most, where pivoting can do it instead.
+# The largest number of active surfaces whose combinations are tried if pivoting is possible too.
 _FEW = 3
-# Rounding of rates, accelerations and fields, in eps of the sizes of all that they are made of.
+# Rounding of rates, accelerations and fields, in eps of the sizes of their terms.
 _NOISE = 64
-# Times over which velocities are one, in rounding: weights of coupled surfaces magnify it.
+# Tolerance for equal velocities, in eps; weights of coupled surfaces magnify rounding.
 _ONE_MOTION = 1024
 
 
 class Question(eqx.Module):
-    """What is to be decided. Components are m."""
+    """The data of a decision. Components are m."""
 
     rates: Corners
     """ψ, on each combination of sides."""
     fields: Corners | None
-    """The fields of these, n components; None: all modes are taken for different motions."""
+    """The fields on these combinations, n components; None to count all modes as different
+    motions."""
     mode: Components
-    """The mode where nothing is to be decided, rests included; of a surface that is, its side."""
+    """The mode, including rests, of surfaces that are not decided; the side of those that are."""
     on: Components
     """Surfaces to be decided."""
     walls: Components | None
-    """Those of them that can be rested on and not slid on; None where none can."""
+    """Surfaces to be decided that the motion can rest but not slide on; None without any."""
     kept: Components | None
-    """Those of them on which the motion goes on as it was if it can, within rounding; None where
-    there are none."""
+    """Surfaces to be decided on which the motion continues unchanged if it can, within rounding;
+    None without any."""
     now: Components | None
-    """The mode of these."""
+    """The current mode of the surfaces in `kept`."""
     forces: Forces | None
     """Reactions; None without walls."""
     direction: Array
     """+1 forward in time, −1 backward."""
     threshold: Array | float
-    """A surface is left at a rate of more than this, relative to all rates there."""
+    """The rate above which the motion leaves a surface, relative to all rates there."""
 
 
 def question_of(
@@ -80,12 +82,12 @@ def question_of(
     direction: Array,
     threshold: Array | float = 0.0,
 ) -> Question:
-    """That of surfaces without resets, of which all is open."""
+    """The question for surfaces without resets, of which all are open."""
     return Question(rates, fields, mode, on, None, None, None, None, direction, threshold)
 
 
 class _Found(eqx.Module):
-    """What has been found when so many combinations have been tried."""
+    """The result after a number of combinations have been tried."""
 
     mode: Components
     count: Array
@@ -94,14 +96,14 @@ class _Found(eqx.Module):
 
 
 class _Velocity(eqx.Module):
-    """A velocity, n components, and the size of what it is made of."""
+    """A velocity, n components, and the size of its terms."""
 
     f: Components
     size: Components
 
 
 def decide(question: Question) -> tuple[Components, Array]:
-    """The mode that goes on, and how many could: one where the motion is unique."""
+    """The mode that continues the motion, and the number of modes that could; 1 means unique."""
     of_sides = question.forces is not None and question.forces.of_corners is not None
     if question.rates.flipped is None or question.mode.size <= _FEW or of_sides:
         return _by_trial(question)
@@ -111,19 +113,21 @@ def decide(question: Question) -> tuple[Components, Array]:
     def tried(question: Question) -> tuple[Components, Array]:
         return _by_trial(question, few)
 
-    # Both are programs of a size that does not grow; in a batch both run.
+    # The sizes of both programs are bounded; in a batch both are executed.
     return jax.lax.cond(few, tried, _by_pivoting, question)
 
 
 def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Components, Array]:
-    """The first combination in which the motion can go on, and how many there are. In a first round
-    surfaces that nothing has happened to go on as they were; a second one asks all of them, and a
-    third one what holds to within rounding."""
+    """The first combination in which the motion can continue, and the number of them. The first
+    round keeps the mode of surfaces without an event, the second tries all combinations, and the
+    third accepts those that hold to within rounding."""
     on, mode = question.on, question.mode
     dtype = question.direction.dtype
     place, powers = _powers(on, dtype)
     size = place.astype(jnp.int32)
 
+    # `number` counts through the combinations, as digits to base 3, one for each surface to decide,
+    # and through the three rounds.
     def goes_on(found: _Found) -> Array:
         rounds = found.number // size
         inside = found.number % size != 0
@@ -131,9 +135,10 @@ def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Componen
 
     def next_one(found: _Found) -> _Found:
         number, rounds = (found.number % size).astype(dtype), found.number // size
+        # A quotient of whole numbers as floats; 1e-3 keeps rounding from lowering its floor.
         digit = on_each(lambda power: jnp.floor(number / power + 1e-3) % 3, powers)
         side = where(digit == 0, 1.0, where(digit == 1, -1.0, 0.0)).astype(dtype)
-        # Of what holds to within rounding a slide is tried first.
+        # In the third round, within rounding, a slide is tried first.
         slide = rounds == 2 if question.walls is None else ~question.walls & (rounds == 2)
         last = where(digit == 0, 0.0, where(digit == 1, 1.0, -1.0)).astype(dtype)
         side = where(slide, last, side)
@@ -146,11 +151,11 @@ def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Componen
 
 
 def _powers(on: Components, dtype: Any) -> tuple[Array, Components]:
-    """3 to the number of flags that are set, and to the number of those before each."""
+    """3 to the number of set flags, and to the number of set flags before each."""
     if on.is_array:
         flags = on.parts[0].astype(dtype)
         before = jnp.cumsum(flags) - flags
-        # Beyond what is tried, the number is of no account.
+        # Larger exponents occur only where trying is not used, and would overflow.
         powers = jnp.minimum(3.0 ** jnp.minimum(before, 18.0), 3.0**18)
         return jnp.minimum(3.0 ** jnp.sum(flags), 3.0**18), Components([powers])
     power, powers = jnp.ones((), dtype), []
@@ -161,7 +166,7 @@ def _powers(on: Components, dtype: Any) -> tuple[Array, Components]:
 
 
 def _try(question: Question, found: _Found, candidate: Components, rounds: Array) -> _Found:
-    """What has been found with one more combination tried."""
+    """The result after trying one more combination."""
     ok, mode, made = _continues(question, candidate, rounds)
     first, new, velocity = ok & (found.count == 0), ok, None
     if made is not None and found.velocity is not None:
@@ -170,7 +175,7 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
         apart = any_of(abs(made.f - found.velocity) > _ONE_MOTION * eps * size)
         new = ok & ((found.count == 0) | apart)
         velocity = where(first, made.f, found.velocity)
-    # What holds to within rounding only is the same motion to that order.
+    # A combination that holds only to within rounding is the same motion to that order.
     new = new & ((rounds < 2) | first)
     return _Found(
         where(first, mode, found.mode),
@@ -183,7 +188,7 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
 def _continues(
     question: Question, candidate: Components, rounds: Array
 ) -> tuple[Array, Components, _Velocity | None]:
-    """Whether the motion can go on in a combination, the mode that it is, and its velocity."""
+    """Whether the motion can continue in a combination, the resulting mode, and the velocity."""
     on, walls, forces = question.on, question.walls, question.forces
     rates, ok = question.rates, jnp.ones((), bool)
     direction, eps = question.direction, jnp.finfo(question.direction.dtype).eps
@@ -193,7 +198,7 @@ def _continues(
     if walls is None or forces is None:
         sides, rests, accelerations, force = candidate, None, None, None
     else:
-        # A wall has two ways: −1 is none of them.
+        # A wall has only two options, off (+1) and rest (0).
         ok = ok & ~any_of(on & walls & (candidate == -1))
         rests = where(on, walls & (candidate == 0), rests_of(candidate))
         sides = where(walls & on, question.mode, candidate)
@@ -202,19 +207,20 @@ def _continues(
         rates, accelerations, force = held
     slid = on if walls is None else on & ~walls
     w = weights(where(ok, sides, 1.0), rates)
-    # Rounding may take it out of bounds.
+    # Rounding may put the weight outside [−1, 1].
     w = where(slid & (sides == 0), minimum(maximum(w, -1.0), 1.0), w)
-    # Also where a reaction holds what a friction would hold: its rate is then nothing but rounding.
+    # Scaled by the rates before reactions too. If a reaction already balances a friction, the rate
+    # that remains is only rounding.
     rate, scale = rates.blend(sides, w), question.rates.sizes() + rates.sizes()
-    # Where no side moves the state off a surface, nothing but a slide on all of them stays there.
+    # If no side moves the state off a surface, only a slide on all of them keeps it there.
     stays = ~any_of(slid & (sides != 0))
     solved = (abs(rate) <= _NOISE * eps * scale) & ((scale > 0) | stays)
     outward = sides * direction * rate
     rounded = (abs(rate) <= _NOISE * eps * scale) & (scale > 0)
     leaves = (outward > question.threshold * scale) | (rounded & lenient)
-    # At the end of a weight both a slide and its side hold, and the next derivative decides: a
-    # slide ends at once if that takes its weight out of bounds, a side would be found out late.
-    # Where a reaction holds the state no side moves it.
+    # At w = ±1 both the slide and its side hold, and the next derivative decides. The slide is
+    # preferred: it ends at once if its weight leaves [−1, 1], whereas a wrong side would be
+    # detected late. Where a reaction holds the state, no side moves it.
     edge = rounded if rests is None else rounded & ~any_of(rests)
     leaves = where(edge, rounds == 2, leaves)
     ok = ok & ~any_of(slid & ~where(sides == 0, solved, leaves))
@@ -227,11 +233,11 @@ def _continues(
         fine = fine | (pushes & lenient)
         asked = on & walls
         if forces is not None and forces.of_corners is not None:
-            # A friction on its other side may ask a reaction to pull.
+            # A friction on its other side may require a pulling reaction, which is inadmissible.
             asked = asked | rests
         ok = ok & ~any_of(asked & ~fine)
     if question.kept is not None and question.now is not None:
-        # Beside a slide that goes on another motion may begin.
+        # Next to a slide that continues, another motion may start.
         stays_so = question.kept & (question.now != 0)
         ok = ok & ((rounds > 0) | ~any_of(stays_so & (mode != question.now)))
     if question.fields is None:
@@ -242,7 +248,7 @@ def _continues(
 def _velocity(
     fields: Corners, forces: Forces | None, force: Corners | None, sides: Components, w: Components
 ) -> _Velocity:
-    """The velocity of a combination with these weights and reactions."""
+    """The velocity of a combination with the given weights and reactions."""
     if forces is None or force is None:
         return _Velocity(fields.blend(sides, w), fields.sizes())
     if forces.of_corners is not None:
@@ -256,8 +262,8 @@ def _velocity(
 def _rests(
     question: Question, rests: Components, a: Components, force: Components
 ) -> tuple[Components, Components]:
-    """Whether reactions push away from the surfaces rested on, and accelerations lead away from
-    others; and the same to within rounding."""
+    """Whether reactions push away from resting surfaces and accelerations lead away from others,
+    exactly, and to within rounding."""
     assert question.forces is not None
     sides, eps = question.mode, jnp.finfo(question.direction.dtype).eps
     known = question.forces.accelerations
@@ -269,16 +275,16 @@ def _rests(
 
 
 def _by_pivoting(question: Question) -> tuple[Components, Array]:
-    """The same for many surfaces, with a field that is affine in its sides. Unique where the
-    symmetric part of the matrix is positive definite; where it is not, one solution is all that is
-    known."""
+    """`_by_trial` for many surfaces, with a field that is affine in its sides. The solution is
+    unique if the symmetric part of the matrix is positive definite; otherwise one solution is
+    computed, and others are not searched for."""
     q, matrix, low, high = _inequality(question)
     z, found = solve_on_box(q, matrix, low, high)
     on, mode = pack(question.on, bool), pack(question.mode, q.dtype)
     walls = jnp.zeros_like(on) if question.walls is None else pack(question.walls, bool) & on
     weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
     chosen = select(on, select(walls, select(z > 0, 2 * mode, mode), weight), mode)
-    # Backward in time a slide may have begun at any time before.
+    # Backward in time a repelling slide may have started at any earlier time.
     slides = (question.direction < 0) & jnp.any(on & (chosen == 0))
     repels = jax.lax.cond(slides, lambda: ~is_monotone(matrix, on), lambda: jnp.zeros((), bool))
     count = select(found, select(repels, 2, 1), 0).astype(jnp.int32)
@@ -288,8 +294,8 @@ def _by_pivoting(question: Question) -> tuple[Components, Array]:
 
 
 def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
-    """q, M and the bounds: with z the weights, and the sizes of reactions, F = −ψ where z is a
-    weight and a where it is a reaction. What is not decided has equal bounds."""
+    """q, M and the bounds of the inequality. z has weights and the sizes of reactions; F = −ψ for a
+    weight and a for a reaction. Surfaces that are not decided have equal bounds."""
     known, direction = question.forces, question.direction
     active, mode = pack(question.on, bool), pack(question.mode, direction.dtype)
     side, resting = jnp.sign(mode), ~active & (abs(mode) == 2)
@@ -305,7 +311,7 @@ def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
         forces = [jnp.asarray(v.entries()) for v in (known.response.gains, known.pushes)]
         by_force = select(wall[:, None], of_wall * forces[0], -direction * forces[1])
         matrix = select(wall[None, :], by_force * side[None, :], by_weight)
-    # All sides + are w = 1; the side of a wall does not change.
+    # The base rates belong to w = 1 (all sides +); the side of a wall is fixed.
     q = base + by_weight @ (select(wall, side, 0.0) - 1.0)
     low = select(wall, 0.0, select(active, -1.0, side))
     high = select(wall, jnp.inf, select(active, 1.0, side))

@@ -1,22 +1,22 @@
-"""The derivative of a state that starts on surfaces, or that a map puts on them, and stays there.
+"""The derivative of a state that starts on surfaces, or is put there by a map, and stays on them.
 
-A state on a surface H = 0 by its numbers need not stay on it when a parameter or the state itself
-changes. Pushed off by δ where it slides, it is back after a time δ/|ψ| along the field f of that
-side, with ψ the rate of H, and then slides along f_s. To first order it has moved by (f − f_s)
-δ/|ψ|. The difference f − f_s is a multiple of ∂f/∂w, the change of the field with the weight w of
-the slide, so both sides give the same derivative,
+A state with H = 0 need not stay on the surface when a parameter or the state itself changes. Pushed
+off a sliding surface by δ, it is back after a time δ/|ψ| along the field f of that side, with ψ the
+rate of H, and then slides along f_s. To first order it has moved by (f − f_s) δ/|ψ|. The difference
+f − f_s is a multiple of ∂f/∂w, the change of the field with the weight w of the slide, so both
+sides give the same derivative,
 
     S = I − ∂f/∂w (∂ψ/∂w)⁻¹ ∇H,
 
-the saltation matrix of a slide that begins (R. Leine and H. Nijmeijer, Dynamics and Bifurcations of
-Non-Smooth Mechanical Systems, 2004). For several surfaces ∂ψ/∂w is a matrix.
+the saltation matrix of the start of a slide (R. Leine and H. Nijmeijer, Dynamics and Bifurcations
+of Non-Smooth Mechanical Systems, 2004). For several surfaces ∂ψ/∂w is a matrix.
 
-Where it rests, H = 0 and ψ = 0, impulses along the direction d of the reaction bring it back, in a
-time of the order of √δ. Their sum and their first moment are free, which moves the state by
-multiples of d and of (∂F/∂x) d, such that H and ψ vanish again.
+At rest, with H = 0 and ψ = 0, impulses along the direction d of the reaction bring the state back
+in a time of order √δ. Their sum and their first moment are free, which moves the state by multiples
+of d and of (∂F/∂x) d, such that H and ψ vanish again.
 
-A contact that is located has these derivatives by the derivative of its time. Derivatives of second
-order are exact unless both of them move the state off a surface: on either side others hold.
+A located contact has these derivatives through the derivative of its time. Second derivatives are
+exact unless both directions move the state off a surface; the two sides then differ.
 """
 
 from typing import Any
@@ -35,9 +35,9 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 def held_from_here(
     system: ComponentSystem, t: Array, x: Components, mode: Components, surfaces: Components
 ) -> Components:
-    """x, n components, with the derivative of a state from which a slide or a rest on some
-    `surfaces`, m flags, begins. The numbers stay, to the last bit, and a program without
-    derivatives has no trace of this."""
+    """x, n components, with the derivative of a state at which a slide or a rest on some
+    `surfaces`, m flags, starts. The value of x is unchanged, bit for bit, and a program without
+    derivatives contains no operations of this function."""
     return _held((system, t, x), mode, surfaces)
 
 
@@ -50,7 +50,7 @@ def _held(at: Any, mode: Components, surfaces: Components) -> Components:
 def _held_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
     (at, mode, surfaces), (by_at, _, _) = primals, tangents
     system, _, x = at
-    # Equinox has left out tangents that are zero.
+    # Equinox omits tangents that are zero.
     rate = eqx.combine(by_at[2], jax.tree.map(jnp.zeros_like, x))
 
     def change(function: Any, rate: Components) -> Components:
@@ -84,6 +84,7 @@ def _to_rest(
         return impulse.directions.added(x, unilateral.multipliers(impulse.gains, changed, rests))
 
     moments = bring(change(ComponentSystem.switching, rate), 0.0 * x)
+    # The first moment of the impulses moves the state by d and, through the field, by (∂F/∂x) d.
     _, moved = jax.jvp(lambda x: system.field(t, x, sides), (x,), (moments,))
     rate = rate + moved
     return bring(change(psi, rate), rate)
@@ -92,7 +93,7 @@ def _to_rest(
 def _by_weights(
     at: tuple[ComponentSystem, Array, Components], mode: Components, off: Components
 ) -> Components:
-    """∂f/∂w (∂ψ/∂w)⁻¹ of what the state is off its slides."""
+    """∂f/∂w (∂ψ/∂w)⁻¹ times the distances `off` of the state from its sliding surfaces."""
     system, t, x = at
     system = system.in_mode(mode)
     fields, rates = filippov.corners(system, t, x)

@@ -1,18 +1,18 @@
-"""What happens on a surface: convex combinations, the sliding weight, and the choice of a mode.
+"""Filippov's rules on surfaces: convex combinations, sliding weights, and the choice of a mode.
 
-Fields on all sides of the surfaces at one point enter, with the mode of motion: per surface +1 or
-−1 (on that side) or 0 (sliding). The field of the mode, its weights, and after a contact the modes
-that continue the solution leave.
+The mode of a surface is +1 or −1 on that side, or 0 while sliding. From the fields on all sides at
+one point and the mode follow the field of the mode, its weights, and after a contact the modes that
+continue the solution.
 
 On several surfaces at once the field is the product-weight (Alexander–Seidman) blend of the 2^m
 corner fields: with weights w in [−1, 1]^m, F(w) = Σ_s F_s Π_j (1 + s_j w_j)/2, where w_j = ±1 off
-the surface and, for the surfaces slid on, w solves dH_j/dt(w) = 0. For one surface this is
-Filippov's convex combination with λ = (1 + w)/2.
+the surface and, for sliding surfaces, w solves dH_j/dt(w) = 0. For one surface this is Filippov's
+convex combination with λ = (1 + w)/2.
 
-Where surfaces are separate (`Structure.separate`: each is switched by its own side alone, as
-those of two oscillators that do not touch each other's switches), so are their weights and modes:
-each is that of one surface, and two corners, all sides + and all −, say everything. Where the field
-is affine in its sides (`Structure.affine`) m + 1 do: see `corners`.
+For separate surfaces (`Structure.separate`), each switched by its own side alone, as in two
+oscillators that do not affect each other's switches, the weights and modes are separate too. Each
+is computed as for one surface, from two corners, all sides + and all −. Where the field is affine
+in its sides (`Structure.affine`), m + 1 corners are enough (see `corners`).
 """
 
 import functools as ft
@@ -47,7 +47,7 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.moves import taken
 from jaxfil.xla.select import select, select_all
 
-# The method of steps that have no power series.
+# The method for steps in modes without a power series.
 _OTHER = tableau_of(diffrax.Dopri8())
 assert isinstance(_OTHER, ExplicitTableau)
 
@@ -55,7 +55,7 @@ assert isinstance(_OTHER, ExplicitTableau)
 def blend_fields(
     system: ComponentSystem, fields: Corners, mode: Components, weights: Components
 ) -> Components:
-    """`Corners.blend` of fields; components that no side enters are taken as they are."""
+    """`Corners.blend` of fields; numbers that no side switches are copied."""
     if fields.are_of_one:
         mode, weights = (_of_owners(system, v, fields[0].is_array) for v in (mode, weights))
     if fields.is_table or fields[0].is_array:
@@ -67,14 +67,15 @@ def blend_fields(
 
 
 def _of_owners(system: ComponentSystem, v: Components, as_array: bool) -> Components:
-    """Of numbers of separate surfaces that of the one surface that switches it, for each number of
-    the field that one does; in a row with all others if it is to be an array."""
+    """For each number of the field that a side switches, the value of that side's surface, among
+    separate surfaces; if `as_array`, in an array with the other numbers."""
     switched = system.structure.switched
     if not as_array:
         return Components(v.parts[sides[0]] for sides in switched if sides)
     if system.m == 1:
         return v
-    # A number that no side enters takes any surface, but one that makes a row with its neighbours.
+    # Numbers that no side switches read an arbitrary surface, chosen so that neighbours still read
+    # a contiguous slice.
     owners = [sides[0] if sides else i % system.m for i, sides in enumerate(switched)]
     return Components([taken(pack(v, system.dtype), np.array(owners))])
 
@@ -86,8 +87,8 @@ def corners(
     alone: bool = False,
     forcing: Forcing | None = None,
 ) -> tuple[Corners, Corners]:
-    """The field on the combinations of sides that say everything of it, and dH/dt along each;
-    `alone` and `forcing` as in `ComponentSystem.field`."""
+    """The field on the combinations of sides that determine it, and dH/dt along each; `alone` and
+    `forcing` as in `ComponentSystem.field`."""
 
     def field_and_rate(sides: Components) -> tuple[Components, Components]:
         f = system.field(t, x, sides, alone, forcing)
@@ -103,7 +104,7 @@ def field(
     mode: Components,
     forcing: Forcing | None = None,
 ) -> Components:
-    """The field of a mode, blended while it slides and held while it rests; `forcing` as in
+    """The field of a mode, blended while sliding and with reactions while resting; `forcing` as in
     `ComponentSystem.field`."""
     system = system.in_mode(mode)
     if holds_together(system):
@@ -113,8 +114,8 @@ def field(
 
 
 def holds_together(system: ComponentSystem) -> bool:
-    """Whether weights and reactions may depend on each other: a motion may slide on one surface and
-    rest on another."""
+    """Whether weights and reactions may depend on each other, for motions that slide on one surface
+    and rest on another."""
     return system.resets and system.slides and system.m > 1
 
 
@@ -124,11 +125,11 @@ class Balance(eqx.Module):
     fields: Corners
     """The fields on all sides, with the reactions."""
     rates: Corners
-    """dH/dt along these."""
+    """dH/dt along these fields."""
     forces: Corners
-    """The reactions λ that go with each."""
+    """The reactions λ on each combination of sides."""
     mode: Components
-    """The mode that does not rest where this one does."""
+    """The same mode with sides in place of rests."""
     weights: Components
 
     @property
@@ -138,12 +139,12 @@ class Balance(eqx.Module):
 
     @property
     def force(self) -> Components:
-        """Its reactions λ, m components."""
+        """The reactions λ, m components."""
         return self.forces.blend(self.mode, self.weights)
 
     @property
     def determinant(self) -> Array:
-        """`weights.determinant`."""
+        """The determinant of the equations of its weights (see `weights.determinant`)."""
         return determinant(*stop_gradient((self.mode, self.rates, self.weights)))
 
 
@@ -155,8 +156,8 @@ def balance(
     fields: Corners,
     rates: Corners,
 ) -> Balance:
-    """Weights and reactions of a mode, given the fields on all sides and the rates along them;
-    without a rest these as they are, and no reaction."""
+    """Weights and reactions of a mode, given the fields on all sides and the rates along them. In a
+    mode without rests fields and rates are returned unchanged, and reactions are zero."""
 
     def reacted(
         t: Array, x: Components, mode: Components, fields: Corners, rates: Corners
@@ -183,7 +184,7 @@ def free_field(
     mode: Components,
     forcing: Forcing | None = None,
 ) -> Components:
-    """`field` without the reactions of surfaces rested on."""
+    """`field` without the reactions of resting surfaces."""
     system = system.in_mode(mode)
     if not system.slides:
         sides = unilateral.sides_of(mode) if system.resets else mode
@@ -195,8 +196,8 @@ def free_field(
 def field_terms(
     system: ComponentSystem, t: Array, x: Components, mode: Components, f: Components
 ) -> Components:
-    """The size of the terms that the field f of a mode is made of: of all sides where it may be
-    their blend, which cancel where a mass sticks, and of what a reaction takes away."""
+    """The size of the terms in the field f of a mode. It includes all sides if f may be their
+    blend, which cancel where a mass sticks, and the part cancelled by a reaction."""
     if system.slides:
         fields, _ = corners(system, t, x)
         return abs(f) + fields.sizes()
@@ -204,9 +205,9 @@ def field_terms(
 
 
 class ModeField(SmoothField):
-    """The field of a mode as a smooth vector field of time and state; `blended`: the mode may
-    slide, `held`: it may rest. Where it is known not to, the fields of the other sides, or the
-    reactions, are not computed."""
+    """The field of a mode as a smooth vector field of time and state. `blended` allows sliding,
+    `held` allows rests; without them the fields of other sides, or the reactions, are not
+    computed."""
 
     system: ComponentSystem
     mode: Components
@@ -220,12 +221,12 @@ class ModeField(SmoothField):
         return choose(self.system, t, x, self.mode, forcing)
 
     def once(self, function: Callable, *args: Any) -> Any:
-        """`ComponentSystem.once`."""
+        """The same as `ComponentSystem.once`."""
         return self.system.once(function, *args)
 
     def polynomial(self, order: int, t: Array, x: Components, h: Array) -> Polynomial:
-        """The motion in a step of the mode: its power series. Where it rests, or slides on surfaces
-        whose weights depend on each other, only the end is known, by Dopri8."""
+        """The power series of the motion in a step of the mode. For a rest, or a slide on surfaces
+        whose weights depend on each other, it is right only at the end of the step, by Dopri8."""
         system, mode = self.system, self.mode
         series = ft.partial(mode_series.polynomial, system, order, self.blended)
         slides, rests = self.blended and system.slides, self.held and system.resets
@@ -243,7 +244,7 @@ class ModeField(SmoothField):
             trial = compact_step(_OTHER, whole, t, x, whole(t, x), h, forcing)
             f1, error = whole(t + h, trial.x), trial.error
             assert error is not None
-            # So that the defect of the field at the end is the error of this method.
+            # This end rate makes the defect in `error_at` equal to Dopri8's own error estimate.
             f = f1 - (order + 1.0) * (error + _OTHER.d[-1] * f1)
             return end_alone(order, h, x, trial.x, f, mode)
 
@@ -254,8 +255,8 @@ class ModeField(SmoothField):
 
 
 def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:
-    """What must stay positive in a mode: ±H_j on a side, 1 − w_j² while sliding, the reaction λ_j
-    at rest."""
+    """The guard of each surface, positive within the mode: ±H_j on a side, 1 − w_j² while sliding,
+    the reaction λ_j at rest."""
     if holds_together(system):
         return guard_together(system, t, x, mode)
     off = free_guard(system, t, x, mode)
@@ -265,8 +266,8 @@ def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) ->
 
 
 def reaction(system: ComponentSystem, t: Array, x: Components, mode: Components) -> Components:
-    """λ_j of the surfaces that a mode rests on, positive where they push away; 0 of others, of a
-    mode that does not slide."""
+    """λ_j of the surfaces that a mode rests on, positive if it pushes away; 0 for others. The mode
+    must not slide."""
     free = free_field(system, t, x, mode)
     return unilateral.held_field(system, t, x, mode, free)[1]
 
@@ -278,7 +279,7 @@ def guard_together(
     mode: Components,
     forcing: Forcing | None = None,
 ) -> Components:
-    """`guard` of a mode that may slide and rest."""
+    """`guard` of a mode that may both slide and rest."""
     held = balance(system, t, x, mode, *corners(system, t, x, forcing=forcing))
     w, off = held.weights, mode * system.switching(t, x)
     pushes = unilateral.sides_of(mode) * held.force
@@ -292,7 +293,7 @@ def free_guard(
     mode: Components,
     forcing: Forcing | None = None,
 ) -> Components:
-    """`guard` of a mode that does not rest; `forcing` as in `ComponentSystem.field`."""
+    """`guard` of a mode without rests; `forcing` as in `ComponentSystem.field`."""
     off = mode * system.switching(t, x)
     if not system.slides:
         return off
@@ -310,9 +311,9 @@ def choose(
 ) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
 
-    One admissible mode: the solution is unique. Several (repelling sliding): it is not. None: a
-    tangency that first derivatives do not decide. An intersection is left at a rate of more than
-    `threshold`, relative to all rates there.
+    One admissible mode means that the solution is unique, several (repelling sliding) that it is
+    not, and zero is a tangency that first derivatives do not decide. An intersection is left at a
+    rate of more than `threshold`, relative to all rates there.
     """
     if rates.are_of_one:
         return _choose_on_one(rates[0], rates[1], mode, on, direction)
@@ -322,7 +323,7 @@ def choose(
 def _choose_on_one(
     above: Components, below: Components, mode: Components, on: Components, direction: Array
 ) -> tuple[Components, Array]:
-    """`choose` on surfaces that are separate, where the rates on both sides say it all."""
+    """`choose` for separate surfaces, which the rates on both sides determine."""
     plus, minus = direction * above > 0, direction * below < 0
     slide = (above * below <= 0) & (above != below)
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
@@ -331,8 +332,8 @@ def _choose_on_one(
 
 
 def _count_of_all(counts: Components) -> Array:
-    """The number of admissible modes, given that of each surface. Of very many surfaces, held as an
-    array, the product might overflow: there it is the largest, if none is zero."""
+    """The number of admissible modes, given the number for each surface. For arrays of surfaces the
+    product might overflow, so it is replaced by the largest factor, or 0 if any is zero."""
     if counts.is_array:
         return select(least(counts) > 0, largest(counts), 0)
     return ft.reduce(jnp.multiply, counts.parts)

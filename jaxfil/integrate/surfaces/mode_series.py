@@ -1,9 +1,8 @@
-"""Power series of a mode: of its field, and of its guards.
+"""Power series of the field and the guards of a mode.
 
-Series of time and state enter; those of the field of a mode and of what must stay positive in it
-leave, by the formulas of `filippov`: on a side F and ±H, on a slide the blend of the fields of both
+The formulas are those in `filippov`: on a side F and ±H, on a slide the blend of the fields of both
 sides with the weight w = (r₋ + r₊)/(r₋ − r₊), r± = dH/dt along F±, and 1 − w². The mode of a lane
-does not change within a step.
+is constant within a step.
 """
 
 from collections.abc import Callable
@@ -30,19 +29,19 @@ from jaxfil.xla.series import (
 )
 from jaxfil.xla.series_program import array_of, scalars_of
 
-# Numbers of a state that is one array which are series one by one, at most.
+# The largest array state of which each number is a series of its own.
 _FEW = 12
 
 
 def slides_have_series(system: ComponentSystem) -> bool:
-    """Whether slides of a system have power series: where each weight is that of one surface, and
-    each number of a state is a series."""
+    """Whether slides of a system have power series. Each weight must belong to one surface, and
+    each number of a state must be a series."""
     by_number = not system.as_array or _is_spelled(system)
     return system.structure.separate and not system.packed and by_number
 
 
 def _is_spelled(system: ComponentSystem) -> bool:
-    """Whether a state that is one array is a series for each of its numbers."""
+    """Whether each number of a state that is one array is a series of its own."""
     return system.as_array and system.n <= _FEW
 
 
@@ -55,8 +54,8 @@ def polynomial(
     h: Array,
     mode: Components,
 ) -> Polynomial:
-    """The polynomial of a step of length h from (t, x) in a mode, which may be `blended` of both
-    sides."""
+    """The polynomial of a step of length h from (t, x) in a mode, which slides only if
+    `blended`."""
     system = system.in_mode(mode)
     expansion = system.expansion()
     spelled = _is_spelled(system)
@@ -68,7 +67,7 @@ def polynomial(
         fields = _field(system, expansion, time, states, sides)
         before = expansion.num_kept
         guards = _off(system, expansion, time, states, sides)
-        if expansion.num_kept > before:  # by H itself
+        if expansion.num_kept > before:  # H itself has operations whose series are stored
             kept(*guards)
         return fields, guards
 
@@ -82,7 +81,7 @@ def polynomial(
 
 
 def _state(system: ComponentSystem, states: list[Series]) -> list[Any]:
-    """Series of numbers as the functions of the system are given a state."""
+    """Series of numbers in the form in which the system's functions take a state."""
     if not _is_spelled(system):
         return states
     whole = np.empty(len(states), object)
@@ -91,7 +90,7 @@ def _state(system: ComponentSystem, states: list[Series]) -> list[Any]:
 
 
 def _numbers(system: ComponentSystem, expansion: Expansion, values: list[Any]) -> list[Series]:
-    """Series of numbers of what the functions of the system give for a state."""
+    """Series of the numbers that the system's functions return for a state."""
     if _is_spelled(system):
         return list(scalars_of(expansion, values[0], (system.n,)))
     return [array_of(expansion, v) for v in values]
@@ -110,7 +109,8 @@ def _field(
 
 
 def _plainly(function: Callable, *args: Any) -> Any:
-    """In a program that is to be small what XLA computes twice is less than what fences cost."""
+    """`function(*args)` without a fence. In compact programs XLA's recomputation costs less than
+    fences would."""
     return function(*args)
 
 
@@ -156,11 +156,12 @@ def _rates(
 
 
 def _weight(expansion: Expansion, s: Array, rise: Series, fall: Series) -> Series:
-    """The weight of a slide; of no meaning where there is none."""
+    """The weight of a slide; an arbitrary value without a slide."""
     gap = reduced_difference(expansion, fall, rise)
 
     def apart(k: int) -> Array | None:
-        # Where both fields lead along the surface alike there is no weight, and no slide.
+        # If both fields have the same rate across the surface, there is no weight and no slide; a
+        # divisor of 1 keeps the unused quotient finite.
         return gap[k] if k > 0 else select((s == 0) & (gap[0] != 0), gap[0], 1)
 
     below = expansion.series(apart, gap.degree)
@@ -168,7 +169,7 @@ def _weight(expansion: Expansion, s: Array, rise: Series, fall: Series) -> Serie
 
 
 def _blend(expansion: Expansion, s: Array, w: Series, up: Series, down: Series) -> Series:
-    """The field of both sides that keeps to the surface, or that of the side it is on."""
+    """The blended field of both sides, tangent to the surface, or the field of the current side."""
     half = expansion.constant(0.5)
     share = product(expansion, half, sum_of(expansion, [expansion.constant(1.0), w]))
     apart = product(expansion, share, reduced_difference(expansion, up, down))
@@ -185,7 +186,7 @@ def _blend(expansion: Expansion, s: Array, w: Series, up: Series, down: Series) 
 
 
 def _guard(expansion: Expansion, s: Array, w: Series, off: Series) -> Series:
-    """1 − w² where it slides, else ±H."""
+    """1 − w² for a slide, else ±H."""
     square = product(expansion, w, w)
 
     def make(k: int) -> Array:

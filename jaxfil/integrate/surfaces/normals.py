@@ -11,8 +11,8 @@ def project(
 ) -> Components:
     """x moved along the normals so that H_j drops by `h` on each surface marked `on`.
 
-    Where surfaces share numbers of the state, all at once, by the solution of
-    Σ_k (∇H_j·∇H_k) μ_k = −h_j: what is taken from one moves the state off another.
+    Where surfaces share numbers of the state, all corrections are solved for together, from
+    Σ_k (∇H_j·∇H_k) μ_k = −h_j, since a correction for one surface moves the state off another.
     """
     if system.m == 1 or system.structure.members is not None:
         squares = normals.squares()

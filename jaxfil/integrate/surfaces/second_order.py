@@ -1,7 +1,7 @@
-"""What second derivatives of a landing are made of.
+"""Second derivatives of a landing.
 
-The end of a step on a contact enters; what Newton's step in time, t += δ, x += δ f, δ = −g/ġ, with
-ġ a constant, leaves out of them leaves.
+Newton's step in time, t += δ, x += δ f, δ = −g/ġ with constant ġ, has the first derivatives of a
+landing. This file has the terms that complete the second ones.
 """
 
 from collections.abc import Callable
@@ -21,8 +21,8 @@ from jaxfil.xla.select import select
 def beyond_newton(
     system: ComponentSystem, t: Array, x: Components, mode: Components, met: Components
 ) -> tuple[Array, Components]:
-    """Of the time δ to a contact with the surface that is `met`, and of the state there: a function
-    with the second derivatives that are missing, whose value and first derivatives are zero."""
+    """The terms missing in the second derivatives of the time δ to a contact with the surface
+    `met`, and of the state there. Their values and first derivatives are zero."""
 
     def gap(system: ComponentSystem, t: Array, x: Components) -> Any:
         return total(where(met, guard(system, t, x, mode), 0.0))
@@ -33,7 +33,7 @@ def beyond_newton(
 def beyond_newton_to(
     gap: Callable, system_of: Callable, given: Any, at: tuple[Array, Components], mode: Components
 ) -> tuple[Array, Components]:
-    """The same where `gap(given, t, x)` vanishes on a motion of the system `system_of(given)`.
+    """The same terms where `gap(given, t, x)` vanishes, on a motion of `system_of(given)`.
 
     Along the motion g is expanded to second order, δ = −g/ġ − (g/ġ)² g̈/2ġ, and so is the state,
     x + δ f + δ² f'/2, with f' the rate of the field.
@@ -43,7 +43,7 @@ def beyond_newton_to(
         return ModeField(system_of(given), mode)(t, x)
 
     def along(function: Callable, given: Any, t: Array, x: Components) -> Any:
-        """A function of what is given, time and state, and its rate along the motion."""
+        """A function of the given system, time and state, and its rate along the motion."""
         moved = jnp.ones_like(t), field(given, t, x)
         return jax.jvp(lambda t, x: function(given, t, x), (t, x), moved)
 
@@ -54,6 +54,8 @@ def beyond_newton_to(
     slope = select(slope == 0, 1.0, slope)
     here = stop_gradient((given, *at))
     _, bend = along(rate, *here)
+    # `here` is constant: g̈ and the field's rate multiply δ², which has no derivative of lower
+    # order than the second.
     f, turn = along(field, *here)
     fixed, delta = stop_gradient(slope), -g / slope
     beyond = delta + g / fixed - 0.5 * bend / fixed * delta * delta

@@ -1,8 +1,8 @@
 """The functions of sections, and their rates along the motion.
 
-`Section`s enter; `WatchedSections` leave, on components, which say of a state what its sections'
-functions are there. Those that ask for the side, the mode or the reaction enter as the rates of
-components behind the state (`run.observed`): they are blended on a slide as the field is.
+`WatchedSections` evaluates the functions of `Section`s on components. The functions that take the
+side, the mode or the reaction are rates of extra components behind the state (`run.observed`),
+since these are blended on a slide as the field is.
 """
 
 import dataclasses
@@ -26,26 +26,26 @@ from jaxfil.xla.trace import Traced
 
 
 class WatchedSections(eqx.Module):
-    """k sections, as the loop sees them."""
+    """k sections on components, for the loop."""
 
     functions: tuple[ParametrizedFunction | None, ...]
-    """S of each, a function of time and state; None of one that asks for more than these."""
+    """S of each section, a function of time and state; None for one that takes more than these."""
     directions: tuple[int, ...] = eqx.field(static=True)
     of_rate: tuple[bool, ...] = eqx.field(static=True)
-    """Whether S is the rate of the function along the motion,"""
+    """Whether S is the rate of the function along the motion, for each section."""
     bounds: tuple[bool, ...] = eqx.field(static=True)
-    """and whether to cross it is a failure."""
+    """Whether a crossing is a failure, for each section."""
     terminal: tuple[Array | None, ...]
-    """The crossing of each at which a run ends."""
+    """Number of the crossing of each section that ends a run."""
     unseen: Array | None = None
-    """Crossings that are counted and not kept; None: none."""
+    """Number of first crossings that are counted without being recorded; None for zero."""
     since: Array | None = None
-    """The time before which crossings are not even counted; None: all are."""
+    """The time before which crossings are ignored; None to count all."""
     asking: ComponentSystem | None = None
-    """A field whose last components are the functions that ask for more; None: there are none."""
+    """A field whose last components are the functions that take more; None without any."""
 
     def value(self, j: int, system: ComponentSystem, mode: Components) -> Callable:
-        """S number j, a function of time and state, on a motion of some mode."""
+        """S number j, a function of time and state, on a motion of the given mode."""
         function = self.functions[j] or self._asking_value(j, system, mode)
         if not self.of_rate[j]:
             return function
@@ -57,9 +57,9 @@ class WatchedSections(eqx.Module):
         return rate
 
     def _asking_value(self, j: int, system: ComponentSystem, mode: Components) -> Callable:
-        """The function of a section that asks for more than time and state, on such a motion."""
+        """The function of a section that takes more than time and state, on such a motion."""
         assert self.asking is not None
-        # Between ticks, as the field of the motion is.
+        # The window between ticks is the same as for the field of the motion.
         wider = dataclasses.replace(self.asking, window=system.window)
         field = ModeField(wider, wider.of_surfaces(pack(mode, wider.dtype)))
         place = system.n + [i for i, f in enumerate(self.functions) if f is None].index(j)
@@ -73,7 +73,7 @@ class WatchedSections(eqx.Module):
 
 
 class Sight(eqx.Module):
-    """Of k sections at one state: S, dS/dt along the motion, and the size of the terms of S."""
+    """Values of k sections at one state: S, dS/dt along the motion, and the size of S's terms."""
 
     value: Components
     rate: Components
@@ -87,8 +87,8 @@ def watch_sections(
     asking: ComponentSystem | None,
     transposed: bool = False,
 ) -> WatchedSections | None:
-    """The sections of a run from states shaped like `x0`, shape (n,); None if there are none. The
-    functions of those that ask for more than time and state are the last components of `asking`."""
+    """The sections of a run from states like `x0`, shape (n,); None without sections. Functions
+    that take more than time and state are the last components of `asking`."""
     if not sections:
         return None
     t0, x = jnp.zeros((), x0.dtype), system.unpack(x0)
@@ -133,10 +133,11 @@ def see(
     size: Components,
     dt: Array,
 ) -> Sight:
-    """The sections at a time and a state, on a motion of some mode with the field f, where states
-    have been of some size, and have come here by steps of length dt."""
+    """The sections at a time and a state, on a motion of the given mode with the field f. `size` is
+    the running size of the states, and dt the length of the steps so far."""
     (t, x), (mode, f) = at, motion
-    # Where nothing moves, S = 0 of what is held there has the rounding of the fields that hold it.
+    # At rest or stuck, a section of a quantity that is held at zero still has the rounding of the
+    # fields that hold it.
     size = size + abs(dt) * field_terms(system, t, x, mode, f)
     values, rates, terms = [], [], []
     for j in range(len(watched.functions)):
@@ -156,8 +157,8 @@ def beyond_newton(
     mode: Components,
     aim: Components,
 ) -> tuple[Array, Components]:
-    """`second_order.beyond_newton` of the time to a crossing of the section aimed at, and of the
-    state there."""
+    """The terms of `second_order.beyond_newton` for the time to a crossing of the section `aim`,
+    and for the state there."""
 
     def gap(given: tuple[WatchedSections, ComponentSystem], t: Array, x: Components) -> Any:
         watched, system = given

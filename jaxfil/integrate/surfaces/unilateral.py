@@ -1,29 +1,30 @@
-"""Unilateral constraints: surfaces that a reset throws back from, and rest on them.
+"""Unilateral constraints: surfaces with resets that reverse the motion, and rest on them.
 
-A system with resets, a state and the sides it is on enter; how a reset acts on a surface, and the
-reaction that holds a motion at rest there, leave.
+For a state and the sides it is on, a `Constraints` describes the effect of a reset on each surface
+and of the reaction that holds a motion at rest there.
 
 At rest on surface j both H_j = 0 and ψ_j = dH_j/dt = 0, and the field presses the motion against
-the surface. What keeps it there acts as the reset does: along the direction d_j in which the reset
-moves a state that comes in slowly. Near such a state the reset is x − d_j ψ_j: with y = ∇ψ_j
+the surface. The reaction acts as the reset does, along the direction d_j in which the reset moves a
+state that arrives slowly. Near such a state the reset is x − d_j ψ_j, and with y = ∇ψ_j
 
     d_j = −(D reset_j − I) y / (∇ψ_j·y),    ψ_j after it = (1 − ∇ψ_j·d_j) ψ_j = −e_j ψ_j
 
-and ∇ψ_j·d_j is 1 + e_j: a reset with e_j ≥ 0 throws back, any other lets through. The reaction is
+so that ∇ψ_j·d_j = 1 + e_j. A reset with e_j ≥ 0 reverses the motion, any other lets it pass. The
+reaction is
 
     ẋ = F + Σ_j λ_j d_j,    Σ_j (∇ψ_i·d_j) λ_j = −a_i,    a_i = dψ_i/dt along F
 
-over the surfaces rested on; the rest ends where λ_j ceases to push away from the surface.
+over the resting surfaces; the rest ends where λ_j no longer pushes away from the surface.
 
-A field that is given its reactions, F(t, x, side, r), affine in r, may say by itself what they do
-to their own surfaces: d_j is then ∂F/∂r_j, and r_j = |λ_j|. Otherwise they act as the reset does,
-and ∂F/∂r_j is what they do besides, with r_j = (1 + e_j) |λ_j|. Either depends on the sides, as dry
-friction does: such a motion is held on each combination of sides by itself, and what is blended are
-the held fields.
+A field that takes its reactions, F(t, x, side, r), affine in r, may contain their full effect on
+their own surfaces; then d_j = ∂F/∂r_j and r_j = |λ_j|. Otherwise they act as the reset does, and
+∂F/∂r_j is an additional effect, with r_j = (1 + e_j) |λ_j|. Either depends on the sides, as dry
+friction does. Reactions are then computed on each combination of sides separately, and the held
+fields are blended.
 
-Impacts that follow each other ever faster end in rest: with the pressing acceleration a and the
-rate ψ just after an impact the flights last 2ψ/|a|, e of that, e² of that, so that the rest begins
-after T = 2ψ/(|a| (1 − e)), up to a part T ȧ/a. (Complete chattering: Nordmark and Piiroinen,
+Impacts in ever shorter intervals end in rest. With the pressing acceleration a and the rate ψ just
+after an impact the flights last 2ψ/|a|, e times that, e² times that, so that the rest starts after
+T = 2ψ/(|a| (1 − e)), up to a relative error T ȧ/a. (Complete chattering: Nordmark and Piiroinen,
 Simulation and stability analysis of impacting systems with complete chattering, Nonlinear Dynamics
 58, 2009.)
 """
@@ -47,7 +48,7 @@ from jaxfil.xla.small_linear import solve, solve_small
 
 # Rounding of a rate or of an acceleration, in eps of its terms.
 _NOISE = 64
-# What is left of terms that cancel, in eps of these.
+# Residual of terms that cancel, in eps of their sizes.
 _CANCELLED = 8
 
 
@@ -59,39 +60,40 @@ class Constraints(eqx.Module):
     gradients: Rows
     """∇ψ_j, n components each."""
     impulse: "Response"
-    """What resets do."""
+    """The effect of resets."""
     reaction: "Response"
-    """What reactions do: the same, unless the field says it."""
+    """The effect of reactions, equal to `impulse` unless the field takes reactions."""
 
     @property
     def throws_back(self) -> Components:
-        """Whether the reset of a surface turns the motion back, e_j ≥ 0."""
+        """Whether the reset of a surface reverses the motion, e_j ≥ 0."""
         own = stop_gradient(self.impulse.gains.diagonal())
-        # Of e = 0 more than rounding is left: the derivative of the reset is that at a state that
-        # comes in (`_direction`). No reset lets through this little.
+        # With e = 0 the gain is 1 only up to more than rounding, since the reset is differentiated
+        # at an incoming state (`_direction`). A reset that lets pass has a gain far below.
         return own >= 1 - float(jnp.finfo(own.parts[0].dtype).eps) ** 0.5
 
 
 class Response(eqx.Module):
-    """What pushes on surfaces do to the state, and to the rates of all surfaces."""
+    """The effect of forces at surfaces on the state, and on the rates of all surfaces."""
 
     directions: Rows
-    """d_j, n numbers each; zero where the reset does nothing."""
+    """d_j, n numbers each; zero where the reset has no effect."""
     gains: Rows
     """∇ψ_i·d_j, m numbers each."""
 
     def answered(self, a: Components, force: Components) -> Components:
-        """Rates or accelerations a, with what pushes add: a + Σ_k λ_k ∇ψ·d_k."""
+        """Rates or accelerations a with forces λ included, a + Σ_k λ_k ∇ψ·d_k."""
         return a + self.gains @ force
 
 
 class Forces(eqx.Module):
-    """What the reactions of surfaces do to the rates of all, at one state."""
+    """The effect of reactions on the rates of all surfaces, at one state."""
 
     response: Response
-    """That on the sides of the mode."""
+    """The response on the sides of the mode."""
     of_corners: tuple[Response, ...] | None
-    """That on each combination of sides, one by one or as the rows of arrays; None: the same."""
+    """The response on each combination of sides, one by one or as the rows of arrays; None if it is
+    the same on all."""
     normals: Rows
     """∇H_i, n numbers each."""
     pushes: Rows
@@ -100,7 +102,7 @@ class Forces(eqx.Module):
     """dψ/dt, m numbers, along the field on each combination of sides."""
 
     def each(self, function: Callable[..., Components], *corners: Corners) -> Corners:
-        """`function`, of the response and of whole vectors, on each combination."""
+        """`function` of the response and of whole vectors, on each combination."""
         first, *others = corners
         if self.of_corners is None:
             return first.each(ft.partial(function, self.response), *others)
@@ -114,7 +116,7 @@ class Forces(eqx.Module):
         return self.each(lambda of, f, force: of.directions.added(f, force), fields, force)
 
     def sizes_of_fields(self, fields: Corners, force: Corners) -> Components:
-        """The size of what fields with the reactions λ are made of, over all sides."""
+        """The size of the terms of fields with the reactions λ, over all sides."""
 
         def made(of: Response, f: Components, force: Components) -> Components:
             return abs(of.directions).added(abs(f), abs(force))
@@ -122,7 +124,7 @@ class Forces(eqx.Module):
         return self.each(made, fields, force).sizes()
 
     def sizes(self, force: Components) -> Components:
-        """The size of what reactions do to accelerations, over all sides."""
+        """The size of the reactions' contributions to accelerations, over all sides."""
         if self.of_corners is None:
             return abs(self.response.gains) @ force
         each = self.accelerations.all_of(force)
@@ -132,7 +134,7 @@ class Forces(eqx.Module):
 def contact_rates(
     system: ComponentSystem, t: Array, x: Components, sides: Components
 ) -> Components:
-    """ψ: dH/dt along the field of some sides, m components."""
+    """ψ = dH/dt along the field of some sides, m components."""
     return system.rate(t, x, system.field(t, x, sides))
 
 
@@ -163,7 +165,8 @@ def _felt(
     gradients: Rows,
     impulse: Response,
 ) -> Response:
-    """What reactions do where the field on some sides feels them, of `walls` on their sides."""
+    """The response to reactions of a field that takes them, on `sides`, for walls on their sides
+    `walls`."""
     alone = system.of_surfaces(jnp.asarray(system.holds_itself))
     sizes = where(alone, walls, walls * impulse.gains.diagonal())
 
@@ -184,11 +187,11 @@ def _direction(
     gradient: Components,
     j: int | Array,
 ) -> Components:
-    """d_j, from the derivative of the reset along y = ∇ψ_j at a state that comes in."""
+    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state."""
     size = dot(gradient, gradient)
     inverse = select(size > 0, 1 / select(size > 0, size, 1), 0.0)
-    # A reset may be written for motions that come in only: its derivative is that at such a state,
-    # by so little that nothing else is told of it.
+    # The reset may be defined only for incoming states, so it is differentiated at one. The state
+    # is moved just far enough that ψ has the incoming sign beyond rounding.
     terms = dot(abs(gradient), abs(x))
     least = float(np.finfo(system.dtype).tiny) ** 0.5
     depth = stop_gradient(_NOISE * system.eps * terms + least + side * rate)
@@ -215,21 +218,24 @@ def rate_noise(
     by_time: Components,
     surfaces: tuple[Components, Rows],
 ) -> Components:
-    """What rounding does to ψ: of t and x, of the terms that it is made of, and of the steps by
-    which the state has come here. `surfaces` are ∂H/∂t and ∂H/∂x, `by_time` is ∂ψ/∂t, `inside` is
+    """The rounding error of ψ, from t and x, from its terms, and from the preceding steps.
+    `surfaces` are ∂H/∂t and ∂H/∂x, `by_time` is ∂ψ/∂t, `inside` is
     `ComponentSystem.rate_rounding`; x and f are sizes."""
     h_t, normals = surfaces
-    # Of bodies that fall side by side ψ stays zero, and its terms do not.
+    # Steps accumulate rounding in proportion to these terms, even if ψ itself stays zero, as for
+    # bodies that fall side by side.
     gained = abs(c.gradients) @ abs(f)
     terms = abs(h_t) + abs(normals) @ abs(f) + abs(c.gradients) @ x
     terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
-    # What is rounded inside of ψ does not gather: twice its bound is how far evaluations differ.
+    # Rounding inside ψ does not accumulate over steps. The factor 2 is the largest difference
+    # between two evaluations.
     terms = _NOISE * terms if inside is None else _NOISE * terms + 2 * inside
     return stop_gradient(jnp.finfo(t.dtype).eps * terms)
 
 
 def multipliers(gains: Rows, a: Components, rests: Components) -> Components:
-    """λ of the surfaces rested on, 0 of others, given the accelerations a without reactions."""
+    """λ of the resting surfaces, 0 for others, given the accelerations a without reactions."""
+    # Surfaces without a rest have rows and columns of the identity.
     right = where(rests, -a, 0.0)
     if gains.is_array:
         (on,), (force,), unit = rests.parts, right.parts, jnp.eye(len(rests.parts[0]))
@@ -247,10 +253,10 @@ def multipliers(gains: Rows, a: Components, rests: Components) -> Components:
 def forces(
     system: ComponentSystem, t: Array, x: Components, mode: Components, fields: Corners
 ) -> Forces:
-    """What reactions do where the fields on all sides are these."""
+    """The effect of reactions for the given fields on all sides."""
     sides = sides_of(mode)
     c, first = constraints(system, t, x, sides), fields[0]
-    # ψ does not depend on a side: only the field along which it changes does.
+    # ψ is the same function on all sides; only the field along which it changes differs.
     by_time = accelerations(system, t, x, sides, first) - c.gradients @ first
     _, _, normals = system.gradients(t, x)
     return forces_of(system, t, x, sides, c, by_time, normals, fields)
@@ -266,8 +272,8 @@ def forces_of(
     normals: Rows,
     fields: Corners,
 ) -> Forces:
-    """The same of surfaces that are known as constraints, of walls on their sides; `by_time` is
-    ∂ψ/∂t."""
+    """The effect of reactions on surfaces with known constraints, for walls on their sides;
+    `by_time` is ∂ψ/∂t."""
     of_corners = None
     if system.feels_reactions:
 
@@ -282,7 +288,7 @@ def forces_of(
 
 def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Corners, Corners]:
     """Rates of H, accelerations and reactions λ on each combination of sides, with the reactions of
-    the surfaces rested on: linear in the field, so that they blend as it does."""
+    the resting surfaces. They are linear in the field, so they blend as it does."""
 
     def reaction(of: Response, a: Components) -> Components:
         return multipliers(of.gains, a, rests)
@@ -292,10 +298,11 @@ def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Cor
 
 
 def answered(known: Forces, rates: Corners, force: Corners) -> tuple[Corners, Corners]:
-    """Rates of H and accelerations on each combination of sides, with these reactions."""
+    """Rates of H and accelerations on each combination of sides, with the given reactions."""
 
     def pushed(rows: Rows, rate: Components, force: Components) -> Components:
-        # What reactions cancel is not rounding of either sign: weights would be made of it.
+        # A rate that reactions cancel must be exactly zero; its rounding, of either sign, would
+        # otherwise determine weights.
         after, size = rate + rows @ force, abs(rate) + abs(rows) @ abs(force)
         small = abs(after) <= _CANCELLED * float(jnp.finfo(size.parts[0].dtype).eps) * size
         return after - stop_gradient(where(small, after, 0.0))
@@ -314,8 +321,8 @@ def answered(known: Forces, rates: Corners, force: Corners) -> tuple[Corners, Co
 def held_field(
     system: ComponentSystem, t: Array, x: Components, mode: Components, f: Components
 ) -> tuple[Components, Components]:
-    """The field f of a mode at (t, x) with the reactions of the surfaces that it rests on, and
-    their sizes λ, positive where they push away; without a rest f as it was, and 0."""
+    """The field f of a mode at (t, x) with the reactions of the resting surfaces, and the sizes λ
+    of these, positive if they push away; without rests f unchanged, and 0."""
     sides, rests = sides_of(mode), rests_of(mode)
     of = constraints(system.in_mode(mode), t, x, sides).reaction
     force = multipliers(of.gains, accelerations(system, t, x, sides, f), rests)
@@ -326,7 +333,7 @@ def held_field(
 def reaction_scale(
     system: ComponentSystem, t: Array, x: Components, mode: Components
 ) -> Components:
-    """The size of the terms that the reactions of a mode are made of, m components."""
+    """The size of the terms in the reactions of a mode, m components."""
     c = constraints(system, t, x, sides_of(mode))
     f = system.field(t, x, sides_of(mode))
     own = abs(c.reaction.gains.diagonal())
@@ -334,28 +341,28 @@ def reaction_scale(
 
 
 def rests_of(mode: Components) -> Components:
-    """The surfaces that a mode rests on: ±2, by the side it is on."""
+    """Flags of the surfaces that a mode rests on, ±2 by the side."""
     return abs(mode) == 2
 
 
 def beside(mode: Components) -> Components:
-    """The mode that does not rest where this one does: ±1 in place of ±2."""
+    """The same mode with sides ±1 in place of rests ±2."""
     return where(rests_of(mode), 0.5 * mode, mode)
 
 
 def sides_of(mode: Components) -> Components:
-    """The sides of a mode, + where it slides: rates of constraints do not depend on that."""
+    """The sides of a mode, + for a slide; rates of constraints are the same on both sides there."""
     return side_of(mode)
 
 
 def pressed(
     of: Response, a: Components, sides: Components, candidates: Components
 ) -> tuple[Components, Array]:
-    """Which of the surfaces at rest stay so, and whether that is consistent: λ_j pushes away from
-    each surface that holds, and a_j leads away from each that does not.
+    """Which of the resting surfaces stay at rest, and whether this is consistent: λ_j pushes away
+    from each surface that holds, and a_j leads away from each that does not.
 
-    Surfaces that would have to pull, or need not push, let go, all of them at once, until none
-    would.
+    Surfaces whose reaction would have to pull, or is zero, are released all at once, repeatedly,
+    until the set no longer changes.
     """
     of, a, sides = stop_gradient((of, a, sides))
     m = a.size

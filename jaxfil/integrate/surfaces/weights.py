@@ -1,7 +1,7 @@
-"""Sliding weights: where on a surface, or on several, the blend of the fields is tangent to it.
+"""Sliding weights: the weights at which the blend of the fields is tangent to the surfaces.
 
-The rates dH/dt along the fields on all sides enter (`Corners`), with the mode of motion; the
-weights w in [−1, 1] of the surfaces slid on leave, at which the rate of the blend vanishes.
+They solve dH/dt(w) = 0 on the sliding surfaces, given the rates dH/dt along the fields on all sides
+(`Corners`) and the mode. During a slide they are in [−1, 1].
 """
 
 import functools as ft
@@ -16,18 +16,19 @@ from jaxfil.integrate.system.components import Components, largest, on_each, tot
 from jaxfil.xla import small_linear
 from jaxfil.xla.select import select
 
-# Newton iterations for the weights of an intersection at most, from one start.
+# The largest number of Newton iterations for the weights of an intersection, from one start.
 _NEWTON = 20
-# The weights from which Newton's method starts if it has not found a root inside from 0.
+# Distance from 0 of the starts of Newton's method after the start at 0 has failed.
 _START = 0.6
-# Weights this large are those of no slide, nor of its continuation beyond its end.
+# Weights beyond this belong neither to a slide nor to its continuation beyond the end.
 _FAR = 1e3
 
 
 @jax.custom_jvp
 def _single_weight(s: Array, above: Array, below: Array) -> Array:
-    """The weight of one surface: (below + above)/(below − above) where s = 0, else s. It has no
-    derivative off the surface, where a side may not be a number, and where both are the same."""
+    """The weight of one surface: (below + above)/(below − above) where s = 0, else s. Its
+    derivative is defined as zero off the surface, where one side may be NaN, and where both rates
+    are equal."""
     gap = below - above
     zero = gap == 0
     return select(s == 0, select(zero, 0, (below + above) / select(zero, 1, gap)), s)
@@ -45,7 +46,7 @@ def _single_weight_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 def weights(mode: Components, rates: Corners) -> Components:
     """The weights of a mode: ±1 off a surface, the solution of dH/dt(w) = 0 on it.
 
-    `rates` are dH_j/dt along the fields of the corners. The solution may lie outside [−1, 1]:
+    `rates` are dH_j/dt along the fields of the corners. The solution may lie outside [−1, 1];
     beyond the end of a slide it is the smooth continuation that root finding needs.
     """
     if rates.are_of_one:
@@ -58,9 +59,9 @@ def held_together(
 ) -> tuple[Corners, Corners, Corners]:
     """`unilateral.held`, for a mode that slides or is on its sides where it does not rest.
 
-    Where the field feels reactions they differ from one combination of sides to the next. Blends of
-    the held fields fill all that hold, so that one of them is the motion's, with its reactions; its
-    weights as those of a friction, from −1 to 1, are known with these reactions on all sides.
+    If the field takes reactions, these differ between combinations of sides. The held fields blend
+    to the motion's field, with its reactions. Friction weights, from −1 to 1, are defined by the
+    fields that have these same reactions on all sides.
     """
     held_rates, accelerations, force = held(known, rates, rests)
     if known.of_corners is None:
@@ -71,8 +72,8 @@ def held_together(
 
 
 def determinant(mode: Components, rates: Corners, w: Components) -> Array:
-    """|det ∂(dH/dt)/∂w| of the surfaces slid on with weights w, 1 where there is none. Where that
-    vanishes the weights are undetermined: at a two-fold, or where two roots meet."""
+    """|det ∂(dH/dt)/∂w| over the sliding surfaces with weights w; 1 without sliding. The weights
+    are undetermined where it vanishes, at a two-fold or where two roots merge."""
     if not rates.are_of_one:
         slid = (mode == 0).parts[0] if mode.is_array else None
         return small_linear.size_of_determinant(_matrix(mode, rates, w), slid)
@@ -81,7 +82,7 @@ def determinant(mode: Components, rates: Corners, w: Components) -> Array:
 
 
 def response(mode: Components, rates: Corners, change: Components) -> Components:
-    """The change of the weights of a mode that changes dH/dt by `change` on the surfaces slid on; 0
+    """The change of the weights of a mode that changes dH/dt by `change` on the sliding surfaces; 0
     where the weights are undetermined."""
     slides = mode == 0
     if rates.are_of_one:
@@ -96,8 +97,8 @@ def response(mode: Components, rates: Corners, change: Components) -> Components
 
 @jax.custom_jvp
 def _implicit_weights(mode: Components, rates: Corners) -> Components:
-    """`weights` on several surfaces. Their derivative is the implicit one, made of the weights
-    themselves: derivatives of every order are exact."""
+    """`weights` on several surfaces. Their derivative is the implicit one, a function of the
+    weights themselves, so that derivatives of every order are exact."""
     m = mode.size
     if rates.flipped is not None:  # affine: Newton's method takes one step
         return _newton(mode, rates, mode)
@@ -114,17 +115,20 @@ def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, 
 
 
 def _root_of_two(mode: Components, rates: Corners) -> Components:
-    """A point from which one Newton iteration leads to the weights of a mode of two surfaces.
+    """A point from which one Newton iteration gives the weights of a mode of two surfaces.
 
-    Where both are slid on, dH_j/dt = a_j + b_j w_1 + c_j w_2 + d_j w_1 w_2 = 0 leave a quadratic
-    A w_1² + B w_1 + C = 0 with the slope −det ∂(dH/dt)/∂w at its roots. The modes that go on from
-    an intersection are the solutions of a variational inequality on [−1, 1]², whose indices add up
-    to 1; that of a slide on both is the sign of the determinant. So where nothing else goes on one
-    root lies inside, and it is the one with a positive determinant, in both directions of time.
+    If both slide, dH_j/dt = a_j + b_j w_1 + c_j w_2 + d_j w_1 w_2 = 0 gives a quadratic
+    A w_1² + B w_1 + C = 0 with the slope −det ∂(dH/dt)/∂w at its roots. The modes that continue
+    from an intersection are the solutions of a variational inequality on [−1, 1]², whose indices
+    add up to 1; the index of a slide on both is the sign of the determinant. If no other mode
+    continues, one root therefore lies inside, and it is the one with a positive determinant, in
+    both directions of time.
     """
     first, second = mode.parts
     eps = jnp.finfo(first.dtype).eps
     terms = []
+    # a, b, c, d of each surface from the rates on the four corners, scaled, so that their rounding
+    # is a multiple of eps.
     for pp, pm, mp, mm in zip(*(rates[k].parts for k in range(4)), strict=True):
         row = (pp + pm + mp + mm, pp + pm - mp - mm, pp - pm + mp - mm, pp - pm - mp + mm)
         scale = sum(abs(v) for v in row)
@@ -132,10 +136,12 @@ def _root_of_two(mode: Components, rates: Corners) -> Components:
     (a1, b1, c1, d1), (a2, b2, c2, d2) = terms
     a, b, c = b2 * d1 - b1 * d2, a2 * d1 + b2 * c1 - a1 * d2 - b1 * c2, a2 * c1 - a1 * c2
     disc = b * b - 4 * a * c
-    # One and the same surface, listed twice, leaves nothing but rounding.
+    # For one surface listed twice the discriminant is only rounding.
     told = abs(disc) > (64 * eps) ** 2
     root = jnp.sqrt(jnp.maximum(disc, 0))
+    # The root with the positive determinant is (−b − root)/2a, by the formula that does not cancel.
     w1 = _near(select(b > 0, -b - root, 2 * c), select(b > 0, 2 * a, root - b))
+    # The other weight, from the equation in which its coefficient is larger.
     low, high = c1 + d1 * w1, c2 + d2 * w1
     other = abs(high) > abs(low)
     w2 = _near(-select(other, a2 + b2 * w1, a1 + b1 * w1), select(other, high, low))
@@ -144,13 +150,13 @@ def _root_of_two(mode: Components, rates: Corners) -> Components:
 
 
 def _near(a: Array, b: Array) -> Array:
-    """a/b, and 0 where that is far outside of [−1, 1]: such weights are those of no slide."""
+    """a/b, or 0 where it is far outside [−1, 1] and thus belongs to no slide."""
     return select(abs(a) < _FAR * abs(b), a / select(b == 0, 1, b), 0)
 
 
 def _root_of_many(mode: Components, rates: Corners) -> Components:
-    """The weights of a mode of three surfaces or more by Newton's method, from 0 and, until a root
-    inside is found, from a point in each corner; if none is inside, that from 0."""
+    """The weights of a mode of three or more surfaces by Newton's method, from 0 and, until a root
+    inside is reached, from a point in each corner; if all are outside, the root reached from 0."""
     m, eps = mode.size, jnp.finfo(mode.parts[0].dtype).eps
     last = 2**m + 1
 
@@ -161,7 +167,8 @@ def _root_of_many(mode: Components, rates: Corners) -> Components:
     def improve(state: tuple) -> tuple:
         w, _, k = state
         better = _newton(mode, rates, w)
-        # The step after one of √eps is rounding, of which there may be any number of eps.
+        # Convergence is quadratic, so the step after one of √eps is only rounding, whose size in
+        # eps is unknown.
         settled = total(abs(better - w)) <= eps**0.5
         inside = largest(abs(better)) <= 1
         attempt = k // _NEWTON
@@ -181,14 +188,14 @@ def _root_of_many(mode: Components, rates: Corners) -> Components:
 
 
 def _newton(mode: Components, rates: Corners, w: Components) -> Components:
-    """One Newton iteration for the weights of the surfaces slid on."""
+    """One Newton iteration for the weights of the sliding surfaces."""
     return w - _correction(mode, rates, w, rates.blend(mode, w))
 
 
 def _correction(
     mode: Components, rates: Corners, w: Components, residual: Components
 ) -> Components:
-    """What Newton's method takes from the weights of the surfaces slid on, given dH/dt."""
+    """Newton's correction of the weights of the sliding surfaces, given dH/dt."""
     right, matrix = where(mode == 0, residual, 0.0), _matrix(mode, rates, w)
     if isinstance(matrix, jax.Array):
         return Components([small_linear.solve(matrix, right.parts[0], (mode == 0).parts[0])])
@@ -196,7 +203,7 @@ def _correction(
 
 
 def _matrix(mode: Components, rates: Corners, w: Components) -> Array | list[list[Array]]:
-    """∂(dH_j/dt)/∂w_i of the surfaces slid on, with rows of the identity for the others."""
+    """∂(dH_j/dt)/∂w_i of the sliding surfaces, with rows of the identity for the others."""
     m = w.size
     if mode.is_array:
         (slid,) = (mode == 0).parts
@@ -215,9 +222,9 @@ def _matrix(mode: Components, rates: Corners, w: Components) -> Array | list[lis
 
 
 def _least_of_two(mode: Components, matrix: list[list[Array]]) -> list[list[Array]]:
-    """The matrix of a slide on two surfaces. Where the field of no side moves the state off one of
-    them, as in the point that a twisting controller leads to (a sliding mode of the second order),
-    its row is zero and all solutions give one and the same field: the smallest is taken."""
+    """The matrix of a slide on two surfaces. If no side moves the state off one of them, as at the
+    point to which a twisting controller converges (a sliding mode of the second order), its row is
+    zero, and all solutions give the same field; the smallest one is taken."""
     first, second = mode.parts
     rows = []
     for row, (a, b) in zip(matrix, reversed(matrix), strict=True):

@@ -1,9 +1,9 @@
-"""Components: the numbers of a state, or one for each surface, as the loop carries them.
+"""Components: the numbers of a state, or one number for each surface, as the loop carries them.
 
-A vector is held number by number, each a scalar (in a batch one contiguous array of lanes, which
-XLA turns into vector instructions), or as one array of all numbers, whose program does not grow
-with them. `lowered` says which and why. Formulas are the same for both: operators and the functions
-here act number by number, and a scalar stands for as many equal numbers.
+A vector is stored number by number, each as a scalar (in a batch, one contiguous array of lanes,
+which XLA turns into vector instructions), or as one array of all numbers, whose program does not
+grow with their count. `lowered` chooses between the two. Formulas are the same for both, since the
+operators and the functions here act elementwise, and a scalar operand is broadcast.
 """
 
 import abc
@@ -22,17 +22,17 @@ from jaxtyping import Array
 from jaxfil.xla.select import select
 
 Forcing = list[Array]
-"""The expensive values of a field that depend on time alone, at one time: see
-`ComponentSystem.forcing`."""
+"""The values of a field's expensive operations on time alone, at one time (see
+`ComponentSystem.forcing`)."""
 
 
 @jax.tree_util.register_pytree_node_class
 class Components:
-    """A vector of numbers with operators that act on each."""
+    """A vector of numbers with elementwise operators."""
 
     __slots__ = ("parts",)
     __hash__ = None  # pyright: ignore[reportAssignmentType]
-    __array_ufunc__ = None  # NumPy's numbers leave operations to this class
+    __array_ufunc__ = None  # NumPy scalars then defer to the operators of this class
 
     parts: tuple[Array, ...]
     """The numbers as scalars, or one array of all of them."""
@@ -57,7 +57,7 @@ class Components:
 
     @property
     def size(self) -> int:
-        """How many numbers there are."""
+        """The number of components."""
         return self.parts[0].shape[0] if self.is_array else len(self.parts)
 
     def number(self, i: int) -> Array:
@@ -65,11 +65,11 @@ class Components:
         return self.parts[0][i] if self.is_array else self.parts[i]
 
     def like(self, value: Array) -> "Components":
-        """As many numbers, all of them this scalar."""
+        """A vector of the same size with every number equal to this scalar."""
         return on_each(lambda v: value if v.ndim == 0 else jnp.full(v.shape, value), self)
 
     def astype(self, dtype: Any) -> "Components":
-        """The same numbers as those of another type."""
+        """The same numbers, converted to another type."""
         return on_each(lambda v: v.astype(dtype), self)
 
     def __add__(self, other: Any) -> "Components":
@@ -137,30 +137,30 @@ class Components:
 
 
 def on_each(function: Callable[..., Any], *values: Any) -> Components:
-    """`function` number by number, of vectors and of scalars; of those held as arrays on the whole
-    array at once."""
+    """`function` applied elementwise to vectors and scalars; to whole arrays if the vectors are
+    arrays."""
     (length,) = {len(v.parts) for v in values if isinstance(v, Components)}
     columns = [v.parts if isinstance(v, Components) else (v,) * length for v in values]
     return Components(tuple(map(function, *columns)))
 
 
 def where(condition: Any, yes: Any, no: Any) -> Components:
-    """`yes` where the condition holds, else `no`, number by number."""
+    """`yes` where the condition holds, else `no`, elementwise."""
     return on_each(select, condition, yes, no)
 
 
 def maximum(a: Any, b: Any) -> Components:
-    """The larger of two numbers."""
+    """The elementwise maximum."""
     return on_each(jnp.maximum, a, b)
 
 
 def minimum(a: Any, b: Any) -> Components:
-    """The smaller of two numbers."""
+    """The elementwise minimum."""
     return on_each(jnp.minimum, a, b)
 
 
 def sign(v: Components) -> Components:
-    """±1 or 0 by the sign of each number."""
+    """The sign of each number, ±1 or 0."""
     return on_each(jnp.sign, v)
 
 
@@ -175,7 +175,7 @@ def scalars(x: Any) -> tuple[Any, ...]:
 
 
 def pack(components: Components, dtype: Any) -> Array:
-    """Components as an (n,) array; of shape (0,) and the given dtype if there are none."""
+    """Components as an (n,) array; an empty array of the given dtype if n = 0."""
     if not components.parts:
         return jnp.zeros((0,), dtype)
     return components.parts[0] if components.is_array else jnp.stack(components.parts)
@@ -186,7 +186,7 @@ def _sum(v: Array) -> Array:
 
 
 def without_last(v: Components, k: int, flag: Array) -> Components:
-    """The same numbers, the last k of them zero where the flag is set."""
+    """The same numbers, with zeros in place of the last k of them where the flag is set."""
     if v.is_array:
         last = np.arange(v.size) >= v.size - k
         return Components([select(flag & last, jnp.zeros_like(v.parts[0]), v.parts[0])])
@@ -194,7 +194,7 @@ def without_last(v: Components, k: int, flag: Array) -> Components:
 
 
 def total(v: Components) -> Any:
-    """The sum of all numbers, of which there is one at least."""
+    """The sum of all numbers; there must be at least one."""
     first, *others = map(_sum, v.parts)
     return sum(others, start=first)
 
@@ -205,7 +205,7 @@ def dot(a: Components, b: Components) -> Any:
 
 
 def least(v: Components) -> Array:
-    """The least number."""
+    """The smallest number."""
     return ft.reduce(jnp.minimum, (p if p.ndim == 0 else jnp.min(p) for p in v.parts))
 
 
@@ -215,7 +215,7 @@ def largest(v: Components) -> Array:
 
 
 def first_set(flags: Components) -> Components:
-    """The first flag that is set, alone."""
+    """The flags, with all but the first set one cleared."""
     if flags.is_array:
         (flag,) = flags.parts
         number = jnp.arange(len(flag), dtype=jnp.int32)
@@ -228,7 +228,7 @@ def first_set(flags: Components) -> Components:
 
 
 def index_of(flags: Components) -> Array:
-    """The place of the first flag that is set; 0 if there is none."""
+    """The index of the first set flag; 0 if all are unset."""
     if flags.is_array:
         return jax.lax.argmax(flags.parts[0], 0, jnp.int32)
     place = jnp.zeros((), jnp.int32)
@@ -238,7 +238,7 @@ def index_of(flags: Components) -> Array:
 
 
 def any_of(flags: Components) -> Array:
-    """Whether any of the flags is set; False if there are none."""
+    """Whether any flag is set; False for zero flags."""
     found = jnp.zeros((), bool)
     for flag in flags.parts:
         found = found | (flag if flag.ndim == 0 else jnp.any(flag))
@@ -249,7 +249,7 @@ def all_finite(*values: Any) -> Array:
     """Whether all numbers of all vectors and arrays are finite."""
     result: Any = 0.0
     for number in stop_gradient(jax.tree.leaves(values)):
-        result = result + _sum(number * 0)  # NaN and inf both give NaN: one test for all
+        result = result + _sum(number * 0)  # NaN and inf both give NaN, so one test is enough
     return jnp.asarray(result == 0)
 
 
@@ -258,20 +258,20 @@ class SmoothField(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components:
-        """f(t, x); `forcing` are the values of `ComponentSystem.forcing` for this time."""
+        """f(t, x); `forcing` is the value of `ComponentSystem.forcing` at this time."""
 
     @abc.abstractmethod
     def once(self, function: Callable, *args: Any) -> Any:
-        """As `ComponentSystem.once`."""
+        """The same as `ComponentSystem.once`."""
 
     @abc.abstractmethod
     def polynomial(self, order: int, t: Array, x: Components, h: Array) -> "Polynomial":
-        """The motion in a step of length h, as a power series of some order."""
+        """The motion in a step of length h, as a power series of the given order."""
 
 
 class Polynomial(eqx.Module):
-    """A motion within a step of length h, as coefficients of the powers of the fraction s of it
-    that is gone: x(t + s h) = Σ_k x_k s^k."""
+    """A motion within a step of length h, as a power series in the elapsed fraction s of the step,
+    x(t + s h) = Σ_k x_k s^k."""
 
     h: Array
     x: tuple[Components, ...]
@@ -279,14 +279,14 @@ class Polynomial(eqx.Module):
     guards: tuple[Components, ...]
     """The guards of the mode, m components, orders 0 to p."""
     ends: Array
-    """Whether it is right at the end of the step alone, and says nothing of guards."""
+    """Whether the series is right only at the end of the step, and its guards are unknown."""
 
     def at(self, s: Array) -> Components:
         """The state at a fraction s of the step."""
         return horner(self.x, s)
 
     def rate_at(self, s: Array) -> Components:
-        """dx/dt there; zero in a step of length zero."""
+        """dx/dt at a fraction s of the step; zero in a step of length zero."""
         _, *slopes = (float(k) * c for k, c in enumerate(self.x))
         stays = self.h == 0
         return select(stays, 0.0, 1 / select(stays, 1.0, self.h)) * horner(slopes, s)

@@ -1,9 +1,9 @@
-"""What depends on what: which sides switch a number of the field, and which numbers H is made of.
+"""The dependency structure of a system: which sides switch a number of the field, and which numbers
+of the state each H_j depends on.
 
-The field and the switching function enter as `Traced` functions; a `Structure` leaves, known from
-their operations before anything is compiled. What it says of every motion saves what no motion
-needs: weights and modes of surfaces that have nothing to do with each other are those of single
-ones.
+It is known from the operations of the traced functions, before anything is compiled. Where surfaces
+are independent of each other, it saves operations: their weights and modes are computed as for
+single surfaces.
 """
 
 import dataclasses
@@ -18,17 +18,18 @@ from jaxfil.xla.trace import Traced
 
 @dataclasses.dataclass(frozen=True)
 class Structure:
-    """How n numbers of a state and m surfaces depend on each other."""
+    """The dependencies between n numbers of a state and m surfaces."""
 
     switched: tuple[tuple[int, ...], ...]
     """For each number of the field, the sides that it depends on."""
     separate: bool
-    """Whether no number of the field depends on more than one side, and no dH_j/dt on a side other
-    than its own: the surfaces then switch independently of each other."""
+    """Whether the surfaces switch independently of each other. No number of the field then depends
+    on more than one side, and no dH_j/dt on a side other than its own."""
     affine: bool
-    """Whether the field is affine in its sides, of which there are several."""
+    """Whether the field is affine in its sides, for m > 1."""
     members: tuple[tuple[int, ...], ...] | None
-    """The numbers of the state that each of several surfaces is made of; None if one is of two."""
+    """The numbers of the state that each of several surfaces depends on; None if two surfaces share
+    one."""
 
 
 def of(
@@ -39,9 +40,10 @@ def of(
     reacting: bool = False,
     asked: tuple = (),
 ) -> Structure:
-    """The structure of a field (leaves, t, x, sides, *asked), of which a first one more is the
-    reaction if it is `reacting`, and a switching function (leaves, t, x). `at` are leaves and a
-    time; `of_number` flag one number of the state each, `of_side` one side each."""
+    """The structure of a field `(leaves, t, x, sides, *asked)` and a switching function
+    `(leaves, t, x)`. If the field is `reacting`, the first entry of `asked` is the reaction. `at`
+    is `(leaves, t)`; each of `of_number` flags one number of the state, each of `of_side` one
+    side."""
     field, switching = functions
     n, m = len(of_number), len(of_side)
     nothing, still = jax.tree.map(lambda _: False, (at, of_number[0]))
@@ -51,7 +53,8 @@ def of(
     if m < 2:
         return Structure(switched, separate=m == 1, affine=False, members=None)
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
-    # Reactions on different sides are different ones: what is held is affine in one side at most.
+    # Reactions of different sides multiply different vectors, so a field with reactions counts as
+    # affine in at most one side.
     single = len(set().union(*switched)) < 2
     all_sides = jax.tree.map(lambda _: True, of_side[0])
     affine = single if reacting else field.is_affine(*nothing, still, all_sides, *none)
@@ -64,7 +67,8 @@ def of(
 
 
 def of_own_reactions(second: Traced, at: tuple, of_side: Sequence) -> tuple[bool, ...]:
-    """Which numbers of a function (*at, reaction), one of each surface, depend on its reaction."""
+    """Flags of the surfaces whose own number in a function (*at, reaction), with one number for
+    each surface, depends on their own reaction."""
     nothing = jax.tree.map(lambda _: False, at)
     return tuple(_flat(second.depends(*nothing, unit))[j] for j, unit in enumerate(of_side))
 
@@ -75,8 +79,8 @@ def _flat(flags: Components) -> list[bool]:
 
 
 def _are_separate(switched: Sequence[tuple[int, ...]], steers: Sequence[list[bool]]) -> bool:
-    """Whether each surface is switched by its own side alone, given which sides the numbers of the
-    field depend on, and which surfaces depend on those numbers of the state."""
+    """Whether each surface is switched by its own side alone, given the sides on which the numbers
+    of the field depend, and the surfaces that depend on those numbers of the state."""
     single = all(len(seen) <= 1 for seen in switched)
     foreign = any(
         enters and set(seen) - {j}

@@ -1,7 +1,8 @@
 """The user's functions as functions of array leaves and of components.
 
-A `System` without its arrays, and how its numbers are held, enter; functions leave that can be
-traced (`xla.trace`), and what is made of those of a field that feels reactions.
+These are functions that `xla.trace` can trace, made from a `System` without its arrays. For fields
+that depend on reactions there are two more, the part added by reactions and the second derivative
+of H.
 """
 
 import functools as ft
@@ -21,7 +22,7 @@ from jaxfil.xla.trace import Traced
 
 
 class ParametrizedFunction(eqx.Module):
-    """One of the user's functions, on components, with the parameters that it takes."""
+    """One of the user's functions, on components, with its parameters."""
 
     traced: Traced = eqx.field(static=True)
     parameters: Any
@@ -31,22 +32,22 @@ class ParametrizedFunction(eqx.Module):
         return self.traced(self.parameters, *args, fence=self.fence, **options)
 
     def ahead(self, t: Array) -> Forcing:
-        """What is dear in it and takes time alone."""
+        """The values of its expensive operations on time alone."""
         return self.traced.ahead(self.parameters, t)
 
     def expanded(self, expansion: Expansion, *args: Any) -> list[Any]:
-        """Power series of its results, given those of its arguments or constants."""
+        """Power series of its results, given series of its arguments or constants."""
         return self.traced.expanded(expansion, self.parameters, *args)
 
     def expanded_rate(
         self, expansion: Expansion, t: Series, x: list[Any], along: list[Any]
     ) -> list[Any]:
-        """The same of the rate of its results along a direction."""
+        """Power series of the rate of change of its results along a direction."""
         return self.traced.expanded_rate(expansion, self.parameters, [t, *x], along)
 
 
 def unpacked(numbers: Any, as_array: bool) -> Components:
-    """Numbers in an (n,) array as the components of a state are held."""
+    """The components of a state given as an (n,) array."""
     return Components([numbers] if as_array else scalars(numbers))
 
 
@@ -89,11 +90,12 @@ def on_components(
 def reacting(
     field: Callable, traced: Callable[..., Traced], at: tuple[Any, ...], asked: tuple[Any, ...]
 ) -> tuple[Traced, Traced]:
-    """A field that feels reactions, as a function (leaves, t, x, sides, reaction, *asked), and what
-    they add to it, as a function of the same."""
+    """A field that depends on reactions, as a function `(leaves, t, x, sides, reaction, *asked)`,
+    and the part of the field that reactions add, as a function of the same arguments."""
 
     def felt(leaves: System, t: Array, x: Components, sides: Components, *given: Any) -> Components:
         reaction, *asked = given
+        # The field is affine in reactions, so its derivative at zero along them is that part.
 
         def of_reaction(reaction: Components) -> Components:
             return field(leaves, t, x, sides, reaction, *asked)
@@ -105,7 +107,7 @@ def reacting(
 
 
 def rate_of(field: Callable, switching: Callable) -> Callable:
-    """dH/dt along a field without reactions, as a function (leaves, t, x, sides)."""
+    """dH/dt along a field without reactions, as a function `(leaves, t, x, sides)`."""
 
     def rate(leaves: System, t: Array, x: Components, sides: Components) -> Components:
         along = jnp.ones_like(t), field(leaves, t, x, sides)
@@ -117,7 +119,8 @@ def rate_of(field: Callable, switching: Callable) -> Callable:
 def accelerations(
     field: Callable, rate: Callable, traced: Callable[..., Traced], at: tuple[Any, ...]
 ) -> Traced:
-    """d²H/dt² along a field that feels reactions, as a function of the same, given `rate_of`."""
+    """d²H/dt² along a field that depends on reactions, as a function of the same arguments, given
+    `rate_of`."""
 
     def second(leaves: System, t: Array, x: Components, sides: Components, reaction: Any) -> Any:
         along = jnp.ones_like(t), field(leaves, t, x, sides, reaction)

@@ -1,16 +1,16 @@
 """The grade of a program: compact, or written out.
 
-In a *compact* program the stages of a step are a loop (`compact_step`), a state
-is an array, and sines are XLA's own functions: one operation in place of twenty. Its lanes run one
-after the other, by the program of one lane. One that is *written out* has each stage and each
-number of a state by itself, and its lanes run in blocks of 64 that share vector instructions. It
-takes longer to compile and less time to run.
+In a *compact* program the stages of a step are a loop (`compact_step`), a state is an array, and
+sines are XLA's own functions, one operation in place of twenty. Its lanes run one after the other,
+by the program of one lane. A program that is *written out* has each stage and each number of a
+state by itself, and its lanes run in blocks of 64 that share vector instructions. It takes longer
+to compile and less time to run.
 
-A run of a few lanes (`is_compact_run`) is compact: it is called again and again, as by optimisers,
-and steps are often not known. Of a call that is made once with a known number of steps, as a sweep
-is, both are estimated (`is_compact_sweep`): the seconds that a compact program saves when it is
-compiled, and those that it loses when it runs. Processor time on one core of x86-64 with AVX-512,
-jaxlib 0.10.2, of 256 lanes, 40 steps a period, "operations" the product that `ProgramSize` has:
+A run of a few lanes (`is_compact_run`) is compact. It is called repeatedly, as by optimisers, and
+its number of steps is often unknown. For a call that is made once with a known number of steps, as
+a sweep is, two times are estimated (`is_compact_sweep`), the seconds that a compact program saves
+in compilation and the seconds that it loses at run time. Processor time on one core of x86-64 with
+AVX-512, jaxlib 0.10.2, 256 lanes, 40 steps a period; "operations" is the product in `ProgramSize`:
 
     system, stepper              operations   saved, s        lost, µs a step of a lane
                                               measured model  measured model
@@ -32,14 +32,14 @@ jaxlib 0.10.2, of 256 lanes, 40 steps a period, "operations" the product that `P
     chain of 10 numbers, Dopri8         897       21.6   8.5      1.34  2.44
     chain of 20 numbers, Dopri8        1430       47.5  12.0      0.17  0.41
 
-The rotor has two coupled surfaces and is at one of them in most of its steps; how often a system is
-at a surface is not known before it runs. The two estimates balance at 2 to 20 million steps of all
-lanes. A state of more than 12 numbers, as the last one, is an array in both grades: its own numbers
-fill the vectors, and a compact program loses a tenth. With two tangent vectors belt friction takes
-4.2 µs a step in a compact program, in one lane, and half of that if it is written out.
+The rotor has two coupled surfaces and is at one of them in most of its steps; the fraction of steps
+at a surface is unknown before a run. The two estimates balance at 2 to 20 million steps of all
+lanes. A state of more than 12 numbers, as in the last system, is an array in both grades; its own
+numbers fill the vectors, and a compact program loses a tenth. With two tangent vectors belt
+friction takes 4.2 µs a step in a compact program of one lane, and half of that written out.
 
-Where several surfaces have resets, the numbers of their normals, `ProgramSize.normals`, decide
-(first call and a run of 256 lanes of 400 steps, both in seconds of processor time):
+For systems with several surfaces with resets, the size of their normals, `ProgramSize.normals`,
+decides (first call and a run of 256 lanes of 400 steps, both in seconds of processor time):
 
     system                                    normals   compact       written out
     a mass between two walls                        4   27    0.16      27   0.10
@@ -48,8 +48,8 @@ Where several surfaces have resets, the numbers of their normals, `ProgramSize.n
     two masses, friction, a wall, a load           12   27    0.59     119   1.42
     two masses, two frictions, a wall, a load      18   70             > 480
 
-Their lanes are at a surface so often, and stay there so long, that those of a block wait for each
-other. With more than 6 of these numbers a program is compact, whatever its lanes and steps.
+Their lanes are at a surface so often and for so long that the lanes of a block wait for each other.
+Above a size of 6 a program is compact for any number of lanes and steps.
 """
 
 import dataclasses
@@ -71,38 +71,39 @@ from jaxfil.xla.kernel import BLOCK
 from jaxfil.xla.lanes import lanes_of
 from jaxfil.xla.program import programs
 
-# Lanes of one run at most.
+# The largest number of lanes of a single run.
 _FEW = 8
-# Seconds that a compact program saves when it is compiled: for each operation, for each operation
-# of H, and for each surface, twice where there are resets.
+# Seconds of compilation that a compact program saves, for each operation, for each operation of H,
+# and for each surface (counted twice with resets). Fitted to the table above.
 _OPERATION, _GUARD, _SURFACE = 6.6e-3, 0.2, 2.0
-# Seconds that a step of a lane takes in a compact program for each operation; with tangent vectors
-# so many times more for each.
+# Seconds per step of a lane and per operation in a compact program, and the relative cost of each
+# tangent vector.
 _STEP, _TANGENT = 2.9e-9, 1.5
-# What a block takes in a program that is written out, as a multiple of one lane in a compact one:
-# a block of any size, and more for each lane in it; for each lane whose state is an array anyhow.
+# Cost of a block of lanes in a program that is written out, as a multiple of one lane in a compact
+# one: a constant for a block of any size, a cost for each lane in it, and the cost for each lane
+# whose state is an array in both grades.
 _BLOCK, _LANE, _LANE_OF_ARRAY = 0.5, 0.055, 0.9
-# Numbers of a state, or of another array, that a program spells out one by one: see `lowered`.
+# The largest array that a program spells out number by number (see `lowered`).
 _SPELLED = 12
-# Numbers of normals of surfaces with resets, above which to spell them out loses.
+# The size of the normals of surfaces with resets above which spelling them out is slower.
 _NORMALS = 6
 
 
 @dataclasses.dataclass(frozen=True)
 class ProgramSize:
-    """How large the program of a lane will be, known from the functions of a system alone."""
+    """The size of the program of a lane, known from the functions of a system alone."""
 
     operations: int
-    """Operations in all fields that a step evaluates: in one of them, times the stages, and where
-    surfaces are coupled times the combinations of sides that the field is found at."""
+    """Number of operations in all fields that a step evaluates. It is the operations of one field,
+    times the stages, and for coupled surfaces times the combinations of sides."""
     guards: int
-    """Operations in H."""
+    """Number of operations in H."""
     contacts: int
-    """Surfaces; those with resets twice."""
+    """Number of surfaces; those with resets count twice."""
     spelled: bool
     """Whether the numbers of a state are spelled out in a program that is written out."""
     normals: int
-    """Numbers in the normals of surfaces with resets, if there are several; otherwise 0."""
+    """Size of the normals of several surfaces with resets, m·n numbers; otherwise 0."""
 
     @property
     def always_compact(self) -> bool:
@@ -111,22 +112,22 @@ class ProgramSize:
 
     @property
     def seconds_saved(self) -> float:
-        """Time that a compact program takes less to compile."""
+        """Seconds of compilation saved by a compact program."""
         guards, contacts = _GUARD * self.guards, _SURFACE * self.contacts
         return _OPERATION * self.operations + guards + contacts
 
     def seconds_lost(self, lanes: int, steps: int, block: int, tangents: int) -> float:
-        """Time that a compact program takes more to run. `block`: lanes that share the vectors of a
-        program that is written out."""
+        """Seconds of run time lost by a compact program. `block` is the number of lanes that share
+        vector instructions in a program that is written out."""
         one = _STEP * self.operations * (1 + _TANGENT * tangents) * steps
         share = _BLOCK + _LANE * block if self.spelled else _LANE_OF_ARRAY * block
         return one * (lanes - math.ceil(lanes / block) * share)
 
 
 def is_compact_run(asked: object, system: System, x0: Any, others: Any = ()) -> bool:
-    """The grade of a run, or of what consists of runs: as asked for, and by default compact for few
-    lanes, and for a system that is better compact. `others`: further arguments that may be
-    batched."""
+    """The grade of a run, or of a function that consists of runs: as requested, and by default
+    compact for a few lanes, and for a system that is always compact. `others` are further arguments
+    that may be batched."""
 
     def default() -> bool:
         few = lanes_of((system, x0, others)) <= _FEW
@@ -146,12 +147,12 @@ def is_compact_sweep(
     block: int | None = None,
     tangents: int = 0,
 ) -> bool:
-    """The grade of a call that is made once: as asked for, and by default the one that takes less
-    time, compiling included.
+    """The grade of a call that is made once: as requested, and by default the faster one, including
+    compilation.
 
-    Each of the `lanes` takes so many `steps` of so many `stages`, with so many `tangents` beside
-    the state x0, shape (n,). `block` lanes run at a time if the program is written out, by default
-    all of them, up to 64.
+    Each of the `lanes` takes `steps` steps of `stages` stages each, with `tangents` tangent vectors
+    beside the state x0, shape (n,). `block` lanes run at a time if the program is written out, by
+    default all of them, up to 64.
     """
 
     def default() -> bool:
@@ -170,9 +171,9 @@ def _checked(asked: object, default: Callable[[], bool]) -> bool:
 
 
 def program_size(system: System, x0: Any, stages: int) -> ProgramSize:
-    """The size of the program of a lane of a system, whose state is like x0, shape (n,), and a
-    stepper of so many stages."""
-    # Traced and not run; JAX remembers the trace, so that new values of parameters ask nothing.
+    """The size of the program of a lane of a system with a state like x0, shape (n,), for a stepper
+    of the given number of stages."""
+    # Only traced; JAX caches the trace, so that new values of parameters cost nothing.
     field, guards, contacts, normals = eqx.filter_eval_shape(_counts, system, x0)
     spelled = len(x0) <= _SPELLED
     return ProgramSize(field * stages, guards, contacts, spelled, normals if spelled else 0)
@@ -186,6 +187,8 @@ def _counts(system: System, x0: Array) -> tuple[int, int, int, int]:
     h, t = check.shapes(system, x0), jnp.zeros((), x0.dtype)
     field = jax.make_jaxpr(ft.partial(field_of, system))(t, x0, jnp.ones(h, x0.dtype))
     guards = jax.make_jaxpr(system.switching)(t, x0)
+    # Coupled surfaces need the field on several combinations of sides. If it is affine in them, one
+    # base and one more for each surface are enough; otherwise all 2^m are evaluated.
     corners = 1 if structure.separate else m + 1 if structure.affine else 2**m
     contacts = 2 * m if on_components.resets else m
     normals = m * len(x0) if on_components.resets and m > 1 else 0

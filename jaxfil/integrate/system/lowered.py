@@ -1,12 +1,11 @@
-"""What the loop sees of a system: its fields and surfaces on components.
+"""The lowered system: the fields and surfaces of a `System` on components.
 
-A `System` and an initial state enter; a `ComponentSystem` leaves, with static sizes (n states, m
-surfaces) and functions on tuples of scalars. In a batch each scalar is one contiguous array of
-lanes, which XLA turns into vector instructions; an (n,) state in the loop would be strided. A state
-of many numbers is one array all the same: written out, its program would grow with n, and the
-array's own numbers fill the vectors. So is every state in a compact program, which has one lane.
-The numbers of the surfaces are one array too, where they are several and have nothing to do with
-each other (`ComponentSystem.packed`).
+A `ComponentSystem` has static sizes (n states, m surfaces) and functions on tuples of scalars. In a
+batch each scalar is one contiguous array of lanes, which XLA turns into vector instructions; an
+(n,) state in the loop would be strided. A large state is one array nevertheless, since its program
+would grow with n, and the array's own numbers fill the vectors. A compact program, which has one
+lane, holds every state as an array. The numbers of the surfaces are one array too, where there are
+several that are independent of each other (`ComponentSystem.packed`).
 """
 
 import dataclasses
@@ -47,21 +46,21 @@ from jaxfil.xla.select import select
 from jaxfil.xla.series import Expansion, Series
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 
-# Numbers of a state, and surfaces of a state that is one array, that are components one by one, at
-# most: in a program that is written out, and in a compact one.
+# The largest number of scalar components of a state, and of surfaces of a state that is one array,
+# in a program that is written out and in a compact one.
 _FEW, _FEW_SURFACES = (12, 2), (1, 1)
-# Surfaces at most that are components one by one, whatever they have to do with each other.
+# The largest number of surfaces that are scalar components, even if coupled.
 _MANY_SURFACES = 3
 
 
 class ComponentSystem(eqx.Module):
     """A system on components: n states, m surfaces.
 
-    XLA's CPU backend fuses operations into loops, and computes a value with several users again in
-    each user's loop: without a fence a cosine that two stages share would be computed twice, and a
-    stage once for each stage after it. It sees through `optimization_barrier`, but not through a
-    conditional whose condition it does not know (`once`), nor past a division by a value of each
-    lane, which it holds to be expensive (`Traced`). On other backends there is no fence.
+    XLA's CPU backend fuses operations into loops and recomputes a value in the loop of each of its
+    users. Without a fence, a cosine that two stages share would be computed twice, and a stage once
+    for each later stage. XLA sees through `optimization_barrier`, but not through a conditional on
+    a value unknown to it (`once`), nor past a division by a value of each lane, which it considers
+    expensive (`Traced`). Other backends have no fence. Check: count sines in the optimised HLO.
     """
 
     n: int = eqx.field(static=True)
@@ -74,15 +73,16 @@ class ComponentSystem(eqx.Module):
     structure: Structure = eqx.field(static=True)
     """Which numbers of the field and of H depend on which side and state."""
     compact: bool = eqx.field(static=True)
-    """Whether its program is to be small: see `grade`. Sines are then one operation each, and
-    only those of arrays are found ahead."""
+    """Whether the program should be small (see `grade`). Sines are then one operation each, and
+    only arrays of forcing values are computed ahead."""
     as_array: bool = eqx.field(static=True)
     """Whether a state is one array."""
     holds_itself: tuple[bool, ...] = eqx.field(static=True)
-    """On which surfaces the field says all that the reaction does; empty where it feels none."""
+    """Flags of the surfaces whose reaction acts through the field alone; empty for a field without
+    reactions."""
     packed: bool = eqx.field(static=True)
-    """Whether what there is of each surface is one array, (m,), as a state then is too: of surfaces
-    that are separate, share no number of it and have no reset, and of many others."""
+    """Whether the values of all surfaces are one (m,) array, and a state too. This holds for
+    separate surfaces without resets that share no number of it, and for large m."""
     _field: Any
     _switching: Any
     _felt: Any
@@ -93,29 +93,30 @@ class ComponentSystem(eqx.Module):
     clocks: tuple[tuple[Array, Array], ...]
     """Periods and phases of the clocks."""
     _opaque_one: Array | None
-    """1, as a number that the compiler does not know."""
+    """The number 1, opaque to the compiler."""
     window: tuple[Array, Array] | None = None
-    """The times that functions are held between: see `clocks`."""
+    """The interval to which times are clamped (see `clocks`)."""
     asks_mode: bool = eqx.field(static=True, default=False)
-    """Whether the field is given the mode, for what is observed of the motion."""
+    """Whether the field takes the mode, for an observable of the motion."""
     mode: Components | None = None
-    """That mode; None: that of the sides on which it is taken."""
+    """The mode passed to the field; None stands for the sides of the evaluation."""
 
     def in_mode(self, mode: Components) -> "ComponentSystem":
-        """The system as a motion in this mode sees it."""
+        """The system for a motion in this mode."""
         if not self.asks_mode:
             return self
         return dataclasses.replace(self, mode=jax.lax.stop_gradient(mode))
 
     def _seen(self, sides: Components) -> tuple[Components, ...]:
-        """The mode as the functions of the system are given it, if they ask for it."""
+        """The mode passed to the functions of the system, if they take it."""
         return (sides if self.mode is None else self.mode,) if self.asks_mode else ()
 
     def held(self, t: Array) -> Array:
-        """A time as the functions of the system are given it."""
+        """A time, clamped to the window, for the functions of the system."""
         if self.window is None:
             return t
         low, high = self.window
+        # The clamped value, with the derivative of t.
         return t + jax.lax.stop_gradient(jnp.clip(t, low, high) - t)
 
     @property
@@ -125,14 +126,13 @@ class ComponentSystem(eqx.Module):
 
     @property
     def fence(self) -> Array | None:
-        """That of the functions of a lane: see `ParametrizedFunction`."""
+        """The fence of a lane's functions (see `ParametrizedFunction`)."""
         return self._switching.fence
 
     def once(self, function: Callable, *args: Any) -> Any:
         """`function(*args)`, each argument and each result computed once.
 
-        A conditional that always takes its first branch, on a condition that the compiler cannot
-        see through.
+        A conditional that always takes its first branch, on a condition opaque to the compiler.
         """
         if self._opaque_one is None:
             return function(*args)
@@ -144,8 +144,8 @@ class ComponentSystem(eqx.Module):
         return jax.lax.cond(self._opaque_one > 0, function, never, *args)
 
     def where_any(self, flag: Array, function: Callable, otherwise: Callable, *args: Any) -> Any:
-        """`function(*args)` if the flag of any lane is set, else `otherwise(*args)`, which must be
-        the same where it is not set. On a CPU the other one is not computed."""
+        """`function(*args)` if the flag of any lane is set, else `otherwise(*args)`. The two must
+        agree where the flag is unset. On a CPU the other branch is not computed."""
         if self._opaque_one is None:
             return function(*args)
         return jax.lax.cond(eqxi.unvmap_any(flag), function, otherwise, *args)
@@ -155,8 +155,8 @@ class ComponentSystem(eqx.Module):
         return self.once(lambda held: held, values)
 
     def forcing(self, t: Array, h: Array, times: Sequence[float]) -> list[Forcing]:
-        """What the field takes of time alone and is dear, at t + c·h for each c of `times`: both
-        sides of a surface and all stages at one time share it."""
+        """The expensive values of the field that depend on time alone, at t + c·h for each c of
+        `times`. Both sides of a surface and all stages at one time share them."""
 
         def at(t: Array, h: Array) -> list[Forcing]:
             return [self.forcing_at(t + c * h) for c in times]
@@ -172,8 +172,7 @@ class ComponentSystem(eqx.Module):
         return [[v[k] for v in rows] for k in range(len(times))]
 
     def forcing_at(self, t: Array) -> Forcing:
-        """What the field takes of time alone and is dear, at one time; in a compact program arrays
-        alone."""
+        """The expensive values of the field at one time; in a compact program only arrays."""
         return self._field.ahead(self.held(t))
 
     def field(
@@ -184,8 +183,8 @@ class ComponentSystem(eqx.Module):
         alone: bool = False,
         forcing: Forcing | None = None,
     ) -> Components:
-        """F(t, x, sides), sides exactly ±1, with what `forcing` has found for t, if it is given.
-        `alone`: all that is made of it is one vector, blended or not."""
+        """F(t, x, sides) for sides of exactly ±1, with the values of `forcing` for t if given.
+        `alone` means that the result is used in one vector only, blended or not."""
         more = (None, *self._seen(sides)) if self.asks_mode else ()
         return self._field(self.held(t), x, sides, *more, alone=alone, known=forcing)
 
@@ -195,11 +194,11 @@ class ComponentSystem(eqx.Module):
         return self._felt is not None
 
     def felt(self, t: Array, x: Components, sides: Components, reaction: Components) -> Components:
-        """What reactions, m numbers, add to the field, which is affine in them."""
+        """The part of the field added by m reactions, in which it is affine."""
         return self._felt(self.held(t), x, sides, reaction, *self._seen(sides))
 
     def expansion(self) -> Expansion:
-        """Where power series of the functions of the system are made."""
+        """A new expansion, in which power series of the system's functions are computed."""
         return self._field.traced.expansion(self.fence)
 
     def expanded_field(
@@ -228,11 +227,11 @@ class ComponentSystem(eqx.Module):
         return self._switching(self.held(t), x)
 
     def rounding(self, t: Array, x: Components) -> Components | None:
-        """What rounding inside of H does to it, in eps, besides that of t and x; None: nothing."""
+        """The rounding error inside H, in eps, excluding the rounding of t and x; None if zero."""
         return self._rounding and self._rounding(self.held(t), x)
 
     def rate_rounding(self, t: Array, x: Components, sides: Components) -> Components | None:
-        """The same of dH/dt along the field of some sides, of a system with resets."""
+        """The same of dH/dt along the field on some sides, for systems with resets."""
         return self._rate_rounding and self._rate_rounding(self.held(t), x, sides)
 
     def reset(self, t: Array, x: Components, surface: Array) -> Components:
@@ -240,12 +239,12 @@ class ComponentSystem(eqx.Module):
         return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
 
     def tick(self, t: Array, x: Components, clock: Array) -> Components:
-        """The state after a tick of a clock, the first one for a negative number."""
+        """The state after a tick of a clock; a negative number stands for the first clock."""
         return self._tick(self.held(t), x, jnp.maximum(jnp.asarray(clock, jnp.int32), 0))
 
     @property
     def ticks(self) -> bool:
-        """Whether ticks move the state."""
+        """Whether ticks change the state."""
         return self._tick is not None
 
     def unpack(self, x: Array) -> Components:
@@ -253,7 +252,7 @@ class ComponentSystem(eqx.Module):
         return unpacked(x, self.as_array)
 
     def constant(self, numbers: np.ndarray) -> Components:
-        """The components of a state of known numbers, shape (n,)."""
+        """The components of a constant state, shape (n,)."""
         return on_each(lambda v: jnp.asarray(v, self.dtype), unpacked(numbers, self.as_array))
 
     def of_surfaces(self, numbers: Any) -> Components:
@@ -282,12 +281,12 @@ class ComponentSystem(eqx.Module):
         return h, h_t, Rows([row], self.structure.members)
 
     def rows_of(self, pull: Callable) -> Rows:
-        """The gradients of what there is of each surface, given the function that takes m numbers
-        to the gradient of their sum with it, alone in a tuple."""
+        """The gradients of m quantities, one for each surface, given the transposed derivative,
+        which maps m cotangents to a tuple of one cotangent of the state."""
         return self.for_units(lambda unit: pull(unit)[0])
 
     def for_units(self, row: Callable[[Components], Components]) -> Rows:
-        """A row for each surface, n numbers, made of the unit vector of the surface."""
+        """A row of n numbers for each surface, computed from the surface's unit vector."""
         if not self.packed:
             return Rows(map(row, self._units))
         units = jnp.eye(self.m, dtype=self.dtype)
@@ -301,8 +300,8 @@ class ComponentSystem(eqx.Module):
 
 def build(system: System, x0: Array, *, compact: bool, transposed: bool = False) -> ComponentSystem:
     """The components of a system whose float leaves have the dtype of `x0`, shape (n,), for a
-    program that is `compact` or not; to be `transposed`, its functions must not let a side that is
-    not taken into their derivatives."""
+    `compact` program or not. `transposed` programs are differentiated in reverse mode; their
+    derivatives must be independent of sides that are not taken."""
     check_sharding((system, x0))
     h_shape = check.shapes(system, x0)
     m = 1 if h_shape == () else h_shape[0]
@@ -324,7 +323,7 @@ def _build(
     h_shape: tuple[int, ...],
     packed: bool,
 ) -> ComponentSystem:
-    """`build`, with surfaces as one array if they are `packed`."""
+    """`build`, with the surfaces as one array if `packed`."""
     n, dtype = x0.shape[0], x0.dtype
     as_array = n > _FEW[compact] or packed
     t0, x = jnp.zeros((), dtype), unpacked(x0, as_array)
@@ -364,7 +363,7 @@ def _build(
         for function, there in zip(maps, there_are, strict=True)
     )
     on_cpu = jax.default_backend() == "cpu"
-    # XLA does not compute a sine of its own again.
+    # In compact programs a sine is one operation, which XLA does not recompute.
     fence = _fence(leaves, x0) if on_cpu and not compact else None
     return ComponentSystem(
         n=n,
@@ -392,8 +391,8 @@ def _build(
 
 
 def _fence(leaves: Any, x0: Array) -> Array:
-    """A one of each lane that the compiler cannot see through, for its sines: a conditional round a
-    single sine, on the one of `ComponentSystem.once`, is dissolved by XLA, a division is not."""
+    """The number 1, opaque to the compiler and different for each lane, that sines are divided by.
+    XLA removes a conditional around a single sine (`ComponentSystem.once`) but keeps a division."""
     numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype and v.size]
     firsts = [jnp.ravel(v)[0] for v in jax.lax.stop_gradient(numbers)]
     never = sum(firsts) == jnp.finfo(x0.dtype).max

@@ -1,7 +1,7 @@
 """Rows: a matrix with a row for each surface.
 
-Gradients of H, and the directions in which resets act, are held so: products with vectors of the
-state give one number for each surface, and sums of rows with shares give vectors of the state.
+It represents gradients of H, and the directions in which resets act. Products with vectors of the
+state give one number for each surface, and combinations of rows give vectors of the state.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,16 +17,16 @@ from jaxfil.xla.moves import taken
 from jaxfil.xla.select import select
 
 Members = tuple[tuple[int, ...], ...]
-"""For each surface the numbers of the state that its H is made of."""
+"""For each surface the numbers of the state that its H depends on."""
 
 
 @jax.tree_util.register_pytree_node_class
 class Rows:
-    """A matrix with a row for each of m surfaces: the gradients of H, or what resets act along.
+    """A matrix with a row for each of m surfaces: the gradients of H, or the directions of resets.
 
-    Where surfaces are held as one array (`ComponentSystem.packed`), the rows are one array too; or
-    if no two share a number of the state, one vector, of whose numbers `members` say which are of
-    which surface.
+    For surfaces in one array (`ComponentSystem.packed`) the rows are one array too. If no two
+    surfaces share a number of the state, all rows are stored in one vector, and `members` lists the
+    numbers of each surface.
     """
 
     __slots__ = ("is_array", "members", "rows")
@@ -60,19 +60,19 @@ class Rows:
         return self.rows[0].parts[0]
 
     def entries(self) -> Array | list[list[Array]]:
-        """The numbers, as an array if they are one, or as lists."""
+        """The entries, as an array or as lists."""
         return self._array if self.is_array else [list(row.parts) for row in self.rows]
 
     def __abs__(self) -> "Rows":
         return Rows(map(abs, self.rows), self.members, self.is_array)
 
     def plus(self, other: "Rows") -> "Rows":
-        """The sum with another matrix, neither of which has `members`."""
+        """The sum with another matrix; neither may have `members`."""
         rows = (a + b for a, b in zip(self.rows, other.rows, strict=True))
         return Rows(rows, None, self.is_array)
 
     def where(self, chosen: Sequence[bool], other: "Rows") -> "Rows":
-        """The rows that are chosen, and those of another matrix in the place of others."""
+        """The chosen rows, with rows of another matrix in place of the others."""
         if self.is_array:
             mask = np.array(chosen)[:, None]
             return Rows.array(select(mask, self._array, other._array))
@@ -88,7 +88,7 @@ class Rows:
         return Components([_sum_of_members(self.members, self.rows[0] * v)])
 
     def squares(self) -> Components:
-        """The square of the length of each row."""
+        """The squared length of each row."""
         if self.is_array:
             return Components([jnp.sum(self._array * self._array, axis=1)])
         if self.members is None:
@@ -96,7 +96,7 @@ class Rows:
         return self @ self.rows[0]
 
     def products(self, other: "Rows") -> "Rows":
-        """The products of each row with each row of another, which are numbers one by one."""
+        """The products of each row with each row of another matrix, which has no `members`."""
         if self.is_array:
             return Rows.array(self._array @ other._array.T)
         columns = [list((self @ row).parts) for row in other.rows]
@@ -104,7 +104,7 @@ class Rows:
         return Rows(Components(zero + v for v in row) for row in zip(*columns, strict=True))
 
     def diagonal(self) -> Components:
-        """Number j of row j, of a square matrix."""
+        """The diagonal of a square matrix."""
         if self.is_array:
             return Components([jnp.diagonal(self._array)])
         return Components(row.parts[j] for j, row in enumerate(self.rows))
@@ -122,7 +122,7 @@ class Rows:
 
 
 def _sum_of_members(members: Members, terms: Components) -> Array:
-    """The sum of the terms of each surface, (m,), of one term for each number of the state."""
+    """The sum of the terms of each surface, (m,), given a term for each number of the state."""
     most = max(1, max(map(len, members)))
     table = np.zeros((len(members), most), np.int32)
     real = np.arange(most) < np.array([[len(row)] for row in members])
@@ -131,11 +131,12 @@ def _sum_of_members(members: Members, terms: Components) -> Array:
 
 
 def _share_of_owner(members: Members, row: Components, shares: Components) -> Array:
-    """For each number of the state the share of its surface, (n,); 0 where it is of none."""
+    """For each number of the state the share of its surface, (n,); 0 for numbers of no surface."""
     n, m = len(row.parts[0]), len(members)
     owner = np.full(n, -1, np.int32)
     for j, numbers in enumerate(members):
         owner[list(numbers)] = j
-    # A number of none takes any surface, but one that makes a row with its neighbours.
+    # Numbers of no surface read an arbitrary share, masked below, chosen so that neighbours
+    # in the state still read a contiguous slice.
     of = np.where(owner < 0, np.arange(n) % m, owner)
     return select(owner >= 0, taken(shares.parts[0], of), 0.0)

@@ -403,7 +403,9 @@ DOUBLES = {"pure_callback": on_host, "custom_vjp": reverse_only, "custom_jvp": w
 
 @pytest.mark.parametrize("how", ["pure_callback", "custom_vjp"])
 def test_a_field_without_forward_derivatives_is_refused_by_name(how):
-    match = rf"^`vector_field` must have forward derivatives.*`jax\.{how}`: wrap it in .*custom_jvp"
+    match = (
+        rf"^`vector_field` must have forward derivatives.*`jax\.{how}`\. Wrap it in .*custom_jvp"
+    )
     with pytest.raises(TypeError, match=match):
         jf.solve(Called(how), jnp.array([1.0, 0.0]), 0.0, 1.0, 0.05)
 

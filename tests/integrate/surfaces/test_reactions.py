@@ -384,7 +384,7 @@ def test_sweeps_and_averages_of_what_feels_a_reaction():
     span = np.zeros(4), 0.0, period, 0.01
     mean = jf.average(block(), lambda t, x, side, reaction: reaction, *span)
     assert_allclose(mean.value, [G, 0.0], rtol=1e-10, atol=1e-12)
-    with pytest.raises(ValueError, match=r"What is observed must be affine in its reactions"):
+    with pytest.raises(ValueError, match=r"The observable must be affine in its reactions"):
         jf.average(block(), lambda t, x, side, reaction: reaction**2, *span)
 
 
