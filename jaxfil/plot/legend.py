@@ -26,7 +26,7 @@ def legend(ax: Axes, more: Iterable[Artist] = (), below: float = 0.0, **options:
     entries = _entries(ax, more)
     if not entries[0]:
         return
-    drawn = ax.legend(*entries, **options)
+    drawn = ax.legend(*entries, **{"loc": "best", **options})  # by default it warns when slow
     if not ax.get_autoscaley_on() or ax.name == "3d":
         return
     page: Any = ax.figure.figure  # also for axes in a subfigure
