@@ -35,7 +35,6 @@ def portrait(ax, n):
 def history(ax, n):
     """The velocity over bands that show the mode."""
     jf.plot.time_history(carried(), ax, components=1)
-    ax.set_ylim(-3.3, 4.0)  # room for the legend
     return "the same in time"
 
 
@@ -61,16 +60,16 @@ def diagram(ax, n):
 
 def plane(ax, n):
     """The period in the plane of frequency and force."""
-    values = np.linspace(0.6, 1.3, 120 // n), np.linspace(0.05, 0.4, 90 // n)
+    values = np.linspace(0.6, 1.3, 320 // n), np.linspace(0.05, 0.4, 256 // n)
     run = {"transient": 300, "samples": 32, "progress": False}
     x0 = jnp.array([0.3, 0.1])
     jf.bifurcation_diagram(S.SDOscillator(), ("omega", "f0"), values, x0, **run).plot(ax)
-    return "the map of periods over two parameters"
+    return "periods over two parameters"
 
 
 def basins(ax, n):
     """Three coexisting motions, and which initial state leads to which."""
-    axes = np.linspace(-3.2, 3.2, 120 // n), np.linspace(-2.2, 2.2, 90 // n)
+    axes = np.linspace(-3.2, 3.2, 320 // n), np.linspace(-2.2, 2.2, 256 // n)
     run = {"transient": 400, "samples": 8, "progress": False}
     jf.basins_of_attraction(S.SDOscillator(omega=0.7), axes, **run).plot(ax)
     return "basins of attraction"
@@ -85,7 +84,7 @@ def branch(ax, n):
 
 def multipliers(ax, n):
     """Those of every orbit of the same branch."""
-    jf.plot.multipliers(followed().orbits, ax)
+    jf.plot.multipliers(followed(), ax)
     ax.set(xlim=(-1.4, 2.2), ylim=(-1.4, 1.4))
     return "its Floquet multipliers"
 

@@ -164,8 +164,11 @@ def picture(rows, path):
             ax.set_xlim(1e-3, 1e-14)
             ax.grid(alpha=0.3)
             paper.entitle(ax, {"belt": "belt friction", "sd": "SD oscillator"}.get(scene, scene))
-        axes[0].set_ylabel("lane-periods per second")
-        paper.below(figure, axes[0].get_legend_handles_labels()[0], 4)
+        axes[0].set_ylabel("periods of the force per second, all lanes")
+        # In the order of the curves, the highest first, line by line.
+        curves = sorted(axes[0].get_lines(), key=lambda line: -max(line.get_ydata()))
+        columns = 4
+        paper.below(figure, [c for i in range(columns) for c in curves[i::columns]], columns)
         paper.save(figure, path)
 
 

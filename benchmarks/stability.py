@@ -53,7 +53,7 @@ def _figure(found):
     figure.colorbar(drawn[-1], ax=axes, label="error of the state at t = 12")
     marks = [
         Patch(facecolor="0.85", edgecolor="0.3", hatch=hatch, label=label)
-        for hatch, label in (("xx", "told: not successful"), ("..", "unstable: error above 1"))
+        for hatch, label in (("xx", "reported: not successful"), ("..", "unstable: error above 1"))
     ]
     paper.below(figure, [limit, *marks], 3)
     figure.suptitle("A relay with one damped side: error over step and stiffness")

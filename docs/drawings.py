@@ -250,16 +250,16 @@ def bifurcations(folder):
 
 
 def gallery(folder):
-    """Each panel of the gallery on a page of its own."""
+    """Each panel of the gallery at the width of a column."""
     from benchmarks.gallery import PANELS
     from benchmarks.paper import canvas as paper
 
     for panel in PANELS:
         with paper.style():
-            figure = paper.canvas(120, 82)
+            figure = paper.canvas(paper.COLUMN, 63)
             ax = figure.subplots()
             paper.entitle(ax, panel(ax, 1))
-            figure.savefig(folder / f"{panel.__name__}.png", dpi=200)
+            figure.savefig(folder / f"{panel.__name__}.png", dpi=300)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,10 @@ A problem and its rows enter; a file leaves. A colour is a program, a mark a met
 lanes ran.
 """
 
+import itertools
 import math
 
+import numpy as np
 from matplotlib.lines import Line2D
 
 from benchmarks.paper import canvas as paper
@@ -32,6 +34,18 @@ LINES = {
     f"a lane of a batch of {LANES}": {"ls": ":", "lw": 1.6},
 }
 
+# Where the name of a curve may be, beside one of its ends.
+PLACES = (
+    {"xytext": (0, 4), "ha": "center", "va": "bottom"},
+    {"xytext": (0, -4), "ha": "center", "va": "top"},
+    {"xytext": (5, 0), "ha": "left", "va": "center"},
+    {"xytext": (-5, 0), "ha": "right", "va": "center"},
+    {"xytext": (4, 4), "ha": "left", "va": "bottom"},
+    {"xytext": (-4, 4), "ha": "right", "va": "bottom"},
+    {"xytext": (4, -4), "ha": "left", "va": "top"},
+    {"xytext": (-4, -4), "ha": "right", "va": "top"},
+)
+
 
 def draw(problem, rows, path):
     """Both panels, or the left one alone where nothing was smoothed."""
@@ -50,18 +64,19 @@ def _figure(problem, rows):
         _curve(axes[0], *key, some)
     axes[0].set(xscale="log", yscale="log", ylabel="run time (ms)")
     axes[0].invert_xaxis()
-    axes[0].set_ylim(top=3 * axes[0].get_ylim()[1])  # room for the names of the widths
-    titles = ("contacts located", "sgn H smoothed to tanh(H/width)")
+    axes[0].set_ylim(top=2 * axes[0].get_ylim()[1])  # room for the names of the widths
+    titles = ("contacts located", "sgn H smoothed to tanh(H/width); beside curves: width")
     for ax, title in zip(axes, titles, strict=False):
         ax.set(xlabel="error at t1 (smaller to the right)")
         paper.entitle(ax, title)
         ax.grid(alpha=0.25)
     if smooth:
-        _name_widths(axes[1], [r for r in rows if r.program == "smoothed"])
         _beside(axes[1], rows)
     figure.suptitle(problem.title)
     figure.get_layout_engine().set(wspace=0.06)  # the last tick of one panel, the first of the next
     figure.legend(handles=list(_handles(rows)), loc="outside lower center", ncols=3, frameon=False)
+    if smooth:
+        _name_widths(axes[1], [r for r in rows if r.program == "smoothed"])
     return figure
 
 
@@ -76,23 +91,25 @@ def _curve(ax, program, method, rows):
 
 
 def _name_widths(ax, rows):
-    """The width above the last point of each smoothed curve. Those of the dearer method lie close
-    together: their names are moved apart."""
-    for solver, apart in (("Tsit5", 0), ("Kvaerno5", 6)):
-        ends = [
-            (some[-1].error, 1e3 * some[-1].seconds, method.split("width ")[1])
-            for (_, method), some in curves(rows).items()
-            if method.startswith(solver) and 0 < some[-1].error < math.inf
-        ]
-        for i, (error, spent, width) in enumerate(sorted(ends, reverse=True)):
-            ax.annotate(
-                width,
-                (error, spent),
-                textcoords="offset points",
-                xytext=(apart * (2 * i + 1 - len(ends)), 6),
-                ha="center",
-                rotation="vertical",
-            )
+    """The width of each smoothed curve at one of its ends, where neither points nor other names
+    are."""
+    ax.figure.get_layout_engine().execute(ax.figure)
+    points = np.concatenate([ax.transData.transform(line.get_xydata()) for line in ax.lines])
+    boxes = []
+    for (_, method), some in curves(rows).items():
+        found = [(r.error, 1e3 * r.seconds) for r in some if 0 < r.error < math.inf]
+        if not found:
+            continue
+        power = round(math.log10(float(method.split("width ")[1])))
+        for end, place in itertools.product((found[-1], found[0]), PLACES):
+            name = ax.annotate(f"$10^{{{power}}}$", end, textcoords="offset points", **place)
+            box = name.get_window_extent()
+            if not (box.count_overlaps(boxes) or box.count_contains(points)):
+                break
+            name.remove()
+        else:
+            raise ValueError(f"no place for the width of {method}")
+        boxes.append(box)
 
 
 def _beside(ax, rows):

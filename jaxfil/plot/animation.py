@@ -12,7 +12,8 @@ from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
-from jaxfil.plot.canvas import BLACK, GREY, legend, own_axes
+from jaxfil.plot.canvas import BLACK, GREY, own_axes
+from jaxfil.plot.legend import legend
 from jaxfil.plot.path import MARKERS, chosen, contacts, one_lane, path
 from jaxfil.plot.surfaces import draw_surfaces
 
@@ -75,9 +76,9 @@ def animation(
     clock = ax.set_title("", loc="left", fontsize="medium")
     if system is not None:
         draw_surfaces(ax, system, sol, shown)
-    legend(ax, loc="upper right")
     ax.set_xlabel(sol.labels.component(shown[0]))
     ax.set_ylabel(sol.labels.component(shown[1]))
+    legend(ax)
     way = 1 if ts[0] <= ts[-1] else -1
     solid = np.isfinite(xs).all(axis=1)
 

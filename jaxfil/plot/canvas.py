@@ -3,12 +3,10 @@
 The colours are from M. Okabe and K. Ito, Color Universal Design (2008), for colour-blind readers.
 """
 
-from collections.abc import Iterable
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cbook import normalize_kwargs
 from matplotlib.cm import ScalarMappable
@@ -16,6 +14,7 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
 
 BLACK, GREY, WHITE = "#000000", "#999999", "#FFFFFF"
 BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
@@ -97,14 +96,18 @@ def styled(given: dict[str, Any], **ours: Any) -> dict[str, Any]:
     return {**ours, **normalize_kwargs(given, Line2D)}
 
 
-def legend(ax: Axes, more: Iterable[Artist] = (), **options: Any) -> None:
-    """A legend with one entry for each label, however often it was drawn, after the entries `more`;
-    omitted without labels."""
-    entries = {handle.get_label(): handle for handle in more}
-    for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-        entries.setdefault(label, handle)
-    if entries:
-        ax.legend(list(entries.values()), [str(label) for label in entries], **options)
+class Heading(Annotation):
+    """A title over the left end of axes, shown while they have no title of the caller's."""
+
+    def __init__(self, ax: Axes, text: str) -> None:
+        at = {"xycoords": "axes fraction", "textcoords": "offset points"}
+        super().__init__(text, (0, 1), (0, 6), va="bottom", fontsize="medium", **at)
+        ax.add_artist(self)
+
+    def get_visible(self) -> bool:
+        """Whether the axes have no other title."""
+        titles = (self.axes.get_title(loc) for loc in ("left", "center", "right"))
+        return super().get_visible() and not any(titles)
 
 
 def color_bar(

@@ -9,8 +9,9 @@ from jaxfil.equilibria.equilibrium_branch import EquilibriumBranch
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.labels import labels_of
-from jaxfil.plot.canvas import BLACK, ORANGE, legend, own_axes
+from jaxfil.plot.canvas import BLACK, ORANGE, own_axes
 from jaxfil.plot.kinds import KINDS
+from jaxfil.plot.legend import legend
 from jaxfil.plot.orbits import draw_stability
 
 
@@ -55,8 +56,8 @@ def equilibrium_branch(
         marker, color = KINDS[point.kind]
         at = point.value, float(point.equilibrium.x[component])
         ax.plot(*at, marker, color=color, markeredgecolor=BLACK, label=point.kind)
-    legend(ax)
     labels = labels_of(branch.equilibria.system, n)
     ax.set_xlabel(labels.parameter(branch.parameter))
     ax.set_ylabel(labels.component(component))
+    legend(ax)
     return ax

@@ -10,7 +10,12 @@ from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.lyapunov import LyapunovSpectrum
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, COLORS, legend, marker_size, own_axes, styled, subscript
+from jaxfil.plot.canvas import BLACK, COLORS, marker_size, own_axes, styled, subscript
+from jaxfil.plot.legend import legend
+
+# The axes reach below zero at most this multiple of the other exponents' size; exponents below this
+# multiple of one over the time are zero.
+_REACH, _ZERO = 5.0, 3.0
 
 
 def lyapunov_exponents(
@@ -22,8 +27,9 @@ def lyapunov_exponents(
 ) -> Axes:
     """Draw all exponents of a batch of spectra, one for each value, against the parameter.
 
-    Exponents of −inf are ticked along the lower edge. Values whose average is not settled
-    (`settled` False) are drawn hollow, failed lanes are omitted.
+    Exponents of −inf are ticks on the lower edge. Exponents so negative that the others would lie
+    on one line are triangles there, and the legend has the least of them. Values whose average is
+    not settled (`settled` False) are drawn hollow, failed lanes are omitted.
 
     **Arguments**
 
@@ -59,6 +65,8 @@ def lyapunov_exponents(
     settled = np.asarray(spectrum.settled)
     ax.axhline(0, color=BLACK, linewidth=0.5)
     size = float(np.clip(1.5 * marker_size(ax, values.size), 2.0, 3.0))
+    least = _lower_limit(exponents, np.asarray(spectrum.times))
+    edges = 0
     for i, column in enumerate(exponents.T):
         color = COLORS[i % len(COLORS)]
         # The largest one, the most important, above the others.
@@ -69,24 +77,44 @@ def lyapunov_exponents(
             "color": color,
         }
         ours = styled(style, **ours, markeredgewidth=0, zorder=2 + 0.1 * (len(exponents.T) - i))
-        lost = np.isneginf(column)  # outside of the axes
-        named: dict[str, Any] = {"label": f"λ{subscript(i + 1)}"}
-        ax.plot(values[settled & ~lost], column[settled & ~lost], **ours | named)
-        passing = np.isfinite(column) & ~settled
+        lost, far = np.isneginf(column), np.isfinite(column) & (column < least)
+        inside = ~lost & ~far
+        name = f"λ{subscript(i + 1)}"
+        named: dict[str, Any] = {"label": name} if np.isfinite(column[inside]).any() else {}
+        ax.plot(values[settled & inside], column[settled & inside], **ours | named)
+        passing = np.isfinite(column) & inside & ~settled
         hollow: dict[str, Any] = {"fillstyle": "none", "markeredgewidth": 0.5}
         if i == 0 and passing.any():
             hollow["label"] = "not settled"
         ax.plot(values[passing], column[passing], **ours | hollow)
-        if lost.any():
-            edge: dict[str, Any] = {"clip_on": False, "color": color}
-            edge["transform"] = ax.get_xaxis_transform()
-            height = np.full(lost.sum(), 0.015 + 0.03 * i)
-            ax.plot(values[lost], height, "|", label=f"{named['label']} = −∞", **edge)
+        for which, marker, told in ((far, "v", "down to"), (lost, "|", "=")):
+            if which.any():
+                end = f"{column[which].min():.3g}".replace("-inf", "−∞").replace("-", "−")
+                _on_edge(ax, values[which], edges, marker, color, f"{name} {told} {end}")
+                edges += 1
     ax.set_xlim(values.min(), values.max() if values.max() > values.min() else None)
     ax.set_xlabel(parameter)
     ax.set_ylabel("exponents per unit time")
-    legend(ax, loc="best", markerscale=2)
+    legend(ax, markerscale=2)
     return ax
+
+
+def _lower_limit(exponents: np.ndarray, times: np.ndarray) -> float:
+    """The lower limit of axes for exponents (…, n) averaged over times (…, k), −inf without one."""
+    rest = abs(exponents[..., :-1] if exponents.shape[-1] > 1 else exponents)
+    # An exponent of zero has a mean of the order of one over the time.
+    rest = rest[np.isfinite(rest) & (rest > _ZERO / np.nanmax(times))]
+    if not rest.size:
+        return -np.inf
+    limit = -_REACH * np.percentile(rest, 90)
+    return float(limit) if exponents[np.isfinite(exponents)].min() < limit else -np.inf
+
+
+def _on_edge(ax: Axes, values: np.ndarray, row: int, marker: str, color: str, label: str) -> None:
+    """Marks at values on the lower edge of axes, where they are not read as numbers; those of
+    several exponents in rows."""
+    edge: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False}
+    ax.plot(values, np.full(values.size, 0.025 * row), marker, color=color, label=label, **edge)
 
 
 @draws(LyapunovSpectrum, TransverseExponent)
@@ -96,7 +124,8 @@ def lyapunov_convergence(
     """Draw the running estimates of one spectrum, or of one transverse exponent, against time.
 
     The time is the averaging time. The band is one standard error of the last estimate wide, and
-    shrinks as 1/√t, like the error of a mean.
+    shrinks as 1/√t, like the error of a mean. An exponent of −inf, or one so negative that the
+    others would lie on one line, is in the legend alone.
 
     **Arguments**
 
@@ -125,18 +154,21 @@ def lyapunov_convergence(
     exponents = np.asarray(spectrum.exponents)
     errors = np.atleast_1d(spectrum.standard_error)
     running = np.asarray(spectrum.running).reshape(times.size, exponents.size)
-    ax = own_axes(ax)
+    ax, least = own_axes(ax), _lower_limit(exponents, times)
     for i, (column, last, error) in enumerate(zip(running.T, exponents, errors, strict=True)):
-        if not np.isfinite(last):
+        told = f"λ{subscript(i + 1)} = {last:.4g}".replace("-inf", "−∞").replace("-", "−")
+        if np.isnan(last):
+            continue
+        if np.isneginf(last) or last < least:
+            ax.plot([], [], linewidth=0, label=told)
             continue
         color, band = COLORS[i % len(COLORS)], error * np.sqrt(times[-1] / times)
         ax.fill_between(times, last - band, last + band, color=color, alpha=0.2, linewidth=0)
-        told = f"λ{subscript(i + 1)} = {last:.4g}".replace("-", "−")
         ax.plot(times, column, **styled(style, color=color, label=told))
     ax.set_xlim(0, times[-1])
     ax.set_xlabel("time averaged over")
     ax.set_ylabel("running estimate")
-    legend(ax, loc="best")
+    legend(ax)
     return ax
 
 
@@ -183,5 +215,5 @@ def synchronization(found: Synchronization, ax: Axes | None = None) -> Axes:
     ax.set_yscale("log")
     ax.set_xlabel("coupling")
     ax.set_ylabel("smallest distance")
-    legend(ax, loc="best")
+    legend(ax)
     return ax

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
@@ -12,7 +13,8 @@ from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
-from jaxfil.plot.canvas import BLACK, COLORS, legend, own_axes, styled, subscript
+from jaxfil.plot.canvas import BLACK, COLORS, own_axes, points_of, styled, subscript
+from jaxfil.plot.legend import legend
 from jaxfil.plot.path import (
     BANDS,
     JUMPS,
@@ -26,8 +28,9 @@ from jaxfil.plot.path import (
     spans,
 )
 
-# The height of a surface's strip relative to the axes, with several surfaces.
-_STRIP = 0.05
+# With several surfaces, the height of the strip of each in the size of the text, and the part of
+# the axes that all of them take at most.
+_STRIP, _ALL = 1.1, 0.4
 
 
 def time_history(
@@ -39,10 +42,10 @@ def time_history(
 ) -> Axes:
     """Draw components against time over bands that show the mode.
 
-    For one surface the bands fill the axes; for several each has a strip below the curves. Impacts
-    are marked, and their jumps dotted. A band changes at the contact between two saved times, and
-    at most once; save often, as with `diffrax.SaveAt(t0=True, steps=True)`. For a batch every lane
-    is drawn, without bands.
+    For one surface the bands fill the axes; for several each has a strip below the curves, numbered
+    from 0 as in the event table. Impacts are marked, and their jumps dotted. A band changes at the
+    contact between two saved times, and at most once; save often, as with
+    `diffrax.SaveAt(t0=True, steps=True)`. For a batch every lane is drawn, without bands.
 
     **Arguments**
 
@@ -82,9 +85,10 @@ def time_history(
                 _mark_jumps(ax, one, system, kind, c, line.get_color())
     every = np.concatenate([ts for ts, _ in paths])
     ax.set_xlim(np.nanmin(every), np.nanmax(every))
-    legend(ax, _shade_modes(ax, sol) if np.ndim(sol.t_final) == 0 else ())
     ax.set_xlabel(sol.labels.time)
     ax.set_ylabel(", ".join(sol.labels.component(c) for c in shown))
+    entries, height = _shade_modes(ax, sol) if np.ndim(sol.t_final) == 0 else ((), 0.0)
+    legend(ax, entries, below=height)
     return ax
 
 
@@ -101,17 +105,19 @@ def _mark_jumps(
     ax.plot(ts, before[:, c], marker, color=fill, markeredgecolor=BLACK, label=kind.name)
 
 
-def _shade_modes(ax: Axes, sol: Solution) -> list[Patch]:
-    """Fill the bands of each surface, the first lowest, with their modes' colours; the entries of
-    the legend."""
+def _shade_modes(ax: Axes, sol: Solution) -> tuple[list[Patch], float]:
+    """Fill the bands of each surface, the first lowest, with their modes' colours; returns the
+    entries of the legend, and the part of the height that strips take."""
     ts, _, modes = saved(sol)
     met = contacts(sol)
     m = modes.shape[1]
-    height = 1.0 if m == 1 else _STRIP
+    height = 1.0
     if m > 1:
         # The strips are below the curves.
-        low, high = ax.get_ylim()
-        ax.set_ylim(high - (high - low) / (1 - _STRIP * (m + 1)), high)
+        height = min(_STRIP * rcParams["font.size"] / points_of(ax)[1], _ALL / (m + 1))
+        stretched = 1 / (1 - height * (m + 1))
+        ends = ax.transAxes.transform([(0, 1 - stretched)])
+        ax.update_datalim(ax.transData.inverted().transform(ends), updatex=False)
     for j in range(m):
         starts, widths, held = spans(ts, modes[:, j], met.ts[met.members[:, j]])
         for mode, (_, color) in BANDS.items():
@@ -124,15 +130,10 @@ def _shade_modes(ax: Axes, sol: Solution) -> list[Patch]:
                 linewidth=0,
             )
         if m > 1:
-            ax.axhspan(
-                *ax.transData.inverted().transform(
-                    ax.transAxes.transform([[0, j * height], [0, (j + 1) * height]])
-                )[:, 1],
-                fill=False,
-                linewidth=0.4,
-            )
+            edge = {"color": BLACK, "linewidth": 0.8, "transform": ax.transAxes}
+            ax.plot([0, 1], [(j + 1) * height] * 2, **edge)
             ax.annotate(
-                f"H{subscript(j + 1)}",
+                f"H{subscript(j)}",
                 (1, (j + 0.5) * height),
                 (2, 0),
                 xycoords="axes fraction",
@@ -140,8 +141,9 @@ def _shade_modes(ax: Axes, sol: Solution) -> list[Patch]:
                 verticalalignment="center",
                 fontsize="small",
             )
-    return [
+    entries = [
         Patch(facecolor=color, alpha=0.5, edgecolor=BLACK, linewidth=0.5, label=label)
         for mode, (label, color) in BANDS.items()
         if (modes == mode).any()
     ]
+    return entries, height * (m + 1) if m > 1 else 0.0

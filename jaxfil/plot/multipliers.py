@@ -11,7 +11,8 @@ from jaxfil.model import check
 from jaxfil.model.labels import labels_of
 from jaxfil.orbits.branch import Branch
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, color_bar, legend, own_axes, styled
+from jaxfil.plot.canvas import BLACK, COLORS, VERMILLION, color_bar, own_axes, styled
+from jaxfil.plot.legend import legend
 
 # Colours of the parameter of a branch.
 _SCALE = "viridis"
@@ -75,10 +76,10 @@ def multipliers(
         labels = labels_of(orbits.system, orbits.x0.shape[-1])
         scale = ScalarMappable(norm, _SCALE)
         color_bar(ax, scale, colorbar, label=labels.parameter(orbit.parameter))
-    legend(ax, loc="best")
     ax.set_aspect("equal")
     ax.set_xlabel("Re μ")
     ax.set_ylabel("Im μ")
+    legend(ax)
     return ax
 
 

@@ -12,8 +12,9 @@ from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.labels import labels_of
 from jaxfil.orbits.branch import Branch
-from jaxfil.plot.canvas import BLACK, VERMILLION, legend, own_axes, styled
+from jaxfil.plot.canvas import BLACK, VERMILLION, own_axes, styled
 from jaxfil.plot.kinds import KINDS
+from jaxfil.plot.legend import legend
 
 
 @draws(Branch)
@@ -54,10 +55,10 @@ def branch(
             marker, color = KINDS[point.kind]
             at = point.value, height(branch, curve, point.value, point.index)
             ax.plot(*at, marker, color=color, markeredgecolor=BLACK, label=point.kind)
-    legend(ax)
     labels = labels_of(branch.orbits.system, branch.orbits.x0.shape[-1])
     ax.set_xlabel(labels.parameter(branch.parameter))
     ax.set_ylabel(labels.component(component, wording))
+    legend(ax)
     return ax
 
 
@@ -126,9 +127,9 @@ def bifurcation_curve(
         ax.plot(*values.T, **styled(style, color=color, linewidth=1.5, label=kind))
     for point in curve.points if isinstance(curve, BifurcationCurve) else ():
         ax.plot(*point.values, "o", color=BLACK, label=point.kind)
-    legend(ax)
     ax.set_xlabel(curve.labels.parameter(curve.parameters[0]))
     ax.set_ylabel(curve.labels.parameter(curve.parameters[1]))
+    legend(ax)
     return ax
 
 

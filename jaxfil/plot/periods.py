@@ -58,11 +58,13 @@ def parameter_map(
         shading="nearest",
         rasterized=True,
     )
-    told = {_MANY: f"≥ {_MANY}", 0: f"> {diagram.xs.shape[-2] // 2}", -1: "failed"}
+    longest = diagram.xs.shape[-2] // 2
+    many = f"{_MANY}–{longest}" if longest > _MANY else str(_MANY)
+    told = {_MANY: many, 0: f"> {longest}", -1: "failed"}
     bar = color_bar(ax, picture, colorbar, ticks=range(len(seen)))
     if bar is not None:
         bar.set_ticklabels([told.get(period, str(period)) for period in seen])
         bar.ax.tick_params(length=0)
-        bar.ax.set_title("period", fontsize="medium")
+        bar.set_label("period")
     label_plane(ax, diagram)
     return ax

@@ -33,10 +33,10 @@ from jaxfil.plot.canvas import (
     SKY,
     VERMILLION,
     WHITE,
-    legend,
     own_axes,
     styled,
 )
+from jaxfil.plot.legend import legend_outside
 from jaxfil.plot.path import lanes, path
 from jaxfil.plot.sliding_region import Plane, draw_surface
 from jaxfil.xla.known import array_of
@@ -112,10 +112,10 @@ def phase_plane(system: System, limits: Limits, ax: Axes | None = None, **style:
         _draw_equilibrium(ax, one)
     ax.set_xlim(*window[0])
     ax.set_ylim(*window[1])
-    legend(ax, loc="upper left", bbox_to_anchor=(1.01, 1.0))
     labels = labels_of(system, 2)
     ax.set_xlabel(labels.component(0))
     ax.set_ylabel(labels.component(1))
+    legend_outside(ax)
     return ax
 
 

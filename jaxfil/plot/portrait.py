@@ -14,8 +14,9 @@ from jaxfil.model.drawing import draws
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.plot.canvas import BLACK, WHITE, legend, own_axes, styled
+from jaxfil.plot.canvas import BLACK, WHITE, own_axes, styled
 from jaxfil.plot.history import time_history
+from jaxfil.plot.legend import legend
 from jaxfil.plot.path import (
     BANDS,
     JUMPS,
@@ -96,9 +97,9 @@ def phase_portrait(
         _draw_motion(ax, one, system, shown, style, arrow=len(motions) <= _ARROWS)
     if system is not None and len(shown) == 2:
         draw_surfaces(ax, system, motions[-1], shown)
-    legend(ax)
     for name, c in zip("xyz", shown, strict=False):
         getattr(ax, f"set_{name}label")(sol.labels.component(c))
+    legend(ax)
     return ax
 
 
@@ -128,7 +129,8 @@ def _draw_motion(
             ax.plot(*jump[:, shown].T, ":", color=color, linewidth=0.8)
     met = contacts(sol)
     size *= float(np.clip(np.sqrt(_MANY / max(met.ts.size, 1)), 0.3, 1))
-    for kind in np.unique(met.kinds):
+    kinds, counts = np.unique(met.kinds, return_counts=True)
+    for kind, count in zip(kinds, counts, strict=True):
         marker, fill = MARKERS[EventKind(kind)]
         ax.plot(
             *met.xs[met.kinds == kind][:, shown].T,
@@ -138,6 +140,7 @@ def _draw_motion(
             markeredgewidth=0.1 * size,
             markersize=size,
             label=EventKind(kind).name,
+            zorder=3 - count / met.ts.size,  # rare ones above frequent ones
         )
 
 

@@ -9,7 +9,8 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 from jaxfil.integrate.run.step_choice import StepChoice
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, COLORS, legend, own_axes
+from jaxfil.plot.canvas import BLACK, COLORS, own_axes
+from jaxfil.plot.legend import legend
 from jaxfil.studies.work_precision import WorkPrecision
 
 

@@ -8,7 +8,16 @@ from matplotlib.axes import Axes
 
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, VERMILLION, legend, marker_size, own_axes, points_of, styled
+from jaxfil.plot.canvas import (
+    BLACK,
+    VERMILLION,
+    Heading,
+    marker_size,
+    own_axes,
+    points_of,
+    styled,
+)
+from jaxfil.plot.legend import legend
 from jaxfil.plot.periods import parameter_map
 from jaxfil.sweep.diagram import BifurcationDiagram
 
@@ -36,9 +45,9 @@ def bifurcation_diagram(
 ) -> Axes:
     """Draw one component of every sample against the parameter.
 
-    The title shows the conditions. A million samples take about a second, and a vector file stores
-    them as an image. Values whose lane ended early are ticked along the lower edge; samples far
-    beyond all others are outside the axes and counted.
+    New axes have the conditions as their title, until they are given another. A million samples
+    take about a second, and a vector file stores them as an image. Values whose lane ended early
+    are ticked along the lower edge; samples far beyond all others are outside the axes and counted.
 
     **Arguments**
 
@@ -58,8 +67,6 @@ def bifurcation_diagram(
     >>> ax = jf.plot.bifurcation_diagram(diagram, jf.plot.page().add_subplot())
     >>> ax.get_xlabel(), ax.get_ylabel(), len(ax.lines[0].get_xdata())
     ('Ω', 'x once a period', 16)
-    >>> print(ax.get_title(loc="left"))
-    SDOscillator: f₀ = 0.25, ζ = 0.1; 8 periods after 20
     """
     check.instance("diagram", diagram, BifurcationDiagram)
     if not isinstance(diagram.parameter, str):
@@ -68,7 +75,7 @@ def bifurcation_diagram(
         )
     values, xs = np.asarray(diagram.values), np.asarray(diagram.xs)
     check.component("component", component, xs.shape[-1])
-    ax = own_axes(ax)
+    new, ax = ax is None, own_axes(ax)
     column = xs[..., component]
     seen = np.isfinite(column)
     size = marker_size(ax, values.size)
@@ -79,14 +86,15 @@ def bifurcation_diagram(
     ax.plot(*xy, **styled(style, **ours))
     _limit(ax, column[seen])
     _tick_failures(ax, values[~diagram.successful])
-    if style.get("label") is not None or (~diagram.successful).any():
-        legend(ax, loc="upper right")
     if values.min() < values.max():
         ax.set_xlim(values.min(), values.max())
     ax.set_xlabel(diagram.labels.parameter(diagram.parameter))
     ax.set_ylabel(diagram.labels.component(component, _sampled(diagram)))
-    width = max(20, int(points_of(ax)[0] / 4.5))  # of letters of 8 points
-    ax.set_title("\n".join(textwrap.wrap(_told(diagram), width)), loc="left", fontsize="medium")
+    if new:
+        width = max(20, int(points_of(ax)[0] / 4.5))  # of letters of 8 points
+        Heading(ax, "\n".join(textwrap.wrap(_told(diagram), width)))
+    if style.get("label") is not None or (~diagram.successful).any():
+        legend(ax, loc="upper right")
     return ax
 
 

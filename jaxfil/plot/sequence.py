@@ -8,8 +8,9 @@ from jaxfil.bifurcations.sequence import BifurcationSequence
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
 from jaxfil.model.labels import labels_of
-from jaxfil.plot.canvas import BLACK, legend, own_axes
+from jaxfil.plot.canvas import BLACK, own_axes
 from jaxfil.plot.kinds import KINDS
+from jaxfil.plot.legend import legend
 from jaxfil.plot.orbits import curves_of, draw_stability, height
 
 
@@ -63,8 +64,8 @@ def bifurcation_sequence(
             side = 1 if i % 2 else -1
             va = "bottom" if side > 0 else "top"
             ax.annotate(str(i), at, (0, 4 * side), textcoords="offset points", ha="center", va=va)
-    legend(ax, loc="best")
     labels = labels_of(branch.orbits.system, branch.orbits.x0.shape[-1])
     ax.set_xlabel(labels.parameter(branch.parameter))
     ax.set_ylabel(labels.component(component, wording))
+    legend(ax)
     return ax

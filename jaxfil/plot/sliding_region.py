@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
 from jaxfil.model.system import System, field_of
-from jaxfil.plot.canvas import BLACK, BLUE, GREY, ORANGE, PURPLE, legend, own_axes, styled
+from jaxfil.plot.canvas import BLACK, BLUE, GREY, ORANGE, PURPLE, own_axes, styled
+from jaxfil.plot.legend import legend
 from jaxfil.plot.path import chosen
 from jaxfil.xla.known import array_of
 
@@ -77,12 +78,12 @@ def sliding_region(
     ends = draw_surface(ax, where, limits, style)
     if ends.size:
         ax.plot(*ends.T, "o", color=BLACK, zorder=3, label="tangency")
-    legend(ax, loc="upper right")
     ax.set_xlim(*limits[0])
     ax.set_ylim(*limits[1])
     labels = labels_of(system, state.size)
     ax.set_xlabel(labels.component(shown[0]))
     ax.set_ylabel(labels.component(shown[1]))
+    legend(ax)
     return ax
 
 

@@ -14,7 +14,8 @@ _GRID = 201
 
 
 def draw_surfaces(ax: Axes, system: System, sol: Solution, shown: list[int]) -> None:
-    """Dash the zeros of every switching function within the axes of two components."""
+    """Dash the zeros of every switching function within the axes of two components; several are
+    numbered from 0, as in the event table."""
     limits = ax.get_xlim(), ax.get_ylim()
     x, y = (np.linspace(*ends, _GRID) for ends in limits)
     # A surface in n dimensions, cut by the plane through the last state.
@@ -24,8 +25,8 @@ def draw_surfaces(ax: Axes, system: System, sol: Solution, shown: list[int]) -> 
     every = np.moveaxis(np.asarray(heights(jnp.asarray(last))), -1, 0)
     for j, h in enumerate(every):
         if h.min() < 0 < h.max():  # a surface through the last state may contain the plane
-            number, color = subscript(j + 1) * (len(every) > 1), COLORS[j % len(COLORS)]
+            number, color = subscript(j) * (len(every) > 1), COLORS[j % len(COLORS)]
             ax.contour(x, y, h, levels=[0.0], colors=color, linewidths=1.0, linestyles="dashed")
             ax.plot([], [], "--", color=color, linewidth=1.0, label=f"H{number} = 0")
-    ax.set_xlim(limits[0])
-    ax.set_ylim(limits[1])
+    ax.set_xlim(limits[0], auto=None)
+    ax.set_ylim(limits[1], auto=None)
