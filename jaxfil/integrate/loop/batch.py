@@ -52,7 +52,7 @@ from jaxfil.xla.select import select, select_all
 _BATCH = "batch"
 """The name of the axis along which lanes are counted."""
 
-# Each pair is (N, M): coasting ends when 1/N of the lanes have stopped, judging when fewer than 1/M
+# Each pair is (N, M): coasting ends when 1/N of the lanes have stopped, judging when at most 1/M
 # are near a surface, which in blocks of 64 means zero lanes where M = 128. A lane that sticks is
 # near its surface for long; otherwise it would still stick when the others come to stick again.
 # Measured: on belt friction the first pair costs a tenth. Where nothing slides, (3, 12) is 8 %

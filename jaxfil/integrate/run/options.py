@@ -33,7 +33,7 @@ _MANY_STEPS, _KEPT_STEPS = 2**20, 4096
 
 
 class Options(eqx.Module):
-    """The options of a run: saved states (relative to the user's times), limits on contacts and
+    """The options of a run: saved states (at the user's times, before elapsed ones), limits on contacts and
     iterations, checkpoints of reverse mode, and the grade of the program."""
 
     recorder: Recorder
