@@ -33,8 +33,8 @@ _MANY_STEPS, _KEPT_STEPS = 2**20, 4096
 
 
 class Options(eqx.Module):
-    """The options of a run: saved states (at the user's times, before elapsed ones), limits on contacts and
-    iterations, checkpoints of reverse mode, and the grade of the program."""
+    """The options of a run: saved states (at the user's times, not elapsed ones), limits on
+    contacts and iterations, checkpoints of reverse mode, and the grade of the program."""
 
     recorder: Recorder
     max_events: int | None = eqx.field(static=True)
