@@ -1,7 +1,7 @@
 """Abilities of XLA's CPU backend in this process, tested before they are relied on.
 
-A call is compiled into a single kernel by attributes of XLA that are not documented. Versions
-without them ignore them, and some versions with them abort the process on certain programs.
+A call is compiled into a single kernel by attributes of XLA that are not documented.
+Versions without them ignore them.
 """
 
 import functools as ft
@@ -10,26 +10,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.experimental.xla_metadata import set_xla_metadata
-from jaxlib import version as jaxlib_version
 
 WHOLE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 """The attributes of a call that XLA neither inlines nor splits."""
 PARTS = dict.fromkeys(WHOLE)
 """The attributes that cancel these for the functions inside a call, which would inherit them."""
 
-# Earlier versions abort the process, because they split loops over 64 lanes among threads inside a
-# kernel too, by a function that kernels are not linked with.
-_OLDEST = (0, 7, 2)
-
 
 @ft.cache
 def makes_whole_kernels() -> bool:
     """Whether XLA compiles a call into a single kernel on request.
 
-    Versions that are known to abort the process at some programs are excluded. For others, two
-    short loops are compiled and inspected, once.
+    Two short loops are compiled and inspected, once.
     """
-    if jax.default_backend() != "cpu" or _version(jaxlib_version.__version__) < _OLDEST:
+    if jax.default_backend() != "cpu":
         return False
     try:
         text = jax.jit(_probe).lower(jax.ShapeDtypeStruct((), jnp.float32)).compile().as_text()
@@ -58,9 +52,3 @@ def _loops(x: Any) -> Any:
     with set_xla_metadata(**PARTS):
         x = jax.lax.while_loop(lambda x: x < 3, lambda x: x + jnp.cos(x), x)
         return jax.lax.while_loop(lambda x: x < 7, lambda x: x + jnp.sin(x), jnp.sqrt(x))
-
-
-def _version(text: str) -> tuple[int, ...]:
-    """The first three numbers of a version."""
-    digits = [part for part in text.split(".")[:3] if part.isdigit()]
-    return tuple(map(int, digits))

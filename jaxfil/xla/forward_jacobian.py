@@ -18,7 +18,7 @@ from typing import Any
 import jax
 
 from jaxfil.xla.program import opened, operations
-from jaxfil.xla.pushforward import Lane, Make, Spread, bind
+from jaxfil.xla.pushforward import Make, Single, Spread, bind
 
 
 def by_forward_jacobian(function: Callable) -> Callable:
@@ -53,5 +53,5 @@ def with_derivatives(program: Any, make: Make) -> Callable:
 
     # Without derivatives there are no tangents, but the primitive is used too. It is traced when it
     # is compiled, and not at all if it is only the start of a derivative.
-    still = Lane.of(program, (), spread, make)
+    still = Single.of(program, (), spread, make)
     return lambda *values: bind(still, values, [])[0]

@@ -22,6 +22,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
+from jaxfil.xla.program import evaluate_one, interpreted
 from jaxfil.xla.select import select
 
 # Elementwise operations whose value or derivative may be infinite or NaN for finite arguments, and
@@ -117,34 +118,13 @@ def _slope(function: Callable, args: tuple, k: int) -> Any:
 
         return jax.jvp(by_one, (args[k],), (jnp.ones_like(args[k]),))[1]
 
-    closed = jax.make_jaxpr(slope)(*args)
-    return _evaluated(closed.jaxpr, closed.consts, args)[0]
+    return interpreted(jax.make_jaxpr(slope)(*args), args, lambda v: v, _masked)[0]
 
 
-def _evaluated(jaxpr: Any, consts: Sequence[Any], args: Sequence[Any]) -> list:
-    """The results of a program, with derivatives made of masked products too."""
-    values: dict[Any, Any] = dict(zip(jaxpr.invars, args, strict=True))
-    values.update(zip(jaxpr.constvars, consts, strict=True))
-
-    def read(atom: Any) -> Any:
-        return atom.val if isinstance(atom, jexc.Literal) else values[atom]
-
-    for eqn in jaxpr.eqns:
-        run = ft.partial(evaluate_one, jaxpr, eqn)
-        inputs = [read(v) for v in eqn.invars]
-        # The `custom_jvp_call`s in the derivative of an elementwise function are elementwise too,
-        # such as a cosine.
-        single = eqn.primitive.name in (*ELEMENTWISE, "custom_jvp_call")
-        outputs = [masked(lambda *v, run=run: run(v)[0])(*inputs)] if single else run(inputs)
-        values.update(zip(eqn.outvars, outputs, strict=True))
-    return [read(v) for v in jaxpr.outvars]
-
-
-def evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
-    """The results of one equation of a program, evaluated unchanged."""
-    pairs = zip(eqn.invars, inputs, strict=True)
-    free = [(v, x) for v, x in pairs if not isinstance(v, jexc.Literal)]
-    single = jaxpr.replace(
-        constvars=(), invars=[v for v, _ in free], outvars=eqn.outvars, eqns=[eqn]
-    )
-    return jax.core.eval_jaxpr(single, (), *(x for _, x in free))
+def _masked(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list:
+    """The results of one equation, with derivatives made of masked products too."""
+    run = ft.partial(evaluate_one, jaxpr, eqn)
+    # The `custom_jvp_call`s in the derivative of an elementwise function are elementwise too, such
+    # as a cosine.
+    single = eqn.primitive.name in (*ELEMENTWISE, "custom_jvp_call")
+    return [masked(lambda *v: run(v)[0])(*inputs)] if single else run(inputs)

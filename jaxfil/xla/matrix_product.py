@@ -45,20 +45,21 @@ def _multiplications(eqn: Any) -> float:
 
 def written_out(eqn: Any, a: Array, b: Array) -> Array:
     """A product of small matrices number by number; in a batch XLA would call a library for it."""
-    (rows,), (columns,) = _matrices(eqn, a, b)
+    (rows,), (columns,) = matrices_of(eqn, a, b)
     terms = [
         [sum(u * v for u, v in zip(row, column, strict=True)) for column in columns] for row in rows
     ]
     return jnp.array(terms, a.dtype).reshape(eqn.outvars[0].aval.shape)
 
 
-def _matrices(eqn: Any, a: Array, b: Array) -> tuple[Array, Array]:
-    """The operands as batches of matrices, whose columns are summed over."""
+def matrices_of(eqn: Any, a: Any, b: Any) -> tuple[Any, Any]:
+    """The operands of a product, arrays of JAX or NumPy, as batches of matrices, whose columns are
+    summed over."""
 
-    def matrices(v: Array, summed: tuple[int, ...], batch: tuple[int, ...]) -> Array:
+    def matrices(v: Any, summed: tuple[int, ...], batch: tuple[int, ...]) -> Any:
         free = [k for k in range(v.ndim) if k not in summed and k not in batch]
         sizes = [math.prod(v.shape[k] for k in axes) for axes in (batch, free, summed)]
-        return jnp.transpose(v, (*batch, *free, *summed)).reshape(sizes)
+        return v.transpose(*batch, *free, *summed).reshape(sizes)
 
     summed, batch = eqn.params["dimension_numbers"]
     return matrices(a, summed[0], batch[0]), matrices(b, summed[1], batch[1])
@@ -70,7 +71,7 @@ def by_sums(program: Any) -> Any:
 
 
 def _summed(eqn: Any, a: Array, b: Array) -> Array:
-    rows, columns = _matrices(eqn, a, b)
+    rows, columns = matrices_of(eqn, a, b)
     summed = rows.shape[-1]
     each = math.prod(eqn.outvars[0].aval.shape)
 

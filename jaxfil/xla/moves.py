@@ -17,8 +17,7 @@ from jaxtyping import Array
 
 from jaxfil.xla import elements
 from jaxfil.xla.known import is_known
-from jaxfil.xla.masked_product import evaluate_one
-from jaxfil.xla.program import interpreted, names, pruned
+from jaxfil.xla.program import evaluate_one, interpreted, names, pruned
 
 # The largest number of slices that replace a gather.
 _SLICES = 32

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.core
 import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
@@ -168,6 +169,16 @@ def interpreted(
             outputs = show(jaxpr, eqn, inputs) if show else []
         values.update(zip(eqn.outvars, outputs, strict=True))
     return [read(v) for v in jaxpr.outvars]
+
+
+def evaluate_one(jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
+    """One equation of a program as it stands."""
+    pairs = zip(eqn.invars, inputs, strict=True)
+    free = [(v, x) for v, x in pairs if not isinstance(v, jexc.Literal)]
+    single = jaxpr.replace(
+        constvars=(), invars=[v for v, _ in free], outvars=eqn.outvars, eqns=[eqn]
+    )
+    return jax.core.eval_jaxpr(single, (), *(x for _, x in free))
 
 
 def operations(program: Any) -> Callable:

@@ -5,7 +5,6 @@ need: its derivative is another pushforward, and so is its batch. If values are 
 not yet, as in a linearisation, it computes results and the Jacobian first, and tangents later.
 """
 
-import abc
 import dataclasses
 import functools as ft
 import itertools
@@ -38,58 +37,9 @@ def is_real(value: Any) -> bool:
     return jnp.issubdtype(value.dtype, jnp.inexact)
 
 
-class Push(abc.ABC):
-    """Results and their tangents, as a function of values and of the rates of some of them."""
-
-    @property
-    @abc.abstractmethod
-    def count(self) -> int:
-        """The number of values."""
-
-    @abc.abstractmethod
-    def spread(self, batched: Sequence[bool]) -> list[bool]:
-        """Flags of the batched results, given flags of the batched values."""
-
-    @abc.abstractmethod
-    def spread_of_both(self, batched: Sequence[bool]) -> list[bool]:
-        """Flags of the batched results and tangents, given the flags of values and rates."""
-
-    @property
-    @abc.abstractmethod
-    def program(self) -> Any:
-        """The program of one lane."""
-
-    @property
-    @abc.abstractmethod
-    def outs(self) -> tuple[list, list]:
-        """Shapes of results and of tangents."""
-
-    @abc.abstractmethod
-    def forward(self, values: Sequence[Array], rates: Sequence[Array]) -> tuple[list, list]:
-        """Results and tangents."""
-
-    @abc.abstractmethod
-    def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
-        """Results, and for each real result its derivatives by all numbers that vary, along the
-        first axis (of each lane)."""
-
-    @abc.abstractmethod
-    def applied(self, columns: Sequence[Array], rates: Sequence[Array]) -> list:
-        """The tangents for these derivatives and rates."""
-
-    @abc.abstractmethod
-    def still(self) -> "Push":
-        """The same push without tangents."""
-
-    @abc.abstractmethod
-    def derived(self, moving: tuple[int, ...]) -> "Push":
-        """The derivative of this push, whose values are the values and rates of this one, with
-        rates for those numbered `moving`."""
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
-class Lane(Push):
-    """The push of a program with rates for the values numbered `moving`."""
+class Single:
+    """The push of one lane, a program with rates for the values numbered `moving`."""
 
     base: Any
     moving: tuple[int, ...]
@@ -100,27 +50,32 @@ class Lane(Push):
     """The program of results and tangents."""
 
     @staticmethod
-    def of(base: Any, moving: tuple[int, ...], batches: Spread, make: Make) -> "Lane":
-        """The lane of a program, with its joint program traced."""
-        return Lane(base, moving, batches, make, _joint(base, moving) if moving else base)
+    def of(base: Any, moving: tuple[int, ...], batches: Spread, make: Make) -> "Single":
+        """The push of a program, with its joint program traced."""
+        return Single(base, moving, batches, make, _joint(base, moving) if moving else base)
 
     @property
     def count(self) -> int:
+        """The number of values."""
         return len(self.base.in_avals)
 
     @property
     def program(self) -> Any:
+        """The program of one lane."""
         return self.joint
 
     def spread(self, batched: Sequence[bool]) -> list[bool]:
+        """Flags of the batched results, given flags of the batched values."""
         return self.batches(batched)
 
     @property
     def outs(self) -> tuple[list, list]:
+        """Shapes of results and of tangents."""
         avals = self.base.out_avals
         return avals, [v for v in avals if is_real(v) and self.moving]
 
     def spread_of_both(self, batched: Sequence[bool]) -> list[bool]:
+        """Flags of the batched results and tangents, given the flags of values and rates."""
         if not self.moving:
             return self.spread(batched)
         of_values, of_rates = batched[: self.count], batched[self.count :]
@@ -131,11 +86,14 @@ class Lane(Push):
         return [*self.spread(of_values), *itertools.compress(self.spread(either), real)]
 
     def forward(self, values: Sequence[Array], rates: Sequence[Array]) -> tuple[list, list]:
+        """Results and tangents."""
         out = self.make(self.joint, self.spread_of_both)(*values, *rates)
         split = len(self.base.out_avals)
         return list(out[:split]), list(out[split:])
 
     def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
+        """Results, and for each real result its derivatives by all numbers that vary, along the
+        first axis (of each lane)."""
         shapes = _shapes(self.base, self.moving)
         ends = np.cumsum([int(np.prod(v.shape)) for v in shapes])
         # Row k of the unit matrix is the direction of number k among all rates.
@@ -148,17 +106,22 @@ class Lane(Push):
         return bind(Batch(self, axes, int(ends[-1])), values, rows)
 
     def applied(self, columns: Sequence[Array], rates: Sequence[Array]) -> list:
+        """The tangents for these derivatives and rates."""
+
         def product(column: Array) -> Array:
             flat = jnp.concatenate([jnp.ravel(v).astype(column.dtype) for v in rates])
             return jnp.tensordot(flat, column, 1)
 
         return list(map(product, columns))
 
-    def still(self) -> Push:
-        return Lane.of(self.base, (), self.batches, self.make)
+    def still(self) -> "Single":
+        """The same push without tangents."""
+        return Single.of(self.base, (), self.batches, self.make)
 
-    def derived(self, moving: tuple[int, ...]) -> Push:
-        return Lane.of(self.joint, moving, self.spread_of_both, self.make)
+    def derived(self, moving: tuple[int, ...]) -> "Single":
+        """The derivative of this push, whose values are the values and rates of this one, with
+        rates for those numbered `moving`."""
+        return Single.of(self.joint, moving, self.spread_of_both, self.make)
 
 
 def _shapes(base: Any, moving: Sequence[int]) -> list[jax.ShapeDtypeStruct]:
@@ -188,11 +151,11 @@ def _joint(base: Any, moving: tuple[int, ...]) -> Any:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Batch(Push):
-    """The push of a batch of lanes. Values and rates whose axis is 0 are batched; None marks the
+class Batch:
+    """The push of a batch of lanes, with the same methods. Values and rates whose axis is 0 are batched; None marks the
     others."""
 
-    lane: Push
+    lane: "Push"
     axes: tuple[int | None, ...]
     size: int
 
@@ -255,12 +218,16 @@ class Batch(Push):
             v[0] if axis is None else v for v, axis in zip(found, self.out_axes[1], strict=True)
         ]
 
-    def still(self) -> Push:
+    def still(self) -> "Batch":
         return Batch(self.lane.still(), self.axes[: self.count], self.size)
 
-    def derived(self, moving: tuple[int, ...]) -> Push:
+    def derived(self, moving: tuple[int, ...]) -> "Batch":
         axes = self.axes + tuple(self.axes[k] for k in moving)
         return Batch(self.lane.derived(moving), axes, self.size)
+
+
+Push = Single | Batch
+"""Results and their tangents, as a function of values and of the rates of some of them."""
 
 
 pushforward_p = jexc.Primitive("pushforward")

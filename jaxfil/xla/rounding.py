@@ -18,8 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.xla import elements
-from jaxfil.xla.masked_product import evaluate_one
-from jaxfil.xla.program import interpreted
+from jaxfil.xla.program import evaluate_one, interpreted
 
 # Operations that only move numbers, possibly selected by integers or flags.
 _CHOICES = ("select_n", "gather", "dynamic_slice", "copy", "stop_gradient")

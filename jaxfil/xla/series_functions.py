@@ -98,38 +98,29 @@ def _made_sine_and_cosine(expansion: Expansion, a: Series) -> tuple[Series, Seri
             expansion.series(lambda k: turned(k, 0)),
             expansion.series(lambda k: turned(k, 1)),
         )
-    moves = _rate(expansion, a)
-
-    def sine_of(k: int) -> Any:
-        if k == 0:
-            return first("sin")
-        return scaled(1.0 / k, convolution(moves, cosine, k, first=1))
-
-    def cosine_of(k: int) -> Any:
-        if k == 0:
-            return first("cos")
-        return scaled(-1.0 / k, convolution(moves, sine, k, first=1))
-
-    sine, cosine = expansion.series(sine_of), expansion.series(cosine_of)
-    kept(moves, sine, cosine)
-    return sine, cosine
+    return _pair(expansion, a, "sin", "cos", -1.0)
 
 
 def _hyperbolic(expansion: Expansion, a: Series) -> tuple[Series, Series]:
-    def made() -> tuple[Series, Series]:
-        moves = _rate(expansion, a)
+    return expansion.once(("hyperbolic", a), lambda: _pair(expansion, a, "sinh", "cosh", 1.0))
 
-        def of(k: int, name: str, other: Callable) -> Any:
-            if k == 0:
-                return expansion.first(name, first_of(a))
-            return scaled(1.0 / k, convolution(moves, other(), k, first=1))
 
-        sine = expansion.series(lambda k: of(k, "sinh", lambda: cosine))
-        cosine = expansion.series(lambda k: of(k, "cosh", lambda: sine))
-        kept(moves, sine, cosine)
-        return sine, cosine
+def _pair(
+    expansion: Expansion, a: Series, odd: str, even: str, sign: float
+) -> tuple[Series, Series]:
+    """Two functions of a, of which the rate of the first is the second, and of the second `sign`
+    times the first."""
+    moves, pair = _rate(expansion, a), []
 
-    return expansion.once(("hyperbolic", a), made)
+    def coefficient(k: int, name: str, factor: float, other: int) -> Any:
+        if k == 0:
+            return expansion.first(name, first_of(a))
+        return scaled(factor / k, convolution(moves, pair[other], k, first=1))
+
+    pair.append(expansion.series(lambda k: coefficient(k, odd, 1.0, 1)))
+    pair.append(expansion.series(lambda k: coefficient(k, even, sign, 0)))
+    kept(moves, *pair)
+    return pair[0], pair[1]
 
 
 def _exponential(expansion: Expansion, a: Series) -> Series:
@@ -175,10 +166,7 @@ def _integer_power(expansion: Expansion, eqn: Any, a: Series) -> Series:
     n = eqn.params["y"]
     if abs(n) > _PRODUCTS:
         return _real_power(expansion, a, float(n))
-    out = expansion.constant(1.0) if n == 0 else a
-    if abs(n) > 1:
-        half = _whole_power(expansion, a, abs(n))
-        out = half
+    out = expansion.constant(1.0) if n == 0 else _whole_power(expansion, a, abs(n))
     return out if n >= 0 else quotient(expansion, expansion.constant(1.0), out)
 
 

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.xla import elements
-from jaxfil.xla.masked_product import evaluate_one
-from jaxfil.xla.program import interpreted
+from jaxfil.xla.matrix_product import matrices_of
+from jaxfil.xla.program import evaluate_one, interpreted
 from jaxfil.xla.series import (
     Expansion,
     Same,
@@ -116,8 +116,7 @@ def _in_elements(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> Any:
         join = _sum if name == "reduce_sum" else _joint_product
         return _reduced(ft.partial(join, expansion), parts[0], eqn.params["axes"], out.shape)
     if name == "dot_general":
-        left, right = parts
-        return _dotted(expansion, eqn.params["dimension_numbers"], left, right, out.shape)
+        return _dotted(expansion, eqn, *parts)
     if name in elements.ON_EACH and np.broadcast_shapes(*shapes) == out.shape:
         wide: list[Any] = [np.broadcast_to(p, out.shape) for p in parts]
         return _each(out.shape, lambda k: _of_one(expansion, eqn, [p[k] for p in wide]))
@@ -139,24 +138,17 @@ def _reduced(join: Callable, array: np.ndarray, axes: Any, shape: tuple[int, ...
     return _each(shape, lambda k: join(list(rows[k])))
 
 
-def _dotted(
-    expansion: Expansion, numbers: tuple, a: np.ndarray, b: np.ndarray, shape: tuple[int, ...]
-) -> np.ndarray | None:
+def _dotted(expansion: Expansion, eqn: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray | None:
     """A product of matrices or other contraction; None with batch axes."""
-    (left, right), batch = numbers
-    if any(batch):
+    if any(eqn.params["dimension_numbers"][1]):
         return None
-    rows = np.moveaxis(a, left, range(-len(left), 0))
-    columns = np.moveaxis(b, right, range(-len(right), 0))
-    rows = rows.reshape(*rows.shape[: a.ndim - len(left)], -1)
-    columns = columns.reshape(*columns.shape[: b.ndim - len(right)], -1)
-    outer = rows.ndim - 1
+    (rows,), (columns,) = matrices_of(eqn, a, b)
 
     def entry(k: tuple[int, ...]) -> Series:
-        terms = zip(rows[k[:outer]], columns[k[outer:]], strict=True)
+        terms = zip(rows[k[0]], columns[k[1]], strict=True)
         return sum_of(expansion, [product(expansion, u, v) for u, v in terms])
 
-    return _each(shape, entry)
+    return _each((len(rows), len(columns)), entry).reshape(eqn.outvars[0].aval.shape)
 
 
 def _each(shape: tuple[int, ...], make: Callable) -> np.ndarray:

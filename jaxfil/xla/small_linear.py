@@ -60,28 +60,16 @@ def size_of_determinant(
 
 
 def _reduced_among(rows: Array, taken: Array) -> tuple[Array, Array]:
-    """`_reduced` for the rows and columns in `taken`, one after the other, without row swaps."""
-    k = len(rows)
-    number, columns = jnp.arange(k, dtype=jnp.int32), jnp.arange(k + 1, dtype=jnp.int32)
+    """`_reduced` for the rows and columns in `taken`, one after the other."""
 
     def column(carry: tuple) -> tuple:
-        rows, left, free, places, pivots = carry
+        left, state = carry
         i = jax.lax.argmax(left, 0, jnp.int32)
-        entries = jnp.sum(select(columns == i, rows, 0), axis=1)
-        best = jax.lax.argmax(select(free, abs(entries), -1), 0, jnp.int32)
-        here = number == best
-        upper = jnp.sum(select(here[:, None], rows, 0), axis=0)
-        pivot = jnp.sum(select(columns == i, upper, 0))
-        upper = _quotient(upper, pivot)
-        rows = select(here[:, None], upper, rows - entries[:, None] * upper)
-        places = places | ((number == i)[:, None] & here)
-        pivots = select(number == i, pivot, pivots)
-        return rows, left & (number != i), free & ~here, places, pivots
+        return left & (jnp.arange(len(rows), dtype=jnp.int32) != i), _without(i, state)
 
-    none = jnp.zeros((k, k), bool)
-    start = rows, taken, taken, none, jnp.zeros_like(rows[:, -1])
-    rows, _, _, places, pivots = jax.lax.while_loop(lambda c: jnp.any(c[1]), column, start)
-    return jnp.sum(select(places, rows[:, -1], 0), axis=1), pivots
+    start = taken, _unreduced(rows, taken)
+    _, state = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), column, start)
+    return _solution(state)
 
 
 def _size_of_small(matrix: Any) -> Array:
@@ -115,26 +103,37 @@ def _equilibrated_rows(rows: Array) -> Array:
 
 def _reduced(rows: Array) -> tuple[Array, Array]:
     """x and the pivots of a system with its right-hand side in the last column, by Gauss–Jordan
-    elimination. Rows are selected by sums with ones and zeros, not by indexing, so that lanes with
-    different pivots can be vectorised."""
-    k = len(rows)
-    number, columns = jnp.arange(k), jnp.arange(k + 1)
+    elimination."""
+    start = _unreduced(rows, jnp.ones(len(rows), bool))
+    return _solution(jax.lax.fori_loop(0, len(rows), _without, start))
 
-    def column(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        rows, pivots = carry
-        entries = jnp.sum(select(columns == i, rows, 0), axis=1)
-        best = jnp.argmax(select(number >= i, abs(entries), -1))
-        here, there = ((number == r)[:, None] for r in (i, best))
-        upper, lower = (jnp.sum(select(flag, rows, 0), axis=0) for flag in (there, here))
-        pivot = jnp.sum(select(columns == i, upper, 0))
-        upper = _quotient(upper, pivot)
-        rows = select(there, lower, rows)
-        entries = jnp.sum(select(columns == i, rows, 0), axis=1)
-        rows = select(here, upper, rows - entries[:, None] * upper)
-        return rows, select(number == i, pivot, pivots)
 
-    rows, pivots = jax.lax.fori_loop(0, k, column, (rows, jnp.zeros_like(rows[:, -1])))
-    return rows[:, -1], pivots
+_Elimination = tuple[Array, Array, Array, Array]
+"""Rows, flags of rows without a pivot yet, flags of each column's pivot row, and the pivots."""
+
+
+def _unreduced(rows: Array, taken: Array) -> _Elimination:
+    return rows, taken, jnp.zeros((len(rows), len(rows)), bool), jnp.zeros_like(rows[:, -1])
+
+
+def _solution(state: _Elimination) -> tuple[Array, Array]:
+    rows, _, places, pivots = state
+    return jnp.sum(select(places, rows[:, -1], 0), axis=1), pivots
+
+
+def _without(i: Array, state: _Elimination) -> _Elimination:
+    """The elimination of column i, without row swaps. Rows are selected by sums with ones and
+    zeros, not by indexing, so that lanes with different pivots can be vectorised."""
+    rows, free, places, pivots = state
+    number, column = jnp.arange(len(rows), dtype=i.dtype), jnp.arange(len(rows) + 1) == i
+    entries = jnp.sum(select(column, rows, 0), axis=1)
+    here = number == jax.lax.argmax(select(free, abs(entries), -1), 0, i.dtype)
+    upper = jnp.sum(select(here[:, None], rows, 0), axis=0)
+    pivot = jnp.sum(select(column, upper, 0))
+    upper = _quotient(upper, pivot)
+    rows = select(here[:, None], upper, rows - entries[:, None] * upper)
+    places = places | ((number == i)[:, None] & here)
+    return rows, free & ~here, places, select(number == i, pivot, pivots)
 
 
 def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:

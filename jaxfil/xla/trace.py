@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.xla import elements, fast_trig, matrix_product
-from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, evaluate_one, masked
+from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, masked
 from jaxfil.xla.moves import applies_function, by_slices
-from jaxfil.xla.program import interpreted, names, operations, programs, pruned
+from jaxfil.xla.program import evaluate_one, interpreted, names, operations, programs, pruned
 from jaxfil.xla.select import select
 from jaxfil.xla.series import Expansion
 from jaxfil.xla.series_program import expanded
