@@ -4,6 +4,8 @@ A data set stores them as attributes, and larger ones as arrays.
 """
 
 from collections.abc import Collection, Sequence
+from dataclasses import fields
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,24 +23,6 @@ from jaxfil.sweep.identity import (
 )
 from jaxfil.sweep.plan import SweepPlan
 from jaxfil.version import __version__
-
-# Names of a data set that are not parameters.
-CONDITIONS = {
-    "jaxfil_type",
-    "jaxfil_version",
-    "system",
-    "x0",
-    "transient",
-    "steps",
-    "stepper",
-    "follow",
-    "compact",
-    "section",
-    "max_return",
-    "transient_time",
-    "observe",
-    "average",
-}
 
 
 class Conditions(eqx.Module):
@@ -71,6 +55,12 @@ class Conditions(eqx.Module):
     """The function stored at the samples; None for the states themselves."""
     average: str | None = eqx.field(static=True, default=None)
     """The averages, by name; None without averages."""
+
+
+# Fields that are attributes of the same name, absent for None.
+_ATTRIBUTES = [v.name for v in fields(Conditions) if v.name not in ("parameters", "x0", "version")]
+# Names of a data set that are not parameters.
+CONDITIONS = {"jaxfil_type", "jaxfil_version", "system", "x0", *_ATTRIBUTES}
 
 
 def conditions_of(plan: SweepPlan) -> Conditions:
@@ -108,9 +98,7 @@ def condition_entries(
         variables["x0"] = (*lanes, last), given.x0
     else:
         attributes["x0"] = given.x0
-    named = ("transient", "steps", "stepper", "follow", "section", "max_return")
-    named += ("transient_time", "observe", "average")
-    told = {name: getattr(given, name) for name in named}
+    told = {name: getattr(given, name) for name in _ATTRIBUTES}
     attributes |= {name: value for name, value in told.items() if value is not None}
     attributes |= {"compact": int(given.compact), "jaxfil_version": given.version}
     return variables, attributes
@@ -121,22 +109,12 @@ def conditions_from(data: NamedArrays, dtype: np.dtype, taken: Collection[str]) 
     told = data.attributes
     # An attribute of one number is read as a number, and one of float32 as float64.
     x0 = data.array("x0") if "x0" in data else np.reshape(told["x0"], (-1,)).astype(dtype)
-    longest, before = told.get("max_return"), told.get("transient_time")
-    return Conditions(
-        parameters=_parameters(data, dtype, taken),
-        x0=x0,
-        transient=int(told["transient"]),
-        steps=int(told["steps"]),
-        stepper=str(told["stepper"]),
-        follow=told.get("follow"),
-        version=str(told["jaxfil_version"]),
-        compact=bool(told.get("compact", False)),
-        section=told.get("section"),
-        max_return=None if longest is None else float(longest),
-        transient_time=None if before is None else float(before),
-        observe=told.get("observe"),
-        average=told.get("average"),
-    )
+    # Numbers of a file are those of NumPy.
+    known: dict[str, Any] = {"follow": None, "compact": False}
+    known |= {name: np.asarray(told[name]).item() for name in _ATTRIBUTES if name in told}
+    known["compact"] = bool(known["compact"])
+    version = str(told["jaxfil_version"])
+    return Conditions(_parameters(data, dtype, taken), x0, version=version, **known)
 
 
 def _parameters(

@@ -75,54 +75,76 @@ class SweepPlan:
 
 
 def sweep_plan(
-    system: Any,
-    parameter: Any,
-    values: Any,
-    x0: Any,
-    *,
-    transient: Any,
-    samples: Any,
-    steps: Any,
-    stepper: Any,
-    follow: Any,
-    compact: Any,
-    section: Any,
-    max_return: Any,
-    transient_time: Any,
-    observe: Any,
-    average: Any,
-    runs: int,
+    system: Any, parameter: Any, values: Any, x0: Any, *, follow: Any, runs: int, **sampled: Any
 ) -> SweepPlan:
     """The plan of these arguments of `bifurcation_diagram`, with `runs` runs; a second one is at
     half the step. They are checked here and therefore have no types yet."""
     check.system("system", system)
     dtype = state_type(x0)
-    state = np.zeros(np.shape(x0)[-1:], dtype)
+    state = jnp.zeros(np.shape(x0)[-1:], dtype)
     system = cast(system, dtype)
     grid = parameter_grid(system, parameter, values, dtype)
-    section, longest, from_time = sampled_at(system, section, max_return, transient_time, state)
-    observable = None if observe is None else _observable(observe, system, state)
-    labels = _labels(system, grid, observable, state.size)
     _check_follow(follow, grid)
-    steps, stepper = steps_and_stepper(steps, stepper, system)
-    unseen = unseen_of(transient, from_time)
-    samples = check.count("samples", samples)
-    averaging = None if average is None else averaging_of(average, system, state, section, samples)
     states = initial_states(x0, grid.shape, follow is not None).astype(dtype)
+    sampling = sampling_of(
+        system,
+        state,
+        grid.names,
+        lanes=len(grid.rows),
+        block=BLOCK if follow is None else 1,
+        runs=runs,
+        followed=follow is not None,
+        **sampled,
+    )
+    labels = _labels(system, grid, sampling.observable, state.size)
+    return SweepPlan(sampling, grid, states, follow, labels)
+
+
+def sampling_of(
+    system: System,
+    x0: Array,
+    names: tuple[str, ...] = (),
+    *,
+    transient: Any,
+    samples: Any,
+    steps: Any,
+    stepper: Any,
+    compact: Any,
+    section: Any,
+    max_return: Any,
+    transient_time: Any,
+    average: Any,
+    observe: Any = None,
+    lanes: int,
+    block: int | None = None,
+    runs: int = 1,
+    followed: bool = False,
+) -> Sampling:
+    """The sampling of `lanes` lanes of a system, in a block of so many, from states like x0; the
+    other arguments are those of `bifurcation_diagram`. Lanes are `followed` if each begins where
+    another one ends."""
+    state = np.zeros(x0.shape, x0.dtype)
+    section, longest, since = _sampled_at(system, section, max_return, transient_time, state)
+    observable = None if observe is None else _observable(observe, system, state)
+    steps, stepper = steps_and_stepper(steps, stepper, system)
+    unseen, samples = _unseen(transient, since), check.count("samples", samples)
+    averaging = None if average is None else _averaging(average, system, state, section, samples)
     check.number_of_steps(steps, runs=runs, transient=unseen, samples=samples)
     stepper = checked_stepper(stepper)
+    # The system of a lane and its state are both extended by the integrals along the motion.
+    run = (system, x0) if averaging is None else averaging.carried(system, x0)
     grade = is_compact_sweep(
         compact,
-        *_run(system, averaging, jnp.asarray(state)),
+        *run,
         stages=tableau_of(stepper).stages,
-        lanes=len(grid.rows),
+        lanes=lanes,
         # At half the step there are twice as many.
         steps=(unseen + samples) * expected_steps(steps, stepper) * (3 if runs > 1 else 1),
-        block=BLOCK if follow is None else 1,
+        block=block,
     )
-    sampling = Sampling(
+    return Sampling(
         system=system,
-        names=grid.names,
+        names=names,
         transient=jnp.asarray(unseen, jnp.int32),
         samples=samples,
         steps=jnp.asarray(steps, jnp.int32),
@@ -130,16 +152,15 @@ def sweep_plan(
         compact=grade,
         section=section,
         max_return=longest,
-        transient_time=from_time,
+        transient_time=since,
         observable=observable,
         averaging=averaging,
-        share=jnp.ones((), dtype),
-        phased=follow is not None and section is not None and system.period is not None,
+        share=jnp.ones((), x0.dtype),
+        phased=followed and section is not None and system.period is not None,
     )
-    return SweepPlan(sampling, grid, states, follow, labels)
 
 
-def averaging_of(
+def _averaging(
     average: Any, system: System, state: np.ndarray, section: Section | None, samples: int
 ) -> Averaging:
     """The averages between the samples."""
@@ -152,19 +173,14 @@ def averaging_of(
     return averaging
 
 
-def _run(system: System, averaging: Averaging | None, x: Array) -> tuple[System, Array]:
-    """The system of a lane and a state like x, both extended by the integrals along the motion."""
-    return (system, x) if averaging is None else averaging.carried(system, x)
-
-
-def unseen_of(transient: Any, from_time: Array | None) -> int:
+def _unseen(transient: Any, since: Array | None) -> int:
     """Forcing periods, or crossings, before the first sample."""
     if transient is None:
-        return 200 if from_time is None else 0
+        return 200 if since is None else 0
     return check.count("transient", transient, least=0)
 
 
-def sampled_at(
+def _sampled_at(
     system: System,
     section: Any,
     max_return: Any,

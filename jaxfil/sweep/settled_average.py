@@ -8,14 +8,12 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxfil.integrate.lane.problem import period_outcome
 from jaxfil.integrate.loop.iterate import integrate
-from jaxfil.integrate.run.step_choice import StepCount, expected_steps, steps_and_stepper
-from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
-from jaxfil.integrate.system.grade import is_compact_sweep
+from jaxfil.integrate.run.step_choice import StepCount
+from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
@@ -23,7 +21,7 @@ from jaxfil.model.quantity import Quantities
 from jaxfil.model.section import Section
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
-from jaxfil.sweep.plan import averaging_of, sampled_at, unseen_of
+from jaxfil.sweep.plan import sampling_of
 from jaxfil.sweep.sampling import Sampling
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.lanes import lanes_of
@@ -112,33 +110,20 @@ def settled_average(
     """
     x = check.state("x0", x0)
     check.system("system", system)
-    system, state = cast(system, x.dtype), np.zeros(x.shape, x.dtype)
-    section, longest, since = sampled_at(system, section, max_return, transient_time, state)
-    steps, stepper = steps_and_stepper(steps, stepper, system)
-    unseen, samples = unseen_of(transient, since), check.count("samples", samples)
-    check.number_of_steps(steps, transient=unseen, samples=samples)
-    stepper = checked_stepper(stepper)
-    averaging = averaging_of(average, system, state, section, samples)
-    compact = is_compact_sweep(
-        compact,
-        *averaging.carried(system, x),
-        stages=tableau_of(stepper).stages,
-        lanes=lanes_of((system, x)),
-        steps=(unseen + samples) * expected_steps(steps, stepper),
-    )
-    sampling = Sampling(
-        system=system,
-        names=(),
-        transient=jnp.asarray(unseen, jnp.int32),
+    system = cast(system, x.dtype)
+    sampling = sampling_of(
+        system,
+        x,
+        transient=transient,
         samples=samples,
-        steps=jnp.asarray(steps, jnp.int32),
+        steps=steps,
         stepper=stepper,
         compact=compact,
-        share=jnp.ones((), x.dtype),
         section=section,
-        max_return=longest,
-        transient_time=since,
-        averaging=averaging,
+        max_return=max_return,
+        transient_time=transient_time,
+        average=average,
+        lanes=lanes_of((system, x)),
     )
     return _settled(sampling, x)
 
