@@ -23,7 +23,6 @@ from jaxfil.orbits.closing import OrbitProblem
 from jaxfil.orbits.corrector import OrbitPoint, contacts_of, orbit_of
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
-    Curve,
     CurvePoint,
     Special,
     StepSizes,
@@ -33,6 +32,7 @@ from jaxfil.orbits.curve import (
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
+from jaxfil.orbits.plane_curve import EquationsCurve
 from jaxfil.orbits.special_points import pair_on_circle
 
 # κ of a pair of multipliers e^{±iθ}, κ = cos θ, in strong resonance.
@@ -69,21 +69,12 @@ class CriticalPoint(CurvePoint):
 
 
 @dataclasses.dataclass(frozen=True)
-class CriticalCurve(Curve[CriticalPoint]):
+class CriticalCurve(EquationsCurve[CriticalPoint]):
     """The curve of an orbit with critical multipliers, followed in the first of two parameters."""
 
     equations: CriticalOrbits
-    least: np.ndarray | float = 0.0
-    """Lower bound of scales."""
 
     steps = StepSizes(first=0.01, least=1e-8, growth=1.5, straight=0.99, easy=8, corner=1e-4)
-    solution = "bifurcation"
-    place = -2
-
-    @property
-    def parameter(self) -> str:
-        """The name of the first parameter."""
-        return self.equations.free[0]
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
         """Solve by shooting."""
@@ -254,10 +245,6 @@ class CriticalCurve(Curve[CriticalPoint]):
             if found is not None:
                 return found, result
         return None, result
-
-    def told(self, point: CriticalPoint) -> str:
-        """Both parameters."""
-        return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
 
 
 def begin_critical(

@@ -26,7 +26,6 @@ from jaxfil.bifurcations.tangency import (
 from jaxfil.model.system import System
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
-    Curve,
     CurvePoint,
     Special,
     StepSizes,
@@ -34,6 +33,7 @@ from jaxfil.orbits.curve import (
 )
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Root
+from jaxfil.orbits.plane_curve import EquationsCurve
 from jaxfil.orbits.special_points import neimark_sacker, period_doubling
 from jaxfil.xla.known import array_of
 
@@ -113,23 +113,15 @@ def _with_known(equations: DefiningSystem, root: Root, found: Conditions) -> Roo
 
 
 @dataclasses.dataclass(frozen=True)
-class TangencyCurve(Curve[TangencyPoint]):
+class TangencyCurve(EquationsCurve[TangencyPoint]):
     """The curve of a defining system with two free parameters, followed in the first of them."""
 
-    system: System
     equations: DefiningSystem
-    least: np.ndarray | float = 0.0
-    """Lower bound of scales."""
+    system: System = dataclasses.field(kw_only=True)
 
     # Smooth, with longer steps than for orbits, and without ends that need short ones.
     steps = StepSizes(first=0.01, least=1e-6, growth=1.5, straight=0.99, easy=12, corner=0.0)
     solution = "tangency"
-    place = -2
-
-    @property
-    def parameter(self) -> str:
-        """The name of the first parameter."""
-        return self.equations.free[0]
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
         """Solve the defining system."""
@@ -200,10 +192,6 @@ class TangencyCurve(Curve[TangencyPoint]):
     def refusal(self, ahead: TangencyPoint) -> str | None:
         """A tangency of an orbit that is cut by a surface before it is not admissible."""
         return None if bool(ahead.known.holds) else "the orbit meets the surface elsewhere"
-
-    def told(self, point: TangencyPoint) -> str:
-        """Both parameters."""
-        return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
 
 
 def _degeneracy(

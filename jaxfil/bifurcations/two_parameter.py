@@ -22,7 +22,7 @@ from jaxfil.model.system import System
 from jaxfil.orbits.branch import SpecialPoint
 from jaxfil.orbits.curve import constraint_across, least_scales
 from jaxfil.orbits.plane_curve import PlaneCurve
-from jaxfil.orbits.pseudo_arclength import ends_of, follow, range_around
+from jaxfil.orbits.pseudo_arclength import follow, range_around, walk_of
 
 # A guess from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
@@ -181,9 +181,7 @@ def continue_bifurcation(
     free = two_parameters(system, parameters)
     check.flags(throw=throw)
     _check_start(bifurcation)
-    max_points = check.count("max_points", max_points)
-    max_step = float(check.scalar("max_step", max_step, float, positive=True))
-    ends = ends_of(stop)
+    ends, steps = walk_of(stop, max_step, max_points)
     names = labels_of(bifurcation.orbit.system, bifurcation.orbit.x0.shape[-1]).of(free)
     smooth = isinstance(bifurcation, SpecialPoint)
     begin: Callable[..., tuple[Any, Any, RESULTS]] = begin_critical if smooth else _on_curve
@@ -191,7 +189,7 @@ def continue_bifurcation(
     if start is None:
         found = _not_begun(bifurcation, free, result, names)
     else:
-        found = _curve(curve, start, ends, (max_step, max_points), names)
+        found = _curve(curve, start, ends, steps, names)
     if throw:
         # Not traced, so that it raises at once and the numbers stay NumPy arrays.
         raise_if_failed(found.values, found.result)
@@ -205,7 +203,7 @@ def _on_curve(
     at, tangency = bifurcation.orbit, bifurcation.tangency
     family = FAMILY_NAMES.index(bifurcation.family)
     equations = defining_system(at.system, at, tangency, family, free, _NEWTON_STEPS)
-    curve = TangencyCurve(at.system, equations)
+    curve = TangencyCurve(equations, system=at.system)
     # The flight is in phases; t0 is taken from the orbit's own options.
     phase = at.period if at.system.period is None else tangency.phase
     values = [float(get_parameter(at.system, name)) for name in free]

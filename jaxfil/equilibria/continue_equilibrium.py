@@ -6,7 +6,6 @@ points and boundary equilibria.
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -20,8 +19,8 @@ from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast, get_parameter, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.curve import constraint_across, least_scales
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
-from jaxfil.xla.known import array_of
+from jaxfil.orbits.pseudo_arclength import Path, follow, range_around, walk_of
+from jaxfil.xla.known import array_of, stacked
 
 # The least scale of an unknown, relative to its initial value, is this multiple of an orbit's,
 # because equilibria pass through zero more often than largest values on orbits do.
@@ -90,9 +89,7 @@ def continue_equilibrium(
     autonomous("system", system)
     scalar_parameter(system, parameter)
     check.flags(throw=throw)
-    max_points = check.count("max_points", max_points)
-    max_step = float(check.scalar("max_step", max_step, float, positive=True))
-    ends = ends_of(stop)
+    ends, steps = walk_of(stop, max_step, max_points)
     if not isinstance(equilibrium, Equilibrium) or equilibrium.x.ndim != 1:
         raise ValueError(
             f"`equilibrium` must be a single Equilibrium, got {check.told(equilibrium)}."
@@ -105,7 +102,7 @@ def continue_equilibrium(
             raise ValueError(f"`equilibrium` must be one of the system, got a {equilibrium.kind}.")
         within = range_around(ends, curve.value(start))
         curve = dataclasses.replace(curve, least=_least(curve, start, ends))
-        branch = _branch(curve, follow(curve, start, within, max_step, max_points))
+        branch = _branch(curve, follow(curve, start, within, *steps))
     if throw:
         # Not traced, so that it raises at once and the numbers stay NumPy arrays.
         raise_if_failed(branch.values, branch.result)
@@ -150,14 +147,10 @@ def _least(curve: BalanceCurve, start: EquilibriumPoint, ends: list[float]) -> n
 
 def _branch(curve: BalanceCurve, path: Path[EquilibriumPoint]) -> EquilibriumBranch:
     """The `EquilibriumBranch` of a path."""
-    found = [_equilibrium(curve, point) for point in path.points]
-    dynamic = [eqx.filter(one, eqx.is_array) for one in found]
-    # In NumPy, because the number of points differs each time.
-    stacked = jax.device_put(jax.tree.map(lambda *v: np.stack(v), *dynamic))
     return EquilibriumBranch(
         parameter=curve.parameter,
         values=np.array([curve.value(point) for point in path.points]),
-        equilibria=eqx.combine(stacked, eqx.filter(found[0], eqx.is_array, inverse=True)),
+        equilibria=stacked([_equilibrium(curve, point) for point in path.points]),
         eigenvalues=np.array([point.known.eigenvalues for point in path.points]),
         points=[
             EquilibriumBifurcation(
@@ -200,12 +193,11 @@ def _equilibrium(curve: BalanceCurve, point: EquilibriumPoint) -> Equilibrium:
 def _not_begun(curve: BalanceCurve, given: Equilibrium, result: RESULTS) -> EquilibriumBranch:
     """A branch with the given equilibrium alone; its own failure takes precedence."""
     value = float(get_parameter(given.system, curve.parameter))
-    arrays, rest = eqx.partition(given, eqx.is_array)
     why = f"no branch was found at {value:.10g}"
     return EquilibriumBranch(
         parameter=curve.parameter,
         values=np.array([value]),
-        equilibria=eqx.combine(jax.tree.map(lambda v: v[None], arrays), rest),
+        equilibria=stacked([given]),
         eigenvalues=np.full((1, given.x.size), np.nan, complex),
         points=[],
         ended=(why, why),

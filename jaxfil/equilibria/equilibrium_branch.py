@@ -12,6 +12,7 @@ from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.types import Axes
+from jaxfil.orbits.curve import crossings
 from jaxfil.xla.known import part_of
 
 EQUILIBRIUM_BIFURCATION_KINDS = ("fold", "hopf", "persistence", "nonsmooth-fold")
@@ -74,21 +75,11 @@ class EquilibriumBranch(eqx.Module):
 
     def at(self, value: float) -> list[Equilibrium]:
         """The equilibria of the branch at a value of the parameter, in its order."""
-        found, ahead = [], np.asarray(self.values) - value
-        xs, modes = np.asarray(self.equilibria.x), np.asarray(self.equilibria.mode)
-        after = np.append(ahead[1:], np.nan)
-        for i in np.flatnonzero((ahead * after < 0) | (ahead == 0)):
-            part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
-            next_ = min(i + 1, len(xs) - 1)
-            system = part_of(self.equilibria.system, i)
+        found, modes = [], np.asarray(self.equilibria.mode)
+        for i, x in crossings(np.asarray(self.values), np.asarray(self.equilibria.x), value):
+            system = replace_parameter(part_of(self.equilibria.system, i), self.parameter, value)
             # Between two equilibria on both sides of a boundary the mode is the one before it.
-            found.append(
-                equilibrium(
-                    replace_parameter(system, self.parameter, value),
-                    jnp.asarray(xs[i] + part * (xs[next_] - xs[i])),
-                    mode=modes[i],
-                )
-            )
+            found.append(equilibrium(system, jnp.asarray(x), mode=modes[i]))
         return found
 
     def plot(self, ax: Axes | None = None, component: int = 0) -> Axes:

@@ -196,6 +196,11 @@ def evaluation(balance: Balance, z: Array, scale: Array) -> Evaluation:
     """The equations in the form for Newton's method."""
     residual, jacobian = balance.residual(z), jax.jacfwd(balance.residual)(z)
     unknowns = jnp.maximum(scale, scales(z, balance.mode.shape[0]))
+    return relative(residual, jacobian, unknowns)
+
+
+def relative(residual: Array, jacobian: Array, unknowns: Array) -> Evaluation:
+    """Equations relative to their terms, for unknowns of these scales."""
     terms = abs(jacobian) @ unknowns
     terms = select(terms > 0, terms, jnp.ones_like(terms))
     return Evaluation(residual, jacobian, terms, unknowns, RESULTS.successful, None)

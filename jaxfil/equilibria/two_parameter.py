@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxfil.equilibria.bifurcation_equations import BifurcationEquations, equations_of
 from jaxfil.equilibria.equilibrium_branch import EquilibriumBifurcation
-from jaxfil.equilibria.search import autonomous
+from jaxfil.equilibria.search import autonomous, relative
 from jaxfil.model import check
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
@@ -19,7 +19,6 @@ from jaxfil.model.parameter import two_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.curve import (
     ArclengthConstraint,
-    Curve,
     CurvePoint,
     Special,
     StepSizes,
@@ -28,8 +27,8 @@ from jaxfil.orbits.curve import (
     least_scales,
 )
 from jaxfil.orbits.newton import Evaluation, Root, newton
-from jaxfil.orbits.plane_curve import PlaneCurve
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_around
+from jaxfil.orbits.plane_curve import EquationsCurve, PlaneCurve
+from jaxfil.orbits.pseudo_arclength import Path, follow, range_around, walk_of
 from jaxfil.xla.known import array_of
 
 _NEWTON_STEPS = 12
@@ -70,10 +69,7 @@ def _solve(equations: BifurcationEquations, u: Array, constraint: ArclengthConst
     def evaluate(u: Array) -> Evaluation:
         residual, jacobian = equations.residual(u), jax.jacfwd(equations.residual)(u)
         unknowns = jnp.maximum(abs(u), constraint.scale)
-        terms = abs(jacobian) @ unknowns
-        terms = jnp.where(terms > 0, terms, 1.0)
-        at = Evaluation(residual, jacobian, terms, unknowns, RESULTS.successful, None)
-        return constraint.appended(at, u)
+        return constraint.appended(relative(residual, jacobian, unknowns), u)
 
     root = newton(evaluate, u, _NEWTON_STEPS)
     balance, z = equations.at(root.z)
@@ -86,20 +82,12 @@ def _solve(equations: BifurcationEquations, u: Array, constraint: ArclengthConst
 
 
 @dataclasses.dataclass(frozen=True)
-class _BifurcationCurve(Curve[_Point]):
-    """The curve of the equations of a bifurcation; `least` bounds scales from below."""
+class _BifurcationCurve(EquationsCurve[_Point]):
+    """The curve of the equations of a bifurcation."""
 
     equations: BifurcationEquations
-    least: np.ndarray | float = 0.0
 
     steps = StepSizes(first=0.01, least=1e-6, growth=1.5, straight=0.99, easy=8, corner=0.0)
-    solution = "bifurcation"
-    place = -2
-
-    @property
-    def parameter(self) -> str:
-        """The name of the first parameter."""
-        return self.equations.free[0]
 
     def solve(self, guess: np.ndarray, constraint: ArclengthConstraint) -> Root:
         """Solve the equations of the bifurcation."""
@@ -127,10 +115,6 @@ class _BifurcationCurve(Curve[_Point]):
     def refusal(self, ahead: _Point) -> str | None:
         """A virtual equilibrium does not belong to the system."""
         return None if ahead.admissible else "the equilibrium is virtual"
-
-    def told(self, point: _Point) -> str:
-        """Both parameters."""
-        return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
 
 
 def continue_equilibrium_bifurcation(
@@ -192,9 +176,7 @@ def continue_equilibrium_bifurcation(
     free = two_parameters(system, parameters)
     check.flags(throw=throw)
     check.instance("bifurcation", bifurcation, EquilibriumBifurcation)
-    max_points = check.count("max_points", max_points)
-    max_step = float(check.scalar("max_step", max_step, float, positive=True))
-    ends = ends_of(stop)
+    ends, steps = walk_of(stop, max_step, max_points)
     equations, u = equations_of(bifurcation, free)
     curve = _BifurcationCurve(equations)
     size = np.where(abs(u) < _SMALL * abs(u).max(), 0.0, abs(u))
@@ -208,7 +190,7 @@ def continue_equilibrium_bifurcation(
         within = range_around(ends, curve.value(start))
         least = 10 * least_scales(size, curve.place, ends)
         curve = dataclasses.replace(curve, least=least)
-        found = _curve(curve, follow(curve, start, within, max_step, max_points), result)
+        found = _curve(curve, follow(curve, start, within, *steps), result)
     if throw:
         # Not traced, so that it raises at once and the numbers stay NumPy arrays.
         raise_if_failed(found.values, found.result)

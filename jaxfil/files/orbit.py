@@ -2,9 +2,6 @@
 
 import json
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.files.solution import events_from, stepper_from
@@ -17,6 +14,7 @@ from jaxfil.orbits.branch_arrays import TAKEN as BRANCH_TAKEN
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_arrays import OPTIONS, ORBIT, TAKEN
 from jaxfil.orbits.shooting import ShootingOptions
+from jaxfil.xla.known import stacked
 
 
 def orbit_from(data: NamedArrays, system: System | None) -> Orbit:
@@ -32,14 +30,12 @@ def branch_from(data: NamedArrays, system: System | None) -> Branch:
     get_parameter(one, parameter)
     values = data.array(key_of(parameter, BRANCH_TAKEN))
     # One by one, because `jax.vmap` would compile a program.
-    each = [replace_parameter(one, parameter, value) for value in values]
-    arrays, rest = zip(*(eqx.partition(v, eqx.is_array) for v in each), strict=True)
-    stacked = jax.tree.map(lambda *v: jnp.asarray(np.stack(v)), *arrays)
+    systems = stacked([replace_parameter(one, parameter, value) for value in values])
     return record(
         Branch,
         parameter=parameter,
         values=values,
-        orbits=_orbit(data, eqx.combine(stacked, rest[0])),
+        orbits=_orbit(data, systems),
         points=_points(data, one, parameter),
         sequences=tuple(map(_sequence, data.array("sequence").tolist())),
         ended=(str(told["ended_before"]), str(told["ended_after"])),

@@ -13,6 +13,7 @@ from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.branch_arrays import branch_arrays
 from jaxfil.orbits.chattering import rests_in
+from jaxfil.orbits.curve import crossings
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.periodic_orbit import periodic_orbit
 from jaxfil.xla.known import part_of
@@ -82,17 +83,13 @@ class Branch(eqx.Module):
     def at(self, value: float) -> list[Orbit]:
         """The orbits of the branch at a value of the parameter, in its order."""
         found = []
-        xs, ahead = np.asarray(self.orbits.x0), np.asarray(self.values) - value
-        after = np.append(ahead[1:], np.nan)
-        for i in np.flatnonzero((ahead * after < 0) | (ahead == 0)):
-            part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
-            next_ = min(i + 1, len(xs) - 1)
+        for i, x in crossings(np.asarray(self.values), np.asarray(self.orbits.x0), value):
             one = part_of(self.orbits, i)
             period = None if one.system.period is not None else one.period
             found.append(
                 periodic_orbit(
                     replace_parameter(one.system, self.parameter, value),
-                    jnp.asarray(xs[i] + part * (xs[next_] - xs[i])),
+                    jnp.asarray(x),
                     periods=self.periods,
                     period=period,
                     t0=one.options.t0,

@@ -5,8 +5,6 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
-import jax
 import numpy as np
 
 from jaxfil.model.dataset import (
@@ -20,6 +18,7 @@ from jaxfil.model.dataset import (
 from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.labels import labels_of
 from jaxfil.orbits.orbit_arrays import TAKEN as ORBIT_TAKEN, option_attributes, orbit_variables
+from jaxfil.xla.known import part_of, stacked
 
 _ALONG, _SPECIAL = "orbit", "special"
 _POINT = ("kind", "value", "index", "before", "after")
@@ -32,8 +31,7 @@ TAKEN |= {f"special_{name}" for name in {*_POINT, *ORBIT_TAKEN}}
 def branch_arrays(branch: Any) -> NamedArrays:
     """The named arrays of a `Branch`."""
     orbits, parameter = branch.orbits, branch.parameter
-    first = jax.tree.map(lambda v: v[0], eqx.filter(orbits.system, eqx.is_array))
-    system = eqx.combine(first, orbits.system)
+    system = part_of(orbits.system, 0)
     n = orbits.x0.shape[-1]
     labels = labels_of(system, n)
     arrays, told = system_entries(system, TAKEN, skip=parameter)
@@ -57,9 +55,7 @@ def _points(points: list[Any]) -> dict[str, Variable]:
     """The special points of a branch."""
     if not points:
         return {}  # netCDF has no dimension of length zero
-    arrays = [eqx.filter(point.orbit, eqx.is_array) for point in points]
-    stacked = jax.tree.map(lambda *v: np.stack(v), *arrays)
-    orbits = eqx.combine(stacked, points[0].orbit)
+    orbits = stacked([point.orbit for point in points])
     named: dict[str, Variable] = {
         name: (_SPECIAL, np.array([_plain(getattr(point, name)) for point in points]))
         for name in _POINT

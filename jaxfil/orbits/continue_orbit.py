@@ -6,8 +6,6 @@ every change of the sequence of contacts.
 
 import dataclasses
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -29,8 +27,8 @@ from jaxfil.orbits.half_period import half_gap, may_be_doubled
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_curve import OrbitCurve
 from jaxfil.orbits.phase_shift import problem_at
-from jaxfil.orbits.pseudo_arclength import Path, ends_of, follow, range_ahead, range_around
-from jaxfil.xla.known import array_of
+from jaxfil.orbits.pseudo_arclength import Path, follow, range_ahead, range_around, walk_of
+from jaxfil.xla.known import array_of, stacked
 
 # The least scale of a guessed state.
 _SMALL = 1e-3
@@ -99,9 +97,7 @@ def continue_orbit(
     check.system("system", system)
     scalar_parameter(system, parameter)
     check.flags(throw=throw)
-    max_points = check.count("max_points", max_points)
-    max_step = float(check.scalar("max_step", max_step, float, positive=True))
-    ends = ends_of(stop)
+    ends, steps = walk_of(stop, max_step, max_points)
     if isinstance(orbit, SpecialPoint):
         # From its parent the branch goes one way.
         given, within = orbit.orbit, range_ahead
@@ -118,7 +114,7 @@ def continue_orbit(
     else:
         along = within(ends, curve.value(start))
         curve, start = _known(curve, start, ends)
-        branch = _branch(curve, follow(curve, start, along, max_step, max_points))
+        branch = _branch(curve, follow(curve, start, along, *steps))
     if throw:
         # Not traced, so that it raises at once and the numbers stay NumPy arrays.
         raise_if_failed(branch.values, branch.result)
@@ -250,13 +246,10 @@ def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
     """The `Branch` of a path."""
     problem = curve.problem
     orbits = [_orbit(curve, _at_the_phase(curve, point)) for point in path.points]
-    dynamic = [eqx.filter(orbit, eqx.is_array) for orbit in orbits]
-    # In NumPy, because the number of points differs each time.
-    stacked = jax.device_put(jax.tree.map(lambda *v: np.stack(v), *dynamic))
     return Branch(
         parameter=problem.parameter,
         values=np.array([curve.value(point) for point in path.points]),
-        orbits=eqx.combine(stacked, eqx.filter(orbits[0], eqx.is_array, inverse=True)),
+        orbits=stacked(orbits),
         points=[
             SpecialPoint(
                 s.kind, curve.value(s.point), _orbit(curve, s.point), s.index, s.before, s.after
@@ -287,12 +280,11 @@ def _at_the_phase(curve: OrbitCurve, point: OrbitPoint) -> OrbitPoint:
 def _not_begun(curve: OrbitCurve, orbit: Orbit, result: RESULTS) -> Branch:
     """A branch with the given orbit alone; its own failure takes precedence."""
     value = float(get_parameter(orbit.system, curve.parameter))
-    arrays, rest = eqx.partition(orbit, eqx.is_array)
     why = f"no branch was found at {value:.10g}"
     return Branch(
         parameter=curve.parameter,
         values=np.array([value]),
-        orbits=eqx.combine(jax.tree.map(lambda v: v[None], arrays), rest),
+        orbits=stacked([orbit]),
         points=[],
         sequences=(contacts_of(orbit.events),),
         ended=(why, why),

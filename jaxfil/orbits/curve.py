@@ -5,7 +5,7 @@ Each kind of curve (orbits as a parameter varies, tangencies as two do) is a sub
 
 import abc
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, Generic, TypeVar
 
 import equinox as eqx
@@ -89,6 +89,18 @@ def least_scales(at_start: np.ndarray, place: int, ends: list[float]) -> np.ndar
     values = [abs(v) for v in (at_start[place], *ends) if v != 0]
     least[place] = _LEAST_OF_PARAMETER * min(values, default=1.0)
     return least
+
+
+def crossings(
+    values: np.ndarray, xs: np.ndarray, value: float
+) -> Iterator[tuple[int, Float[np.ndarray, " n"]]]:
+    """Where a branch of points with these values and states takes a value: the number of the point
+    at it or before it, and the state between that one and the next."""
+    ahead = values - value
+    after = np.append(ahead[1:], np.nan)
+    for i in np.flatnonzero((ahead * after < 0) | (ahead == 0)).tolist():
+        part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
+        yield i, xs[i] + part * (xs[min(i + 1, len(xs) - 1)] - xs[i])
 
 
 _Point = TypeVar("_Point", bound=CurvePoint)

@@ -1,4 +1,7 @@
-"""Curves of bifurcations in the plane of two parameters, with their picture and card."""
+"""Curves of bifurcations in the plane of two parameters: their equations, picture and card."""
+
+import dataclasses
+from typing import Any, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -8,6 +11,30 @@ from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.types import Axes
+from jaxfil.orbits.curve import Curve, CurvePoint
+
+_Point = TypeVar("_Point", bound=CurvePoint)
+
+
+@dataclasses.dataclass(frozen=True)
+class EquationsCurve(Curve[_Point]):
+    """The curve of equations with two free parameters, the last unknowns, in the first of which it
+    is followed. `least` bounds scales from below."""
+
+    equations: Any
+    least: np.ndarray | float = 0.0
+
+    solution = "bifurcation"
+    place = -2
+
+    @property
+    def parameter(self) -> str:
+        """The name of the first parameter."""
+        return self.equations.free[0]
+
+    def told(self, point: _Point) -> str:
+        """Both parameters."""
+        return f"({point.u[-2]:.8g}, {point.u[-1]:.8g})"
 
 
 class PlaneCurve(eqx.Module):

@@ -49,6 +49,13 @@ def ends_of(stop: Any) -> list[float]:
     return np.atleast_1d(ends).tolist()
 
 
+def walk_of(stop: Any, max_step: Any, max_points: Any) -> tuple[list[float], tuple[float, int]]:
+    """The ends of a curve, its largest step and its largest number of points, from arguments."""
+    most = check.count("max_points", max_points)
+    longest = float(check.scalar("max_step", max_step, float, positive=True))
+    return ends_of(stop), (longest, most)
+
+
 def range_around(ends: list[float], value: float) -> Range:
     """The range for a curve that starts at a value."""
     if len(ends) == 1:

@@ -5,7 +5,7 @@ verbs share; inside one it is part of the program being traced.
 """
 
 import functools as ft
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -17,6 +17,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array
 
 _F = TypeVar("_F", bound=Callable)
+_Tree = TypeVar("_Tree")
 
 
 def is_known(tree: Any) -> bool:
@@ -60,6 +61,18 @@ def part_of(tree: Any, index: Any) -> Any:
     arrays, rest = eqx.partition(tree, eqx.is_array)  # a system may hold functions
     parts = jax.tree.map(lambda v: v[index], in_numpy(arrays))
     return eqx.combine(jax.device_put(parts) if is_known(parts) else parts, rest)
+
+
+def stacked(trees: Sequence[_Tree]) -> _Tree:
+    """Trees of arrays that are known, as one tree whose arrays have a leading axis. NumPy stacks
+    them: JAX would compile programs for each number of trees.
+
+    >>> stacked([{"a": jnp.zeros(2), "f": len}] * 3)["a"].shape
+    (3, 2)
+    """
+    arrays = [eqx.filter(tree, eqx.is_array) for tree in trees]
+    rows = jax.device_put(jax.tree.map(lambda *v: np.stack(v), *arrays))
+    return eqx.combine(rows, eqx.filter(trees[0], eqx.is_array, inverse=True))
 
 
 def power_of_two(count: int) -> int:
