@@ -7,6 +7,7 @@ between two contacts; on the other side a guard with a minimum, or a contact wit
 import dataclasses
 import itertools
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,6 +27,33 @@ from jaxfil.xla.known import array_of, part_of, power_of_two
 
 # Largest number of candidates for each surface.
 _CANDIDATES = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class _Steps:
+    """The times ts (k,) and states xs (k, n) of all steps of an orbit."""
+
+    orbit: Orbit
+    ts: np.ndarray
+    xs: np.ndarray
+
+    @property
+    def period(self) -> float:
+        """The period."""
+        return float(self.orbit.period)
+
+
+class _Candidate(NamedTuple):
+    """A tangency of surface j from a side in a mode, at time `middle` of a flight from `left` to
+    `right`; `reach` is the time by which the orbit misses it."""
+
+    reach: float
+    j: int
+    side: float
+    mode: np.ndarray
+    left: float
+    middle: float
+    right: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,33 +122,32 @@ def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency
     with the time by which the orbit misses it (or is past it)."""
     flights = _flights(orbit)
     dense = orbit.dense()
-    ts, xs = np.asarray(dense.ts), np.asarray(dense.xs)
-    real = np.isfinite(ts)
-    ts, xs = ts[real], xs[real]
-    found = []
+    real = np.isfinite(np.asarray(dense.ts))
+    steps = _Steps(orbit, np.asarray(dense.ts)[real], np.asarray(dense.xs)[real])
+    found: list[_Candidate] = []
     for kind, (i, flight) in itertools.product(kinds, enumerate(flights)):
         before, after = flights[i - 1], flights[(i + 1) % len(flights)]
         for j in range(flight.mode.size):
             found += _short(flight, before, after, j, kind, len(flights))
             if FAMILIES[kind] == ARRIVAL:
-                found += _arrivals(orbit, flight, after, j, kind, ts, xs)
+                found += _arrivals(steps, flight, after, j, kind)
             else:
-                found += _impacts(orbit, flight, after, j, kind, ts, xs)
-                found += _minima(orbit, flight, j, kind, ts, xs)
-    found.sort(key=lambda entry: entry[0])
+                found += _impacts(steps, flight, after, j, kind)
+                found += _minima(steps, flight, j, kind)
+    found.sort(key=lambda one: one.reach)
     # Two kinds have the same minima.
-    entries = {(j, middle): entry for entry in reversed(found) for _, j, *_, middle, _ in [entry]}
-    nearest, told = [], dict.fromkeys(range(flights[0].mode.size), 0)
-    for reach, j, *rest in reversed(entries.values()):
-        told[j] += 1
-        if told[j] <= _CANDIDATES:
-            nearest.append((reach, _tangency(orbit, ts, xs, j, *rest)))
+    first = {(one.j, one.middle): one for one in reversed(found)}
+    nearest, count = [], dict.fromkeys(range(flights[0].mode.size), 0)
+    for one in reversed(first.values()):
+        count[one.j] += 1
+        if count[one.j] <= _CANDIDATES:
+            nearest.append((one.reach, _tangency(steps, one)))
     return nearest
 
 
 def _short(
     flight: _Flight, before: _Flight, after: _Flight, j: int, kind: str, count: int
-) -> list[tuple]:
+) -> list[_Candidate]:
     """A flight that may be born in the bifurcation, as its length and the tangency there."""
     a, b, c = before.mode[j], flight.mode[j], after.mode[j]
     patterns = {
@@ -139,27 +166,25 @@ def _short(
     left = flight.start - 0.5 * (before.stop - before.start)
     right = flight.stop + 0.5 * (after.stop - after.start)
     middle = flight.start if FAMILIES[kind] == ARRIVAL else flight.start + 0.5 * length
-    return [(length, j, side, before.mode, left, middle, right)]
+    return [_Candidate(length, j, side, before.mode, left, middle, right)]
 
 
-def _minima(
-    orbit: Orbit, flight: _Flight, j: int, kind: str, ts: np.ndarray, xs: np.ndarray
-) -> list[tuple]:
+def _minima(steps: _Steps, flight: _Flight, j: int, kind: str) -> list[_Candidate]:
     """Minima of the guard of a flight, with the time in which it would reach zero."""
     sliding = FAMILIES[kind] == SLIDE
     if (flight.mode[j] == 0) != sliding:
         return []
-    period = float(orbit.period)
+    ts, period = steps.ts, steps.period
     # A flight may pass the end of the period; its steps are searched a period earlier and later.
     times = np.concatenate([ts[:-1] - period, ts[:-1], ts[:-1] + period])
-    states = np.tile(xs[:-1], (3, 1))
+    states = np.tile(steps.xs[:-1], (3, 1))
     low, high = max(flight.start, ts[0] - 0.5 * period), min(flight.stop, ts[-1] + 0.5 * period)
     inside = (times > low) & (times < high)
     times, states = times[inside], states[inside]
     if times.size < 3:
         return []
     mode = array_of(flight.mode)
-    guard, weight = _guards(orbit.system, _filled(times), _filled(states), mode, j)
+    guard, weight = _guards(steps.orbit.system, _filled(times), _filled(states), mode, j)
     guard, weight = np.asarray(guard)[: times.size], np.asarray(weight)[: times.size]
     found = []
     for k in range(1, times.size - 1):
@@ -169,7 +194,7 @@ def _minima(
             side = np.sign(weight[k]) if sliding else flight.mode[j]
             left = times[k] - min(0.5 * (times[k] - flight.start), 0.25 * period)
             right = times[k] + min(0.5 * (flight.stop - times[k]), 0.25 * period)
-            found.append((reach, j, side, flight.mode, left, times[k], right))
+            found.append(_Candidate(reach, j, side, flight.mode, left, times[k], right))
     return found
 
 
@@ -194,32 +219,22 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
     return jax.vmap(one)(ts, xs)
 
 
-def _impacts(
-    orbit: Orbit,
-    flight: _Flight,
-    after: _Flight,
-    j: int,
-    kind: str,
-    ts: np.ndarray,
-    xs: np.ndarray,
-) -> list[tuple]:
+def _impacts(steps: _Steps, flight: _Flight, after: _Flight, j: int, kind: str) -> list[_Candidate]:
     """Impacts on a wall, with the time in which the rate of approach would vanish."""
     side = flight.mode[j]
     if kind != "grazing" or not flight.surfaces[j] or side == 0 or after.mode[j] != side:
         return []
-    reach = _reach(orbit, flight, j, side, ts, xs)
-    period, at = float(orbit.period), flight.stop
+    reach = _reach(steps, flight, j, side)
+    period, at = steps.period, flight.stop
     left = at - min(0.5 * (at - flight.start), 0.25 * period)
     right = at + min(0.5 * (after.stop - after.start), 0.25 * period)
-    return [(reach, j, side, flight.mode, left, at, right)]
+    return [_Candidate(reach, j, side, flight.mode, left, at, right)]
 
 
-def _reach(
-    orbit: Orbit, flight: _Flight, j: int, side: float, ts: np.ndarray, xs: np.ndarray
-) -> float:
+def _reach(steps: _Steps, flight: _Flight, j: int, side: float) -> float:
     """The time in which Ḣ_s at the end of a flight would vanish."""
-    within = ts[0] + (flight.stop - ts[0]) % float(orbit.period)
-    x = array_of(xs[np.argmin(abs(ts - within))])
+    within = steps.ts[0] + (flight.stop - steps.ts[0]) % steps.period
+    x = array_of(steps.xs[np.argmin(abs(steps.ts - within))])
     at = array_of(flight.stop, x.dtype)
     there = Tangency(
         x,
@@ -230,57 +245,39 @@ def _reach(
         surface=array_of(j, jnp.int32),
         side=array_of(side, x.dtype),
     )
-    found = conditions(orbit.system, at, x, there)
+    found = conditions(steps.orbit.system, at, x, there)
     return abs(float(found.rate)) / max(abs(float(found.bend)), 1e-300)
 
 
 def _arrivals(
-    orbit: Orbit,
-    flight: _Flight,
-    after: _Flight,
-    j: int,
-    kind: str,
-    ts: np.ndarray,
-    xs: np.ndarray,
-) -> list[tuple]:
+    steps: _Steps, flight: _Flight, after: _Flight, j: int, kind: str
+) -> list[_Candidate]:
     """Contacts at which the orbit arrives near the end of the sliding region, with the time in
     which Ḣ_s would vanish."""
     a, c = flight.mode[j], after.mode[j]
     crosses, sticks = a != 0 and c == -a, a != 0 and c == 0
     if not flight.surfaces[j] or not (crosses or (sticks and kind == "switching-sliding")):
         return []
-    side = -a
     at = flight.stop
-    reach = _reach(orbit, flight, j, side, ts, xs)
-    left = at - min(0.5 * (at - flight.start), 0.25 * float(orbit.period))
-    return [(reach, j, side, flight.mode, left, at, at)]
+    reach = _reach(steps, flight, j, -a)
+    left = at - min(0.5 * (at - flight.start), 0.25 * steps.period)
+    return [_Candidate(reach, j, -a, flight.mode, left, at, at)]
 
 
-def _tangency(
-    orbit: Orbit,
-    ts: np.ndarray,
-    xs: np.ndarray,
-    j: int,
-    side: float,
-    mode: np.ndarray,
-    left: float,
-    middle: float,
-    right: float,
-) -> Tangency:
-    """The tangency as arrays, with its flight shifted to start within the known period, from times
-    ts, shape (k,), and states xs, shape (k, n)."""
-    t0, period = float(orbit.options.t0), float(orbit.period)
-    shift = period * np.floor((left - t0) / period)
-    left, middle, right = (min(v - shift, t0 + 2 * period) for v in (left, middle, right))
+def _tangency(steps: _Steps, found: _Candidate) -> Tangency:
+    """The tangency as arrays, with its flight shifted to start within the known period."""
+    t0, period, dtype = float(steps.orbit.options.t0), steps.period, steps.xs.dtype
+    times = found.left, found.middle, found.right
+    shift = period * np.floor((found.left - t0) / period)
+    left, middle, right = (min(v - shift, t0 + 2 * period) for v in times)
     # Newton's method corrects it with the rest of the guess, which is no more exact.
-    x = np.array([np.interp(left, ts, v) for v in xs.T])
-    dtype = xs.dtype
+    x = np.array([np.interp(left, steps.ts, v) for v in steps.xs.T])
     return Tangency(
         x=array_of(x, dtype),
         phase=array_of(middle / period, dtype),
         start=array_of(left / period, dtype),
         stop=array_of(right / period, dtype),
-        mode=array_of(mode, dtype),
-        surface=array_of(j, jnp.int32),
-        side=array_of(side, dtype),
+        mode=array_of(found.mode, dtype),
+        surface=array_of(found.j, jnp.int32),
+        side=array_of(found.side, dtype),
     )

@@ -1,4 +1,6 @@
-"""The intervals of time over which exponents are averaged, and their grids of steps."""
+"""The intervals of time over which exponents are averaged, their number and their steps."""
+
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,12 +9,27 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.forcing_phase import repeats
 from jaxfil.integrate.lane.problem import TimeGrid, grid_of_periods
+from jaxfil.integrate.run.step_choice import expected_steps, steps_and_stepper
+from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.model import check
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar
 
-Counts = tuple[Array, Array, Array]
-"""Averaged periods, transient periods, and steps per period."""
+
+class Pace(eqx.Module):
+    """How long a lane runs, and by what steps. Counts are arrays, so that new ones do not
+    recompile."""
+
+    periods: Array
+    """Averaged periods."""
+    transient: Array
+    """Periods before the average."""
+    steps: Array
+    """Steps per period."""
+    stepper: Stepper
+    compact: bool = eqx.field(static=True)
+    """The grade of the program (see `grade`)."""
 
 
 class Interval(eqx.Module):
@@ -36,13 +53,36 @@ class Interval(eqx.Module):
         return grid_of_periods(self.length, count, steps, start, repeats=self.repeats)
 
 
-def counts_of(periods: int, transient: int, steps: int) -> Counts:
-    """Integers as traced values, so that new ones do not recompile."""
+def pace_of(
+    system: System,
+    x0: Array,
+    lanes: int,
+    *,
+    periods: int,
+    transient: int,
+    steps: Any,
+    stepper: Any,
+    compact: Any,
+    tangents: int = 0,
+) -> Pace:
+    """The pace of `lanes` lanes of a system from states like x0, with so many tangent vectors, from
+    the arguments of an exponent."""
+    steps, stepper = steps_and_stepper(steps, stepper, system)
     periods = check.count("periods", periods)
     transient = check.count("transient", transient, least=0)
     check.number_of_steps(steps, periods=periods, transient=transient)
-    whole = jnp.int32
-    return jnp.asarray(periods, whole), jnp.asarray(transient, whole), jnp.asarray(steps, whole)
+    stepper = checked_stepper(stepper)
+    grade = is_compact_sweep(
+        compact,
+        system,
+        x0,
+        stages=tableau_of(stepper).stages,
+        lanes=lanes,
+        steps=(transient + periods) * expected_steps(steps, stepper),
+        tangents=tangents,
+    )
+    counts = (jnp.asarray(v, jnp.int32) for v in (periods, transient, steps))
+    return Pace(*counts, stepper, grade)
 
 
 def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> Interval:

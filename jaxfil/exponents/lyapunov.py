@@ -8,17 +8,16 @@ from jaxtyping import Array, Bool, Float
 
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.card import average_card
-from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
+from jaxfil.exponents.intervals import Interval, Pace, interval_of, pace_of
 from jaxfil.exponents.variational import Variation, propagate, vary
 from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.lane.state import LoopState, is_running
 from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import advance, finish
 from jaxfil.integrate.loop.start import initial_state
-from jaxfil.integrate.run.step_choice import StepCount, expected_steps, steps_and_stepper
-from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.run.step_choice import StepCount
+from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
 from jaxfil.integrate.system.components import pack
-from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.drawing import draw
@@ -132,37 +131,31 @@ def lyapunov_spectrum(
     check.system("system", system)
     system = cast(system, x.dtype)
     between = interval_of(system, interval, x.dtype)
-    steps, stepper = steps_and_stepper(steps, stepper, system)
-    counts = counts_of(periods, transient, steps)
-    stepper = checked_stepper(stepper)
-    compact = is_compact_sweep(
-        compact,
+    pace = pace_of(
         system,
         x,
-        stages=tableau_of(stepper).stages,
-        lanes=lanes_of((system, x)),
-        steps=(transient + periods) * expected_steps(steps, stepper),
+        lanes_of((system, x)),
+        periods=periods,
+        transient=transient,
+        steps=steps,
+        stepper=stepper,
+        compact=compact,
         tangents=x.size,
     )
-    return _spectrum(system, x, between, counts, stepper, min(BATCHES, periods), compact)
+    return _spectrum(system, x, between, pace, min(BATCHES, periods))
 
 
 @eqx.filter_jit
 def _spectrum(
-    system: System,
-    x0: Array,
-    interval: Interval,
-    counts: Counts,
-    stepper: Stepper,
-    batches: int,
-    compact: bool,
+    system: System, x0: Array, interval: Interval, pace: Pace, batches: int
 ) -> LyapunovSpectrum:
     def run(x0: Array) -> LyapunovSpectrum:
         between = interval.of(system, x0)
-        grid = between.grid(counts[0] + counts[1], counts[2])
-        problem = problem_of(build(system, x0, compact=compact), tableau_of(stepper), grid)
-        ends = batch_ends(counts[0], batches)
-        state, growth = _grown(problem, counts, ends, x0)
+        grid = between.grid(pace.periods + pace.transient, pace.steps)
+        field = build(system, x0, compact=pace.compact)
+        problem = problem_of(field, tableau_of(pace.stepper), grid)
+        ends = batch_ends(pace.periods, batches)
+        state, growth = _grown(problem, pace, ends, x0)
         times = ends.astype(x0.dtype) * between.length
         growth = select(state.counts.index >= grid.num_steps, growth, jnp.nan)
         exponents, running, error, settled = averages(growth, times)
@@ -175,16 +168,16 @@ def _spectrum(
             x_final=pack(state.motion.x, x0.dtype),
             settled=settled,
             result=period_outcome(between.length, state.result),
-            compact=compact,
+            compact=pace.compact,
         )
 
     # The averages too, because many small operations outside of a kernel are slow to compile.
-    return kernel_if_it_fits(run, compact)(x0)
+    return kernel_if_it_fits(run, pace.compact)(x0)
 
 
-def _grown(problem: Problem, counts: Counts, ends: Array, x0: Array) -> tuple[LoopState, Array]:
+def _grown(problem: Problem, pace: Pace, ends: Array, x0: Array) -> tuple[LoopState, Array]:
     """The end of the run, and the growth of the logarithms up to each of `ends`."""
-    _, transient, steps = counts
+    transient, steps = pace.transient, pace.steps
     state = initial_state(problem, problem.system.unpack(x0))
     # The frame costs n times the orbit, so it joins late in the transient. In a compact program a
     # loop without it costs more than it saves.

@@ -17,16 +17,15 @@ from jaxtyping import Array, Float
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.coupled import Synchronization, TransverseExponent
 from jaxfil.exponents.drive_response import drive_response
-from jaxfil.exponents.intervals import Counts, Interval, counts_of, interval_of
+from jaxfil.exponents.intervals import Interval, Pace, interval_of, pace_of
 from jaxfil.integrate.lane.problem import Problem, period_outcome
 from jaxfil.integrate.lane.state import is_running
 from jaxfil.integrate.loop.extensions import problem_of
 from jaxfil.integrate.loop.iterate import advance, finish, integrate
 from jaxfil.integrate.loop.start import initial_state
-from jaxfil.integrate.run.step_choice import StepCount, expected_steps, steps_and_stepper
-from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper, tableau_of
+from jaxfil.integrate.run.step_choice import StepCount
+from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
 from jaxfil.integrate.system.components import Components, pack
-from jaxfil.integrate.system.grade import is_compact_sweep
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
@@ -111,20 +110,17 @@ def synchronization_exponent(
         raise ValueError(f"`couplings` must be ascending, got {values}.")
     between = interval_of(system, interval, x.dtype)
     within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
-    steps, stepper = steps_and_stepper(steps, stepper, system)
-    counts = counts_of(periods, transient, steps)
-    stepper = checked_stepper(stepper)
-    lanes = lanes_of((system, x, grid)) * grid.shape[0]
-    # Drive and response are one system of twice the size.
-    compact = is_compact_sweep(
-        compact,
-        drive_response(system, grid[0]),
+    pace = pace_of(
+        drive_response(system, grid[0]),  # one system of twice the size
         jnp.concatenate([x, x]),
-        stages=tableau_of(stepper).stages,
-        lanes=lanes,
-        steps=(transient + periods) * expected_steps(steps, stepper),
+        lanes_of((system, x, grid)) * grid.shape[0],
+        periods=periods,
+        transient=transient,
+        steps=steps,
+        stepper=stepper,
+        compact=compact,
     )
-    return _threshold(system, x, grid, within, between, counts, stepper, compact)
+    return _threshold(system, x, grid, within, between, pace)
 
 
 def _distance(z: Components) -> Array:
@@ -135,22 +131,22 @@ def _distance(z: Components) -> Array:
 
 
 def _settle(
-    system: System, x0: Array, interval: Interval, counts: Counts, stepper: Stepper, compact: bool
+    system: System, x0: Array, interval: Interval, transient: Array, pace: Pace
 ) -> tuple[Interval, Array, RESULTS]:
     """The interval of the system, and the drive alone, after its transient."""
-    _, transient, steps = counts
 
     def run(x0: Array) -> tuple[Interval, Array, RESULTS]:
         between = interval.of(system, x0)
-        grid = between.grid(jnp.maximum(transient, 1), steps)
-        problem = problem_of(build(system, x0, compact=compact), tableau_of(stepper), grid)
+        grid = between.grid(jnp.maximum(transient, 1), pace.steps)
+        field = build(system, x0, compact=pace.compact)
+        problem = problem_of(field, tableau_of(pace.stepper), grid)
         state = integrate(problem, problem.system.unpack(x0))
         # A grid needs a step: without a transient one period is run and discarded.
         moved = transient > 0
         x = select(moved, pack(state.motion.x, x0.dtype), x0)
         return between, x, RESULTS.where(moved, state.result, RESULTS.successful)
 
-    return kernel_if_it_fits(run, compact)(x0)
+    return kernel_if_it_fits(run, pace.compact)(x0)
 
 
 def _away(x: Array, part: float) -> tuple[Array, Array]:
@@ -170,18 +166,16 @@ def _threshold(
     couplings: Array,
     tolerance: Array,
     interval: Interval,
-    counts: Counts,
-    stepper: Stepper,
-    compact: bool,
+    pace: Pace,
 ) -> Synchronization:
-    periods, transient, steps = counts
-    interval, x, settled = _settle(system, x0, interval, counts, stepper, compact)
+    periods, transient, steps = pace.periods, pace.transient, pace.steps
+    interval, x, settled = _settle(system, x0, interval, transient, pace)
 
     def lane(coupling: Array) -> tuple[Array, RESULTS]:
         z = jnp.concatenate([x, _away(x, 0.01)[0]])
         grid = interval.grid(periods, steps, transient)
-        pair = build(drive_response(system, coupling), z, compact=compact)
-        problem = problem_of(pair, tableau_of(stepper), grid)
+        pair = build(drive_response(system, coupling), z, compact=pace.compact)
+        problem = problem_of(pair, tableau_of(pace.stepper), grid)
 
         def on(carry: tuple) -> Array:
             state, nearest, _ = carry
@@ -220,10 +214,10 @@ def _threshold(
             bias=spacing / 2 + jnp.log(_away(x, 0.01)[1] / tolerance) / time,
             x0=x0,
             results=results,
-            compact=compact,
+            compact=pace.compact,
         )
 
-    return kernel_if_it_fits(told)(*jax.vmap(kernel_if_it_fits(lane, compact))(couplings))
+    return kernel_if_it_fits(told)(*jax.vmap(kernel_if_it_fits(lane, pace.compact))(couplings))
 
 
 def transverse_exponent(
@@ -281,51 +275,40 @@ def transverse_exponent(
     system = cast(system, x.dtype)
     strength = check.scalar("coupling", coupling, x.dtype)
     between = interval_of(system, interval, x.dtype)
-    steps, stepper = steps_and_stepper(steps, stepper, system)
-    counts = counts_of(periods, transient, steps)
-    stepper = checked_stepper(stepper)
-    lanes = lanes_of((system, x, strength))
-    compact = is_compact_sweep(
-        compact,
+    pace = pace_of(
         drive_response(system, strength),
         jnp.concatenate([x, x]),
-        stages=tableau_of(stepper).stages,
-        lanes=lanes,
-        steps=(transient + periods) * expected_steps(steps, stepper),
+        lanes_of((system, x, strength)),
+        periods=periods,
+        transient=transient,
+        steps=steps,
+        stepper=stepper,
+        compact=compact,
     )
-    batches = min(BATCHES, periods)
-    return _transverse(system, x, strength, between, counts, stepper, batches, compact)
+    return _transverse(system, x, strength, between, pace, min(BATCHES, periods))
 
 
 @eqx.filter_jit
 def _transverse(
-    system: System,
-    x0: Array,
-    coupling: Array,
-    interval: Interval,
-    counts: Counts,
-    stepper: Stepper,
-    batches: int,
-    compact: bool,
+    system: System, x0: Array, coupling: Array, interval: Interval, pace: Pace, batches: int
 ) -> TransverseExponent:
     # The pair already runs in the last quarter of the transient, so that its distance aligns
     # with the direction of fastest growth before it counts.
-    periods, transient, steps = counts
-    turning = transient // 4
-    alone = (periods, transient - turning, steps)
-    interval, x, settled = _settle(system, x0, interval, alone, stepper, compact)
+    turning = pace.transient // 4
+    alone = pace.transient - turning
+    interval, x, settled = _settle(system, x0, interval, alone, pace)
 
     def run(x: Array, coupling: Array) -> TransverseExponent:
         # A distance d has an error of d from the curvature of the flow and of eps/d from rounding,
         # least at √eps; a larger one has room to shrink within an interval.
         y, separation = _away(x, float(jnp.finfo(x.dtype).eps) ** 0.4)
         z = jnp.concatenate([x, y])
-        pair = build(drive_response(system, coupling), z, compact=compact)
-        ends = batch_ends(counts[0], batches)
+        pair = build(drive_response(system, coupling), z, compact=pace.compact)
+        ends = batch_ends(pace.periods, batches)
 
         def problem(k: Array) -> Problem:
-            grid = interval.grid(jnp.ones_like(steps), steps, alone[1] + k)
-            return problem_of(pair, tableau_of(stepper), grid)
+            grid = interval.grid(jnp.ones_like(pace.steps), pace.steps, alone + k)
+            return problem_of(pair, tableau_of(pace.stepper), grid)
 
         stops = turning + jnp.append(0, ends)
         z, result, growth = _parted(problem, z, separation, stops, settled)
@@ -345,10 +328,10 @@ def _transverse(
             x_final=z[: x.shape[0]],
             settled=steady,
             result=period_outcome(interval.length, result),
-            compact=compact,
+            compact=pace.compact,
         )
 
-    return kernel_if_it_fits(run, compact)(x, coupling)
+    return kernel_if_it_fits(run, pace.compact)(x, coupling)
 
 
 def _parted(

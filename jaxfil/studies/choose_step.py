@@ -5,8 +5,6 @@ last two are then tried. All errors are relative to one reference, finer than al
 """
 
 import dataclasses
-import statistics
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -31,6 +29,7 @@ from jaxfil.model.outcomes import (
 from jaxfil.model.parameter import cast, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State, States, SweptValues
+from jaxfil.studies.timing import median_seconds
 
 # Initial number of steps of a search, in a forcing period or the whole span.
 _FIRST = 4
@@ -274,15 +273,10 @@ class _Lanes:
             number = jnp.asarray(steps, dtype)
             # The first call compiles, or warms up.
             xs, results = program(self.values, self.x0, number)
-            times = []
-            for _ in range(_REPEATS):
-                start = time.perf_counter()
-                jax.block_until_ready(program(self.values, self.x0, number))
-                times.append(time.perf_counter() - start)
+            seconds = median_seconds(lambda: program(self.values, self.x0, number), _REPEATS)
             names = outcome_names(results)
             failed = [str(name) for name in names if name != "successful"]
-            seconds = statistics.median(times) / len(names)
-            return _Run(np.asarray(xs), (failed or ["successful"])[0], seconds)
+            return _Run(np.asarray(xs), (failed or ["successful"])[0], seconds / len(names))
 
         return run
 

@@ -1,7 +1,5 @@
 """Error against run time of every stepper at every step, for a given system."""
 
-import statistics
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,6 +18,7 @@ from jaxfil.model.drawing import draw
 from jaxfil.model.outcomes import outcome_names
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Scalar, State
+from jaxfil.studies.timing import median_seconds
 
 # Steps of the reference, and of coarser runs that test it, in the smallest requested step.
 _FINE, _JUDGING = 1 / 4, 1 / 2
@@ -213,13 +212,8 @@ class _Run:
 
     def __init__(self, run: Callable, dt: float, dtype: Any, lanes: int, repeats: int):
         steps = jnp.full((lanes,), dt, dtype)
-        sol = jax.block_until_ready(run(steps))
-        times = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            jax.block_until_ready(run(steps))
-            times.append(time.perf_counter() - start)
-        self.seconds = statistics.median(times) / lanes if times else np.nan
+        sol = run(steps)  # the first call warms up
+        self.seconds = median_seconds(lambda: run(steps), repeats) / lanes
         self.x = np.asarray(sol.x_final[0])
         self.num_events = int(sol.num_events[0])
         self.outcome = str(outcome_names(sol.result)[0])
