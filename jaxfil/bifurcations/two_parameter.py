@@ -83,28 +83,13 @@ class CodimensionTwo(eqx.Module):
 
 
 class BifurcationCurve(PlaneCurve):
-    """A curve of k bifurcations of periodic orbits in two parameters."""
+    """A curve of k bifurcations of periodic orbits in two parameters. `xs` are the states at `ts`;
+    `kinds` are of `BIFURCATION_KINDS`, "undecided", or that of the `SpecialPoint` at the start."""
 
-    parameters: tuple[str, str] = eqx.field(static=True)
-    """The names of the parameters."""
-    values: Float[np.ndarray, "k 2"]
-    """The parameters at each point."""
     ts: Float[np.ndarray, " k"]
     """The time of the tangency; for a smooth bifurcation, the start of the orbit."""
-    xs: Float[np.ndarray, "k n"]
-    """The state at `ts`."""
-    kinds: tuple[str, ...] = eqx.field(static=True)
-    """The kind at each point, one of `BIFURCATION_KINDS` or "undecided", or the kind of the
-    `SpecialPoint` at which the curve starts."""
     points: list[CodimensionTwo]
     """Points of codimension two, in the order of the curve."""
-    ended: tuple[str, str] = eqx.field(static=True)
-    """The reason for the end of the curve, at either side."""
-    result: RESULTS
-    """The outcome at the start: `successful`, even if the curve ends before `stop` (see `ended`);
-    otherwise the reason, and the given bifurcation is the only point."""
-    labels: Labels = eqx.field(static=True, default=Labels())
-    """Names of the parameters in pictures."""
 
     def __repr__(self) -> str:
         (a, b), lines = self.parameters, [super().__repr__()]

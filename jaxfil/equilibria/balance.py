@@ -22,11 +22,10 @@ from jaxfil.integrate.surfaces.corners import every_side
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import EQUATIONS
 
 # Largest number of surfaces whose 2^m combinations of sides are always evaluated.
 _FEW = 5
-# Rounding of H and of margins, in eps of their terms.
-_NOISE = 64
 # Target of shifted zeros across surfaces, in sizes of the Jacobian.
 _AWAY = 4.0
 
@@ -99,7 +98,7 @@ class Balance(eqx.Module):
         inverse = 1 / select(sizes > 0, sizes, jnp.ones_like(sizes))
         # A reset may be defined for approaching motions only.
         tiny = float(np.finfo(x.dtype).tiny) ** 0.5
-        depth = _NOISE * jnp.finfo(x.dtype).eps * abs(normals) @ abs(x) + tiny
+        depth = EQUATIONS * jnp.finfo(x.dtype).eps * abs(normals) @ abs(x) + tiny
         depth = jax.lax.stop_gradient(select(self.mode < 0, -depth, depth) * inverse)
 
         def direction(j: Array, normal: Array, depth: Array) -> Array:
@@ -131,7 +130,7 @@ class Balance(eqx.Module):
     def noise(self, z: Float[Array, " N"]) -> Float[Array, " m"]:
         """Rounding of the margins."""
         x, multipliers = self.split(z)
-        eps = _NOISE * jnp.finfo(z.dtype).eps
+        eps = EQUATIONS * jnp.finfo(z.dtype).eps
         of_h = abs(jax.jacfwd(self.h)(x)) @ abs(x)
         return eps * select(abs(self.mode) == 1, of_h, jnp.maximum(1.0, abs(multipliers)))
 

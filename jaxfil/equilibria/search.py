@@ -23,11 +23,10 @@ from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.xla.known import array_of, compiled_if_traced
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import EQUATIONS
 
 # The least scale of a component.
 _SMALL = 1e-3
-# Rounding of H at a guess, in eps of its terms.
-_NOISE = 64
 _MODES = (-2, -1, 0, 1, 2)
 
 
@@ -169,7 +168,7 @@ def _mode_of(system: System, x: Array, m: int) -> Array:
     balance = Balance(system, jnp.ones((m,), x.dtype), affine=False)
     h = balance.h(x)
     terms = abs(jax.jacfwd(balance.h)(x)) @ abs(x)
-    on = abs(h) <= _NOISE * jnp.finfo(x.dtype).eps * terms
+    on = abs(h) <= EQUATIONS * jnp.finfo(x.dtype).eps * terms
     held = jnp.zeros_like(h)
     if system.resets and m:
         held = select(throws_back(balance, x), jnp.full_like(h, 2.0), held)

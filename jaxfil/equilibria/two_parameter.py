@@ -7,13 +7,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxfil.equilibria.bifurcation_equations import BifurcationEquations, equations_of
 from jaxfil.equilibria.equilibrium_branch import EquilibriumBifurcation
 from jaxfil.equilibria.search import autonomous, relative
 from jaxfil.model import check
-from jaxfil.model.labels import Labels, labels_of
+from jaxfil.model.labels import labels_of
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import two_parameters
 from jaxfil.model.system import System
@@ -37,23 +37,8 @@ _SMALL = 1e-3
 
 
 class EquilibriumCurve(PlaneCurve):
-    """A curve of k bifurcations of equilibria in two parameters."""
-
-    parameters: tuple[str, str] = eqx.field(static=True)
-    """The names of the parameters."""
-    values: Float[np.ndarray, "k 2"]
-    """The parameters at each point."""
-    xs: Float[np.ndarray, "k n"]
-    """The equilibrium there."""
-    kinds: tuple[str, ...] = eqx.field(static=True)
-    """The kind at each point, one of `EQUILIBRIUM_BIFURCATION_KINDS`."""
-    ended: tuple[str, str] = eqx.field(static=True)
-    """The reason for the end of the curve, at either side."""
-    result: RESULTS
-    """The outcome at the start: `successful`, even if the curve ends before `stop` (see `ended`);
-    otherwise the reason, and the given bifurcation is the only point."""
-    labels: Labels = eqx.field(static=True, default=Labels())
-    """Names of the parameters in pictures."""
+    """A curve of k bifurcations of equilibria in two parameters. `xs` are the equilibria, `kinds`
+    are of `EQUILIBRIUM_BIFURCATION_KINDS`."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,12 +15,10 @@ from jaxtyping import Array
 from jaxfil.integrate.system.components import Components, dot, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import LOST_DIRECTION
 
 Frame = tuple[Components, ...] | Array
 """The vectors, or an array of them."""
-
-# A direction is lost if its part outside of the previous ones is below this many eps of its length.
-_LOST = 1e4
 
 
 def generic_frame(system: ComponentSystem) -> Frame:
@@ -111,7 +109,7 @@ def _normalised(
     """The remaining part of a vector with unit length, and the logarithm of its length; or its
     replacement."""
     length = _norm(rest)
-    lost = length <= _LOST * system.eps * _norm(v)
+    lost = length <= LOST_DIRECTION * system.eps * _norm(v)
     length = select(lost, 1.0, length)
     nothing = select(dropped, -jnp.inf, jnp.nan)
     return where(lost, complement(), rest / length), select(lost, nothing, jnp.log(length))

@@ -35,9 +35,7 @@ from jaxfil.model.types import Scalar, State
 from jaxfil.xla.kernel import kernel_if_it_fits
 from jaxfil.xla.lanes import lanes_of
 from jaxfil.xla.select import select
-
-# A distance below this many eps of the size of the state is rounding, with few correct bits.
-_RESOLVED = 64
+from jaxfil.xla.thresholds import SEPARATION
 
 
 def synchronization_exponent(
@@ -349,7 +347,7 @@ def _parted(
         end = pack(state.motion.x, z.dtype)
         distance = _distance(state.motion.x)
         # A smaller distance is unresolved, and would give a wrong but plausible rate.
-        resolved = distance > _RESOLVED * eps * jnp.sqrt(jnp.sum(end * end))
+        resolved = distance > SEPARATION * eps * jnp.sqrt(jnp.sum(end * end))
         growth = growth + select(resolved, jnp.log(distance / separation), jnp.nan)
         apart = (end[n:] - end[:n]) * (separation / select(resolved, distance, 1.0))
         return k + 1, jnp.concatenate([end[:n], end[:n] + apart]), growth, state.result

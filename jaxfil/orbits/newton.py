@@ -22,15 +22,12 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 from jaxfil.xla.known import is_known
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import CONVERGED, RESIDUAL
 
 # Steps are halved down to this fraction of the full one, which is then accepted in any case.
 _SHORTEST = 1 / 32
 # Number of steps without a new smallest residual that ends the search.
 _PATIENCE = 6
-# A full step below this multiple of eps of the unknowns' scales ends the iteration, because its
-# error is the square of that. If rounding of the residual is larger, a step below eps^(2/3) without
-# improvement ends it.
-_CONVERGED = 256
 # A full step above this power of eps, in the unknowns' scales, is useless: the Jacobian is zero in
 # some direction, up to rounding.
 _ENDLESS = -0.75
@@ -213,7 +210,7 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     eps = jnp.finfo(trial.dtype).eps
     scale = jnp.maximum(state.equation_scale, at.equation_scale)
     size = at.size(scale)
-    falls = (size <= (1 - 0.25 * state.damping) * state.size) | (size <= 4 * eps)
+    falls = (size <= (1 - 0.25 * state.damping) * state.size) | (size <= RESIDUAL * eps)
     sound = (at.result == RESULTS.successful) & jnp.isfinite(size)
     # Shorter is useless: a residual that does not decrease along so short a step has a kink there.
     forced = state.damping <= _SHORTEST
@@ -225,8 +222,8 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     # Not if the step is not finite, or so long that only rounding makes the Jacobian regular.
     solvable = length <= eps**_ENDLESS
     # The next step would be the error of this point, and is not taken.
-    converged = accepted & sound & (length <= _CONVERGED * eps)
-    # A full step that is already short and cannot reduce the residual, which is rounding.
+    converged = accepted & sound & (length <= CONVERGED * eps)
+    # A full step that is already short and cannot reduce the residual, whose rounding is larger.
     floor = ~accepted & (state.length <= eps ** (2 / 3)) & (state.damping == 1)
     # An iteration that alternates across a kink does not reduce the residual in the long run.
     better = accepted & (size < 0.9 * state.least)

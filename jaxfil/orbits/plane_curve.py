@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
+from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.types import Axes
 from jaxfil.orbits.curve import Curve, CurvePoint
@@ -40,12 +41,21 @@ class EquationsCurve(Curve[_Point]):
 class PlaneCurve(eqx.Module):
     """The base class of curves of bifurcations in two parameters."""
 
-    parameters: eqx.AbstractVar[tuple[str, str]]
-    values: eqx.AbstractVar[Float[np.ndarray, "k 2"]]
-    xs: eqx.AbstractVar[Float[np.ndarray, "k n"]]
-    kinds: eqx.AbstractVar[tuple[str, ...]]
-    ended: eqx.AbstractVar[tuple[str, str]]
-    result: eqx.AbstractVar[RESULTS]
+    parameters: tuple[str, str] = eqx.field(static=True)
+    """The names of the parameters."""
+    values: Float[np.ndarray, "k 2"]
+    """The parameters at each point."""
+    xs: Float[np.ndarray, "k n"]
+    """The state at each point."""
+    kinds: tuple[str, ...] = eqx.field(static=True)
+    """The kind at each point."""
+    ended: tuple[str, str] = eqx.field(static=True)
+    """The reason for the end of the curve, at either side."""
+    result: RESULTS
+    """The outcome at the start: `successful`, even if the curve ends before `stop` (see `ended`);
+    otherwise the reason, and the given bifurcation is the only point."""
+    labels: Labels = eqx.field(static=True)
+    """Names of the parameters in pictures."""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the curve in the plane of its two parameters; returns the matplotlib axes."""

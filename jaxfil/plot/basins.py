@@ -2,12 +2,11 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
 from matplotlib.patheffects import withStroke
 
 from jaxfil.model import check
 from jaxfil.model.drawing import draws
-from jaxfil.plot.canvas import BLACK, WHITE, color_bar, own_axes, shades
+from jaxfil.plot.canvas import BLACK, WHITE, draw_cells, own_axes, shades
 from jaxfil.sweep.basins import Basins
 
 # Attractors beyond this fraction of the width have their number on their left side.
@@ -47,24 +46,12 @@ def basins(found: Basins, ax: Axes | None = None, colorbar: bool | Axes = True) 
     # A mesh needs ascending axes and draws rows upwards, hence the order and the transpose.
     order = [np.argsort(axis) for axis in found.axes]
     labels = found.labels[np.ix_(*order)].T
-    seen = np.unique(labels)
-    colors = {-1: WHITE, 0: BLACK}
-    colors |= dict(enumerate(shades(len(found.attractors)), start=1))
-    picture = ax.pcolormesh(
-        *(axis[o] for axis, o in zip(found.axes, order, strict=True)),
-        np.searchsorted(seen, labels),
-        cmap=ListedColormap([colors[int(k)] for k in seen]),
-        vmin=-0.5,
-        vmax=len(seen) - 0.5,
-        shading="nearest",
-        rasterized=True,
-    )
-    told = {-1: "failed", 0: "no period"}
-    told |= {k: f"{k}: period {len(points)}" for k, points in enumerate(found.attractors, start=1)}
-    bar = color_bar(ax, picture, colorbar, ticks=range(len(seen)))
-    if bar is not None:
-        bar.set_ticklabels([told[int(k)] for k in seen])
-        bar.ax.tick_params(length=0)
+    styles = {-1: (WHITE, "failed"), 0: (BLACK, "no period")}
+    several = zip(shades(len(found.attractors)), found.attractors, strict=True)
+    for k, (color, points) in enumerate(several, start=1):
+        styles[k] = color, f"{k}: period {len(points)}"
+    axes = [axis[o] for axis, o in zip(found.axes, order, strict=True)]
+    draw_cells(ax, axes, labels, styles, colorbar)
     limits = ax.get_xlim(), ax.get_ylim()  # attractors may lie outside the grid
     for k, points in enumerate(found.attractors, start=1):
         x, y = (points[:, c] for c in found.components)

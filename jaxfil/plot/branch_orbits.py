@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
 from jaxfil.orbits.branch import Branch
-from jaxfil.plot.canvas import color_bar, own_axes
+from jaxfil.plot.canvas import color_bar, name_components, own_axes
 from jaxfil.plot.path import chosen, path
 from jaxfil.plot.path_in_time import draw_in_colors
 from jaxfil.xla.known import part_of
@@ -59,6 +59,5 @@ def branch_orbits(
     lines = draw_in_colors(ax, curves, branch.values[picked], lw)
     labels = labels_of(branch.orbits.system, n)
     color_bar(ax, lines, colorbar, label=labels.parameter(branch.parameter))
-    for name, c in zip("xyz", shown, strict=False):
-        getattr(ax, f"set_{name}label")(labels.component(c))
+    name_components(ax, labels, shown)
     return ax

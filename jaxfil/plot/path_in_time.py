@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.model import check
-from jaxfil.plot.canvas import color_bar, own_axes
+from jaxfil.plot.canvas import color_bar, name_components, own_axes
 from jaxfil.plot.path import chosen, one_lane, path
 
 
@@ -52,8 +52,7 @@ def path_in_time(
     ax = own_axes(ax, "3d" if len(shown) == 3 else None)
     lines = draw_in_colors(ax, list(pieces[real]), 0.5 * (ts[:-1] + ts[1:])[real], lw)
     color_bar(ax, lines, colorbar, label=sol.labels.time)
-    for name, c in zip("xyz", shown, strict=False):
-        getattr(ax, f"set_{name}label")(sol.labels.component(c))
+    name_components(ax, sol.labels, shown)
     return ax
 
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
 
 from jaxfil.model import check
-from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, color_bar, own_axes
+from jaxfil.plot.canvas import BLACK, COLORS, WHITE, YELLOW, draw_cells, own_axes
 from jaxfil.plot.parameter_plane import label_plane, plane_of
 from jaxfil.sweep.diagram import BifurcationDiagram
 
@@ -46,25 +45,12 @@ def parameter_map(
     axes, place = plane_of(diagram)
     ax = own_axes(ax)
     periods = np.minimum(diagram.periods(), _MANY)[place].T
-    # The colours of all periods would fill the bar, but few occur.
-    seen = [period for period in PERIODS if (periods == period).any()]
-    picture = ax.pcolormesh(
-        *axes,
-        # The index of each period among the occurring ones, which selects its colour.
-        np.argmax(periods[..., None] == np.array(seen), axis=-1),
-        cmap=ListedColormap([PERIODS[period] for period in seen]),
-        vmin=-0.5,
-        vmax=len(seen) - 0.5,
-        shading="nearest",
-        rasterized=True,
-    )
     longest = diagram.xs.shape[-2] // 2
     many = f"{_MANY}–{longest}" if longest > _MANY else str(_MANY)
     told = {_MANY: many, 0: f"> {longest}", -1: "failed"}
-    bar = color_bar(ax, picture, colorbar, ticks=range(len(seen)))
+    styles = {period: (color, told.get(period, str(period))) for period, color in PERIODS.items()}
+    bar = draw_cells(ax, axes, periods, styles, colorbar)
     if bar is not None:
-        bar.set_ticklabels([told.get(period, str(period)) for period in seen])
-        bar.ax.tick_params(length=0)
         bar.set_label("period")
     label_plane(ax, diagram)
     return ax

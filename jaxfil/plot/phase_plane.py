@@ -33,6 +33,7 @@ from jaxfil.plot.canvas import (
     SKY,
     VERMILLION,
     WHITE,
+    name_components,
     own_axes,
     styled,
 )
@@ -113,8 +114,7 @@ def phase_plane(system: System, limits: Limits, ax: Axes | None = None, **style:
     ax.set_xlim(*window[0])
     ax.set_ylim(*window[1])
     labels = labels_of(system, 2)
-    ax.set_xlabel(labels.component(0))
-    ax.set_ylabel(labels.component(1))
+    name_components(ax, labels, (0, 1))
     legend_outside(ax)
     return ax
 

@@ -14,7 +14,7 @@ from jaxfil.model.drawing import draws
 from jaxfil.model.outcomes import EventKind
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.plot.canvas import BLACK, WHITE, own_axes, styled
+from jaxfil.plot.canvas import BLACK, WHITE, name_components, own_axes, styled
 from jaxfil.plot.history import time_history
 from jaxfil.plot.legend import legend
 from jaxfil.plot.path import (
@@ -97,8 +97,7 @@ def phase_portrait(
         _draw_motion(ax, one, system, shown, style, arrow=len(motions) <= _ARROWS)
     if system is not None and len(shown) == 2:
         draw_surfaces(ax, system, motions[-1], shown)
-    for name, c in zip("xyz", shown, strict=False):
-        getattr(ax, f"set_{name}label")(sol.labels.component(c))
+    name_components(ax, sol.labels, shown)
     legend(ax)
     return ax
 

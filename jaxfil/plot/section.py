@@ -11,7 +11,7 @@ from jaxfil.model import check
 from jaxfil.model.labels import Labels, labels_of
 from jaxfil.model.system import System
 from jaxfil.model.types import States
-from jaxfil.plot.canvas import BLACK, own_axes, styled
+from jaxfil.plot.canvas import BLACK, name_components, own_axes, styled
 from jaxfil.plot.path import chosen
 
 
@@ -76,5 +76,4 @@ def section_points(
 def name_axes(ax: Axes, system: System | None, n: int, shown: list[int]) -> None:
     """Write the names of the components below and beside the axes."""
     labels = Labels() if system is None else labels_of(system, n)
-    for name, c in zip("xyz", shown, strict=False):
-        getattr(ax, f"set_{name}label")(labels.component(c))
+    name_components(ax, labels, shown)

@@ -30,6 +30,7 @@ from jaxfil.model.parameter import cast, replace_parameter, scalar_parameter
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State, States, SweptValues
 from jaxfil.studies.timing import median_seconds
+from jaxfil.xla.thresholds import SAME_END
 
 # Initial number of steps of a search, in a forcing period or the whole span.
 _FIRST = 4
@@ -38,8 +39,6 @@ _FIRST = 4
 _BETWEEN = 7
 # The reference is refined until doubling its steps changes it by this fraction of the tolerance.
 _FINE = 1e-2
-# A change below this many eps that is at least half of the previous change consists of rounding.
-_ROUNDING = 1e4
 # Number of calls of which the median run time is taken.
 _REPEATS = 3
 # The largest number of steps of a lane.
@@ -96,7 +95,8 @@ class _Ladder:
             steps *= 2
             self.at(steps)
             change, before = self.change(steps), self.change(steps // 2)
-            rounding = _ROUNDING * float(np.finfo(self.runs[steps].xs.dtype).eps)
+            # A change that is at least half of the previous one may consist of rounding.
+            rounding = SAME_END * float(np.finfo(self.runs[steps].xs.dtype).eps)
             if change <= small or 0.5 * before <= change <= rounding:
                 return
 

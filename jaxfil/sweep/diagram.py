@@ -24,21 +24,19 @@ from jaxfil.model.labels import Labels
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.sweep.conditions import CONDITIONS, Conditions, condition_entries
+from jaxfil.xla.thresholds import SAME_STATE
 
 # Names of its data set that are not parameters.
 TAKEN = {"x", "t", "outcome", "outcome_code", "error", "sample", "component", "point", "unit"}
 TAKEN |= {"averages", "quantity", "quantities"}
 TAKEN |= {"swept", "symbols", "halvings"} | CONDITIONS
 
-# Components below this multiple of eps of the largest one are rounding.
-_ROUNDING = 1024
-
 
 def same_state(xs: np.ndarray, tolerance: float) -> np.ndarray:
     """The largest distance of equal states of a motion, (…, k, n), per component, (…, n)."""
     size = np.max(np.abs(xs), axis=-2)
     largest = np.max(size, axis=-1, keepdims=True)
-    return np.maximum(tolerance * size, _ROUNDING * np.finfo(xs.dtype).eps * largest)
+    return np.maximum(tolerance * size, SAME_STATE * np.finfo(xs.dtype).eps * largest)
 
 
 class BifurcationDiagram(eqx.Module):

@@ -21,5 +21,6 @@ This room does not depend on nonsmooth systems. Its words:
 - masked write: an entry of a table, written by the lanes that have one (`masked_write`).
 - jump: an operation that is discontinuous in an argument, such as a sign (`jumps`).
 - disk cache: compiled programs stored for later processes (`disk_cache`).
+- threshold: a multiple of eps below which a value is rounding (`thresholds`).
 - range reduction: reduction of the argument of a sine to a quarter of a turn (`fast_trig`).
 """

@@ -20,9 +20,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import COMPLEMENTARITY, PIVOT
 
-# Rounding of F at a solution, in eps of its terms.
-_NOISE = 4096
 # The largest number of pivots, as a multiple of the unknowns of the linear complementarity problem.
 _PIVOTS = 8
 
@@ -51,12 +50,12 @@ def solve_on_box(
     lower = jnp.concatenate([-jnp.diag(bounded), jnp.zeros_like(open_)], axis=1)
     y, found = _lemke(jnp.concatenate([upper, lower]), jnp.concatenate([start, size]))
     z = low + y[:k]
-    close = _NOISE * jnp.finfo(q.dtype).eps
+    close = COMPLEMENTARITY * jnp.finfo(q.dtype).eps
     z = select(z >= high - close * size, high, select(z <= low + close * size, low, z))
     z = select(free, z, low)
     # For a singular M the residual after a pivot may be rounding, so the solution is verified.
     value = q + matrix @ z
-    noise = _NOISE * jnp.finfo(q.dtype).eps * (abs(q) + abs(matrix) @ abs(z))
+    noise = COMPLEMENTARITY * jnp.finfo(q.dtype).eps * (abs(q) + abs(matrix) @ abs(z))
     wrong = ((value < -noise) & (z < high)) | ((value > noise) & (z > low))
     return z, found & ~jnp.any(wrong & free)
 
@@ -94,11 +93,11 @@ def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, A
         column, right = table[:, entering], table[:, -1]
         # Entries within rounding of zero are not used as pivots; they would magnify the rounding of
         # the whole tableau.
-        falls = column > 64 * eps * jnp.max(abs(column))
+        falls = column > PIVOT * eps * jnp.max(abs(column))
         ratio = select(falls, jnp.maximum(right, 0) / select(falls, column, 1), jnp.inf)
         least = jnp.min(ratio)
         # In a tie the artificial variable is chosen, which completes the search.
-        tied = ratio <= least + 64 * eps * (abs(least) + eps)
+        tied = ratio <= least + PIVOT * eps * (abs(least) + eps)
         ends = tied & (basis == last) & falls
         row = select(jnp.any(ends), jnp.argmax(ends), jnp.argmin(ratio))
         failed = ~jnp.any(falls)
@@ -125,4 +124,4 @@ def is_monotone(matrix: Float[Array, "k k"], taken: Bool[Array, " k"]) -> Bool[A
     scale = jnp.sqrt(jnp.maximum(jnp.diag(part), 0))
     scale = select(scale == 0, 1.0, scale)
     scaled = part / (scale[:, None] * scale[None, :])
-    return jnp.min(jnp.linalg.eigvalsh(scaled)) > 64 * jnp.finfo(matrix.dtype).eps
+    return jnp.min(jnp.linalg.eigvalsh(scaled)) > PIVOT * jnp.finfo(matrix.dtype).eps

@@ -152,8 +152,8 @@ def _joint(base: Any, moving: tuple[int, ...]) -> Any:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
-    """The push of a batch of lanes, with the same methods. Values and rates whose axis is 0 are batched; None marks the
-    others."""
+    """The push of a batch of lanes, with the same methods. Values and rates whose axis is 0 are
+    batched; None marks the others."""
 
     lane: "Push"
     axes: tuple[int | None, ...]

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import PIVOT
 
 # The largest system that is written out.
 _WRITTEN_OUT = 2
@@ -55,7 +56,7 @@ def size_of_determinant(
     scales = jnp.sum(abs(matrix), axis=1)
     rows = _equilibrated_rows(jnp.concatenate([matrix, scales[:, None]], axis=1))
     pivots = abs(_reduced_among(rows, taken)[1])
-    kept = select(pivots <= 64 * jnp.finfo(pivots.dtype).eps, 0, pivots)
+    kept = select(pivots <= PIVOT * jnp.finfo(pivots.dtype).eps, 0, pivots)
     return jnp.prod(select(taken, kept * scales, 1.0))
 
 
@@ -83,7 +84,7 @@ def _size_of_small(matrix: Any) -> Array:
         pivots = [row[i] for i, row in enumerate(rows)]
     size: Any = 1.0
     for pivot, scale in zip(map(abs, pivots), scales, strict=True):
-        rounding = pivot <= 64 * jnp.finfo(pivot.dtype).eps
+        rounding = pivot <= PIVOT * jnp.finfo(pivot.dtype).eps
         size = size * select(rounding, 0, pivot) * scale
     return size
 
@@ -163,7 +164,7 @@ def _scale(row: Sequence[Array]) -> Array:
 
 def _quotient(a: Array, pivot: Array) -> Array:
     """a/pivot, or 0 if the pivot is within rounding."""
-    singular = abs(pivot) <= 64 * jnp.finfo(pivot.dtype).eps
+    singular = abs(pivot) <= PIVOT * jnp.finfo(pivot.dtype).eps
     return select(singular, 0, a / select(singular, 1, pivot))
 
 
