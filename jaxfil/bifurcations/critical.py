@@ -122,7 +122,7 @@ class CriticalOrbits:
         def work(u: Array) -> Evaluation:
             return self._evaluation(np.asarray(u), base, normal, least)
 
-        stages = Stages(_as_it_is, work, work, _done)
+        stages = Stages(work, work, _done)
         return root_of(stages, array_of(guess), _NEWTON_STEPS, constraint.appended, known=True)
 
     def _evaluation(
@@ -155,10 +155,6 @@ class CriticalOrbits:
         residual, jacobian, rows, columns = jax.device_put(numbers)
         known = Known(shot, slopes)
         return Evaluation(residual, jacobian, rows, columns, shot.result, known)
-
-
-def _as_it_is(u: Array) -> Array:
-    return u
 
 
 # One function for all roots, because a new one would be traced each time.

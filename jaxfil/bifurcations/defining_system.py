@@ -105,13 +105,14 @@ class DefiningSystem(Equations):
     ) -> Root:
         """Newton's root of the equations, or of `more` applied to an evaluation."""
 
-        def work(near: Affine[Placed]) -> tuple:
+        def concrete(z: Array) -> tuple:
+            near = self._near(system, z)
             return near.value, _slopes_along(self.residual_at, near)
 
-        def whole(z: Array) -> tuple:
+        def traced(z: Array) -> tuple:
             return self.placed(system, z), _slopes(lambda z: self.residual(system, z), z)
 
-        stages = Stages(ft.partial(self._near, system), work, whole, _Evaluated(self.family))
+        stages = Stages(concrete, traced, _Evaluated(self.family))
         return root_of(stages, guess, self.newton_steps, more, known=is_known((self, system)))
 
     @property

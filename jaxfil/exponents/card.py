@@ -1,6 +1,6 @@
 """The card of an averaged exponent."""
 
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import jax
 import jax.core
@@ -8,38 +8,13 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.model.card import outcome, precision
-from jaxfil.model.outcomes import RESULTS
-
-
-@runtime_checkable
-class Average(Protocol):
-    """A result that was averaged over time."""
-
-    @property
-    def x0(self) -> Array:
-        """The state before the transient."""
-        ...
-
-    @property
-    def times(self) -> Array:
-        """The times of the running average."""
-        ...
-
-    @property
-    def settled(self) -> Array:
-        """Whether the motion was the same throughout."""
-        ...
-
-    @property
-    def result(self) -> RESULTS:
-        """The outcome."""
-        ...
 
 
 def average_card(
-    name: str, found: Average, exponents: Array | np.ndarray, errors: Array | np.ndarray
+    name: str, found: Any, exponents: Array | np.ndarray, errors: Array | np.ndarray
 ) -> str:
-    """The average, its time, and its reliability, in a few lines."""
+    """The average, its time, and its reliability, in a few lines, of a `LyapunovSpectrum` or a
+    `TransverseExponent`."""
     name += precision(found.x0)
     if isinstance(found.result._value, jax.core.Tracer) or found.times.ndim > 1:
         return f"{name}: a batch of shape {found.times.shape[:-1]}"

@@ -5,7 +5,6 @@ The residual has all derivatives for Newton's method.
 """
 
 import dataclasses
-import functools as ft
 from collections.abc import Callable
 
 import equinox as eqx
@@ -89,14 +88,14 @@ def solve_closing(
     unknowns, whose scales are their sizes. The further data is the `Shot`. `more`, applied to an
     evaluation, may append equations."""
 
-    def work(near: tuple) -> Shot:
-        setting, still, starts = near
+    def concrete(u: Array) -> Shot:
+        setting, still, starts = _near(problem, u)
         return shoot_near(setting, problem.options, starts, still)
 
-    def whole(u: Array) -> Shot:
+    def traced(u: Array) -> Shot:
         return shoot(problem.setting, problem.options, *problem.split(u))
 
-    stages = Stages(ft.partial(_near, problem), work, whole, _Closing(phase))
+    stages = Stages(concrete, traced, _Closing(phase))
     return root_of(stages, guess, newton_steps, more, known=is_known((problem, phase)))
 
 

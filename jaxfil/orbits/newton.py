@@ -52,14 +52,12 @@ class Evaluation(eqx.Module):
 
 
 class Stages(eqx.Module):
-    """The evaluation of equations in parts. For concrete numbers `near` models the varying unknowns
-    and is compiled for each choice of them; `work` uses the model and is compiled once for all
-    functions. For traced ones `whole` does the work of both. `finish` assembles the equations from
+    """The evaluation of equations in two parts. The first has one form for concrete numbers, around
+    programs that other calls share, and one for traced ones. `finish` assembles the equations from
     the unknowns and the result."""
 
-    near: Callable[[Array], Any]
-    work: Callable[[Any], Any]
-    whole: Callable[[Array], Any]
+    concrete: Callable[[Array], Any]
+    traced: Callable[[Array], Any]
     finish: Callable[[Array, Any], Evaluation]
 
 
@@ -154,7 +152,7 @@ def root_of(
     finish = _Finish(stages.finish, more)
     if known and is_known((z, more)):
         return _newton_of_known(stages, finish, z, int(max_steps))
-    return newton(lambda z: finish(z, stages.whole(z)), z, max_steps)
+    return newton(lambda z: finish(z, stages.traced(z)), z, max_steps)
 
 
 def _newton_of_known(
@@ -162,7 +160,7 @@ def _newton_of_known(
 ) -> Root:
     state, trial, at = _first_of_known(z), z, None
     for _ in range(max_steps):
-        now = _finished(finish, trial, stages.work(stages.near(trial)))
+        now = _finished(finish, trial, stages.concrete(trial))
         step = -solve_in_numpy(np.asarray(now.jacobian), np.asarray(now.residual))
         state, trial, flags = _judged(state, dataclasses.replace(now, aux=None), step)
         accepted, running = np.asarray(flags)

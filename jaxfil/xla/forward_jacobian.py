@@ -15,28 +15,8 @@ the work of one tangent for each number that varies.
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
-
-from jaxfil.xla.program import opened, operations
+from jaxfil.xla.program import operations
 from jaxfil.xla.pushforward import Make, Single, Spread, bind
-
-
-def by_forward_jacobian(function: Callable) -> Callable:
-    """`function` of arrays, with a reverse mode.
-
-    >>> import jax
-    >>> def power(x):
-    ...     step = lambda s: (s[0] + 1, s[1] * x)
-    ...     return jax.lax.while_loop(lambda s: s[0] < 3, step, (0, 1.0))[1]
-    >>> print(jax.grad(by_forward_jacobian(power))(2.0))
-    12.0
-    """
-
-    def call(*args: Any) -> Any:
-        program, values, tree = opened(function, args)
-        return jax.tree.unflatten(tree, with_derivatives(program, plainly)(*values))
-
-    return call
 
 
 def plainly(program: Any, _: Spread) -> Callable:
