@@ -81,8 +81,9 @@ def pace_of(
         steps=(transient + periods) * expected_steps(steps, stepper),
         tangents=tangents,
     )
-    counts = (jnp.asarray(v, jnp.int32) for v in (periods, transient, steps))
-    return Pace(*counts, stepper, grade)
+    counts = {"periods": periods, "transient": transient, "steps": steps}
+    arrays = {name: jnp.asarray(v, jnp.int32) for name, v in counts.items()}
+    return Pace(**arrays, stepper=stepper, compact=grade)
 
 
 def interval_of(system: System, interval: Scalar | None, dtype: DTypeLike) -> Interval:
