@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxfil.integrate.lane.problem import period_outcome
 from jaxfil.integrate.loop.iterate import integrate
+from jaxfil.integrate.run.averaging import checked_averaging
 from jaxfil.integrate.run.step_choice import StepCount
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
@@ -111,6 +112,7 @@ def settled_average(
     x = check.state("x0", x0)
     check.system("system", system)
     system = cast(system, x.dtype)
+    checked_averaging("average", average, system, x)  # None is for diagrams only
     sampling = sampling_of(
         system,
         x,

@@ -96,7 +96,9 @@ def test_a_choice_for_a_sweep_is_taken_as_its_steps():
     with pytest.raises(ValueError, match="`stepper` must be None with a StepChoice"):
         jf.solve(wall, x0, 0.0, 1.0, choice, stepper=jf.RK4())
     spiral = jf.systems.RotatingOscillator()
-    with pytest.raises(ValueError, match="`steps` must be a number: a StepChoice for an auto"):
+    with pytest.raises(
+        ValueError, match="`steps` must be a number, since a StepChoice for an auto"
+    ):
         jf.periodic_orbit(spiral, x0, period=6.0, steps=choice)
 
 

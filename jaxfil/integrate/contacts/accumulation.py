@@ -253,4 +253,17 @@ def _agrees(
     # A reset moves the state at a rounded time, also if the velocity is zero before and after it.
     speed = maximum(speed, abs(move) / select(time > 0, time, 1))
     apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
-    return agrees & ~any_of(~(abs(limit - turn.limit) <= apart)), rounding
+    agrees = agrees & ~any_of(~(abs(limit - turn.limit) <= apart))
+    return agrees & _on_all(problem, state, end.motion.tau + left, limit, apart), rounding
+
+
+def _on_all(
+    problem: Problem, state: LoopState, tau: Array, limit: Components, apart: Components
+) -> Array:
+    """Whether the limit is on all surfaces of the turn. It is not on those of another accumulation
+    that goes on: two balls that come to rest by themselves, each at its own time."""
+    assert state.turn is not None
+    t = problem.grid.t0 + select(jnp.isfinite(tau), tau, 0)
+    h, _, normals = problem.system.gradients(t, limit)
+    close = abs(h) <= abs(normals) @ apart + _AGREE * state.motion.noise
+    return ~any_of((state.turn.met | state.pending.surfaces) & ~close)

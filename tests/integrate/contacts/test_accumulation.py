@@ -199,3 +199,44 @@ def test_single_precision():
         sol = run(Twisting(), np.float32([10.0, 10.0, 1.0]), 13.0, 0.1)
         assert_allclose(last_event(sol), at_rest(10.0, 10.0), rtol=4e-6)
         np.testing.assert_array_equal(sol.mode_final, [0, 0])
+
+
+class TwoBalls(jf.System):
+    """Two balls above a floor, independent of each other, in units in which gravity is 2."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        down = -2 * jnp.ones_like(t)
+        return jnp.stack([x[1], down, x[3], down])
+
+    def switching(self, t, x):
+        return x[::2]
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 0, x.at[1].mul(-0.5), x.at[3].mul(-0.5))
+
+
+def one_ball(v, t):
+    """Height and velocity at t of a ball thrown up from the floor at v, by its flights of lengths
+    v, v/2, v/4, …"""
+    if t >= 2 * v:
+        return 0.0, 0.0
+    while t >= v:
+        t, v = t - v, v / 2
+    return t * (v - t), v - 2 * t
+
+
+def test_balls_that_come_to_rest_one_after_the_other():
+    """Their impacts alternate, and every second one is part of a turn of constant ratio; the
+    other ball is below the floor at the limit of these turns."""
+    second = jnp.array([0.515, 0.515, 0.505, 0.75, 0.4, 0.98])
+    ends = jnp.array([1.01, 1.2, 1.0, 1.1, 0.9, 1.5])
+
+    def end(v, t1):
+        x0 = jnp.stack([0 * v, 0.5 + 0 * v, 0 * v, v])
+        return jf.solve(TwoBalls(), x0, 0.0, t1, 0.1, max_events=256, compact=True).x_final
+
+    for v, t1, x in zip(second, ends, jax.vmap(end)(second, ends), strict=True):
+        exact = [*one_ball(0.5, float(t1)), *one_ball(float(v), float(t1))]
+        assert_allclose(x, exact, atol=1e-12)
