@@ -169,7 +169,7 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
         (["--name", "duffing"], "sd-oscillator, belt-friction, coulomb-oscillator,"),
         (["--name", "duffing"], "two-relays, or FILE.py:CLASS; it was 'duffing'"),
         (["--name", "nowhere.py:Duffing"], "of a file that exists"),
-        (["--name", "two-relays"], "must name a parameter, and there is none"),
+        (["--name", "two-relays"], "must name a parameter, but the system has no parameters"),
         (["--name", "SD_oscilator"], "it was 'SD_oscilator'; did you mean 'sd-oscillator'?"),
         (["--parameter", "Omega"], "f0, zeta, omega, alpha"),
         (["--parameter", "Omega"], "it was 'Omega'; did you mean 'omega'?"),
