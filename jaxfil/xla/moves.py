@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.extend.core as jexc
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -181,8 +182,8 @@ def _combination(eqn: Any) -> tuple[Callable[[Array, Array], Array], int]:
         return lambda old, new: new, 1
 
     def applied(old: Array, new: Array) -> Array:
-        program, consts = eqn.params["update_jaxpr"], eqn.params["update_consts"]
-        return jax.core.eval_jaxpr(program, consts, old, new)[0]
+        program = jexc.ClosedJaxpr(eqn.params["update_jaxpr"], eqn.params["update_consts"])
+        return jexc.jaxpr_as_fun(program)(old, new)[0]
 
     # Also differentiable, which this scatter is not in JAX.
     return jnp.vectorize(applied), 1

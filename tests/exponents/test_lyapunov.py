@@ -296,7 +296,10 @@ def test_a_negative_period_is_told():
         ({"steps": 2.5}, "`steps` must be an integer of at least 1"),
         ({"periods": 2**30}, "must make fewer than"),
         ({"interval": -1.0}, "`interval` must be a positive number"),
-        ({"system": jf.systems.CoulombOscillator()}, "`interval` must be a positive number, since Coul"),
+        (
+            {"system": jf.systems.CoulombOscillator()},
+            "`interval` must be a positive number, since Coul",
+        ),
         ({"stepper": "rk4"}, "`stepper` must be"),
     ],
 )
