@@ -100,13 +100,15 @@ class Heading(Annotation):
     """A title over the left end of axes, shown while they have no title of the caller's."""
 
     def __init__(self, ax: Axes, text: str) -> None:
-        at = {"xycoords": "axes fraction", "textcoords": "offset points"}
-        super().__init__(text, (0, 1), (0, 6), va="bottom", fontsize="medium", **at)
+        super().__init__(
+            text, (0, 1), (0, 6), "axes fraction", "offset points", va="bottom", fontsize="medium"
+        )
+        self._of = ax
         ax.add_artist(self)
 
     def get_visible(self) -> bool:
         """Whether the axes have no other title."""
-        titles = (self.axes.get_title(loc) for loc in ("left", "center", "right"))
+        titles = (self._of.get_title(loc) for loc in ("left", "center", "right"))
         return super().get_visible() and not any(titles)
 
 
