@@ -65,7 +65,7 @@ def _figure(problem, rows):
     axes[0].set(xscale="log", yscale="log", ylabel="run time (ms)")
     axes[0].invert_xaxis()
     axes[0].set_ylim(top=2 * axes[0].get_ylim()[1])  # room for the names of the widths
-    titles = ("contacts located", "sgn H smoothed to tanh(H/width); beside curves: width")
+    titles = ("contacts located", "sgn H smoothed to tanh(H/w); w at each curve")
     for ax, title in zip(axes, titles, strict=False):
         ax.set(xlabel="error at t1 (smaller to the right)")
         paper.entitle(ax, title)
@@ -91,10 +91,10 @@ def _curve(ax, program, method, rows):
 
 
 def _name_widths(ax, rows):
-    """The width of each smoothed curve at one of its ends, where neither points nor other names
+    """The width of each smoothed curve at one of its ends, where neither curves nor other names
     are."""
     ax.figure.get_layout_engine().execute(ax.figure)
-    points = np.concatenate([ax.transData.transform(line.get_xydata()) for line in ax.lines])
+    points = np.concatenate([_between(ax.transData.transform(c.get_xydata())) for c in ax.lines])
     boxes = []
     for (_, method), some in curves(rows).items():
         found = [(r.error, 1e3 * r.seconds) for r in some if 0 < r.error < math.inf]
@@ -110,6 +110,12 @@ def _name_widths(ax, rows):
         else:
             raise ValueError(f"no place for the width of {method}")
         boxes.append(box)
+
+
+def _between(points, pieces=60):
+    """Points along a polygon, its corners among them."""
+    at = np.linspace(0, len(points) - 1, pieces * (len(points) - 1) + 1)
+    return np.stack([np.interp(at, np.arange(len(points)), column) for column in points.T], axis=1)
 
 
 def _beside(ax, rows):
