@@ -3,6 +3,7 @@
 The colours are from M. Okabe and K. Ito, Color Universal Design (2008), for colour-blind readers.
 """
 
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -11,10 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.cbook import normalize_kwargs
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import ListedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Annotation
+
+from jaxfil.model.labels import Labels
 
 BLACK, GREY, WHITE = "#000000", "#999999", "#FFFFFF"
 BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
@@ -100,15 +103,14 @@ class Heading(Annotation):
     """A title over the left end of axes, shown while they have no title of the caller's."""
 
     def __init__(self, ax: Axes, text: str) -> None:
-        super().__init__(
-            text, (0, 1), (0, 6), "axes fraction", "offset points", va="bottom", fontsize="medium"
-        )
-        self._of = ax
+        at: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points"}
+        super().__init__(text, (0, 1), (0, 6), va="bottom", fontsize="medium", **at)
         ax.add_artist(self)
+        self._titled = ax
 
     def get_visible(self) -> bool:
         """Whether the axes have no other title."""
-        titles = (self._of.get_title(loc) for loc in ("left", "center", "right"))
+        titles = (self._titled.get_title(loc) for loc in ("left", "center", "right"))
         return super().get_visible() and not any(titles)
 
 
@@ -125,6 +127,40 @@ def color_bar(
             f"{type(colorbar).__name__}."
         )
     return ax.figure.colorbar(picture, ax=ax, **options) if colorbar else None
+
+
+def draw_cells(
+    ax: Axes,
+    axes: Sequence[np.ndarray],
+    values: np.ndarray,
+    styles: Mapping[int, tuple[str, str]],
+    colorbar: bool | Axes,
+) -> Colorbar | None:
+    """A map of integers over two ascending axes, each with its colour and its words in the scale,
+    which has only those that occur."""
+    # The colours of all would fill the bar, but few occur.
+    seen = [value for value in styles if (values == value).any()]
+    picture = ax.pcolormesh(
+        *axes,
+        # The index of each value among the occurring ones, which selects its colour.
+        np.argmax(values[..., None] == np.array(seen), axis=-1),
+        cmap=ListedColormap([styles[value][0] for value in seen]),
+        vmin=-0.5,
+        vmax=len(seen) - 0.5,
+        shading="nearest",
+        rasterized=True,
+    )
+    bar = color_bar(ax, picture, colorbar, ticks=range(len(seen)))
+    if bar is not None:
+        bar.set_ticklabels([styles[value][1] for value in seen])
+        bar.ax.tick_params(length=0)
+    return bar
+
+
+def name_components(ax: Axes, labels: Labels, shown: Iterable[int]) -> None:
+    """The names of the drawn components along the axes, of two or three dimensions."""
+    for name, c in zip("xyz", shown, strict=False):
+        getattr(ax, f"set_{name}label")(labels.component(c))
 
 
 def shades(count: int) -> list[str]:

@@ -70,11 +70,11 @@ def _in_columns(
 ) -> Legend:
     """A legend of as many columns as fit into a width."""
     columns = len(entries[0])
-    while True:
-        drawn = ax.legend(*entries, ncols=columns, **options)
-        if columns == 1 or drawn.get_window_extent().width < width:
-            return drawn
+    drawn = ax.legend(*entries, ncols=columns, **options)
+    while columns > 1 and drawn.get_window_extent().width >= width:
         columns -= 1
+        drawn = ax.legend(*entries, ncols=columns, **options)
+    return drawn
 
 
 def _covered(ax: Axes, drawn: Legend) -> bool:
@@ -83,8 +83,8 @@ def _covered(ax: Axes, drawn: Legend) -> bool:
     box = drawn.get_window_extent().padded(2)
     if any(box.overlaps(text.get_window_extent()) for text in ax.texts if text.get_visible()):
         return True
-    marks = [np.ma.filled(collection.get_offsets(), np.nan) for collection in ax.collections]
-    if any(len(xy) > 1 and _within(box, ax.transData.transform(xy)) for xy in marks):
+    marks = [xy for c in ax.collections if len(xy := np.ma.asarray(c.get_offsets())) > 1]
+    if any(_within(box, ax.transData.transform(np.ma.filled(xy, np.nan))) for xy in marks):
         return True
     # Lines across the whole axes, such as zero, may pass beneath.
     for line in ax.lines:
