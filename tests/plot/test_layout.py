@@ -182,15 +182,19 @@ def test_one_lane_has_a_row_for_each_surface():
     assert ax.get_ylabel() == "surface"
 
 
+def changed(record, **fields):
+    """A result with other fields, of NumPy arrays, as all of those here."""
+    before = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
+    return unchecked(type(record), **before | fields)
+
+
 def test_a_contact_of_two_surfaces_and_a_tick_have_their_rows():
     one = motion()
     members = np.array([[1, 1], [0, 0], [1, 0], [0, 1], [0, 0]], bool)
     kinds = one.events.kinds.copy()
     kinds[1] = jf.EventKind.tick
-    events = dataclasses.replace(one.events, members=members, kinds=kinds)
-    ax = column(
-        lambda ax: jf.plot.event_timeline(dataclasses.replace(one, events=events), ax)
-    ).axes[0]
+    events = changed(one.events, members=members, kinds=kinds)
+    ax = column(lambda ax: jf.plot.event_timeline(changed(one, events=events), ax)).axes[0]
     rows = {line.get_label(): line.get_ydata().tolist() for line in ax.lines}
     assert rows == {"stick": [0, 1], "tick": [-1], "crossing": [0], "impact": [1]}
     assert [label.get_text() for label in ax.get_yticklabels()] == ["clock", "0", "1"]
@@ -216,7 +220,7 @@ def repeated():
     one = motion()
     rows = [0, 0, 0, 1, 1, 2]
     events = {f.name: getattr(one.events, f.name)[rows] for f in dataclasses.fields(jf.Events)}
-    return dataclasses.replace(one, events=unchecked(jf.Events, **events))
+    return changed(one, events=unchecked(jf.Events, **events))
 
 
 def test_a_rare_contact_is_above_the_frequent_ones():
@@ -230,7 +234,7 @@ def exponents(first, last):
     values = np.linspace(0.0, 1.0, len(first))
     found = spectrum(values)
     both = np.stack([first, last], axis=-1)
-    return values, dataclasses.replace(found, exponents=both, settled=np.ones(len(first), bool))
+    return values, changed(found, exponents=both, settled=np.ones(len(first), bool))
 
 
 def test_a_very_negative_exponent_does_not_flatten_the_others():
@@ -256,7 +260,7 @@ def test_an_exponent_of_zero_makes_no_other_one_too_negative():
 @pytest.mark.parametrize("last, told", [(-200.0, "λ₂ = −200"), (-np.inf, "λ₂ = −∞")])
 def test_a_running_estimate_beyond_the_axes_is_in_the_legend(last, told):
     one = spectrum()
-    found = dataclasses.replace(
+    found = changed(
         one,
         exponents=np.array([0.1, last]),
         running=one.running - one.exponents + np.array([0.1, last]),
