@@ -48,7 +48,7 @@ def test_what_is_done_comes_back_after_ctrl_c(monkeypatch, tmp_path, follow):
     whole = sweep(values, follow=follow)
     with monkeypatch.context() as patch:
         interrupt_after(patch, 2)
-        with pytest.warns(RuntimeWarning, match="of [24]0+ lanes are finished.*goes on from") as w:
+        with pytest.warns(RuntimeWarning, match="of [24]0+ lanes are finished.*continues from") as w:
             part = sweep(values, follow=follow, checkpoint=tmp_path)
     assert w[0].filename == runs.__file__
     done = ~(outcome_names(part.results) == "interrupted")
@@ -285,7 +285,7 @@ def test_what_is_damaged_is_named_and_computed_again(tmp_path, how):
     if how == "another sweep's":
         sweep(values + 0.01, checkpoint=tmp_path / "b")
     named = damage(tmp_path / "a", how)
-    with pytest.warns(RuntimeWarning, match=rf"was damaged.*again: {named}\.$") as told:
+    with pytest.warns(RuntimeWarning, match=rf"are damaged.*again: {named}\.$") as told:
         again = sweep(values, checkpoint=tmp_path / "a")
     assert len(told) == 1 and told[0].filename == runs.__file__
     assert eqx.tree_equal(again, whole)
