@@ -126,7 +126,10 @@ def _without(i: Array, state: _Elimination) -> _Elimination:
     """The elimination of column i, without row swaps. Rows are selected by sums with ones and
     zeros, not by indexing, so that lanes with different pivots can be vectorised."""
     rows, free, places, pivots = state
-    number, column = jnp.arange(len(rows), dtype=i.dtype), jnp.arange(len(rows) + 1) == i
+    number, column = (
+        jnp.arange(len(rows), dtype=i.dtype),
+        jnp.arange(len(rows) + 1, dtype=i.dtype) == i,
+    )
     entries = jnp.sum(select(column, rows, 0), axis=1)
     here = number == jax.lax.argmax(select(free, abs(entries), -1), 0, i.dtype)
     upper = jnp.sum(select(here[:, None], rows, 0), axis=0)
