@@ -48,7 +48,7 @@ def test_what_is_done_comes_back_after_ctrl_c(monkeypatch, tmp_path, follow):
     whole = sweep(values, follow=follow)
     with monkeypatch.context() as patch:
         interrupt_after(patch, 2)
-        with pytest.warns(RuntimeWarning, match="of [24]0+ lanes are finished.*continues from") as w:
+        with pytest.warns(RuntimeWarning, match="[24]0+ lanes are finished.*continues from") as w:
             part = sweep(values, follow=follow, checkpoint=tmp_path)
     assert w[0].filename == runs.__file__
     done = ~(outcome_names(part.results) == "interrupted")
