@@ -142,7 +142,7 @@ def test_the_map_shows_each_point_in_the_colour_of_its_period(motions):
             assert_array_equal(color, matplotlib.colors.to_rgba(name))
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Ω", "f₀")
     legend = axes.figure.axes[1].get_yticklabels()
-    assert [text.get_text() for text in legend] == ["1", "3", "≥ 7", "> 20", "failed"]
+    assert [text.get_text() for text in legend] == ["1", "3", "7–20", "> 20", "failed"]
     plt.close("all")
 
 

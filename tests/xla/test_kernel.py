@@ -28,7 +28,7 @@ class Coupled(jf.System):
         pull = {
             "product": lambda: matrix @ x,
             "solve": lambda: jnp.linalg.solve(matrix, x),
-            "scatter": lambda: x.at[jnp.array([1, 0])].multiply(1 + self.a),
+            "scatter": lambda: x.at[jnp.argsort(x)].multiply(1 + self.a),
         }
         return -pull[self.how]() - 0.4 * side
 
