@@ -38,18 +38,23 @@ lanes. A state of more than 12 numbers, as in the last system, is an array in bo
 numbers fill the vectors, and a compact program loses a tenth. With two tangent vectors belt
 friction takes 4.2 µs a step in a compact program of one lane, and half of that written out.
 
-For systems with several surfaces with resets, the size of their normals, `ProgramSize.normals`,
-decides (first call and a run of 256 lanes of 400 steps, both in seconds of processor time):
+Several surfaces with resets compile longest. The difference grows about as the square of m²·n,
+`ProgramSize.normals` (first call and a run of 256 lanes of 400 steps, both in seconds of processor
+time):
 
-    system                                    normals   compact       written out
-    a mass between two walls                        4   27    0.16      27   0.10
-    a mass with friction and a wall                 4   32    0.30      35   0.27
-    the same and a load of two numbers              8   20    0.39      59   0.68
-    two masses, friction, a wall, a load           12   27    0.59     119   1.42
-    two masses, two frictions, a wall, a load      18   70             > 480
+    system                                         m²·n   compact      written out   saved, s
+                                                                                     measured model
+    a mass between two walls                          8   14   0.15     32   0.05       19    21
+    a mass with friction and a wall                   8   17   0.34     41   0.04       24    21
+    the same with a load of two numbers              16   15   0.17     65   0.06       51    52
+    two masses that strike at both ends of a gap     16   13   0.15     43   0.04       30    54
+    random: a mass, friction, a wall, a load         16   21   0.40     79   0.60       58    54
+    random: two masses, two walls, a load            24   21   0.36     72   1.21       51   105
+    random: two masses, friction, a wall, a load     24   28   0.73    125   1.13       97   107
+    random: a mass, friction, two walls, a load      36   51   0.04    293   0.12      242   225
 
-Their lanes are at a surface so often and for so long that the lanes of a block wait for each other.
-Above a size of 6 a program is compact for any number of lanes and steps.
+Lanes of a random system differ, and those of a block wait for each other at their contacts, which
+is not known before a run either. A run is compact too if writing out would take a minute more.
 """
 
 import dataclasses
@@ -85,8 +90,10 @@ _STEP, _TANGENT = 2.9e-9, 1.5
 _BLOCK, _LANE, _LANE_OF_ARRAY = 0.5, 0.055, 0.9
 # The largest array that a program spells out number by number (see `lowered`).
 _SPELLED = 12
-# The size of the normals of surfaces with resets above which spelling them out is slower.
-_NORMALS = 6
+# The same for the square of m²·n, for several surfaces with resets. Fitted to the second table.
+_NORMAL = 0.16
+# The longest compilation, in seconds, that a compact run saves by default.
+_PATIENCE = 60.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,18 +110,13 @@ class ProgramSize:
     spelled: bool
     """Whether the numbers of a state are spelled out in a program that is written out."""
     normals: int
-    """Size of the normals of several surfaces with resets, m·n numbers; otherwise 0."""
-
-    @property
-    def always_compact(self) -> bool:
-        """Whether a compact program is better for all numbers of lanes and steps."""
-        return self.normals > _NORMALS
+    """m²·n for several surfaces with resets; 0 for others, and where numbers are not spelled out."""
 
     @property
     def seconds_saved(self) -> float:
         """Seconds of compilation saved by a compact program."""
         guards, contacts = _GUARD * self.guards, _SURFACE * self.contacts
-        return _OPERATION * self.operations + guards + contacts
+        return _OPERATION * self.operations + guards + contacts + _NORMAL * self.normals**2
 
     def seconds_lost(self, lanes: int, steps: int, block: int, tangents: int) -> float:
         """Seconds of run time lost by a compact program. `block` is the number of lanes that share
@@ -126,12 +128,12 @@ class ProgramSize:
 
 def is_compact_run(asked: object, system: System, x0: Any, others: Any = ()) -> bool:
     """The grade of a run, or of a function that consists of runs: as requested, and by default
-    compact for a few lanes, and for a system that is always compact. `others` are further arguments
+    compact for a few lanes, and if a minute of compilation is saved. `others` are further arguments
     that may be batched."""
 
     def default() -> bool:
         few = lanes_of((system, x0, others)) <= _FEW
-        return few or program_size(system, x0, 1).always_compact
+        return few or program_size(system, x0, 1).seconds_saved > _PATIENCE
 
     return _checked(asked, default)
 
@@ -158,8 +160,7 @@ def is_compact_sweep(
     def default() -> bool:
         size = program_size(system, x0, stages)
         together = min(lanes, BLOCK) if block is None else block
-        lost = size.seconds_lost(lanes, steps, together, tangents)
-        return size.always_compact or size.seconds_saved >= lost
+        return size.seconds_saved >= size.seconds_lost(lanes, steps, together, tangents)
 
     return _checked(asked, default)
 
@@ -181,7 +182,7 @@ def program_size(system: System, x0: Any, stages: int) -> ProgramSize:
 
 @eqx.filter_jit
 def _counts(system: System, x0: Array) -> tuple[int, int, int, int]:
-    """Operations in the fields of one stage, operations in H, contacts, numbers of normals."""
+    """Operations in the fields of one stage, operations in H, contacts, `ProgramSize.normals`."""
     on_components = build(system, x0, compact=True)
     structure, m = on_components.structure, on_components.m
     h, t = check.shapes(system, x0), jnp.zeros((), x0.dtype)
@@ -191,7 +192,7 @@ def _counts(system: System, x0: Array) -> tuple[int, int, int, int]:
     # base and one more for each surface are enough; otherwise all 2^m are evaluated.
     corners = 1 if structure.separate else m + 1 if structure.affine else 2**m
     contacts = 2 * m if on_components.resets else m
-    normals = m * len(x0) if on_components.resets and m > 1 else 0
+    normals = m * m * len(x0) if on_components.resets and m > 1 else 0
     return corners * _operations(field.jaxpr), _operations(guards.jaxpr), contacts, normals
 
 
