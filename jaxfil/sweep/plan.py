@@ -114,6 +114,7 @@ def sampling_of(
     max_return: Any,
     transient_time: Any,
     average: Any,
+    always_averages: bool = False,
     observe: Any = None,
     lanes: int,
     block: int | None = None,
@@ -121,14 +122,16 @@ def sampling_of(
     followed: bool = False,
 ) -> Sampling:
     """The sampling of `lanes` lanes of a system, in a block of so many, from states like x0; the
-    other arguments are those of `bifurcation_diagram`. Lanes are `followed` if each begins where
-    another one ends."""
+    other arguments are those of `bifurcation_diagram`, whose `average` may be None unless the
+    sampling `always_averages`. Lanes are `followed` if each begins where another one ends."""
     state = np.zeros(x0.shape, x0.dtype)
     section, longest, since = _sampled_at(system, section, max_return, transient_time, state)
     observable = None if observe is None else _observable(observe, system, state)
     steps, stepper = steps_and_stepper(steps, stepper, system)
     unseen, samples = _unseen(transient, since), check.count("samples", samples)
-    averaging = None if average is None else _averaging(average, system, state, section, samples)
+    averaging = None
+    if always_averages or average is not None:
+        averaging = _averaging(average, system, state, section, samples)
     check.number_of_steps(steps, runs=runs, transient=unseen, samples=samples)
     stepper = checked_stepper(stepper)
     # The system of a lane and its state are both extended by the integrals along the motion.

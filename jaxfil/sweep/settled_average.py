@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 from jaxfil.integrate.lane.problem import period_outcome
 from jaxfil.integrate.loop.iterate import integrate
-from jaxfil.integrate.run.averaging import checked_averaging
 from jaxfil.integrate.run.step_choice import StepCount
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
@@ -112,7 +111,6 @@ def settled_average(
     x = check.state("x0", x0)
     check.system("system", system)
     system = cast(system, x.dtype)
-    checked_averaging("average", average, system, x)  # None is for diagrams only
     sampling = sampling_of(
         system,
         x,
@@ -125,6 +123,7 @@ def settled_average(
         max_return=max_return,
         transient_time=transient_time,
         average=average,
+        always_averages=True,
         lanes=lanes_of((system, x)),
     )
     return _settled(sampling, x)

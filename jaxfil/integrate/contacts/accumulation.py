@@ -163,11 +163,12 @@ def _turned(
         return end.motion.x + span * (mean + (time + span) * change)
 
     limit = ahead(select(shrinks, left, 0))
-    agrees, rounding = _agrees(problem, state, end, time, ratio, left, limit, move)
+    agrees, rounding, apart = _agrees(problem, state, end, time, ratio, left, limit, move)
+    reached, clear = _surfaces_there(problem, state, end, left, limit, apart)
     # The predicted limit may be past a grid point by the rounding of the prediction.
     late = jnp.maximum(stop_gradient(left - length.room), 0)
-    completed = shrinks & (agrees & (late <= rounding) | (left <= same) & (late <= same))
-    completed = completed & _clear(problem, state, end, left, limit)
+    agrees = agrees & reached & (late <= rounding)
+    completed = shrinks & (agrees | (left <= same) & (late <= same)) & clear
     if problem.system.resets:
         # For a single wall, `resets` has a better prediction, by the reset itself.
         soon = problem.system.eps**0.5 * typical_step(problem, state)
@@ -193,17 +194,30 @@ def _turned(
     return now, jump, ahead(jump)
 
 
-def _clear(
-    problem: Problem, state: LoopState, end: StepEnd, left: Array, limit: Components
-) -> Array:
-    """Whether no surface outside the turn is crossed on the way to the limit."""
+def _surfaces_there(
+    problem: Problem,
+    state: LoopState,
+    end: StepEnd,
+    left: Array,
+    limit: Components,
+    apart: Components,
+) -> tuple[Array, Array]:
+    """Whether the limit, known to within `apart`, is on all surfaces of the turn, and whether no
+    other surface is crossed on the way to it.
+
+    It is not on those of another accumulation that goes on, as of two balls that come to rest
+    independently, each at its own time.
+    """
     assert state.turn is not None
-    if problem.system.m == 2:
-        return jnp.ones((), bool)
+    system, mode = problem.system, end.motion.mode
     t = problem.grid.t0 + end.motion.tau + select(jnp.isfinite(left), left, 0)
-    h = problem.system.switching(t, limit)
-    mode, met = end.motion.mode, state.pending.surfaces | state.turn.met
-    return ~any_of(~(met | stays_on(problem.system, mode) | (mode * h >= 0)))
+    h, _, normals = system.gradients(t, limit)
+    met = state.turn.met | state.pending.surfaces
+    close = abs(h) <= abs(normals) @ apart + _AGREE * state.motion.noise
+    reached = ~any_of(met & ~close)
+    if system.m == 2:
+        return reached, jnp.ones((), bool)
+    return reached, ~any_of(~(met | stays_on(system, mode) | (mode * h >= 0)))
 
 
 def _kind(hit: Components, mode: Components) -> Array:
@@ -236,9 +250,9 @@ def _agrees(
     left: Array,
     limit: Components,
     move: Components,
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Components]:
     """Whether the limit equals the one predicted by the turn before, to within rounding, and the
-    rounding of its time."""
+    rounding of its time and of its state."""
     turn, same = state.turn, problem.grid.same_time(state.motion.tau)
     assert turn is not None
     # The factor 1/(1 − q) of a ratio of two times magnifies their rounding twice.
@@ -253,17 +267,4 @@ def _agrees(
     # A reset moves the state at a rounded time, also if the velocity is zero before and after it.
     speed = maximum(speed, abs(move) / select(time > 0, time, 1))
     apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
-    agrees = agrees & ~any_of(~(abs(limit - turn.limit) <= apart))
-    return agrees & _on_all(problem, state, end.motion.tau + left, limit, apart), rounding
-
-
-def _on_all(
-    problem: Problem, state: LoopState, tau: Array, limit: Components, apart: Components
-) -> Array:
-    """Whether the limit is on all surfaces of the turn. It is not on those of another accumulation
-    that goes on: two balls that come to rest by themselves, each at its own time."""
-    assert state.turn is not None
-    t = problem.grid.t0 + select(jnp.isfinite(tau), tau, 0)
-    h, _, normals = problem.system.gradients(t, limit)
-    close = abs(h) <= abs(normals) @ apart + _AGREE * state.motion.noise
-    return ~any_of((state.turn.met | state.pending.surfaces) & ~close)
+    return agrees & ~any_of(~(abs(limit - turn.limit) <= apart)), rounding, apart

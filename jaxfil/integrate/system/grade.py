@@ -48,10 +48,10 @@ time):
     a mass with friction and a wall                   8   17   0.34     41   0.04       24    21
     the same with a load of two numbers              16   15   0.17     65   0.06       51    52
     two masses that strike at both ends of a gap     16   13   0.15     43   0.04       30    54
-    random: a mass, friction, a wall, a load         16   21   0.40     79   0.60       58    54
-    random: two masses, two walls, a load            24   21   0.36     72   1.21       51   105
-    random: two masses, friction, a wall, a load     24   28   0.73    125   1.13       97   107
-    random: a mass, friction, two walls, a load      36   51   0.04    293   0.12      242   225
+    random, a mass, friction, a wall, a load         16   21   0.40     79   0.60       58    54
+    random, two masses, two walls, a load            24   21   0.36     72   1.21       51   105
+    random, two masses, friction, a wall, a load     24   28   0.73    125   1.13       97   107
+    random, a mass, friction, two walls, a load      36   51   0.04    293   0.12      242   225
 
 Lanes of a random system differ, and those of a block wait for each other at their contacts, which
 is not known before a run either. A run is compact too if writing out would take a minute more.
@@ -110,7 +110,7 @@ class ProgramSize:
     spelled: bool
     """Whether the numbers of a state are spelled out in a program that is written out."""
     normals: int
-    """m²·n for several surfaces with resets; 0 for others, and where numbers are not spelled out."""
+    """m²·n for several surfaces with resets; 0 for others, and without numbers spelled out."""
 
     @property
     def seconds_saved(self) -> float:
