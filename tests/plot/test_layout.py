@@ -164,6 +164,18 @@ def test_the_title_of_new_axes_gives_way(where):
         plt.close(ax.figure)
 
 
+def test_a_long_title_is_as_wide_as_the_axes():
+    found = diagram()
+    values = {f"parameter {i}": jnp.array(1.25) for i in range(9)}
+    conditions = dataclasses.replace(found.conditions, parameters=values)
+    with matplotlib.rc_context({"backend": "agg"}):
+        ax = dataclasses.replace(found, conditions=conditions).plot()
+        ax.figure.canvas.draw()
+        box = ax.texts[0].get_window_extent()
+        assert 0.7 * ax.bbox.width < box.width < 1.02 * ax.bbox.width
+        plt.close(ax.figure)
+
+
 def test_given_axes_have_no_title_but_the_callers():
     page = jf.plot.page(84)
     ax = page.add_subplot()
