@@ -51,10 +51,10 @@ def _figure(found):
     limit.set_path_effects([Stroke(linewidth=3.5, foreground="black"), Normal()])
     axes[0].set_ylabel("damping d of one side")
     figure.colorbar(drawn[-1], ax=axes, label="error of the state at t = 12")
-    marks = [
-        Patch(facecolor="0.85", edgecolor="0.3", hatch=hatch, label=label)
-        for hatch, label in (("xx", "reported: not successful"), ("..", "unstable: error above 1"))
-    ]
+    marks = [Patch(facecolor="0.85", edgecolor="0.3", hatch="xx", label="reported: not successful")]
+    if any((~told & ~(errors < 1)).any() for _, _, errors, told in found.values()):
+        label = "unstable: error above 1"
+        marks.append(Patch(facecolor="0.85", edgecolor="0.3", hatch="..", label=label))
     paper.below(figure, [limit, *marks], 3)
     figure.suptitle("A relay with one damped side: error over step and stiffness")
     return figure

@@ -106,6 +106,7 @@ class Heading(Annotation):
         at: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points"}
         super().__init__(text, (0, 1), (0, 6), va="bottom", fontsize="medium", **at)
         ax.add_artist(self)
+        self.set_clip_on(False)
         self._titled = ax
 
     def get_visible(self) -> bool:

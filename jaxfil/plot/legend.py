@@ -34,7 +34,7 @@ def legend(ax: Axes, more: Iterable[Artist] = (), below: float = 0.0, **options:
         engine.execute(page)
     if not _covered(ax, drawn):
         return
-    drawn = _in_columns(ax, entries, 0.97 * ax.bbox.width, **options | {"loc": "upper right"})
+    drawn = _in_columns(ax, entries, 0.95 * ax.bbox.width, **options | {"loc": "upper right"})
     part = (ax.bbox.y1 - drawn.get_window_extent().padded(3).y0) / ax.bbox.height
     if part + below > _INSIDE and engine is not None:
         legend_outside(ax, more)

@@ -4,6 +4,7 @@ import textwrap
 from typing import Any
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.axes import Axes
 
 from jaxfil.model import check
@@ -91,7 +92,7 @@ def bifurcation_diagram(
     ax.set_xlabel(diagram.labels.parameter(diagram.parameter))
     ax.set_ylabel(diagram.labels.component(component, _sampled(diagram)))
     if new:
-        width = max(20, int(points_of(ax)[0] / 4.5))  # of letters of 8 points
+        width = max(20, int(points_of(ax)[0] / (0.58 * rcParams["font.size"])))  # in letters
         Heading(ax, "\n".join(textwrap.wrap(_told(diagram), width)))
     if style.get("label") is not None or (~diagram.successful).any():
         legend(ax, loc="upper right")

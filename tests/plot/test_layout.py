@@ -145,14 +145,34 @@ def test_a_long_legend_is_outside():
     assert ax.figure.bbox.padded(1).contains(*box.min)
 
 
+def dark_above(ax):
+    """Whether something is drawn above axes."""
+    ax.figure.canvas.draw()
+    pixels = np.asarray(ax.figure.canvas.buffer_rgba())[::-1, :, :3]
+    return bool((pixels[int(ax.bbox.y1) + 4 :] < 128).any())
+
+
 @pytest.mark.parametrize("where", ["left", "center", "right"])
 def test_the_title_of_new_axes_gives_way(where):
     with matplotlib.rc_context({"backend": "agg"}):
         ax = diagram().plot()
         (heading,) = ax.texts
-        assert heading.get_text().startswith("SDOscillator: ") and heading.get_visible()
-        ax.set_title("ours", loc=where)
-        assert not heading.get_visible()
+        assert heading.get_text() == "SDOscillator: 20 periods after 0"
+        assert dark_above(ax)
+        ax.set_title(" ", loc=where)
+        assert not dark_above(ax)
+        plt.close(ax.figure)
+
+
+def test_a_long_title_is_as_wide_as_the_axes():
+    found = diagram()
+    values = {f"parameter {i}": jnp.array(1.25) for i in range(9)}
+    conditions = dataclasses.replace(found.conditions, parameters=values)
+    with matplotlib.rc_context({"backend": "agg"}):
+        ax = dataclasses.replace(found, conditions=conditions).plot()
+        ax.figure.canvas.draw()
+        box = ax.texts[0].get_window_extent()
+        assert 0.7 * ax.bbox.width < box.width < 1.02 * ax.bbox.width
         plt.close(ax.figure)
 
 
