@@ -29,7 +29,13 @@ from jaxfil.orbits.curve import (
     at_root,
     constraint_across,
 )
-from jaxfil.orbits.locating import change_on_curve, corner_between, is_corner, zero_on_curve
+from jaxfil.orbits.locating import (
+    change_on_curve,
+    corner_between,
+    is_corner,
+    last_along,
+    zero_on_curve,
+)
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
 from jaxfil.orbits.plane_curve import EquationsCurve
@@ -42,6 +48,8 @@ _MEET = ("1:1", "1:2")
 _THERE = 1e-6
 
 
+# It lies at most as many least steps beyond the last point.
+_BEYOND = 4.0
 # An orbit that misses a tangency by this fraction of the period is tangent: a time is the square
 # root of the distance to which the curve's end is known.
 _TANGENT = 1e-3
@@ -186,7 +194,8 @@ class CriticalCurve(EquationsCurve[CriticalPoint]):
         problem, orbit = self._orbit(here)
         found = tangency_candidates(orbit_of(problem, orbit), *FAMILIES)
         if found and found[0][0] < _TANGENT * period_of(problem, orbit):
-            yield Special("tangency", here, here.kind, here.kind)
+            last = last_along(self, here, _BEYOND * self.steps.least)
+            yield Special("tangency", last, here.kind, here.kind)
 
     def elsewhere(
         self, here: CriticalPoint, start: CriticalPoint

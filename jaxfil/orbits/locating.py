@@ -83,10 +83,10 @@ def corner_between(curve: Curve[_Point], a: _Point, b: _Point) -> tuple[_Point, 
     """The corner between two points, as the last point of either smooth part of the curve. Across
     their chord it is not found where the curve turns back."""
     past = _PAST * _distance(a, b)
-    return _last_along(curve, a, past), _last_along(curve, b, -past)
+    return last_along(curve, a, past), last_along(curve, b, -past)
 
 
-def _last_along(curve: Curve[_Point], start: _Point, most: float) -> _Point:
+def last_along(curve: Curve[_Point], start: _Point, most: float) -> _Point:
     """The last point of a smooth part along the tangent, up to a distance, by bisection."""
     low, high, last = 0.0, most, start
     while abs(high - low) > _LOCATED:
