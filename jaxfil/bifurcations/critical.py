@@ -23,6 +23,7 @@ from jaxfil.model.parameter import replace_parameter, replace_parameters
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.closing import OrbitProblem, phase_condition, shoot_near
+from jaxfil.orbits.corrector import contacts_of
 from jaxfil.orbits.curve import ArclengthConstraint
 from jaxfil.orbits.newton import Evaluation, Root, Stages, root_of
 from jaxfil.orbits.shooting import ShootingOptions, Shot
@@ -95,8 +96,17 @@ class CriticalOrbits:
         n = shot.size.size
         unit = np.append(np.maximum(shot.size, least), np.where(s[n:] == 0, 1.0, abs(s[n:])))
         steps = np.finfo(s.dtype).eps ** _STEP * unit
-        turned = [(self.first_slopes(s + h) - first) / h.sum() for h in np.diag(steps)]
+        turned = [self._turned(s, shot, h) for h in np.diag(steps)]
         return Slopes(np.hstack([first, by_second]), np.stack(turned, axis=-1), normal, unit)
+
+    def _turned(self, s: np.ndarray, shot: Shot, h: np.ndarray) -> Float[np.ndarray, "n k"]:
+        """The change of first derivatives by one unknown, to the side on which the orbit keeps its
+        contacts."""
+        ahead = self.shot(s + h)
+        if contacts_of(ahead.events) != contacts_of(shot.events):
+            h = -h
+            ahead = self.shot(s + h)
+        return (_by_all(ahead) - _by_all(shot)) / h.sum()
 
     def normal_at(self, s: np.ndarray) -> np.ndarray:
         """The direction of the field at the start, as one row; without rows for a forced system."""

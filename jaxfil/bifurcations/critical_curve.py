@@ -29,7 +29,13 @@ from jaxfil.orbits.curve import (
     at_root,
     constraint_across,
 )
-from jaxfil.orbits.locating import change_on_curve, zero_on_curve
+from jaxfil.orbits.locating import (
+    change_on_curve,
+    corner_between,
+    is_corner,
+    last_along,
+    zero_on_curve,
+)
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
 from jaxfil.orbits.plane_curve import EquationsCurve
@@ -42,6 +48,8 @@ _MEET = ("1:1", "1:2")
 _THERE = 1e-6
 
 
+# It lies at most as many least steps beyond the last point.
+_BEYOND = 4.0
 # An orbit that misses a tangency by this fraction of the period is tangent: a time is the square
 # root of the distance to which the curve's end is known.
 _TANGENT = 1e-3
@@ -102,26 +110,24 @@ class CriticalCurve(EquationsCurve[CriticalPoint]):
         unit = point.known.slopes.unit
         return np.maximum(self.equations.joined(unit, vectors), self.least)
 
+    def same(self, a: CriticalPoint, b: CriticalPoint) -> bool:
+        """Whether both have the same contacts."""
+        return a.sequence == b.sequence
+
     def special_points(
         self, a: CriticalPoint, b: CriticalPoint
     ) -> Iterator[Special[CriticalPoint]]:
         """Points of codimension two, at changes of contacts and between them."""
         kind = self.equations.kind
         if a.sequence != b.sequence:
-            before, after = self._change(a, b)
+            corner = is_corner(a, b)
+            before, after = corner_between(self, a, b) if corner else change_on_curve(self, a, b)
             yield from self._degenerate(a, before)
             # On the side with more contacts multipliers have a square root.
             fewer = len(before.sequence) <= len(after.sequence)
             yield Special("tangency", before if fewer else after, kind, kind)
             a = after
         yield from self._degenerate(a, b)
-
-    def _change(self, a: CriticalPoint, b: CriticalPoint) -> tuple[CriticalPoint, CriticalPoint]:
-        """The end of the contacts of a and the beginning of others. The curve may have a corner
-        there, so it is followed to its end from either side."""
-        before, after = change_on_curve(self, a, b, lambda p: p.sequence == a.sequence)
-        last, _ = change_on_curve(self, after, before, lambda p: p.sequence == after.sequence)
-        return before, last
 
     def _degenerate(self, a: CriticalPoint, b: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
         kind = self.equations.kind
@@ -188,7 +194,8 @@ class CriticalCurve(EquationsCurve[CriticalPoint]):
         problem, orbit = self._orbit(here)
         found = tangency_candidates(orbit_of(problem, orbit), *FAMILIES)
         if found and found[0][0] < _TANGENT * period_of(problem, orbit):
-            yield Special("tangency", here, here.kind, here.kind)
+            last = last_along(self, here, _BEYOND * self.steps.least)
+            yield Special("tangency", last, here.kind, here.kind)
 
     def elsewhere(
         self, here: CriticalPoint, start: CriticalPoint

@@ -17,6 +17,9 @@ from jaxtyping import Array, Float
 from jaxfil.model.outcomes import RESULTS, is_successful
 from jaxfil.orbits.newton import Evaluation, Root
 
+# Two neighbours on a smooth part of a curve have tangents at least at this cosine to each other.
+SHARP = 0.9
+
 
 class ArclengthConstraint(eqx.Module):
     """normal · (u − base)/scale = offset, or a batch of such constraints."""
@@ -167,6 +170,10 @@ class Curve(abc.ABC, Generic[_Point]):
         """The point from which the curve continues if no step succeeds, and its special point."""
         return None
 
+    def same(self, a: _Point, b: _Point) -> bool:
+        """Whether two neighbours are on the same smooth part of the curve."""
+        return True
+
     def special_end(self, here: _Point) -> Iterable[Special[_Point]]:
         """Special points at the end of the curve."""
         return ()
@@ -224,6 +231,12 @@ class Curve(abc.ABC, Generic[_Point]):
             return self.point(root, constraint, along), root.result
         used_up = root.result == RESULTS.newton_max_steps_reached
         return None, RESULTS.where(used_up, RESULTS.newton_stalled, root.result)
+
+    def along(self, here: _Point, ds: float) -> _Point | None:
+        """The point at a distance along the tangent."""
+        tangent = here.tangent if ds >= 0 else -here.tangent
+        constraint = constraint_across(here.u, here.scale, tangent, abs(ds))
+        return self.correct(here.u + ds * here.tangent * here.scale, constraint, here.tangent)
 
     def at_value(self, a: _Point, b: _Point, value: float) -> _Point | None:
         """The point between two neighbours where the parameter has a value."""

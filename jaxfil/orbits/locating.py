@@ -3,19 +3,22 @@
 A special point is a zero of a test function, or a change of a property.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
 import scipy  # its submodules are imported on first use
 
-from jaxfil.orbits.curve import Curve, CurvePoint, constraint_across
+from jaxfil.orbits.curve import SHARP, Curve, CurvePoint, constraint_across
 
 # Special points are located to this distance, in scaled unknowns.
 _LOCATED = 1e-12
 # A test function below this is zero, a determinant of numbers of order one, known to rounding.
 _ZERO = 1e-13
 
+# A corner is searched along a tangent to this multiple of the distance of two points around it.
+_PAST = 8.0
 # A tangent at this cosine to a chord or more determines how the curve leaves it.
 _ALONG = 0.5
 
@@ -53,10 +56,12 @@ def zero_on_curve(
 
 
 def change_on_curve(
-    curve: Curve[_Point], a: _Point, b: _Point, same: Callable[[_Point], bool]
+    curve: Curve[_Point], a: _Point, b: _Point, same: Callable[[_Point], bool] | None = None
 ) -> tuple[_Point, _Point]:
     """Two points next to each other, the first with a property of a, the second without, by
-    bisection, because a property has no value for interpolation."""
+    bisection, because a property has no value for interpolation. Without a property, the first is
+    on the smooth part of a."""
+    same = same or (lambda point: curve.same(a, point))
     low, high, before, after = 0.0, 1.0, a, b
     while (high - low) * _distance(a, b) > _LOCATED:
         middle = 0.5 * (low + high)
@@ -66,6 +71,41 @@ def change_on_curve(
         else:  # a lost point does not have the property of a
             high, after = middle, after if point is None else point
     return before, after
+
+
+def is_corner(a: CurvePoint, b: CurvePoint) -> bool:
+    """Whether the curve has a corner between two neighbours. Elsewhere no step turns as much."""
+    tangent = b.tangent * b.scale / a.scale
+    return bool(a.tangent @ tangent <= SHARP * np.linalg.norm(tangent))
+
+
+def corner_between(curve: Curve[_Point], a: _Point, b: _Point) -> tuple[_Point, _Point]:
+    """The corner between two points, as the last point of either smooth part of the curve. Across
+    their chord it is not found where the curve turns back."""
+    past = _PAST * _distance(a, b)
+    return last_along(curve, a, past), last_along(curve, b, -past)
+
+
+def last_along(curve: Curve[_Point], start: _Point, most: float) -> _Point:
+    """The last point of a smooth part along the tangent, up to a distance, by bisection."""
+    low, high, last = 0.0, most, start
+    while abs(high - low) > _LOCATED:
+        middle = 0.5 * (low + high)
+        point = curve.along(start, middle)
+        if point is not None and curve.same(point, start):
+            low, last = middle, point
+        else:
+            high = middle
+    return last
+
+
+def away_from_corner(curve: Curve[_Point], a: _Point, b: _Point) -> _Point:
+    """The point b behind a corner, with its tangent away from that, so that a step along it stays
+    on the smooth part of b. Along the tangent before the corner it may turn back to it."""
+    past = _PAST * _distance(a, b)
+    ahead, back = (curve.along(b, ds) for ds in (past, -past))
+    stays, returns = (point is not None and curve.same(point, b) for point in (ahead, back))
+    return dataclasses.replace(b, tangent=-b.tangent) if returns and not stays else b
 
 
 def _distance(a: CurvePoint, b: CurvePoint) -> float:

@@ -120,6 +120,10 @@ class OrbitCurve(Curve[OrbitPoint]):
             return point.u
         return phased_like(orbit_of(self.problem, point), point.u, other.u)
 
+    def same(self, a: OrbitPoint, b: OrbitPoint) -> bool:
+        """Whether both have the same contacts."""
+        return a.sequence == b.sequence
+
     def special_points(self, a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
         """Zeros of test functions and changes of the contacts."""
         return special_orbits(self, a, b, lambda point: period_of(self.problem, point))

@@ -11,11 +11,11 @@ import numpy as np
 
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
-from jaxfil.orbits.curve import Curve, CurvePoint, Special, constraint_across
+from jaxfil.orbits.curve import SHARP, Curve, CurvePoint, Special, constraint_across
+from jaxfil.orbits.locating import away_from_corner
 
-# Between two points the cosine of the tangent's turn is at least this, and their distance at most
-# this many steps; points further away are on another curve.
-_SHARP, _STRAYED = 0.9, 2.0
+# Two points are at most this many steps apart; points further away are on another curve.
+_STRAYED = 2.0
 
 _Point = TypeVar("_Point", bound=CurvePoint)
 
@@ -238,7 +238,10 @@ def _advance(
             cosine = float(ahead.tangent @ tangent)
             strayed = np.linalg.norm((ahead.u - here.u) / scale) > _STRAYED * ds
             # A corner is passed in one short step; a curve is followed in many.
-            if not strayed and (cosine > _SHARP or ds < steps.corner):
+            sharp = cosine <= SHARP
+            if not strayed and (not sharp or ds < steps.corner):
+                if sharp and not curve.same(here, ahead):
+                    ahead = away_from_corner(curve, here, ahead)
                 grows = cosine > steps.straight and ahead.num_steps <= steps.easy
                 return ahead, min(max_step, steps.growth * ds) if grows else ds
         ds *= 0.5

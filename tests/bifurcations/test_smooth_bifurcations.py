@@ -186,10 +186,50 @@ def test_a_fold_meets_a_graze():
     curve = jf.continue_bifurcation(
         system, ("omega", "error"), points["fold"][1], stop=0.4, max_step=0.2
     )
-    assert_allclose(named(curve)["tangency"], [0.4753028544956, 0.5655903955324], rtol=0, atol=1e-6)
+    assert_allclose(named(curve)["tangency"], [0.4753028544956, 0.5655903955324], rtol=0, atol=1e-9)
     assert curve.ended[1].startswith("no bifurcation was found beyond (0.475")
     ax = curve.plot(jf.plot.page().add_subplot())
     assert [line.get_label() for line in ax.lines] == ["fold", "tangency"]
+
+
+class Gate(jf.System):
+    """x becomes r + 1.5 x − x³ once in a period, and grows at the rate k while the gate is open,
+    A cos 2π(t − 0.6) > 1."""
+
+    r: jax.Array
+    A: jax.Array
+    k: jax.Array
+
+    slides = False
+    period = 1.0
+    clocks = (jf.Clock(1.0, 0.25),)
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, self.k * x, 0 * x)
+
+    def switching(self, t, x):
+        return self.A * jnp.cos(2 * jnp.pi * (t - 0.6)) - 1
+
+    def tick(self, t, x, clock):
+        return self.r + 1.5 * x - x**3
+
+
+# With the gate open for a while its time is a square root of A − 1, which is known to rounding.
+@pytest.mark.parametrize("start, stop, atol", [(0.9, 1.2, 1e-12), (1.2, 0.9, 3e-8)])
+@pytest.mark.parametrize("k", [0.7, -0.3])
+def test_a_fold_ends_at_a_corner(k, start, stop, atol):
+    """With the growth g in a period, folds are at x² = (1.5 − 1/g)/3; the gate opens at A = 1."""
+    growth = np.exp(k * np.arccos(min(1, 1 / start)) / np.pi)
+    system = Gate(*(jnp.float64(value) for value in (0.0, start, k)))
+    guess = jnp.array([np.sqrt(1.5 - 1 / growth)])
+    orbit = jf.periodic_orbit(system, guess, steps=8, stepper=jf.RK4())
+    branch = jf.continue_orbit(system, "r", orbit, stop=-0.6, max_step=0.1)
+    fold = next(point for point in branch.points if point.kind == "fold")
+    curve = jf.continue_bifurcation(system, ("A", "r"), fold, stop=stop, max_step=0.1)
+    (point,) = curve.points
+    x = np.sqrt(0.5 / 3)
+    assert point.kind == "tangency"
+    assert_allclose(point.values, [1, x**3 - 0.5 * x], rtol=0, atol=atol)
 
 
 class Roessler(jf.System):

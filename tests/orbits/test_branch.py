@@ -11,11 +11,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
+from tests.oracles.sticking_map import slope, stick_map
 from tests.pictures import made
 from tests.problems import PROBLEMS, closed_forms
 from tests.problems.systems import ShakenTable, belt, cubic_belt
@@ -146,52 +146,6 @@ def test_belt_from_one_end_to_the_other():
         assert_allclose(orbit.extremes()[1][1], speed, rtol=0, atol=1e-9)
 
 
-MU_G, DAMPING, STIFF = 0.6 * 9.81, 0.05 * 9.81, 10000.0
-
-
-def stick_map(omega, t0, x1, rtol=1e-12):
-    """x1 one period after (x1, belt speed) at t0, if it sticks at both ends: SciPy, with an event
-    for every contact. Where the push on the mass exceeds the friction it slips."""
-
-    def push(t, x):
-        return 10 * np.cos(omega * t) - STIFF * x**3
-
-    def field(t, y, side):
-        if side == 0:
-            return [1.0, 0.0]
-        return [y[1], push(t, y[0]) - DAMPING * (y[1] - 1) - side * MU_G]
-
-    def release(t, y, side):
-        return MU_G - abs(push(t, y[0]))
-
-    def contact(t, y, side):
-        return side * (y[1] - 1) if t > start else 1.0
-
-    release.terminal = contact.terminal = True
-    release.direction = contact.direction = -1
-    start, y, side, end = t0, np.asarray([x1, 1.0]), 0, t0 + 2 * np.pi / omega
-    while start < end:
-        run = solve_ivp(
-            field,
-            (start, end),
-            y,
-            "DOP853",
-            events=contact if side else release,
-            args=(side,),
-            rtol=rtol,
-            atol=1e-13,
-            max_step=0.02,
-        )
-        start, y = run.t[-1], run.y[:, -1]
-        if run.status == 1:
-            force = push(start, y[0])
-            y[1] = 1.0
-            held = side != 0 and abs(force) < MU_G
-            side = 0 if held else int(np.sign(force))
-    assert side == 0
-    return y[0]
-
-
 @functools.cache
 def cubic_branch():
     """The sticking orbits of the belt with a cubic spring, from 4.56 round their fold."""
@@ -208,12 +162,6 @@ def sticking_at(orbit):
     longest = np.argmax(np.where(after == 0, ends - ts, 0))
     t = 0.5 * (ts[longest] + ends[longest]) % float(orbit.period)
     return t, float(orbit.states(jnp.asarray([t, t]))[0, 0])
-
-
-def slope(omega, t0, x1, h=2e-4):
-    """The multiplier, by central differences of the one-dimensional map."""
-    values = [stick_map(omega, t0, x1 + k * h) for k in (-2, -1, 1, 2)]
-    return np.dot([1, -8, 8, -1], values) / (12 * h)
 
 
 @pytest.mark.parametrize(
@@ -277,6 +225,24 @@ def test_round_the_grazing_of_a_wall():
     beyond = branch.orbits.num_events[point.index + 1 :]
     assert len(beyond) > 3 and (beyond == 1).all()
     assert (branch.orbits.residual < 1e-10).all()
+
+
+def test_an_impacting_orbit_comes_to_its_graze():
+    """Both branches lie below the amplitude of the graze, and the way round its corner is acute: a
+    short step arrives beyond it, on the other branch. Nearer than the square root of rounding no
+    impact is seen."""
+    response = 0.43 / (1 - 1.2**2 + 0.12j)
+    system = S.ImpactOscillator(omega=1.2, amplitude=0.43)
+    orbit = jf.periodic_orbit(system, jnp.asarray([-0.9704, 0.3308]))
+    assert int(orbit.num_events) == 1
+    branch = jf.continue_orbit(system, "amplitude", orbit, stop=(0.42, 0.5))
+    (point,) = of_kind(branch, "contacts")
+    assert_allclose(point.value, closed_forms.wall_amplitude(1.2), rtol=0, atol=1e-10)
+    assert (len(point.before), len(point.after)) == (1, 0)
+    # On to the orbit that does not touch the wall.
+    (free,) = [o for o in branch.at(0.43) if int(o.num_events) == 0]
+    assert_allclose(free.x0, [response.real, (1.2j * response).real], rtol=0, atol=1e-9)
+    assert branch.ended == ("amplitude = 0.42 was reached",) * 2
 
 
 def amplitude_of_impacts(speed):
