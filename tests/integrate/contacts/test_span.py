@@ -360,3 +360,50 @@ def test_chained_at_impacts_runs_are_the_whole_run():
         x, t, count = sol.x_final, end, count + int(sol.num_events)
     assert count == int(whole.num_events)
     assert_within(x, whole.x_final, 64 * EPS)
+
+
+class Kicked(Drop):
+    """A ball that each tick throws down, with impacts that die out in one period T."""
+
+    kick: jax.Array
+    T: jax.Array
+
+    def tick(self, t, x, clock):
+        return jnp.stack([x[0], x[1] - self.kick])
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.T),)
+
+
+class KickedOfTwo(Kicked):
+    def switching(self, t, x):
+        return jnp.stack([1000 - x[0], x[0]])
+
+
+@pytest.mark.parametrize("system", [Kicked, KickedOfTwo])
+def test_impacts_that_die_out_at_a_tick_go_on_from_there(system):
+    """After each tick the ball leaves the floor with e·kick; the time to its rest is
+    2 e·kick/(g (1 − e)) = T. Runs that are chained at ticks are the whole run."""
+    draw, n = np.random.default_rng(3), 64
+    e, T = draw.uniform(0.2, 0.7, n), draw.uniform(0.3, 0.7, n)
+    kick = draw.uniform(0.2, 1.0, n)
+    e[:8], T[:8], kick[:8] = 0.5, 0.5, 0.5
+    g = 2 * e * kick / (T * (1 - e))
+
+    @jax.jit
+    @jax.vmap
+    def leg(g, e, kick, T, x, k, end):
+        one = system(g, e, kick, T)
+        return solve(one, x, (k + end) * T, t0=k * T, max_events=400)
+
+    start, zero = np.stack([0 * e, e * kick], 1), np.zeros(n)
+    for k in range(1, 7):
+        sols = leg(g, e, kick, T, start, zero, zero + k)
+        assert set(outcome_names(sols.result)) == {"successful"}
+        # No rounding of a limit's time moves the ball off the floor.
+        assert_within(sols.x_final[:, 0], zero, EPS)
+        assert_within(sols.x_final[:, 1], e * kick, 64 * EPS * k)
+        after, flight = leg(g, e, kick, T, sols.x_final, zero + k, zero + 0.01), 0.01 * T
+        rise = flight * (e * kick - g * flight / 2)
+        assert_within(after.x_final[:, 0], rise, 64 * EPS * (k + 1))
