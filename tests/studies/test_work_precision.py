@@ -38,7 +38,7 @@ def rotating(compilations):
         return time.perf_counter()
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jaxfil.studies.work_precision.time", SimpleNamespace(perf_counter=clock))
+        patch.setattr("jaxfil.studies.timing.time", SimpleNamespace(perf_counter=clock))
         return jf.work_precision(p.system, x0, 2.3, steppers, DTS, lanes=3), exact
 
 
