@@ -9,8 +9,12 @@ import numpy as np
 from jaxfil.integrate.run.dataset import CROSSINGS, DENSE, EVENTS, SOLUTION, STATS, TAKEN
 from jaxfil.integrate.run.solution import Crossings, Dense, Events, Solution
 from jaxfil.integrate.steppers.adaptive import Adaptive
-from jaxfil.integrate.steppers.explicit import RK4, Stepper, checked_stepper, controlled
-from jaxfil.integrate.steppers.rosenbrock import Rodas5P
+from jaxfil.integrate.steppers.explicit import (
+    OWN_METHODS,
+    Stepper,
+    checked_stepper,
+    controlled,
+)
 from jaxfil.integrate.steppers.taylor import Taylor
 from jaxfil.model.dataset import (
     fields_from,
@@ -22,8 +26,6 @@ from jaxfil.model.dataset import (
 )
 from jaxfil.model.dataset_io import NamedArrays
 from jaxfil.model.system import System
-
-_OWN = {"RK4": RK4, "Rodas5P": Rodas5P}
 
 
 def solution_from(data: NamedArrays, system: System | None) -> Solution:
@@ -55,7 +57,7 @@ def stepper_from(data: NamedArrays) -> Stepper:
     name = str(data.attributes["stepper"])
     method, _, tolerance = name.partition(", ")
     order = re.fullmatch(r"Taylor\((\d+)\)", method)
-    own = ft.partial(Taylor, int(order[1])) if order else _OWN.get(method)
+    own = ft.partial(Taylor, int(order[1])) if order else OWN_METHODS.get(method)
     cls = own or getattr(diffrax, method, None)
     if cls is None:
         raise ValueError(

@@ -133,8 +133,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
     step_too_long = (
         "No step from here can be trusted, however often it is halved, since the error that the "
         "stepper estimates is too large relative to the change of the state. The field is stiff "
-        "(try `stepper=jf.Rodas5P()`), or jumps where no surface is declared. For a slide, a kink of "
-        "its switching function is such a jump."
+        "(try `stepper=jf.Rodas5P()`), or jumps where no surface is declared. A kink of a "
+        "switching function is such a jump for a slide on it."
     )
     interrupted = "The sweep was interrupted before this lane was finished."
     irreversible_reset = (

@@ -1,7 +1,11 @@
 """Extensions: features of a run that carry a state of their own through the loop.
 
 The loop knows only their hooks. An extension that a run does not use adds no operation to its
-program. `loop.extensions` lists all of them.
+program. `loop/extensions.problem_of` adds those that the system or its sections need; callers add
+others, as averages and extremes are.
+
+A table that an extension fills, with one row for each event or saved state, must be one of those
+that `lane/state.tables_of` finds, so that reverse mode does not store a copy for every step.
 """
 
 from typing import Any, ClassVar
@@ -13,6 +17,7 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length
+from jaxfil.model.outcomes import RESULTS
 
 
 class Step(eqx.Module):
@@ -49,8 +54,8 @@ class Verdict(eqx.Module):
 
     takes_back: Array
     """Whether the step is taken back, so that the lane stays at its start."""
-    fails: Array
-    """Whether a number of the extension is not finite."""
+    failures: tuple[tuple[RESULTS, Array], ...]
+    """Outcomes with which the lane ends here, members of `judge.FAILURES`, and whether it does."""
     note: Any
     """Data for `after_step`."""
 

@@ -26,8 +26,9 @@ SAME_TIME = 8
 
 def iteration_budget(num_steps: Array, max_events: int | None = None) -> Array:
     """The number of iterations after which a run of `num_steps` steps is given up: 32 for each
-    step, and 64 for each of `max_events` contacts, which take about four. A run that exhausts it is
-    treated as one that does not terminate."""
+    step, up to 2²⁵ steps, and 64 for each of `max_events` contacts, which take about four, with
+    1,024 to spare; 100,000 for contacts without a limit. A run that exhausts it is treated as one
+    that does not terminate."""
     contacts = 100_000 if max_events is None else 64 * max_events + 1024
     return 32 * jnp.minimum(num_steps, 2**25) + contacts
 
@@ -154,7 +155,8 @@ class Recorder(eqx.Module):
 
     def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:
         """The lane `after` a `Step` from `state`, a `LoopState`, with the states to be saved. The
-        loop calls it before the hooks of extensions."""
+        loop calls it before `after_step` of extensions, but after these for a recorder of every
+        step of a system without surfaces, since a tick there is the work of an extension."""
         return after
 
     def keep(self, problem: "Problem", state: Any, after: Any, x: Any, gridded: Array) -> Any:

@@ -1,7 +1,7 @@
 """Recorders: rules for which states of a lane are saved, and where.
 
-There is one for each kind of `diffrax.SaveAt`, and one for the samples of a sweep. A new kind is a
-subclass of `Recorder`.
+There is one for each kind of `diffrax.SaveAt` (that of `t1` alone is the base class), and one for
+the samples of a sweep. A new kind is a subclass of `Recorder`.
 """
 
 import dataclasses

@@ -7,8 +7,8 @@ search for a contact, nor the other sides' fields, nor a mode, and takes half th
 iteration. But lanes in a vector execute the same operations at the same time, so the loop
 alternates between two phases:
 
-    coasting      every lane tries a free step (on its own sides, `event_free`); those for which it
-                  is event-free move to its end, the others stay where they are and wait
+    coasting      every lane tries a free step (on its own sides); those for which it
+                  is event-free (`is_event_free`) move to its end, the others wait where they are
     judging       every lane does a full iteration: search, reject, land, switch
 
     lane 0   ─────┼─────┼─────┼──·      ·──x·──┼─────┼─────┼─────       ┼  a grid point

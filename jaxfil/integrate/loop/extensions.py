@@ -1,6 +1,7 @@
-"""The list of the extensions of a run, and access to the state of one.
+"""The extensions of a run, and access to the state of one.
 
-A new extension is a subclass of `Extension` and a line in `problem_of`.
+A new extension is a subclass of `Extension`. One that the system or its sections ask for has a line
+in `problem_of`; one that an option asks for, such as averages, is passed to it in `others`.
 """
 
 import dataclasses

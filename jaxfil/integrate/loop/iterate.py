@@ -2,14 +2,18 @@
 
 Batches come from `vmap`: every lane has its own clock in the one loop and does not wait for others.
 
-An iteration takes one smooth step in the current mode, with one of five consequences:
+An iteration takes one smooth step in the current mode, with one of these consequences, or a
+failure that ends the lane (`judge`):
 
-    accept    it can be trusted, and is without contact
-    refuse    it cannot be trusted: the next one is half as long (`halving`)
-    reject    it has passed a contact: the next one is cut there
-    land      it has ended on a contact: one Newton correction in time, t += δ, x += δ f
-    switch    after a landing, by a step of length zero: reset, and choose the mode at the
-              corrected state
+    accept      it can be trusted, and is without contact
+    refuse      it cannot be trusted: the next one is half as long (`halving`)
+    reject      it has passed a contact: the next one is cut there
+    land        it has ended on a contact: one Newton correction in time, t += δ, x += δ f
+    touch       the same at a graze, after which the mode is the same
+    switch      after a landing, by a step of length zero: reset, and choose the mode at the
+                corrected state
+    take back   it stays at its start: an extension has found a crossing of a section within it, or
+                surfaces must be decided together
 
 Lanes without contact therefore pay for one step and some forty operations around it, and a contact
 costs its lane two or three iterations more.
@@ -159,7 +163,7 @@ def _heard(
         verdicts.append(verdict)
         if verdict is not None:
             action = select(on & verdict.takes_back, judging.TAKE_BACK, action)
-            action = select(on & verdict.fails, judging.FAIL, action)
+            action = judging.failing(action, [(r, on & v) for r, v in verdict.failures])
     if action is before:
         return intended, action, verdicts
     return judging.step_of(state, length, end, action, landing), action, verdicts

@@ -5,6 +5,8 @@ lane that has ended is idle, and extensions may take a step back. The action is 
 it is computed once (`ComponentSystem.hold`); XLA would otherwise recompute it for each user.
 """
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -32,7 +34,7 @@ _CHAIN = 4096
 _LOW = 16
 # Actions of an iteration. A failure is FAIL plus its index in FAILURES.
 IDLE, REJECT, ACCEPT, LAND, TOUCH, SWITCH, TAKE_BACK, REFUSE, FAIL = map(float, range(9))
-# Failures in order of precedence.
+# Failures, the first of which has precedence where a step has several.
 FAILURES = (
     RESULTS.nonfinite,
     RESULTS.max_events_reached,
@@ -107,10 +109,7 @@ def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array
     action = select(landed, select(landing.touched, TOUCH, LAND), action)
     action = select(state.pending.waits, SWITCH, action)
     misfit = judgement.end.misfit
-    failures = _failures(problem, state, judgement, landed)
-    # The first failure of the list has precedence.
-    for failure, failed in reversed(failures):
-        action = select(failed, FAIL + FAILURES.index(failure), action)
+    action = failing(action, _failures(problem, state, judgement, landed))
     # A step that cannot be trusted gives no reliable information on contacts, so refusal precedes
     # rejection and failure.
     action = select(judgement.doubt.refuses & ~state.pending.waits, REFUSE, action)
@@ -120,10 +119,17 @@ def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array
     return problem.system.hold(action.astype(problem.system.dtype))
 
 
+def failing(action: Array, failures: Iterable[tuple[RESULTS, Array]]) -> Array:
+    """The action, or the failure that has precedence among those that are true."""
+    for failure, failed in sorted(failures, key=lambda v: FAILURES.index(v[0]), reverse=True):
+        action = select(failed, FAIL + FAILURES.index(failure), action)
+    return action
+
+
 def _failures(
     problem: Problem, state: LoopState, judgement: Judgement, landed: Array
 ) -> list[tuple[RESULTS, Array]]:
-    """Each of `FAILURES`, and whether a trial step has it."""
+    """The failures of the loop itself, and whether a trial step has each."""
     system, end, waits = problem.system, judgement.end, state.pending.waits
     motion, found, no = end.motion, judgement.contact.found, jnp.zeros((), bool)
     most, undecided = problem.recording.max_events, end.num_modes == 0
@@ -149,8 +155,8 @@ def _failures(
 
 def smooth_action_of(problem: Problem, state: LoopState, doubt: Doubt) -> Array:
     """The same in a system without surfaces."""
-    action = select(doubt.too_long, FAIL + FAILURES.index(RESULTS.step_too_long), ACCEPT)
-    action = select(doubt.infinite, FAIL + FAILURES.index(RESULTS.nonfinite), action)
+    failures = (RESULTS.nonfinite, doubt.infinite), (RESULTS.step_too_long, doubt.too_long)
+    action = failing(jnp.asarray(ACCEPT), failures)
     action = select(doubt.refuses, REFUSE, action)
     return select(is_running(problem.grid, state), action, IDLE)
 

@@ -80,7 +80,8 @@ class SectionSearch(Extension):
         would = step.length.h + delta, delta, passes
         seen = _look(self.watched, problem, state, own.watch, step.end.motion, would)
         seen = dataclasses.replace(seen, seeks=seen.seeks & is_running(problem.grid, state))
-        return Verdict(seen.seeks, ~all_finite(seen.sight.value), seen)
+        failure = RESULTS.nonfinite, ~all_finite(seen.sight.value)
+        return Verdict(seen.seeks, (failure,), seen)
 
     def after_step(
         self,

@@ -74,7 +74,7 @@ class ExplicitTableau(eqx.Module):
     crude: bool = eqx.field(static=True, default=False)
     """Whether the estimate is of such low order that it is as large as the change in a step from
     rest."""
-    order: int = eqx.field(static=True, default=4)
+    order: int = eqx.field(static=True, kw_only=True)
     tolerance: Adaptive | None = eqx.field(static=True, default=None)
     """The tolerance that chooses the step lengths; None for fixed lengths."""
 
@@ -93,6 +93,9 @@ Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau | TaylorTableau
 """The coefficients of a stepper, as a step uses them."""
 Method: TypeAlias = diffrax.AbstractERK | diffrax.Euler | RK4 | Rodas5P | Taylor
 """A one-step method, as the user chooses it."""
+OWN_METHODS = {method.__name__: method for method in (RK4, Rodas5P, Taylor)}
+"""The methods that are not diffrax's, by the names under which files and messages know them. A new
+one has a case in `tableau_of`."""
 
 
 class Controlled(eqx.Module):
@@ -122,8 +125,9 @@ class Trial(eqx.Module):
     all."""
 
 
-# The lowest order of a method whose error estimate is used. An estimate of lower order is as large
-# as the change in a step from rest.
+# The lowest order of a diffrax method whose error estimate is used. An estimate of lower order is
+# as large as the change in a step from rest. That of `RK4` is kept, marked as crude: its limits are
+# such that only unstable steps are halved.
 _TRUSTED = 5
 
 
@@ -173,10 +177,10 @@ def _refuse_others(stepper: Any, name: str = "stepper") -> None:
     explicit = isinstance(tableau, diffrax.ButcherTableau) and not tableau.implicit
     if isinstance(stepper, Controlled):
         return
-    if not explicit and not isinstance(stepper, RK4 | Rodas5P | Taylor | diffrax.Euler):
+    if not explicit and not isinstance(stepper, (*OWN_METHODS.values(), diffrax.Euler)):
         raise ValueError(
-            f"`{name}` must be jaxfil.RK4(), jaxfil.Rodas5P(), jaxfil.Taylor() or an instance of "
-            "an explicit diffrax Runge–Kutta solver such as diffrax.Dopri8(), got "
+            f"`{name}` must be {', '.join(f'jaxfil.{own}()' for own in OWN_METHODS)} or an "
+            "instance of an explicit diffrax Runge–Kutta solver such as diffrax.Dopri8(), got "
             f"{told(stepper)}."
         )
     kind = getattr(stepper, "scan_kind", None)
@@ -187,7 +191,8 @@ def _refuse_others(stepper: Any, name: str = "stepper") -> None:
 
 
 def tableau_of(stepper: Stepper) -> Tableau:
-    """The tableau of a diffrax solver instance, of `RK4()` or of `Rodas5P()`."""
+    """The tableau of an explicit diffrax solver, of one of `OWN_METHODS`, or of either with a
+    tolerance."""
     _refuse_others(stepper)
     if isinstance(stepper, Controlled):
         own, tolerance = tableau_of(stepper.method), stepper.tolerance
@@ -195,13 +200,14 @@ def tableau_of(stepper: Stepper) -> Tableau:
     name = type(stepper).__name__
     if isinstance(stepper, RK4):
         a = tuple(map(_floats, RK4.a))
-        return ExplicitTableau(_floats(RK4.c), a, _floats(RK4.b), _floats(RK4.d), name, crude=True)
+        c, b, d = _floats(RK4.c), _floats(RK4.b), _floats(RK4.d)
+        return ExplicitTableau(c, a, b, d, name, crude=True, order=4)
     if isinstance(stepper, Rodas5P):
         return RODAS5P
     if isinstance(stepper, Taylor):
         return TaylorTableau(stepper.order, f"{name}({stepper.order})")
     if isinstance(stepper, diffrax.Euler):
-        return ExplicitTableau((), (), (1.0,), (), name)
+        return ExplicitTableau((), (), (1.0,), (), name, order=1)
     given, order = stepper.tableau, stepper.order(None)  # pyright: ignore[reportArgumentType]
     assert isinstance(given, diffrax.ButcherTableau) and order is not None
     c, a, b = _floats(given.c), tuple(map(_floats, given.a_lower)), _floats(given.b_sol)
