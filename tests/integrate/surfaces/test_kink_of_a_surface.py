@@ -30,16 +30,19 @@ def by_hand(x):
 
 
 def test_it_rests_at_the_origin_from_everywhere():
-    """Also its gradient is exact, which diverges as 1/√ towards the curve, hence the bound."""
+    """Also its gradient is exact, which diverges as 1/√ towards the curve, hence the bound. The
+    last lane starts at the origin, where H and its rate both vanish, and stays."""
 
     def arrival(x):
         options = dict(max_events=6, throw=False, compact=True)
         sol = jf.solve(Fastest(), x, 0.0, 12.0, 0.1, **options)
         return sol.events.ts[sol.num_events - 1], sol
 
-    starts = jnp.asarray(np.random.default_rng(0).uniform(-2, 2, (32, 2)))
+    starts = jnp.asarray(np.random.default_rng(0).uniform(-2, 2, (32, 2))).at[-1].set(0.0)
     found = jax.jit(jax.vmap(jax.value_and_grad(arrival, has_aux=True)))(starts)
     (times, sols), gradients = found
+    assert sols.num_events[-1] == 0
+    starts, times, gradients = starts[:-1], times[:-1], gradients[:-1]
     assert set(outcome_names(sols.result)) == {"successful"}
     assert_within(times, jax.vmap(by_hand)(starts), 64 * EPS)
     assert_within(sols.x_final, np.zeros((32, 2)), EPS)
