@@ -68,7 +68,8 @@ def _of_motion(function: Any, system: System, x: Array) -> str:
 def identity_of_averaging(averaging: Averaging, system: System, x: np.ndarray) -> str:
     """The names and kinds of averaged quantities, and the identities of their functions."""
     state, told = jnp.asarray(x), []
-    for name, quantity, function in averaging.functions(system):
+    for one in averaging.each:
+        name, quantity, function = one.name, one.quantity, one.function(system)
         if isinstance(quantity, EventSum):
             side = jnp.ones(averaging.h_shape, x.dtype)
             sha = _fingerprint(function, jnp.zeros((), x.dtype), state, state, side)

@@ -81,12 +81,43 @@ class _Row(eqx.Module):
         return jnp.concatenate([jnp.ravel(jnp.asarray(f(*at), t.dtype)) for f in self.functions])
 
 
-class Averaging(eqx.Module):
-    """The quantities of a lane, by name."""
+class Averaged(eqx.Module):
+    """A quantity to be averaged."""
 
-    quantities: tuple[Quantity, ...]
-    names: tuple[str, ...] = eqx.field(static=True)
-    shapes: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    quantity: Quantity
+    name: str = eqx.field(static=True)
+    shape: tuple[int, ...] = eqx.field(static=True)
+    """The shape of its function's result."""
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        return math.prod(self.shape)
+
+    @property
+    def columns(self) -> list[str]:
+        """The names of its numbers."""
+        names = [f"{self.name}[{i}]" for i in range(self.size)]
+        return names if self.shape else [self.name]
+
+    @property
+    def is_integral(self) -> bool:
+        """Whether it is an integral carried behind the state."""
+        return not isinstance(self.quantity, (*_EXTREMES, EventSum))
+
+    def function(self, system: System) -> Callable[..., Any]:
+        """Its function for lanes of a system."""
+        return _with_system(_function_of(self.quantity), system)
+
+    def observed(self, function: Callable[..., Any], n: int) -> Observable:
+        """A function of its shape, of states of which the first n components are the motion's."""
+        return Observable(OfState(function, n), self.shape)
+
+
+class Averaging(eqx.Module):
+    """The quantities of a lane."""
+
+    each: tuple[Averaged, ...]
     h_shape: tuple[int, ...] = eqx.field(static=True)
     """The shape of `System.switching`."""
     n: int = eqx.field(static=True)
@@ -95,42 +126,31 @@ class Averaging(eqx.Module):
     @property
     def columns(self) -> tuple[str, ...]:
         """The names of all numbers, in order."""
-        each = zip(self.names, self.shapes, strict=True)
-        rows = ([f"{name}[{i}]" for i in range(math.prod(s))] if s else [name] for name, s in each)
-        return tuple(name for row in rows for name in row)
+        return tuple(column for one in self.each for column in one.columns)
 
     @property
     def integrals(self) -> int:
         """The number of integrals carried behind the state."""
-        return sum(math.prod(s) for q, s in self._all if not isinstance(q, (*_EXTREMES, EventSum)))
-
-    @property
-    def _all(self) -> list[tuple[Quantity, tuple[int, ...]]]:
-        return list(zip(self.quantities, self.shapes, strict=True))
+        return sum(one.size for one in self.each if one.is_integral)
 
     def named(self, row: Any) -> dict[str, Any]:
         """The quantities as arrays, from an array with all their numbers along the last axis."""
         found, start = {}, 0
-        for name, shape in zip(self.names, self.shapes, strict=True):
-            stop = start + math.prod(shape)
-            found[name] = row[..., start:stop].reshape(*row.shape[:-1], *shape)
-            start = stop
+        for one in self.each:
+            numbers = row[..., start : start + one.size]
+            found[one.name] = numbers.reshape(*row.shape[:-1], *one.shape)
+            start += one.size
         return found
 
     def carried(self, system: System, x: Array) -> tuple[System, Array]:
         """A system that carries the integrals behind its state, and that state: x and zeros."""
         wider = system
-        for (_, quantity, rate), shape in zip(self.functions(system), self.shapes, strict=True):
-            if not isinstance(quantity, (*_EXTREMES, EventSum)):
-                rate = _Square(rate) if isinstance(quantity, RMS) else rate
-                own = Observable(OfState(rate, self.n), shape)
-                wider, x = with_rate(wider, own, x)
+        for one in self.each:
+            if one.is_integral:
+                rate = one.function(system)
+                rate = _Square(rate) if isinstance(one.quantity, RMS) else rate
+                wider, x = with_rate(wider, one.observed(rate, self.n), x)
         return wider, x
-
-    def functions(self, system: System) -> list[tuple[str, Quantity, Callable[..., Any]]]:
-        """The name, the quantity and its function for lanes of a system, for each quantity."""
-        each = zip(self.names, self.quantities, strict=True)
-        return [(name, q, _with_system(_function_of(q), system)) for name, q in each]
 
     def section(self, section: Section) -> Section:
         """A section of states that carry integrals."""
@@ -144,14 +164,12 @@ class Averaging(eqx.Module):
         crossing of the section."""
         window, found = Window(first), []
         wider, start, signs, sums, count = system, x[: self.n], [], [], 0
-        for (_, quantity, function), shape in zip(self.functions(system), self.shapes, strict=True):
-            size = math.prod(shape)
-            if isinstance(quantity, _EXTREMES):
-                own = Observable(OfState(function, self.n), shape)
-                wider, start = with_rate(wider, own, start)
-                signs += [1.0 if isinstance(quantity, Maximum) else -1.0] * size
-            elif isinstance(quantity, EventSum):
-                sums, count = [*sums, function], count + size
+        for one in self.each:
+            if isinstance(one.quantity, _EXTREMES):
+                wider, start = with_rate(wider, one.observed(one.function(system), self.n), start)
+                signs += [1.0 if isinstance(one.quantity, Maximum) else -1.0] * one.size
+            elif isinstance(one.quantity, EventSum):
+                sums, count = [*sums, one.function(system)], count + one.size
         if signs:
             rates = build(wider, start, compact=field.compact)
             found.append(Extremes(rates, self.n, tuple(signs), window))
@@ -171,15 +189,15 @@ class Averaging(eqx.Module):
                 (extension,) = (e for e in problem.extensions if isinstance(e, Extremes))
                 extremes = extension.found(problem, state)
         rows = []
-        for quantity, shape in self._all:
-            size = math.prod(shape)
-            if isinstance(quantity, _EXTREMES):
+        for one in self.each:
+            size = one.size
+            if isinstance(one.quantity, _EXTREMES):
                 row, extremes = extremes[:size], extremes[size:]
-            elif isinstance(quantity, EventSum):
+            elif isinstance(one.quantity, EventSum):
                 row, sums = sums[:size], sums[size:]
             else:
                 row, means = means[:size], means[size:]
-                row = jnp.sqrt(row) if isinstance(quantity, RMS) else row
+                row = jnp.sqrt(row) if isinstance(one.quantity, RMS) else row
             rows.append(row)
         return jnp.concatenate(rows)
 
@@ -198,12 +216,12 @@ def checked_averaging(name: str, given: Any, system: System, x: Array) -> Averag
             f"`{name}` must be a function of (t, x, side), a quantity such as jaxfil.RMS, or a "
             f"dictionary of these by their names, got {check.told(given)}."
         )
-    h_shape, shapes, kept = check.shapes(system, x), [], []
+    h_shape, each = check.shapes(system, x), []
     for key, quantity in quantities.items():
         where = f"{name}[{key!r}]" if several else name
-        shapes.append(_checked(where, quantity, system, x, h_shape))
-        kept.append(cast(quantity, x.dtype))
-    return Averaging(tuple(kept), tuple(quantities), tuple(shapes), h_shape, x.shape[0])
+        shape = _checked(where, quantity, system, x, h_shape)
+        each.append(Averaged(cast(quantity, x.dtype), key, shape))
+    return Averaging(tuple(each), h_shape, x.shape[0])
 
 
 def _function_of(quantity: Any) -> Any:
