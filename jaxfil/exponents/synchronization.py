@@ -37,6 +37,10 @@ from jaxfil.xla.lanes import lanes_of
 from jaxfil.xla.select import select
 from jaxfil.xla.thresholds import SEPARATION
 
+# The distances that count as synchronised by default. Each is far above the rounding of a state of
+# ordinary size, which a pair that is driven keeps, and far below an attractor.
+_TOLERANCES = {"float64": 1e-10, "float32": 1e-5}
+
 
 def synchronization_exponent(
     system: System,
@@ -46,7 +50,7 @@ def synchronization_exponent(
     periods: int = 1500,
     transient: int = 200,
     steps: StepCount = 40,
-    tolerance: Scalar = 1e-10,
+    tolerance: Scalar | None = None,
     interval: Scalar | None = None,
     stepper: Stepper | None = None,
     compact: bool | None = None,
@@ -71,8 +75,9 @@ def synchronization_exponent(
     - `transient`: forcing periods of the drive before the response starts.
     - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or the result of `choose_step`,
       which has its own `stepper`.
-    - `tolerance`: the distance that counts as synchronised, positive, in units of the state. A
-      large one is reached by chance within chaos: at 1e-3 almost any coupling synchronises.
+    - `tolerance`: the distance that counts as synchronised, positive, in units of the state; by
+      default 1e-10, in float32 1e-5. A large one is reached by chance within chaos: at 1e-3 almost
+      any coupling synchronises. One below the rounding of the state may never be reached.
     - `interval`: the time that replaces the forcing period; an autonomous system needs one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `compact`: as in `solve`.
@@ -107,6 +112,7 @@ def synchronization_exponent(
     if values is not None and not np.all(np.diff(values) > 0):
         raise ValueError(f"`couplings` must be ascending, got {values}.")
     between = interval_of(system, interval, x.dtype)
+    tolerance = _TOLERANCES[x.dtype.name] if tolerance is None else tolerance
     within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
     pace = pace_of(
         drive_response(system, grid[0]),  # one system of twice the size

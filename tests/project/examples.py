@@ -40,14 +40,19 @@ def failed_page(page, name):
     return False
 
 
+DOCUMENTED = {**FUNCTIONS, **CLASSES, **SYSTEMS}
+NAMES = [*DOCUMENTED, *PAGES]
+
+
 def main():
-    asked, fails, before = sys.argv[1:], False, jax.config.jax_enable_x64
-    checks = {name: (failed_examples, v) for name, v in {**FUNCTIONS, **CLASSES, **SYSTEMS}.items()}
+    """Run the examples that are asked for, by default all."""
+    fails, before = False, jax.config.jax_enable_x64
+    checks = {name: (failed_examples, value) for name, value in DOCUMENTED.items()}
     checks |= {name: (failed_page, page) for name, page in PAGES.items()}
-    for name, (check, value) in checks.items():
-        if not asked or name in asked:
-            jax.config.update("jax_enable_x64", before)
-            fails = bool(check(value, name)) or fails
+    for name in sys.argv[1:] or NAMES:
+        check, value = checks[name]
+        jax.config.update("jax_enable_x64", before)
+        fails = bool(check(value, name)) or fails
     sys.exit(fails)
 
 

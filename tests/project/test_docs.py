@@ -6,12 +6,9 @@ import contextlib
 import io
 import re
 import runpy
-import sys
 import textwrap
 import types
 
-import jax
-import matplotlib.pyplot as plt
 import pytest
 
 import jaxfil as jf
@@ -46,29 +43,7 @@ def run(page, module):
         assert lines(out.getvalue()) == lines(printed)
 
 
-@pytest.fixture
-def kept_config():
-    """What a page sets is its own affair."""
-    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: getattr(jax.config, name) for name in names}
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-
-
 PAGES = {str(f.relative_to(DOCS)): f for f in sorted(DOCS.rglob("*.md")) if any(scripts(f))}
-
-
-@pytest.mark.release
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PAGES)
-def test_the_scripts_of_a_page_run_one_after_the_other(name, tmp_path, monkeypatch, kept_config):
-    module = types.ModuleType("page")
-    monkeypatch.setitem(sys.modules, "page", module)
-    monkeypatch.chdir(tmp_path)
-    with jax.numpy_dtype_promotion("standard"):  # as a reader has it
-        run(PAGES[name], module)
-    plt.close("all")
 
 
 TABBED = """=== "tab"

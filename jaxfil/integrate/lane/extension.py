@@ -8,6 +8,7 @@ A table that an extension fills, with one row for each event or saved state, mus
 that `lane/state.tables_of` finds, so that reverse mode does not store a copy for every step.
 """
 
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -98,3 +99,8 @@ class Extension(eqx.Module):
         """The next state of the extension after a step without contact from `state` to `after`, on
         lanes where it is `clear`; the same state on others."""
         return own
+
+
+def extensions_of(problem: Problem, state: LoopState) -> Iterator[tuple[Extension, Any]]:
+    """Each extension of a run, with its state."""
+    return zip(problem.extensions, state.extensions, strict=True)

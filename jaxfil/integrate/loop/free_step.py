@@ -15,6 +15,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.contacts.cubic import stays_off
 from jaxfil.integrate.contacts.guards import larger, surface_noise
+from jaxfil.integrate.lane.extension import extensions_of
 from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import FreeStep, LoopState
@@ -128,6 +129,6 @@ def accept_free_step(
         ),
     )
     after = problem.recording.recorder.keep(problem, state, after, x, clear)
-    each = zip(problem.extensions, state.extensions, strict=True)
+    each = extensions_of(problem, state)
     following = tuple(e.after_free_step(problem, state, after, own, clear) for e, own in each)
     return next_period(problem.grid, dataclasses.replace(after, extensions=following))

@@ -37,7 +37,7 @@ from jaxtyping import Array
 from jaxfil.integrate.contacts.guards import rearmed
 from jaxfil.integrate.contacts.locate import Landing
 from jaxfil.integrate.contacts.switch import evaluate_step_end
-from jaxfil.integrate.lane.extension import Step, Verdict
+from jaxfil.integrate.lane.extension import Step, Verdict, extensions_of
 from jaxfil.integrate.lane.forcing_phase import next_period
 from jaxfil.integrate.lane.problem import Problem, TimeGrid
 from jaxfil.integrate.lane.recording import record_event
@@ -76,7 +76,7 @@ from jaxfil.xla.select import select, select_all
 
 def advance(problem: Problem, state: LoopState) -> LoopState:
     """One iteration. A lane that has ended is unchanged."""
-    for extension, own in zip(problem.extensions, state.extensions, strict=True):
+    for extension, own in extensions_of(problem, state):
         problem = extension.before_step(problem, own)
     length = choose_length(problem, state)
     if isinstance(problem.tableau, TaylorTableau) and problem.system.m > 0:
@@ -158,7 +158,7 @@ def _heard(
     """The decision about a trial step, after the verdicts of the extensions."""
     intended, verdicts = judging.step_of(state, length, end, action, landing), []
     before, on = action, is_running(problem.grid, state)
-    for extension, own in zip(problem.extensions, state.extensions, strict=True):
+    for extension, own in extensions_of(problem, state):
         verdict = extension.at_end(problem, state, own, intended)
         verdicts.append(verdict)
         if verdict is not None:

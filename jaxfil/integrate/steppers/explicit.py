@@ -88,6 +88,10 @@ class ExplicitTableau(eqx.Module):
         """Times in a step, as fractions, at which the field is evaluated after its start."""
         return [*sorted({*self.c} - {1.0}), 1.0]
 
+    def forced(self, forcing: list[Forcing]) -> dict[float, Forcing]:
+        """The forcing at each of `times`."""
+        return dict(zip(self.times, forcing, strict=True))
+
 
 Tableau: TypeAlias = ExplicitTableau | RosenbrockTableau | TaylorTableau
 """The coefficients of a stepper, as a step uses them."""
@@ -257,7 +261,7 @@ def step(
         known = field.polynomial(tableau.order, t, x, h)
         return trial_of(tableau, known, jnp.ones_like(h), forcing)
     slopes = [f]
-    known = dict(zip(tableau.times, forcing, strict=True))
+    known = tableau.forced(forcing)
     for c, row in zip(tableau.c, tableau.a, strict=True):
         inner = _combined(x, h, row, slopes)
         # Without `once`, XLA recomputes each stage inside every later one that uses it (see
@@ -304,7 +308,7 @@ def compact_step(
         times[k], rows[k, : len(row)] = c, row
     times, rows = times.astype(h.dtype), rows.astype(h.dtype)
     number = jnp.arange(stages)
-    known = dict(zip(tableau.times, forcing, strict=True))
+    known = tableau.forced(forcing)
     forced = list(map(jnp.stack, zip(*(known[c] for c in tableau.c), strict=True)))
 
     def put(k: Any, rows: Array, v: Array) -> Array:
