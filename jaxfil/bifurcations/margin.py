@@ -121,7 +121,8 @@ def _margin_at(system: System, orbit: Orbit, tangency: Tangency, missing: Array)
     """The margin from a candidate."""
     equations, guess = _first_guess(orbit, tangency)
     z, root = solve_implicit(equations, system, guess)
-    closing: Closing = root.at.aux[2]
+    closing: Closing
+    _, _, closing = root.at.aux  # see `_without_height`
     there = conditions(system, closing.t, closing.x, tangency)
     return _margin_of(z, root, missing, there.bend)
 
@@ -131,17 +132,20 @@ def _first_guess(orbit: Orbit, tangency: Tangency) -> tuple["_Margin", Array]:
     """The equations and a guess of their unknowns. They do not contain the system itself, which may
     be traced."""
     equations = defining_system(orbit.system, orbit, tangency, FLIGHT, (), _NEWTON_STEPS)
-    phase = orbit.period if orbit.system.period is None else tangency.phase
-    return _Margin(equations), jnp.append(tangency.x, phase)
+    # The phase of the minimum is unknown, except for an autonomous system: there it is fixed, and
+    # the period is unknown (`DefiningSystem.placed`).
+    last = orbit.period if orbit.system.period is None else tangency.phase
+    return _Margin(equations), jnp.append(tangency.x, last)
 
 
 @jax.jit
 def _margin_of(z: Array, root: Root, missing: Array, bend: Array) -> GrazingMargin:
     """The margin of a solution, if the guard has a minimum there."""
-    least = bend > 0
+    is_minimum = bend > 0
     found = root.result == RESULTS.successful
-    result = RESULTS.where(missing | (found & ~least), RESULTS.no_tangency_found, root.result)
-    return GrazingMargin(select(least, z[-1], jnp.nan), result)
+    none = missing | (found & ~is_minimum)
+    result = RESULTS.where(none, RESULTS.no_tangency_found, root.result)
+    return GrazingMargin(select(is_minimum, z[-1], jnp.nan), result)
 
 
 class _Margin(Equations):
@@ -161,8 +165,9 @@ class _Margin(Equations):
 
 
 def _without_height(at: Evaluation, z: Array) -> Evaluation:
-    """All rows except that H is the margin instead of zero."""
-    n = at.residual.shape[0] - 2
+    """The equations without H = 0. The further data has the value of H, which is the margin at a
+    root, the derivative of all equations, and the further data of these."""
+    n = at.residual.shape[0] - 2  # the row of H, before that of Ḣ
 
     def kept(v: Array) -> Array:
         return jnp.concatenate([v[:n], v[n + 1 :]])

@@ -1,7 +1,7 @@
 """The equations that define a bifurcation of equilibria, with two free parameters.
 
-They are one fewer than the unknowns u. With r(z; p) = 0 the balance, J = ∂r/∂z and E the unit
-matrix on the state and zero on multipliers,
+They are one fewer than the unknowns u. With r(z; p) = 0 the balance, J = ∂r/∂z, E the unit matrix
+on the state and zero on multipliers, and a fixed vector c, which sets the length of a null vector,
 
 - boundary: the margin of surface j is zero; u = (z, p).
 - fold: J v = 0, c·v = 1; u = (z, v, p).
@@ -30,7 +30,8 @@ class BifurcationEquations(eqx.Module):
     after: Float[Array, " m"]
     """The mode on the other side of a boundary."""
     across: Float[Array, " N"]
-    """c, which normalises the length and the phase of a null vector."""
+    """c, which sets the length of a null vector, and the phase of a complex one; zero at a
+    boundary."""
     free: tuple[str, str] = eqx.field(static=True)
     """The names of the two parameters."""
     family: str = eqx.field(static=True)
@@ -41,8 +42,8 @@ class BifurcationEquations(eqx.Module):
     def at(self, u: Array) -> tuple[Balance, Array]:
         """The balance at the values of the parameters, and its unknowns."""
         system = replace_parameters(self.balance.system, self.free, u[-2:])
-        n = self.across.shape[0]
-        return Balance(system, self.balance.mode, self.balance.affine), u[:n]
+        size = self.across.shape[0]
+        return Balance(system, self.balance.mode, self.balance.affine), u[:size]
 
     def residual(self, u: Array) -> Array:
         """All equations."""
@@ -56,9 +57,9 @@ class BifurcationEquations(eqx.Module):
             return jnp.concatenate([r, jv, jnp.stack([c @ v - 1])])
         w, omega = u[2 * size : 3 * size], u[3 * size]
         jw = jax.jvp(balance.residual, (z,), (w,))[1]
-        state = jnp.asarray(np.arange(size) < size - balance.mode.shape[0], u.dtype)
-        turned = [jv + omega * state * w, jw - omega * state * v]
-        return jnp.concatenate([r, *turned, jnp.stack([c @ v - 1, c @ w])])
+        diagonal = jnp.asarray(np.arange(size) < size - balance.mode.shape[0], u.dtype)  # of E
+        real, imaginary = jv + omega * diagonal * w, jw - omega * diagonal * v
+        return jnp.concatenate([r, real, imaginary, jnp.stack([c @ v - 1, c @ w])])
 
     def persists(self, u: Array) -> Array:
         """Positive where a boundary equilibrium persists, negative at a nonsmooth fold: −det J⁺
@@ -68,11 +69,11 @@ class BifurcationEquations(eqx.Module):
         both = [jax.jacfwd(b.residual)(z) for b in (balance, beside)]
         # Rows are scaled by their sizes, because only the sign matters.
         sizes = [jnp.max(abs(v), axis=1, keepdims=True) for v in both]
-        signs = [
+        determinants = [
             jnp.linalg.det(v / jnp.where(s > 0, s, 1)) for v, s in zip(both, sizes, strict=True)
         ]
         rests = jnp.any(balance.rested != beside.rested)
-        return jnp.where(rests, 1.0, -1.0) * signs[0] * signs[1]
+        return jnp.where(rests, 1.0, -1.0) * determinants[0] * determinants[1]
 
 
 @eqx.filter_jit
@@ -98,7 +99,7 @@ def equations_of(
     jacobian = np.asarray(_jacobian(balance, array_of(z)))
     n, size = at.x.size, z.size
     family = kind if kind in ("fold", "hopf") else "boundary"
-    more: list[np.ndarray] = []
+    more: list[np.ndarray] = []  # v, w and ω, between z and the parameters
     across, surface = np.zeros(size), 0
     if family == "boundary":
         changed = np.not_equal(bifurcation.before, bifurcation.after)
@@ -108,8 +109,8 @@ def equations_of(
         more = [across]
     else:
         omega = _frequency(at)
-        mass = np.diag(np.arange(size) < n).astype(float)
-        vector = np.linalg.svd(jacobian - 1j * omega * mass)[2][-1].conj()
+        on_state = np.diag(np.arange(size) < n).astype(float)  # E
+        vector = np.linalg.svd(jacobian - 1j * omega * on_state)[2][-1].conj()
         # Rotated so that its real and imaginary parts are orthogonal.
         vector = vector * np.exp(-0.5j * np.angle(np.sum(vector**2)))
         across = vector.real / (vector.real @ vector.real)

@@ -16,9 +16,12 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.xla.known import array_of, part_of
 
-# Guesses along each edge, evaluations of Newton's method from each, and the distance, as a fraction
-# of the window, below which two equilibria are one.
-_GRID, _STEPS, _ONE = 7, 30, 1e-6
+# Number of guesses along each edge of the window.
+_GRID = 7
+# Largest number of evaluations of Newton's method from each guess.
+_NEWTON_STEPS = 30
+# Equilibria of one mode nearer than this fraction of the window are one.
+_ONE = 1e-6
 # Largest number of surfaces whose modes are all tried.
 _MOST = 4
 
@@ -30,7 +33,7 @@ def equilibria_in(system: System, window: Float[np.ndarray, "2 2"], m: int) -> l
     modes = _modes(m)
     xs = np.tile(guesses, (len(modes), 1))
     each = np.repeat(modes, len(guesses), axis=0)
-    steps = array_of(_STEPS, jnp.int32)
+    steps = array_of(_NEWTON_STEPS, jnp.int32)
     many = eqx.filter_vmap(lambda x, mode: in_mode(system, x, mode, steps, m, False))
     found = many(array_of(xs), array_of(each))
     admissible, states = np.asarray(found.admissible), np.asarray(found.x)
@@ -41,6 +44,7 @@ def equilibria_in(system: System, window: Float[np.ndarray, "2 2"], m: int) -> l
         same = [k for k in kept if np.all(abs(states[k] - states[i]) <= _ONE * size)]
         if not any(np.all(each[k] == each[i]) for k in same):
             kept.append(i)
+    # Every mode has all guesses, so that the quotient is the number of the mode.
     order = sorted(kept, key=lambda i: (i // len(guesses), *states[i]))
     return [part_of(found, int(i)) for i in order]
 

@@ -164,12 +164,23 @@ def continue_equilibrium_bifurcation(
     ends, steps = walk_of(stop, max_step, max_points)
     equations, u = equations_of(bifurcation, free)
     curve = _BifurcationCurve(equations)
+    # The scales of the unknowns at the start; 0 for one that is zero beside the others, which is
+    # measured by 1.
     size = np.where(abs(u) < _SMALL * abs(u).max(), 0.0, abs(u))
     constraint = constraint_across(u, np.where(size == 0, 1.0, size), curve.axis(u), 0.0)
     start, result = curve.begin(u, constraint, curve.axis(u))
     if start is None:
         why = f"no curve was found at ({u[-2]:.8g}, {u[-1]:.8g})"
-        point = _Point(u, size, u, 0, bifurcation.kind, admissible=True)
+        # Of this point only u and the kind are read; it has no tangent.
+        nowhere = np.zeros_like(u)
+        point = _Point(
+            u=u,
+            scale=size,
+            tangent=nowhere,
+            num_steps=0,
+            kind=bifurcation.kind,
+            admissible=True,
+        )
         found = _curve(curve, Path([point], [], (why, why)), result)
     else:
         within = range_around(ends, curve.value(start))

@@ -5,7 +5,14 @@ import json
 import numpy as np
 
 from jaxfil.files.solution import events_from, stepper_from
-from jaxfil.model.dataset import fields_from, key_of, on_device, outcomes_from, record, system_from
+from jaxfil.model.dataset import (
+    exact_array,
+    fields_from,
+    key_of,
+    outcomes_from,
+    record,
+    system_from,
+)
 from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.parameter import get_parameter, replace_parameter
 from jaxfil.model.system import System
@@ -80,7 +87,7 @@ def _orbit(data: NamedArrays, system: System) -> Orbit:
     steps, arcs, max_events, compact = (int(data.attributes[name]) for name in OPTIONS)
     options = record(
         ShootingOptions,
-        t0=on_device(data.array("t0")),
+        t0=exact_array(data.array("t0")),
         steps=steps,
         arcs=arcs,
         stepper=stepper_from(data),

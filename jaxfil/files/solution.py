@@ -17,9 +17,9 @@ from jaxfil.integrate.steppers.explicit import (
 )
 from jaxfil.integrate.steppers.taylor import Taylor
 from jaxfil.model.dataset import (
+    exact_array,
     fields_from,
     labels_from,
-    on_device,
     outcomes_from,
     record,
     system_from,
@@ -36,11 +36,11 @@ def solution_from(data: NamedArrays, system: System | None) -> Solution:
         **fields_from(data, SOLUTION),
         events=events_from(data),
         result=outcomes_from(data),
-        stats={name: on_device(data.array(name)) for name in STATS},
+        stats={name: exact_array(data.array(name)) for name in STATS},
         crossings=record(Crossings, **fields_from(data, CROSSINGS))
         if "crossing_t" in data
         else None,
-        observed=on_device(data.array("observed")) if "observed" in data else None,
+        observed=exact_array(data.array("observed")) if "observed" in data else None,
         _dense=_dense(data, system, compact) if "step_t" in data else None,
         labels=labels_from(data),
         compact=compact,

@@ -1,8 +1,9 @@
-"""Validation of systems before compilation.
+"""Validation of all arguments before compilation.
 
 Arguments are converted to arrays of one dtype, or raise a `ValueError` that names the argument, the
-requirement and the value received. `argument` validates general values; this module validates
-systems and the values that their functions return.
+requirement and the value received. This module validates systems and the values that their
+functions return, and re-exports what `argument` has for general values, so that a public function
+imports `check` alone. Modules that this one imports use `argument` itself.
 """
 
 import jax

@@ -47,7 +47,7 @@ def variables_of(record: Any, fields: Fields, batch: Sequence[str] = ()) -> dict
 def fields_from(data: NamedArrays, fields: Fields) -> dict[str, Any]:
     """The fields of a record, None where the data set has no array."""
     return {
-        field: on_device(data.array(name)) if name in data else None
+        field: exact_array(data.array(name)) if name in data else None
         for name, (field, _) in fields.items()
     }
 
@@ -61,8 +61,9 @@ def record(kind: type[_Record], **fields: Any) -> _Record:
     return made
 
 
-def on_device(array: np.ndarray) -> Array:
-    """The array as a JAX array, bit for bit."""
+def exact_array(array: np.ndarray) -> Array:
+    """The numbers of a file as a JAX array, bit for bit, or an error where JAX would round them to
+    float32."""
     if array.dtype == np.float64 and jnp.result_type(float) != np.float64:
         raise ValueError(
             "`path` must hold float32 numbers unless JAX computes in float64, got float64; call "
@@ -103,9 +104,9 @@ def quantity_entries(
         own = np.ndindex(v.shape[len(dims) :])
         names += [f"{name}[{','.join(map(str, i))}]" if i else name for i in own]
     shapes = {name: v.shape[len(dims) :] for name, v in averages.items()}
-    told = json.dumps(shapes, ensure_ascii=False)
+    written = json.dumps(shapes, ensure_ascii=False)
     array = np.concatenate(columns, axis=-1)
-    return ((*dims, "quantity"), array), ("quantity", np.array(names)), told
+    return ((*dims, "quantity"), array), ("quantity", np.array(names)), written
 
 
 def quantities_from(data: NamedArrays) -> dict[str, np.ndarray] | None:
@@ -122,22 +123,22 @@ def quantities_from(data: NamedArrays) -> dict[str, np.ndarray] | None:
 
 def axis_of(labels: Labels, name: str, dimension: str, values: np.ndarray) -> Variable:
     """A parameter's values along a dimension, with its symbol and unit in xarray's form."""
-    told = {"long_name": labels.symbol(name), "units": labels.unit(name)}
+    known = {"long_name": labels.symbol(name), "units": labels.unit(name)}
     # A symbol equal to the name is omitted, because xarray shows the name by itself.
-    attributes = {key: word for key, word in told.items() if word not in ("", name)}
+    attributes = {key: word for key, word in known.items() if word not in ("", name)}
     return dimension, values, attributes
 
 
 def label_attributes(labels: Labels) -> dict[str, Attribute]:
     """All labels, where coordinates do not include all of them."""
-    told = {"symbols": dict(labels.symbols), "units": dict(labels.units)}
-    return {key: json.dumps(pairs, ensure_ascii=False) for key, pairs in told.items() if pairs}
+    known = {"symbols": dict(labels.symbols), "units": dict(labels.units)}
+    return {key: json.dumps(pairs, ensure_ascii=False) for key, pairs in known.items() if pairs}
 
 
 def labels_from(data: NamedArrays) -> Labels:
     """The labels stored by `component_coordinates` and `label_attributes`."""
-    pairs = [json.loads(data.attributes.get(key, "{}")) for key in ("symbols", "units")]
-    symbols, units = (tuple(told.items()) for told in pairs)
+    known = [json.loads(data.attributes.get(key, "{}")) for key in ("symbols", "units")]
+    symbols, units = (tuple(pairs.items()) for pairs in known)
     return Labels(component_names(data), symbols, units)
 
 
@@ -193,9 +194,9 @@ def system_from(
     """`system` with the parameters of the data set."""
     name = str(data.attributes["system"])
     if system is None or type(system).__name__ != name:
-        told = "None" if system is None else repr(system)
+        given = "None" if system is None else repr(system)
         raise ValueError(
-            f"`system` must be a {name}, the system of the result in `path`, got {told}."
+            f"`system` must be a {name}, the system of the result in `path`, got {given}."
         )
     keys = {leaf: key_of(leaf, taken) for leaf in parameters(system) if leaf != skip}
     numbers = {key for key, v in data.attributes.items() if isinstance(v, (float, np.floating))}
@@ -210,5 +211,5 @@ def system_from(
         leaf: data.array(key) if key in data.variables else data.attributes[key]
         for leaf, key in keys.items()
     }
-    exact = {k: on_device(np.asarray(v, dtype)) for k, v in values.items()}
+    exact = {k: exact_array(np.asarray(v, dtype)) for k, v in values.items()}
     return replace_leaves(cast(system, dtype), exact)

@@ -35,13 +35,14 @@ def _name(path: tuple[Any, ...]) -> str:
 
 
 def get_parameter(system: PyTree, name: str, argument: str = "parameter") -> Any:
-    """The leaf called `name`, or an entry of one; `argument` is the argument with this name."""
+    """The leaf called `name`, or an entry of one. An error names the `argument` by which the user
+    gave the name."""
     leaf, entry = _found(system, name, argument)
     return leaf if entry is None else jnp.asarray(leaf).reshape(-1)[entry]
 
 
 def scalar_parameter(system: PyTree, name: str, argument: str = "parameter") -> Any:
-    """The same, for a scalar parameter."""
+    """The scalar parameter called `name`, with errors as in `get_parameter`."""
     leaf = get_parameter(system, name, argument)
     if np.ndim(leaf):
         raise ValueError(

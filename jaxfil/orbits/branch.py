@@ -81,7 +81,8 @@ class Branch(eqx.Module):
         return np.asarray(self.orbits.stable)
 
     def at(self, value: float) -> list[Orbit]:
-        """The orbits of the branch at a value of the parameter, in its order."""
+        """The orbits of the branch at a value of the parameter, in its order. Newton's method finds
+        each from its neighbours on the branch, and raises an error if it fails."""
         found = []
         for i, x in crossings(np.asarray(self.values), np.asarray(self.orbits.x0), value):
             one = part_of(self.orbits, i)

@@ -11,16 +11,21 @@ import numpy as np
 
 from jaxfil.integrate.run.solution import Events, switches
 
-# Tolerance of times of the same contact on two neighbours, and the remainder of a chattering whose
-# rest is completed, as fractions of the period.
-_SAME = 1e-5
+# Times of one contact on two neighbours differ by less than this fraction of the period.
+_SAME_TIME = 1e-5
+# The last impacts of a chattering, whose number is rounding, are nearer to its rest than this
+# fraction of the period.
+_LAST_IMPACTS = 1e-5
+
+_Contact = tuple[tuple[int, ...], tuple[int, ...]]
+"""The surfaces of a contact, and the modes after it, as in `contacts_of`."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _Group:
-    """A contact, or a rest with the impacts before it."""
+    """A contact, or a rest with the impacts before it, and the times of all of these."""
 
-    what: tuple
+    contact: _Contact
     times: list[float]
 
 
@@ -35,16 +40,16 @@ def differ_by_chattering(a: Events | None, b: Events | None, period: float) -> b
     if a is None or b is None:
         return False
     first, second = _contacts(a), _contacts(b)
-    starts = [i + 1 for i, (what, _) in enumerate(first) if _is_rest(what)]
+    starts = [i + 1 for i, (contact, _) in enumerate(first) if _is_rest(contact)]
     if not starts:
         return False
     groups = _groups(first, starts[0], period)
-    others = (i + 1 for i, (what, _) in enumerate(second) if _is_rest(what))
+    others = (i + 1 for i, (contact, _) in enumerate(second) if _is_rest(contact))
     return any(_agree(groups, _groups(second, i, period), period) for i in others)
 
 
-def _contacts(events: Events) -> list[tuple[tuple, float]]:
-    """Surfaces and modes after of each contact, and its time."""
+def _contacts(events: Events) -> list[tuple[_Contact, float]]:
+    """Each contact that is not a graze, and its time."""
     members, modes, ts = (np.asarray(v) for v in (events.members, events.modes, events.ts))
     return [
         ((tuple(np.flatnonzero(members[i]).tolist()), tuple(modes[i].tolist())), float(ts[i]))
@@ -52,35 +57,44 @@ def _contacts(events: Events) -> list[tuple[tuple, float]]:
     ]
 
 
-def _is_rest(what: tuple) -> bool:
-    return bool(rests_in((what,)))
+def _is_rest(contact: _Contact) -> bool:
+    return bool(rests_in((contact,)))
 
 
-def _groups(contacts: list[tuple[tuple, float]], start: int, period: float) -> list[_Group]:
-    """The contacts from number `start` on, at increasing times, impacts with their rest."""
-    turned = contacts[start:] + [(what, t + period) for what, t in contacts[:start]]
+def _groups(contacts: list[tuple[_Contact, float]], start: int, period: float) -> list[_Group]:
+    """The contacts of a period from number `start` on, at increasing times, impacts with their
+    rest."""
+    in_order = contacts[start:] + [(contact, t + period) for contact, t in contacts[:start]]
     groups: list[_Group] = []
-    for what, t in turned:
+    for contact, t in in_order:
         times = [t]
-        if _is_rest(what):
-            while groups and groups[-1].what[0] == what[0] and not _is_rest(groups[-1].what):
-                if any(groups[-1].what[1][j] == 0 for j in what[0]):
-                    break  # the slide or the rest has ended here
+        surfaces, _ = contact
+        if _is_rest(contact):
+            while groups and not _is_rest(groups[-1].contact):
+                surfaces_before, modes_before = groups[-1].contact
+                if surfaces_before != surfaces or any(modes_before[j] == 0 for j in surfaces):
+                    break  # another surface, or the end of a slide or a rest
                 times = groups.pop().times + times
-        groups.append(_Group(what, times))
+        groups.append(_Group(contact, times))
     return groups
 
 
 def _agree(a: list[_Group], b: list[_Group], period: float) -> bool:
-    if [group.what for group in a] != [group.what for group in b]:
+    """Whether both have the same contacts at the same times."""
+    if [group.contact for group in a] != [group.contact for group in b]:
         return False
     return all(_same_times(p.times, q.times, period) for p, q in zip(a, b, strict=True))
 
 
 def _same_times(a: list[float], b: list[float], period: float) -> bool:
-    """Whether times are the same; for chattering, as far as both are recorded."""
+    """Whether times of one contact, or of impacts and their rest, are the same."""
     short, long = sorted((a, b), key=len)
-    common, shift = len(short) - 1, period * round((long[-1] - short[-1]) / period)
+    common = len(short) - 1  # impacts followed in both, before the rest
+    # Each list begins after a rest of its own orbit, so that they may be whole periods apart.
+    offset = period * round((long[-1] - short[-1]) / period)
     pairs = [*zip(short[:common], long[:common], strict=True), (short[-1], long[-1])]
-    apart = [abs(q - p - shift) for p, q in pairs] + [long[-1] - t for t in long[common:]]
-    return max(apart) <= _SAME * period
+    apart = max(abs(q - p - offset) for p, q in pairs)
+    # Impacts followed in the longer list alone belong to the rest itself in the other one, if they
+    # are as near to it as those that are not followed.
+    remainder = long[-1] - min(long[common:])
+    return apart <= _SAME_TIME * period and remainder <= _LAST_IMPACTS * period

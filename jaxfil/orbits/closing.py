@@ -121,8 +121,7 @@ class _Closing(eqx.Module):
         starts, q, phase = u[: m * n].reshape(m, n), u[m * n :], self.phase
         shot = dataclasses.replace(shot, by_global=shot.by_global[:, :, : q.shape[0]])
         residual, jacobian = _closing(shot, starts)
-        # The scale of a component, as an unknown and as a mismatch, is its largest value on the
-        # orbit.
+        # A component has the same scale as an unknown and as a mismatch.
         equations = jnp.tile(shot.size, m)
         unknowns = jnp.append(equations, abs(q))
         result = shot.result

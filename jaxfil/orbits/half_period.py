@@ -23,7 +23,7 @@ def may_be_doubled(problem: OrbitProblem) -> bool:
 
 
 def half_gap(problem: OrbitProblem, u: np.ndarray, shot: Shot) -> np.ndarray:
-    """x(t0 + T/2) − x(t0) on an orbit, each component relative to its largest value there."""
+    """x(t0 + T/2) − x(t0) on an orbit, each component relative to its scale there."""
     m, n = np.shape(shot.ends)
     starts, size = u[: m * n].reshape(m, n), np.asarray(shot.size)
     if m % 2 == 0:

@@ -43,11 +43,11 @@ class Orbit(eqx.Module):
     exist."""
     residual: Float[Array, ""]
     """The largest mismatch of any arc's end with the next one's start, each component relative to
-    its largest value on the orbit."""
+    its running maximum on the orbit, which fades from step to step."""
     events: Events | None
-    """The contacts of one period, in order."""
+    """The contacts of one period, in order; of several arcs the first `max_events`."""
     num_events: Int[Array, ""]
-    """The number of contacts."""
+    """The number of contacts of one period, including those beyond the table."""
     first_mode: Int[Array, " m"]
     """The mode at t0: ±1 is a side of a surface, 0 sliding on it."""
     result: RESULTS

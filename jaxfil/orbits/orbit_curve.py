@@ -106,8 +106,8 @@ class OrbitCurve(Curve[OrbitPoint]):
         return point, f"the branch of half the period was met at {self.told(point)}"
 
     def metric(self, point: OrbitPoint) -> np.ndarray:
-        """Scales: the largest value on the orbit for a state, the size of a parameter. All arcs
-        together count as one state."""
+        """Scales: `Shot.size` for a state, the size of a parameter. All arcs together count as one
+        state."""
         m = self.problem.options.arcs
         size = np.tile(np.asarray(point.shot.size) * np.sqrt(m), m)
         q = abs(point.u[size.shape[0] :])

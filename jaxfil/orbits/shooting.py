@@ -29,7 +29,7 @@ from jaxfil.xla.select import select
 
 
 class ShootingOptions(eqx.Module):
-    """Options of the integration of an orbit."""
+    """Options of the integration of an orbit. Its arcs are the `segments` of `periodic_orbit`."""
 
     t0: Float[Array, ""]
     """The initial time, the phase of the forcing."""
@@ -40,12 +40,13 @@ class ShootingOptions(eqx.Module):
     stepper: Stepper = eqx.field(static=True)
     """The stepper."""
     max_events: int = eqx.field(static=True)
-    """The largest number of contacts in one arc."""
+    """The largest number of contacts in one arc, and the length of the orbit's table of events."""
     compact: bool = eqx.field(static=True)
     """Whether the stages of a step are in a loop (see `solve`)."""
 
     def problem(self, system: System, x0: Array, t0: Array, length: Array, arcs: int) -> Problem:
-        """One of `arcs` arcs of equal length, from `t0`."""
+        """The problem of one arc, which starts at `t0` and takes the time `length`. It has its
+        share of the steps if `arcs` arcs of this length make up the orbit."""
         num_steps = jnp.asarray(-(-self.steps // arcs), jnp.int32)
         grid = even_grid(t0, length, num_steps, self.max_events)
         recording = Recording(max_events=self.max_events)
@@ -54,19 +55,25 @@ class ShootingOptions(eqx.Module):
 
 
 class Shot(eqx.Module):
-    """All arcs of an orbit: their ends, derivatives, and contacts.
-
-    `size` is the largest |x| of each component, `result` the outcome of the first failed arc.
-    """
+    """All M arcs of an orbit: their ends, derivatives, and contacts."""
 
     ends: Float[Array, "M n"]
+    """The states at the ends of the arcs."""
     by_start: Float[Array, "M n n"]
+    """The derivative of each end with respect to the start of its arc."""
     by_global: Float[Array, "M n k"]
+    """The derivative of each end with respect to the global unknowns q."""
     size: Float[Array, " n"]
+    """The scale of each component: the largest of the loop's running maxima of |x| at the ends of
+    the arcs (`Motion.scale`), which fade from step to step; 1 for a component that is zero."""
     events: Events | None
+    """The contacts of all arcs in order, the first `ShootingOptions.max_events` of them."""
     num_events: Int[Array, ""]
+    """The number of contacts of all arcs, including those beyond the table."""
     first_mode: Int[Array, " m"]
+    """The mode at t0."""
     result: RESULTS
+    """The outcome of the first failed arc; `successful` if none has failed."""
 
     @property
     def monodromy(self) -> Float[Array, "n n"] | Float[np.ndarray, "n n"]:
@@ -95,7 +102,8 @@ def shoot(
             problem = options.problem(system, z[:n], t0, length, options.arcs)
             state = integrate(problem, problem.system.unpack(z[:n]))
             x = pack(state.motion.x, z.dtype)
-            # From the states at the steps, which is accurate enough for the scale of a component.
+            # From the states at the steps, the recent ones above all (`guards.larger`), which is
+            # accurate enough for the scale of a component.
             size = jnp.maximum(pack(state.motion.scale, z.dtype), abs(x))
             mode = pack(state.first_mode, z.dtype).astype(jnp.int8)
             result = period_outcome(period, state.result)

@@ -55,6 +55,10 @@ def poincare_map(
     other state to its first arrival. Derivatives, by `jax.jacfwd` or `jax.grad`, are exact: the
     flow's, projected along the field onto the section, through all contacts.
 
+    The limit of steps is no argument here. It grows with the number of steps in `max_time`, so that
+    a smaller `dt` raises it where contacts or halved steps are too many; with a tolerance it is
+    fixed, and a larger tolerance needs fewer steps, as `Rodas5P()` does for a stiff field.
+
     **Arguments**
 
     - `system`, `dt`, `t0`, `stepper`, `adjoint`, `throw`: as in `solve`.

@@ -110,8 +110,8 @@ class Basins(eqx.Module):
         for lane, i, values in zip(lanes, self.components, self.axes, strict=True):
             name = self.names.state[i] if self.names.state else f"x[{i}]"
             unit = self.names.unit(name)
-            told = {"long_name": name} | ({"units": unit} if unit else {})
-            coordinates[lane] = lane, values, told
+            words = {"long_name": name} | ({"units": unit} if unit else {})
+            coordinates[lane] = lane, values, words
         attributes = header("Basins") | {"system": self.system, **given}
         attributes |= label_attributes(self.names) | {"components": np.array(self.components)}
         return NamedArrays(variables | arrays, coordinates, attributes)
@@ -123,9 +123,9 @@ class Basins(eqx.Module):
         for k, points in enumerate(self.attractors, start=1):
             state = np.array2string(points[0], precision=6, separator=", ")
             lines.append(f"  {k}: period {len(points)} through {state}, {self._share(k)}")
-        for label, told in ((APERIODIC, "no period found"), (FAILED, "failed")):
+        for label, meaning in ((APERIODIC, "no period found"), (FAILED, "failed")):
             if (self.labels == label).any():
-                lines.append(f"  {told}: {self._share(label)}")
+                lines.append(f"  {meaning}: {self._share(label)}")
         return "\n".join(lines)
 
     def _share(self, label: int) -> str:
@@ -208,11 +208,11 @@ def basins_of_attraction(
         raise ValueError(f"`system` must have a float field, got {type(system).__name__}.")
     # One lane for each state, as a sweep over a parameter with a constant value, so that it uses
     # the program, the chunks and the checkpoints of other sweeps.
-    leaf = np.full(states[..., 0].size, parameters(system)[names[0]])
+    constant = np.full(states[..., 0].size, parameters(system)[names[0]])
     diagram = bifurcation_diagram(
         system,
         names[0],
-        leaf,
+        constant,
         jnp.asarray(states.reshape(-1, rest.size)),
         transient=transient,
         samples=samples,
@@ -259,7 +259,7 @@ def _classified(
     diagram: BifurcationDiagram, tolerance: float
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """The label of every lane, and the section points of every attractor."""
-    periods = diagram.periods(tolerance)
+    periods = diagram.periods(tolerance)  # 0 and −1 have the meaning of these labels
     # Short periods first; each attractor claims all lanes that pass near it, in one pass over the
     # lanes per attractor, of which there are few.
     labels = np.where(periods > 0, APERIODIC, periods)

@@ -17,23 +17,24 @@ Record = Mapping[str, str | int | np.ndarray]
 
 def record_of(plan: SweepPlan) -> Record:
     """All arguments that affect the numbers of a sweep, by their public names."""
-    grid, each, given = plan.grid, plan.sampling, conditions_of(plan)
+    grid, sampling, given = plan.grid, plan.sampling, conditions_of(plan)
     # The coefficients as well as the name, because another version of diffrax may differ in digits.
-    table = repr(tableau_of(each.stepper)).encode()
+    coefficients = repr(tableau_of(sampling.stepper)).encode()
+    # The values of each parameter: the axes of a grid, or the columns of a list of points.
     columns = grid.values if isinstance(grid.values, tuple) else grid.rows.T
     return {
-        "system": type(each.system).__name__,
-        "equations": equations(each.system, np.zeros(given.x0.shape[-1:], given.x0.dtype)),
+        "system": type(sampling.system).__name__,
+        "equations": equations(sampling.system, np.zeros(given.x0.shape[-1:], given.x0.dtype)),
         **{f"system.{key}": value for key, value in given.parameters.items()},
         "parameter": ", ".join(grid.names),
         "points": str(grid.shape),
         **{f"values of {key}": v for key, v in zip(grid.names, columns, strict=True)},
         "x0": given.x0,
         "transient": given.transient,
-        "samples": each.samples,
+        "samples": sampling.samples,
         "steps": given.steps,
         "stepper": given.stepper,
-        "coefficients": hashlib.sha256(table).hexdigest()[:16],
+        "coefficients": hashlib.sha256(coefficients).hexdigest()[:16],
         "follow": str(given.follow),
         "compact": str(given.compact),
         "section": f"{given.section}, {given.max_return}",

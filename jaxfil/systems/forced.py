@@ -1,4 +1,4 @@
-"""Oscillators driven by a force, a belt or a wall.
+"""Oscillators driven by a force, some of them on a belt or beside a wall.
 
 Where there is one forcing frequency, its period is the period of the system, and diagrams sample
 once per period.
@@ -162,7 +162,7 @@ class MovingBelt(System):
     """
 
     friction: Array = default(0.4)
-    """Friction force F, in units of mass times amplitude of the force."""
+    """Friction force F, in units of the amplitude of the force."""
 
     state_names: ClassVar = ("x", "x'")
     symbols: ClassVar = {"friction": "F"}
@@ -180,8 +180,8 @@ class DenHartog(System):
 
         x'' + x = cos Ωt − S sgn x';  H = x'
 
-    With V = 1/(1 − Ω²) and U = tan(π/2Ω)/Ω the motion without stops has the amplitude √(V² − S²U²);
-    it begins to stop at S = Ω²|V|/√(1 + Ω⁴U²). `TEXTBOOK` starts it from (0, 0).
+    With V = 1/(1 − Ω²) and U = tan(π/(2Ω))/Ω the motion without stops has the amplitude
+    √(V² − S²U²); it begins to stop at S = Ω²|V|/√(1 + Ω⁴U²). `TEXTBOOK` starts it from (0, 0).
 
     **Source**: J. P. Den Hartog, Forced vibrations with combined Coulomb and viscous friction,
     Transactions of the ASME 53 (1931) 107–115.

@@ -16,6 +16,13 @@ NEVER = 2.0
 # step to it, since the cubic's own error could hide a dip below zero. Towards the ends of a step
 # that error falls like θ²(1 − θ)², and so does this limit.
 SUSPICIOUS = 1 / 64
+# A value is zero within rounding below this many times the noise of its guard.
+_ROUNDING = 4
+# Where a guard that starts at zero is first looked for at zero again, as a multiple of the time of
+# its maximum: between a guard with zero rate at its start, 1.5, and a parabola, 2.
+_RETURN = 1.75
+# The part of a step that is tried where the cubic of the whole one cannot be right.
+_PART = 0.25
 
 
 class Cubic(eqx.Module):
@@ -26,8 +33,11 @@ class Cubic(eqx.Module):
     a: Array
     b: Array
     disc: Array
+    """The discriminant a² − 3 b d0 of the slope; without a positive one there is no minimum."""
     low: Array
+    """θ of the local minimum, anywhere; `NEVER` without one."""
     high: Array
+    """θ of the local maximum, anywhere; `NEVER` without one."""
 
     def __init__(self, g0: Array, d0: Array, g1: Array, d1: Array):
         rise = g1 - g0
@@ -38,6 +48,8 @@ class Cubic(eqx.Module):
         disc = self.disc = a * a - 3 * b * d0
         root = jnp.sqrt(jnp.maximum(disc, 0))
         sum_ = select(a >= 0, a + root, a - root)
+        # `near` is the root nearer to θ = 0: the minimum if the cubic is convex there, a ≥ 0, and
+        # otherwise the maximum.
         near, far = -quotient(d0, sum_), -quotient(sum_, 3 * b)
         exists = disc > 0
         self.low = select(exists, select(a >= 0, near, far), NEVER)
@@ -62,11 +74,11 @@ def quotient(a: Array, b: Array) -> Array:
 def _descending_root(cubic: Cubic, lo: Array, hi: Array, armed: Array) -> Array:
     """The root in [lo, hi], on which the cubic falls from ≥ 0 to < 0 without turning.
 
-    A guard that starts at zero, at θ = 0, and has its maximum at lo returns to zero between 1.5 lo
-    (if its rate started at zero too) and 2 lo (a parabola). Two iterations of Halley's method are
-    accurate to about the cubic's own error; the next trial step corrects the rest.
+    A guard that is not `armed` starts at zero, at θ = 0, and has its maximum at lo. Two iterations
+    of Halley's method are accurate to about the cubic's own error; the next trial step corrects the
+    rest.
     """
-    theta = select(armed, 0.5 * (lo + hi), jnp.minimum(1.75 * lo, hi))
+    theta = select(armed, 0.5 * (lo + hi), jnp.minimum(_RETURN * lo, hi))
     for _ in range(2):
         value, slope = cubic(theta), cubic.slope(theta)
         bottom = slope * slope - 0.5 * value * cubic.bend(theta)
@@ -98,15 +110,17 @@ def first_contact(
     lo = select(rises_first, cubic.high, 0.0)
     root = _descending_root(cubic, lo, hi, armed)
     # A surface just left must rise before it can be reached again. If the cubic does not show that
-    # rise, the step is too long for it, and a quarter of it is tried.
-    root = select(armed | rises_first, root, 0.25 * hi)
+    # rise, the step is too long for it, and a part of it is tried.
+    root = select(armed | rises_first, root, _PART * hi)
     reach = abs(d0) + abs(d1)
     # A guard within rounding at its start, as for a mass at the limit of its friction, has no
     # meaningful minimum.
     starts = jnp.maximum(abs(g0), abs(d0))
+    # 1 in the middle of the step, 0 at its ends.
     inner = 4 * cubic.low * (1 - cubic.low)
     hidden = SUSPICIOUS * inner * inner * reach
-    near = ((abs(low_value) <= 4 * noise) | (low_value <= hidden)) & (starts > 4 * noise)
+    zero = _ROUNDING * noise
+    near = ((abs(low_value) <= zero) | (low_value <= hidden)) & (starts > zero)
     look = (armed | (rises_first & (cubic.low > cubic.high))) & inside & ~dips & near
     # If squares of guards overflow, contacts cannot be detected, and both results are NaN.
     known = 0 * cubic.disc
@@ -123,7 +137,7 @@ def stays_off(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array
     """Whether an armed guard stays so far above zero that `first_contact` has no result. It is
     cheaper, and a True is always right."""
     low = lower_bound(g0, d0, g1, d1)
-    return low > jnp.maximum(SUSPICIOUS * (abs(d0) + abs(d1)), 4 * noise)
+    return low > jnp.maximum(SUSPICIOUS * (abs(d0) + abs(d1)), _ROUNDING * noise)
 
 
 def stays_within(g0: Array, d0: Array, g1: Array, d1: Array, noise: Array) -> Array:

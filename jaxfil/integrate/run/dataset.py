@@ -55,6 +55,7 @@ STATS = ("num_steps", "num_halvings", "num_iterations", "num_saved")
 TAKEN = {*SOLUTION, *EVENTS, *CROSSINGS, *DENSE, *STATS, "event_kind", "outcome", "outcome_code"}
 TAKEN |= {"component", "unit", "jaxfil_type", "jaxfil_version", "system", "symbols", "units"}
 TAKEN |= {"stepper", "compact", "observed", "time", "event", "surface", "crossing", "step", "lane"}
+# Variables that become coordinates.
 _TIMES = ("t", "event_t", "crossing_t", "step_t")
 
 
@@ -84,15 +85,15 @@ def solution_arrays(sol: Any) -> NamedArrays:
     if sol.crossings is not None:
         variables |= variables_of(sol.crossings, CROSSINGS, batch)
     if sol.observed is not None:
-        more = np.ndim(sol.observed) - len(batch) - 1
-        own = (f"observed_{i}" for i in range(more))
+        own_dims = np.ndim(sol.observed) - len(batch) - 1
+        own = (f"observed_{i}" for i in range(own_dims))
         variables["observed"] = (*batch, "time", *own), np.asarray(sol.observed)
     attributes = header("Solution") | {"compact": int(sol.compact)} | label_attributes(labels)
     if sol._dense is not None:
         variables |= variables_of(sol._dense, DENSE, batch)
-        arrays, told = system_entries(sol._dense.system, TAKEN, batch)
+        arrays, known = system_entries(sol._dense.system, TAKEN, batch)
         variables |= arrays
-        attributes |= told | {"stepper": tableau_of(sol._dense.stepper).name}
+        attributes |= known | {"stepper": tableau_of(sol._dense.stepper).name}
     coordinates = component_coordinates(labels, n)
     unit = {"units": labels.unit("t")} if labels.unit("t") else {}
     for name in _TIMES:

@@ -28,8 +28,8 @@ from jaxfil.xla.series import Expansion, Series, kept
 
 # Useful orders. Below, Runge–Kutta is cheaper; above, coefficients are dominated by rounding.
 _ORDERS = range(4, 41)
-# Number of orders whose coefficients are computed in one fence. With fewer, compilation takes
-# longer; with more, XLA recomputes values that several of them use.
+# Number of orders whose coefficients are computed behind one fence (`Expansion.stage`). With fewer,
+# compilation takes longer; with more, XLA recomputes values that several of them use.
 _TOGETHER = 5
 
 
@@ -72,7 +72,8 @@ class Taylor(eqx.Module):
 
 
 class TaylorTableau(eqx.Module):
-    """The coefficients of a Taylor method, as a step uses them."""
+    """The coefficients of a Taylor method, as a step uses them; `crude` and `tolerance` are as
+    in `ExplicitTableau`."""
 
     order: int = eqx.field(static=True)
     name: str = eqx.field(static=True)
@@ -122,7 +123,8 @@ def solved(
     kept(*states)
     found, guards = functions(time, states)
     fields.extend(found)
-    # Guards that are linear in the state are cheaper to recompute than to store and read.
+    # Other series of which later coefficients need all earlier ones. Guards that are linear in the
+    # state are none of these: they are cheaper to recompute than to store and read.
     others = [
         v
         for v in expansion.made

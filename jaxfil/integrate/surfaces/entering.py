@@ -19,7 +19,8 @@ A located contact has these derivatives through the derivative of its time. Seco
 exact unless both directions move the state off a surface; the two sides then differ.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -32,30 +33,43 @@ from jaxfil.integrate.system.components import Components, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 
 
+class _Start(NamedTuple):
+    """Where a slide or a rest starts. In a derivative its fields are tangents."""
+
+    system: ComponentSystem
+    t: Array
+    x: Components
+
+
+_Function: TypeAlias = Callable[[ComponentSystem, Array, Components], Components]
+_Change: TypeAlias = Callable[[_Function, Components], Components]
+"""The change of a function of system, time and state, given the tangent of the state; those of
+system and time are known to it."""
+
+
 def held_from_here(
     system: ComponentSystem, t: Array, x: Components, mode: Components, surfaces: Components
 ) -> Components:
     """x, n components, with the derivative of a state at which a slide or a rest on some
     `surfaces`, m flags, starts. The value of x is unchanged, bit for bit, and a program without
     derivatives contains no operations of this function."""
-    return _held((system, t, x), mode, surfaces)
+    return _held(_Start(system, t, x), mode, surfaces)
 
 
 @eqx.filter_custom_jvp
-def _held(at: Any, mode: Components, surfaces: Components) -> Components:
-    return at[2]
+def _held(at: _Start, mode: Components, surfaces: Components) -> Components:
+    return at.x
 
 
 @_held.def_jvp
 def _held_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
     (at, mode, surfaces), (by_at, _, _) = primals, tangents
-    system, _, x = at
+    system = at.system
     # Equinox omits tangents that are zero.
-    rate = eqx.combine(by_at[2], jax.tree.map(jnp.zeros_like, x))
+    rate = eqx.combine(by_at.x, jax.tree.map(jnp.zeros_like, at.x))
 
-    def change(function: Any, rate: Components) -> Components:
-        """The change of a function of system, time and state."""
-        value, by = eqx.filter_jvp(lambda at: function(*at), (at,), ((*by_at[:2], rate),))
+    def change(function: _Function, rate: Components) -> Components:
+        value, by = eqx.filter_jvp(lambda at: function(*at), (at,), (by_at._replace(x=rate),))
         return eqx.combine(by, jax.tree.map(jnp.zeros_like, value))
 
     if system.resets:
@@ -67,10 +81,10 @@ def _held_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
 
 
 def _to_rest(
-    at: tuple[ComponentSystem, Array, Components],
+    at: _Start,
     mode: Components,
     rests: Components,
-    change: Any,
+    change: _Change,
     rate: Components,
 ) -> Components:
     """The tangent of a state that is brought to rest on surfaces."""
@@ -90,9 +104,7 @@ def _to_rest(
     return bring(change(psi, rate), rate)
 
 
-def _by_weights(
-    at: tuple[ComponentSystem, Array, Components], mode: Components, off: Components
-) -> Components:
+def _by_weights(at: _Start, mode: Components, off: Components) -> Components:
     """∂f/∂w (∂ψ/∂w)⁻¹ times the distances `off` of the state from its sliding surfaces."""
     system, t, x = at
     system = system.in_mode(mode)

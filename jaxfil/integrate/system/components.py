@@ -186,7 +186,7 @@ def _sum(v: Array) -> Array:
 
 
 def without_last(v: Components, k: int, flag: Array) -> Components:
-    """The same numbers, with zeros in place of the last k of them where the flag is set."""
+    """The same numbers, with zeros in place of the last k ≥ 1 of them where the flag is set."""
     if v.is_array:
         last = np.arange(v.size) >= v.size - k
         return Components([select(flag & last, jnp.zeros_like(v.parts[0]), v.parts[0])])
@@ -205,12 +205,12 @@ def dot(a: Components, b: Components) -> Any:
 
 
 def least(v: Components) -> Array:
-    """The smallest number."""
+    """The smallest number; there must be at least one."""
     return ft.reduce(jnp.minimum, (p if p.ndim == 0 else jnp.min(p) for p in v.parts))
 
 
 def largest(v: Components) -> Array:
-    """The largest number."""
+    """The largest number; there must be at least one."""
     return ft.reduce(jnp.maximum, (p if p.ndim == 0 else jnp.max(p) for p in v.parts))
 
 
