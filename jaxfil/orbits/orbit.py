@@ -45,7 +45,7 @@ class Orbit(eqx.Module):
     """The largest mismatch of any arc's end with the next one's start, each component relative to
     its running maximum on the orbit, which fades from step to step."""
     events: Events | None
-    """The contacts of one period, in order; of several arcs the first `max_events`."""
+    """The contacts of one period, in order."""
     num_events: Int[Array, ""]
     """The number of contacts of one period, including those beyond the table."""
     first_mode: Int[Array, " m"]

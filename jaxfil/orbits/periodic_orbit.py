@@ -66,9 +66,8 @@ def periodic_orbit(
     - `transient`: forcing periods integrated from `x0` before Newton's method starts, for a poor
       guess of a stable orbit.
     - `newton_steps`: the largest number of evaluations of the period map.
-    - `max_events`: the largest number of contacts in one arc, and the length of the table of the
-      whole orbit, `Orbit.events`; later contacts are only counted, so that with `segments` it must
-      be large enough for all.
+    - `max_events`: the largest number of contacts in a period, the length of the table
+      `Orbit.events`.
     - `throw`: whether to raise an error unless the outcome is `successful`.
     - `compact`: as in `solve`.
 

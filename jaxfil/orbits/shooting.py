@@ -67,13 +67,14 @@ class Shot(eqx.Module):
     """The scale of each component: the largest of the loop's running maxima of |x| at the ends of
     the arcs (`Motion.scale`), which fade from step to step; 1 for a component that is zero."""
     events: Events | None
-    """The contacts of all arcs in order, the first `ShootingOptions.max_events` of them."""
+    """The contacts of all arcs in order."""
     num_events: Int[Array, ""]
-    """The number of contacts of all arcs, including those beyond the table."""
+    """The number of contacts of all arcs."""
     first_mode: Int[Array, " m"]
     """The mode at t0."""
     result: RESULTS
-    """The outcome of the first failed arc; `successful` if none has failed."""
+    """The outcome of the first failed arc; `max_events_reached` if none has failed but all
+    contacts together exceed `ShootingOptions.max_events`."""
 
     @property
     def monodromy(self) -> Float[Array, "n n"] | Float[np.ndarray, "n n"]:
@@ -129,6 +130,10 @@ def shoot(
     for i in reversed(range(options.arcs)):
         one = jax.tree.map(lambda v, i=i: v[i], results)
         result = RESULTS.where(one == RESULTS.successful, result, one)
+    count = jnp.sum(counts, dtype=jnp.int32)
+    # The table of the orbit is as long as that of an arc.
+    full = (result == RESULTS.successful) & (count > options.max_events)
+    result = RESULTS.where(full, RESULTS.max_events_reached, result)
     size = jnp.max(sizes, axis=0)
     return Shot(
         ends=ends,
@@ -136,7 +141,7 @@ def shoot(
         by_global=by_global,
         size=select(size == 0, 1, size),
         events=_merged(events, options.max_events),
-        num_events=jnp.sum(counts, dtype=jnp.int32),
+        num_events=count,
         first_mode=modes[0],
         result=result,
     )

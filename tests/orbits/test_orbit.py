@@ -195,6 +195,13 @@ def test_den_hartog(segments):
     assert_allclose(orbit.starts, single().states(third), rtol=0, atol=1e-10)
 
 
+def test_the_contacts_of_all_segments_count():
+    """The orbit has two turning points, in two of three segments."""
+    options = dict(segments=3, steps=60, max_events=1, throw=False, compact=True)
+    orbit = jf.periodic_orbit(S.DenHartog(), GUESS, **options)
+    assert outcome_names(orbit.result) == "max_events_reached"
+
+
 @functools.cache
 def single():
     return jf.periodic_orbit(S.DenHartog(), GUESS, steps=60)
