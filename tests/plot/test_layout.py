@@ -166,7 +166,7 @@ def test_the_title_of_new_axes_gives_way(where):
 
 def test_a_long_title_is_as_wide_as_the_axes():
     found = diagram()
-    values = {f"parameter {i}": jnp.array(1.25) for i in range(9)}
+    values = {f"parameter {i}": np.array(1.25) for i in range(9)}
     conditions = dataclasses.replace(found.conditions, parameters=values)
     with matplotlib.rc_context({"backend": "agg"}):
         ax = dataclasses.replace(found, conditions=conditions).plot()
