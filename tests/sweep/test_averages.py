@@ -53,7 +53,9 @@ def of_linear(omega, damping):
     "dtype, options, rtol",
     [
         # Of the method: 20 steps a period by a method of order eight.
-        (float, {"compact": False}, 2e-8),
+        pytest.param(
+            *(float, {"compact": False}, 2e-8), marks=[pytest.mark.slow, pytest.mark.release]
+        ),
         (float, {"steps": jf.Adaptive(rtol=1e-9, atol=1e-11), "compact": True}, 1e-8),
         # Integrals of one period have the rounding of that period, however many there were.
         (np.float32, {"compact": True, "samples": 200}, 64 * np.finfo(np.float32).eps),
