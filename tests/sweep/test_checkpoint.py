@@ -90,19 +90,21 @@ def test_a_finished_sweep_is_only_read_when_its_errors_are_asked_for(monkeypatch
 
 
 KILLED = """
-import os, signal
+import os, signal, threading
 import jax, numpy
 jax.config.update("jax_enable_x64", True)
 from tests.sweep import runs
 from tests.sweep.runs import sweep
 
-rename, pieces = os.rename, []
+# Pieces are written by several threads, and two may be ready at one time.
+rename, one_at_a_time, pieces = os.rename, threading.Lock(), []
 def killing(source, target):
-    if "lanes-" in target.name:
-        pieces.append(target)
-    if len(pieces) == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-    rename(source, target)
+    with one_at_a_time:
+        if "lanes-" in target.name:
+            pieces.append(target)
+        if len(pieces) == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        rename(source, target)
 os.rename = killing
 sweep({arguments}, checkpoint={path!r})
 """
