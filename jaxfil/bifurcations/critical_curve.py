@@ -29,13 +29,7 @@ from jaxfil.orbits.curve import (
     at_root,
     constraint_across,
 )
-from jaxfil.orbits.locating import (
-    change_on_curve,
-    corner_between,
-    is_corner,
-    last_along,
-    zero_on_curve,
-)
+from jaxfil.orbits.locating import change_on_curve, ends_between, last_along, zero_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
 from jaxfil.orbits.plane_curve import EquationsCurve
@@ -120,8 +114,7 @@ class CriticalCurve(EquationsCurve[CriticalPoint]):
         """Points of codimension two, at changes of contacts and between them."""
         kind = self.equations.kind
         if a.sequence != b.sequence:
-            corner = is_corner(a, b)
-            before, after = corner_between(self, a, b) if corner else change_on_curve(self, a, b)
+            before, after = ends_between(self, a, b)
             yield from self._degenerate(a, before)
             # On the side with more contacts multipliers have a square root.
             fewer = len(before.sequence) <= len(after.sequence)

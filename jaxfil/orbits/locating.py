@@ -56,12 +56,10 @@ def zero_on_curve(
 
 
 def change_on_curve(
-    curve: Curve[_Point], a: _Point, b: _Point, same: Callable[[_Point], bool] | None = None
+    curve: Curve[_Point], a: _Point, b: _Point, same: Callable[[_Point], bool]
 ) -> tuple[_Point, _Point]:
     """Two points next to each other, the first with a property of a, the second without, by
-    bisection, because a property has no value for interpolation. Without a property, the first is
-    on the smooth part of a."""
-    same = same or (lambda point: curve.same(a, point))
+    bisection, because a property has no value for interpolation."""
     low, high, before, after = 0.0, 1.0, a, b
     while (high - low) * _distance(a, b) > _LOCATED:
         middle = 0.5 * (low + high)
@@ -79,9 +77,11 @@ def is_corner(a: CurvePoint, b: CurvePoint) -> bool:
     return bool(a.tangent @ tangent <= SHARP * np.linalg.norm(tangent))
 
 
-def corner_between(curve: Curve[_Point], a: _Point, b: _Point) -> tuple[_Point, _Point]:
-    """The corner between two points, as the last point of either smooth part of the curve. Across
-    their chord it is not found where the curve turns back."""
+def ends_between(curve: Curve[_Point], a: _Point, b: _Point) -> tuple[_Point, _Point]:
+    """Two points next to each other where the smooth part of a ends. At a corner they are the last
+    points of both parts, since across the chord it is not found where the curve turns back."""
+    if not is_corner(a, b):
+        return change_on_curve(curve, a, b, lambda point: curve.same(a, point))
     past = _PAST * _distance(a, b)
     return last_along(curve, a, past), last_along(curve, b, -past)
 

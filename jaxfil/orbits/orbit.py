@@ -47,7 +47,7 @@ class Orbit(eqx.Module):
     events: Events | None
     """The contacts of one period, in order."""
     num_events: Int[Array, ""]
-    """The number of contacts of one period, including those beyond the table."""
+    """The number of contacts of one period."""
     first_mode: Int[Array, " m"]
     """The mode at t0: ±1 is a side of a surface, 0 sliding on it."""
     result: RESULTS

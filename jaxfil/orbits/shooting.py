@@ -40,7 +40,7 @@ class ShootingOptions(eqx.Module):
     stepper: Stepper = eqx.field(static=True)
     """The stepper."""
     max_events: int = eqx.field(static=True)
-    """The largest number of contacts in one arc, and the length of the orbit's table of events."""
+    """The largest number of contacts of the orbit, the length of its table of events."""
     compact: bool = eqx.field(static=True)
     """Whether the stages of a step are in a loop (see `solve`)."""
 

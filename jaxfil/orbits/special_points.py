@@ -11,7 +11,7 @@ import numpy as np
 from jaxfil.orbits.chattering import differ_by_chattering, rests_in
 from jaxfil.orbits.corrector import OrbitPoint
 from jaxfil.orbits.curve import Curve, Special
-from jaxfil.orbits.locating import change_on_curve, corner_between, is_corner, zero_on_curve
+from jaxfil.orbits.locating import ends_between, is_corner, zero_on_curve
 
 
 def _fold(point: OrbitPoint) -> float:
@@ -60,13 +60,12 @@ def special_orbits(
     many."""
     # Test functions jump where the contacts change, so pieces between changes are searched.
     while a.sequence != b.sequence:
-        corner = is_corner(a, b)
-        before, after = corner_between(curve, a, b) if corner else change_on_curve(curve, a, b)
+        before, after = ends_between(curve, a, b)
         yield from _zeros(curve, a, before)
         if not differ_by_chattering(before.shot.events, after.shot.events, period(after)):
             # The orbit with more contacts is known less exactly where these are impacts: their
             # depth is the square of their velocity, which rounding hides.
-            fewer = corner and len(before.sequence) < len(after.sequence)
+            fewer = is_corner(a, b) and len(before.sequence) < len(after.sequence)
             kind = kind_of_change(before.sequence, after.sequence)
             yield Special(kind, before if fewer else after, before.sequence, after.sequence)
         if after is b:

@@ -1,5 +1,5 @@
-"""What the site in docs/ promises: its scripts run and print what it says, and nothing that is
-public is left out. Its links are resolved by `mkdocs build --strict`, in `.ci/run`.
+"""What the site in docs/ promises: nothing that is public is left out. Its links are resolved by
+`mkdocs build --strict` in `.ci/run`, and its scripts run in `test_examples`.
 """
 
 import contextlib

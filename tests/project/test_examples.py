@@ -7,11 +7,7 @@ import sys
 import pytest
 
 from tests import ROOT
-from tests.project.repository import need
-
-need("docs")
-
-from tests.project.examples import NAMES  # noqa: E402 (its pages are in docs)
+from tests.project.examples import NAMES
 
 
 def run(folder, *names, code="from tests.project.examples import main; main()"):

@@ -166,7 +166,7 @@ def _turned(
     agrees, rounding, apart = _agrees(problem, state, end, time, ratio, left, limit, move)
     reached, clear = _surfaces_there(problem, state, end, left, limit, apart)
     # The predicted limit may be past a grid point by the rounding of the prediction.
-    late = jnp.maximum(stop_gradient(left - length.room), 0)
+    late = length.beyond(left)
     agrees = agrees & reached & (late <= rounding)
     completed = shrinks & (agrees | (left <= same) & (late <= same)) & clear
     if problem.system.resets:

@@ -284,8 +284,7 @@ def _chattering(
     found = any_of(ends) & ~any_of(~((ahead >= -at.gathered) | rests | ends))
     # The limit may be past a grid point by its rounding, which must not become a step back from
     # the wall in the motion after it.
-    late = jnp.maximum(stop_gradient(time) - abs(stop_gradient(length.room)), 0)
-    total_time = select(found, time - late, 0.0)
+    total_time = select(found, time - length.beyond(time), 0.0)
     # All impacts together remove the remaining rate, ψ_i + T a_i + Σ_k p_k ∇ψ_i·d_k = 0, including
     # the impulses from the surfaces that the motion rests on.
     stopped = found & (rests | ends)

@@ -44,6 +44,10 @@ class Length(eqx.Module):
         known = self.gridded | self.saving
         return known if self.ticking is None else known | self.ticking
 
+    def beyond(self, time: Array) -> Array:
+        """How far a positive time from the end of the step, forward in time, exceeds the room."""
+        return jnp.maximum(stop_gradient(time - self.room), 0)
+
 
 def typical_step(problem: Problem, state: LoopState | None = None) -> Array:
     """The current length of steps. It is the grid's step, or with a tolerance the length that the

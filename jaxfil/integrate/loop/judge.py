@@ -156,7 +156,7 @@ def _failures(
 def smooth_action_of(problem: Problem, state: LoopState, doubt: Doubt) -> Array:
     """The same in a system without surfaces."""
     failures = (RESULTS.nonfinite, doubt.infinite), (RESULTS.step_too_long, doubt.too_long)
-    action = failing(jnp.asarray(ACCEPT), failures)
+    action = failing(jnp.full_like(state.motion.tau, ACCEPT), failures)
     action = select(doubt.refuses, REFUSE, action)
     return select(is_running(problem.grid, state), action, IDLE)
 
