@@ -72,8 +72,12 @@ def _is_optimized(item):
     return any(item.path.is_relative_to(_TESTS / part) for part in _OPTIMIZED)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """What is compiled in the same way runs one after the other."""
+    """What is for a release is slow; what is compiled in the same way runs one after the other."""
+    for item in items:
+        if item.get_closest_marker("release") is not None:
+            item.add_marker("slow")
     items.sort(key=_is_optimized)
 
 

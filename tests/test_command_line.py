@@ -381,6 +381,7 @@ def test_an_orbit_its_branch_and_its_bifurcations(tmp_path, monkeypatch, capsys)
     }  # fmt: skip
 
 
+@pytest.mark.release
 def test_exponents_of_one_value_and_of_several(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["spectrum", "impact-oscillator", "--periods", "20", "--transient", "0"]
@@ -469,7 +470,10 @@ def test_ctrl_c_is_answered_by_one_line_and_130(tmp_path, until, times, line):
 
 
 @pytest.mark.usefixtures("ctrl_c_interrupts")
-@pytest.mark.parametrize("command, axes", [("plane", "omega f0"), ("basins", "x0 x1")])
+@pytest.mark.parametrize(
+    "command, axes",
+    [("plane", "omega f0"), ("basins", "x0 x1")],
+)
 def test_ctrl_c_in_a_map_is_answered_as_in_a_diagram(tmp_path, command, axes):
     first, second = axes.split()
     grid = ["--grid", f"{first}=0.6:0.9:200", f"{second}=0.2:0.3:100"]

@@ -106,6 +106,7 @@ def test_bifurcations_of_the_belt_from_either_side(kind, belts):
     assert np.all(np.asarray(found.residual) < 1e-11)
 
 
+@pytest.mark.release
 def test_a_cubic_spring_grazes_where_its_orbit_reaches_the_belt():
     system = jf.systems.BeltFriction(omega=4.52)
     orbit = jf.periodic_orbit(system, jnp.array([0.148, 0.358]), steps=160)
@@ -116,6 +117,7 @@ def test_a_cubic_spring_grazes_where_its_orbit_reaches_the_belt():
     assert outcome_names(found.result) == "other_kind"
 
 
+@pytest.mark.release
 def test_sticking_begins_as_den_hartog_says_over_a_range_of_frequencies():
     system = jf.systems.DenHartog(friction=0.78, omega=0.8)
     orbit = jf.periodic_orbit(system, jnp.array([2.0, 0.3]), steps=80)
@@ -131,6 +133,7 @@ def test_sticking_begins_as_den_hartog_says_over_a_range_of_frequencies():
     assert set(curve.kinds) == {"crossing-sliding"}
 
 
+@pytest.mark.release
 def test_a_wall_is_grazed_where_the_amplitude_reaches_it():
     system = jf.systems.ImpactOscillator(amplitude=0.43, omega=1.2)
     orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.5]), steps=60)
@@ -198,6 +201,7 @@ class Counted(jf.systems.SDOscillator):
         return super().vector_field(t, x, side)
 
 
+@pytest.mark.release
 def test_verbs_share_their_flows():
     """One flow with derivatives serves orbits and branches in all parameters, another one
     bifurcations in all parameters, margins and curves."""
@@ -267,7 +271,7 @@ def test_a_margin_that_is_not_found_is_an_error(sd):
     assert outcome_names(found.result) == "no_tangency_found" and np.isnan(float(found.value))
 
 
-@pytest.mark.parametrize("throw", [True, False])
+@pytest.mark.parametrize("throw", [pytest.param(True, marks=pytest.mark.release), False])
 def test_a_margin_has_its_derivatives_with_and_without_an_error(sd, throw):
     _, orbits = sd
     orbit = lane(orbits, 1)
@@ -341,7 +345,7 @@ def test_a_touch_within_a_flight_hides_nothing():
         assert touch.side == -1
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.long_run
 def test_all_nine_bifurcations_of_the_belt():
     """Santhosh et al. name six of them; two lie 0.005 apart."""
@@ -488,6 +492,7 @@ class WallOnTheLeft(jf.System):
         return 2 * np.pi / 1.2
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("jitted", [False, True])
 def test_the_margin_of_an_orbit_that_hits_is_no_maximum(jitted):
     """Without the wall it reaches A = 0.3/|1 − 1.44 + 0.12i| to either side: the search from the

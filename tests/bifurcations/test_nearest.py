@@ -129,6 +129,7 @@ def test_a_place_that_others_next_to_it_are_nearer_than_is_told(orbits):
     np.testing.assert_allclose(found.values[:, 2:], 0, rtol=0, atol=1e-12)
 
 
+@pytest.mark.release
 def test_its_derivatives_are_those_of_the_formula(orbits):
     orbit = lane(orbits, 0)
 

@@ -127,6 +127,7 @@ def test_an_orbit_grazes_two_gates_at_once_where_they_are_equally_far():
     np.testing.assert_allclose(point.values, [low / reach, low], rtol=0, atol=1e-10)
 
 
+@pytest.mark.release
 def test_a_parameter_of_a_curve_goes_through_zero():
     """It touches the wall at 1 where the amplitude A is |1 − Ω² + iΩc|."""
     z = 0.3 / (1 - 1.2**2 + 0.12j)

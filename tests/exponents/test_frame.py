@@ -58,6 +58,7 @@ def test_many_exponents_are_those_of_the_matrix():
     assert_allclose(found.exponents, rates, rtol=0, atol=1e-6)
 
 
+@pytest.mark.release
 def test_many_directions_go_through_contacts_as_few_do():
     more = np.arange(MORE + 1).sum() / 8
     # An impact at a time that the state moves: the volume shrinks by it as it does alone.

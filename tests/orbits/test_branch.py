@@ -131,7 +131,7 @@ def test_belt_adds_a_slide():
     assert_allclose(orbit.extremes()[1][1], BELT_HIGHEST[1.55], rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.long_run
 def test_belt_from_one_end_to_the_other():
     orbit = jf.periodic_orbit(belt(12.0), jnp.asarray([0.55, 0.0]), steps=STEPS)

@@ -529,7 +529,6 @@ def test_second_derivatives_of_an_orbit():
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_second_derivative_of_a_period():
     def period(lo):
         room = Thermostat(lo, jnp.array(22.0))

@@ -26,7 +26,6 @@ _PROGRAMS = 8
 
 
 @pytest.mark.release
-@pytest.mark.slow
 @pytest.mark.parametrize("part", range(_PROGRAMS))
 def test_all_examples_run_where_nothing_is_set(part, tmp_path):
     told, status = run(tmp_path, *NAMES[part::_PROGRAMS])

@@ -23,6 +23,7 @@ def followed():
     return made(jf.Branch, orbits=orbits, extremes=lambda self: (-abs(x0), abs(x0)), **told)
 
 
+@pytest.mark.release
 def test_the_quick_page_is_drawn(monkeypatch, tmp_path, capsys):
     pages, draw = [], gallery.page
     monkeypatch.setattr(gallery, "page", lambda n: pages.append(draw(n)) or pages[0])

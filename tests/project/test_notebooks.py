@@ -90,7 +90,6 @@ def test_a_notebook_is_stored_as_it_ran(file):
 
 
 @pytest.mark.release
-@pytest.mark.slow
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=name_of)
 def test_a_notebook_runs(file):
     notebook = reduced(nbformat.read(file, as_version=4), SMALL[file.stem])

@@ -49,7 +49,6 @@ def test_fig4_harmonic_balance_is_the_closed_form():
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_fig5_smoothed_lanes_are_what_they_are_alone():
     # XLA's own arctangent is wrong for 50 lanes and more (jax-ml/jax issue 39352).
     values, counts = np.linspace(0.6, 1.3, 64), {"periods": 1, "transient": 1, "steps": 100}
@@ -74,6 +73,7 @@ def test_fig5_finds_where_chaos_is():
     assert fig5.edges(np.array([0.8, 0.87, 1.1, 1.2]), exponents[:, 0]) == "0.8700 to 1.1000"
 
 
+@pytest.mark.release
 @pytest.mark.long_run
 def test_fig6_tells_chaos_from_periodic_motion_and_knows_how_long_it_lives():
     turn = np.arange(fig6.LOOK)
@@ -90,6 +90,7 @@ def test_fig6_tells_chaos_from_periodic_motion_and_knows_how_long_it_lives():
     )  # t = 0 of the closed form
 
 
+@pytest.mark.release
 @pytest.mark.long_run
 def test_fig10_finds_the_jump_and_the_two_attractors():
     value, error = fig10.jump(16, 200, rounds=6)
@@ -102,7 +103,6 @@ def test_fig10_finds_the_jump_and_the_two_attractors():
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_fig11_exponents():
     _, sharp, orbit = fig11.batch(
         fig11.exact, np.array([4.6]), 30, {"periods": 300, "transient": 200}

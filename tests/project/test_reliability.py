@@ -10,7 +10,6 @@ from benchmarks.reliability.verdict import Group, Verdict
 
 
 @pytest.mark.release
-@pytest.mark.slow
 @pytest.mark.parametrize("family", ["relays", "impacts", "smooth"])
 def test_few_systems_come_out_right(family):
     (group,) = main(["--systems", "20", "--only", family])
@@ -18,7 +17,6 @@ def test_few_systems_come_out_right(family):
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_derivatives_of_few_systems_come_out_right():
     (group,) = main(["--systems", "20", "--only", "derivatives"])
     assert {v.kind for v in group.verdicts} == {"right"}
@@ -32,7 +30,6 @@ def test_a_case_is_right_and_another_is_told():
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_a_killed_sweep_is_taken_up_again():
     assert faults.judge(faults.killed, faults.uninterrupted()).kind == "right"
 

@@ -53,12 +53,13 @@ def of_linear(omega, damping):
     "dtype, options, rtol",
     [
         # Of the method: 20 steps a period by a method of order eight.
-        pytest.param(
-            *(float, {"compact": False}, 2e-8), marks=[pytest.mark.slow, pytest.mark.release]
-        ),
+        pytest.param(*(float, {"compact": False}, 2e-8), marks=pytest.mark.release),
         (float, {"steps": jf.Adaptive(rtol=1e-9, atol=1e-11), "compact": True}, 1e-8),
         # Integrals of one period have the rounding of that period, however many there were.
-        (np.float32, {"compact": True, "samples": 200}, 64 * np.finfo(np.float32).eps),
+        pytest.param(
+            *(np.float32, {"compact": True, "samples": 200}, 64 * np.finfo(np.float32).eps),
+            marks=pytest.mark.release,
+        ),
     ],
 )
 def test_a_linear_oscillator_takes_up_what_its_closed_form_says(dtype, options, rtol):
@@ -183,6 +184,7 @@ def test_one_lane_is_that_of_the_diagram_and_has_the_derivatives_of_the_closed_f
         np.testing.assert_allclose(slopes[name], exact[name], rtol=1e-9, atol=1e-12, err_msg=name)
 
 
+@pytest.mark.release
 def test_what_is_put_in_is_taken_up_lost_and_stored():
     """Energy, at values of ω with periodic orbits and with chaos, whose samples are of their own
     time each."""
@@ -285,6 +287,7 @@ def test_on_a_slide_it_is_the_blend_that_is_averaged(tmp_path):
     np.testing.assert_array_equal(one.averages["average"], found.averages["work"])
 
 
+@pytest.mark.release
 def test_followed_lanes_have_averages_of_their_own():
     """Each starts where the last one has ended, but with no integral of it."""
     names = dict(transient=120, samples=3, steps=20, progress=False, average=OF_LINEAR)
@@ -310,6 +313,7 @@ def test_what_cannot_be_averaged_is_refused_by_name(average, told):
         linear(average=average)
 
 
+@pytest.mark.release
 def test_the_slope_of_an_extreme_within_a_step_is_that_of_the_method():
     """At 10 steps a period x is known to 2e-7; the cubic through a step knows its largest cube to
     1e-4."""

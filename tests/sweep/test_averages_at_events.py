@@ -11,6 +11,7 @@ import jaxfil as jf
 from tests.problems.systems import Turn
 
 
+@pytest.mark.release
 def test_at_a_section_it_is_from_the_first_sample_to_the_last(tmp_path):
     """Of a half turn of time π and one of π/r: whole turns, from one maximum of x + y to another,
     with two contacts in each."""

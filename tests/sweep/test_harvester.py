@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import scipy.integrate
 import scipy.optimize
 from numpy.testing import assert_allclose
@@ -75,6 +76,7 @@ def by_scipy(load, omega):
     return load * y[2] / period / (COIL + load) ** 2
 
 
+@pytest.mark.release
 def test_the_best_load_by_gradient_is_that_of_a_map():
     start, run = jnp.array([0.1, 0.0]), dict(transient=60, samples=4, steps=20)
     loads, omegas = np.linspace(2.0, 7.0, 11), np.array([1.2, 1.3, 1.4])

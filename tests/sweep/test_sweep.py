@@ -205,6 +205,7 @@ class Bent(Sorted):
         return super().vector_field(t, x, side) + jnp.arctan(3 * x)
 
 
+@pytest.mark.release
 def test_an_arctangent_is_in_its_quadrant(chunks):
     # XLA's own is in wrong quadrants in 512-bit vectors, when there are lanes enough: a field's is
     # replaced.

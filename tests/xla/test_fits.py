@@ -83,7 +83,9 @@ def test_tables_in_a_field_leave_the_process_alive(where):
         assert_allclose(jax.jit(run)(X0), exact(END), rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("where", ["closed over, by index", "a field", "summed"])
+@pytest.mark.parametrize(
+    "where", ["closed over, by index", pytest.param("a field", marks=pytest.mark.release), "summed"]
+)
 def test_tables_live_in_batches_derivatives_and_sweeps(where):
     system = SYSTEMS[where]()
     many = jax.jit(jax.vmap(lambda x: end(x, system)))(jnp.tile(X0, (70, 1)))

@@ -181,6 +181,7 @@ def test_limit_whose_mode_is_rounding_is_told_or_right():
     assert_allclose(x[rests], 0.0, rtol=0, atol=32 * np.finfo(float).eps * np.sqrt(5.0))
 
 
+@pytest.mark.release
 def test_batch_of_controllers():
     @jax.jit
     @jax.vmap

@@ -130,7 +130,7 @@ class Gears(jf.System):
         return jnp.stack([x[0] + 1, 2 * x[1]])
 
 
-@pytest.mark.parametrize("first", [0, 2])
+@pytest.mark.parametrize("first", [0, pytest.param(2, marks=pytest.mark.release)])
 def test_a_gear_box_shifts_twice(first):
     """At 1 from the first gear to the second, whose revolutions, 2, ask for the third: 4."""
 
@@ -231,6 +231,7 @@ class Spike(jf.System):
         return (jf.Clock(1.0),)
 
 
+@pytest.mark.release
 def test_a_tick_fires_what_it_kicks_past_its_threshold():
     def end(p):
         sol = solve(Spike(p[0]), [0.0, 0.0], 2.5)
@@ -291,6 +292,7 @@ class Jump(jf.System):
         return jnp.where(surface == 0, 0 * x, x + self.kick)
 
 
+@pytest.mark.release
 def test_a_kick_over_a_threshold_of_a_lower_number():
     options = dict(stepper=diffrax.Dopri8())
     run = jax.jit(jax.vmap(lambda w: solve(Jump(w), [0.0], 1.6, **options)))

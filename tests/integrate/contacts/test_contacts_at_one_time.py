@@ -69,6 +69,7 @@ def test_balls_that_land_together_have_the_derivatives_of_each():
     assert kinds_of(sols) == [[IMPACT] * 2] * 3
 
 
+@pytest.mark.release
 def test_three_of_them_too():
     def end(p):
         sol = solve(Balls(jnp.array([0.8, 0.7, 0.6])), jnp.concatenate([p, 0 * p]), 1.5)
@@ -133,7 +134,11 @@ class CrossingsTogether(Crossings):
         return some * super().vector_field(t, x, side)
 
 
-SYSTEMS = [Crossings, CrossingsWithReset, CrossingsTogether]
+SYSTEMS = [
+    Crossings,
+    pytest.param(CrossingsWithReset, marks=pytest.mark.release),
+    CrossingsTogether,
+]
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

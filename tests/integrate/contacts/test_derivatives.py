@@ -170,6 +170,7 @@ def test_reverse_is_forward(name, compact, jacobian):
     assert_allclose(at, there, rtol=1e-12)
 
 
+@pytest.mark.release
 def test_reverse_on_an_intersection():
     system, x0, t0, t1 = arguments("box by everything")
 
@@ -215,9 +216,9 @@ class Through(Roots):
     [
         (PARABOLAS, Roots),
         (PARABOLAS, Through),
-        (jf.Rodas5P(), Through),
+        pytest.param(jf.Rodas5P(), Through, marks=pytest.mark.release),
         # Of two kinds of contact that are there already, and the one that compiles for longest.
-        pytest.param(jf.Rodas5P(), Roots, marks=[pytest.mark.slow, pytest.mark.release]),
+        pytest.param(jf.Rodas5P(), Roots, marks=pytest.mark.release),
     ],
 )
 def test_a_side_not_taken_leaves_no_nan_in_reverse_mode(stepper, kind):
@@ -340,7 +341,10 @@ class Spring(jf.System):
         return jnp.stack([x[1], -4 * x[0]])
 
 
-@pytest.mark.parametrize(("adjoint", "jacobian"), [(FORWARD, by_columns), (REVERSE, by_rows)])
+@pytest.mark.parametrize(
+    ("adjoint", "jacobian"),
+    [(FORWARD, by_columns), pytest.param(REVERSE, by_rows, marks=pytest.mark.release)],
+)
 def test_saved_states_by_their_saving_times(adjoint, jacobian):
     """The field, at times that are grid points (the first, others, one after an impact, the end)
     and others: a fall from 10, with one impact at 10/7 and v → -0.8 v."""
@@ -399,7 +403,7 @@ class Costed(jf.System):
     [
         jax.jit,
         # Operation by operation: two hundred programs.
-        pytest.param(lambda f: f, marks=[pytest.mark.slow, pytest.mark.release]),
+        pytest.param(lambda f: f, marks=pytest.mark.release),
     ],
 )
 def test_reverse_mode_of_a_batch(wrapped):

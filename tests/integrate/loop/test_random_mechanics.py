@@ -56,7 +56,7 @@ def test_all_problems_are_answered():
         # Turns that end with an impact that starts a slip; a friction that relieves a wall.
         ((2, 1, 1), (47, 96)),
         # A phase that goes on while impacts die out; impacts on two walls at one time, for ever.
-        pytest.param(*((2, 2, 2), (26, 178, 190)), marks=[pytest.mark.slow, pytest.mark.release]),
+        pytest.param(*((2, 2, 2), (26, 178, 190)), marks=pytest.mark.release),
     ],
 )
 def test_masses_whose_impacts_never_came_to_an_end(shape, numbers):

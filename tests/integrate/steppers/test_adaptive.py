@@ -211,6 +211,7 @@ def test_single_precision():
     assert fine.result == RESULTS.successful
 
 
+@pytest.mark.release
 def test_diagrams_take_a_tolerance():
     system, values = jf.systems.ImpactOscillator(), np.linspace(0.3, 0.5, 5)
 
@@ -228,6 +229,7 @@ def test_diagrams_take_a_tolerance():
     assert_allclose(free.xs, fixed.xs, rtol=0, atol=1e-7)
 
 
+@pytest.mark.release
 def test_orbits_and_exponents_take_a_tolerance():
     system, step = jf.systems.ImpactOscillator(amplitude=0.4), jf.Adaptive(1e-11, 1e-12)
     x0 = jnp.zeros(2)
@@ -241,6 +243,7 @@ def test_orbits_and_exponents_take_a_tolerance():
     assert_allclose(free.exponents, fixed.exponents, rtol=0, atol=1e-6)
 
 
+@pytest.mark.release
 def test_returns_averages_and_fits_take_a_tolerance():
     block, x0, step = jf.systems.CoulombOscillator(), jnp.array([3.0, 0.0]), jf.Adaptive(1e-10)
     back = jf.poincare_map(block, x0, jf.Section(lambda t, x: x[0]), step, max_time=9.0)

@@ -50,8 +50,8 @@ def run(m, shown, more=0):
     [
         (2, 0),
         # Either number of surfaces and either kind of state is in one of those for every day.
-        pytest.param(2, PADDING + 4, marks=[pytest.mark.slow, pytest.mark.release]),
-        pytest.param(3, 0, marks=[pytest.mark.slow, pytest.mark.release]),
+        pytest.param(2, PADDING + 4, marks=pytest.mark.release),
+        pytest.param(3, 0, marks=pytest.mark.release),
         (3, PADDING),
     ],
 )

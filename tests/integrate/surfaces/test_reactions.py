@@ -191,7 +191,6 @@ def test_what_holds_a_block_is_observed():
 
 
 @pytest.mark.release
-@pytest.mark.slow
 def test_single_precision():
     b = jax.tree.map(lambda v: v.astype(jnp.float32), block())
     sol = solve(b, np.zeros(4, np.float32), 2.0)

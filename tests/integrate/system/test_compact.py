@@ -44,6 +44,7 @@ class Relays(jf.System):
         return x
 
 
+@pytest.mark.release
 def test_a_forcing_of_arrays_is_found_once_for_all_stages():
     def end(x, grade):
         how = {"compact": grade, "max_events": None, "throw": False}
@@ -61,6 +62,7 @@ def test_a_forcing_of_arrays_is_found_once_for_all_stages():
     assert sines <= 3 * x0.size
 
 
+@pytest.mark.release
 def test_grade_follows_from_the_lanes():
     def operations(function, lanes):
         return hlo.per_turn(text(function, jnp.ones((lanes, 2))), lanes)
@@ -101,6 +103,7 @@ def test_a_batch_that_would_compile_for_minutes_is_compact(lanes):
     assert seen == [True, False]
 
 
+@pytest.mark.release
 def test_orbits_of_both_grades_agree():
     # A stable orbit: after a chaotic transient rounding would decide which one is found.
     belt = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=12.0)
