@@ -287,7 +287,7 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
     # The sum may be zero; its decrease is then compared with rounding.
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=rtol**2)
 
-    def one(start: Array) -> tuple[Array, Array, Array, RESULTS]:
+    def one(start: Array) -> tuple[Array, Array, Array, Array, RESULTS]:
         found = optx.least_squares(
             model.residuals,
             solver,
@@ -297,16 +297,18 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
             max_steps=max_steps,
             throw=False,
         )
-        away, result = model.residuals(found.value)
+        # Half of what there is to compile, if the motion at the end were computed again.
+        last, result = found.state.f_info, found.state.aux
+        away, slopes = _at_end((model, found.value), (last.residual, last.jac.as_matrix()))
         ended = found.result == optx.RESULTS.successful
         end = RESULTS.where(ended, RESULTS.successful, RESULTS.fit_not_converged)
         end = RESULTS.where(result == RESULTS.successful, end, result)
-        return found.value, 0.5 * jnp.sum(away**2), found.stats["num_steps"], end
+        return found.value, away, slopes, found.stats["num_steps"], end
 
-    values, costs, counts, results = eqx.filter_vmap(one)(starts)
+    values, all_away, all_slopes, counts, results = eqx.filter_vmap(one)(starts)
+    costs = 0.5 * jnp.sum(all_away**2, axis=1)
     best = jnp.argmin(select(jnp.isnan(costs), jnp.inf, costs))
-    value = values[best]
-    slopes, away = jax.jacfwd(lambda v: (model.residuals(v)[0],) * 2, has_aux=True)(value)
+    value, away, slopes = values[best], all_away[best], all_slopes[best]
     freedom = max(1, away.shape[0] - value.shape[0])
     variance = jnp.sum(away**2) / freedom if scaled else 1.0
     return Fit(
@@ -321,6 +323,23 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
         results=results,
         parameters=model.names,
     )
+
+
+@eqx.filter_custom_jvp
+def _at_end(at: tuple[_Model, Array], kept: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Residuals and their Jacobian at the end of a search, which the solver has kept. They are
+    computed again for their derivatives, of which it keeps none."""
+    del at
+    return kept
+
+
+@_at_end.def_jvp
+def _(primals: Any, tangents: Any) -> Any:
+    def computed(model: _Model, values: Array) -> tuple[Array, Array]:
+        slopes, away = jax.jacfwd(lambda v: (model.residuals(v)[0],) * 2, has_aux=True)(values)
+        return away, slopes
+
+    return eqx.filter_jvp(computed, primals[0], tangents[0])
 
 
 def _inverse(matrix: Array) -> Array:

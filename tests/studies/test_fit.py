@@ -1,5 +1,6 @@
 """Fits to data, against SciPy's `least_squares` over a motion in closed form."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -76,3 +77,30 @@ def test_a_wrong_argument_is_named(change, told):
     given["observe"] = lambda t, x: x[0]
     with pytest.raises(ValueError, match=told):
         jf.fit(Block(0.1, 0.8), **{**given, **change})
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.release)])
+def test_a_fit_has_its_derivatives(mode):
+    """Before it turns the block is at F + (3 − F) cos t, which is linear in its friction F."""
+    ts, x0 = jnp.linspace(0.5, 2.5, 6), jnp.array([3.0, 0.0])
+    sigma = 0.5
+    slope = (1 - jnp.cos(ts)) / sigma
+    data = 0.4 + 2.6 * jnp.cos(ts) + 0.01 * jnp.array([2, -1, 3, -2, 1, -3.0])
+
+    def found(data):
+        given = {"observe": lambda t, x: x[0], "sigma": sigma, "stepper": jf.RK4()}
+        block = jf.systems.CoulombOscillator(friction=0.3)
+        best = jf.fit(block, ("friction",), ts, data, x0, 0.01, **given)
+        return jnp.hstack([best.values[0], best.costs[0], best.covariance[0, 0], best.residuals])
+
+    def exact(data):
+        pulled = (data - 3 * jnp.cos(ts)) / sigma
+        value = slope @ pulled / (slope @ slope)
+        away = slope * value - pulled
+        return jnp.hstack([value, 0.5 * away @ away, 1 / (slope @ slope), away])
+
+    def both(function):
+        return mode(lambda data: (function(data),) * 2, has_aux=True)(data)
+
+    for own, known in zip(both(found), both(exact), strict=True):
+        np.testing.assert_allclose(own, known, rtol=0, atol=1e-8)
