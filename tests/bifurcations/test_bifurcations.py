@@ -69,6 +69,7 @@ def sd_grazing(sd):
     return jf.find_bifurcation(system, "omega", lane(orbits, 0), "grazing")
 
 
+@pytest.mark.release
 def test_the_sd_oscillator_grazes_where_its_amplitude_is_one(sd):
     system, orbits = sd
     found = jf.find_bifurcation(system, "omega", orbits, "grazing")
@@ -93,6 +94,7 @@ def belts():
     return belt_orbits([value * off for case in BELT_CASES.values() for value, off in case])
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("kind", BELT_CASES)
 def test_bifurcations_of_the_belt_from_either_side(kind, belts):
     # Both kinds in six lanes, so that one program finds both.
@@ -376,7 +378,7 @@ def test_flights_of_many_lengths_share_a_program():
     assert {_filled(np.zeros(n)).shape for n in range(33, 65)} == {(64,)}
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_kind_changes_where_the_acceleration_at_the_touch_vanishes():
     """On Σ the belt's d²H/dt² is −f0 ω sin ωt − γ1 v: at the point of codimension two it is 0."""
     system = replace_parameter(BELT, "omega", 7.8)

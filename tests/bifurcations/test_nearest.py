@@ -90,6 +90,7 @@ def found(orbits):
     return jf.nearest_grazing(made(GIVEN), NAMES, orbits, metric=METRIC, throw=False)
 
 
+@pytest.mark.release
 def test_the_nearest_point_of_both_sets_is_that_of_the_formula(found):
     (_, further), (p, distance) = closest(0), closest(1)
     assert distance < further

@@ -42,7 +42,10 @@ def stick_on(curve, i):
     return middle, float(path.events.xs[k, 0]) + middle - ts[k]
 
 
-@pytest.mark.parametrize("kind, multiplier", [("fold", 1), ("period-doubling", -1)])
+@pytest.mark.parametrize(
+    "kind, multiplier",
+    [("fold", 1), pytest.param("period-doubling", -1, marks=pytest.mark.release)],
+)
 def test_critical_orbits_that_stick(kind, multiplier):
     system, points = special_points()
     curve = jf.continue_bifurcation(system, FREE, points[kind], stop=4.6, max_step=0.1)
@@ -59,6 +62,7 @@ def test_critical_orbits_that_stick(kind, multiplier):
     assert_allclose(f0, fsolve(equations, [f0 + 0.01, x1], xtol=1e-11)[0], rtol=0, atol=1e-7)
 
 
+@pytest.mark.release
 def test_a_fold_of_orbits_that_stick_goes_on_where_they_begin_to_cross():
     """The orbit comes to the belt where the push just exceeds the friction: switching-sliding."""
     system, points = special_points()

@@ -221,7 +221,7 @@ class Gate(jf.System):
     [
         (0.7, 0.9, 1.2, 1e-12),
         pytest.param(0.7, 1.2, 0.9, 3e-8, marks=pytest.mark.release),
-        (-0.3, 1.2, 0.9, 3e-8),
+        pytest.param(-0.3, 1.2, 0.9, 3e-8, marks=pytest.mark.release),
         pytest.param(-0.3, 0.9, 1.2, 1e-12, marks=pytest.mark.release),
     ],
 )

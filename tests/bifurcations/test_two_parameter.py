@@ -82,6 +82,7 @@ def swing(depth):
     return matrix, max(motion.y_events[0][:, 0])
 
 
+@pytest.mark.release
 def test_a_multiplier_of_a_grazing_orbit_reaches_minus_one():
     depth = scipy.optimize.brentq(
         lambda depth: np.linalg.det(swing(depth)[0] + np.eye(2)), 0.2, 0.8, xtol=1e-13
@@ -112,6 +113,7 @@ class Gates(jf.System):
         return jnp.stack([self.high - x[0], x[0] + self.low])
 
 
+@pytest.mark.release
 def test_an_orbit_grazes_two_gates_at_once_where_they_are_equally_far():
     """It reaches A/|1 - 4 + 0.4i| to either side, and touches the upper gate where that is its
     height; beyond the point it also passes the lower one, there and back."""

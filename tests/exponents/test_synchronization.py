@@ -258,7 +258,7 @@ def test_the_rate_of_a_linear_system():
     assert np.isnan(lost.exponent) and not lost.settled
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.long_run
 def test_sticking_chaos_by_its_rate():
     # At ω = 4.6; 32 initial states, ε on both sides of it.

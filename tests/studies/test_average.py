@@ -80,7 +80,9 @@ def sticking(force, **options):
 ADJOINTS = [diffrax.ForwardMode(), diffrax.RecursiveCheckpointAdjoint()]
 
 
-@pytest.mark.parametrize("adjoint", ADJOINTS)
+@pytest.mark.parametrize(
+    "adjoint", [ADJOINTS[0], pytest.param(ADJOINTS[1], marks=pytest.mark.release)]
+)
 def test_the_share_of_sticking_is_a_share_of_time(adjoint):
     """Where the side would be a weight, or one side of a blend, the mode is 0. The share has the
     derivative of the time that the stick ends at."""

@@ -31,6 +31,7 @@ def errors(system, states, dt, **options):
         yield max(abs(end - exact)) / max(abs(exact))
 
 
+@pytest.mark.release
 def test_the_error_of_every_lane_is_below_the_tolerance_and_not_far(rotating):
     system, states, choice = rotating
     true = max(errors(system, states, choice))

@@ -168,6 +168,7 @@ def test_a_ball_that_hops_once_a_period_has_its_closed_form(balls):
         assert np.isnan(own[~good]).all(), name
 
 
+@pytest.mark.release
 def test_one_lane_is_that_of_the_diagram_and_has_the_derivatives_of_the_closed_form(balls):
     rows, found = balls
 

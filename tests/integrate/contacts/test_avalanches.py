@@ -58,6 +58,7 @@ def pair_exact(p):
     return jnp.stack([kick + r * (1.5 - fires), s * (1.5 - fires), fires, fires])
 
 
+@pytest.mark.release
 def test_a_neuron_that_is_kicked_past_its_threshold_fires():
     def end(p):
         r, s, kick, x1 = p
@@ -264,7 +265,7 @@ class Gate(jf.System):
         return jnp.where(surface == self.opening, opened, jnp.stack([x[0] + x[1], x[1]]))
 
 
-@pytest.mark.parametrize("opening", [0, 1])
+@pytest.mark.parametrize("opening", [pytest.param(0, marks=pytest.mark.release), 1])
 def test_a_reset_sees_what_the_one_before_it_has_left(opening):
     """At one time the lowest number comes first; at times that differ, the earlier one."""
     run = jax.jit(jax.vmap(lambda a, b: solve(Gate(a, b, opening), [0.0, 0.0], 2.0)))
@@ -308,6 +309,7 @@ def struck(kicks, weights):
     return clocked_problems.Neurons(still, still, weights, jnp.array(10.0), jnp.array(1.0), kicks)
 
 
+@pytest.mark.release
 def test_a_neuron_that_is_pulled_back_below_its_threshold_does_not_fire():
     """Neuron 0 pulls neuron 1 back, while neuron 2 has still to fire."""
     run = jax.jit(

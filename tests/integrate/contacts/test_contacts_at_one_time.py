@@ -101,6 +101,7 @@ class Ledge(jf.System):
         return x.at[3:].set(after[surface])
 
 
+@pytest.mark.release
 def test_an_impact_that_another_one_prevents_is_not_made():
     """All three are met at t = 1; the first impact throws the second mass up from its ledge."""
     sol = solve(Ledge(), [-3.0, 1.0, 1.0, 3.0, -1.0, -1.0], 2.0, 0.25)

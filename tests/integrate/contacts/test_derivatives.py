@@ -158,7 +158,7 @@ def rows_at_once(function):
         ("sd", True, by_rows),
         ("sd", False, by_rows),
         ("moving belt", True, rows_at_once),
-        ("impacts", True, by_rows),
+        pytest.param("impacts", True, by_rows, marks=pytest.mark.release),
     ],
 )
 def test_reverse_is_forward(name, compact, jacobian):

@@ -98,13 +98,11 @@ SCENES = {
 }
 
 
-# Two of them hold both kinds of contact, and what is compiled for them takes half as long.
 @pytest.mark.parametrize(
     "name",
     [
-        "stick-slip",
-        "two surfaces",
-        *(pytest.param(name, marks=pytest.mark.release) for name in ("crossing", "impacts")),
+        name if name == "stick-slip" else pytest.param(name, marks=pytest.mark.release)
+        for name in SCENES
     ],
 )
 def test_a_block_gives_what_lanes_of_their_own_clock_give(name):
