@@ -45,7 +45,10 @@ gc.set_threshold(100_000, 50, 50)
 # `long_run`) is compiled as it is for users, and so is everything if the environment says
 # JAX_DISABLE_MOST_OPTIMIZATIONS=0.
 _OPTIMIZED = (
-    "sweep",
+    "sweep/test_checkpoint.py",
+    "sweep/test_multiprocess.py",
+    "sweep/test_section_diagram.py",
+    "sweep/test_sweep.py",
     "xla",
     "integrate/loop/test_batch_loop.py",
     "integrate/loop/test_kept_mode.py",

@@ -79,6 +79,7 @@ def orbits():
     ]
 
 
+@pytest.mark.release
 def test_pictures_of_an_orbit_and_its_branch_say_what_the_system_calls_things(orbits):
     named, plain = orbits
     assert labels(named.plot(axes())) == ("q, m", "v, m/s")

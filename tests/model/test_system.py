@@ -89,7 +89,9 @@ def test_a_wrapper_has_the_resets_of_what_it_wraps(name):
         assert wrapper.slides == built.slides == system.slides
 
 
-@pytest.mark.parametrize("system", [BALL, COULOMB], ids=["impacts", "friction"])
+@pytest.mark.parametrize(
+    "system", [pytest.param(BALL, marks=pytest.mark.release), COULOMB], ids=["impacts", "friction"]
+)
 def test_a_wrapped_system_moves_as_it_does_by_itself(system):
     """To the same states, at half the times."""
     options = dict(stepper=jf.RK4(), max_events=8)

@@ -122,6 +122,7 @@ def test_belt_begins_to_stick_where_its_orbit_grazes():
     assert "contacts at 10.9049758221: 0 to 2 contacts" in repr(branch)
 
 
+@pytest.mark.release
 def test_belt_adds_a_slide():
     orbit = jf.periodic_orbit(belt(1.5), jnp.asarray([1.6, 1.0]), steps=STEPS)
     branch = jf.continue_orbit(belt(1.5), "omega", orbit, stop=1.6)
@@ -165,7 +166,8 @@ def sticking_at(orbit):
 
 
 @pytest.mark.parametrize(
-    ("kind", "multiplier", "near"), [("fold", 1, 4.4566), ("period-doubling", -1, 4.4964)]
+    ("kind", "multiplier", "near"),
+    [pytest.param("fold", 1, 4.4566, marks=pytest.mark.release), ("period-doubling", -1, 4.4964)],
 )
 def test_belt_with_a_cubic_spring(kind, multiplier, near):
     (point,) = of_kind(cubic_branch(), kind)
@@ -211,6 +213,7 @@ def test_the_doubled_branch_leaves_from_the_period_doubling():
     assert_allclose(stick_map(omega, t0, once), x1, rtol=0, atol=1e-8)
 
 
+@pytest.mark.release
 def test_round_the_grazing_of_a_wall():
     # Where the orbit touches the wall at x = 1.
     grazing = closed_forms.wall_amplitude(1.2)
@@ -261,6 +264,7 @@ def amplitude_of_impacts(speed):
     return c * np.hypot(p, q)
 
 
+@pytest.mark.release
 def test_a_branch_goes_on_where_a_resonance_grazes():
     """The orbit with an impact begins at the graze, A = 0.1, turns at a fold 3e-5 below, and goes
     on above: the way round that corner is so sharp that no guess close by finds it."""
@@ -405,7 +409,7 @@ def thrown_once(a, phase, t0):
     return np.array([a * np.sin(phase) + np.pi * since - since**2 / 2, np.pi - since])
 
 
-@pytest.mark.parametrize("t0", [0.0, 0.3])
+@pytest.mark.parametrize("t0", [pytest.param(0.0, marks=pytest.mark.release), 0.3])
 def test_an_impact_passes_the_phase_of_shooting(t0):
     # x(t0) jumps there, at the fold itself for t0 = 0, and the orbit does not.
     a, fold = 1.2, np.pi / 3

@@ -123,7 +123,7 @@ def doublings(autonomous, b=1.0):
     return system, [point for point in branch.points if point.kind == "period-doubling"]
 
 
-@pytest.mark.parametrize("autonomous", [False, True])
+@pytest.mark.parametrize("autonomous", [False, pytest.param(True, marks=pytest.mark.release)])
 def test_both_periods_double_where_the_parameter_says(autonomous):
     _, points = doublings(autonomous)
     assert_allclose([point.value for point in points], [-1, 1], rtol=0, atol=1e-9)
@@ -138,8 +138,16 @@ def amplitude(branch, autonomous):
     return np.cos(half) * (r - 2) + np.sin(half) * (x0[:, 2] - np.cos(2 * half) / 5)
 
 
-@pytest.mark.parametrize("autonomous", [False, True])
-@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize(
+    "autonomous, which",
+    [
+        (False, 0),
+        *(
+            pytest.param(*case, marks=pytest.mark.release)
+            for case in ((True, 0), (False, 1), (True, 1))
+        ),
+    ],
+)
 def test_a_doubled_branch_ends_where_it_joins_its_parent(autonomous, which):
     system, points = doublings(autonomous)
     branch = jf.continue_orbit(system, "a", points[which], stop=(-1.5, 1.5), max_step=0.05)
@@ -154,6 +162,7 @@ def test_a_doubled_branch_ends_where_it_joins_its_parent(autonomous, which):
     assert (np.diff(branch.values) * other > 0).all()
 
 
+@pytest.mark.release
 def test_a_doubled_orbit_is_followed_to_its_parent_on_both_sides():
     system = Moebius(jnp.array(0.3), jnp.array(1.0))
     orbit = jf.periodic_orbit(system, jnp.array([0.3 + 0.9, 0.2]), periods=2, steps=16)

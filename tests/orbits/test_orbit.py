@@ -259,6 +259,7 @@ def central(f, at, h=1e-4):
     return np.tensordot([1, -8, 8, -1], values, 1) / (12 * h)
 
 
+@pytest.mark.release
 def test_derivatives_of_a_forced_orbit():
     def start(p):
         orbit = jf.periodic_orbit(S.DenHartog(friction=p[0], omega=p[1]), GUESS, steps=60)

@@ -147,6 +147,7 @@ def diagram():
     )
 
 
+@pytest.mark.release
 def test_impacts_below_the_grazing_have_the_lifts_that_scipy_finds(diagram):
     """One at each turn, or at every other; and above the Hopf bifurcation the valve stands still
     but for what has not decayed."""

@@ -302,6 +302,7 @@ def test_a_branch_changes_its_style_at_the_located_point():
     assert_array_equal(dashed, [[0, 1, 1.25, 2], [np.nan, np.nan, 2.5, 4]])
 
 
+@pytest.mark.release
 def test_exponents_by_synchronisation():
     def pull(t, x):
         return 1 - 0.5 * x

@@ -32,7 +32,11 @@ def kinds_of(sol):
     return [jf.EventKind(int(k)).name for k in sol.events.kinds[: sol.num_events]]
 
 
-@pytest.mark.parametrize("coupling", [None, jnp.zeros(())], ids=["separate", "one formula"])
+@pytest.mark.parametrize(
+    "coupling",
+    [None, pytest.param(jnp.zeros(()), marks=pytest.mark.release)],
+    ids=["separate", "one formula"],
+)
 def test_a_stuck_mass_is_carried_into_the_wall(coupling):
     # Stuck at speed 1 until t = 2, back at -1/2, dragged forward: again at t = 3 with 1/2.
     system = BeltAndWall(jnp.float64(2.0), coupling)

@@ -60,7 +60,13 @@ def compare(got, want, rtol):
     assert_allclose(got, want, rtol=0, atol=rtol * np.max(abs(want), initial=1))
 
 
-@pytest.mark.parametrize("name", tagged("flow"))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.release) if name == "box by everything" else name
+        for name in tagged("flow")
+    ],
+)
 def test_closed_forms(name):
     p = PROBLEMS[name]
     exact = name.split()[0] in ("ball", "relays", "box", "leave")
@@ -121,7 +127,7 @@ def rows_by_turns(gradient):
     ("name", "outer"),
     [
         ("leave by everything", lambda gradient: jax.jit(jax.jacfwd(gradient))),
-        ("ball by everything", rows_by_turns),
+        pytest.param("ball by everything", rows_by_turns, marks=pytest.mark.release),
     ],
 )
 def test_forward_over_reverse(name, outer):
@@ -200,6 +206,7 @@ def test_event_times_and_saved_states():
     compare(by_pairs(kept, p)[2], exactly(exact)(p)[2], 1e-13)
 
 
+@pytest.mark.release
 def test_weights_on_an_intersection_to_every_order():
     # p - 2 s1 + a s1 s2 = 0 and q - 2 s2 + b s1 s2 = 0: a quadratic equation for s1.
     def weights(p):
@@ -234,7 +241,13 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("name", list(SCENES))
+@pytest.mark.parametrize(
+    "name",
+    [
+        "belt",
+        *(pytest.param(name, marks=pytest.mark.release) for name in ("moving belt", "impacts")),
+    ],
+)
 def test_central_differences_of_first_derivatives(name):
     system, x0, t1 = SCENES[name]
     vector, back = ravel_pytree((system, jnp.asarray(x0), jnp.asarray(t1)))

@@ -286,6 +286,7 @@ class TimerQueue(jf.System):
         return jnp.where(surface == 0, x, shut)
 
 
+@pytest.mark.release
 def test_a_timer_ends_the_service_of_an_empty_queue():
     def exact(p):
         arrival, stop = p
@@ -356,7 +357,7 @@ class LiftFromSecond(Lift):
     floor = 1
 
 
-@pytest.mark.parametrize("system", [Lift, LiftFromSecond])
+@pytest.mark.parametrize("system", [Lift, pytest.param(LiftFromSecond, marks=pytest.mark.release)])
 def test_a_ball_is_lifted_where_another_mass_passes(system):
     def exact(p):
         a, c = p

@@ -86,6 +86,7 @@ def test_where_it_begins_to_stick_and_how_hard_it_is_held_are_sections():
     assert np.array_equal(alone.events.ts, sol.events.ts)
 
 
+@pytest.mark.release
 def test_derivatives_of_the_time_of_a_force_are_exact_to_the_second():
     z = jnp.array([1.25, 0.5])
 
@@ -102,6 +103,7 @@ def test_derivatives_of_the_time_of_a_force_are_exact_to_the_second():
     np.testing.assert_allclose(jax.hessian(found)(z), jax.hessian(exact)(z), rtol=0, atol=1e-10)
 
 
+@pytest.mark.release
 def test_how_hard_it_is_pressed_is_a_section_of_two_surfaces():
     """The floor presses back with 1 − a sin t, at rest from the start, as long as that is positive;
     the other mass falls for a time of 4."""

@@ -296,6 +296,7 @@ def test_a_ball_at_rest_does_not_turn():
     assert last <= 3 * np.sqrt(2.0) and sol.mode_final[0] == 2
 
 
+@pytest.mark.release
 def test_a_diagram_of_a_stuck_mass_has_no_samples():
     for section in (jf.maxima(lambda t, x: x[0]), jf.Section(velocity)):
         diagram = jf.bifurcation_diagram(

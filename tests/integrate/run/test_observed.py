@@ -73,6 +73,7 @@ def test_the_energy_of_a_ball_is_that_of_its_flights():
     assert np.isinf(found[5]).all() and not slopes[0][5].any() and not slopes[1][5].any()
 
 
+@pytest.mark.release
 def test_the_force_of_a_stick_is_that_of_the_spring():
     """It sticks from the start until the spring, x = t - 1/2, is as strong as friction, at
     t = F + 1/2, and slips. On the stick the side is a weight, by which it is told."""

@@ -99,6 +99,7 @@ def test_a_lane_does_not_depend_on_its_batch():
     assert np.median(np.abs(whole.xs - exact.xs)) < 1e-10
 
 
+@pytest.mark.release
 def test_sticking_lanes_of_a_batch():
     omegas = np.linspace(4.2, 4.7, 40)
 

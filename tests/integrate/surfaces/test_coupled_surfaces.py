@@ -52,7 +52,7 @@ def run(m, shown, more=0):
         # Either number of surfaces and either kind of state is in one of those for every day.
         pytest.param(2, PADDING + 4, marks=pytest.mark.release),
         pytest.param(3, 0, marks=pytest.mark.release),
-        (3, PADDING),
+        pytest.param(3, PADDING, marks=pytest.mark.release),
     ],
 )
 def test_affine_or_not_is_one_motion(m, more):
@@ -87,6 +87,7 @@ class Pair(jf.System):
         return x[2:]
 
 
+@pytest.mark.release
 def test_a_coupling_is_seen_in_whatever_words():
     """A conditional that is given an array and returns one mixes its numbers."""
     x0 = jnp.array([3.0, 1.0, 0.0, 0.5])

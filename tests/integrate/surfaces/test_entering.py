@@ -113,6 +113,7 @@ class Table(jf.System):
         return jnp.where(surface == 1, x.at[3].multiply(-0.5), x)
 
 
+@pytest.mark.release
 def test_a_start_on_a_slide_beside_a_rest():
     u, x0 = jnp.asarray(0.3), jnp.array([0.1, 0.3, 0.0, 0.0])
     by_u, by_v = jax.jacfwd(lambda u, v: run(Table(u), x0.at[1].set(v), 0.95), (0, 1))(u, x0[1])

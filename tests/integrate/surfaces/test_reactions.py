@@ -132,7 +132,7 @@ def motion(lane=(0.5, 0.02, 3.0), **options):
     return jax.tree.map(lambda leaf: leaf[0], motions([lane], **options))
 
 
-@pytest.mark.parametrize("of", [Block, Leaning])
+@pytest.mark.parametrize("of", [pytest.param(Block, marks=pytest.mark.release), Leaning])
 def test_friction_of_a_block_on_a_shaken_table(of):
     if of is Block:
         _, sol = motions()
@@ -253,6 +253,7 @@ def turned(mu, x0, t1):
     return solve(Rod(mu), x0, t1)
 
 
+@pytest.mark.release
 def test_a_rod_slips_on_its_tip():
     mu = jnp.array([rod[0] for rod in RODS])
     x0 = np.stack([on_its_tip(*rod[1:]) for rod in RODS])
