@@ -1,7 +1,7 @@
 """Types and shapes of arguments and results, checked as the tests run.
 
-jaxtyping's import hook (`--jaxtyping-packages=jaxfil,tests.inner`, as `.ci/release` has it, since it
-takes a sixth more time) hands every function of the package to `inner`. What answers for bad
+jaxtyping's import hook (`--jaxtyping-packages=jaxfil,tests.inner`, as `.ci/release` has it, since
+it takes a sixth more time) hands every function of the package to `inner`. What answers for bad
 arguments itself is left as it is, since tests call it with bad ones and look at its answer: the
 public functions, and the modules that are the door; and the textbook systems, whose functions
 anybody may call with plain numbers.

@@ -49,7 +49,7 @@ def run(m, shown, more=0):
     ("m", "more"),
     [
         (2, 0),
-        # Either number of surfaces and either kind of state is in one of those for every day.
+        # More surfaces, and states that are one array.
         pytest.param(2, PADDING + 4, marks=pytest.mark.release),
         pytest.param(3, 0, marks=pytest.mark.release),
         pytest.param(3, PADDING, marks=pytest.mark.release),
