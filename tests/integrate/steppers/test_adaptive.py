@@ -184,6 +184,7 @@ def test_what_is_saved():
     assert_allclose(steps.xs[rows - 1], right[-1], rtol=0, atol=1e-8)
 
 
+@pytest.mark.release
 def test_reverse_mode_and_backward_time():
     def end(e, adjoint):
         wall = Wall(e, jnp.array(1.1))
@@ -325,6 +326,7 @@ def test_a_field_that_is_not_lipschitz_at_its_surface():
     assert int(blind.stats["num_iterations"]) < 2000
 
 
+@pytest.mark.release
 def test_a_bifurcation_of_an_orbit_with_a_tolerance(tmp_path):
     system, step = jf.systems.SDOscillator(omega=0.84), jf.Adaptive(1e-9, 1e-12)
     orbit = jf.periodic_orbit(system, jnp.array([1.9, 0.0]), steps=step)

@@ -369,6 +369,7 @@ def test_what_cannot_be_held_is_refused():
         solve(Floating(), np.zeros(2), 1.0)
 
 
+@pytest.mark.release
 def test_sweeps_and_averages_of_what_feels_a_reaction():
     sweep = jf.bifurcation_diagram(
         Forced(*(jnp.array(v) for v in (0.5, 0.02, 3.0, 0.0))), "mu", np.array([0.35, 0.5]),

@@ -56,7 +56,7 @@ class PushAtFirst(Push):
     friction = 1
 
 
-@pytest.mark.parametrize("system", [Push, PushAtFirst])
+@pytest.mark.parametrize("system", [Push, pytest.param(PushAtFirst, marks=pytest.mark.release)])
 def test_a_block_sticks_until_the_one_that_rests_against_it_pushes_enough(system):
     """From rest in contact; at (1 − p)/r both begin to move."""
 
@@ -75,7 +75,7 @@ def test_a_block_sticks_until_the_one_that_rests_against_it_pushes_enough(system
     assert kinds_of(sols) == [[SLIP]] * 3
 
 
-@pytest.mark.parametrize("system", [Push, PushAtFirst])
+@pytest.mark.parametrize("system", [pytest.param(Push, marks=pytest.mark.release), PushAtFirst])
 def test_two_blocks_that_meet_stop_together(system):
     """Thrown together after 1/√p; they move on with half the speed, stop, and stay."""
 
@@ -129,7 +129,7 @@ class Drag(Belt):
         return (jf.Clock(1.0),)
 
 
-@pytest.mark.parametrize("system", [Belt, Drag])
+@pytest.mark.parametrize("system", [Belt, pytest.param(Drag, marks=pytest.mark.release)])
 def test_a_mass_at_rest_stays_when_the_belt_reverses(system):
     """From rest, and from where it falls to the wall."""
     p, away = np.array([3.0, 0.7, 3.0, 0.7]), np.array([0.0, 0.0, 0.1, 0.1])
@@ -189,7 +189,9 @@ def redundant(system, n=24):
     return F, load * (np.arange(n) >= 8)[:, None], v
 
 
-@pytest.mark.parametrize("system", [ThreeFrictions, Polygon])
+@pytest.mark.parametrize(
+    "system", [pytest.param(ThreeFrictions, marks=pytest.mark.release), Polygon]
+)
 def test_friction_that_is_redundant_is_one_motion(system):
     """Under loads that are too weak to move them, blocks stop and stay."""
 

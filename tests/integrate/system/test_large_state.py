@@ -100,6 +100,7 @@ def test_jacobians_are_those_of_the_few(name):
     assert_allclose(back, many, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.release
 def test_sweeps_orbits_and_exponents():
     system = jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=12.0)
     x0, values = np.array([0.6, 0.0]), np.linspace(11, 12, 5)
