@@ -132,6 +132,7 @@ def test_quiet_prints_nothing(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "keeps"), [([], True), (["--no-cache"], False)])
 def test_what_is_compiled_is_kept_in_the_folder_that_the_platform_names(tmp_path, words, keeps):
     kept, out = tmp_path / "kept", str(tmp_path / "a.png")
@@ -445,12 +446,13 @@ def interrupted(folder, words, until, times=1):
     return process.returncode, out, [line for line in lines if line and "lane/s" not in line]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("ctrl_c_interrupts")
 @pytest.mark.parametrize(
     "until, times, line",
     [
         (b"compiling", 1, "jaxfil: interrupted"),
-        (rb" [1-9]\d*/20000", 3, "jaxfil: interrupted"),
+        pytest.param(rb" [1-9]\d*/20000", 3, "jaxfil: interrupted", marks=pytest.mark.release),
         (rb" [1-9]\d*/20000", 1, r"jaxfil: interrupted: \d+ of 20000 lanes are finished; wrote .*"),
     ],
     ids=["compiling", "running, again and again", "running"],
@@ -469,10 +471,11 @@ def test_ctrl_c_is_answered_by_one_line_and_130(tmp_path, until, times, line):
         assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("ctrl_c_interrupts")
 @pytest.mark.parametrize(
     "command, axes",
-    [("plane", "omega f0"), ("basins", "x0 x1")],
+    [("plane", "omega f0"), pytest.param("basins", "x0 x1", marks=pytest.mark.release)],
 )
 def test_ctrl_c_in_a_map_is_answered_as_in_a_diagram(tmp_path, command, axes):
     first, second = axes.split()

@@ -147,6 +147,7 @@ def test_a_wall_is_grazed_where_the_amplitude_reaches_it():
     np.testing.assert_allclose(amplitude, exact, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_curve_of_grazing_is_where_the_amplitude_is_one(sd_grazing):
     system = jf.systems.SDOscillator(omega=0.84)
     curve = jf.continue_bifurcation(system, ("omega", "f0"), sd_grazing, stop=(0.75, 0.95))
@@ -159,6 +160,7 @@ def test_the_curve_of_grazing_is_where_the_amplitude_is_one(sd_grazing):
     assert outcome_names(curve.result) == "successful" and "  successful\n" in repr(curve)
 
 
+@pytest.mark.slow
 def test_the_value_has_the_derivative_of_the_closed_form(sd):
     system, orbits = sd
     orbit = lane(orbits, 0)
@@ -181,6 +183,7 @@ def margin_exact(f0, zeta, omega):
     return 1 - f0 / jnp.sqrt((1 - omega**2) ** 2 + (2 * zeta * omega) ** 2)
 
 
+@pytest.mark.slow
 def test_the_margin_and_its_gradient_on_both_sides_of_grazing(sd):
     _, orbits = sd
     orbit = lane(orbits, 1)
@@ -273,6 +276,7 @@ def test_a_margin_that_is_not_found_is_an_error(sd):
     assert outcome_names(found.result) == "no_tangency_found" and np.isnan(float(found.value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("throw", [pytest.param(True, marks=pytest.mark.release), False])
 def test_a_margin_has_its_derivatives_with_and_without_an_error(sd, throw):
     _, orbits = sd
@@ -292,6 +296,7 @@ def test_a_margin_has_its_derivatives_with_and_without_an_error(sd, throw):
         np.testing.assert_allclose(got, exact, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_nearest_grazing_set_is_found_by_gradient(sd):
     """Projection onto the set margin = 0 by Newton along the gradient ends where the closed form
     of the margin vanishes."""
@@ -310,6 +315,7 @@ def test_the_nearest_grazing_set_is_found_by_gradient(sd):
     assert abs(margin_exact(system.f0, 0.0141, system.omega)) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.long_run
 def test_everything_that_happens_to_an_orbit_in_one_call():
     """Belt case 1 from 12 down to 3.9: three of the nine on [0.5, 20]."""
@@ -335,6 +341,7 @@ def with_a_graze(orbit, k):
     return eqx.tree_at(lambda o: o.events, orbit, inserted)
 
 
+@pytest.mark.slow
 def test_a_touch_within_a_flight_hides_nothing():
     """The slip that is born in the adding-sliding bifurcation rises so little at first that its
     vertex is told as a touch."""

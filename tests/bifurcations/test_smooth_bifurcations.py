@@ -70,6 +70,7 @@ def test_curves_of_henons_map(kind, factor, double):
     assert_allclose(named(curve)[double], [-1, 4 * factor], rtol=0, atol=1e-9)
 
 
+@pytest.mark.release
 def test_folds_meet_in_a_cusp():
     """y = r + a y − y³: the folds are at a = 1 + 3y², r = −2y³."""
     system = a_map(a=1.5, d=-1.0)
@@ -216,6 +217,7 @@ class Gate(jf.System):
 
 
 # With the gate open for a while its time is a square root of A − 1, which is known to rounding.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "k, start, stop, atol",
     [
@@ -250,6 +252,7 @@ class Roessler(jf.System):
         return jnp.stack([-x[1] - x[2], x[0] + self.a * x[1], 0.2 + x[2] * (x[0] - self.c)])
 
 
+@pytest.mark.release
 def test_period_doublings_of_an_autonomous_orbit():
     """By `fsolve` on the variational equations by DOP853, with rtol = 1e-12."""
     system = Roessler(jnp.float64(0.2), jnp.float64(2.8))

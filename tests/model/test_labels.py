@@ -100,6 +100,7 @@ def test_pictures_of_an_orbit_and_its_branch_say_what_the_system_calls_things(or
     assert labels(extremes) == ("Ω, rad/s", "least and largest v, m/s")
 
 
+@pytest.mark.slow
 def test_pictures_of_sweeps_say_what_the_system_calls_things():
     diagram = swept(NAMED)
     assert labels(diagram.plot(axes())) == ("Ω, rad/s", "q once a period, m")

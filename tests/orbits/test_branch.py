@@ -69,6 +69,7 @@ def sd_branch():
     return jf.continue_orbit(S.SDOscillator(), "omega", orbit, stop=(0.68, 1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.long_run
 def test_sd_oscillator_folds_where_the_closed_form_does():
     (fold,) = of_kind(sd_branch(), "fold")
@@ -79,6 +80,7 @@ def test_sd_oscillator_folds_where_the_closed_form_does():
     assert_allclose(sd_branch().values.max(), exact, rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_sd_oscillator_has_a_saddle_beyond_the_fold():
     orbits = sd_branch().at(0.9)
     assert len(orbits) == 2
@@ -91,6 +93,7 @@ def test_sd_oscillator_has_a_saddle_beyond_the_fold():
     assert bool(orbits[0].stable) and not bool(orbits[1].stable)
 
 
+@pytest.mark.slow
 def test_a_branch_that_ends_says_so():
     # The one-sided orbit: amplitude f0/√((1 - Ω²)² + (2ζΩ)²), grazes at amplitude 1 and is gone.
     x0 = jnp.asarray(closed_forms.one_sided(0.85))
@@ -193,6 +196,7 @@ def test_both_sticking_orbits_are_unstable():
         assert_allclose(largest.real, slope(4.56, t0, x1), rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_doubled_branch_leaves_from_the_period_doubling():
     (point,) = of_kind(cubic_branch(), "period-doubling")
     system = cubic_belt(4.5)
@@ -283,6 +287,7 @@ def test_a_branch_goes_on_where_a_resonance_grazes():
     assert_allclose(points["fold"], least.fun, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", [0.0, -0.03])
 def test_a_parameter_goes_to_zero_and_through_it(stop):
     # Below the wall x'' + c x' + x = A cos Ωt: without damping the response has no phase.
@@ -317,6 +322,7 @@ def test_a_special_point_is_drawn_on_the_curve():
     assert marker.get_xydata().tolist() == [[1.5, 2.5]]
 
 
+@pytest.mark.slow
 def test_a_branch_draws_itself():
     branch = sd_branch()
     ax = branch.plot(component=1)
@@ -409,6 +415,7 @@ def thrown_once(a, phase, t0):
     return np.array([a * np.sin(phase) + np.pi * since - since**2 / 2, np.pi - since])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("t0", [pytest.param(0.0, marks=pytest.mark.release), 0.3])
 def test_an_impact_passes_the_phase_of_shooting(t0):
     # x(t0) jumps there, at the fold itself for t0 = 0, and the orbit does not.

@@ -43,6 +43,7 @@ class Cycles(jf.System):
         return jnp.stack([growth * x[0] - turn * x[1], growth * x[1] + turn * x[0]])
 
 
+@pytest.mark.slow
 def test_a_closed_branch_of_a_forced_system_is_followed_once_round():
     orbit = jf.periodic_orbit(Ring(jnp.array(2.3)), jnp.array([0.9]), steps=20)
     branch = jf.continue_orbit(Ring(jnp.array(2.3)), "a", orbit, stop=(0.5, 4.0), max_step=0.05)
@@ -56,6 +57,7 @@ def test_a_closed_branch_of_a_forced_system_is_followed_once_round():
     assert_allclose(values, [1, 3], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_closed_branch_of_an_autonomous_system_is_followed_once_round():
     start = jnp.array([2.4, 0.0])
     orbit = jf.periodic_orbit(Cycles(jnp.array(1.2)), start, period=2 * np.pi / 2.1, steps=32)
@@ -138,6 +140,7 @@ def amplitude(branch, autonomous):
     return np.cos(half) * (r - 2) + np.sin(half) * (x0[:, 2] - np.cos(2 * half) / 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "autonomous, which",
     [
@@ -171,6 +174,7 @@ def test_a_doubled_orbit_is_followed_to_its_parent_on_both_sides():
     assert_allclose(branch.values[[0, -1]], [-1, 1], rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_short_doubled_branch_does_not_slip_onto_its_parent():
     """Of width 1/10, where the parent is at hand everywhere."""
     system, points = doublings(False, 0.1)

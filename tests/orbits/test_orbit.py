@@ -274,6 +274,7 @@ def test_derivatives_of_a_forced_orbit():
     assert_allclose(forward[2], [0, -2 * np.pi / 0.8**2], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_of_an_autonomous_orbit():
     # It sticks. x0 moves at right angles to the field at the guess, which depends on the parameters
     # too; the period does not.
@@ -482,6 +483,7 @@ class Thermostat(jf.System):
         return jnp.stack([x[0], jnp.where(surface == 0, 0.0, 1.0)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("guess", [0.7, 1.0, 1.3, 2.0])
 def test_the_period_of_a_thermostat_is_prime(guess):
     system = Thermostat(jnp.asarray(18.0), jnp.asarray(22.0))

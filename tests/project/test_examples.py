@@ -48,6 +48,7 @@ examples.main()
 """
 
 
+@pytest.mark.slow
 def test_an_example_that_needs_another_precision_is_seen(tmp_path):
     assert run(tmp_path, "jaxfil.EventKind") == ("", 0)
     told, status = run(tmp_path, "planted", code=PLANTED)

@@ -30,6 +30,7 @@ def test_ci_runs_the_test_command_in_readme():
     assert found[0] == command.strip()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", blocks("python"), ids=lambda s: s.splitlines()[0])
 def test_a_script_in_readme_runs(script, tmp_path):
     done = subprocess.run(

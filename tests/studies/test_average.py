@@ -103,6 +103,7 @@ def test_shares_of_time_in_single_precision():
     np.testing.assert_allclose(values, (forces + 0.5) / 2, rtol=16 * np.finfo(np.float32).eps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 0.8])
 def test_the_share_of_rest_begins_after_the_last_impact(restitution):
     """From h it falls for a time √h, and then flies for 2e + 2e² + … = 2e/(1 − e) of that."""

@@ -71,6 +71,7 @@ def test_the_card_and_the_picture_say_what_was_chosen(rotating):
     np.testing.assert_allclose(ring.get_xydata(), [[choice.seconds, choice.error]])
 
 
+@pytest.mark.slow
 def test_a_choice_for_a_sweep_is_taken_as_its_steps():
     wall = jf.systems.ImpactOscillator(amplitude=0.05)
     omegas = jnp.array([0.8, 1.2])

@@ -49,6 +49,7 @@ def of_linear(omega, damping):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "dtype, options, rtol",
     [
@@ -158,6 +159,7 @@ def balls():
     return rows, found
 
 
+@pytest.mark.slow
 def test_a_ball_that_hops_once_a_period_has_its_closed_form(balls):
     rows, found = balls
     good = np.isfinite(rows[:, 0])
@@ -241,6 +243,7 @@ class Relay(jf.System):
         return x[0]
 
 
+@pytest.mark.slow
 def test_on_a_slide_it_is_the_blend_that_is_averaged(tmp_path):
     """It leaves at cos t₁ = 1/A and comes back at A (sin t₂ − sin t₁) = t₂ − t₁; in between the
     force is on one side, elsewhere side = A cos t holds against it."""

@@ -330,6 +330,7 @@ print(d.xs.tobytes().hex())
 """
 
 
+@pytest.mark.slow
 def test_two_processes_at_one_checkpoint_agree(tmp_path):
     command = [sys.executable, "-c", TWO.format(path=str(tmp_path))]
     both = [subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) for _ in range(2)]

@@ -6,6 +6,7 @@ import sys
 
 import jax
 import numpy as np
+import pytest
 from numpy.testing import assert_array_equal
 
 import jaxfil as jf
@@ -55,6 +56,7 @@ def free_port():
         return s.getsockname()[1]
 
 
+@pytest.mark.slow
 def test_two_processes_find_what_one_finds(tmp_path):
     port = str(free_port())
     both = [

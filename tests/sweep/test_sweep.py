@@ -83,6 +83,7 @@ def test_a_bad_lane_harms_no_other():
     np.testing.assert_allclose(mixed.xs[[0, 2]], good.xs, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_chunks_and_cores_and_other_lanes_make_no_difference(monkeypatch, chunks):
     values = np.linspace(4.2, 4.7, 200)
     run = {"transient": 5, "samples": 3, "progress": False, "compact": False}
@@ -185,6 +186,7 @@ class Sorted(System):
         return 2 * jnp.pi / self.omega
 
 
+@pytest.mark.slow
 def test_a_field_with_a_sort_is_swept_as_it_is_solved(chunks):
     values, x0 = np.array([0.9, 1.1]), jnp.array([0.3, 0.1])
     stepper, options = jf.RK4(), {"transient": 1, "samples": 2, "progress": False}

@@ -83,6 +83,7 @@ def test_tables_in_a_field_leave_the_process_alive(where):
         assert_allclose(jax.jit(run)(X0), exact(END), rtol=0, atol=TOLERANCE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "where", ["closed over, by index", pytest.param("a field", marks=pytest.mark.release), "summed"]
 )
@@ -130,6 +131,7 @@ def asked_anew():
         function()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("asked_anew")
 @pytest.mark.parametrize(
     "why", ["unknown attributes", pytest.param("it refuses", marks=pytest.mark.release)]

@@ -76,6 +76,7 @@ def in_parts(monkeypatch):
     jax.clear_caches()
 
 
+@pytest.mark.slow
 def test_a_lane_and_its_derivatives_give_what_their_parts_give(in_parts):
     a = jnp.float64(0.3)
 
@@ -105,6 +106,7 @@ def test_a_lane_and_its_derivatives_give_what_their_parts_give(in_parts):
         np.testing.assert_allclose(u, v, rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compact", [pytest.param(False, marks=pytest.mark.release), True])
 def test_batches_of_all_kinds_give_what_single_lanes_give(compact):
     """Few lanes are one kernel, many a loop over blocks, those of a compact program a loop over
@@ -155,6 +157,7 @@ def test_derivatives_of_the_end_need_no_kernel_but_their_own(throw):
         assert entry.count("xla_cpu_small_call") >= entry.count(" call(") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compact", [pytest.param(False, marks=pytest.mark.release), True])
 def test_a_lane_can_be_linearised(compact):
     """As optimistix and lineax do: the state first, its derivative later."""

@@ -30,6 +30,7 @@ def test_plain_reverse_mode_gives_nan():
     assert np.isnan(jax.grad(Traced(roots, X))(X)).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.release)])
 def test_reverse_mode_is_forward_mode(outer):
     traced = Traced(roots, X, transposed=True)

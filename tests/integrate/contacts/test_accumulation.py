@@ -115,6 +115,7 @@ def test_what_rides_along_is_carried_to_the_limit():
     assert_allclose(whole.x_final[2], short.x_final[2] * np.exp(-0.5 - 1e-6), rtol=0, atol=1e-13)
 
 
+@pytest.mark.release
 def test_derivatives_of_the_limit_are_exact():
     # Of a method of order three, which is exact on parabolas: second derivatives compile for long.
     def time(x):

@@ -89,6 +89,7 @@ def avalanches(x, rates, kick, t1):
             due = [i for i in range(x.size) if x[i] > 1 and not done[i]]
 
 
+@pytest.mark.slow
 def test_five_neurons_fire_as_a_plain_loop_says():
     """In lanes that fire at times of their own, with avalanches of up to five."""
     draw, n = np.random.default_rng(1), 12
@@ -131,6 +132,7 @@ class Gears(jf.System):
         return jnp.stack([x[0] + 1, 2 * x[1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [0, pytest.param(2, marks=pytest.mark.release)])
 def test_a_gear_box_shifts_twice(first):
     """At 1 from the first gear to the second, whose revolutions, 2, ask for the third: 4."""
@@ -185,6 +187,7 @@ class SidedByTick(Sided):
         return (jf.Clock(10.0, 1.0),)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Sided, SidedByTick])
 def test_the_field_is_that_of_the_side_it_is_carried_to(system):
     def end(p):
@@ -265,6 +268,7 @@ class Gate(jf.System):
         return jnp.where(surface == self.opening, opened, jnp.stack([x[0] + x[1], x[1]]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("opening", [pytest.param(0, marks=pytest.mark.release), 1])
 def test_a_reset_sees_what_the_one_before_it_has_left(opening):
     """At one time the lowest number comes first; at times that differ, the earlier one."""

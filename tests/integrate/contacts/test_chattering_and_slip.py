@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
@@ -37,6 +38,7 @@ def solve(friction):
     return jf.solve(Pile(friction), x0, 0.0, 4.0, 0.1, max_events=200, throw=False, compact=True)
 
 
+@pytest.mark.slow
 def test_a_mass_comes_to_rest_on_one_that_each_impact_makes_slip():
     sol = solve(jnp.asarray(3.0))
     assert str(outcome_names(sol.result)) == "successful"

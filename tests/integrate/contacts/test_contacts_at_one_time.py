@@ -56,6 +56,7 @@ def flights(h, e, t1):
 BALLS = [[0.5, 0.5, 0.8, 0.8], [0.5, 0.5 + 1e-9, 0.8, 0.7], [0.5, 0.6, 0.9, 0.6]]
 
 
+@pytest.mark.slow
 def test_balls_that_land_together_have_the_derivatives_of_each():
     def end(p):
         sol = solve(Balls(p[2:]), jnp.concatenate([p[:2], 0 * p[:2]]), 1.8)
@@ -142,6 +143,7 @@ SYSTEMS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_crossings_at_one_time_have_the_derivatives_of_each(system):
     def end(p):
@@ -177,6 +179,7 @@ class TickAndContact(jf.System):
         return (jf.Clock(10.0, self.s),)
 
 
+@pytest.mark.slow
 def test_a_tick_and_a_contact_at_one_time_have_their_own_derivatives():
     """On a grid point, off it, and a little apart."""
 
@@ -244,6 +247,7 @@ def multipliers_of_twins(one, k):
     return np.concatenate([np.linalg.eigvals(m) for m in each])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [0.0, 0.05])
 def test_twins_have_the_multipliers_of_one(one, k):
     x0 = jnp.repeat(one.x0, 2)
@@ -275,6 +279,7 @@ def twisting_time(p):
     return (down / (1 - jnp.sqrt((a - b) / (a + b))))[None]
 
 
+@pytest.mark.slow
 def test_the_limit_of_turns_on_a_step_has_its_derivatives():
     """The first lane of each step ends at 2.5, which the steps 0.05 and 0.1 meet."""
 

@@ -152,6 +152,7 @@ def rows_at_once(function):
     return jax.jit(jax.jacrev(lambda *args: (function(*args),) * 2, has_aux=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "compact", "jacobian"),
     [
@@ -211,10 +212,11 @@ class Through(Roots):
         return jnp.stack([x[1] + 0.1, jnp.where(side > 0, above, below)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stepper", "kind"),
     [
-        (PARABOLAS, Roots),
+        pytest.param(PARABOLAS, Roots, marks=pytest.mark.release),
         (PARABOLAS, Through),
         pytest.param(jf.Rodas5P(), Through, marks=pytest.mark.release),
         # Of two kinds of contact that are there already, and the one that compiles for longest.
@@ -398,6 +400,7 @@ class Costed(jf.System):
         return x[0] - 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wrapped",
     [

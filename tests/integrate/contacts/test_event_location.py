@@ -228,6 +228,7 @@ class Passing(jf.System):
         return jnp.stack([x[0] - self.a, t - 0.5])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.05, 0.25, 0.3, 0.5])
 def test_a_contact_at_a_grid_point_hides_none_in_its_step(dt):
     a = jnp.linspace(0.01, 0.99, 99)
@@ -252,6 +253,7 @@ class BallAndBead(jf.System):
         return jnp.where(surface == 0, x.at[1].multiply(-0.9), x.at[3].multiply(-1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.3, 1e-2, 1e-3])
 def test_a_contact_that_lands_at_once_hides_no_earlier_one(lag):
     place = np.array([0.003, 0.03, 0.1, 0.3, 0.7])[:, None]
@@ -276,6 +278,7 @@ class Decay(jf.System):
         return x[0] - 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "dtype, start", [("float64", 1e9), ("float64", 1e14), ("float32", 1e5), ("float32", 1e8)]
 )

@@ -5,6 +5,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
@@ -32,6 +33,7 @@ class Rise(jf.System):
         return x[0] - self.level
 
 
+@pytest.mark.slow
 def test_derivative_across_a_switch():
     # y' = 1 below c, 2 above: y(T) = 2 T - c from 0. A plain `where` gives dy/dc = 0.
     up, down = (lambda t, x: jnp.full(1, 2.0)), (lambda t, x: jnp.ones(1))

@@ -32,6 +32,7 @@ def kinds_of(sol):
     return [jf.EventKind(int(k)).name for k in sol.events.kinds[: sol.num_events]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "coupling",
     [None, pytest.param(jnp.zeros(()), marks=pytest.mark.release)],
@@ -68,6 +69,7 @@ def test_only_what_a_reset_moves_is_an_impact():
     assert int(sol.events.kinds[0]) == jf.EventKind.stick.value
 
 
+@pytest.mark.release
 def test_the_derivative_goes_through_the_impact():
     def end(wall):
         return jf.solve(BeltAndWall(wall), jnp.array([0.0, 2.0]), 0.0, 1.2, 0.1).x_final

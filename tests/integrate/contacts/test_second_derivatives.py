@@ -109,6 +109,7 @@ DECAY = jnp.asarray([1.5, 0.7, 2.0])
 curvature_of_decay = jax.jit(jax.vmap(jax.hessian(decay)))
 
 
+@pytest.mark.slow
 def test_forward_over_forward():
     compare(forward_twice(decayed)(DECAY), curvature_of_decay(DECAY[None])[0], 1e-10)
 
@@ -123,6 +124,7 @@ def rows_by_turns(gradient):
     return jacobian
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "outer"),
     [
@@ -148,6 +150,7 @@ def test_a_batch():
     compare(got, curvature_of_decay(batch), 1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
 def test_hessians_need_no_adjoint(outer):
     got = jax.jit(outer(jax.jacrev(decayed)))(DECAY)
@@ -184,6 +187,7 @@ def test_a_curve_that_moves():
     compare(by_pairs(end, p)[2], exactly(exact)(p)[2], 1e-12)
 
 
+@pytest.mark.slow
 def test_event_times_and_saved_states():
     # A ball's first impact and the states before and after it.
     def kept(p):
@@ -241,6 +245,7 @@ SCENES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

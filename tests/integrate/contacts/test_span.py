@@ -168,6 +168,7 @@ def room(x0, t0=0.0, t1=1.5):
 WARMS, COOLS = np.log(15 / 13), np.log(12 / 8)  # from 20 to 22 towards 35; to 18 towards 10
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_the_state_recorded_before_a_memory_is_set():
     whole = room([20.0, 1.0])
     again = room(whole.events.xs[0], whole.events.ts[0])

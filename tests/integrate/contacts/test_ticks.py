@@ -314,6 +314,7 @@ class TimerBlock(jf.System):
         return jnp.where(surface == 0, doubled, x)
 
 
+@pytest.mark.slow
 def test_a_timer_makes_a_stuck_block_slip():
     def exact(p):
         stop, load = p
@@ -357,6 +358,7 @@ class LiftFromSecond(Lift):
     floor = 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Lift, pytest.param(LiftFromSecond, marks=pytest.mark.release)])
 def test_a_ball_is_lifted_where_another_mass_passes(system):
     def exact(p):

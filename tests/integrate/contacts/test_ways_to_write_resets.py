@@ -67,6 +67,7 @@ def test_a_reset_at_a_known_place(way):
 
 
 # Ways are told apart at a known place already.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "way",
     [

@@ -119,6 +119,7 @@ def test_float32_lanes_of_a_long_sweep():
     assert np.all(abs(d.xs[0] - x0) <= 1.5 * np.finfo(np.float32).eps * np.outer(ts, abs(rate)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("t0", [0.0, 1000.0])
 def test_float32_derivative_of_the_coulomb_oscillator(t0):
     def end(x0, friction, adjoint):

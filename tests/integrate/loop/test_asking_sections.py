@@ -68,6 +68,7 @@ def rows(sol):
     return np.asarray(sol.crossings.ts)[:n], np.asarray(sol.crossings.sections)[:n]
 
 
+@pytest.mark.slow
 def test_where_it_begins_to_stick_and_how_hard_it_is_held_are_sections():
     force, level = jnp.array(1.25), jnp.array(0.5)
     sol = belt(force, level)

@@ -98,6 +98,7 @@ SCENES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -129,6 +130,7 @@ def system_at(system, omega):
     return eqx.tree_at(lambda s: s.omega, system, jnp.float64(omega))
 
 
+@pytest.mark.slow
 def test_a_lane_coasts_on_from_a_near_touch_without_losing_time():
     # x = 1 + Re a exp(iωt) comes within 2e-3 of the surface, which is looked at once a period, at a
     # time that float32 rounds by up to 6e-5; sampling times are rounded by as much.

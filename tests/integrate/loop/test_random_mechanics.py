@@ -41,6 +41,7 @@ def answers():
     return found
 
 
+@pytest.mark.slow
 def test_no_answer_is_wrong_and_called_successful():
     assert len(answers()) > 0.9 * COUNT
     assert all(right for name, right in answers() if name == "successful")
@@ -50,6 +51,7 @@ def test_all_problems_are_answered():
     assert all(name == "successful" for name, _ in answers())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "numbers"),
     [

@@ -165,6 +165,7 @@ def problems(m, n=3):
     return st.lists(st.tuples(relays, quarters(n)), min_size=1, max_size=LANES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m", [1, 2])
 def test_systems_of_quarters(m):
     seen = []

@@ -184,6 +184,7 @@ def censuses():
     return np.asarray(counts).reshape(10, 2, 3)
 
 
+@pytest.mark.slow
 def test_belt_case_1_changes_its_event_sequence_at_nine_values(censuses):
     for omega, (below, above) in zip(BELT_CHANGES, censuses[:9], strict=True):
         assert tuple(below) != tuple(above), omega

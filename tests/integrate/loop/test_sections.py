@@ -46,6 +46,7 @@ def rows(sol):
     )
 
 
+@pytest.mark.slow
 def test_crossings_of_a_spring_of_two_stiffnesses():
     """One section is its surface, which both its pieces end on; it starts on that too."""
     sections = (
@@ -106,6 +107,7 @@ def test_what_jumps_across_zero_crosses_there_and_what_is_thrown_back_does_not()
     np.testing.assert_allclose(xs[:3], [[0, 0.8], [0, 0.8], [0.32, 0]], rtol=0, atol=64 * EPS)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_crossing_are_exact_to_the_second():
     """A flight from the height h at the speed v ends at t = v + √(v² + 2h), with −√(v² + 2h)."""
     ground = jf.Section(lambda t, x: x[0], direction=-1)

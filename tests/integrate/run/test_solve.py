@@ -307,6 +307,7 @@ def test_a_dense_solution_is_evaluated_at_times_of_any_shape(coulomb, shape):
     assert_allclose(jax.jit(coulomb.evaluate)(ts), want, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_times_under_jit_are_known_where_they_are_numbers():
     """x'' = -1 from (9, 0): 9 - t²/2."""
     relay, x0 = Relay(jnp.asarray(1.0)), jnp.asarray([9.0, 0.0])

@@ -76,6 +76,7 @@ class Dragged(jf.System):
         return x[1]
 
 
+@pytest.mark.slow
 def test_what_ends_a_stick_is_seen_in_any_step():
     # While it sticks all steps are exact, be they as long as ten turns of the force.
     pulls, x0, t1 = jnp.linspace(1.005, 1.6, 12), jnp.zeros(2), 200.0
@@ -137,6 +138,7 @@ def pendulum(e, period, t1):
     return x
 
 
+@pytest.mark.slow
 def test_impacts_and_clocks_with_their_derivatives():
     e, period = jnp.array([0.5, 0.8]), jnp.array([0.9, 1.3])
 
@@ -165,6 +167,7 @@ def test_impacts_and_clocks_with_their_derivatives():
     assert int(alone["num_steps"]) == int(stats["num_steps"][1])
 
 
+@pytest.mark.release
 def test_what_is_saved():
     wall, x0, tolerance = Wall(jnp.array(0.6), jnp.array(1.1)), jnp.array([1.0, 0.0]), 1e-10
     ts = jnp.linspace(0.0, 4.0, 9)

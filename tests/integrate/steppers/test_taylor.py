@@ -47,6 +47,7 @@ def belt_end(x0, stepper, dt):
     return jf.solve(BELT, x0, 0.0, 3.0, dt, stepper=stepper, max_events=None).x_final
 
 
+@pytest.mark.release
 def test_derivatives_of_both_orders_through_sticks():
     @jax.jit
     def slopes(x, first, second):
@@ -70,6 +71,7 @@ def test_derivatives_of_both_orders_through_sticks():
     assert_allclose(curvature, (ahead - back) / (2 * step), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_all_ways_to_save_agree():
     ts = jnp.linspace(0.0, 3.0, 17)
 
@@ -81,6 +83,7 @@ def test_all_ways_to_save_agree():
     assert_allclose(at_times, dense, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_lane_does_not_depend_on_its_batch():
     sd = jf.systems.SDOscillator()
     omegas = np.linspace(0.6, 1.3, 70)

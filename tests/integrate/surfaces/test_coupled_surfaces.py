@@ -45,6 +45,7 @@ def run(m, shown, more=0):
     return jf.solve(stack, x0, 0.0, 8.0, 0.05, max_events=64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("m", "more"),
     [

@@ -83,6 +83,7 @@ def test_a_slide_begins_with_a_derivative_that_depends_on_the_field():
     np.testing.assert_allclose(mixed, [0, 1], rtol=0, atol=1e-14)
 
 
+@pytest.mark.release
 def test_a_start_on_two_surfaces_whose_sides_push_aside():
     """S from ∂f/∂w and ∂ψ/∂w, and from a start beside the surfaces."""
     a, x0 = jnp.asarray(0.5), jnp.array([0.5, 0.0, 0.0])

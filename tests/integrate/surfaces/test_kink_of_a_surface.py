@@ -9,6 +9,7 @@ is its mirror image (Pontryagin and others, The Mathematical Theory of Optimal P
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxfil as jf
 from tests.results import assert_within, outcome_names
@@ -29,6 +30,7 @@ def by_hand(x):
     return s * x[1] + 2 * jnp.sqrt(s * x[0] + x[1] ** 2 / 2)
 
 
+@pytest.mark.slow
 def test_it_rests_at_the_origin_from_everywhere():
     """Also its gradient is exact, which diverges as 1/√ towards the curve, hence the bound."""
 

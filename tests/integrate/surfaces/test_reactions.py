@@ -132,6 +132,7 @@ def motion(lane=(0.5, 0.02, 3.0), **options):
     return jax.tree.map(lambda leaf: leaf[0], motions([lane], **options))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", [pytest.param(Block, marks=pytest.mark.release), Leaning])
 def test_friction_of_a_block_on_a_shaken_table(of):
     if of is Block:
@@ -323,6 +324,7 @@ def forces(mu, angle, spin):
     return np.linalg.solve(rows, [-c * spin**2, G - s * spin**2, 0])
 
 
+@pytest.mark.release
 def test_a_ladder_slides_down_until_it_leaves_the_wall():
     mu, angle, spin = 0.2, 1.1, -0.05
 

@@ -186,6 +186,7 @@ class Cradle(jf.System):
         return jnp.concatenate([x[:4], v])
 
 
+@pytest.mark.slow
 def test_a_wave_runs_through_beads_that_touch():
     x0 = [-1, 0, 0, 0, 1, 0, 0, 0]
     sol = solve(Cradle(jnp.asarray(1.0)), x0, 3.0, 0.1)
@@ -317,6 +318,7 @@ class Stack(jf.System):
         return jnp.where(surface == 0, x.at[2].set(0.0), x.at[2].set(mean).at[3].set(mean))
 
 
+@pytest.mark.slow
 def test_two_balls_come_to_rest_on_each_other():
     sol = solve(Stack(), (0.5, 2, 0, 0), 5.0)
     assert sol.result == RESULTS.successful
@@ -377,6 +379,7 @@ def column(e, q):
     return jf.solve(Column(e), x0, 0.0, 4.0, 0.02, **options)
 
 
+@pytest.mark.release
 def test_a_column_of_beads_meets_as_its_parabolas_do():
     q, e, count = np.array([0.5, 0.95, 1.3]), 0.9, 40
     ts, surfaces = fall(q, e, count)

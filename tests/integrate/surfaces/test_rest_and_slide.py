@@ -56,6 +56,7 @@ class PushAtFirst(Push):
     friction = 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Push, pytest.param(PushAtFirst, marks=pytest.mark.release)])
 def test_a_block_sticks_until_the_one_that_rests_against_it_pushes_enough(system):
     """From rest in contact; at (1 − p)/r both begin to move."""
@@ -75,6 +76,7 @@ def test_a_block_sticks_until_the_one_that_rests_against_it_pushes_enough(system
     assert kinds_of(sols) == [[SLIP]] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [pytest.param(Push, marks=pytest.mark.release), PushAtFirst])
 def test_two_blocks_that_meet_stop_together(system):
     """Thrown together after 1/√p; they move on with half the speed, stop, and stay."""
@@ -129,6 +131,7 @@ class Drag(Belt):
         return (jf.Clock(1.0),)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Belt, pytest.param(Drag, marks=pytest.mark.release)])
 def test_a_mass_at_rest_stays_when_the_belt_reverses(system):
     """From rest, and from where it falls to the wall."""
@@ -189,6 +192,7 @@ def redundant(system, n=24):
     return F, load * (np.arange(n) >= 8)[:, None], v
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "system", [pytest.param(ThreeFrictions, marks=pytest.mark.release), Polygon]
 )

@@ -126,6 +126,7 @@ def test_sweeps_orbits_and_exponents():
     )
 
 
+@pytest.mark.release
 def test_checkpointed_gradients_and_float32():
     system, x0, t1 = SCENES["slides"]
 

@@ -200,6 +200,7 @@ def test_only_a_scene_that_slides_evaluates_both_fields_at_every_stage(program):
     assert fields("crossing") < fields("sliding")
 
 
+@pytest.mark.slow
 def test_a_forcing_is_computed_once_for_each_time_of_a_step():
     def sines(stepper):
         def end(x, system):
@@ -245,6 +246,7 @@ def test_new_numbers_neither_trace_nor_compile_again():
         assert (made == 0) == (i == 1)
 
 
+@pytest.mark.slow
 def test_a_derivative_outside_of_jit_compiles_nothing_again():
     """As a search by gradient asks for it, step by step."""
     orbit = jf.periodic_orbit(
