@@ -327,8 +327,8 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
 
 @eqx.filter_custom_jvp
 def _at_end(at: tuple[_Model, Array], kept: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Residuals and their Jacobian at the end of a search, which the solver has kept. They are
-    computed again for their derivatives, of which it keeps none."""
+    """Residuals and their Jacobian at the end of a search, which the solver has kept. Their
+    derivatives, which it has not, come from another evaluation."""
     del at
     return kept
 
