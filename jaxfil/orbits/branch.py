@@ -29,7 +29,8 @@ class SpecialPoint(eqx.Module):
     surface) and "contacts" (their sequence changes otherwise). Impacts that die out are infinitely
     many, and their number does not change."""
     value: float
-    """The parameter value, located to about 1e-10."""
+    """The parameter value, located to about 1e-10; to about 1e-7 where a contact disappears in a
+    graze, since orbits with the contact are known to the square root of rounding there."""
     orbit: Orbit
     """The orbit at this value; where the contacts change, the first one after the change."""
     index: int = eqx.field(static=True)
