@@ -5,7 +5,7 @@ after the file or the noun that it tests. `tests/project` holds what is about th
 (layout, README, notebooks, gallery, paper, programs of the benchmarks). One room is run by its
 folder, `python -m pytest tests/orbits`, the quick tests of it by `-m "not slow"` besides. What only
 a release must pass is marked `release`: notebooks, figures, long comparisons with exact motions,
-and dear tests beside which a cheaper one protects the same property.
+and the dearest tests, most of them beside a cheaper one of the same property.
 
 What several rooms use is here: `problems`, a bank of problems with known answers, by name and by
 tag; `oracles`, exact motions and other things to compare with; `results`, what is done with a

@@ -364,7 +364,7 @@ def test_mistakes_in_a_system_of_a_file(own, capsys):
 BELT = ["belt-friction", "--set", "gamma1=10", "gamma2=0", "--x0", "0.1,0"]
 
 
-@pytest.mark.release
+@pytest.mark.slow
 def test_an_orbit_its_branch_and_its_bifurcations(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["orbit", *BELT, "--set", "omega=11.5", "--out", "orbit.png"]) == 0

@@ -297,7 +297,7 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
             max_steps=max_steps,
             throw=False,
         )
-        # Half of what there is to compile, if the motion at the end were computed again.
+        # To compute the motion at the end again would add half as much to compile.
         last, result = found.state.f_info, found.state.aux
         away, slopes = _at_end((model, found.value), (last.residual, last.jac.as_matrix()))
         ended = found.result == optx.RESULTS.successful

@@ -252,7 +252,7 @@ class Roessler(jf.System):
         return jnp.stack([-x[1] - x[2], x[0] + self.a * x[1], 0.2 + x[2] * (x[0] - self.c)])
 
 
-@pytest.mark.release
+@pytest.mark.slow
 def test_period_doublings_of_an_autonomous_orbit():
     """By `fsolve` on the variational equations by DOP853, with rtol = 1e-12."""
     system = Roessler(jnp.float64(0.2), jnp.float64(2.8))

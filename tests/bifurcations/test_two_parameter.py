@@ -31,7 +31,7 @@ class Wave(jf.System):
         return self.d - x[0]
 
 
-@pytest.mark.release
+@pytest.mark.slow
 def test_grazing_becomes_grazing_sliding_in_a_two_fold():
     """It touches the threshold at d = 1 whatever the field beyond it does, and slides if that leads
     back."""

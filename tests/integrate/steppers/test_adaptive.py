@@ -187,7 +187,7 @@ def test_what_is_saved():
     assert_allclose(steps.xs[rows - 1], right[-1], rtol=0, atol=1e-8)
 
 
-@pytest.mark.release
+@pytest.mark.slow
 def test_reverse_mode_and_backward_time():
     def end(e, adjoint):
         wall = Wall(e, jnp.array(1.1))

@@ -324,7 +324,7 @@ def forces(mu, angle, spin):
     return np.linalg.solve(rows, [-c * spin**2, G - s * spin**2, 0])
 
 
-@pytest.mark.release
+@pytest.mark.slow
 def test_a_ladder_slides_down_until_it_leaves_the_wall():
     mu, angle, spin = 0.2, 1.1, -0.05
 
