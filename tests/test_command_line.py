@@ -40,6 +40,7 @@ def refused(capsys, *words):
     return err
 
 
+@pytest.mark.slow
 def test_the_command_in_readme_draws_its_diagram(tmp_path):
     (command,) = re.findall(r"-m (jaxfil diagram .* --out .*)", README.read_text())
     words = shlex.split(command)
@@ -265,6 +266,7 @@ def test_the_grade_of_the_program_reaches_the_sweep(tmp_path, monkeypatch, words
         diagram(tmp_path, *words)
 
 
+@pytest.mark.slow
 def test_the_stepper_and_the_checkpoint_reach_the_sweep(tmp_path):
     kept = tmp_path / "kept"
     words = ["--stepper", "Taylor", "--checkpoint", str(kept), "--steps", "16"]
@@ -397,6 +399,7 @@ def test_exponents_of_one_value_and_of_several(tmp_path, monkeypatch, capsys):
         assert_allclose(saved["exponents"].sum(axis=1), -saved["damping"], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_plane_and_basins_are_those_of_the_library(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["--transient", "3", "--samples", "4", "--steps", "20", "--stepper", "RK4", "--quiet"]

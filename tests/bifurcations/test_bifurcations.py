@@ -264,6 +264,7 @@ def test_every_lane_of_a_margin_has_its_own_outcome(sd):
     assert "GrazingMargin in float32: successful" in repr(in_float32(single))
 
 
+@pytest.mark.slow
 def test_a_margin_that_is_not_found_is_an_error(sd):
     system, orbits = sd
     broken = replace_parameter(system, "omega", np.nan)

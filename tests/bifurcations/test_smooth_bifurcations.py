@@ -55,6 +55,7 @@ def named(curve):
 
 
 # Hénon's map, y = r + b x − y²: multipliers have the product −b and the sum −2y.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind, factor, double", [("fold", -1 / 4, "1:1"), ("period-doubling", 3 / 4, "1:2")]
 )
@@ -173,6 +174,7 @@ TABLE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, number, omega, error", TABLE)
 def test_gears_with_backlash(kind, number, omega, error):
     system, points = gears()

@@ -96,6 +96,7 @@ def sd_run(omega, x0, periods):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.long_run
 def test_the_sd_oscillator():
     # Divergence -2ζ on both sides, and crossings keep the volume. At Ω = 0.7 the
@@ -127,6 +128,7 @@ def belts():
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *systems), jnp.asarray(x0)
 
 
+@pytest.mark.slow
 @pytest.mark.long_run
 def test_the_belt():
     systems, x0 = belts()
@@ -213,6 +215,7 @@ def test_an_impact_on_a_moving_table():
     assert found.settled and np.isnan(found.standard_error).all()
 
 
+@pytest.mark.slow
 def test_sticking_to_a_moving_belt():
     system, x0 = jf.systems.MovingBelt(), jnp.array([3.0, 0.0])
     found = jf.lyapunov_spectrum(system, x0, **ONCE, interval=12.0)
@@ -268,6 +271,7 @@ class Forced(jf.System):
         return jnp.cos(self.omega * t) - x
 
 
+@pytest.mark.slow
 def test_a_negative_period_is_told():
     few = {"periods": 20, "transient": 1, "steps": 20, "stepper": jf.RK4()}
 

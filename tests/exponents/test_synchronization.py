@@ -170,6 +170,7 @@ def test_leaving_the_belt_together_keeps_the_distance():
     assert_allclose(found, np.tile(tangent, (8, 1)), rtol=0.02, atol=0.02)
 
 
+@pytest.mark.slow
 def test_the_derivative_through_the_intersection():
     z = jnp.concatenate([jnp.asarray(STUCK), jnp.asarray(STUCK) - jnp.array([0.01, 0.0])])
     t1, direction = START + PERIOD, jnp.array([1.0, 0.0, -0.4, 0.0])
@@ -195,6 +196,7 @@ def test_two_surfaces_become_four():
     assert_array_equal(sol.xs[-1], np.zeros(4))
 
 
+@pytest.mark.slow
 def test_impacts_of_each_half():
     # A ball from height h first hits the floor at √(2h/g); uncoupled halves are two single runs.
     ball = jf.systems.BouncingBall()

@@ -74,6 +74,7 @@ def kept(result, folder, system=None, suffixes=(".npz", ".nc", ".zarr")):
     return back
 
 
+@pytest.mark.slow
 def test_a_solution_with_its_events_crossings_and_errors(sol, tmp_path):
     seen = jnp.stack([sol.xs, 2 * sol.xs], axis=-1)
     sol = dataclasses.replace(sol, errors=1e-9 * sol.xs, observed=seen)
@@ -96,6 +97,7 @@ def test_solutions_of_a_batch(sol, tmp_path):
     assert data["outcome"].values.tolist() == ["successful"] * 2
 
 
+@pytest.mark.slow
 def test_a_dense_solution_goes_on_with_its_system(dense, tmp_path):
     back = kept(dense, tmp_path, OTHER)
     np.testing.assert_array_equal(back.evaluate(0.37), dense.evaluate(0.37))
@@ -106,6 +108,7 @@ def test_a_solution_in_float32(dense, tmp_path):
     assert kept(single, tmp_path, OTHER, [".nc"]).t_final.dtype == jnp.float32
 
 
+@pytest.mark.slow
 def test_an_orbit(orbit, tmp_path):
     back = kept(orbit, tmp_path, OTHER)
     assert repr(back) == repr(orbit)
@@ -123,6 +126,7 @@ def test_orbits_of_a_batch(orbit, tmp_path):
     np.testing.assert_array_equal(found.to_xarray()["omega"], [12.0, 11.5])
 
 
+@pytest.mark.slow
 def test_a_branch_with_its_special_points(branch, tmp_path):
     back = kept(branch, tmp_path, OTHER)
     assert repr(back) == repr(branch) and back.sequences == branch.sequences

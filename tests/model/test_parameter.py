@@ -91,6 +91,7 @@ def test_a_sweep_goes_over_an_entry(tmp_path):
     np.testing.assert_array_equal(again.values, values)
 
 
+@pytest.mark.slow
 def test_an_orbit_is_continued_in_an_entry_and_has_derivatives_by_all():
     orbit = jf.periodic_orbit(coupled(), jnp.zeros(2))
     branch = jf.continue_orbit(coupled(), "a[1,0]", orbit, stop=-0.9, max_step=0.1)
@@ -118,6 +119,7 @@ class Tabulated(jf.System):
         return jnp.interp(x, grid, self.table) + jnp.cos(t)
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_over_an_entry_of_a_large_table():
     """A tooth where the motion passes makes it another one; one where it does not makes none."""
     table = -2 * jnp.linspace(-200.0, 200.0, 5000)

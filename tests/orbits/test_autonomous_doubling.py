@@ -9,6 +9,7 @@ import functools as ft
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
@@ -37,12 +38,14 @@ def doublings():
     return system, [point for point in branch.points if point.kind == "period-doubling"]
 
 
+@pytest.mark.slow
 def test_an_autonomous_period_doubling_is_where_scipy_finds_it():
     _, (point,) = doublings()
     assert_allclose(point.value, DOUBLING, rtol=0, atol=1e-9)
     assert_allclose(point.orbit.period, PERIOD_THERE, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_branch_of_doubled_period_is_that_of_scipy():
     system, (point,) = doublings()
     doubled = jf.continue_orbit(system, "c", point, stop=3.0, max_step=0.05)

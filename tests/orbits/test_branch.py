@@ -110,6 +110,7 @@ def test_a_branch_that_ends_says_so():
 STEPS = 100
 
 
+@pytest.mark.slow
 def test_belt_begins_to_stick_where_its_orbit_grazes():
     # Grazing-sliding of the orbit that slips for ever.
     orbit = jf.periodic_orbit(belt(12.0), jnp.asarray([0.55, 0.0]), steps=STEPS)
@@ -234,6 +235,7 @@ def test_round_the_grazing_of_a_wall():
     assert (branch.orbits.residual < 1e-10).all()
 
 
+@pytest.mark.slow
 def test_an_impacting_orbit_comes_to_its_graze():
     """Both branches lie below the amplitude of the graze, and the way round its corner is acute: a
     short step arrives beyond it, on the other branch. Nearer than the square root of rounding no

@@ -112,6 +112,7 @@ def test_a_single_failure_is_an_error():
         series(9, newton_steps=1)
 
 
+@pytest.mark.slow
 def test_from_an_orbit_and_over_two_periods(orbit):
     found = jf.harmonic_balance(orbit.system, orbit, 19)
     assert found.num_steps <= 4
@@ -123,6 +124,7 @@ def test_from_an_orbit_and_over_two_periods(orbit):
     assert_allclose(twice.amplitudes[1::2], 0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_smoothed_belt_that_sticks():
     # Analytic, so that the series converges fast; shooting knows nothing of it.
     belt = jf.smoothed(S.BeltFriction(gamma1=10.0, gamma2=0.0, omega=1.3), 0.5)

@@ -48,6 +48,7 @@ def one_belt(name, guess=0):
     return lane(belts(), (BELT.index(name), guess))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BELT)
 @pytest.mark.parametrize("guess", range(4))
 def test_belt_orbit_from_a_guess_off_by_a_fifth(name, guess):
@@ -69,6 +70,7 @@ def test_belt_orbit_from_a_guess_off_by_a_fifth(name, guess):
         assert abs(orbit.multipliers).min() < 1e-12
 
 
+@pytest.mark.slow
 def test_belt_with_a_cubic_spring_after_a_transient():
     # Non-sliding; both multipliers have the rate -0.24525, half the damping.
     p = PROBLEMS["cubic belt 4.56"]
@@ -142,6 +144,7 @@ def test_a_trajectory_is_a_smooth_line_and_closes():
     assert_array_equal(np.sign(xs[away, 0]), np.asarray(sol.modes)[seen, 0][away])
 
 
+@pytest.mark.slow
 def test_extremes_lie_between_the_steps():
     # Symmetric: x(t + T/2) = -x(t). Where x' has a maximum, x'' = 0: x = sgn x + f cos - 2 z x'.
     least, most = sd_orbit().extremes()
@@ -178,6 +181,7 @@ def turning(orbit):
     return np.asarray(orbit.events.xs)[:count]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segments", [1, 3])
 def test_den_hartog(segments):
     amplitude, multipliers = closed_forms.den_hartog()
@@ -195,6 +199,7 @@ def test_den_hartog(segments):
     assert_allclose(orbit.starts, single().states(third), rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_the_contacts_of_all_segments_count():
     """The orbit has two turning points, in two of three segments."""
     options = dict(segments=3, steps=60, max_events=1, throw=False, compact=True)
@@ -234,6 +239,7 @@ class Slipping(jf.System):
         return x[1] - self.v
 
 
+@pytest.mark.slow
 def test_slip_stick():
     orbit = jf.periodic_orbit(S.SlipStick(), jnp.asarray([1.1, 0.3]), period=8.0)
     assert_allclose(orbit.period, SLIP_STICK_PERIOD, rtol=0, atol=1e-9)
@@ -337,6 +343,7 @@ LANES = [  # a, k, guess, outcome
 ]
 
 
+@pytest.mark.slow
 def test_every_lane_has_its_own_outcome():
     a, k, x0 = (np.asarray(column) for column in list(zip(*LANES, strict=True))[:3])
     orbits = valves(a, k, x0)
@@ -398,6 +405,7 @@ def test_a_linear_oscillator_in_resonance_has_no_orbit():
     assert_allclose(orbits.x0[1], [1 / (1 - 0.64), 0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_orbit_of_a_negative_period_is_told():
     def orbit(omega):
         system = S.ImpactOscillator(omega=omega, damping=1.0)
@@ -517,6 +525,7 @@ class Pushed(jf.System):
         return jnp.stack([x[1], jnp.cos(t) - self.k * x[0] - self.c * x[1]])
 
 
+@pytest.mark.slow
 def test_second_derivatives_of_an_orbit():
     def start(p):
         return jf.periodic_orbit(Pushed(p[0], p[1]), jnp.zeros(2), steps=30).x0

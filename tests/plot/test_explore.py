@@ -110,6 +110,7 @@ def test_a_motion_that_ends_early_is_told():
     assert told.startswith(("nonfinite at t = ", "step_too_long at t = "))
 
 
+@pytest.mark.slow
 def test_another_picture_is_alone_on_the_figure():
     seen, figure = [], Figure()
 

@@ -69,6 +69,7 @@ def words(ax):
                     yield label
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PICTURES)
 def test_words_are_legible_and_apart(name):
     page = column(PICTURES[name])

@@ -463,6 +463,7 @@ def test_more_attractors_than_colours_are_told_apart():
         assert len(set(shades(count))) == count
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_is_refused_with_a_reason():
     sol = sticking()
     ball = jf.systems.BouncingBall()

@@ -153,6 +153,7 @@ def test_no_files_import_each_other_in_a_circle():
     assert circle(arrows(modules())) == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line, where, other",
     [
@@ -189,6 +190,7 @@ def test_a_file_can_be_read_at_one_sitting(file):
     assert len(file.read_text().splitlines()) <= 400
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "code, loaded",
     [

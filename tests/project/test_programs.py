@@ -65,6 +65,7 @@ def test_a_reference_is_what_heyoka_finds_in_long_double(name):
     reaches(name, heyoka_events.follow(PROBLEMS[name], made, np.longdouble), 1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rotating", "moving_belt", "impact"])
 def test_diffrax_reaches_the_reference(name):
     reaches(name, single(diffrax_events, name, "Tsit5").build(1e-12)(), 1e-10)

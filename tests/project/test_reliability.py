@@ -22,6 +22,7 @@ def test_derivatives_of_few_systems_come_out_right():
     assert {v.kind for v in group.verdicts} == {"right"}
 
 
+@pytest.mark.slow
 def test_a_case_is_right_and_another_is_told():
     kick, two_fold = cases.resets()[0], cases.ends()[0]
     assert cases.judge(kick).kind == "right" and cases.judge(two_fold).kind == "told"

@@ -148,6 +148,7 @@ class Masses(jf.System):
         return x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m", [2, 5, 16])
 def test_of_many_surfaces_each_has_its_mode(m):
     forces = jnp.linspace(0.25, 0.85, m)

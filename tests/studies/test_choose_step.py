@@ -41,6 +41,7 @@ def test_the_error_of_every_lane_is_below_the_tolerance_and_not_far(rotating):
     assert choice.dt == pytest.approx(2.3 / choice.steps)
 
 
+@pytest.mark.slow
 def test_the_table_is_what_was_measured_and_the_choice_the_cheapest_of_it(rotating):
     system, states, choice = rotating
     assert choice.steppers == ("RK4", "Rodas5P")
@@ -104,6 +105,7 @@ def test_a_choice_for_a_sweep_is_taken_as_its_steps():
         jf.periodic_orbit(spiral, x0, period=6.0, steps=choice)
 
 
+@pytest.mark.slow
 def test_what_no_step_meets_is_told():
     system, x0 = jf.systems.RotatingOscillator(), jnp.array([0.4, 0.0])
     given = {"tolerance": 1e-18, "steppers": [jf.RK4()]}

@@ -42,6 +42,7 @@ def rotating(compilations):
         return jf.work_precision(p.system, x0, 2.3, steppers, DTS, lanes=3), exact
 
 
+@pytest.mark.slow
 def test_errors_are_those_against_the_closed_form(rotating):
     table, exact = rotating
     assert table.steppers == ("RK4", "Dopri8")
@@ -131,6 +132,7 @@ def test_bad_calls_name_the_argument(change, message):
         jf.work_precision(jf.systems.CoulombOscillator(), jnp.asarray([3.0, 0.0]), **call)
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_table_and_draws_it(capsys, tmp_path):
     out = tmp_path / "coulomb.png"
     words = "work-precision coulomb-oscillator --set friction=0.3 --time 2 --steps 10 20"

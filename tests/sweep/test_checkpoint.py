@@ -41,6 +41,7 @@ def interrupt_after(monkeypatch, pieces):
     monkeypatch.setattr(execution._Lanes, "finish", piece)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("ctrl_c_interrupts")
 @pytest.mark.parametrize("follow", [None, "down"])
 def test_what_is_done_comes_back_after_ctrl_c(monkeypatch, tmp_path, follow):
@@ -110,6 +111,7 @@ sweep({arguments}, checkpoint={path!r})
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("follow", [None, "up"])
 def test_a_killed_sweep_goes_on_where_it_was(monkeypatch, tmp_path, follow):
     path = str(tmp_path / "checkpoint")
@@ -280,6 +282,7 @@ def damage(path, how):
 HARM = ["a bit", "a file lost", "half a file", "a bit of an outcome", "the record", "swapped"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [*HARM, "another sweep's"])
 def test_what_is_damaged_is_named_and_computed_again(tmp_path, how):
     values = np.linspace(0.6, 0.9, 130)

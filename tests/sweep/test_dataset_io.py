@@ -70,6 +70,7 @@ DIAGRAMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", DIAGRAMS.values(), ids=DIAGRAMS)
 def test_what_is_saved_comes_back(make, tmp_path):
     diagram = make()

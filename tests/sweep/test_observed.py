@@ -79,6 +79,7 @@ def test_a_diagram_of_what_is_observed_is_kept_as_any_other(found, tmp_path):
     assert back.conditions.observe.startswith("Friction, function ")
 
 
+@pytest.mark.slow
 def test_one_number_is_kept_of_lanes_that_start_from_their_own_states_or_follow(tmp_path):
     def phase(t, x, side):
         return x[0]

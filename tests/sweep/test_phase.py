@@ -59,6 +59,7 @@ def test_a_phase_does_not_age(run):
     np.testing.assert_allclose(x, exact, rtol=0, atol=bound)
 
 
+@pytest.mark.slow
 def test_contacts_of_a_long_run_are_where_those_of_float64_are():
     omegas = np.linspace(0.7, 0.9, 8).astype(np.float32)
     ends = [

@@ -187,6 +187,7 @@ class Chua(jf.System):
         return jnp.stack([x[0] - 1, x[0] + 1])
 
 
+@pytest.mark.slow
 def test_chuas_circuit_doubles_its_period_and_comes_to_the_double_scroll():
     """Matsumoto, Chua and Komuro, IEEE Transactions on Circuits and Systems 32 (1985) 798–818: the
     double scroll at α = 9."""
@@ -226,6 +227,7 @@ class Driven(jf.System):
         return 2 * jnp.pi / self.omega
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("observe", [None, lambda t, x, side: x[0]], ids=["states", "observed"])
 def test_following_at_a_section_goes_on_at_the_phase_of_the_force(observe):
     omegas = 2.0 + 1e-9 * np.arange(4)

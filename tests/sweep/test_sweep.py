@@ -29,6 +29,7 @@ def chunks(monkeypatch):
     return found
 
 
+@pytest.mark.slow
 def test_a_lane_equals_its_single_run(chunks):
     values = np.linspace(4.25, 4.55, 5)
     d = jf.bifurcation_diagram(
@@ -224,6 +225,7 @@ def test_an_arctangent_is_in_its_quadrant(chunks):
         np.testing.assert_allclose(xs[-1], sol.xs[-1], rtol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("follow", [None, "up"])
 def test_a_lane_without_a_forcing_period_is_told(follow):
     """omega through zero: cos(-ωt) is the same force, but its period is negative."""
@@ -259,6 +261,7 @@ def cosines(omegas, samples):
     return np.stack([np.cos(times), -np.sin(times)], axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nans", [False, True], ids=["plain", "jax_debug_nans"])
 def test_a_field_that_checks_itself_is_swept(nans):
     omegas = [0.7, 0.9, 1.1]
@@ -270,6 +273,7 @@ def test_a_field_that_checks_itself_is_swept(nans):
     np.testing.assert_allclose(d.xs, cosines(omegas, 2), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_field_that_checks_itself_is_followed_and_says_what_fails():
     def run(omegas, follow=None):
         return jf.bifurcation_diagram(

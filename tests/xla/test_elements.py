@@ -38,6 +38,7 @@ def large(t, x):
     return tuple(y[i] for i in range(3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fast", [True, False])
 @pytest.mark.parametrize("function", [chain, matrix, large])
 def test_values_and_derivatives_are_those_of_arrays(function, fast):

@@ -61,6 +61,7 @@ def test_derivatives():
     np.testing.assert_allclose(jax.grad(jax.grad(fast_trig.cos))(x), -np.cos(0.7), rtol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("shape", [(), (49,), (4000,)])
 def test_arctangent(dtype, shape):

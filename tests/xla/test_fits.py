@@ -71,6 +71,7 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", SYSTEMS)
 def test_tables_in_a_field_leave_the_process_alive(where):
     # As constants of the program, made outside of it or in it.

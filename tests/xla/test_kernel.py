@@ -145,6 +145,7 @@ def test_batches_of_all_kinds_give_what_single_lanes_give(compact):
         np.testing.assert_allclose(u.reshape(v.shape), v, rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("throw", [False, True])
 def test_derivatives_of_the_end_need_no_kernel_but_their_own(throw):
     def end(x0, a):
@@ -240,6 +241,7 @@ OTHERS |= {"vanishing_map"}
 OTHERS |= {"pushforward"}
 
 
+@pytest.mark.slow
 def test_a_loop_may_start_from_a_number_that_a_kernel_is_given():
     """Arguments that XLA knew were no longer used by the kernel, and XLA aborted (up to 0.10.2) if
     it had also made a copy of them for a loop."""
@@ -261,6 +263,7 @@ def test_a_loop_may_start_from_a_number_that_a_kernel_is_given():
     np.testing.assert_allclose(b, loop(0, end)[0], rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_one_kernel_holds_what_is_said_to_fit():
     x, k = jnp.linspace(0.2, 0.7, 6), jnp.float64(1.0)
     found = set(names(jax.make_jaxpr(everything)(x, k).jaxpr))

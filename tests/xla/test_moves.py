@@ -63,6 +63,7 @@ def program(function):
     return by_slices(jax.make_jaxpr(function)(X, V))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*MOVED, *LEFT])
 def test_numbers_and_derivatives_are_the_same(name):
     function = {**MOVED, **LEFT}[name]

@@ -26,6 +26,7 @@ def written_out(z):
 forward, reverse = jax.jacfwd, jax.jacrev
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer", [forward, reverse])
 @pytest.mark.parametrize("inner", [forward, reverse])
 def test_it_is_there_in_every_order_of_modes(outer, inner):

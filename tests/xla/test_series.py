@@ -77,6 +77,7 @@ def series_of(function):
     return coefficients(1.0, ARGUMENT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_coefficients_are_derivatives(name):
     values = [0.0 if v is None else float(v) for v in series_of(FUNCTIONS[name])]

@@ -78,6 +78,7 @@ def run(system, x0, t1, dt, **options):
     return jf.solve(system, jnp.asarray(x0), 0.0, t1, dt, max_events=2000, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [1.0, 0.1, 0.03])
 def test_twisting_controller_comes_to_rest(dt):
     sol = run(Twisting(), [10.0, 10.0, 1.0], 13.0, dt)
@@ -134,6 +135,7 @@ def test_derivatives_of_the_limit_are_exact():
     assert_allclose(np.reshape(curvatures, (2, 2)), hessian, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_derivatives_of_what_follows():
     def end(p):
         x = run(Twisting(p[0]), p[1:], 7.0, 0.05, stepper=diffrax.Tsit5()).x_final[2]
@@ -146,6 +148,7 @@ def test_derivatives_of_what_follows():
     assert_allclose(slopes_and_value(p)[0], differences, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate, x0, dt", [(0.3, 1.0, 0.03), (0.3, 1.0, 1.0), (0.00125, 0.01, 0.1)])
 def test_spirals_end_in_their_point(rate, x0, dt):
     # The last one turns 370 times, each time by a hundredth less.
@@ -161,6 +164,7 @@ def test_spirals_outward_and_round_do_not_end():
         assert_allclose(abs(sol.x_final).sum(), 1.0 - 10.0 * rate, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_limit_whose_mode_is_rounding_is_told_or_right():
     """In turned coordinates rounding may move the state off the line x1' = 0, and then nothing goes
     on from the limit. Whether it does depends on the processor; where it does not, the motion
@@ -196,6 +200,7 @@ def test_batch_of_controllers():
     assert_allclose(found, exact, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_single_precision():
     with jax.enable_x64(False):
         sol = run(Twisting(), np.float32([10.0, 10.0, 1.0]), 13.0, 0.1)
@@ -229,6 +234,7 @@ def one_ball(v, t):
     return t * (v - t), v - 2 * t
 
 
+@pytest.mark.slow
 def test_balls_that_come_to_rest_one_after_the_other():
     """Their impacts alternate, and every second one is part of a turn of constant ratio; the
     other ball is below the floor at the limit of these turns."""

@@ -205,6 +205,7 @@ def test_the_field_is_that_of_the_side_it_is_carried_to(system):
     assert_within(sols.crossings.ts[0, :2], [1.0, 1.75], 64 * EPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Sided, SidedByTick])
 def test_what_is_carried_across_a_surface_is_told_from_a_crossing(system):
     run = jax.jit(jax.vmap(lambda p: solve(system(*p), [0.5], 2.0)))
@@ -330,6 +331,7 @@ def test_a_neuron_that_is_pulled_back_below_its_threshold_does_not_fire():
     assert_within(sols.x_final, [[0, 0.7, 0], [0, 0, 0], [0, 0, 0]], 8 * EPS)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_an_avalanche():
     """What has happened at its end is not done again."""
     system = Neurons(jnp.array([1.0, 0.05]), jnp.array(0.2))

@@ -133,6 +133,7 @@ def forward(name):
     return jax.jit(with_values(scene(name)[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(SCENES))
 def test_central_differences(name):
     _, vector = scene(name)
@@ -321,6 +322,7 @@ def test_saltation_matrix(tail):
     assert_allclose(end_of_a_throw(np.asarray([0.0, 3.0]), 2.0 + tail), want, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_batched_and_jitted():
     def end(x0, friction):
         system = S.CoulombOscillator(friction=friction)

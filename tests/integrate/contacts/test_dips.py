@@ -32,6 +32,7 @@ THETAS = np.concatenate([OFFSETS, 1 - OFFSETS[:12]])
 DEPTHS = np.array([1e-5, 1e-7, 1e-9, 1e-11])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("omega, dt", [(1.0, 0.1), (3.0, 0.05), (1.0, 0.02)])
 def test_dips_near_the_ends_of_steps(omega, dt):
     theta, depth = (v.ravel() for v in np.meshgrid(THETAS, DEPTHS))

@@ -15,6 +15,7 @@ from tests.problems.systems import LEVELS, affine, corner, roots
 from tests.results import DEFAULT, assert_solves, rounding_of_steps, run, solved, table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*tagged("hand crossing"), *tagged("hand graze")])
 def test_a_problem_has_its_known_motion(name):
     assert_solves(PROBLEMS[name], solved(PROBLEMS[name]))

@@ -5,6 +5,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxfil as jf
 
@@ -46,6 +47,7 @@ def solve(strength, kick, x0):
     return sol.result, sol.x_final, sol.mode_final, sol.events.kinds
 
 
+@pytest.mark.slow
 def test_what_a_reset_does_not_throw_back_goes_through():
     strength, kick, x, v, *end, impacts = map(jnp.asarray, zip(*CASES, strict=True))
     results, found, modes, kinds = solve(strength, kick, jnp.stack([x, v], axis=1))

@@ -67,6 +67,7 @@ def flights(restitution, x, v, t1):
         v = table - restitution * (v - table)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number, height", SHIFTS)
 def test_a_ball_on_a_shaken_table_does_not_fall_through_it(number, height):
     draw, t1 = np.random.default_rng(0), 6.0
@@ -115,6 +116,7 @@ def test_a_mass_sticks_to_a_shaken_belt_whatever_its_phase():
     assert (abs(ends - ends[0]).max(axis=1) <= 1e4 * rounding + 1e-12).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [3, 100])
 def test_in_single_precision_the_ball_stays_above_the_table(number):
     e, phase = np.linspace(0.3, 0.7, 16), 2 * np.pi * number

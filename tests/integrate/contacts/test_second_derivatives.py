@@ -144,6 +144,7 @@ def test_forward_over_reverse(name, outer):
     compare(outer(jax.grad(end))(vector), want, 1e-13)
 
 
+@pytest.mark.slow
 def test_a_batch():
     batch = jnp.stack([DECAY, 1.1 * DECAY])
     got = jax.jit(jax.vmap(jax.jacfwd(jax.jacfwd(decayed))))(batch)
@@ -174,6 +175,7 @@ class Lift(jf.System):
         return x[0] - self.p[2] - self.p[3] * t**2
 
 
+@pytest.mark.slow
 def test_a_curve_that_moves():
     def end(p):
         return jf.solve(Lift(p[:4]), p[4:5], 0.0, p[5], 0.3, stepper=PARABOLAS).xs[-1, 0]

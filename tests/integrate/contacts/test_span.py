@@ -89,6 +89,7 @@ class Sawtooth(jf.System):
 COUNTERS = [Counter, CounterWithSurface, TimerCounter, Sawtooth]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", COUNTERS)
 def test_a_span_is_open_at_its_start_and_closed_at_its_end(system):
     """One run to 3 counts 3, and so do runs that are chained at ticks, and between them."""
@@ -102,6 +103,7 @@ def test_a_span_is_open_at_its_start_and_closed_at_its_end(system):
         assert_within(x[0], 3.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", COUNTERS)
 def test_saved_states_are_those_just_after_a_tick(system):
     ts = jnp.array([0.5, 1.0, 1.5, 2.0, 2.5])
@@ -110,6 +112,7 @@ def test_saved_states_are_those_just_after_a_tick(system):
     assert_array_equal(sol.xs[:, 0], [0, 1, 1, 2, 2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Counter, TimerCounter])
 def test_dense_output_is_that_just_after_a_tick(system):
     sol = solve(system(jnp.asarray(1.0)), [0.0, 0.0], 3.5, saveat=diffrax.SaveAt(dense=True))
@@ -246,6 +249,7 @@ class Contrary(Setting):
         return jnp.stack([x[0], x[1], jnp.where(surface == 0, 0.0, self.value)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Setting, Highest, Direction, Back, Away, Contrary])
 def test_chained_just_before_or_after_a_reset_runs_are_the_whole_run(system):
     """A state says whether a reset can have led to it. Of one that can, it has."""
@@ -317,6 +321,7 @@ def drops(system, g, e, h, t1, dt):
     return jax.jit(jax.vmap(one))(*map(jnp.asarray, (g, e, h, t1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Drop, DropOfTwo])
 def test_a_ball_without_restitution_lies_where_it_lands(system):
     """On a grid point in every second lane."""
@@ -328,6 +333,7 @@ def test_a_ball_without_restitution_lies_where_it_lands(system):
     assert_within(sols.x_final, np.zeros((n, 2)), 8 * EPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Drop, DropOfTwo])
 def test_a_run_may_end_at_an_impact(system):
     """Or within rounding of it, before or after; with any restitution."""
@@ -382,6 +388,7 @@ class KickedOfTwo(Kicked):
         return jnp.stack([1000 - x[0], x[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Kicked, KickedOfTwo])
 def test_impacts_that_die_out_at_a_tick_go_on_from_there(system):
     """After each tick the ball leaves the floor with e·kick; the time to its rest is

@@ -62,6 +62,7 @@ class KickAtSurface(Kick):
 KICKS = [[0.5, 1.0], [1e-12, 1.05], [0.0, 1.0], [0.0, 0.85]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Kick, KickAtSurface])
 def test_a_kick_of_zero_has_the_derivatives_of_any_other(system):
     """At s = 1 the tick is a grid point, too."""
@@ -78,6 +79,7 @@ def test_a_kick_of_zero_has_the_derivatives_of_any_other(system):
     assert_derivatives(end, exact, KICKS, 128)
 
 
+@pytest.mark.slow
 def test_the_loop_is_run_backward_through_a_kick_of_zero():
     def end(p):
         adjoint = diffrax.RecursiveCheckpointAdjoint()
@@ -180,6 +182,7 @@ def test_a_controller_that_samples_and_holds_has_its_derivatives():
     assert_derivatives(end, held_exact, lanes, 256)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Held, HeldBySurfaces])
 def test_its_orbit_at_rest_has_the_multipliers_of_the_sampled_system(system):
     T, k, d = 0.3, 4.0, 2.5

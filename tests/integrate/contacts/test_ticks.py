@@ -79,6 +79,7 @@ def queue_exact(p):
     return jnp.stack([arrival * (5.7 - 5 * half), *(t for pair in pairs for t in pair)])
 
 
+@pytest.mark.slow
 def test_a_queue_grows_when_its_light_turns_red():
     run = motion(lambda p: queue(p, compact=True), 6)
     sols = assert_derivatives(run, queue_exact, QUEUES, 256)
@@ -113,6 +114,7 @@ def test_it_does_so_in_float32():
     assert_within(got, queue_exact(QUEUES[0]), 64 * np.finfo(np.float32).eps * 5.7)
 
 
+@pytest.mark.slow
 def test_the_loop_is_run_backward():
     def end(p):
         adjoint = diffrax.RecursiveCheckpointAdjoint()
@@ -149,6 +151,7 @@ def crossroads_exact(p):
     return jnp.stack([*ends, empty[0], half, empty[1], 2 * half, empty[2], 3 * half])
 
 
+@pytest.mark.slow
 def test_of_two_queues_one_starts_as_the_other_stops():
     """At each tick one slide ends, and another state falls to its surface."""
     lanes = jnp.array([[0.3, 0.4, 1.0], [0.2, 0.35, 1.03]])
@@ -187,6 +190,7 @@ def block_exact(p):
     return jnp.stack([x, gain * s, 0.2 / loss, D * T, T + speed / loss, T + D * T])
 
 
+@pytest.mark.slow
 def test_a_block_slips_when_its_force_jumps():
     lanes = jnp.array([[1.5, 0.6, 0.5, 1.2], [1.45, 0.63, 0.6, 1.3]])
     run = motion(lambda p: solve(Block(*p), [0.0, 0.2], 2.8, compact=True), 4)

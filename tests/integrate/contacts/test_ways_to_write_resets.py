@@ -54,6 +54,7 @@ def bounced(height, t, e=0.8):
     return jnp.stack([e * fall * flight - flight**2 / 2, e * fall - flight])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_a_reset_at_a_known_place(way):
     def end(x0):

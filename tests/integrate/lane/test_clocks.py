@@ -188,6 +188,7 @@ class Pulse(jf.System):
         return (first,) if self.ramp else (first, second)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ramp", [False, True])
 def test_ticks_have_the_rounding_of_their_phases(ramp):
     """Phases much larger than the time: what a field makes of t − φ is rounded as φ is."""

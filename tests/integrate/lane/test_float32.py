@@ -50,6 +50,7 @@ FLOAT32 = {name: PROBLEMS[name] for name in tagged("float32")}
 FAILING = [name for name, p in FLOAT32.items() if p.outcome != "successful"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("t0", [0.0, 1000.0])
 @pytest.mark.parametrize("name", [name for name in FLOAT32 if name not in FAILING])
 def test_float32(name, t0):
@@ -86,6 +87,7 @@ def test_float32_slip_shorter_than_a_step():
     assert_allclose(sol.events.ts[:4], p.ts, rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dtype", "kind"), [(jnp.float32, NeverSliding), (jnp.float64, Affine)])
 def test_contact_behind_a_grid_point_by_less_than_times_are_told_apart(dtype, kind):
     # All numbers but the time of the contact, 64 (1 + 4 eps), are exact in both precisions.
@@ -106,6 +108,7 @@ def test_float32_contacts_long_after_the_start_shift_nothing():
     assert_allclose(sol.xs[-1], 2000.5 % float(np.float32(0.7)), rtol=0, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_float32_lanes_of_a_long_sweep():
     # The orbit at 0.7. What rounding of times sets is eps |t x'|.
     sd, x0 = jf.systems.SDOscillator(), np.array(PROBLEMS["symmetric sd"].x0)
@@ -135,6 +138,7 @@ def test_float32_derivative_of_the_coulomb_oscillator(t0):
         assert_allclose(d_friction, -8, rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [1e-1, 1e-2])
 def test_float32_derivative_near_grazing(gap):
     # t* = v - √(v² - 2h) for a throw against gravity 1.

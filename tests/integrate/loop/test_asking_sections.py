@@ -128,6 +128,7 @@ def test_how_hard_it_is_pressed_is_a_section_of_two_surfaces():
     np.testing.assert_allclose(ts[numbers == 2][0], np.arcsin(2 / 3), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_diagram_is_sampled_at_a_force_and_averages_from_there_on():
     """From the jump of friction to where it has come back to two fifths of its limit."""
     forces = np.array([1.25, 1.5])

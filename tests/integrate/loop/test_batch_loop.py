@@ -145,6 +145,7 @@ def test_a_lane_coasts_on_from_a_near_touch_without_losing_time():
     np.testing.assert_allclose(d.xs[0], np.broadcast_to(x0, (100, 2)), rtol=0, atol=bound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stick-slip", "impacts"])
 def test_the_others_in_a_block_make_no_difference_to_the_last_bit(name):
     system, ends, x0 = SCENES[name]

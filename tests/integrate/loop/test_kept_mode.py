@@ -86,6 +86,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "compact"), [*((case, True) for case in CASES), ("a slide beyond its end", False)]
 )
@@ -104,6 +105,7 @@ def test_the_motion_is_that_of_the_mode(case, compact):
     np.testing.assert_allclose(found, jacobian, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["above", "from the surface", "through a floor"])
 def test_a_lane_that_keeps_no_mode_meets_its_contacts(case):
     system, x0, mode, _ = CASES[case]

@@ -127,6 +127,7 @@ def check(problems, seed=0):
     return len(followed), sum(followed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m", [1, 2])
 @pytest.mark.parametrize("first", [0, LANES, 2 * LANES])
 def test_random_systems(m, first):
@@ -137,6 +138,7 @@ def test_random_systems(m, first):
 
 
 # Sliding fields with rates of 40 to 500, which outran steps that were not chosen by them.
+@pytest.mark.slow
 @pytest.mark.parametrize(("m", "seeds"), [(1, (730, 809)), (2, (388, 596, 956))])
 def test_random_systems_with_a_fast_slide(m, seeds):
     assert check([random_system(seed, m) for seed in seeds]) == (len(seeds), len(seeds))

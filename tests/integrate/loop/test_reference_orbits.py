@@ -62,6 +62,7 @@ def test_sd_oscillator_states_and_contacts():
     assert_allclose(sol.events.ts[0], p.ts[0], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_sd_oscillator_symmetric_orbit():
     p = PROBLEMS["symmetric sd"]
     x0 = jnp.asarray(p.x0)
@@ -209,6 +210,7 @@ def test_belt_case_2_orbit():
     assert_allclose(np.log(abs(multipliers)) / p.t1, BELT_DAMPING / 2, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_belt_case_2_orbit_grazes():
     def newton(omega, x):
         system, period = cubic_belt(omega), 2 * np.pi / omega
@@ -249,6 +251,7 @@ def test_diagram_of_the_sd_oscillator_jumps_where_the_orbit_grazes():
     assert spread(SD_GRAZES[0] + 1e-6) > 1.0
 
 
+@pytest.mark.slow
 def test_diagram_of_the_belt_jumps_from_rest():
     omegas = np.asarray([4.5600, 4.5633, 4.5644, 4.5700])
     assert np.argmax(omegas > CUBIC_JUMPS) == 2

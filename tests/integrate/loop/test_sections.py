@@ -84,6 +84,7 @@ def test_crossings_of_a_spring_of_two_stiffnesses():
     np.testing.assert_allclose(by[[1, 3, 4]], [turn / 2, turn, turn], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_what_jumps_across_zero_crosses_there_and_what_is_thrown_back_does_not():
     """A ball dropped from 1/2 falls for a time of 1, and flies for 1.6·0.8ⁿ⁻¹."""
     sections = (
@@ -129,6 +130,7 @@ def test_derivatives_of_a_crossing_are_exact_to_the_second():
     np.testing.assert_allclose(found, jax.hessian(exact)(z)[0], rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_run_ends_at_a_crossing_or_at_a_bound_with_an_outcome_of_its_own():
     sections = (
         jf.Section(lambda t, x: x[0] - 0.5, terminal=2),
@@ -191,6 +193,7 @@ def half_turn(x, u):
     return at(t), t
 
 
+@pytest.mark.slow
 def test_the_return_map_of_a_relay_is_that_of_its_matrix_exponentials():
     up = jf.Section(lambda t, x: x[0], direction=1)
 
@@ -266,6 +269,7 @@ def watched(function):
     jf.solve(Flight(), jnp.zeros(2), 0.0, 1.0, 0.1, sections=section)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepper", [None, jf.RK4(), diffrax.Tsit5()], ids=repr)
 @pytest.mark.parametrize("start, turns", [(0.1, 0), (0.5, 1), (1.3, 2), (3.0, 4)])
 def test_what_stands_still_is_not_crossed(stepper, start, turns):
@@ -289,6 +293,7 @@ def velocity(t, x):
     return x[1]
 
 
+@pytest.mark.slow
 def test_a_ball_at_rest_does_not_turn():
     ball = jf.systems.BouncingBall(g=1.0, restitution=0.5)
     sections = jf.maxima(lambda t, x: x[0]), jf.Section(velocity, -1)

@@ -43,6 +43,7 @@ def nothing_seen():
     SEEN.clear()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compact", [True, False])
 def test_a_system_shows_what_it_is_given(compact, capfd):
     friction = jnp.array(0.4)
@@ -63,6 +64,7 @@ def test_it_shows_each_lane_of_a_batch():
     assert ends.shape == (3, 2) and {3, 4, 5} <= lanes
 
 
+@pytest.mark.slow
 def test_it_shows_them_while_derivatives_are_taken():
     def height(friction, looks):
         return end(friction, looks=looks)[0]

@@ -66,6 +66,7 @@ def assert_honest(estimate, error, size):
     assert np.all(estimate <= 30 * np.maximum(error, unit)), estimate / error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_honest_on_textbook_systems(name):
     system, x0, t1 = SCENES[name]
@@ -84,6 +85,7 @@ def assert_honest_all(sol, truth):
     assert_honest(estimate, error, np.max(abs(truth)))
 
 
+@pytest.mark.slow
 def test_honest_against_other_codes():
     # Pieces with located crossings, and the closed form of a Coulomb oscillator.
     p = PROBLEMS["sd"]
@@ -138,6 +140,7 @@ def test_unknown_where_the_companion_fails():
         assert not sol.errors[0, 0] < 1
 
 
+@pytest.mark.slow
 def test_not_differentiated():
     def end(x0):
         sol = jf.solve(jf.systems.CoulombOscillator(), x0, 0.0, 5.0, 0.1, estimate_error=True)
@@ -168,6 +171,7 @@ def swept(name, **options):
     return jf.bifurcation_diagram(system, "omega", values, jnp.asarray(x0), **run | options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SWEEPS)
 def test_honest_on_lanes_that_settle_and_of_the_attractors_size_on_chaotic_ones(name):
     truth = swept(name, steps=200).xs

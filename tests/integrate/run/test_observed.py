@@ -41,6 +41,7 @@ def energy(t, x, side):
     return x[0] + 0.5 * x[1] ** 2
 
 
+@pytest.mark.slow
 def test_the_energy_of_a_ball_is_that_of_its_flights():
     """From 1/2 it meets the floor at 1 and 2; of the energy the restitution r leaves r² each time,
     and the run is given up on the way to 4 for want of room."""
@@ -117,6 +118,7 @@ def mode_and_place(t, x, mode):
     return jnp.stack([mode, x[0]])
 
 
+@pytest.mark.slow
 def test_the_mode_is_the_one_just_after_a_contact():
     """At the saved steps, among which are its contacts, and wherever dense output is asked for: on
     the stick until t = 7/4, and from then on it slips."""

@@ -60,6 +60,7 @@ class Poison(jf.System):
         return self.after[None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [k for k in tagged("hand") if PROBLEMS[k].outcome != "successful"])
 def test_a_problem_ends_as_it_must(name):
     assert_solves(PROBLEMS[name], solved(PROBLEMS[name]))
@@ -163,6 +164,7 @@ def test_budget_of_steps():
         jf.solve(system, x0, 0.0, 2.0, 0.15, max_steps=4)
 
 
+@pytest.mark.slow
 def test_budget_of_contacts():
     ball = PROBLEMS["bouncing ball"].system
     saveat = diffrax.SaveAt(ts=jnp.asarray([1.0, 6.0, 12.0]))
@@ -213,6 +215,7 @@ def poisoned():
     return dict(zip(INJECTIONS, range(len(INJECTIONS)), strict=True)), sols
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(INJECTIONS))
 def test_nan_or_inf(poisoned, name):
     rows, sols = poisoned
@@ -240,6 +243,7 @@ def test_nan_or_inf_is_raised(name):
 BALL, CORNER = jf.systems.BouncingBall(g=9.8, restitution=0.5), PROBLEMS["corner exit"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "place"),
     [

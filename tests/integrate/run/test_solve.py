@@ -87,6 +87,7 @@ SCALES = np.asarray(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("inner", "x0", "t1", "events"),
     [
@@ -132,6 +133,7 @@ def test_zero_length_span():
     assert sol.num_events == 0
 
 
+@pytest.mark.slow
 def test_zero_length_span_in_a_batch_has_the_identity_as_derivative():
     def end(x0, t1):
         return jf.solve(Relay(jnp.asarray(1.0)), x0, 2.0, t1, 0.1).xs[-1]
@@ -215,6 +217,7 @@ def test_memory():
     assert resident() - before < 5 * 2**20
 
 
+@pytest.mark.slow
 def test_batches():
     # Good, at rest, NaN, out of contacts: every lane is what it is alone, and stops no other.
     def lane(restitution, height):
@@ -298,6 +301,7 @@ def coulomb():
     return jf.solve(jf.systems.CoulombOscillator(), x0, 0.0, 3.0, 0.1, saveat=saveat)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(), (2,), (3,), (2, 3), (0,)])
 def test_a_dense_solution_is_evaluated_at_times_of_any_shape(coulomb, shape):
     # Two times are as many as the state has components: nothing may take them for those.
@@ -417,6 +421,7 @@ def test_a_field_computed_on_the_host_is_solved_with_a_rule_around_it():
     np.testing.assert_allclose(sol.x_final, [np.cos(w), -w * np.sin(w)], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_under_shard_map_the_check_that_cannot_be_is_named():
     mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("lanes",))
     lanes = jax.sharding.PartitionSpec("lanes")

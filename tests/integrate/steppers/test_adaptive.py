@@ -36,6 +36,7 @@ def planet(e, t):
     return np.array([np.cos(u) - e, b * np.sin(u), -np.sin(u) / c, b * np.cos(u) / c])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPPERS)
 def test_an_eccentric_orbit_is_right_to_the_tolerance(name):
     e, t = 0.95, 2 * np.pi + 1.0
@@ -316,6 +317,7 @@ class NoRoot(SuperTwisting):
         return jnp.sqrt(side * s)
 
 
+@pytest.mark.slow
 def test_a_field_that_is_not_lipschitz_at_its_surface():
     # Times by SciPy in √|s|, regular between crossings, at 1e-12; they accumulate at 1.02087.
     times = [0.5957122716079, 0.9049448696824, 1.0111853682887, 1.0184625676052]

@@ -4,6 +4,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
@@ -49,6 +50,7 @@ def test_a_slide_may_end_at_a_grid_point():
     assert_allclose(scaled, scaled[0, 0], rtol=0, atol=64 * np.finfo(float).eps)
 
 
+@pytest.mark.slow
 def test_a_rest_may_end_at_a_grid_point():
     """The wall stands where there is no force from the spring: it is left at T/4."""
     wall = jf.systems.ImpactOscillator(wall=0.0, amplitude=1.0, restitution=0.6)

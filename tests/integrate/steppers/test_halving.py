@@ -73,6 +73,7 @@ def test_what_is_called_successful_is_near(stepper, dt, error):
     np.testing.assert_allclose(sol.x_final, ref.x_final, rtol=0, atol=error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("stepper", [*RELIABLE, jf.RK4(), jf.Rodas5P()], ids=name)
 def test_an_unstable_step_is_halved(stepper, smooth):
@@ -95,6 +96,7 @@ def test_a_field_too_stiff_for_its_method_is_told(smooth):
         solve(Fast(1e9, smooth=smooth), jnp.array([2.0]), 0.0, 1.0, 0.01, throw=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 @pytest.mark.parametrize("n", [2, 4])
 @pytest.mark.parametrize("stepper", ALL, ids=name)
@@ -196,6 +198,7 @@ class Masses(jf.System):
         return x[0] + 9.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepper", [diffrax.Tsit5(), diffrax.Dopri8()], ids=name)
 @pytest.mark.parametrize("n", [8, 20])
 def test_masses_far_away_begin_to_move_like_a_high_power_of_time(n, stepper):

@@ -41,6 +41,7 @@ def implicit(monkeypatch):
     assert steppers and set(steppers) == {None}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("test", "arguments"), TESTS, ids=lambda v: getattr(v, "__name__", ""))
 def test_hard_cases(test, arguments):
     test(*arguments)

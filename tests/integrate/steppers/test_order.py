@@ -103,6 +103,7 @@ def fitted(steps, error):
     return -np.polyfit(np.log(steps), np.log(error), 1)[0]
 
 
+@pytest.mark.slow
 def test_order_of_values(errors):
     nominal, steps, values, _ = errors
     assert_allclose(fitted(steps, values.max(axis=1)), nominal, rtol=0, atol=0.3)

@@ -44,6 +44,7 @@ class Spiking(jf.System):
 THRESHOLDS, DTS = np.array([10.0, 1e3, 1e9]), np.array([0.5, 0.11, 0.02])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepper", STEPPERS, ids=name)
 def test_an_explosion_is_followed_to_its_threshold(stepper):
     @jax.jit
@@ -62,6 +63,7 @@ def test_an_explosion_is_followed_to_its_threshold(stepper):
     np.testing.assert_allclose(ts[:, :2], exact, rtol=0, atol=ALLOWED[name(stepper)])
 
 
+@pytest.mark.slow
 def test_derivatives_through_halved_steps():
     def end(p):
         sol = jf.solve(Spiking(p[0]), p[1:], 0.0, 3.0, 0.1, compact=True, throw=False)
@@ -99,6 +101,7 @@ def bounced(k, c, t1):
         t += 2 * speed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepper", STEPPERS, ids=name)
 def test_a_stiff_spring_throws_back(stepper):
     """Contacts down to 3e-5 long, in steps of a twentieth and a fifth."""
@@ -118,6 +121,7 @@ def test_a_stiff_spring_throws_back(stepper):
     np.testing.assert_allclose(ends, exact, rtol=0, atol=ALLOWED[name(stepper)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepper", STEPPERS, ids=name)
 def test_nothing_unstable_is_successful(stepper):
     """Beyond the stability of explicit steps by up to 1e7; the implicit ones are the reference."""
@@ -240,6 +244,7 @@ class Tank(jf.System):
         return x[0] + 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stepper", STEPPERS[:3], ids=name)
 def test_a_tank_runs_empty(stepper):
     @jax.jit
@@ -286,6 +291,7 @@ def test_a_diagram_counts_the_halved_steps_of_its_lanes():
     assert f"steps halved in 1 lane, {d.halvings[1]} times at most" in repr(d)
 
 
+@pytest.mark.slow
 def test_lanes_of_a_batch_halve_what_they_halve_alone():
     """Free steps and judged ones count alike towards what is watched."""
     belt, x0 = jf.systems.BeltFriction(), jnp.array([0.3, 0.1])

@@ -82,6 +82,7 @@ def test_l_stable(method):
     assert_allclose([growth(-(10.0**k)) * 10.0**k for k in (6, 7, 8)], 12.52, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_order_across_a_contact():
     """At least five, in values and derivatives; on this linear scene it is nearly six."""
     end, inputs, span, value, derivative = PROBLEMS["rotating"]
@@ -226,6 +227,7 @@ def damped():
     return run(*jnp.asarray([*rows, (0.0, 1e8, 0.1402291884862172)]).T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", range(len(DAMPED)))
 def test_relay_and_belt_with_a_damped_contact(damped, row):
     (v, _), want_ts, want_dts, want_x, want_dx = DAMPED[row]

@@ -31,6 +31,7 @@ BELT = jf.systems.BeltFriction()
 X0 = jnp.array([0.1, 0.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_ends_of_the_bank_are_exact(name):
     p = PROBLEMS[name]
@@ -117,6 +118,7 @@ def test_sticking_lanes_of_a_batch():
     assert np.median(np.abs(found.xs - exact.xs)) < 1e-10
 
 
+@pytest.mark.slow
 def test_single_precision():
     x0 = jnp.array([0.3, 0.1], jnp.float32)
     sd = jf.systems.SDOscillator()
@@ -163,6 +165,7 @@ def test_orders_are_checked(order):
         jf.Taylor(order)
 
 
+@pytest.mark.slow
 def test_a_file_keeps_the_order(tmp_path):
     sd = jf.systems.SDOscillator()
     orbit = jf.periodic_orbit(sd, jnp.array([1.0, 0.0]), steps=30, stepper=jf.Taylor(14))

@@ -58,6 +58,7 @@ def run(system, x0, t1, dt=0.1):
     return jf.solve(system, x0, 0.0, t1, dt, compact=True).x_final
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jacobian", [jax.jacfwd, jax.jacrev])
 def test_a_block_that_starts_on_its_belt(jacobian):
     """Whatever its velocity is, it is at once that of the belt."""
@@ -73,6 +74,7 @@ def test_a_tick_that_puts_the_state_on_a_slide():
     np.testing.assert_allclose(by_a, [1, -0.3], rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_slide_begins_with_a_derivative_that_depends_on_the_field():
     """r changes by b δ where the start is δ off the surface."""
 
@@ -141,6 +143,7 @@ class Leaning(jf.System):
         return x.at[2].add(push).at[3].add(-self.c * push)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jacobian", [jax.jacfwd, jax.jacrev])
 def test_a_start_at_rest(jacobian):
     """What the wall takes from the first mass, it takes c times from the second, the other way."""

@@ -59,6 +59,7 @@ class Relay(jf.System):
         return x
 
 
+@pytest.mark.slow
 def test_a_relay_on_a_position_stays_at_rest():
     """There H and its rate both vanish, whatever the side."""
     sol = jf.solve(Relay(), jnp.zeros(2), 0.0, 2.0, 0.1, compact=True, max_events=4)

@@ -148,6 +148,7 @@ def test_friction_of_a_block_on_a_shaken_table(of):
         assert_allclose(sol.x_final[i], [x, v, 0, 0], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_through_friction_that_feels_a_reaction():
     lane = 0.5, 0.02, 3.0
     slope, _ = motion(lane, t1=1.0)
@@ -266,6 +267,7 @@ def test_a_rod_slips_on_its_tip():
         assert_allclose(sol.events.xs[i, 0], x, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_painleves_paradox_is_told():
     # G = 1 + 3 cos²θ − 3 μ sin θ cos θ is negative: pressed, no force holds the tip; lifted by its
     # spin, it may rise or be held. A rod at rest sticks all the same.

@@ -155,6 +155,7 @@ def test_a_rocking_block_goes_through_with_its_new_rate():
     assert_allclose(sol.x_final, [0.81 * s - s * s / 2, 0.81 - s], rtol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.0, 1e-16, 1e-14, 1e-12, 1e-9])
 def test_both_walls_of_a_corner_throw_back(lag):
     sol = solve(Corner(), (1, 1 + lag, -1, -1), 3.0, 0.3)
@@ -209,6 +210,7 @@ def test_a_ball_comes_to_rest(e, dt):
     assert_allclose(last, first * (1 + e) / (1 - e), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_time_of_rest_has_its_derivative():
     def rest(e, height):
         sol = solve(ball(e), jnp.stack([height, 0 * height]), 20.0)
@@ -244,6 +246,7 @@ def test_bounces_too_low_to_be_told_leave_the_rest_of_the_state_its_time():
     assert_allclose(sol.x_final[2:], [np.cos(10), -5 * np.sin(10)], rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_a_ball_lies_on_a_table_until_it_shakes():
     # Contact is lost where −a sin t = −1; until then x = a sin t, then a parabola.
     a = 1.5
@@ -293,6 +296,7 @@ def test_a_wall_at_the_rest_position(place):
     assert_allclose(sol.xs[1, 0], (np.sin(2 * s) - 2 * np.sin(s)) / 3, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_sweep_over_restitution_through_zero():
     e = np.linspace(-0.5, 0.5, 11)
     end = jax.vmap(lambda e: solve(ball(e), (0.5 * G, 0), 1.5).x_final)(jnp.asarray(e))
@@ -388,6 +392,7 @@ def test_a_column_of_beads_meets_as_its_parabolas_do():
     assert_allclose(sol.events.ts[:count], ts, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_columns_of_beads_come_to_rest_and_not_through_the_floor():
     rng = np.random.default_rng(0)
     es, q = rng.uniform(0.0, 0.75, 64), np.cumsum(rng.uniform(0.21, 0.5, (64, 3)), axis=1)
@@ -467,6 +472,7 @@ class Away(jf.System):
         return x.at[1].multiply(-self.e)
 
 
+@pytest.mark.slow
 def test_rounding_of_the_first_velocity_does_not_hold_a_mass_at_a_wall_that_it_is_pulled_from():
     """As a run leaves it that was cut at the tick that ends a rest."""
 

@@ -249,6 +249,7 @@ def accelerations(f):
     raise AssertionError
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [Stack, StackFromAbove])
 def test_of_two_contacts_those_open_that_the_reactions_cannot_hold(system):
     draw = np.random.default_rng(0)
@@ -278,6 +279,7 @@ class Touching(jf.System):
         return x[2:]
 
 
+@pytest.mark.slow
 def test_a_mass_touches_the_limit_of_its_friction_as_another_slips():
     def end(p):
         sol = solve(Touching(p[:2], p[2]), jnp.zeros(4), 2.2)
@@ -315,6 +317,7 @@ CHAIN_TIMES = [
 ]
 
 
+@pytest.mark.slow
 def test_masses_that_shake_down_to_the_limit_of_their_friction_go_on():
     """For twenty periods, in which slips become as small as rounding; with steps of two lengths."""
 

@@ -14,6 +14,7 @@ from tests.problems.systems import corner
 from tests.results import assert_solves, run, solved, table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", tagged("hand sliding"))
 def test_a_problem_has_its_known_motion(name):
     assert_solves(PROBLEMS[name], solved(PROBLEMS[name]))
@@ -49,6 +50,7 @@ def sticks_and_slips(belts, x0, periods, per_period):
     return (kinds == EventKind.stick).sum(axis=1), (kinds == EventKind.slip).sum(axis=1)
 
 
+@pytest.mark.slow
 def test_leaving_a_stick_in_the_linear_case():
     # 1e5 periods, one stick and one slip in each (physics: only 0 -> -1 -> 0 for these omega).
     belts = jax.vmap(lambda w: jf.systems.BeltFriction(gamma1=10.0, gamma2=0.0, omega=w))(
@@ -59,6 +61,7 @@ def test_leaving_a_stick_in_the_linear_case():
     assert np.all(np.abs(sticks - slips) <= 1)
 
 
+@pytest.mark.slow
 def test_leaving_a_stick_in_the_cubic_case():
     belts = jax.vmap(lambda w: jf.systems.BeltFriction(omega=w))(jnp.linspace(4.655, 4.7, 100))
     sticks, slips = sticks_and_slips(belts, jnp.asarray([0.1, 1.0]), 1000, 12)

@@ -24,6 +24,7 @@ from tests.results import assert_solves, by_imaginary_part, run, solved, table
 CROSS, STICK = EventKind.crossing, EventKind.stick
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*tagged("textbook", but="sd"), "den hartog"])
 def test_a_problem_has_its_known_motion(name):
     assert_solves(PROBLEMS[name], solved(PROBLEMS[name]))
@@ -87,6 +88,7 @@ def test_smoothed_field_by_hand():
     assert_allclose(field, [0.2, -0.5 - 0.4 * 2 / np.pi * np.arctan(2)], rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_smoothed_coulomb_oscillator_comes_close():
     smooth = jf.smoothed(jf.systems.CoulombOscillator(friction=0.4), 1e-3)
     sol = jf.solve(smooth, jnp.asarray([3.0, 0.0]), 0.0, 4 * np.pi, 1e-4)
@@ -95,6 +97,7 @@ def test_smoothed_coulomb_oscillator_comes_close():
     assert_allclose(sol.xs[-1], [-0.2, 1e-3], rtol=0, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_slip_stick_multipliers():
     # Autonomous: 1 along the orbit; an orbit that sticks: 0 across it.
     def end(x0, t1):
@@ -139,6 +142,7 @@ def test_den_hartog_sticks_beyond_its_crossing_sliding():
     assert_array_equal(crossings, [8, 0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("omega", "amplitude"), [(1.0, 0.1), (1.2, WALL_GRAZES)])
 def test_impact_oscillator(omega, amplitude):
     # Exact grazing amplitude √((k - ω²)² + c²ω²) d. On the steady orbit just below it the wall is

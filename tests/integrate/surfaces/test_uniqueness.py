@@ -100,6 +100,7 @@ TABLES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.1, 0.02])
 def test_slide_on_an_intersection_whose_blend_has_a_root_outside_too(dt):
     first, second = np.asarray(TABLES)
@@ -201,6 +202,7 @@ def test_corner_that_attracts_by_a_slide_on_one_of_its_surfaces(dt):
     assert_allclose(sol.x_final, [0, 0], rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.05, 0.3, 0.7])
 def test_corner_that_turns_repelling(dt):
     # For t > 1 the quadrants (+, +) and (-, -) push away.
@@ -211,6 +213,7 @@ def test_corner_that_turns_repelling(dt):
     assert_array_equal(sol.mode_final, [0, 0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.05, 0.3, 0.7])
 def test_corner_that_turns_repelling_by_slides(dt):
     # M = [[-1, t], [t/2, -1]] has the determinant 1 - t²/2: beyond its zero a slide on the first
@@ -224,6 +227,7 @@ def test_corner_that_turns_repelling_by_slides(dt):
     assert_allclose(sol.t_final, np.sqrt(2), rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.1, 0.03, 0.01, 0.001])
 @pytest.mark.parametrize("x0", [(0, 1, 1), (0, 1, 0.7), (0, 1, 0.3), (0.1, 1, 0.5), (0, 0.4, 1.1)])
 def test_slide_into_a_two_fold(x0, dt):

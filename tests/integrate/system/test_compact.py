@@ -25,6 +25,7 @@ def text(function, *args):
     return compiled
 
 
+@pytest.mark.slow
 def test_both_grades_give_one_motion_and_its_derivatives():
     def both(compact):
         return jax.jacfwd(lambda x: (end(x, compact=compact),) * 2, has_aux=True)

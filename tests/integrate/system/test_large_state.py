@@ -62,6 +62,7 @@ SCENES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("compact", [True, False])
 def test_contacts_and_states_are_those_of_the_few(name, compact):
@@ -84,6 +85,7 @@ def test_contacts_and_states_are_those_of_the_few(name, compact):
     assert_allclose(many.xs[-1, : len(x0)], few.xs[-1], rtol=1e-11, atol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_jacobians_are_those_of_the_few(name):
     system, x0, t1 = SCENES[name]
@@ -144,6 +146,7 @@ def test_checkpointed_gradients_and_float32():
     assert_allclose(single, double, rtol=0, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_stiff_steps():
     system, x0, t1 = SCENES["crossings"]
     few, many = (
@@ -165,6 +168,7 @@ class Product(jf.System):
         return x[0]
 
 
+@pytest.mark.slow
 def test_a_product_with_a_matrix_stays_in_the_kernel():
     n = 24
     a = np.random.default_rng(0).normal(size=(n, n)) / n - np.eye(n)

@@ -70,6 +70,7 @@ def test_what_is_one_array():
     assert not build(Oscillators(jnp.array(FRICTION[:1])), jnp.ones(3), compact=False).packed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compact", [True, False])
 def test_each_moves_as_it_does_alone(compact):
     sol = jf.solve(SYSTEM, together(), 0.0, 12.0, 0.05, compact=compact, max_events=400)
@@ -94,6 +95,7 @@ def test_each_moves_as_it_does_alone(compact):
     assert_allclose(sol.xs[-1, -1], faded, rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_each_alone():
     def end(x, mu):
         return jf.solve(Oscillators(mu), x, 0.0, 6.0, 0.05).xs[-1]
@@ -113,6 +115,7 @@ def test_derivatives_are_those_of_each_alone():
     assert_allclose(by_mu, expected_mu, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_dense_output():
     saveat = diffrax.SaveAt(dense=True)
     sol = jf.solve(SYSTEM, together(), 0.0, 6.0, 0.05, saveat=saveat)
@@ -122,6 +125,7 @@ def test_dense_output():
     )
 
 
+@pytest.mark.slow
 def test_an_orbit_has_the_multipliers_of_each():
     def orbit(i):
         x0 = jnp.append(START[:, i].reshape(-1), 2.0)

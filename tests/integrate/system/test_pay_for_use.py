@@ -105,6 +105,7 @@ def text(system, **options):
     return program.compile(compiler_options={"xla_backend_optimization_level": 0}).as_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "source, declared, other",
     [
@@ -159,6 +160,7 @@ class Forced(Crossing):
     period = 1.0
 
 
+@pytest.mark.slow
 def test_what_is_not_averaged_is_not_in_the_program():
     """Each follows lanes by itself, and a mean costs a component of the state and no more."""
 
