@@ -20,28 +20,24 @@ from jaxfil.xla.thresholds import PIVOT
 _WRITTEN_OUT = 2
 
 
-def solve_small(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> list[Array]:
-    """x of A x = b. A column without a usable pivot gives an unknown of 0, so that a consistent
-    singular system (one surface listed twice) still has a solution."""
-    k = len(right)
+def solve_small(
+    matrix: Sequence[Sequence[Array]], rights: Sequence[Sequence[Array]]
+) -> list[list[Array]]:
+    """x of A x = b for each b of `rights`, by one elimination. A column without a usable pivot
+    gives an unknown of 0, so that a consistent singular system (one surface listed twice) still has
+    a solution."""
+    k = len(matrix)
     if k > _WRITTEN_OUT:
-        found, _ = _reduced(_equilibrated_array(matrix, right))
-        return [found[i] for i in range(k)]
-    rows = [_equilibrated([*row, b]) for row, b in zip(matrix, right, strict=True)]
-    rows = _eliminated(rows, k)
-    x: list[Array] = [rows[0][k]] * k
-    for i in reversed(range(k)):
-        rest = rows[i][k]
-        for j in range(i + 1, k):
-            rest = rest - rows[i][j] * x[j]
-        x[i] = _quotient(rest, rows[i][i])
-    return x
+        found, _ = _reduced(_equilibrated_array(matrix, rights))
+        return [[found[i, r] for i in range(k)] for r in range(len(rights))]
+    rows = _eliminated([_equilibrated(row, k) for row in _beside(matrix, rights)], k)
+    return [_back_substituted(rows, k, r) for r in range(k, k + len(rights))]
 
 
-def solve(matrix: Array, right: Array, taken: Array) -> Array:
-    """The same for arrays, (k, k) and (k,), and the unknowns in `taken`; the others are 0. The cost
-    grows with the number of unknowns taken."""
-    rows = _equilibrated_rows(jnp.concatenate([matrix, right[:, None]], axis=1))
+def solve(matrix: Array, rights: Array, taken: Array) -> Array:
+    """The same for arrays, (k, k) and (k, r), and the unknowns in `taken`; the others are 0. The
+    cost grows with the number of unknowns taken."""
+    rows = _equilibrated_rows(jnp.concatenate([matrix, rights], axis=1))
     return _reduced_among(rows, taken)[0]
 
 
@@ -54,8 +50,7 @@ def size_of_determinant(
         return _size_of_small(matrix)
     assert isinstance(matrix, jax.Array)
     scales = jnp.sum(abs(matrix), axis=1)
-    rows = _equilibrated_rows(jnp.concatenate([matrix, scales[:, None]], axis=1))
-    pivots = abs(_reduced_among(rows, taken)[1])
+    pivots = abs(_reduced_among(_equilibrated_rows(matrix), taken)[1])
     kept = select(pivots <= PIVOT * jnp.finfo(pivots.dtype).eps, 0, pivots)
     return jnp.prod(select(taken, kept * scales, 1.0))
 
@@ -77,10 +72,10 @@ def _size_of_small(matrix: Any) -> Array:
     k = len(matrix)
     scales = [_scale(row) for row in matrix]
     if k > _WRITTEN_OUT:
-        _, found = _reduced(_equilibrated_array(matrix, scales))
+        _, found = _reduced(_equilibrated_array(matrix, []))
         pivots = [found[i] for i in range(k)]
     else:
-        rows = _eliminated([_equilibrated([*row, row[0]])[:k] for row in matrix], k)
+        rows = _eliminated([_equilibrated(row, k) for row in matrix], k)
         pivots = [row[i] for i, row in enumerate(rows)]
     size: Any = 1.0
     for pivot, scale in zip(map(abs, pivots), scales, strict=True):
@@ -89,22 +84,29 @@ def _size_of_small(matrix: Any) -> Array:
     return size
 
 
-def _equilibrated_array(matrix: Sequence[Sequence[Array]], right: Sequence[Array]) -> Array:
-    """`_equilibrated` of all rows, shape (k, k + 1)."""
-    return _equilibrated_rows(
-        jnp.stack([jnp.stack([*row, b]) for row, b in zip(matrix, right, strict=True)])
-    )
+def _beside(
+    matrix: Sequence[Sequence[Array]], rights: Sequence[Sequence[Array]]
+) -> list[list[Array]]:
+    """The rows of a matrix, each with its numbers of the right-hand sides behind it."""
+    return [[*row, *(b[i] for b in rights)] for i, row in enumerate(matrix)]
+
+
+def _equilibrated_array(
+    matrix: Sequence[Sequence[Array]], rights: Sequence[Sequence[Array]]
+) -> Array:
+    """`_equilibrated` of all rows, shape (k, k + r)."""
+    return _equilibrated_rows(jnp.stack([jnp.stack(row) for row in _beside(matrix, rights)]))
 
 
 def _equilibrated_rows(rows: Array) -> Array:
-    """Rows with their right-hand side in the last column, with entries of order one."""
-    scale = jnp.sum(abs(rows[:, :-1]), axis=1, keepdims=True)
+    """Rows with their right-hand sides in the columns from k on, with entries of order one."""
+    scale = jnp.sum(abs(rows[:, : len(rows)]), axis=1, keepdims=True)
     return rows / select(scale == 0, 1, scale)
 
 
 def _reduced(rows: Array) -> tuple[Array, Array]:
-    """x and the pivots of a system with its right-hand side in the last column, by Gauss–Jordan
-    elimination."""
+    """The unknowns, shape (k, r), and the pivots of a system with its right-hand sides in the
+    columns from k on, by Gauss–Jordan elimination."""
     start = _unreduced(rows, jnp.ones(len(rows), bool))
     return _solution(jax.lax.fori_loop(0, len(rows), _without, start))
 
@@ -114,12 +116,13 @@ _Elimination = tuple[Array, Array, Array, Array]
 
 
 def _unreduced(rows: Array, taken: Array) -> _Elimination:
-    return rows, taken, jnp.zeros((len(rows), len(rows)), bool), jnp.zeros_like(rows[:, -1])
+    return rows, taken, jnp.zeros((len(rows), len(rows)), bool), jnp.zeros_like(rows[:, 0])
 
 
 def _solution(state: _Elimination) -> tuple[Array, Array]:
     rows, _, places, pivots = state
-    return jnp.sum(select(places, rows[:, -1], 0), axis=1), pivots
+    rights = rows[:, len(rows) :]
+    return jnp.sum(select(places[:, :, None], rights, 0), axis=1), pivots
 
 
 def _without(i: Array, state: _Elimination) -> _Elimination:
@@ -128,7 +131,7 @@ def _without(i: Array, state: _Elimination) -> _Elimination:
     rows, free, places, pivots = state
     number, column = (
         jnp.arange(len(rows), dtype=i.dtype),
-        jnp.arange(len(rows) + 1, dtype=i.dtype) == i,
+        jnp.arange(rows.shape[1], dtype=i.dtype) == i,
     )
     entries = jnp.sum(select(column, rows, 0), axis=1)
     here = number == jax.lax.argmax(select(free, abs(entries), -1), 0, i.dtype)
@@ -154,10 +157,21 @@ def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
     return rows
 
 
-def _equilibrated(row: Sequence[Array]) -> list[Array]:
-    """The row scaled to entries of order one, so that one threshold detects every singular
-    pivot."""
-    scale = _scale(row[:-1])
+def _back_substituted(rows: list[list[Array]], k: int, right: int) -> list[Array]:
+    """x of an upper triangular system for the right-hand side in the column `right`."""
+    x: list[Array] = [rows[0][right]] * k
+    for i in reversed(range(k)):
+        rest = rows[i][right]
+        for j in range(i + 1, k):
+            rest = rest - rows[i][j] * x[j]
+        x[i] = _quotient(rest, rows[i][i])
+    return x
+
+
+def _equilibrated(row: Sequence[Array], k: int) -> list[Array]:
+    """The row scaled to entries of order one in its first k columns, so that one threshold detects
+    every singular pivot."""
+    scale = _scale(row[:k])
     return [v / select(scale == 0, 1, scale) for v in row]
 
 

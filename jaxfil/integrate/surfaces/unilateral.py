@@ -30,7 +30,7 @@ Simulation and stability analysis of impacting systems with complete chattering,
 """
 
 import functools as ft
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -235,19 +235,26 @@ def rate_noise(
 
 def multipliers(gains: Rows, a: Components, rests: Components) -> Components:
     """λ of the resting surfaces, 0 for others, given the accelerations a without reactions."""
+    return _multipliers_of_each(gains, [a], rests)[0]
+
+
+def _multipliers_of_each(
+    gains: Rows, each: Sequence[Components], rests: Components
+) -> list[Components]:
+    """`multipliers` for several accelerations, by one elimination."""
     # Surfaces without a rest have rows and columns of the identity.
-    right = where(rests, -a, 0.0)
+    rights = [where(rests, -a, 0.0) for a in each]
     if gains.is_array:
-        (on,), (force,), unit = rests.parts, right.parts, jnp.eye(len(rests.parts[0]))
-        both = on[:, None] & on[None, :]
-        matrix = select(both, jnp.asarray(gains.entries()), unit.astype(force.dtype))
-        return Components([solve(matrix, force, on)])
+        (on,), forces = rests.parts, jnp.stack([v.parts[0] for v in rights], axis=1)
+        both, unit = on[:, None] & on[None, :], jnp.eye(len(on), dtype=forces.dtype)
+        found = solve(select(both, jnp.asarray(gains.entries()), unit), forces, on)
+        return [Components([found[:, r]]) for r in range(len(rights))]
     matrix, on = [], rests.parts
     for i, row in enumerate(gains.rows):
         both = [on[i] if i == j else on[i] & other for j, other in enumerate(on)]
         entries = enumerate(zip(both, row.parts, strict=True))
         matrix.append([select(flag, gain, float(i == j)) for j, (flag, gain) in entries])
-    return Components(solve_small(matrix, right.parts))
+    return list(map(Components, solve_small(matrix, [v.parts for v in rights])))
 
 
 def forces(
@@ -293,7 +300,12 @@ def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Cor
     def reaction(of: Response, a: Components) -> Components:
         return multipliers(of.gains, a, rests)
 
-    force = known.each(reaction, known.accelerations)
+    a = known.accelerations
+    if known.of_corners is None and not a.is_table:
+        rows = _multipliers_of_each(known.response.gains, a.rows, rests)
+        force = Corners(rows, flipped=a.flipped)
+    else:
+        force = known.each(reaction, a)
     return (*answered(known, rates, force), force)
 
 

@@ -198,8 +198,10 @@ def _correction(
     """Newton's correction of the weights of the sliding surfaces, given dH/dt."""
     right, matrix = where(mode == 0, residual, 0.0), _matrix(mode, rates, w)
     if isinstance(matrix, jax.Array):
-        return Components([small_linear.solve(matrix, right.parts[0], (mode == 0).parts[0])])
-    return Components(small_linear.solve_small(matrix, right.parts))
+        found = small_linear.solve(matrix, right.parts[0][:, None], (mode == 0).parts[0])
+        return Components([found[:, 0]])
+    [found] = small_linear.solve_small(matrix, [right.parts])
+    return Components(found)
 
 
 def _matrix(mode: Components, rates: Corners, w: Components) -> Array | list[list[Array]]:

@@ -99,16 +99,17 @@ def test_a_coupling_is_seen_in_whatever_words():
 
 @jax.jit
 def solved(a, b):
-    """By elimination: the solution, and the size of the determinant."""
-    rows, right = [list(row) for row in a], list(b)
-    return jnp.stack(small_linear.solve_small(rows, right)), small_linear.size_of_determinant(rows)
+    """By elimination: the solution for each column of b, and the size of the determinant."""
+    rows, rights = [list(row) for row in a], [list(column) for column in b.T]
+    found = jnp.stack([jnp.stack(x) for x in small_linear.solve_small(rows, rights)], axis=1)
+    return found, small_linear.size_of_determinant(rows)
 
 
 @pytest.mark.parametrize("k", [1, 2, 3, 5])
 def test_small_linear_systems_are_solved_as_by_lapack(k):
     rng = np.random.default_rng(k)
     for _ in range(5):
-        a, b = rng.normal(size=(k, k)), rng.normal(size=k)
+        a, b = rng.normal(size=(k, k)), rng.normal(size=(k, 3))
         a[0, 0] = 0 if k > 1 else a[0, 0]  # rows are exchanged
         found, size = solved(a, b)
         scale = np.linalg.cond(a) * np.finfo(float).eps
@@ -119,7 +120,7 @@ def test_small_linear_systems_are_solved_as_by_lapack(k):
 @pytest.mark.parametrize("k", [2, 3, 5])
 def test_the_same_equation_twice_still_has_a_solution(k):
     rng = np.random.default_rng(k)
-    a, b = rng.normal(size=(k, k)), rng.normal(size=k)
+    a, b = rng.normal(size=(k, k)), rng.normal(size=(k, 3))
     a[1], b[1] = a[0], b[0]
     found, size = solved(a, b)
     assert_allclose(a @ found, b, rtol=1e-12, atol=1e-12)
