@@ -23,14 +23,16 @@ _WRITTEN_OUT = 2
 def solve_small(
     matrix: Sequence[Sequence[Array]], rights: Sequence[Sequence[Array]]
 ) -> list[list[Array]]:
-    """x of A x = b for each b of `rights`, by one elimination. A column without a usable pivot
-    gives an unknown of 0, so that a consistent singular system (one surface listed twice) still has
-    a solution."""
+    """x of A x = b for each b of `rights`, by one elimination. The unknown of a column without a
+    usable pivot is 0, and its equations are left to the other unknowns, so that a consistent
+    singular system (one surface listed twice, or one that no unknown moves) has its solution."""
     k = len(matrix)
     if k > _WRITTEN_OUT:
         found, _ = _reduced(_equilibrated_array(matrix, rights))
         return [[found[i, r] for i in range(k)] for r in range(len(rights))]
     rows = _eliminated([_equilibrated(row, k) for row in _beside(matrix, rights)], k)
+    if k == 2:
+        rows = _left_to_the_second(*rows)
     return [_back_substituted(rows, k, r) for r in range(k, k + len(rights))]
 
 
@@ -51,7 +53,7 @@ def size_of_determinant(
     assert isinstance(matrix, jax.Array)
     scales = jnp.sum(abs(matrix), axis=1)
     pivots = abs(_reduced_among(_equilibrated_rows(matrix), taken)[1])
-    kept = select(pivots <= PIVOT * jnp.finfo(pivots.dtype).eps, 0, pivots)
+    kept = select(_is_rounding(pivots), 0, pivots)
     return jnp.prod(select(taken, kept * scales, 1.0))
 
 
@@ -79,8 +81,7 @@ def _size_of_small(matrix: Any) -> Array:
         pivots = [row[i] for i, row in enumerate(rows)]
     size: Any = 1.0
     for pivot, scale in zip(map(abs, pivots), scales, strict=True):
-        rounding = pivot <= PIVOT * jnp.finfo(pivot.dtype).eps
-        size = size * select(rounding, 0, pivot) * scale
+        size = size * select(_is_rounding(pivot), 0, pivot) * scale
     return size
 
 
@@ -127,7 +128,8 @@ def _solution(state: _Elimination) -> tuple[Array, Array]:
 
 def _without(i: Array, state: _Elimination) -> _Elimination:
     """The elimination of column i, without row swaps. Rows are selected by sums with ones and
-    zeros, not by indexing, so that lanes with different pivots can be vectorised."""
+    zeros, not by indexing, so that lanes with different pivots can be vectorised. A column without
+    a usable pivot takes no row."""
     rows, free, places, pivots = state
     number, column = (
         jnp.arange(len(rows), dtype=i.dtype),
@@ -137,6 +139,7 @@ def _without(i: Array, state: _Elimination) -> _Elimination:
     here = number == jax.lax.argmax(select(free, abs(entries), -1), 0, i.dtype)
     upper = jnp.sum(select(here[:, None], rows, 0), axis=0)
     pivot = jnp.sum(select(column, upper, 0))
+    here = here & ~_is_rounding(pivot)
     upper = _quotient(upper, pivot)
     rows = select(here[:, None], upper, rows - entries[:, None] * upper)
     places = places | ((number == i)[:, None] & here)
@@ -155,6 +158,14 @@ def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
             factor = _quotient(rows[r][i], rows[i][i])
             rows[r] = [q - factor * p for p, q in zip(rows[i], rows[r], strict=True)]
     return rows
+
+
+def _left_to_the_second(first: list[Array], second: list[Array]) -> list[list[Array]]:
+    """Two eliminated rows. If the first unknown has no usable pivot, both are equations of the
+    second unknown, of which the one with the larger pivot is solved."""
+    swap = _is_rounding(first[0]) & (abs(first[1]) > abs(second[1]))
+    lower = [select(swap, p, q) for p, q in zip(first[1:], second[1:], strict=True)]
+    return [first, [second[0], *lower]]
 
 
 def _back_substituted(rows: list[list[Array]], k: int, right: int) -> list[Array]:
@@ -181,8 +192,12 @@ def _scale(row: Sequence[Array]) -> Array:
 
 def _quotient(a: Array, pivot: Array) -> Array:
     """a/pivot, or 0 if the pivot is within rounding."""
-    singular = abs(pivot) <= PIVOT * jnp.finfo(pivot.dtype).eps
+    singular = _is_rounding(pivot)
     return select(singular, 0, a / select(singular, 1, pivot))
+
+
+def _is_rounding(pivot: Array) -> Array:
+    return abs(pivot) <= PIVOT * jnp.finfo(pivot.dtype).eps
 
 
 class Factors(eqx.Module):

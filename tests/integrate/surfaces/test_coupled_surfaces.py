@@ -117,11 +117,31 @@ def test_small_linear_systems_are_solved_as_by_lapack(k):
         assert_allclose(size, abs(np.linalg.det(a)), rtol=64 * scale)
 
 
+def one_equation_twice(a, x):
+    a[1] = a[0]
+
+
+def an_unknown_without_effect(a, x):
+    a[:, 0] = x[0] = 0
+    a[-1] = 0
+
+
+def an_unknown_whose_effect_is_rounding(a, x):
+    an_unknown_without_effect(a, x)
+    a[:-1, 0] = 1e-17
+
+
+SINGULAR = [one_equation_twice, an_unknown_without_effect, an_unknown_whose_effect_is_rounding]
+
+
 @pytest.mark.parametrize("k", [2, 3, 5])
-def test_the_same_equation_twice_still_has_a_solution(k):
-    rng = np.random.default_rng(k)
-    a, b = rng.normal(size=(k, k)), rng.normal(size=(k, 3))
-    a[1], b[1] = a[0], b[0]
-    found, size = solved(a, b)
-    assert_allclose(a @ found, b, rtol=1e-12, atol=1e-12)
-    assert size == 0
+@pytest.mark.parametrize("made", SINGULAR)
+def test_a_singular_system_with_a_solution_is_solved(made, k):
+    for seed in range(5):
+        rng = np.random.default_rng([k, seed])
+        a, x = rng.normal(size=(k, k)), rng.normal(size=(k, 3))
+        made(a, x)
+        a = a[rng.permutation(k)]
+        found, size = solved(a, a @ x)
+        assert_allclose(a @ found, a @ x, rtol=0, atol=1e-12)
+        assert size == 0
