@@ -41,7 +41,7 @@ from jaxfil.integrate.system.components import (
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
-from jaxfil.xla.select import select
+from jaxfil.xla.select import select, select_all
 
 # A contact that is not repeated within this many others does not belong to a turn.
 _LONGEST = 16
@@ -115,7 +115,7 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
     if turn is None:
         return end
     turn, jump, x = problem.system.where_any(
-        state.pending.waits, _turned, _as_before, problem, state, length, end
+        _counts(state), _turned, _as_before, problem, state, length, end
     )
     done = turn.completed
     upcoming = done & turn.met
@@ -133,6 +133,17 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
     )
 
 
+def _counts(state: LoopState) -> Array:
+    """Whether a switch is at a contact of a turn, or at the limit.
+
+    A tick is not, nor is a surface that a map or a jump of H has moved the state across: two ticks
+    that coincide but for rounding would be a turn that has shrunk to nothing.
+    """
+    assert state.turn is not None
+    contact = any_of(state.pending.surfaces & ~state.pending.across)
+    return state.pending.waits & (contact | state.turn.completed)
+
+
 def _as_before(
     problem: Problem, state: LoopState, length: Length, end: StepEnd
 ) -> tuple[Turn | None, Array, Components]:
@@ -146,7 +157,8 @@ def _turned(
     turn, same = state.turn, problem.grid.same_time(end.motion.tau)
     assert turn is not None
     # After the limit, turns are counted from the start.
-    switches = state.pending.waits & ~state.pending.grazes & ~turn.completed
+    counts = _counts(state)
+    switches = counts & ~state.pending.grazes & ~turn.completed
     kind = _kind(state.pending.surfaces, end.motion.mode)
     time = (end.motion.tau - turn.tau) + stop_gradient(state.tau_low - turn.tau_low)
     again = switches & (kind == turn.kind) & (time > 0)
@@ -191,7 +203,7 @@ def _turned(
         completed=completed,
     )
     jump = select(completed, left - late, 0)
-    return now, jump, ahead(jump)
+    return select_all(counts, now, turn), jump, ahead(jump)
 
 
 def _surfaces_there(

@@ -373,3 +373,53 @@ def test_a_ball_is_lifted_where_another_mass_passes(system):
     run = motion(lambda p: solve(system(*p), [0.0, 0.0, 0.0], 2.0, 0.05, compact=True), 2)
     sols = assert_derivatives(run, exact, [[1.0, 0.8], [1.3, 0.7]], 256, order=1)
     assert kinds_of(sols) == [[CROSS, SLIP]] * 2
+
+
+class Flipping(jf.System):
+    """x' = 0.03 (1 + sgn(x − b)/2) on a band b = ±0.6 that a clock turns round, beside a clock that
+    changes no number, and a wall out of reach."""
+
+    fast: jax.Array
+    slow: jax.Array
+    phase: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([0.03 * (1 + side[0] / 2), 0.0 * t])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - x[1], 9 - x[0]])
+
+    def reset(self, t, x, surface):
+        return x
+
+    def tick(self, t, x, clock):
+        return jnp.where(clock == 1, x * jnp.array([1.0, -1.0]), x)
+
+    @property
+    def clocks(self):
+        return jf.Clock(self.fast), jf.Clock(self.slow, self.phase)
+
+
+@pytest.mark.slow
+def test_ticks_that_coincide_but_for_rounding_are_no_turns():
+    """Of two clocks that tick together at 2, 5, 8, 11 periods of the first, only the second one
+    does anything; x has derivatives by its times alone."""
+    fast = np.random.default_rng(0).uniform(0.4, 0.5, 32)
+    lanes = jnp.asarray(np.stack([fast, 1.5 * fast, 0.5 * fast], axis=1))
+
+    def exact(p):
+        times = p[2] + p[1] * jnp.arange(1.0, 20.0)
+        sides = (-1.0) ** jnp.arange(1.0, 20.0)  # of x − b from each of these on
+        parts = jnp.where(times < 6.0, sides * 0.03 * (6.0 - times), 0.0)
+        return jnp.stack(
+            [
+                -0.3 + 0.045 * (6.0 - 0.3) + parts.sum(),
+                jnp.where((times < 6.0).sum() % 2, 0.6, -0.6),
+            ]
+        )
+
+    options = dict(t0=0.3, max_events=32, compact=True)
+    run = jax.vmap(lambda p: solve(Flipping(*p), [-0.3, -0.6], 6.0, 0.05, **options).x_final)
+    slopes = jax.jacfwd(lambda p: run(lanes + p))(jnp.zeros(3))
+    assert_within(run(lanes), jax.vmap(exact)(lanes), 64 * EPS)
+    assert_within(slopes, jax.vmap(jax.jacfwd(exact))(lanes), 256 * EPS)
