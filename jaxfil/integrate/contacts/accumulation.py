@@ -136,8 +136,8 @@ def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEn
 def _counts(state: LoopState) -> Array:
     """Whether a switch is at a contact of a turn, or at the limit.
 
-    A tick is not, nor is a surface that a map or a jump of H has moved the state across: two ticks
-    that coincide but for rounding would be a turn that has shrunk to nothing.
+    A tick is not, nor is a surface that a map or a jump of H has moved the state across. Two ticks
+    that coincide but for rounding would be a turn that has shrunk to zero.
     """
     assert state.turn is not None
     contact = any_of(state.pending.surfaces & ~state.pending.across)
