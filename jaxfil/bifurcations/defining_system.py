@@ -28,6 +28,7 @@ from jaxfil.orbits.shooting import ShootingOptions
 from jaxfil.xla.kernel import kernel_if_it_fits, tree_in_kernel
 from jaxfil.xla.known import array_of, is_known
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import CONVERGED, RESIDUAL
 
 
 class Placed(eqx.Module):
@@ -148,14 +149,16 @@ class _Evaluated(eqx.Module):
 
     def __call__(self, z: Array, done: tuple[Placed, tuple]) -> Evaluation:
         at, (by_z, (value, closing)) = done
-        both = scales(at, z, closing, self.family)
-        return Evaluation(value, by_z[:, : z.shape[0]], *both, closing.result, closing)
+        by_z = by_z[:, : z.shape[0]]
+        both = scales(at, z, by_z, closing, self.family)
+        return Evaluation(value, by_z, *both, closing.result, closing)
 
 
 def scales(
-    at: Placed, z: Array, closing: Closing, family: Int[Array, ""]
+    at: Placed, z: Array, by_z: Array, closing: Closing, family: Int[Array, ""]
 ) -> tuple[Float[Array, " M"], Float[Array, " N"]]:
-    """Scales of the equations and of the unknowns."""
+    """Scales of the equations and of the unknowns, given the derivative of the former by the
+    latter."""
     size = select(closing.size == 0, 1, closing.size)
     # The scale of H is its range across the orbit, the scale of its rates follows from a period.
     normals = jax.jacfwd(at.system.switching, argnums=1)(closing.t, closing.x)
@@ -164,8 +167,15 @@ def scales(
     pace = 2 * jnp.pi / at.period
     pair = jnp.stack([height * pace, height * pace**2])
     pair = select(family == SLIDE, pair, pair / pace)
-    q = abs(z[size.shape[0] :])
-    return jnp.append(size, pair), jnp.append(size, select(q == 0, 1, q))
+    equations = jnp.append(size, pair)
+    n = size.shape[0]
+    # A phase, and a parameter, may be zero, and rounding is then relative to something else, a
+    # period, or the change of the parameter that changes an equation by its scale. A parameter that
+    # changes no equation has no scale; Newton's method has to see that, so it is 1 at most.
+    reach = jnp.min(equations[:, None] / abs(by_z[:, n + 1 :]), axis=0)
+    least = jnp.minimum(1, RESIDUAL / CONVERGED * reach)
+    q = jnp.maximum(abs(z[n + 1 :]), select(jnp.isfinite(least), least, 1))
+    return equations, jnp.concatenate([size, at.period[None], q])
 
 
 @eqx.filter_jit

@@ -72,7 +72,7 @@ class Nearest(Equations):
 
         bends, (slopes, value, closing) = kernel_if_it_fits(_by_turns(first))(u)
         placed = self.defining.placed(system, u)
-        equations, unknowns = scales(placed, u, closing, self.defining.family)
+        equations, unknowns = scales(placed, u, slopes, closing, self.defining.family)
         at = Evaluation(value, slopes, equations, unknowns, closing.result, closing)
         flat = jnp.zeros((size, size), w.dtype).at[-k:, -k:].set(metric)
         curved = flat + jnp.einsum("i,ijk->jk", multipliers, bends)

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterator
 
 import equinox as eqx
+import numpy as np
 
 from jaxfil.bifurcations.candidates import tangency_candidates
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS, Bifurcation, find_bifurcation
@@ -17,6 +18,7 @@ from jaxfil.model.types import Axes
 from jaxfil.orbits.branch import Branch, SpecialPoint
 from jaxfil.orbits.continue_orbit import continue_orbit
 from jaxfil.orbits.orbit import Orbit
+from jaxfil.xla.known import part_of
 
 
 class BifurcationSequence(eqx.Module):
@@ -73,8 +75,9 @@ def find_bifurcations(
 ) -> BifurcationSequence:
     """Find all bifurcations of a periodic orbit as a parameter goes to `stop`.
 
-    The branch is followed by `continue_orbit`; each change of the contacts on it is then located
-    again as a tangency, as `find_bifurcation` does, and named by its conditions.
+    The branch is followed by `continue_orbit`; each change of the contacts on it, and an end beyond
+    which there is no orbit, is then located again as a tangency, as `find_bifurcation` does, and
+    named by its conditions.
 
     **Arguments**
 
@@ -115,18 +118,38 @@ def find_bifurcations(
         max_points=max_points,
         throw=throw,
     )
-    return BifurcationSequence(
-        branch, [_named(system, parameter, point) for point in branch.points]
-    )
+    first, last = (_at_end(system, branch, side) for side in (0, -1))
+    inner = [_named(system, branch, point) for point in branch.points]
+    return BifurcationSequence(branch, [*first, *inner, *last])
 
 
-def _named(system: System, parameter: str, point: SpecialPoint) -> Bifurcation | SpecialPoint:
+def _named(system: System, branch: Branch, point: SpecialPoint) -> Bifurcation | SpecialPoint:
     """The bifurcation at a change of the contacts; the point itself if it is of no known kind."""
     if point.kind not in ("contacts", "rest"):
         return point
-    orbit = dataclasses.replace(
-        point.orbit, system=replace_parameter(system, parameter, point.value)
-    )
+    return _tangency_at(system, branch, point.value, point.orbit) or point
+
+
+def _at_end(system: System, branch: Branch, side: int) -> list[Bifurcation]:
+    """The bifurcation in which the branch ends on one side, if it is a tangency beyond which there
+    is no orbit, and not among its points."""
+    value = float(branch.values[side])
+    known = any(_is_same(branch, value, point.value) for point in branch.points)
+    if known or not branch.lost[side]:
+        return []
+    found = _tangency_at(system, branch, value, part_of(branch.orbits, side))
+    return [] if found is None else [found]
+
+
+def _is_same(branch: Branch, value: float, other: float) -> bool:
+    # A value may be zero. The range of the branch then has the size of the parameter.
+    return abs(value - other) <= 1e-6 * max(abs(value), float(np.ptp(branch.values)))
+
+
+def _tangency_at(system: System, branch: Branch, value: float, orbit: Orbit) -> Bifurcation | None:
+    """The tangency at an orbit of the branch and this value of the parameter, if there is one."""
+    parameter = branch.parameter
+    orbit = dataclasses.replace(orbit, system=replace_parameter(system, parameter, value))
     # The kind is unknown, so all are tried, the nearest candidate first.
     nearest = []
     for kind in BIFURCATION_KINDS:
@@ -135,7 +158,6 @@ def _named(system: System, parameter: str, point: SpecialPoint) -> Bifurcation |
         found = find_bifurcation(system, parameter, orbit, kind, throw=False)
         # A bifurcation further off is another one, which has its own place on the branch.
         located = code(found.result) in (code(RESULTS.successful), code(RESULTS.other_kind))
-        close = abs(float(found.value) - point.value) <= 1e-6 * abs(point.value)
-        if located and close and int(found.code) >= 0:
+        if located and _is_same(branch, value, float(found.value)) and int(found.code) >= 0:
             return found
-    return point
+    return None

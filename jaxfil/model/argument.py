@@ -160,6 +160,8 @@ def numbers(name: str, value: Any, dtype: DTypeLike, must: str) -> Array:
 
 def known_numbers(name: str, value: Any, must: str) -> np.ndarray:
     """NumPy numbers in their own dtype, not traced."""
+    if isinstance(value, jax.core.Tracer):
+        raise ValueError(f"`{name}` must be {must}, and not be traced, got {told(value)}.")
     try:
         array = np.asarray(value)
     except (TypeError, ValueError) as error:

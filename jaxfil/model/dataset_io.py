@@ -4,11 +4,13 @@ One description, `NamedArrays`, serves all formats and is preserved bit for bit.
 uses xarray, imported on first use.
 """
 
+import contextlib
 import dataclasses
 import importlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias
@@ -104,8 +106,23 @@ def load(path: PathLike) -> NamedArrays:
         return _from_npz(path)
     xarray = _xarray(*packages)
     if path.suffix == ".nc":
-        return _from_xarray(xarray.load_dataset(path, engine="h5netcdf"))
+        with _foreign_refused(path):
+            return _from_xarray(xarray.load_dataset(path, engine="h5netcdf"))
     return _from_xarray(read_zarr(path))
+
+
+@contextlib.contextmanager
+def _foreign_refused(path: Path) -> Iterator[None]:
+    """What the readers of formats raise for a file of another kind, as an error of `path`."""
+    try:
+        yield
+    except PermissionError:  # not about its content
+        raise
+    except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(
+            f"`path` must be a file that `save` has written; {os.fspath(path)!r} is not one, or is "
+            "damaged."
+        ) from error
 
 
 def _from_xarray(data: Dataset) -> NamedArrays:
@@ -164,7 +181,7 @@ def _dims(dims: str | Sequence[str]) -> list[str]:
 
 
 def _from_npz(path: Path) -> NamedArrays:
-    with np.load(path) as file:
+    with _foreign_refused(path), np.load(path) as file:
         entries = dict(file)
     if _CONTENTS not in entries:
         raise ValueError(

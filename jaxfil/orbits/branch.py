@@ -81,6 +81,12 @@ class Branch(eqx.Module):
         """Whether each orbit is stable, shape (k,)."""
         return np.asarray(self.orbits.stable)
 
+    @property
+    def lost(self) -> tuple[bool, bool]:
+        """Whether no orbit was found beyond the end, at either side."""
+        first, last = ("was found beyond" in why for why in self.ended)
+        return first, last
+
     def at(self, value: float) -> list[Orbit]:
         """The orbits of the branch at a value of the parameter, in its order. Newton's method finds
         each from its neighbours on the branch, and raises an error if it fails."""

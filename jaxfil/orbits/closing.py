@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxfil.model.outcomes import RESULTS
+from jaxfil.model.outcomes import RESULTS, is_successful
 from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.implicit import Equations, SystemOf
 from jaxfil.orbits.newton import Evaluation, Root, Stages, as_it_is, root_of
-from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, velocity
+from jaxfil.orbits.prime_period import times_round
+from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, starts_from, velocity
 from jaxfil.xla.known import is_known
 from jaxfil.xla.select import select
 
@@ -151,6 +152,12 @@ def _closing(shot: Shot, starts: Array) -> tuple[Array, Array]:
     return residual.ravel(), jnp.concatenate([by_starts, by_global], axis=1)
 
 
+@eqx.filter_jit
+def _along(problem: OrbitProblem, x0: Array, q: Array) -> Array:
+    """The unknowns of the trajectory from x0, whose last arc need not close."""
+    return jnp.append(starts_from(problem.setting, problem.options, x0, q).ravel(), q)
+
+
 class ClosedOrbit(Equations):
     """The equations of an orbit of a given system. Unknowns are the starts of all arcs and the
     period of an autonomous system."""
@@ -164,10 +171,26 @@ class ClosedOrbit(Equations):
         return OrbitProblem(system, self.options, "", self.periods)
 
     def solve(self, system: System, guess: Array) -> tuple[Array, Array, Root]:
-        """Newton's iteration; the further data is its `Root`, with the `Shot`."""
+        """Newton's iteration; the further data is its `Root`, with the `Shot`. Of an autonomous
+        system, the orbit once round, if the numbers are known."""
         problem = self.problem(system)
-        root = solve_closing(problem, phase_condition(problem, guess), guess, self.newton_steps)
+        phase = phase_condition(problem, guess)
+        root = solve_closing(problem, phase, guess, self.newton_steps)
+        if phase is not None and is_known((problem, root)) and is_successful(root.result):
+            root = self._once_round(problem, phase, root)
         return root.z, root.at.jacobian, root
+
+    def _once_round(self, problem: OrbitProblem, phase: PhaseCondition, root: Root) -> Root:
+        """The orbit with its prime period. Its phase condition is that of the guess, with respect
+        to which the solution has derivatives."""
+        starts, q = problem.split(root.z)
+        times = times_round(problem.system, self.options, starts[0], q[0], root.at.aux.events)
+        if times == 1:
+            return root
+        phase = dataclasses.replace(phase, period=phase.period / times)
+        again = _along(problem, starts[0], q / times)
+        once = solve_closing(problem, phase, again, self.newton_steps)
+        return once if is_successful(once.result) else root
 
     @eqx.filter_jit
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 from jaxfil.model.parameter import is_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.newton import solve_in_numpy
-from jaxfil.xla.known import compiled_if_traced, is_known
+from jaxfil.xla.known import compiled_if_traced, is_known, without_derivatives
 
 SystemOf = Callable[[Array], System]
 """The system for the vector θ of all its float leaves."""
@@ -76,9 +76,7 @@ def solve_implicit(
     theta, unravel = ravel_pytree(eqx.filter(system, is_parameter))
     system_of = _SystemOf(eqx.filter(system, is_parameter, inverse=True), unravel)
     if not is_known((equations, guess)):
-        equations, guess = jax.tree.map(
-            lambda v: stop_gradient(v) if eqx.is_array(v) else v, (equations, guess)
-        )
+        equations, guess = without_derivatives((equations, guess))
     z, _, more = _solution(theta, equations=equations, system_of=system_of, guess=guess)
     return z, more
 

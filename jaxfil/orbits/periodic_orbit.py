@@ -11,7 +11,7 @@ from jaxfil.integrate.run.step_choice import StepCount, steps_and_stepper
 from jaxfil.integrate.steppers.explicit import Stepper, checked_stepper
 from jaxfil.integrate.system.grade import is_compact_run
 from jaxfil.model import check
-from jaxfil.model.outcomes import RESULTS, is_successful, raise_if_failed
+from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
@@ -20,9 +20,8 @@ from jaxfil.orbits.implicit import solve_implicit
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.one_sided import is_behind
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.orbits.prime_period import times_round
 from jaxfil.orbits.shooting import ShootingOptions, flow_map, starts_from
-from jaxfil.xla.known import array_of, compiled_if_traced, is_known
+from jaxfil.xla.known import array_of, compiled_if_traced, without_derivatives
 from jaxfil.xla.select import select
 
 
@@ -137,11 +136,6 @@ def periodic_orbit(
     budget = array_of(check.count("newton_steps", newton_steps), jnp.int32)
     settle = array_of(transient, jnp.int32) if transient else None
     orbit = _find(system, x, guess, options, periods, settle, budget)
-    if autonomous and is_known(orbit) and is_successful(orbit.result):
-        times = times_round(orbit)
-        if times > 1:
-            once = _find(system, orbit.x0, orbit.period / times, options, periods, None, budget)
-            orbit = once if is_successful(once.result) else orbit
     return raise_if_failed(orbit, orbit.result) if throw else orbit
 
 
@@ -156,7 +150,7 @@ def _find(
     newton_steps: Array,
 ) -> Orbit:
     equations = ClosedOrbit(options, newton_steps, periods)
-    z = _first_unknowns(equations, system, x0, guess, transient)
+    z = _first_unknowns(equations, *without_derivatives((system, x0, guess)), transient)
     return _orbit(equations, system, *solve_implicit(equations, system, z))
 
 

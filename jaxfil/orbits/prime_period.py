@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.run.solution import Events, switches
-from jaxfil.orbits.orbit import Orbit
-from jaxfil.orbits.shooting import flow_map
+from jaxfil.model.system import System
+from jaxfil.orbits.shooting import ShootingOptions, flow_map
 from jaxfil.xla.known import array_of
 
 # Larger multiples result only from a guess as far off, which is not expected.
@@ -22,16 +22,17 @@ _MOST = 12
 _CLOSE = 1e-4
 
 
-def times_round(orbit: Orbit) -> int:
+def times_round(
+    system: System, options: ShootingOptions, x0: Array, period: Array, events: Events | None
+) -> int:
     """The largest number of equal parts of the period after each of which the orbit closes."""
-    contacts = switches(orbit.events)
+    contacts = switches(events)
     if contacts.size:
-        assert orbit.events is not None
-        known = jax.tree.map(lambda v: np.asarray(v)[contacts], orbit.events)
-        closes = [_repeats(known, float(orbit.period), k) for k in range(1, _MOST + 1)]
+        known = jax.tree.map(lambda v: np.asarray(v)[contacts], events)
+        closes = [_repeats(known, float(period), k) for k in range(1, _MOST + 1)]
     else:
-        parts = array_of(1 / np.arange(1.0, _MOST + 1), orbit.x0.dtype)
-        gaps = np.asarray(_gaps(orbit, parts))
+        parts = array_of(1 / np.arange(1.0, _MOST + 1), x0.dtype)
+        gaps = np.asarray(_gaps(system, options, x0, period, parts))
         closes = gaps < _CLOSE
     return int(np.max(np.flatnonzero(closes), initial=0)) + 1
 
@@ -50,18 +51,16 @@ def _repeats(events: Events, period: float, k: int) -> bool:
 
 
 @eqx.filter_jit
-def _gaps(orbit: Orbit, parts: Array) -> Array:
+def _gaps(
+    system: System, options: ShootingOptions, x0: Array, period: Array, parts: Array
+) -> Array:
     """The distance of the orbit from closing after each fraction of the period, relative to the
     largest distance."""
 
     def gap(part: Array) -> Array:
-        forward = flow_map(
-            lambda q: (orbit.system, part * orbit.period),
-            orbit.options,
-            jnp.zeros(0, orbit.x0.dtype),
-            1.0,
-        )
-        return jnp.max(abs(forward(orbit.x0, jnp.zeros_like(part)) - orbit.x0))
+        none = jnp.zeros(0, x0.dtype)
+        forward = flow_map(lambda q: (system, part * period), options, none, 1.0)
+        return jnp.max(abs(forward(x0, jnp.zeros_like(part)) - x0))
 
     gaps = jax.lax.map(gap, parts)
     # At rest it closes after any time, including zero, which is not a multiple.

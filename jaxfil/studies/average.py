@@ -7,6 +7,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from jaxfil.integrate.run.observed import checked_observable, with_rate
@@ -15,10 +16,13 @@ from jaxfil.integrate.run.solve import solve
 from jaxfil.integrate.run.step_choice import StepLength
 from jaxfil.integrate.steppers.explicit import Stepper
 from jaxfil.model import check
+from jaxfil.model.card import outcome, precision
 from jaxfil.model.observe import Observe
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
+from jaxfil.xla.known import is_known, without_derivatives
+from jaxfil.xla.select import select
 
 
 class Average(eqx.Module):
@@ -32,6 +36,15 @@ class Average(eqx.Module):
     """The final time."""
     x_final: Float[jax.Array, " n"]
     """The state at `t_final`, from which another run can continue."""
+
+    def __repr__(self) -> str:
+        told = precision(self.value)
+        if isinstance(self.value, jax.core.Tracer) or self.t_final.ndim:
+            return f"Average{told}: a batch of shape {self.t_final.shape}"
+        mean = np.array2string(np.asarray(self.value), precision=9, separator=", ")
+        return (
+            f"Average{told}: {mean} up to t = {float(self.t_final):.10g}\n  {outcome(self.result)}"
+        )
 
 
 def average(
@@ -56,7 +69,7 @@ def average(
 
     **Arguments**
 
-    - `system`, `x0`, `t0`, `t1`, `dt`, `stepper`, `adjoint`, `throw`: as in `solve`.
+    - `system`, `x0`, `t0`, `t1`, `dt`, `stepper`, `adjoint`, `throw`: as in `solve`, but t1 ≠ t0.
     - `function`: g, a function of the time and the state, shape (n,), that returns an array of any
       shape, with optional arguments `side`, `reaction` and `mode` as in `observe` of `solve`.
 
@@ -94,9 +107,24 @@ def average(
     check.flags(throw=throw)
     observable = checked_observable("function", function, system, x)
     wider, start = with_rate(system, observable, x)
+    since, until = check.scalar("t0", t0, x.dtype), check.scalar("t1", t1, x.dtype)
+    same = without_derivatives(until) == without_derivatives(since)
+    if not is_known(same):
+        # A traced time that is invalid has an outcome, as in `solve`.
+        until = select(same, jnp.nan, until)
+    elif same:
+        raise ValueError(f"`t1` must differ from `t0`, since a mean is over a time, got {t1}.")
     sol = solve(
-        wider, start, t0, t1, dt, stepper=stepper, max_events=None, adjoint=adjoint, throw=throw
+        wider,
+        start,
+        since,
+        until,
+        dt,
+        stepper=stepper,
+        max_events=None,
+        adjoint=adjoint,
+        throw=throw,
     )
-    n, elapsed = x.shape[0], sol.t_final - jnp.asarray(t0, x.dtype)
+    n, elapsed = x.shape[0], sol.t_final - since
     mean = sol.x_final[n:].reshape(observable.shape) / elapsed
     return Average(mean, sol.result, sol.t_final, sol.x_final[:n])

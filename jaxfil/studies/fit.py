@@ -149,7 +149,8 @@ def fit(
     x = check.state("x0", x0)
     system = cast(system, x.dtype)
     names = scalar_parameters(system, parameters)
-    times, measured = _data(ts, data, x.dtype)
+    start = check.scalar("t0", t0, x.dtype)
+    times, measured = _data(ts, data, start)
     seen = None if observe is None else checked_observable("observe", observe, system, x)
     _check_seen(seen, measured, x)
     spread = _spread(sigma, measured)
@@ -163,7 +164,7 @@ def fit(
     model = _Model(
         system,
         x,
-        check.scalar("t0", t0, x.dtype),
+        start,
         step,
         times,
         measured,
@@ -181,7 +182,8 @@ def fit(
     return raise_if_failed(found, found.result)
 
 
-def _data(ts: Any, data: Any, dtype: Any) -> tuple[Array, Array]:
+def _data(ts: Any, data: Any, t0: Array) -> tuple[Array, Array]:
+    dtype = t0.dtype
     times = check.numbers("ts", ts, dtype, "times of shape (q,)")
     measured = check.numbers("data", data, dtype, "real numbers, a row for each of the times")
     if times.ndim != 1 or times.size == 0:
@@ -189,6 +191,11 @@ def _data(ts: Any, data: Any, dtype: Any) -> tuple[Array, Array]:
     instants = check.concrete(times)
     if instants is not None and not np.all(np.isfinite(instants)):
         raise ValueError(f"`ts` must be finite, got {check.told(instants)}.")
+    since = check.concrete(t0)
+    if instants is not None and since is not None and np.any(np.diff(instants, prepend=since) < 0):
+        raise ValueError(
+            f"`ts` must be ascending and not before `t0` = {since}, got {check.told(instants)}."
+        )
     if measured.ndim == 0 or measured.shape[0] != times.shape[0]:
         raise ValueError(
             f"`data` must have a row for each of the times, got {measured.shape} and `ts` of shape "

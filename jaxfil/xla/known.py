@@ -13,6 +13,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jax.lax import stop_gradient
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
@@ -29,6 +30,18 @@ def is_known(tree: Any) -> bool:
     ([False], True)
     """
     return not any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(tree))
+
+
+def without_derivatives(tree: Any) -> Any:
+    """A tree whose numbers are constants to `grad`, `jacfwd` and the like; known ones if nothing
+    else traces them.
+
+    >>> seen = []
+    >>> _ = jax.grad(lambda x: seen.append(is_known(without_derivatives(x))) or x)(1.0)
+    >>> seen
+    [True]
+    """
+    return jax.tree.map(lambda v: stop_gradient(v) if eqx.is_array(v) else v, tree)
 
 
 def array_of(value: Any, dtype: DTypeLike | None = None) -> Array:
@@ -86,14 +99,17 @@ def power_of_two(count: int) -> int:
 
 
 def compiled_if_traced(function: _F) -> _F:
-    """`function`, called directly if its arguments are known, and otherwise compiled as a whole,
-    since under `vmap` alone it would be run operation by operation."""
+    """`function`, called directly if its arguments are known but for derivatives along them, and
+    otherwise compiled as a whole, since under `vmap` alone it would be run operation by operation.
+    """
     whole = eqx.filter_jit(function)
 
     @ft.wraps(function)
     def call(*args: Any) -> Any:
-        if not is_known(args):
+        if not is_known(without_derivatives(args)):
             return whole(*args)
+        if not is_known(args):
+            return function(*args)
         # A derivative may call this with known values; they must not be traced into it, so that the
         # programs are shared with other calls.
         with jax.core.eval_context():

@@ -5,6 +5,8 @@ amplitude at which a linear oscillator reaches a wall, and numbers from an indep
 closed-form and mpmath computation for the belt of Santhosh, Narayanan and Padmanabhan (2016).
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -377,6 +379,62 @@ def test_all_nine_bifurcations_of_the_belt():
     np.testing.assert_allclose([b.value for b in route], BELT_CHANGES, rtol=0, atol=6e-4)
     for i, value in known.items():
         assert abs(float(route.bifurcations[i].value) - value) < 1e-9
+
+
+class Neuron(jf.System):
+    """x' = push − x + cos t, reset to 0 at 1/√2, where the orbit below it grazes at a push of 0.
+    Beyond, it spikes."""
+
+    push: jax.Array
+    period = 2 * jnp.pi
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return self.push - x + jnp.cos(t)
+
+    def switching(self, t, x):
+        return jnp.sqrt(0.5) - x[0]
+
+    def reset(self, t, x, surface):
+        return jnp.zeros_like(x)
+
+
+@pytest.mark.slow
+def test_a_graze_that_ends_a_branch_at_a_value_of_zero_is_named():
+    neuron = Neuron(jnp.asarray(-0.3))
+    orbit = jf.periodic_orbit(neuron, jnp.zeros(1))
+    (graze,) = jf.find_bifurcations(neuron, "push", orbit, stop=0.5)
+    assert graze.kind == "grazing" and str(outcome_names(graze.result)) == "successful"
+    np.testing.assert_allclose([graze.value, graze.t % np.pi], [0, np.pi / 4], rtol=0, atol=1e-14)
+    # From the start of the branch too, where no value sets a scale; phase zero is another zero.
+    found = jf.find_bifurcation(neuron, "push", orbit, "grazing")
+    np.testing.assert_allclose(found.value, 0, atol=1e-14)
+
+
+class SoftStop(jf.System):
+    """A linear oscillator whose amplitude is that of a soft stop where gap = 0; the push is at its
+    largest at a time of zero."""
+
+    gap: jax.Array
+    period = 2 * jnp.pi
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        force = jnp.cos(t) - x[1] - x[0] - 5 * jnp.where(side > 0, x[0] - 1 - self.gap, 0.0)
+        return jnp.stack([x[1], force])
+
+    def switching(self, t, x):
+        return x[0] - 1 - self.gap
+
+
+@pytest.mark.slow
+def test_a_touch_at_a_value_of_zero_is_named():
+    """x = sin t."""
+    stop = SoftStop(jnp.asarray(0.1))
+    orbit = jf.periodic_orbit(stop, jnp.array([0.0, 1.0]))
+    (touch,) = jf.find_bifurcations(stop, "gap", orbit, stop=-0.1)
+    assert touch.kind == "grazing"
+    np.testing.assert_allclose([touch.value, *touch.x], [0, 1, 0], rtol=0, atol=1e-13)
 
 
 def test_flights_of_many_lengths_share_a_program():

@@ -120,3 +120,5 @@ def test_a_forced_system_and_another_mode_are_refused():
         jf.equilibrium(jf.systems.SDOscillator(), jnp.zeros(2))
     with pytest.raises(ValueError, match=r"`mode` must be 1 of the numbers −2, .*got 3\."):
         jf.equilibrium(Boundary(0.5, 1.0), jnp.zeros(2), mode=3)
+    with pytest.raises(ValueError, match=r"`mode` must be .*, and not be traced"):
+        jax.jit(lambda mode: jf.equilibrium(Boundary(0.5, 1.0), jnp.zeros(2), mode=mode))(0)

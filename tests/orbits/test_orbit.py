@@ -500,6 +500,18 @@ def test_the_period_of_a_thermostat_is_prime(guess):
     assert_allclose(orbit.period, exact, rtol=1e-12)
 
 
+@pytest.mark.slow
+def test_the_derivative_of_a_prime_period_is_that_of_the_orbit_found():
+    def period(hi):
+        system = Thermostat(jnp.asarray(18.0), hi)
+        return jf.periodic_orbit(system, jnp.asarray([20.0, 1.0]), period=1.3).period
+
+    found = jax.value_and_grad(period)(jnp.asarray(22.0))
+    # T = log((hi - 10)/(lo - 10)) + log((35 - lo)/(35 - hi))
+    exact = np.log(17 / 13) + np.log(12 / 8), 1 / 12 + 1 / 13
+    assert_allclose(found, exact, rtol=1e-11)
+
+
 class Turning(jf.System):
     """The circle of radius one, once in 2π."""
 

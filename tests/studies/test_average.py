@@ -166,3 +166,20 @@ def test_what_is_no_function_of_time_state_and_side_is_refused_by_name():
             1.0,
             0.1,
         )
+
+
+def test_a_mean_over_no_time_is_refused_and_in_a_batch_an_outcome():
+    def mean(t1, throw=False):
+        ball = jf.systems.BouncingBall(g=1.0, restitution=1.0)
+        x0 = jnp.array([0.5, 0.0])
+        return jf.average(ball, lambda t, x: x[0], x0, 1.0, t1, 0.1, throw=throw)
+
+    with pytest.raises(ValueError, match="`t1` must differ from `t0`"):
+        mean(1.0)
+    found = jax.vmap(mean)(jnp.array([1.0, 1.5, 0.5]))
+    names = jf.RESULTS.names(found.result)
+    assert names.tolist() == ["nonfinite", "successful", "successful"]
+    # It falls from 1/2 for a time of 1/2, and backward in the same way.
+    np.testing.assert_allclose(found.value[1:], 1 / 2 - 1 / 24, rtol=64 * EPS)
+    assert "batch of shape (3,)" in repr(found)
+    assert "0.458333333 up to t = 1.5\n  successful" in repr(mean(1.5, throw=True))

@@ -69,6 +69,8 @@ def test_the_card_tells_values_and_errors(found):
         ({"parameters": ("mass",)}, "must be a parameter of Block"),
         ({"data": np.zeros(3)}, "`data` must have a row for each of the times"),
         ({"data": np.full(45, np.nan)}, "`data` must be finite"),
+        ({"ts": TS[::-1]}, "`ts` must be ascending and not before `t0` = 0.0"),
+        ({"t0": TS[1]}, "`ts` must be ascending and not before `t0`"),
         ({"sigma": 0.0}, "`sigma` must be positive"),
         ({"guesses": np.zeros((2, 3))}, r"`guesses` must be finite numbers of shape \(g, 2\)"),
         ({"tolerance": -1.0}, "`tolerance` must be a positive number"),

@@ -121,6 +121,10 @@ def test_bad_paths(tmp_path, monkeypatch):
         d.save(tmp_path / "a.h5")
     with pytest.raises(FileNotFoundError, match=r"a file that `save` has written, got .*nowhere"):
         jf.load(tmp_path / "nowhere.nc")
+    for name in ("foreign.nc", "foreign.npz"):
+        (tmp_path / name).write_bytes(b"no archive")
+        with pytest.raises(ValueError, match=r"foreign\.np?[cz]' is not one, or is damaged"):
+            jf.load(tmp_path / name)
     xarray.Dataset({"x": ("omega", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
     with pytest.raises(ValueError, match=r"other\.nc' has no jaxfil_version, outcome, stepper"):
         jf.load(tmp_path / "other.nc")
