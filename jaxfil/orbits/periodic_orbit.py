@@ -150,7 +150,8 @@ def _find(
     newton_steps: Array,
 ) -> Orbit:
     equations = ClosedOrbit(options, newton_steps, periods)
-    z = _first_unknowns(equations, *without_derivatives((system, x0, guess)), transient)
+    still, x0, guess = without_derivatives((system, x0, guess))
+    z = _first_unknowns(equations, still, x0, guess, transient)
     return _orbit(equations, system, *solve_implicit(equations, system, z))
 
 

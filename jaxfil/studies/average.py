@@ -6,6 +6,7 @@ They have the order of the stepper and are exact through contacts.
 import diffrax
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float

@@ -33,8 +33,8 @@ def is_known(tree: Any) -> bool:
 
 
 def without_derivatives(tree: Any) -> Any:
-    """A tree whose numbers are constants to `grad`, `jacfwd` and the like; known ones if nothing
-    else traces them.
+    """A tree whose numbers are constants to `grad`, `jacfwd` and the like. They are known unless
+    `jit` or `vmap` traces them.
 
     >>> seen = []
     >>> _ = jax.grad(lambda x: seen.append(is_known(without_derivatives(x))) or x)(1.0)
