@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, conditions
+from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, approach, conditions
 from jaxfil.integrate.run.solution import switches
 from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
 from jaxfil.integrate.system import lowered
@@ -24,9 +24,13 @@ from jaxfil.model.outcomes import is_successful
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.xla.known import array_of, part_of, power_of_two
+from jaxfil.xla.select import select
 
 # Largest number of candidates for each surface.
 _CANDIDATES = 3
+# A reset that moves a state at rest on a wall by less than this part of its size, as one of a rate
+# that is not linear, is the identity there.
+_JUMP = 1e-2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,10 +46,16 @@ class _Steps:
         """The period."""
         return float(self.orbit.period)
 
+    @property
+    def sizes(self) -> np.ndarray:
+        """The largest size of each component; 1 for one that is zero."""
+        sizes = np.max(abs(self.xs), axis=0)
+        return np.where(sizes == 0, 1, sizes)
+
 
 class _Candidate(NamedTuple):
     """A tangency of surface j from a side in a mode, at time `middle` of a flight from `left` to
-    `right`; `reach` is the time by which the orbit misses it."""
+    `right`; `reach` is the time by which the orbit misses it. `struck` as in `Tangency`."""
 
     reach: float
     j: int
@@ -54,6 +64,7 @@ class _Candidate(NamedTuple):
     left: float
     middle: float
     right: float
+    struck: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +75,7 @@ class _Flight:
     stop: float
     mode: np.ndarray
     surfaces: np.ndarray  # the surfaces of the contact at its end
+    x: np.ndarray  # the state just before this contact
 
 
 def _flights(orbit: Orbit) -> list[_Flight]:
@@ -75,13 +87,16 @@ def _flights(orbit: Orbit) -> list[_Flight]:
     ends = switches(events)
     count = ends.size
     if events is None or count == 0:
-        return [_Flight(-np.inf, np.inf, first, np.zeros(first.shape, bool))]
+        x = np.full(orbit.x0.shape, np.nan)
+        return [_Flight(-np.inf, np.inf, first, np.zeros(first.shape, bool), x)]
     ts = np.asarray(events.ts)[ends]
     modes = np.asarray(events.modes)[ends].astype(float)
-    members = np.asarray(events.members)[ends]
+    # The contact at the end of each flight.
+    members = np.roll(np.asarray(events.members)[ends], -1, axis=0)
+    xs = np.roll(np.asarray(events.xs)[ends], -1, axis=0)
     stops = np.append(ts[1:], ts[0] + period)
     assert np.all(ts >= t0)
-    return [_Flight(ts[i], stops[i], modes[i], members[(i + 1) % count]) for i in range(count)]
+    return [_Flight(ts[i], stops[i], modes[i], members[i], xs[i]) for i in range(count)]
 
 
 def guesses(orbit: Orbit, *kinds: str) -> list[list[tuple[Tangency, Array]]]:
@@ -113,7 +128,8 @@ def _guesses(orbit: Orbit, kinds: tuple[str, ...]) -> list[tuple[Tangency, Array
     if found:
         return [(tangency, array_of(False)) for _, tangency in found]
     nan, mode = jnp.full_like(orbit.period, jnp.nan), orbit.first_mode.astype(orbit.period.dtype)
-    nowhere = Tangency(orbit.x0, nan, nan, nan, mode, jnp.zeros((), jnp.int32), nan)
+    surface, struck = jnp.zeros((), jnp.int32), array_of(np.False_)
+    nowhere = Tangency(orbit.x0, nan, nan, nan, mode, surface, nan, struck)
     return [(nowhere, array_of(True))]
 
 
@@ -220,21 +236,35 @@ def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[
 
 
 def _impacts(steps: _Steps, flight: _Flight, after: _Flight, j: int, kind: str) -> list[_Candidate]:
-    """Impacts on a wall, with the time in which the rate of approach would vanish."""
+    """Impacts, with the time in which the rate of approach would vanish."""
     side = flight.mode[j]
     if kind != "grazing" or not flight.surfaces[j] or side == 0 or after.mode[j] != side:
         return []
-    reach = _reach(steps, flight, j, side)
+    reach, there = _reach(steps, flight, j, side)
+    struck = bool(_is_struck(steps.orbit.system, there, array_of(steps.sizes)))
     period, at = steps.period, flight.stop
     left = at - min(0.5 * (at - flight.start), 0.25 * period)
-    right = at + min(0.5 * (after.stop - after.start), 0.25 * period)
-    return [_Candidate(reach, j, side, flight.mode, left, at, right)]
+    # After a reset the orbit is another one, and the full flow follows it.
+    ahead = 0.0 if struck else min(0.5 * (after.stop - after.start), 0.25 * period)
+    return [_Candidate(reach, j, side, flight.mode, left, at, at + ahead, struck)]
 
 
-def _reach(steps: _Steps, flight: _Flight, j: int, side: float) -> float:
-    """The time in which Ḣ_s at the end of a flight would vanish."""
-    within = steps.ts[0] + (flight.stop - steps.ts[0]) % steps.period
-    x = array_of(steps.xs[np.argmin(abs(steps.ts - within))])
+@eqx.filter_jit
+def _is_struck(system: System, there: Tangency, sizes: Array) -> Array:
+    """Whether the reset of a contact changes the state where the rate of approach is zero, the
+    nearest such state in the scales of the orbit."""
+    rate, slope = approach(system, there)
+    slope = slope * sizes
+    square = slope @ slope
+    x = there.x - sizes * slope * rate / select(square == 0, 1, square)
+    jump = system.reset(there.phase, x, there.surface) - x
+    return jnp.max(abs(jump) / sizes) > _JUMP
+
+
+def _reach(steps: _Steps, flight: _Flight, j: int, side: float) -> tuple[float, Tangency]:
+    """The time in which Ḣ_s at the end of a flight would vanish, and that end."""
+    # Of a reset the state before it; the steps have the one after it.
+    x = array_of(flight.x)
     at = array_of(flight.stop, x.dtype)
     there = Tangency(
         x,
@@ -244,9 +274,10 @@ def _reach(steps: _Steps, flight: _Flight, j: int, side: float) -> float:
         mode=array_of(flight.mode, x.dtype),
         surface=array_of(j, jnp.int32),
         side=array_of(side, x.dtype),
+        struck=array_of(np.False_),
     )
     found = conditions(steps.orbit.system, at, x, there)
-    return abs(float(found.rate)) / max(abs(float(found.bend)), 1e-300)
+    return abs(float(found.rate)) / max(abs(float(found.bend)), 1e-300), there
 
 
 def _arrivals(
@@ -259,7 +290,7 @@ def _arrivals(
     if not flight.surfaces[j] or not (crosses or (sticks and kind == "switching-sliding")):
         return []
     at = flight.stop
-    reach = _reach(steps, flight, j, -a)
+    reach, _ = _reach(steps, flight, j, -a)
     left = at - min(0.5 * (at - flight.start), 0.25 * steps.period)
     return [_Candidate(reach, j, -a, flight.mode, left, at, at)]
 
@@ -280,4 +311,5 @@ def _tangency(steps: _Steps, found: _Candidate) -> Tangency:
         mode=array_of(found.mode, dtype),
         surface=array_of(found.j, jnp.int32),
         side=array_of(found.side, dtype),
+        struck=array_of(np.bool_(found.struck)),
     )

@@ -62,7 +62,8 @@ def grazing_margin(
 
     The flight is followed as if the surface were not there, so that the margin continues smoothly
     through zero to negative values, where the orbit would cut the surface. For an orbit that hits
-    the surface this is the orbit without that contact, if it exists.
+    the surface this is the orbit without that contact, if it exists, or, of a reset that is not the
+    identity where H = Ḣ = 0, such as a spike, the orbit with the reset at the minimum.
 
     **Arguments**
 

@@ -20,8 +20,9 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxfil.integrate.lane.problem import KeptMode, even_grid
 from jaxfil.integrate.loop.extensions import problem_of
@@ -71,6 +72,10 @@ class Tangency(eqx.Module):
     """The number of the surface."""
     side: Float[Array, ""]
     """The side s = ±1 from which the orbit comes."""
+    struck: Bool[Array, ""]
+    """Whether the surface resets the state at the tangency. The reset of a wall at rest is the
+    identity, and the flight continues. The spike of a neuron is not, and there are two orbits, with
+    and without it."""
 
 
 class Conditions(eqx.Module):
@@ -143,6 +148,12 @@ def defining(
     return select(family == SLIDE, jnp.stack([rate, along_slide]), jnp.stack([h, rate]))
 
 
+def approach(system: System, there: Tangency) -> tuple[Array, Float[Array, " n"]]:
+    """s Ḣ_s where a flight starts, and its gradient by the state."""
+    rate = _Rates(system, there.x, there).rate
+    return jax.value_and_grad(rate, argnums=1)(there.start, there.x)
+
+
 @eqx.filter_jit
 def conditions(system: System, t: Array, x: Float[Array, " n"], tangency: Tangency) -> Conditions:
     """All conditions at (t, x)."""
@@ -206,7 +217,8 @@ def close(
     family: Int[Array, ""],
     tangency: Tangency,
 ) -> Closing:
-    """Integrate the orbit once from the start of the flight."""
+    """Integrate the orbit once from the start of the flight, with the reset at the tangency if that
+    is struck."""
     on_components = build(system, tangency.x, compact=options.compact)
     mode = on_components.of_surfaces(tangency.mode)
     start, at = tangency.start * period, tangency.phase * period
@@ -218,26 +230,33 @@ def close(
     lengths = jnp.repeat(jnp.stack([at - start, stop - at]) / _PIECES, _PIECES)
     lengths = jnp.append(lengths, start + period - rest)
 
-    def stretch(carry: tuple, now: tuple[Array, Array, Array]) -> tuple:
+    def stretch(carry: tuple, now: tuple[Array, Array, Array, Array]) -> tuple:
         x, size, result = carry
-        t, length, keeps = now
+        t, length, keeps, after = now
         x = select(keeps | ~arrival, x, tangency.x)
+        if system.resets:
+            x = select(after & tangency.struck, system.reset(t, x, tangency.surface), x)
         flow = _Flow(on_components, options, KeptMode(mode, keeps), period)
         x, new_size, contacts, new = flow(t, length, x)
         result = RESULTS.where(result == RESULTS.successful, new, result)
         return (x, jnp.maximum(size, new_size), result), (x, contacts)
 
     # One program for the pieces of the flight, whose guards are checked, and for the remainder.
-    keeps = jnp.arange(2 * _PIECES + 1) < 2 * _PIECES
+    number = np.arange(2 * _PIECES + 1)
+    keeps, after = jnp.asarray(number < 2 * _PIECES), jnp.asarray(number == _PIECES)
     first = (tangency.x, abs(stop_gradient(tangency.x)), RESULTS.successful)
-    (end, size, result), (xs, contacts) = jax.lax.scan(stretch, first, (times, lengths, keeps))
+    (end, size, result), (xs, contacts) = jax.lax.scan(
+        stretch, first, (times, lengths, keeps, after)
+    )
     flight = stop_gradient(((times + lengths)[:-1], xs[:-1]))
+    # After a reset the full flow follows the orbit, in a mode of its own.
+    seen = ~tangency.struck | jnp.asarray(number[:-1] < _PIECES)
     return Closing(
         gap=end - tangency.x,
         t=at,
         x=xs[_PIECES - 1],
         size=size,
-        holds=_holds(on_components, tangency.mode, *flight),
+        holds=_holds(on_components, tangency.mode, seen, *flight),
         contacts=contacts[-1],
         result=result,
     )
@@ -248,15 +267,16 @@ def _divided(start: Array, stop: Array) -> Array:
     return start + (stop - start) * jnp.arange(_PIECES).astype(start.dtype) / _PIECES
 
 
-def _holds(on_components: ComponentSystem, mode: Array, ts: Array, xs: Array) -> Array:
-    """Whether all guards are positive beyond rounding."""
+def _holds(on_components: ComponentSystem, mode: Array, seen: Array, ts: Array, xs: Array) -> Array:
+    """Whether all guards are positive beyond rounding at the points `seen` of a flight."""
     modes = on_components.of_surfaces(mode)
 
     def guards(t: Array, x: Array) -> Array:
         return pack(filippov.guard(on_components, t, on_components.unpack(x), modes), x.dtype)
 
     values = jax.vmap(guards)(ts, xs)
-    return jnp.all(values >= -_ROUNDING * jnp.max(abs(values), axis=0))
+    positive = values >= -_ROUNDING * jnp.max(abs(values), axis=0)
+    return jnp.all(positive | ~seen[:, None])
 
 
 class _Flow(eqx.Module):

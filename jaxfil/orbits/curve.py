@@ -174,6 +174,10 @@ class Curve(abc.ABC, Generic[_Point]):
         """Whether two neighbours are on the same smooth part of the curve."""
         return True
 
+    def jumps(self, a: _Point, b: _Point) -> bool:
+        """Whether a step from a to b has left the curve for another one, or another part of it."""
+        return False
+
     def special_end(self, here: _Point) -> Iterable[Special[_Point]]:
         """Special points at the end of the curve."""
         return ()

@@ -16,6 +16,8 @@ from jaxfil.orbits.curve import SHARP, Curve, CurvePoint, constraint_across
 _LOCATED = 1e-12
 # A test function below this is zero, a determinant of numbers of order one, known to rounding.
 _ZERO = 1e-13
+# A test function at its zero is below this fraction of its values at the neighbours.
+_CROSSED = 1e-2
 
 # A corner is searched along a tangent to this multiple of the distance of two points around it.
 _PAST = 8.0
@@ -32,8 +34,29 @@ class _Lost(Exception):
 def zero_on_curve(
     curve: Curve[_Point], a: _Point, b: _Point, test: Callable[[_Point], float]
 ) -> _Point | None:
-    """The zero of a test function between two points, by Alefeld, Potra and Shi's algorithm 748. If
-    the curve is lost, the last point on it."""
+    """The zero of a test function between two points. If the curve is lost, the last point on
+    it."""
+    part, last = _zero(curve, a, b, test)
+    return last if part is None else _at_part(curve, a, b, part) or last
+
+
+def jumps_on_curve(
+    curve: Curve[_Point], a: _Point, b: _Point, test: Callable[[_Point], float]
+) -> bool:
+    """Whether a test function changes its sign between two points without a zero, so that these are
+    not on the same curve. If the curve is lost, as where two branches cross, this is unknown, and
+    the answer is no."""
+    part, _ = _zero(curve, a, b, test)
+    point = None if part is None else _at_part(curve, a, b, part)
+    return point is not None and abs(test(point)) > _CROSSED * min(abs(test(a)), abs(test(b)))
+
+
+def _zero(
+    curve: Curve[_Point], a: _Point, b: _Point, test: Callable[[_Point], float]
+) -> tuple[float | None, _Point | None]:
+    """The fraction of the distance between two points at which a test function changes its sign, by
+    Alefeld, Potra and Shi's algorithm 748, or None if the curve is lost, and the last point on
+    it."""
     last = None
 
     def value(part: float) -> float:
@@ -51,8 +74,8 @@ def zero_on_curve(
     try:
         part: Any = scipy.optimize.toms748(value, 0.0, 1.0, xtol=_LOCATED / _distance(a, b))
     except _Lost:
-        return last
-    return _at_part(curve, a, b, part) or last
+        return None, last
+    return part, last
 
 
 def change_on_curve(

@@ -24,11 +24,11 @@ from jaxfil.orbits.curve import (
     constraint_across,
 )
 from jaxfil.orbits.half_period import half_gap
-from jaxfil.orbits.locating import change_on_curve
+from jaxfil.orbits.locating import change_on_curve, jumps_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase import phased_like
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
-from jaxfil.orbits.special_points import kind_of_change, special_orbits
+from jaxfil.orbits.special_points import branch_point, kind_of_change, special_orbits
 from jaxfil.xla.known import array_of
 
 # A guess from a neighbour converges in a few steps or not at all; across a square root of the
@@ -198,6 +198,13 @@ class OrbitCurve(Curve[OrbitPoint]):
                 sign = 1.0 if point.tangent @ away >= 0 else -1.0
                 best, least = dataclasses.replace(point, tangent=sign * point.tangent), distance
         return best
+
+    def jumps(self, a: OrbitPoint, b: OrbitPoint) -> bool:
+        """Whether the determinant changes its sign without a zero, as where a step past the end of
+        a branch meets another arm of it, which is as near as a fold to an end in a graze."""
+        if not self.same(a, b) or branch_point(a) * branch_point(b) >= 0:
+            return False
+        return jumps_on_curve(self, a, b, branch_point)
 
     def about(self, point: OrbitPoint) -> str:
         """The largest multiplier, if it is as large as near a square root of the period map."""

@@ -239,7 +239,8 @@ def _advance(
             strayed = np.linalg.norm((ahead.u - here.u) / scale) > _STRAYED * ds
             # A corner is passed in one short step; a curve is followed in many.
             sharp = cosine <= SHARP
-            if not strayed and (not sharp or ds < steps.corner):
+            passes = not strayed and (not sharp or ds < steps.corner)
+            if passes and not curve.jumps(here, ahead):
                 if sharp and not curve.same(here, ahead):
                     ahead = away_from_corner(curve, here, ahead)
                 grows = cosine > steps.straight and ahead.num_steps <= steps.easy

@@ -19,7 +19,8 @@ def _fold(point: OrbitPoint) -> float:
     return float(point.tangent[-1])
 
 
-def _branch_point(point: OrbitPoint) -> float:
+def branch_point(point: OrbitPoint) -> float:
+    """The determinant of the equations with the tangent appended, zero where branches cross."""
     # With the tangent appended, the determinant does not vanish at a fold of the curve.
     return float(np.linalg.det(np.vstack([point.rows, point.tangent])))
 
@@ -44,7 +45,7 @@ _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
     "fold": _fold,
     "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
     "neimark-sacker": lambda point: neimark_sacker(np.asarray(point.shot.monodromy)),
-    "branch-point": _branch_point,
+    "branch-point": branch_point,
 }
 
 

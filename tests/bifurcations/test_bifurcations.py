@@ -382,18 +382,23 @@ def test_all_nine_bifurcations_of_the_belt():
 
 
 class Neuron(jf.System):
-    """x' = push − x + cos t, reset to 0 at 1/√2, where the orbit below it grazes at a push of 0.
-    Beyond, it spikes."""
+    """x' = push − a x + cos t, reset to 0 at 1/√(1 + a²), where the orbit below it grazes at a push
+    of 0. Beyond, it fires."""
 
     push: jax.Array
+    leak: jax.Array
     period = 2 * jnp.pi
     slides: ClassVar[bool] = False
 
+    @property
+    def threshold(self):
+        return 1 / jnp.sqrt(1 + self.leak**2)
+
     def vector_field(self, t, x, side):
-        return self.push - x + jnp.cos(t)
+        return self.push - self.leak * x + jnp.cos(t)
 
     def switching(self, t, x):
-        return jnp.sqrt(0.5) - x[0]
+        return self.threshold - x[0]
 
     def reset(self, t, x, surface):
         return jnp.zeros_like(x)
@@ -401,7 +406,7 @@ class Neuron(jf.System):
 
 @pytest.mark.slow
 def test_a_graze_that_ends_a_branch_at_a_value_of_zero_is_named():
-    neuron = Neuron(jnp.asarray(-0.3))
+    neuron = Neuron(jnp.asarray(-0.3), jnp.asarray(1.0))
     orbit = jf.periodic_orbit(neuron, jnp.zeros(1))
     (graze,) = jf.find_bifurcations(neuron, "push", orbit, stop=0.5)
     assert graze.kind == "grazing" and str(outcome_names(graze.result)) == "successful"
@@ -409,6 +414,38 @@ def test_a_graze_that_ends_a_branch_at_a_value_of_zero_is_named():
     # From the start of the branch too, where no value sets a scale; phase zero is another zero.
     found = jf.find_bifurcation(neuron, "push", orbit, "grazing")
     np.testing.assert_allclose(found.value, 0, atol=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("leak", [1.0, 0.5])
+def test_an_orbit_that_fires_ends_where_its_contact_grazes(leak):
+    """It touches the threshold at time s, is reset, and is there again after a period.
+
+    push = a θ − cos s, and x(s + 2π) = p(s) (1 − q) = θ with q = exp(−2π a) and the particular
+    solution p, so that sin(s − arctan(1/a)) = a q/(1 − q).
+    """
+
+    def exact(leak):
+        q = jnp.exp(-2 * jnp.pi * leak)
+        s = jnp.arctan2(1, leak) + jnp.arcsin(leak * q / (1 - q))
+        return leak / jnp.sqrt(1 + leak**2) - jnp.cos(s)
+
+    neuron = Neuron(jnp.asarray(0.03), jnp.asarray(leak))
+    orbit = jf.periodic_orbit(neuron, jnp.zeros(1), transient=20)
+    assert int(orbit.num_events) == 1
+    # At a small rate of approach it is unstable. Its branch turns back, by a millionth, and ends
+    # beside its own stable part, to which a step may not go over.
+    fold, graze = jf.find_bifurcations(neuron, "push", orbit, stop=-0.3)
+    assert fold.kind == "fold" and fold.value < graze.value
+    assert graze.kind == "grazing" and bool(graze.tangency.struck)
+    np.testing.assert_allclose(graze.value, exact(leak), rtol=0, atol=1e-13)
+
+    def value(leak):
+        return jf.find_bifurcation(Neuron(jnp.asarray(0.03), leak), "push", orbit, "grazing").value
+
+    found = jax.value_and_grad(value)(jnp.asarray(leak))
+    right = jax.value_and_grad(exact)(jnp.asarray(leak))
+    np.testing.assert_allclose(found, right, rtol=0, atol=1e-11)
 
 
 class SoftStop(jf.System):
