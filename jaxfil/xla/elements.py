@@ -28,6 +28,8 @@ MOVES = (
     "transpose",
 )
 """Operations that only rearrange elements."""
+# Elementwise operations whose parameters are the same for an array and for a number, since
+# `evaluate` applies them to the numbers with the parameters of the array.
 _NAMES = """
 abs acos acosh add add_any and asin asinh atan atan2 atanh ceil convert_element_type cos cosh div eq
 erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p log2 logistic lt max min mul ne
@@ -68,8 +70,10 @@ def in_elements(eqn: Any, inputs: Sequence[Any], mixed: bool) -> bool:
         if out.aval.shape == () or not (any(scalars) if mixed else scalars and all(scalars)):
             return False
     if name == "dot_general":
+        # `np.tensordot` has no batch axes.
         return not any(eqn.params["dimension_numbers"][1])
     if name in ON_EACH:
+        # JAX accepts scalars beside arrays, such as the flag of `select_n`.
         return np.broadcast_shapes(*shapes) == out.aval.shape
     return name in MOVES or name == "reduce_sum"
 
@@ -81,6 +85,7 @@ def evaluate(eqn: Any, inputs: Sequence[Any], one: Callable) -> Any:
     if name in MOVES:
         values = moved(name, eqn.params, parts, out.shape)
     elif name == "reduce_sum":
+        # NumPy adds and multiplies the entries of an array of objects by their own operators.
         values = np.add.reduce(parts[0], axis=tuple(eqn.params["axes"]))
     elif name == "dot_general":
         values = np.tensordot(*parts, axes=eqn.params["dimension_numbers"][0])
@@ -89,6 +94,7 @@ def evaluate(eqn: Any, inputs: Sequence[Any], one: Callable) -> Any:
         values = _objects([one(*each) for each in zip(*wide, strict=True)], out.shape)
     if out.shape:
         return Elements(values, out.dtype)
+    # NumPy returns the entry itself for a sum over all axes, and an array without axes otherwise.
     return values[()] if isinstance(values, np.ndarray) else values
 
 
@@ -116,6 +122,7 @@ def moved(name: str, params: dict, parts: Sequence[np.ndarray], shape: tuple) ->
     if name == "stack":
         return np.stack(parts, params["axis"])
     if name == "broadcast_in_dim":
+        # Other axes of the result are new, and have size 1 before NumPy broadcasts them.
         where = params["broadcast_dimensions"]
         wide = [first.shape[where.index(k)] if k in where else 1 for k in range(len(shape))]
         return np.broadcast_to(first.reshape(wide), shape)
@@ -137,6 +144,8 @@ def moved(name: str, params: dict, parts: Sequence[np.ndarray], shape: tuple) ->
 def _padded(array: np.ndarray, fill: np.ndarray, config: Sequence[tuple], shape: tuple) -> Any:
     """The array padded with one number on each side and in between; negative padding crops it."""
     out = np.broadcast_to(fill, shape).astype(array.dtype)
+    # The position of each number in the result, shape (axes, *array.shape). Negative padding shifts
+    # some of them outside.
     at = np.indices(array.shape)
     for axis, (low, _, between) in enumerate(config):
         at[axis] = low + (1 + between) * at[axis]

@@ -27,6 +27,8 @@ tile transpose unstack unvmap_any vanishing_map while xor
 FITTING = frozenset(_NAMES.split())
 """Names of operations that fit."""
 
+_WRITING = FITTING | {"dynamic_update_slice"}
+
 LARGE = 8192
 """Size in bytes above which XLA treats a constant array as a buffer of its own. It is a little less
 than XLA's limit, which is measured differently."""
@@ -40,14 +42,17 @@ def fits(jaxpr: Any) -> bool:
     return makes_whole_kernels() and _all_fit(jaxpr)
 
 
-def _all_fit(jaxpr: Any) -> bool:
+def _all_fit(jaxpr: Any, names: frozenset[str] = FITTING) -> bool:
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if name == "custom_vmap_call":  # from `masked_write`, whose batch rule fits
+        if name == "custom_vmap_call":
+            # Its batch rule is unknown. The one of `masked_write`, which alone may write, fits.
+            if not all(_all_fit(v, _WRITING) for v in programs(eqn.params)):
+                return False
             continue
         if name == "dot_general" and is_middling(eqn):  # replaced by sums in `kernel`
             continue
-        if name not in FITTING or not all(map(_all_fit, programs(eqn.params))):
+        if name not in names or not all(_all_fit(v, names) for v in programs(eqn.params)):
             return False
         # A longer reduction becomes a library call.
         if name in _REDUCTIONS and eqn.invars[0].aval.size > SHORT:

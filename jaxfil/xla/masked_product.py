@@ -38,6 +38,8 @@ SINGULAR = frozenset(_SINGULAR.split())
 ELEMENTWISE = SINGULAR.union(_REGULAR.split())
 
 
+# The NaN is described in issue 1052 of jax-ml/jax. Its usual remedy, a second `where` around the
+# argument of the branch, would have to be in the user's own function.
 masked_product_p = jexc.Primitive("masked_product")
 """a b, and 0 where a = 0 or b = 0, for arrays of one shape."""
 
@@ -93,6 +95,7 @@ def masked(function: Callable) -> Callable:
     def call(*args: Any) -> Array:
         return function(*args)
 
+    # Symbolic, so that no slope is computed for an operand without a tangent.
     @ft.partial(call.defjvp, symbolic_zeros=True)
     def push(args: tuple, moves: tuple) -> tuple:
         out = call(*args)
@@ -116,6 +119,8 @@ def _slope(function: Callable, args: tuple, k: int) -> Any:
         def by_one(v: Any) -> Array:
             return function(*args[:k], v, *args[k + 1 :])
 
+        # The function is elementwise, so that its derivative along ones is its derivative at each
+        # number.
         return jax.jvp(by_one, (args[k],), (jnp.ones_like(args[k]),))[1]
 
     return interpreted(jax.make_jaxpr(slope)(*args), args, lambda v: v, _masked)[0]

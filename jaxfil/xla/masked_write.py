@@ -31,6 +31,7 @@ def masked_write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
 def _write_jvp(primals: tuple, tangents: tuple) -> tuple:
     _, i, _, yes = primals
     (leaves, tree), rows = jax.tree.flatten(tangents[0]), jax.tree.leaves(tangents[2])
+    # Entries of integers have tangents of type float0, which have no numbers to write.
     real = [k for k, leaf in enumerate(leaves) if leaf.dtype != jax.dtypes.float0]
     moved = masked_write([leaves[k] for k in real], i, [rows[k] for k in real], yes)
     for k, leaf in zip(real, moved, strict=True):
@@ -41,6 +42,8 @@ def _write_jvp(primals: tuple, tangents: tuple) -> tuple:
 @custom_vmap
 def _write(rows: Any, i: Array, row: Any, yes: Array) -> Any:
     def written(rows: Array, row: Array) -> Array:
+        # JAX clamps an index out of range in both operations, so that the old entry is written to
+        # its own place.
         old = jax.lax.dynamic_index_in_dim(rows, i, keepdims=False)
         return jax.lax.dynamic_update_index_in_dim(rows, select(yes, row, old), i, 0)
 

@@ -82,6 +82,7 @@ def _summed(eqn: Any, a: Array, b: Array) -> Array:
     if each * summed <= SHORT:
         out = product(rows, columns)
     else:  # in chunks of columns, since a sum of a whole row is not vectorised
+        # A width of 1 divides every number of columns, so that one is always available.
         width = next(k for k in _WIDTHS if summed % k == 0 and each * k <= max(each, SHORT))
         zero = jnp.zeros((*rows.shape[:2], columns.shape[1]), a.dtype)
 

@@ -34,6 +34,7 @@ _COMBINED: dict[str, Callable] = {
     "scatter-sub": jax.lax.sub,
 }
 # Operations on known integers, in addition to rearrangements.
+# JAX converts positions that are counted from the end by `lt`, `add` and `select_n`.
 _ON_NUMBERS: dict[str, Callable] = {
     "add": np.add,
     "lt": np.less,
@@ -48,6 +49,7 @@ _ON_NUMBERS: dict[str, Callable] = {
 def by_slices(program: Any) -> Any:
     """The same program with its numbers moved by slices."""
     if names(program.jaxpr).isdisjoint(_RULES):
+        # The same object, so that its calls share one lowering.
         return program
 
     def run(*args: Any) -> list:
@@ -56,6 +58,7 @@ def by_slices(program: Any) -> Any:
         return [v for v, _ in made]
 
     shapes = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in program.in_avals]
+    # Computations of positions that are known by now have no users.
     return pruned(jax.make_jaxpr(run)(*shapes))
 
 
@@ -104,6 +107,7 @@ def _computed(eqn: Any, numbers: Sequence[np.ndarray | None]) -> np.ndarray | No
     # Older versions of JAX put an array of constants on the device.
     if name in ("convert_element_type", "copy") or (name == "device_put" and len(known) == 1):
         return np.asarray(known[0], out.dtype)
+    # In the type of the program, since NumPy promotes integers by other rules.
     apply = _ON_NUMBERS.get(name)
     return None if apply is None else np.asarray(apply(*known), out.dtype)
 
@@ -127,6 +131,7 @@ def _places(eqn: Any, indices: np.ndarray | None) -> np.ndarray | None:
     """The positions in the flat operand of a gather's results, or of a scatter's updates; None if
     unknown or partly outside."""
     d, gathers = eqn.params["dimension_numbers"], eqn.primitive.name == "gather"
+    # Batch axes, as `vmap` creates them, are not in the formulas below.
     if indices is None or d.operand_batching_dims:
         return None
     numbers = eqn.outvars[0].aval if gathers else eqn.invars[2].aval
@@ -139,9 +144,11 @@ def _places(eqn: Any, indices: np.ndarray | None) -> np.ndarray | None:
     kept = [k for k in range(len(shape)) if k not in dropped]
     batch = tuple(grid[k] for k in range(len(numbers.shape)) if k not in window)
     starts = np.broadcast_to(indices[batch], (*numbers.shape, len(to)))
+    # The position of each number along each axis of the operand.
     at = np.zeros((len(shape), *numbers.shape), int)
     at[kept] += grid[list(window)]
     at[list(to)] += np.moveaxis(starts, -1, 0)
+    # JAX clips, drops or fills positions outside, depending on the mode.
     inside = numbers.size > 0 and np.all(elements.are_inside(at, shape))
     return np.asarray(np.ravel_multi_index(tuple(at), shape)) if inside else None
 
@@ -166,6 +173,7 @@ def _scatter(eqn: Any, arrays: list[Array], numbers: Sequence[Any]) -> list[Arra
         there = np.flatnonzero(term >= 0)
         # Only at these positions: a function that is applied may have no derivative elsewhere.
         new = combine(taken(jnp.ravel(out), there), taken(jnp.ravel(updates), term[there]))
+        # `new` has one number for each of these positions, in their order.
         term[there] = np.arange(there.size)
         out = _replaced(out, new, term)
     return [out]
@@ -202,9 +210,11 @@ def _scatter_to_unknown(eqn: Any, operand: Array, index: Array, updates: Array) 
     clips = eqn.params["mode"] == jax.lax.GatherScatterMode.CLIP
     if not at_one or clips or operand.size > _MASKED:
         return None
+    # A position outside matches no number, so that the update is dropped, as all modes but clipping
+    # permit.
     there = jax.lax.broadcasted_iota(index.dtype, operand.shape, axes[0]) == index[0]
     # The old number at all positions: a function that is applied may have no derivative elsewhere.
-    old = jnp.sum(operand, axes[0], keepdims=True, where=there)
+    old = jnp.sum(operand, axes[0], keepdims=True, where=there, dtype=operand.dtype)
     new = combine(old, jnp.expand_dims(updates, axes[0]))
     return [jnp.where(there, new, operand)]
 
@@ -214,6 +224,7 @@ def _terms(place: np.ndarray, size: int) -> list[np.ndarray]:
     until all updates are used."""
     left, terms = np.arange(place.size), []
     while left.size:
+        # The first update of each position, so that several are applied in their order.
         places, first = np.unique(place[left], return_index=True)
         term = np.full(size, -1)
         term[places] = left[first]
@@ -247,6 +258,8 @@ def _cumsum(eqn: Any, arrays: list[Array], _: Any) -> list[Array]:
     size, shift = x.shape[axis], 1
     while shift < size:
         low, high = (shift, size) if reverse else (0, size - shift)
+        # Each number is the sum of up to `shift` numbers so far. The first `shift` of them are
+        # complete, so that zeros are added to them.
         rest = jnp.zeros_like(jax.lax.slice_in_dim(x, 0, shift, axis=axis))
         moved = jax.lax.slice_in_dim(x, low, high, axis=axis)
         x = x + jnp.concatenate([moved, rest] if reverse else [rest, moved], axis)

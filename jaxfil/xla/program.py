@@ -65,6 +65,7 @@ def _pruned(program: Any, done: dict[int, tuple]) -> Any:
     if id(program) in done:
         return done[id(program)][1]
     every = [True] * len(program.out_avals)
+    # Unused arguments remain (`instantiate`), since callers pass all of them.
     jaxpr, _ = pe.dce_jaxpr(program.jaxpr, every, instantiate=True)
     # JAX has no pruning rule for the bodies of loops, so they are pruned here.
     equations = [_with_programs(eqn, lambda v: _pruned(v, done)) for eqn in jaxpr.eqns]

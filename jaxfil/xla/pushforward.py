@@ -78,6 +78,8 @@ class Single:
         """Flags of the batched results and tangents, given the flags of values and rates."""
         if not self.moving:
             return self.spread(batched)
+        # A result depends on values alone, a tangent on values and rates. The directions of a
+        # Jacobian therefore share their results.
         of_values, of_rates = batched[: self.count], batched[self.count :]
         either = list(of_values)
         for k, flag in zip(self.moving, of_rates, strict=True):
@@ -102,12 +104,20 @@ class Single:
             jnp.asarray(part.reshape(-1, *v.shape), v.dtype)
             for part, v in zip(parts, shapes, strict=True)
         ]
-        axes = (None,) * self.count + (0,) * len(rows)
-        return bind(Batch(self, axes, int(ends[-1])), values, rows)
+        # Values are not batched, so that results are computed once for all directions.
+        directions = Batch(self, (None,) * self.count + (0,) * len(rows), int(ends[-1]))
+        out, columns = bind(directions, values, rows)
+        # A result that depends on values alone, where only rates move, has one tangent, a zero.
+        return out, [
+            v if axis == 0 else jnp.broadcast_to(v, (directions.size, *v.shape))
+            for v, axis in zip(columns, directions.out_axes[1], strict=True)
+        ]
 
     def applied(self, columns: Sequence[Array], rates: Sequence[Array]) -> list:
         """The tangents for these derivatives and rates."""
 
+        # The rates have the order of the rows in `jacobian`, and possibly another float type than a
+        # result.
         def product(column: Array) -> Array:
             flat = jnp.concatenate([jnp.ravel(v).astype(column.dtype) for v in rates])
             return jnp.tensordot(flat, column, 1)
@@ -144,6 +154,7 @@ def _joint(base: Any, moving: tuple[int, ...]) -> Any:
             return run(*here)
 
         out, tangents = jax.jvp(moved, [values[k] for k in moving], list(rates))
+        # Integers have tangents of type float0, which hold no numbers.
         return [*out, *(v for v in tangents if v.dtype != jax.dtypes.float0)]
 
     # Many tangents are zero by structure; pruning removes them before XLA receives them.
@@ -203,6 +214,7 @@ class Batch:
 
     def jacobian(self, values: Sequence[Array]) -> tuple[list, list]:
         axes, _ = self._split_axes()
+        # Values that are the same in all lanes have one Jacobian for the rates of all lanes.
         if 0 not in axes:
             return self.lane.jacobian(values)
         out_axes = [0 if flag else None for flag in self.spread([axis == 0 for axis in axes])]
@@ -214,6 +226,7 @@ class Batch:
         found = jax.vmap(self.lane.applied, (axis, of_rates), axis_size=self.size)(
             list(columns), list(rates)
         )
+        # A tangent that is not batched is the same in all rows.
         return [
             v[0] if axis is None else v for v, axis in zip(found, self.out_axes[1], strict=True)
         ]
@@ -249,12 +262,16 @@ def _forward(*args: Any, push: Push, **_: Any) -> list:
 
 
 def _abstract(*_: Any, push: Push, program: Any) -> tuple[list, Any]:
+    # Weak types and effects are those of the program, as if it were traced here. Without the weak
+    # types a result would promote other numbers, and without the effects JAX would remove
+    # callbacks.
     shapes = itertools.chain(*push.outs)
     outs = [jax.core.ShapedArray(v.shape, v.dtype, weak_type=v.weak_type) for v in shapes]
     return outs, program.effects
 
 
 def _jvp(primals: Any, tangents: Any, *, push: Push, **params: Any) -> tuple[list, list]:
+    # Under `jax.jvp` an integer has a tangent of type float0, which is not a symbolic zero.
     moving = tuple(
         k
         for k, v in enumerate(tangents)
@@ -289,9 +306,13 @@ def _partial_eval(trace: Any, *tracers: Any, push: Push, **params: Any) -> list:
     """The rule for known values and unknown rates, by which results and derivatives are computed
     now, and tangents later."""
     values, rates = tracers[: push.count], tracers[push.count :]
+    # With known rates this is an ordinary operation. With unknown values no Jacobian can be
+    # computed.
     if all(v.is_known() for v in rates) or not all(v.is_known() for v in values):
         return trace.default_process_primitive(pushforward_p, tracers, {"push": push, **params})
     out, columns = push.jacobian([jnp.asarray(v.pval.get_known()) for v in values])
+    # JAX calls this rule inside the outer trace, in which the Jacobian is computed. The products
+    # with unknown rates belong to the trace of the linear program.
     with _traces.set_current_trace(trace):
         return [*out, *push.applied(columns, rates)]
 
@@ -304,9 +325,12 @@ def _partial_eval_of_eqn(_: Any, unknown: Sequence[bool], made: Sequence[bool], 
     push, still = eqn.params["push"], eqn.params["push"].still()
     split = len(push.outs[0])
     needed = [v for v, there in zip(eqn.invars, made, strict=True) if not there]
+    # Without values neither results nor tangents are known.
     if any(unknown[: push.count]):
         every = [True] * len(eqn.outvars)
         return None, eqn, every, every, needed
+    # Results are computed now without tangents, since rates are unknown. The later program has the
+    # whole operation, and computes the results again.
     known = eqn.replace(
         invars=eqn.invars[: push.count],
         outvars=eqn.outvars[:split],

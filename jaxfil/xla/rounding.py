@@ -24,6 +24,8 @@ from jaxfil.xla.program import evaluate_one, interpreted
 _CHOICES = ("select_n", "gather", "dynamic_slice", "copy", "stop_gradient")
 # Sums of many terms.
 _SUMS = ("reduce_sum", "cumsum", "dot_general")
+# Operations whose terms are products of several numbers.
+_PRODUCTS = ("dot_general", "reduce_prod", "cumprod")
 # Operations whose results are exact.
 _NAMES = """
 abs argmax argmin ceil clamp convert_element_type eq floor ge gt is_finite le lt max min ne neg
@@ -67,6 +69,7 @@ def rounding_of(function: Callable, *example: Any) -> Callable | None:
         return jax.tree.unflatten(tree, values)
 
     leaves = jax.tree.leaves(example)
+    # Whether a bound is zero depends on the operations alone, so no value is needed.
     found = jax.eval_shape(lambda *leaves: [v.passed_on for v in run(leaves)], *leaves)
     return None if all(v is None for v in found) else bounds
 
@@ -80,7 +83,7 @@ def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]
         return [_Rounded(v) for v in outputs]
     if name in elements.MOVES or name in _CHOICES:
         return [_moved(eqn, inputs, outputs[0])]
-    passed_on = _passed_on(run, inputs, len(outputs))
+    passed_on = _passed_on(name, run, inputs, len(outputs))
     if name in _EXACT:
         return [_Rounded(v, p) for v, p in zip(outputs, passed_on, strict=True)]
     if name not in _SUMS:
@@ -120,17 +123,23 @@ def _or_zero(bound: Array | None, value: Any) -> Array:
     return jnp.zeros_like(value) if bound is None else bound
 
 
-def _passed_on(run: Callable, inputs: Sequence[_Rounded], count: int) -> list[Array | None]:
+def _passed_on(
+    name: str, run: Callable, inputs: Sequence[_Rounded], count: int
+) -> list[Array | None]:
     """Σ |∂f/∂v| e over the operands v with bounds e."""
     values, terms = [v.value for v in inputs], []
+    if name in _PRODUCTS:
+        # The terms of a result are products, whose derivatives may differ in sign.
+        values = [abs(jnp.asarray(v)) for v in values]
     for i, of in enumerate(inputs):
         if of.bound is None:
             continue
 
+        # One operand at a time, so that the effects of two operands do not cancel.
         def one(v: Array, i: int = i) -> list[Any]:
             return run([*values[:i], v, *values[i + 1 :]])
 
-        terms.append(jax.jvp(one, (jnp.asarray(of.value),), (of.bound,))[1])
+        terms.append(jax.jvp(one, (jnp.asarray(values[i]),), (of.bound,))[1])
     if not terms:
         return [None] * count
     columns = zip(*terms, strict=True)

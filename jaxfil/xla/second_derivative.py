@@ -54,12 +54,15 @@ def _add_jvp(function: Callable, primals: tuple, tangents: tuple) -> tuple:
     _, *args = primals
     rates, *moves = tangents
     leaves, tree = jax.tree.flatten(args)
+    # Integers and flags have no rates, and `jax.jvp` accepts only float0 as their tangents.
     real = tuple(k for k, v in enumerate(leaves) if jnp.issubdtype(jnp.result_type(v), jnp.inexact))
     moving = [jax.tree.leaves(moves)[k] for k in real]
     pushed = _Pushed(function, tree, real, len(leaves))
     out, shape = jax.tree.flatten(rates)
     zeros = _vanishing_map(pushed, leaves, moving, out)
     moved = jax.tree.unflatten(shape, [a + b for a, b in zip(out, zeros, strict=True)])
+    # The value has the rule again, for second derivatives of a value that comes with a derivative,
+    # as from `jax.value_and_grad`.
     return add_second_derivative(function, *primals), moved
 
 
@@ -91,6 +94,7 @@ class _Transposed:
 
     def __call__(self, args: Sequence[Any], cotangents: Sequence[Any]) -> list[Array]:
         shapes = [jax.ShapeDtypeStruct(*shape) for shape in self.shapes]
+        # Shapes are enough, since a linear map does not depend on the value of u.
         back = jax.linear_transpose(lambda *moves: self.linear(args, moves), *shapes)
         return list(back(list(cotangents)))
 
@@ -115,6 +119,9 @@ def _shapes(values: Sequence[Any]) -> _Shapes:
     return tuple((tuple(v.shape), v.dtype) for v in values)
 
 
+# A `custom_jvp` in its place would lose its rule in reverse mode. JAX transposes the program of its
+# value (`_custom_jvp_call_transpose_fancy` in JAX 0.10.2, pull request 3231 of jax-ml/jax), which
+# is zero.
 vanishing_map_p = jexc.Primitive("vanishing_map")
 """The operation B u = 0, for `split` arguments y followed by u."""
 vanishing_map_p.multiple_results = True
@@ -123,6 +130,8 @@ vanishing_map_p.multiple_results = True
 def _vanishing_map(
     linear: Callable, args: Sequence[Any], moves: Sequence[Any], like: Sequence[Any]
 ) -> list[Array]:
+    # The shapes of the results are a parameter, so that `linear` is traced only by the rule for
+    # derivatives.
     return vanishing_map_p.bind(*args, *moves, linear=linear, split=len(args), out=_shapes(like))
 
 
@@ -134,6 +143,8 @@ def _avals(*_: Any, linear: Callable, split: int, out: _Shapes) -> list:
     return [jax.core.ShapedArray(*shape) for shape in out]
 
 
+# Only the second derivatives of the function are the missing ones. Its third derivatives have no
+# meaning for the result, and would otherwise be added to it unnoticed.
 @jax.custom_jvp
 def _last(values: list) -> list:
     """The same values, whose derivative raises an error."""
@@ -150,8 +161,10 @@ def _jvp(
 ) -> tuple:
     args, moves = primals[:split], primals[split:]
     zeros = _vanishing_map(linear, args, moves, _avals(linear=linear, split=split, out=out))
+    # Symbolic zeros, so that tangents of y alone or of u alone cost one term.
     rates = [ad.Zero(jax.core.ShapedArray(*shape)) for shape in out]
     moving = [k for k in range(split) if type(tangents[k]) is not ad.Zero]
+    # The Hessian of the function, applied to u and to the tangents of y. This term is not zero.
     if moving:
 
         def by_args(*some: Array) -> list:
@@ -162,6 +175,7 @@ def _jvp(
 
         picked = [args[k] for k in moving], [tangents[k] for k in moving]
         rates = _last(jax.jvp(by_args, *picked)[1])
+    # B applied to the tangents of u, a zero that can be differentiated in its turn.
     if any(type(v) is not ad.Zero for v in tangents[split:]):
         along = [ad.instantiate_zeros(v) for v in tangents[split:]]
         rates = map(ad.add_tangents, rates, _vanishing_map(linear, args, along, zeros))
@@ -171,11 +185,13 @@ def _jvp(
 def _transpose(
     cotangents: Sequence[Any], *values: Any, linear: Callable, split: int, out: _Shapes
 ) -> list:
+    # The map is transposed for all of u at once. An undefined operand has a shape but no value.
     moves = [v.aval if ad.is_undefined_primal(v) else v for v in values[split:]]
     back = _Transposed(linear, _shapes(moves))
     given = [ad.instantiate_zeros(v) for v in cotangents]
     pulled = _vanishing_map(back, values[:split], given, moves)
     wanted = map(ad.is_undefined_primal, values[split:])
+    # B u is linear in u alone, so y has no cotangent.
     return [None] * split + [v if asked else None for v, asked in zip(pulled, wanted, strict=True)]
 
 
@@ -199,4 +215,6 @@ vanishing_map_p.def_abstract_eval(_avals)
 ad.primitive_jvps[vanishing_map_p] = _jvp
 ad.primitive_transposes[vanishing_map_p] = _transpose
 batching.primitive_batchers[vanishing_map_p] = _batch
+# XLA receives constant zeros, and removes their additions (see
+# `test_a_first_derivative_has_nothing_of_it`).
 mlir.register_lowering(vanishing_map_p, mlir.lower_fun(_zeros, multiple_results=True))

@@ -23,7 +23,7 @@ class Series:
     """A value as a power series in time; `self[k]` is coefficient k, None for a structural zero.
     Values are numbers or arrays."""
 
-    __slots__ = ("_make", "degree", "is_kept", "is_of_time", "known", "multiple", "terms")
+    __slots__ = ("_make", "degree", "is_kept", "is_of_time", "known", "later", "multiple", "terms")
 
     def __init__(self, make: Callable[[int], Any], degree: int | None = None):
         self._make = make
@@ -31,10 +31,15 @@ class Series:
         """Coefficients computed so far."""
         self.degree = degree
         """0 for a constant, 1 for a linear function of time; None for others."""
+        # Its one or two coefficients are used at every order, so `Expansion.stage` must not drop
+        # them.
         self.is_kept = degree is not None
         """Whether coefficients of higher orders depend on all of these."""
         self.is_of_time = False
         """Whether it depends on time alone."""
+        self.later: Series | None = None
+        """Of a comparison the flags for coefficients of each order (see `series_rules.compared`);
+        None for others."""
         self.multiple: tuple[Series, Series] | None = None
         """The constant and the series of which it is the product; None for other series."""
         self.terms: tuple[tuple[float, Series], ...] | None = None
@@ -57,6 +62,7 @@ class Same:
         self.value = value
 
     def __hash__(self) -> int:
+        # The key holds the value, so that its identity is not used again.
         return id(self.value)
 
     def __eq__(self, other: object) -> bool:
@@ -83,6 +89,7 @@ class Expansion:
     def constant(self, value: Any) -> Series:
         """A constant."""
 
+        # Not in `self.made`, like time. `stage` would pass its value as a traced argument.
         def made() -> Series:
             known = Series(lambda _: value, 0)
             known.known[0] = value
@@ -110,6 +117,7 @@ class Expansion:
     def first(self, name: str, value: Any) -> Any:
         """A function of a number, by its name in XLA."""
         given = self.functions.get(name)
+        # The replacements are polynomials for these two types (see `fast_trig`).
         if given is not None and jnp.result_type(value) in (jnp.float32, jnp.float64):
             return self._hold(given(value))
         return getattr(jax.lax, name)(value)
@@ -208,6 +216,8 @@ def difference(expansion: Expansion, a: Series, b: Series) -> Series:
 def reduced_difference(expansion: Expansion, a: Series, b: Series) -> Series:
     """a − b with common terms cancelled; for two fields that differ by a constant, this is the
     constant."""
+    # The cancellation is by structure, so that the result has a degree. A divisor of degree 0 makes
+    # a quotient a multiple, without a recurrence. Equal coefficients would also differ by rounding.
     left, right = [*_spread(a)], [*_spread(b)]
     for term in left.copy():
         if term in right:
@@ -217,6 +227,8 @@ def reduced_difference(expansion: Expansion, a: Series, b: Series) -> Series:
     whole = []
     for sign, own, factors, base in pairs:
         part = base.value
+        # The innermost constant is first, as in the original product, so that the rounding is the
+        # same.
         for factor in reversed(factors):
             part = _multiple(expansion, factor.value, part)
         whole.append(_multiple(expansion, expansion.constant(sign * own), part))
@@ -238,12 +250,14 @@ def _spread(a: Series, sign: float = 1.0, factors: tuple = ()) -> Iterator[tuple
 
 def convolution(a: Series, b: Series, k: int, first: int = 0) -> Any:
     """Σ a_i b_{k−i} for i from `first` to k."""
+    # With `first` = 1 the coefficient b_k is not used. Recurrences that determine b_k need this.
     return add([times(a[i], b[k - i]) for i in range(first, k + 1)])
 
 
 def product(expansion: Expansion, a: Series, b: Series) -> Series:
     """a b. For multiples of two values it is a multiple of their product, so that c·a times a is
     c·a², computed as a square."""
+    # A multiple needs one multiplication for each order, and no stored coefficients.
     if b.degree == 0:
         a, b = b, a
     if a.degree == 0:
@@ -285,6 +299,8 @@ def square(expansion: Expansion, a: Series) -> Series:
     kept(a)
 
     def make(k: int) -> Any:
+        # a_i a_{k−i} is equal to a_{k−i} a_i. The product in the middle, for an even k, has no
+        # partner.
         pairs = add([times(a[i], a[k - i]) for i in range((k + 1) // 2)])
         middle = times(a[k // 2], a[k // 2]) if k % 2 == 0 else None
         return add([scaled(2.0, pairs), middle])
@@ -294,12 +310,14 @@ def square(expansion: Expansion, a: Series) -> Series:
 
 def quotient(expansion: Expansion, a: Series, b: Series) -> Series:
     """a/b: b_0 q_k = a_k − Σ_{i ≥ 1} b_i q_{k−i}."""
+    # One division serves all orders, and all quotients with this divisor.
     inverse = expansion.once(
         ("inverse", b), lambda: expansion.series(lambda _: 1.0 / jnp.asarray(b[0]), 0)
     )
     is_multiple = b.degree == 0
 
     def make(k: int) -> Any:
+        # A division, so that coefficient 0 has the rounding of the program itself.
         if k == 0:
             return None if a[0] is None else a[0] / b[0]
         rest = None if is_multiple else convolution(b, out, k, first=1)
@@ -307,6 +325,7 @@ def quotient(expansion: Expansion, a: Series, b: Series) -> Series:
 
     out = expansion.series(make, a.degree if is_multiple else None)
     if not is_multiple:
+        # The recurrence uses a_k alone of a, so a is not stored.
         kept(b, out)
     return out
 

@@ -10,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxfil.xla.known import is_known
 from jaxfil.xla.series import (
     Expansion,
     Series,
@@ -28,18 +29,20 @@ from jaxfil.xla.series import (
     times,
 )
 
-# The largest power computed by products; above it the recurrence of a real power is cheaper.
-_PRODUCTS = 8
+# The largest exponent of type float that is computed by products.
+_WHOLE = 64
 
 
 def _rate(expansion: Expansion, a: Series) -> Series:
     """The series with coefficients k a_k."""
+    # The series of s a'(s). Its coefficients have the index of a, unlike the ones of a'.
     key = ("rate", a)
     return expansion.once(key, lambda: expansion.series(lambda k: scaled(float(k), a[k])))
 
 
 def _from_rate(expansion: Expansion, first: Callable, a: Series, g: Callable) -> Series:
     """y with y_0 = `first()` and y' = a' g, for the series g returned by `g(y)`."""
+    # g may be a function of y, which is created first.
     moves, holder = _rate(expansion, a), []
 
     def make(k: int) -> Any:
@@ -50,6 +53,7 @@ def _from_rate(expansion: Expansion, first: Callable, a: Series, g: Callable) ->
 
     out = expansion.series(make)
     holder.append(g(out))
+    # y itself is stored only if g is y, as for exp, or is computed from it.
     kept(moves, holder[0])
     return out
 
@@ -77,6 +81,7 @@ def _made_sine_and_cosine(expansion: Expansion, a: Series) -> tuple[Series, Seri
     # A linear argument needs no recurrence: coefficient k is ± the sine or cosine of its start
     # times rate^k/k!.
     if a.degree == 1:
+        # A sine and a cosine at the start serve all orders. Being of degree 0, they are stored.
         start_sine = expansion.series(lambda _: first("sin"), 0)
         start_cosine = expansion.series(lambda _: first("cos"), 0)
 
@@ -85,10 +90,14 @@ def _made_sine_and_cosine(expansion: Expansion, a: Series) -> tuple[Series, Seri
 
         powers = expansion.series(power)
         kept(powers)
+        # They need no state. `taylor` computes several orders of the states at once unless other
+        # series are needed order by order, as these are not.
         powers.is_of_time = True
         turn = (start_sine, start_cosine)
 
         def turned(k: int, shift: int) -> Any:
+            # The derivatives of sin are sin, cos, −sin, −cos, with period four. cos is sin shifted
+            # by one.
             value = turn[(k + shift) % 2][0]
             if k == 0:
                 return value
@@ -132,6 +141,8 @@ def _exponential(expansion: Expansion, a: Series) -> Series:
 
 def _logarithm(expansion: Expansion, a: Series, first: Callable, shift: float = 0.0) -> Series:
     """y with y' = a'/(a + shift)."""
+    # For log1p the rounding of 1 + a is harmless here, since it affects only the rates. Coefficient
+    # 0, where it would be amplified near 0, is that function itself.
     below = _shifted(expansion, a, shift)
     inverse = quotient(expansion, expansion.constant(1.0), below)
     return _from_rate(expansion, first, a, lambda y: inverse)
@@ -145,6 +156,7 @@ def _shifted(expansion: Expansion, a: Series, number: Any) -> Series:
 
 def _real_power(expansion: Expansion, a: Series, c: Any) -> Series:
     """a^c for a constant c: k a_0 y_k = Σ_{i ≥ 1} (i (c + 1) − k) a_i y_{k−i}."""
+    # From a y' = c a' y. It divides by a_0, even if y is regular at 0, as for an integer c.
     inverse = expansion.series(lambda _: 1.0 / jnp.asarray(a[0]), 0)
 
     def make(k: int) -> Any:
@@ -163,9 +175,12 @@ def _upto(k: int) -> range:
 
 
 def _integer_power(expansion: Expansion, eqn: Any, a: Series) -> Series:
-    n = eqn.params["y"]
-    if abs(n) > _PRODUCTS:
-        return _real_power(expansion, a, float(n))
+    return _of_whole(expansion, a, eqn.params["y"])
+
+
+def _of_whole(expansion: Expansion, a: Series, n: int) -> Series:
+    """a^n. Products are finite at a_0 = 0 too, where the recurrence of a real power divides by
+    zero."""
     out = expansion.constant(1.0) if n == 0 else _whole_power(expansion, a, abs(n))
     return out if n >= 0 else quotient(expansion, expansion.constant(1.0), out)
 
@@ -173,16 +188,28 @@ def _integer_power(expansion: Expansion, eqn: Any, a: Series) -> Series:
 def _whole_power(expansion: Expansion, a: Series, n: int) -> Series:
     if n == 1:
         return a
+    # By repeated squares, since a square costs half of a product.
     root = square(expansion, _whole_power(expansion, a, n // 2))
     return root if n % 2 == 0 else product(expansion, a, root)
 
 
 def _power(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
     if b.degree == 0:
-        return _real_power(expansion, a, b[0])
+        whole = _whole_number(b)
+        return _real_power(expansion, a, b[0]) if whole is None else _of_whole(expansion, a, whole)
+    # exp(b log a). With an exponent that varies this is defined for a > 0 only.
     first = expansion.series(lambda _: jnp.log(first_of(a)), 0)
     log = _logarithm(expansion, a, lambda: first[0])
     return _exponential(expansion, product(expansion, b, log))
+
+
+def _whole_number(b: Series) -> int | None:
+    """The whole number that a constant is, or None, also for one that is a parameter."""
+    value = b.known.get(0)
+    if value is None or not is_known(value) or np.ndim(value):
+        return None
+    number = float(value)
+    return int(number) if number.is_integer() and abs(number) <= _WHOLE else None
 
 
 def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
@@ -192,6 +219,8 @@ def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
     def make(k: int) -> Any:
         if k == 0:
             return jnp.sqrt(first_of(a))
+        # As in `square`, equal products are computed once. The terms with y_0 are on the other
+        # side.
         pairs = add([times(y[i], y[k - i]) for i in range(1, (k + 1) // 2)])
         middle = times(y[k // 2], y[k // 2]) if k % 2 == 0 else None
         return times(minus(a[k], add([scaled(2.0, pairs), middle])), inverse[0])
@@ -204,6 +233,7 @@ def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
 def _arctan2(expansion: Expansion, eqn: Any, y: Series, x: Series) -> Series:
     """The angle of (x, y), whose rate is (x y' − y x')/(x² + y²)."""
     size = sum_of(expansion, [square(expansion, x), square(expansion, y)])
+    # Both quotients share the reciprocal of x² + y² (see `quotient`).
     by_y = quotient(expansion, x, size)
     by_x = quotient(expansion, y, size)
     of_y, of_x = _rate(expansion, y), _rate(expansion, x)
@@ -247,6 +277,7 @@ def _error_slope(expansion: Expansion, a: Series, _: Series) -> Series:
 
 
 def _exp_minus_one(expansion: Expansion, eqn: Any, a: Series) -> Series:
+    # Only coefficient 0 differs from exp. There expm1 does not cancel near 0.
     whole = _exponential(expansion, a)
     return expansion.series(lambda k: jnp.expm1(first_of(a)) if k == 0 else whole[k])
 
@@ -255,6 +286,7 @@ def _exp_of_two(expansion: Expansion, eqn: Any, a: Series) -> Series:
     return _exponential(expansion, linear_function(expansion, lambda v: float(np.log(2)) * v, a))
 
 
+# Griewank and Walther, Evaluating Derivatives, 2008, derive such recurrences in chapter 13.
 FUNCTIONS: dict[str, Callable] = {
     "acos": _of_name(
         "acos",
@@ -292,6 +324,7 @@ FUNCTIONS: dict[str, Callable] = {
     "sqrt": _square_root,
     "square": lambda e, eqn, a: square(e, a),
     "sub": lambda e, eqn, a, b: difference(e, a, b),
+    # Rates in y where this is a polynomial, 1 ± y², which needs a square and no quotient.
     "tan": _of_name("tan", lambda e, a, y: _one_plus_square(e, y)),
     "tanh": _of_name("tanh", lambda e, a, y: _one_plus_square(e, y, -1.0)),
 }

@@ -23,7 +23,14 @@ from jaxfil.xla.series import (
     product,
     sum_of,
 )
-from jaxfil.xla.series_rules import FROZEN, LINEAR, RULES, NoSeries, selected
+from jaxfil.xla.series_rules import (
+    COMPARISONS,
+    FROZEN,
+    LINEAR,
+    RULES,
+    NoSeries,
+    selected,
+)
 
 
 def expanded(expansion: Expansion, program: Any, args: Sequence[Any]) -> list[Any]:
@@ -60,6 +67,7 @@ def array_of(expansion: Expansion, value: Any) -> Series:
 
 
 def _number(expansion: Expansion, value: Series, k: tuple[int, ...]) -> Series:
+    # One series for each number, since squares and common terms are recognised by identity.
     key = ("number", value, k)
     return expansion.once(key, lambda: linear_function(expansion, lambda v: v[k], value))
 
@@ -70,6 +78,8 @@ def _is_series(value: Any) -> bool:
 
 def _made(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
     """The results of one operation, shared with earlier evaluations on the same operands."""
+    # Arrays of NumPy are not hashable, so the numbers in them are the key. The fields on both sides
+    # of a surface share all operations that do not depend on the side.
     same = [v if isinstance(v, Series) else tuple(map(Same, v.ravel())) for v in inputs]
     key = ("operation", Same(eqn), *same)
     return expansion.once(key, lambda: _new(expansion, jaxpr, eqn, inputs))
@@ -78,9 +88,13 @@ def _made(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> 
 def _new(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
     name = eqn.primitive.name
     if name == "custom_jvp_call":
+        # The rule of a `custom_jvp` concerns derivatives by JAX. Its value is a program with a
+        # series.
         rule = ft.partial(_made, expansion)
         return interpreted(eqn.params["call_jaxpr"], inputs, expansion.constant, rule)
     if all(_is_known(v) for v in inputs):
+        # Evaluated by JAX at once, so that operations on constants need no rule, and their results
+        # are known in the same way.
         values = [array_of(expansion, v)[0] for v in inputs]
         return [expansion.constant(v) for v in evaluate_one(jaxpr, eqn, values)]
     if name == "cond":
@@ -163,29 +177,34 @@ def _of_cond(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> list[Any]
     """The branch that is selected at the start of a step."""
     which, *args = inputs
     branches = [expanded(expansion, branch, args) for branch in eqn.params["branches"]]
-    if which.degree != 0:
-        which = expansion.series(lambda k: which[0] if k == 0 else None, 0)
 
     def chosen(*cases: Any) -> Series:
         cases = tuple(array_of(expansion, v) for v in cases)
-        return selected(expansion, lambda: jnp.clip(which[0], 0, len(cases) - 1), cases)
+        # `select_n` is undefined for an index out of this range.
+        index = expansion.series(lambda _: jnp.clip(which[0], 0, len(cases) - 1), 0)
+        return selected(expansion, index, cases)
 
     return [chosen(*cases) for cases in zip(*branches, strict=True)]
 
 
 def _of_one(expansion: Expansion, eqn: Any, inputs: Sequence[Series]) -> Series:
     """The result of an operation on series of whole arrays."""
-    name = eqn.primitive.name
-    if name not in RULES:
-        bind = ft.partial(eqn.primitive.bind, **eqn.params)
-        if all(v.degree == 0 for v in inputs) or name in FROZEN:
-            return expansion.series(lambda _: bind(*(first_of(v) for v in inputs)), 0)
-        if name not in LINEAR or any(v.degree != 0 for v in inputs[1:]):
-            raise NoSeries(name)
-        others = inputs[1:]
-        return linear_function(expansion, lambda v: bind(v, *(o[0] for o in others)), inputs[0])
-    key = (name, _params_key(eqn), *inputs)
-    return expansion.once(key, lambda: RULES[name](expansion, eqn, *inputs))
+    name, is_real = eqn.primitive.name, jnp.issubdtype(eqn.outvars[0].aval.dtype, jnp.inexact)
+    if name in RULES and (is_real or name in COMPARISONS):
+        # The equation is not in this key, unlike in `_made`, so that equal operations in different
+        # programs are shared, such as those of H and of its rate.
+        key = (name, _params_key(eqn), *inputs)
+        return expansion.once(key, lambda: RULES[name](expansion, eqn, *inputs))
+    bind = ft.partial(eqn.primitive.bind, **eqn.params)
+    # Integers and flags are constant within a step. Constants that are not computed yet, such as a
+    # sine at the start of a step, need no rule.
+    if not is_real or name in FROZEN or all(v.degree == 0 for v in inputs):
+        return expansion.series(lambda _: bind(*(first_of(v) for v in inputs)), 0)
+    if name not in LINEAR or any(v.degree != 0 for v in inputs[1:]):
+        raise NoSeries(name)
+    # The other operands, such as positions, are constants in all orders.
+    others = inputs[1:]
+    return linear_function(expansion, lambda v: bind(v, *(o[0] for o in others)), inputs[0])
 
 
 def _params_key(eqn: Any) -> str:

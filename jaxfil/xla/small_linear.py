@@ -31,6 +31,7 @@ def solve_small(
         found, _ = _reduced(_equilibrated_array(matrix, rights))
         return [[found[i, r] for i in range(k)] for r in range(len(rights))]
     rows = _eliminated([_equilibrated(row, k) for row in _beside(matrix, rights)], k)
+    # One unknown has no other equation, and `_without` assigns no row to a column without a pivot.
     if k == 2:
         rows = _left_to_the_second(*rows)
     return [_back_substituted(rows, k, r) for r in range(k, k + len(rights))]
@@ -39,8 +40,13 @@ def solve_small(
 def solve(matrix: Array, rights: Array, taken: Array) -> Array:
     """The same for arrays, (k, k) and (k, r), and the unknowns in `taken`; the others are 0. The
     cost grows with the number of unknowns taken."""
-    rows = _equilibrated_rows(jnp.concatenate([matrix, rights], axis=1))
+    rows = _equilibrated_rows(jnp.concatenate([_among(matrix, taken), rights], axis=1))
     return _reduced_among(rows, taken)[0]
+
+
+def _among(matrix: Array, taken: Array) -> Array:
+    """The matrix without the columns that are not in `taken`, which would scale its rows."""
+    return select(taken, matrix, 0)
 
 
 def size_of_determinant(
@@ -51,6 +57,10 @@ def size_of_determinant(
     if taken is None:
         return _size_of_small(matrix)
     assert isinstance(matrix, jax.Array)
+    matrix = _among(matrix, taken)
+    # Pivots are computed from equilibrated rows, since their threshold is for entries of order one.
+    # The determinant is their product times the scales. Its sign is lost with the exchanges of
+    # rows.
     scales = jnp.sum(abs(matrix), axis=1)
     pivots = abs(_reduced_among(_equilibrated_rows(matrix), taken)[1])
     kept = select(_is_rounding(pivots), 0, pivots)
@@ -62,6 +72,8 @@ def _reduced_among(rows: Array, taken: Array) -> tuple[Array, Array]:
 
     def column(carry: tuple) -> tuple:
         left, state = carry
+        # The largest flag, which is the first column not eliminated yet. Columns that are not in
+        # `taken` cost no iteration.
         i = jax.lax.argmax(left, 0, jnp.int32)
         return left & (jnp.arange(len(rows), dtype=jnp.int32) != i), _without(i, state)
 
@@ -101,6 +113,8 @@ def _equilibrated_array(
 
 def _equilibrated_rows(rows: Array) -> Array:
     """Rows with their right-hand sides in the columns from k on, with entries of order one."""
+    # Right-hand sides do not count, since a pivot is usable or not for all of them. A row of zeros
+    # is not scaled, and has no pivot.
     scale = jnp.sum(abs(rows[:, : len(rows)]), axis=1, keepdims=True)
     return rows / select(scale == 0, 1, scale)
 
@@ -108,6 +122,8 @@ def _equilibrated_rows(rows: Array) -> Array:
 def _reduced(rows: Array) -> tuple[Array, Array]:
     """The unknowns, shape (k, r), and the pivots of a system with its right-hand sides in the
     columns from k on, by Gauss–Jordan elimination."""
+    # Gauss–Jordan elimination needs more operations than back substitution, but is a single loop to
+    # compile.
     start = _unreduced(rows, jnp.ones(len(rows), bool))
     return _solution(jax.lax.fori_loop(0, len(rows), _without, start))
 
@@ -136,11 +152,15 @@ def _without(i: Array, state: _Elimination) -> _Elimination:
         jnp.arange(rows.shape[1], dtype=i.dtype) == i,
     )
     entries = jnp.sum(select(column, rows, 0), axis=1)
+    # −1 is less than every size, so that a row with a pivot is not chosen twice.
     here = number == jax.lax.argmax(select(free, abs(entries), -1), 0, i.dtype)
     upper = jnp.sum(select(here[:, None], rows, 0), axis=0)
     pivot = jnp.sum(select(column, upper, 0))
+    # A row given to such a column would be lost as an equation of another unknown, which would be 0
+    # then (`test_a_singular_system_with_a_solution_is_solved`).
     here = here & ~_is_rounding(pivot)
     upper = _quotient(upper, pivot)
+    # Without a usable pivot `upper` is 0, and all rows are unchanged.
     rows = select(here[:, None], upper, rows - entries[:, None] * upper)
     places = places | ((number == i)[:, None] & here)
     return rows, free & ~here, places, select(number == i, pivot, pivots)
@@ -155,6 +175,8 @@ def _eliminated(rows: list[list[Array]], k: int) -> list[list[Array]]:
             lower = [select(swap, p, q) for p, q in zip(rows[i], rows[r], strict=True)]
             rows[i], rows[r] = upper, lower
         for r in range(i + 1, k):
+            # A pivot within rounding is the largest of its column. The factor is then 0, and the
+            # rows below are unchanged.
             factor = _quotient(rows[r][i], rows[i][i])
             rows[r] = [q - factor * p for p, q in zip(rows[i], rows[r], strict=True)]
     return rows
@@ -209,6 +231,8 @@ class Factors(eqx.Module):
     def solve(self, right: Sequence[Array]) -> list[Array]:
         """x of A x = b."""
         k = len(right)
+        # L⁻¹P is stored in place of L. Its products with b are independent of each other, unlike
+        # the operations of a forward substitution.
         y: list[Any] = [sum(p * b for p, b in zip(row, right, strict=True)) for row in self.lower]
         for i in reversed(range(k)):
             for j in range(i + 1, k):
@@ -224,6 +248,7 @@ def factored(matrix: Sequence[Sequence[Array]]) -> Factors:
     rows = []
     for i, row in enumerate(matrix):
         scale = 1 / sum((abs(v) for v in row), start=zero)
+        # Elimination turns the unit matrix, scaled like the rows, into L⁻¹P.
         rows.append([scale * v for v in row] + [scale if i == j else zero for j in range(k)])
     rows = _eliminated(rows, k)
     return Factors([row[:k] for row in rows], [row[k:] for row in rows])

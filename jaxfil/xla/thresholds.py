@@ -3,6 +3,7 @@
 What is below one of them is zero, equal or singular to rounding.
 """
 
+# Compared with numbers of order one, after division by the size of a row, column or diagonal.
 PIVOT = 64
 """A pivot of a matrix with rows of order one, and an eigenvalue of one."""
 

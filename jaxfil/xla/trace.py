@@ -96,6 +96,8 @@ class Traced:
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
         waves = _dependencies(self._closed, nothing, sources=self._functions)
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
+        # Without singular operations all derivatives are finite at finite arguments, and need no
+        # masks.
         self._masks = transposed and not SINGULAR.isdisjoint(names(self._closed.jaxpr))
         # Under `jit`, so that a transformation processes each function once, for any number of
         # calls.
@@ -107,8 +109,12 @@ class Traced:
         return evaluation(self._closed, leaves, self._when)
 
     def _found(self, leaves: list) -> list:
+        # Late arguments come last, and are unknown here.
         late = [None] * (len(self._when) - len(leaves))
-        evaluation = _Evaluation(_FAST, _same, mixed=self._fast, shows=False)
+        # Fast functions even in a compact program, since the values of all stages are one array
+        # here, which fills vectors. Prints are not executed, since the call itself executes them.
+        # With the masks of the call, which takes the values in the order in which they are found.
+        evaluation = _Evaluation(_FAST, _same, None, self._masks, self._fast, shows=False)
         evaluation(self._closed, [*leaves, *late], self._when)
         return evaluation.found
 
@@ -149,6 +155,7 @@ class Traced:
         """The program of the rates of the results, as the last `count` arguments move."""
         if count in self._of_rates:
             return self._of_rates[count]
+        # Directions are arguments, so that one program serves the fields on both sides.
         run = operations(self._closed)
 
         def rates(*given: Any) -> list:
@@ -235,6 +242,7 @@ class _Evaluation:
     def _made_when(self, jaxpr: Any, eqn: Any, inputs: Sequence[tuple]) -> list[tuple]:
         """The results of one equation, given values and the times at which they are known, with
         their own times."""
+        # An operation without operands, such as an iota, is a constant.
         when = max((k for _, k in inputs), default=FIRST)
         return [(v, when) for v in self._made(jaxpr, eqn, [v for v, _ in inputs], when)]
 
@@ -355,12 +363,14 @@ def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:
         return np.minimum(inputs[0] + inputs[1], _CURVED)
     if name == "div" and highest[1] == 0:
         return inputs[0]
+    # A flag that depends on the arguments makes jumps or kinks, so it is not affine.
     if name == "select_n" and highest[0] == 0:
         return ft.reduce(np.maximum, inputs[1:])
     if name == "reduce_sum":
         return np.max(inputs[0], axis=tuple(eqn.params["axes"]), initial=0)
     if name == "dot_general":
         return min(sum(highest), _CURVED)
+    # A scatter that applies a function may be as curved as that function.
     numbers = () if applies_function(eqn) else _LINEAR.get(name, ())
     if numbers and not any(d for k, d in enumerate(highest) if k not in numbers):
         return max(highest[k] for k in numbers)

@@ -62,6 +62,14 @@ def test_what_is_early_is_known_element_by_element():
     assert_allclose(traced(T, X, known=known), chain(T, X), rtol=1e-14)
 
 
+def test_what_is_early_is_known_in_the_order_of_a_call_with_masks():
+    def function(t, x):
+        return tuple(jnp.cos(2 * t + jnp.arange(3.0)) * jnp.sqrt(jnp.stack(x)[:3]))
+
+    traced = Traced(function, T, X, when=(1, 2), transposed=True)
+    assert_allclose(traced(T, X, known=traced.ahead(T)), function(T, X), rtol=1e-14)
+
+
 def test_what_is_early_in_a_small_program_is_known_array_by_array():
     def function(t, x):
         return jnp.cos(t) * x[0] + jnp.sin(t + jnp.arange(5.0)) @ jnp.arange(5.0) * x[1]

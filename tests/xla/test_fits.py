@@ -71,6 +71,22 @@ SYSTEMS = {
 }
 
 
+@jax.custom_batching.custom_vmap
+def by_library(a):
+    """A system that a library solves, with a rule for batches of its own."""
+    return jnp.linalg.solve(a, a[0])
+
+
+@by_library.def_vmap
+def _(size, batched, a):
+    return jnp.linalg.solve(a, a[:, 0, :, None])[..., 0], True
+
+
+def test_a_function_with_its_own_batches_is_examined():
+    program = jax.make_jaxpr(by_library)(jnp.eye(2)).jaxpr
+    assert not fits.fits(program)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("where", SYSTEMS)
 def test_tables_in_a_field_leave_the_process_alive(where):

@@ -41,6 +41,11 @@ def test_derivatives_in_both_modes_to_the_second(first, second):
     assert_allclose(jax.jit(second(first(cube)))(X), want, rtol=1e-15)
 
 
+def test_gradients_by_the_direction_of_a_derivative():
+    along = lambda d: jax.jvp(cube, (2.0,), (d,))[1]  # noqa: E731
+    assert_allclose(jax.grad(along)(1.0), 3 * 2.0**2, rtol=1e-15)
+
+
 def test_third_derivatives_in_reverse_mode():
     assert_allclose(jax.grad(jax.grad(jax.grad(cube)))(2.0), 6.0, rtol=1e-15)
 

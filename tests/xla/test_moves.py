@@ -37,6 +37,9 @@ MOVED = {
     "at least": lambda x, v: x.at[:3].max(v),
     "at most": lambda x, v: x.at[jnp.array([3, 1])].min(v),
     "add to an unknown one": lambda x, v: x.at[jnp.argmax(x)].add(v),
+    "count at an unknown one": lambda x, v: (
+        v * jnp.zeros(4, jnp.int32).at[jnp.argmax(x)].add(1).astype(float)
+    ),
     "set a place outside": lambda x, v: x.at[7].set(v),
     "set an unknown one": lambda x, v: x.at[jnp.argmin(x)].set(v),
     "multiply an unknown row": lambda x, v: jnp.outer(x, x).at[jnp.argmin(x)].mul(v),

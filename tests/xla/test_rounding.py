@@ -30,6 +30,10 @@ FUNCTIONS = {
             (x - a) - mpmath.floor((x - a) / mpmath.mpf(0.3)) * mpmath.mpf(0.3) - mpmath.mpf(0.1)
         ),
     ),
+    "product of vectors": (
+        lambda x, a: jnp.array([1.0, -1.0]) @ jnp.stack([(x + a) - a, (2 * x + a) - a]),
+        lambda x, a: -x,
+    ),
     "sum": (
         lambda x, a: jnp.sum(jnp.stack([x * a, -x * a, x + a, -a])),
         lambda x, a: x,

@@ -43,6 +43,7 @@ FUNCTIONS = {
     "hyperbolic inverses": lambda t, x: jnp.arctanh(x / 2) + jnp.arccosh(2 + x),
     "extremes": lambda t, x: abs(-x) + jnp.maximum(x, t) + jnp.minimum(x, 2.0) + jnp.clip(x, 0, 4),
     "choices": chosen,
+    "integers": lambda t, x: x * (jnp.round(5 * x).astype(int) // 2).astype(float),
     "remainder": lambda t, x: jnp.mod(t + 0.3, 1.7) * x,
     "small arrays": lambda t, x: jnp.sum(MATRIX @ jnp.stack([x, x * x, jnp.sin(t)])),
     "places": lambda t, x: jnp.stack([x, t]).at[0].add(t * x).prod(),
@@ -61,7 +62,7 @@ def derivatives(function):
     return np.array([float(v) / math.factorial(k) for k, v in enumerate(found)])
 
 
-def series_of(function):
+def series_of(function, argument=ARGUMENT):
     """Its coefficients, from one program; None where the structure says that they are zero."""
     program = by_slices(jax.make_jaxpr(function)(0.0, 0.0))
 
@@ -69,12 +70,12 @@ def series_of(function):
     def coefficients(slope, argument):
         expansion = Expansion({})
         t = expansion.linear(jnp.zeros_like(slope), slope)
-        x = expansion.series(lambda k: argument[k] if k < len(ARGUMENT) else None)
+        x = expansion.series(lambda k: argument[k] if k < len(argument) else None)
         (y,) = expanded(expansion, program, [t, x])
         found = array_of(expansion, y)
         return [found[k] for k in range(ORDER)]
 
-    return coefficients(1.0, ARGUMENT)
+    return coefficients(1.0, argument)
 
 
 @pytest.mark.slow
@@ -85,6 +86,36 @@ def test_coefficients_are_derivatives(name):
     # Sums of a few dozen terms, none larger than the largest coefficient by a factor of ten.
     scale = 10 * np.max(abs(exact))
     assert_allclose(values, exact, rtol=0, atol=64 * np.finfo(float).eps * scale)
+
+
+KINKS = {
+    "absolute": (lambda t, x: abs(x), lambda t, x: x, lambda t, x: -x),
+    "the larger": (lambda t, x: jnp.maximum(0.0, x) * x, lambda t, x: x * x, lambda t, x: 0 * x),
+    "the smaller": (lambda t, x: jnp.minimum(x, 3 * x), lambda t, x: x, lambda t, x: 3 * x),
+    "above": (lambda t, x: jnp.where(x > 0, x, t * x), lambda t, x: x, lambda t, x: t * x),
+    "not above": (lambda t, x: jnp.where(x <= 0, -x, t * x), lambda t, x: t * x, lambda t, x: -x),
+    "clipped": (lambda t, x: jnp.clip(x, 0.0, 1.0), lambda t, x: x, lambda t, x: 0 * x),
+}
+
+
+@pytest.mark.parametrize("name", KINKS)
+def test_at_a_kink_the_side_ahead_is_taken(name):
+    function, above, below = KINKS[name]
+    for ahead in ((0.0, 0.3, -0.2), (0.0, 0.0, 0.2, -0.1)):
+        for sign, side in ((1.0, above), (-1.0, below)):
+            argument = tuple(sign * v for v in ahead)
+            found, right = series_of(function, argument), series_of(side, argument)
+            np.testing.assert_array_equal(
+                *([0.0 if v is None else float(v) for v in each] for each in (found, right))
+            )
+
+
+@pytest.mark.parametrize("power", [9, 2.0, 5.0])
+def test_powers_of_zero_are_finite(power):
+    argument = (0.0, 0.3, -0.2)
+    found = [0.0 if v is None else float(v) for v in series_of(lambda t, x: x**power, argument)]
+    exact = np.polynomial.polynomial.polypow(argument, int(power))[:ORDER]
+    assert_allclose(found, np.pad(exact, (0, ORDER - len(exact))), rtol=1e-14)
 
 
 def test_zeros_by_structure_are_not_computed():

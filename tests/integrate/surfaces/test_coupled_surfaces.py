@@ -117,6 +117,15 @@ def test_small_linear_systems_are_solved_as_by_lapack(k):
         assert_allclose(size, abs(np.linalg.det(a)), rtol=64 * scale)
 
 
+def test_unknowns_that_are_not_asked_for_change_nothing():
+    """Nor do they scale the equations, in which their column is larger than rounding permits."""
+    a, b = np.array([[1.0, 2, 1e18], [3, 4, 1e18], [1, 1, 1]]), np.array([[5.0], [6], [7]])
+    taken = jnp.array([True, True, False])
+    found = small_linear.solve(jnp.asarray(a), jnp.asarray(b), taken)
+    assert_allclose(found[:, 0], [-4, 4.5, 0], rtol=1e-14)
+    assert_allclose(small_linear.size_of_determinant(jnp.asarray(a), taken), 2, rtol=1e-14)
+
+
 def one_equation_twice(a, x):
     a[1] = a[0]
 
