@@ -14,6 +14,9 @@ TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 # How often a problem's longest step is halved.
 HALVINGS = {
     "Dopri8": range(6),
+    "Taylor8": range(1, 7),
+    "Taylor12": range(6),
+    "Taylor16": range(6),
     "Tsit5": range(1, 7),
     "RK4": range(2, 8),
 }
@@ -50,11 +53,13 @@ def curves(problem):
 
     system, longest = scenes()[problem.name]
     steppers = {"Dopri8": diffrax.Dopri8(), "Tsit5": diffrax.Tsit5(), "RK4": jf.RK4()}
-    for method, lanes in (*((name, 1) for name in steppers), ("Dopri8", LANES)):
+    steppers |= {f"Taylor{order}": jf.Taylor(order) for order in (8, 12, 16)}
+    alone = [(name, 1) for name in steppers]
+    for method, lanes in (*alone, ("Dopri8", LANES), ("Taylor12", LANES)):
         run = _compiled(system, problem, steppers[method], lanes)
         steps = [longest / 2**k for k in HALVINGS[method]]
         yield Curve(NAME, method, steps, ft.partial(_build, run), lanes, unit="dt")
-    for method, lanes in (("Dopri8", 1), ("Tsit5", 1), ("Dopri8", LANES)):
+    for method, lanes in (("Dopri8", 1), ("Tsit5", 1), ("Taylor12", 1), ("Dopri8", LANES)):
         build = ft.partial(_adaptive, system, problem, steppers[method], lanes)
         yield Curve(NAME, f"{method}, tolerance", TOLERANCES, build, lanes)
 
