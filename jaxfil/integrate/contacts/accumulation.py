@@ -103,6 +103,7 @@ def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
         limit=x,
         met=system.for_each_surface(false),
         late=zero,
+        # As after too many contacts, so that the first one starts a turn.
         contacts=jnp.full((), _LONGEST, jnp.int32),
         completed=false,
     )
@@ -160,9 +161,13 @@ def _turned(
     counts = _counts(state)
     switches = counts & ~state.pending.grazes & ~turn.completed
     kind = _kind(state.pending.surfaces, end.motion.mode)
+    # Long after t0 a turn may be little longer than the spacing of times, and the low-order parts
+    # determine its digits.
     time = (end.motion.tau - turn.tau) + stop_gradient(state.tau_low - turn.tau_low)
     again = switches & (kind == turn.kind) & (time > 0)
     shrinks = again & (time < turn.length)
+    # Lanes without a prediction divide by 1. In reverse mode the derivative of a quotient by zero
+    # would be NaN even where the quotient is not selected.
     took, before = select(shrinks, time, 1), select(shrinks, turn.length, 1)
     ratio = select(shrinks, time, 0) / before
     left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
@@ -180,6 +185,7 @@ def _turned(
     # The predicted limit may be past a grid point by the rounding of the prediction.
     late = length.beyond(left)
     agrees = agrees & reached & (late <= rounding)
+    # A limit within the rounding of times is reached, whether predictions agree or not.
     completed = shrinks & (agrees | (left <= same) & (late <= same)) & clear
     if problem.system.resets:
         # For a single wall, `resets` has a better prediction, by the reset itself.
@@ -187,6 +193,7 @@ def _turned(
         together = total((turn.met | state.pending.surfaces).astype(jnp.int32)) > 1
         completed = completed & (together | (left <= soon))
     starts = switches & (again | (turn.contacts >= _LONGEST))
+    # The switch at the limit needs the surfaces of the completed turn. Any other start clears them.
     met = switches & (turn.met | state.pending.surfaces)
     now = Turn(
         kind=select(starts, kind, turn.kind),
@@ -238,6 +245,7 @@ def _kind(hit: Components, mode: Components) -> Array:
     if codes.is_array:  # square roots, so that different codes have different sums
         (numbers,) = stop_gradient(codes).parts
         return jnp.sum(numbers * np.sqrt(np.arange(2.0, 2.0 + len(numbers))))
+    # Each code is between 0 and 9, one decimal digit.
     return stop_gradient(ft.reduce(lambda number, code: 10 * number + code, codes.parts))
 
 

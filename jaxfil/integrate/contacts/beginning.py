@@ -70,6 +70,7 @@ def begin(
     rounding = _NOISE * system.eps * (abs(normals) @ abs(x))
     seen = stop_gradient(_traces(system, t, x, on & ~c.throws_back, rounding))
     side = where(direction * rates < 0, above, -1.0)
+    # Where ∂H/∂x = 0 the surface depends on time alone.
     timed = abs(normals) @ x.like(jnp.ones_like(t)) == 0
     returns = (abs(seen.h) > rounding) & (side * seen.h > 0)
     back = on & ~c.throws_back & ~flat
@@ -132,6 +133,7 @@ def _changed(system: ComponentSystem, t: Array, x: Components, on: Components) -
 
     if system.m == 1:
         return _differ(made(jnp.int32(0), x), x)
+    # A loop, so that the program contains the reset once.
     return _differ(jax.lax.fori_loop(0, system.m, made, x), x)
 
 

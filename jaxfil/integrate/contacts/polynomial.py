@@ -80,6 +80,7 @@ def _reduced(c: Guard) -> Guard:
 def stays_positive(c: Guard, noise: Array) -> Array:
     """Whether a guard has no zero in its step, except at the start, and stays away from zero."""
     low, _ = _bounds(_reduced(c))
+    # The noise of a guard does not apply to its quotient by s or s².
     return low > select(c[0] > 0, _CLOSE * noise, 0.0)
 
 
@@ -117,6 +118,7 @@ def first_zero(system: ComponentSystem, noise: Array, *c: Array) -> tuple[Array,
     lowest, least = system.where_any(jnp.any(turns), minimum, nowhere, turns, scale, *c)
     below, grazes = turns & (least < -noise), turns & (abs(least) <= _CLOSE * noise)
     crosses = (kind == _ONE_ZERO) | below
+    # The first zero lies before a minimum that is below zero.
     s = _descending(system, c, crosses, select(below, lowest, scale))
     look = select(grazes, lowest, select(scale < 1, scale, NEVER))
     known = (kind != _UNKNOWN).astype(noise.dtype)
@@ -223,5 +225,6 @@ def _guess(c: Guard, zeros: Array, todo: Array, high: Array) -> Array:
     for _ in range(2):
         value = c0 + s * (c1 + s * (c2 + s * c3))
         rate = c1 + s * (2 * c2 + 3 * s * c3) - zeros * value / s
+        # The lower limit is positive, since the next rate has a quotient by s.
         s = jnp.clip(s - value / select(rate == 0, 1.0, rate), 0.01 * s, high)
     return select(todo & (s == s), s, high)

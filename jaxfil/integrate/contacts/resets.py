@@ -273,6 +273,8 @@ def _chattering(
     bounces = reset.acted & c.throws_back & (away > seen.noise) & (fall > 0) & ~more
     times = 2 * away / where(bounces, fall, 1)
     low = away * away <= 2 * abs(held) * at.gathered
+    # If a grid point, saving time or tick comes before the rest, an ordinary step goes there first.
+    # Backward in time impacts do not die out.
     ends = bounces & (low | (times <= longest)) & (times <= abs(length.room) + same)
     ends = ends & (grid.direction > 0)
     # If low bounces last longer than the limit, the rest begins earlier, by a time that only these

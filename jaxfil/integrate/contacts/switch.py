@@ -73,21 +73,27 @@ def _mapped(problem: Problem, state: LoopState, t: Array, x: Components) -> Maps
     system, number, before = problem.system, problem.ticked, x
     h = ticked = None
     if system.ticks and number is not None:
-        due = number >= 0
-
-        # A closure, since a bound method of a module would be hashed, with its arrays.
-        def moved(t: Array, x: Components, number: Array) -> Components:
-            return system.tick(t, x, number)
-
-        x = where(due, system.where_any(due, moved, _unmoved, t, x, number), x)
+        x = _ticked(system, number, t, x)
         ticked, h = any_of(x != before), system.switching(t, before)
     if not system.resets:
         return Maps(x, h, jnp.zeros((), bool) if ticked is None else ticked, ticked, None)
     reset = resets.make_reset(system, state, t, x)
     if h is None or number is None or ticked is None:
         return Maps(reset.x, reset.h, reset.moved, None, reset)
+    # The tick comes before the reset, so H before both is H before the tick.
     h = where(number >= 0, h, reset.h)
     return Maps(reset.x, h, reset.moved | ticked, ticked, reset)
+
+
+def _ticked(system: ComponentSystem, number: Array, t: Array, x: Components) -> Components:
+    """The state after the tick of a clock; −1 for none."""
+    due = number >= 0
+
+    # A closure, since a bound method of a module would be hashed, with its arrays.
+    def moved(t: Array, x: Components, number: Array) -> Components:
+        return system.tick(t, x, number)
+
+    return where(due, system.where_any(due, moved, _unmoved, t, x, number), x)
 
 
 def _unmoved(t: Array, x: Components, number: Array) -> Components:
@@ -153,7 +159,7 @@ def evaluate_step_end(
     system = problem.system
     t = problem.grid.t0 + length.end
     if system.m == 0:
-        return _smooth_end(system, state, length.end, t, x, forcing)
+        return _smooth_end(problem, state, length.end, t, x, forcing)
     maps = _mapped(problem, state, t, x)
     # The order matters. Maps come first, since all later values must belong to the state that
     # continues. Then the state is projected onto its surfaces, resets are followed up, fields and
@@ -178,6 +184,7 @@ def evaluate_step_end(
         stays, found = ~state.pending.waits & ~state.held, (free.f, free.g, free.rate)
         found = select_all(stays, found, (motion.f, motion.g, motion.rate))
         motion = eqx.tree_at(lambda v: (v.f, v.g, v.rate), motion, found)
+    # The guard of a slide or a rest is not H, so the accumulated rounding of H does not apply.
     gathered = where(stays_on(system, choice.mode), motion.noise, at.gathered)
     motion, num_modes = unguarded(problem.kept, motion, choice.count)
     end = StepEnd(
@@ -219,6 +226,7 @@ def _in_turn(
         # A surface that waits for its reset takes its side at once.
         others, again = others & ~later, again & ~any_of(later)
     kept = where(others & cause, mode, choice.mode)
+    # If the next switch decides again, a decision without any mode is not a failure yet.
     return Decision(kept, select(again, jnp.maximum(choice.count, 1), choice.count)), again
 
 
@@ -313,14 +321,17 @@ def with_reactions(
 
 
 def _smooth_end(
-    system: ComponentSystem,
+    problem: Problem,
     state: LoopState,
     tau: Array,
     t: Array,
     x: Components,
     forcing: Forcing,
 ) -> StepEnd:
-    """The end of a step in a system without surfaces."""
+    """The end of a step in a system without surfaces, after a tick that waits."""
+    system, number, before = problem.system, problem.ticked, x
+    if system.ticks and number is not None:
+        x = _ticked(system, number, t, x)
     none, one = state.motion.mode, jnp.ones((), jnp.int32)
     f, scale = system.field(t, x, none, forcing=forcing), larger(state.motion.scale, x)
     motion = Motion(tau, x, f, scale, none, none, none, none, None)
@@ -328,7 +339,7 @@ def _smooth_end(
         motion=motion,
         gathered=none,
         num_modes=one,
-        moved=jnp.zeros((), bool),
+        moved=any_of(x != before),
         ticked=None,
         off=none,
         members=none,

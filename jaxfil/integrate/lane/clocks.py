@@ -15,8 +15,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import SAME_TIME, Problem
-from jaxfil.integrate.lane.state import LoopState, Motion
-from jaxfil.integrate.system.components import where
+from jaxfil.integrate.lane.state import LoopState
 from jaxfil.model.clock import Ticks
 from jaxfil.xla.select import select
 
@@ -56,16 +55,14 @@ class Clocks(Extension):
         ticking = step.length.ticking & step.accepted & step.moved
         _, first = _next_tick(problem, own.ticks)
         each = enumerate(own.ticks)
+        # Only one clock ticks. Another one at the same time has a step of its own.
         ticks = tuple(
             select(ticking & (first == j), k + problem.grid.direction, k) for j, k in each
         )
         none = jnp.full((), -1, jnp.int32)
-        if problem.system.m == 0:
-            motion = _behind(problem, after.motion, ticks, first, ticking)
-            return dataclasses.replace(after, motion=motion), ClockState(ticks, none)
-        # With surfaces, the tick is applied by the pending switch of the next iteration, which
-        # evaluates all functions just after the tick. The sides of all surfaces are then decided
-        # again, since a field or H may have jumped.
+        # The tick is applied by the pending switch of the next iteration, which evaluates all
+        # functions just after the tick. The sides of all surfaces are then decided again, since a
+        # field or H may have jumped.
         waiting = select(ticking, first, select(step.switched, none, own.waiting))
         pending = after.pending
         pending = dataclasses.replace(
@@ -94,6 +91,7 @@ def first_ticks(problem: Problem) -> Ticks:
 def _taus(problem: Problem, ticks: Ticks) -> tuple[Array, ...]:
     """The elapsed times of ticks, which carry the derivatives with respect to T and φ."""
     t0 = problem.grid.t0
+    # From the whole number k, so that rounding does not add up from tick to tick.
     each = zip(problem.system.clocks, ticks, strict=True)
     return tuple((phase - t0) + k * period for (period, phase), k in each)
 
@@ -109,24 +107,13 @@ def _next_tick(problem: Problem, ticks: Ticks) -> tuple[Array, Array]:
     return first, number
 
 
-def _behind(
-    problem: Problem, motion: Motion, ticks: Ticks, number: Array, ticking: Array
-) -> Motion:
-    """A motion without surfaces just after a tick of a clock, given the next ticks."""
-    system, t = between_ticks(problem, ticks).system, problem.grid.t0 + motion.tau
-    x = motion.x
-    if system.ticks:
-        x = where(ticking, system.tick(t, x, number), x)
-    return dataclasses.replace(
-        motion, x=x, f=where(ticking, system.field(t, x, motion.mode), motion.f)
-    )
-
-
 def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
     """The problem with its functions restricted to times between the last and the next ticks."""
     grid, lows, highs = problem.grid, [], []
     last = tuple(k - grid.direction for k in ticks)
     for a, b in zip(_taus(problem, last), _taus(problem, ticks), strict=True):
+        # Backward in time the last tick is the later one. `ComponentSystem.held` gives a clamped
+        # time the derivative of the time, so the window has no derivative.
         lows.append(stop_gradient(grid.t0 + jnp.minimum(a, b)))
         highs.append(stop_gradient(grid.t0 + jnp.maximum(a, b)))
     low, high = lows[0], highs[0]
@@ -143,6 +130,7 @@ def just_after(problem: Problem, t: Array) -> Problem:
     """The problem from a time on, up to the next ticks."""
     if not problem.system.clocks:
         return problem
+    # The first ticks after a t0 are the next ones, so the grid is moved to t.
     grid = dataclasses.replace(problem.grid, t0=stop_gradient(t))
     here = dataclasses.replace(problem, grid=grid)
     return between_ticks(here, first_ticks(here))

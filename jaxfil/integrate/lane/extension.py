@@ -46,6 +46,7 @@ class Step(eqx.Module):
     @property
     def advances(self) -> Array:
         """Whether time advances with the step, which is accepted or lands on a contact."""
+        # An accepted step may have length zero, from a tick to a state saved at its time.
         far = stop_gradient(abs(self.length.h)) > 0
         return (self.moved & self.accepted & far) | self.lands
 

@@ -44,6 +44,8 @@ def repeats(system: System, period: Array, x: Array) -> Array:
     at = jnp.asarray(_PHASES, x.dtype) * period
     both = jnp.asarray([-1.0, 1.0], x.dtype)
     several = jax.vmap(jax.vmap(values, in_axes=(None, 0)), in_axes=(0, None))
+    # Shape (2 times, 2 sides, numbers). The size is the largest over times and sides, since a
+    # number may vanish at one of them.
     now, later = several(at, both), several(at + period, both)
     size = jnp.max(abs(now) + abs(later), axis=(0, 1))
     same = abs(now - later) <= _SAME * jnp.finfo(x.dtype).eps * size
@@ -59,10 +61,13 @@ def next_period(grid: TimeGrid, state: LoopState) -> LoopState:
     def back(tau: Array) -> Array:
         return select(over, tau - period, tau)
 
+    # The end of a period is a grid point, where `tau_low` is zero already.
     start = select(over, state.counts.index, state.counts.period_start)
     turn = state.turn and dataclasses.replace(state.turn, tau=back(state.turn.tau))
     return dataclasses.replace(
         state,
+        # Zero, and not the difference, which would carry rounding on. Earlier times become
+        # negative, so that their distances from the lane remain.
         motion=dataclasses.replace(state.motion, tau=select(over, 0.0, state.motion.tau)),
         pending=dataclasses.replace(state.pending, tau=back(state.pending.tau)),
         counts=dataclasses.replace(state.counts, period_start=start),

@@ -29,7 +29,8 @@ def iteration_budget(num_steps: Array, max_events: int | None = None) -> Array:
     step, up to 2²⁵ steps, and 64 for each of `max_events` contacts, which take about four, with
     1,024 to spare; 100,000 for contacts without a limit. A run that exhausts it is treated as one
     that does not terminate."""
-    contacts = 100_000 if max_events is None else 64 * max_events + 1024
+    # Both terms are at most 2³⁰, so that their sum is within an int32.
+    contacts = 100_000 if max_events is None else min(64 * max_events + 1024, 2**30 - 1)
     return 32 * jnp.minimum(num_steps, 2**25) + contacts
 
 
@@ -71,6 +72,8 @@ class TimeGrid(eqx.Module):
 
     def grid_point(self, index: Array) -> Array:
         """Elapsed time at the end of step number `index` (from 1), within the forcing interval."""
+        # Products, since a sum of steps would add up their rounding. The last point is the end
+        # itself, which a product may miss by rounding.
         whole = self if self.forcing is None else self.forcing
         count = self.num_steps if self.forcing is None else self.forcing.steps
         return select(index >= count, whole.length, index.astype(self.dt.dtype) * self.dt)
@@ -112,6 +115,7 @@ def grid_of_periods(
     before = jnp.asarray(start, jnp.int32)
     if repeats is not None:
         whole = select(repeats, period, length), select(repeats, steps, num_steps)
+        # A system that repeats is the same after any number of periods, so it starts at t0 = 0.
         before, forcing = select(repeats, 0, before), ForcingPeriod(*whole)
     return TimeGrid(
         t0=before.astype(period.dtype) * period,

@@ -58,6 +58,7 @@ class SaveSamples(Recorder):
         after = _with(after, dataclasses.replace(saves, **written), save)
         if self.integrals == 0:
             return after
+        # The integrals of the first sample begin one interval before it.
         begins = save | (gridded & (after.counts.index == self.first - self.every))
         x = without_last(after.motion.x, self.integrals, begins)
         return dataclasses.replace(after, motion=dataclasses.replace(after.motion, x=x))
@@ -135,6 +136,7 @@ def _entered(
     (t, x, mode), size = end, saves.ts.shape[0]
     entry = SavedStates(t, pack(x, system.dtype), mode_codes(mode))
     yes = save & (number < size)
+    # A full table keeps its rows, and the count goes on.
     return _with(after, entered(saves, jnp.minimum(number, size - 1), yes, entry), save)
 
 
@@ -176,8 +178,7 @@ class SaveSteps(Recorder):
         return _empty(system, self.size, self.size, self.size)
 
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
-        # Without surfaces a tick is applied in the same iteration, so `after` is just after it.
-        motion = step.end.motion if problem.system.m > 0 else after.motion
+        motion = step.end.motion
         end = problem.grid.t0 + motion.tau, motion.x, motion.mode
         return _entered(state, after, problem.system, end, step.moved)
 

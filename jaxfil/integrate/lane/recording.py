@@ -67,12 +67,15 @@ def _kind(problem: Problem, state: LoopState, end: StepEnd) -> Array:
         far = state.pending.jumped & (old * new == -1) & (end.motion.g > end.gathered)
         kinds = where(far, EventKind.carry.value, kinds).astype(jnp.int8)
     graze = jnp.asarray(EventKind.graze.value, jnp.int8)
+    # A contact that changes no mode is a graze.
     changed = end.members & (old != new)
+    # The lowest surface that changes determines the kind.
     first = largest(where(first_set(changed), kinds, 0))
     kind = select(any_of(changed), first, graze)
     if problem.system.resets:
         kind = select(end.moved, jnp.asarray(EventKind.impact.value, jnp.int8), kind)
     if end.ticked is not None:
+        # After the impact, since `moved` includes the map of a tick.
         kind = select(end.ticked, jnp.asarray(EventKind.tick.value, jnp.int8), kind)
     return kind
 
@@ -108,6 +111,7 @@ def record_event(
     if table is None:
         return None
     size = table.ts.shape[0]
+    # Time and state at the landing, before maps, and the mode after them.
     entry = EventTable(
         ts=_event_time(problem, state, end),
         xs=pack(state.motion.x, problem.system.dtype),

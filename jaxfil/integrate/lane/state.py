@@ -182,6 +182,7 @@ class LoopState(eqx.Module):
     @property
     def held(self) -> Array:
         """Whether the lane slides or rests on any surface."""
+        # Only systems with resets rest, and `settled` is None without them.
         slides = any_of(self.motion.mode == 0)
         return slides if self.settled is None else slides | any_of(abs(self.motion.mode) == 2)
 
@@ -234,6 +235,7 @@ class StepEnd(eqx.Module):
 def tables_of(state: LoopState) -> list[Any]:
     """All tables of a lane, for events, saved states and crossings."""
     kinds = EventTable, SavedStates, CrossingTable
+    # This includes tables in the states of extensions.
     found = jax.tree.leaves(state, is_leaf=lambda v: isinstance(v, kinds))
     return [v for v in found if isinstance(v, kinds)]
 

@@ -67,6 +67,8 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     if wanted is not None:
         (at, due), same = wanted, grid.same_time(target)
         ahead = (at - target) * grid.direction
+        # A saving time within rounding of the grid point is the same point, so that no step as
+        # short as the rounding remains between them.
         saving = due & (ahead <= same)
         gridded = ~saving | (ahead >= -same)
         target = select(gridded, target, at)
@@ -75,7 +77,7 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
         gridded, saving = gridded & ~ticking, saving & ~ticking
     tau, trust = state.motion.tau, state.trust
     full, longest = target - tau, grid.direction * trust.longest
-    if problem.system.m == 0:
+    if problem.system.m == 0 and problem.tick is None:
         short = abs(full) > trust.longest
         # Without contacts `h` is not adapted to the rounding of the elapsed time; the state moves
         # even if `end` rounds to `tau`.
@@ -84,14 +86,17 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
         ends = gridded & ~short, saving & ~short, None if ticking is None else ticking & ~short
         length = Length(h, end, full * 0, saving & False, *ends)
         return _to_crossing(problem, state, length)
+    # The target is known exactly, so the time to it does without the rounding of `tau`.
     full, aimed, waits = full - state.tau_low, state.search.length, state.pending.waits
     short = abs(full) > trust.longest
     trusted = select(short, longest, full)
     cutting = (aimed != 0) & (abs(aimed) < abs(trusted)) & ~waits
     whole = ~waits & ~cutting & ~short
+    # A pending switch is carried out by a step of length zero.
     h = select(cutting, aimed, select(waits, 0.0, trusted))
     length = Length(
         h=h,
+        # A known end is the target itself, without the rounding of a sum.
         end=select(whole, target, state.motion.tau + h),
         room=full - h,
         cutting=cutting,

@@ -106,12 +106,14 @@ def _integrate_together(problem: Problem, x0: Components) -> LoopState:
 
     def needs_judging(carry: tuple[LoopState, Array]) -> Array:
         state, first = carry
+        # At least one iteration, since a lane that has stopped needs it even if no lane is near.
         return first | (few_near * _count(is_near(problem, state) & on(state)) > _count(on(state)))
 
     def judged(carry: tuple[LoopState, Array]) -> tuple[LoopState, Array]:
         return _judge(problem, carry[0]), jnp.zeros((), bool)
 
     def turn(state: LoopState) -> LoopState:
+        # Lanes near a surface count as stopped from the beginning.
         state, _ = jax.lax.while_loop(coasts, coast, (state, is_near(problem, state)))
         state, _ = jax.lax.while_loop(needs_judging, judged, (state, jnp.ones((), bool)))
         return state
@@ -143,6 +145,7 @@ def _coast(problem: Problem, state: LoopState) -> tuple[LoopState, Array]:
     """A lane at the end of its step if the step is event-free, and whether it has stopped."""
     length, free = _try(problem, state)
     clear = is_event_free(problem, state, length, free) & is_running(problem.grid, state)
+    # Held, like the action of a full iteration. XLA would otherwise recompute it for each user.
     clear = problem.system.hold(clear.astype(problem.system.dtype))
     return accept_free_step(problem, state, length, free, clear > 0), clear == 0
 
@@ -160,6 +163,7 @@ def _judge(problem: Problem, state: LoopState) -> LoopState:
             slide = trial_step(problem, state, length, forcing)
             return select_all(state.held, (slide.x, slide.error), (x, error))
 
+        # A flag of the whole batch, so that batches without slides and rests skip this step.
         any_held = _count(state.held) > 0
         x, error = jax.lax.cond(any_held, bound, lambda: (x, error))
     return judge(problem, state, length, Trial(x, error, forcing), free)

@@ -14,7 +14,7 @@ from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.loop.window import Window
-from jaxfil.integrate.system.components import Components, any_of, pack, scalars, where
+from jaxfil.integrate.system.components import Components, pack, scalars, where
 from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
 from jaxfil.xla.trace import Traced
 
@@ -49,13 +49,10 @@ class EventSums(Extension):
         step: Step,
         verdict: Verdict | None,
     ) -> tuple[LoopState, Sums]:
-        made, before, behind = step.made, state.motion, step.end.motion
-        if problem.system.m == 0 and problem.system.ticks:
-            # Without surfaces a tick changes the state at the end of the step that reaches it.
-            before, behind = step.end.motion, after.motion
-            made = step.moved & any_of(before.x != behind.x)
-        counts = made & self.window.is_open(state)
+        before, behind = state.motion, step.end.motion
+        counts = step.made & self.window.is_open(state)
         members = step.end.members.astype(problem.system.dtype)
+        # At a switch `before` is the corrected state of the landing, before its reset.
         at = problem.grid.t0 + before.tau, before.x, behind.x, members
 
         def added(so_far: Components, *at: Any) -> Components:
@@ -83,6 +80,7 @@ def event_sums(
     def on_components(
         leaves: Any, t: Array, before: Components, after: Components, members: Components
     ) -> Components:
+        # The function receives arrays, states of shape (n,) and flags of the shape of H.
         flags = pack(members, dtype).reshape(h_shape)
         states = pack(before, dtype), pack(after, dtype)
         numbers = eqx.combine(leaves, static)(t, *states, flags)

@@ -87,6 +87,7 @@ class Extremes(Extension):
         nothing = self._here(problem, state.motion)
         nowhere = (dataclasses.replace(nothing, value=nothing.value - jnp.inf),) * len(values)
         own = SoFar(values, rates, nowhere)
+        # The start is a place of its own, if the window is open.
         return state, self._further(problem, state, state, own, own, jnp.zeros((), bool))
 
     def after_step(
@@ -98,18 +99,9 @@ class Extremes(Extension):
         step: Step,
         verdict: Verdict | None,
     ) -> tuple[LoopState, SoFar]:
-        system, now = problem.system, self._now(own, self._seen(problem, after))
-        if system.m > 0 or not system.ticks:
-            return after, self._further(problem, state, after, own, now, ~step.switched)
-        # Without surfaces a tick changes the state at the end of the step that reaches it, so the
-        # step has a smooth part up to the tick and a jump after it.
-        motion = select_all(step.moved, step.end.motion, after.motion)
-        before = dataclasses.replace(after, motion=motion)
-        end = self._now(own, self._seen(problem, before))
-        always = jnp.ones((), bool)
-        end = self._further(problem, state, before, own, end, always)
-        now = dataclasses.replace(now, places=end.places)
-        return after, self._further(problem, before, after, end, now, ~always)
+        now = self._now(own, self._seen(problem, after))
+        # Across a switch values may jump, and a cubic through both ends would be meaningless.
+        return after, self._further(problem, state, after, own, now, ~step.switched)
 
     def after_free_step(
         self, problem: Problem, state: LoopState, after: LoopState, own: SoFar, clear: Array
@@ -187,6 +179,7 @@ class Extremes(Extension):
         smooth: Array,
     ) -> SoFar:
         """The maxima after a step, which is part of a `smooth` piece or ends with a jump."""
+        # Elapsed times restart only after `after_step`, so this is the length of the step.
         h = stop_gradient(after.motion.tau - state.motion.tau)
         start, end = self._here(problem, state.motion), self._here(problem, after.motion)
         inside, here = smooth & self.window.is_open(state), self.window.is_open(after)
@@ -199,6 +192,7 @@ class Extremes(Extension):
             theta = cubic.high
             turns = inside & (theta > 0) & (theta < 1)
             top = select(turns, cubic(theta), -jnp.inf)
+            # The value at the end has its derivative. A value within the step gets one in `_found`.
             last = select(here, now.values[k], -jnp.inf)
             between = dataclasses.replace(start, value=top, length=theta * h, reach=h)
             found = select_all(top > last, between, dataclasses.replace(end, value=last))
@@ -229,6 +223,9 @@ class Extremes(Extension):
         h, missing = stop_gradient(_turning_point(at, place))
         value, rate = at(h)
         # The value and the derivative at h + missing, to second order in `missing`.
+        # The rate vanishes at the maximum, so g̈ missing = −rate, and the term g̈ missing²/2 is
+        # −missing·rate/2. With the derivative of that term it would be the derivative at
+        # h + missing/2.
         value = value + missing * rate - stop_gradient(0.5 * missing * rate)
         value = select(place.reach > 0, value, place.value)
         return select(place.value > -jnp.inf, value, jnp.nan)

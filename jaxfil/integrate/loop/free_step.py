@@ -77,8 +77,10 @@ def is_near(problem: Problem, state: LoopState) -> Array:
     """Whether a lane slides or rests, is at or near a contact, or takes steps shorter than the
     grid's. With polynomial steps a surface that is not armed counts like any other."""
     near = state.held | state.pending.waits | (state.search.length != 0)
+    # `stays_off` is for armed guards only. On a polynomial the zero at the start is divided out.
     if not isinstance(problem.tableau, TaylorTableau):
         near = near | any_of(~state.armed)
+    # A shorter step does not end at a grid point, which `accept_free_step` assumes.
     return near | (state.trust.longest < jnp.inf)
 
 
@@ -92,6 +94,8 @@ def is_event_free(problem: Problem, state: LoopState, length: Length, free: Free
     taken = smooth_step(problem, state, h, free.f, free.trial)
     clear = clear & ~may_be_too_long(problem.tableau, taken)
     if free.path is not None:
+        # The polynomial excludes a zero within the step. The guard at the end must also be beyond
+        # the rounding within which a landing would take it for a contact or a graze.
         least = 4 * maximum(touch, where(state.armed, 0.0, state.motion.noise))
         off = is_clear(problem, state, length, free.path) & (free.g > least)
     else:
@@ -118,6 +122,7 @@ def accept_free_step(
     after = dataclasses.replace(
         state,
         motion=select_all(clear, moved, before),
+        # A grid point is a known time, and needs no low-order part.
         tau_low=select(clear, 0.0, state.tau_low),
         armed=state.armed | clear,
         trust=trust_after_free_step(state.trust, clear),

@@ -121,6 +121,8 @@ def judge(
 ) -> LoopState:
     """The lane after a trial step: accepted, rejected, landed or switched. `free` is as in
     `evaluate_step_end`."""
+    # A switch has length zero, so its trial would end in the same state, but with 0·∞ = NaN where
+    # the field of the old mode is not finite.
     x = where(state.pending.waits, state.motion.x, trial.x)
     end = evaluate_step_end(problem, state, length, x, trial.forcing[-1], free)
     judgement = judging.judged(problem, state, length, trial, end)
@@ -132,16 +134,24 @@ def judge(
 
 def _go_on_smoothly(problem: Problem, state: LoopState, length: Length, trial: Trial) -> LoopState:
     """The lane after a trial step in a system without surfaces."""
-    end = evaluate_step_end(problem, state, length, trial.x, trial.forcing[-1])
+    x, pending = trial.x, state.pending
+    if problem.tick is not None:  # as in `judge`
+        x = where(pending.waits, state.motion.x, x)
+    end = evaluate_step_end(problem, state, length, x, trial.forcing[-1])
     infinite = ~all_finite(end.motion.x, end.motion.f)
     doubt = doubted(problem, state, length, trial, end, infinite)
-    action = judging.smooth_action_of(problem, state, doubt)
+    action = judging.smooth_action_of(problem, state, end, doubt)
     taken, action, verdicts = _heard(problem, state, length, end, action)
+    if problem.tick is not None:
+        pending = dataclasses.replace(pending, waits=pending.waits & ~taken.switched)
+    counts = _counted(problem.grid, state, taken)
     after = dataclasses.replace(
         state,
         motion=select_all(taken.moved, end.motion, state.motion),
         trust=next_trust(problem, state, taken, action == judging.REFUSE, doubt),
-        counts=_counted(problem.grid, state, taken),
+        pending=pending,
+        # Ticks are no contacts, and without surfaces there is no table of events.
+        counts=dataclasses.replace(counts, num_events=state.counts.num_events),
         result=judging.outcome(action, state.result),
     )
     return _followed(problem, state, after, taken, verdicts)
@@ -164,6 +174,7 @@ def _heard(
         if verdict is not None:
             action = select(on & verdict.takes_back, judging.TAKE_BACK, action)
             action = judging.failing(action, [(r, on & v) for r, v in verdict.failures])
+    # Without verdicts the action is the same object, and the step need not be decided twice.
     if action is before:
         return intended, action, verdicts
     return judging.step_of(state, length, end, action, landing), action, verdicts
@@ -189,20 +200,25 @@ def _carried_out(
         jumped, across = jumped | (more & (before.jumped | end.moved)), across | (more & end.off)
     if end.jump is not None:
         h = h + select(switched, end.jump, 0.0)
+        # The switch at a limit of chattering or of turns applies no reset, and only chooses a mode.
         settled = None if settled is None else switched & (end.jump > 0)
     if end.again is not None:
+        # The next switch has no contact of its own. As after a jump, it decides all surfaces.
         waits = waits | (switched & end.again)
         surfaces = surfaces & ~(switched & end.again)
         jumped, across = jumped | (switched & end.again), across | (switched & end.again & end.off)
     together = before.together
     if together is not None and end.misfit is not None:
+        # A switch that is a misfit is taken back, and repeated with its surfaces decided together.
         together = (together | (before.waits & end.misfit)) & ~switched
     tau, tau_low = later(state.motion.tau, state.tau_low, h)
     # The end of a step that is not a contact is a known time, and needs no low-order part.
     exact = (taken.accepted & moved & length.known) | (lands & landing.jumped)
     motion = select_all(moved, start, state.motion)
+    # A graze is within the accumulated rounding, which its guard must exceed to be armed again.
     noise = where(touches, end.gathered, end.motion.noise)
     noise = maximum(noise, where(state.armed, 0.0, state.motion.noise))
+    # The switch needs the rate at the contact, by which it distinguishes a jump of H from rounding.
     at_landing = landing.x, end.motion.rate, noise
     x, rate, noise = select_all(lands, at_landing, (motion.x, motion.rate, motion.noise))
     tau = select(exact, end.motion.tau, tau)
@@ -244,6 +260,7 @@ def _counted(grid: TimeGrid, state: LoopState, taken: Step) -> Counts:
     return dataclasses.replace(
         counts,
         index=counts.index + one(taken.gridded),
+        # The loop goes on for other lanes after this one has ended.
         num_iterations=counts.num_iterations + one(is_running(grid, state)),
         # A step of length zero, from a tick to a state saved at its time, does not count.
         num_accepted=counts.num_accepted
@@ -260,18 +277,12 @@ def _followed(
     verdicts: list[Verdict | None],
 ) -> LoopState:
     """`after`, with the step's states saved, and the extensions' states updated."""
-    recorder, following = problem.recording.recorder, []
-    # Without surfaces a tick has no switch of its own, so the state after it exists only after the
-    # extensions; recorders of every step save that one.
-    behind_ticks = problem.system.m == 0 and not recorder.at_known_times
-    if not behind_ticks:
-        after = recorder.record(problem, state, after, taken)
+    after, following = problem.recording.recorder.record(problem, state, after, taken), []
     each = zip(problem.extensions, state.extensions, verdicts, strict=True)
     for extension, own, verdict in each:
         after, following_own = extension.after_step(problem, state, after, own, taken, verdict)
         following.append(following_own)
-    if behind_ticks:
-        after = recorder.record(problem, state, after, taken)
+    # Elapsed times restart last, since extensions take differences of the times before and after.
     return next_period(problem.grid, dataclasses.replace(after, extensions=tuple(following)))
 
 
@@ -279,6 +290,8 @@ def integrate(problem: Problem, x0: Components) -> LoopState:
     """The lane at the end of the grid, or at the first failure, from the initial state x0."""
     on = ft.partial(is_running, problem.grid)
     state = jax.lax.while_loop(
+        # One flag for all lanes. With a flag for each, JAX would add a selection of every number of
+        # the state to each iteration, although `advance` does not change lanes that have ended.
         lambda state: eqxi.unvmap_any(on(state)),
         ft.partial(advance, problem),
         initial_state(problem, x0),
@@ -293,6 +306,8 @@ def integrate_with_checkpoints(
     `checkpoints` are stored; None leaves the number to equinox."""
     first = initial_state(problem, x0)
 
+    # Buffers are written in place. Of tables that are plain arrays, reverse mode would store a copy
+    # for every step.
     def buffers(state: LoopState) -> list:
         return [v for table in tables_of(state) for v in vars(table).values()]
 
@@ -310,6 +325,7 @@ def integrate_with_checkpoints(
 
 def finish(grid: TimeGrid, state: LoopState) -> LoopState:
     """A lane that has stopped, with an outcome if it has not reached the end."""
+    # A lane that stops before its last step without a failure has used up its iterations.
     spent = (state.counts.index < grid.num_steps) & (state.result == RESULTS.successful)
     result = RESULTS.where(spent, RESULTS.max_steps_reached, state.result)
     return dataclasses.replace(state, result=result)

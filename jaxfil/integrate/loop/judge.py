@@ -153,11 +153,19 @@ def _failures(
     ]
 
 
-def smooth_action_of(problem: Problem, state: LoopState, doubt: Doubt) -> Array:
+def smooth_action_of(problem: Problem, state: LoopState, end: StepEnd, doubt: Doubt) -> Array:
     """The same in a system without surfaces."""
-    failures = (RESULTS.nonfinite, doubt.infinite), (RESULTS.step_too_long, doubt.too_long)
-    action = failing(jnp.full_like(state.motion.tau, ACCEPT), failures)
-    action = select(doubt.refuses, REFUSE, action)
+    action, waits = jnp.full_like(state.motion.tau, ACCEPT), jnp.zeros((), bool)
+    if problem.tick is not None:
+        waits = state.pending.waits
+        action = select(waits, SWITCH, action)
+    failures = (
+        (RESULTS.nonfinite, doubt.infinite),
+        (RESULTS.irreversible_reset, end.moved & (problem.grid.direction < 0)),
+        (RESULTS.step_too_long, doubt.too_long & ~waits),
+    )
+    action = failing(action, failures)
+    action = select(doubt.refuses & ~waits, REFUSE, action)
     return select(is_running(problem.grid, state), action, IDLE)
 
 

@@ -39,10 +39,13 @@ def path_of(problem: Problem, state: LoopState, length: Length, field: ModeField
 
 def guards_of(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> tuple:
     """The coefficients of the guards within a step, with the loop's own values at its start."""
+    # A guard that is not armed starts at exactly zero, with a rate that does not fall. The series
+    # has the rounding of both, which could be a contact at the start.
     known = state.motion.g, length.h * state.motion.rate
     guards = stop_gradient((*known, *path.guards[2:]))
     if problem.kept is None:
         return guards
+    # A guard that is constantly 1 has no contact, as in `unguarded`.
     on = problem.kept.on
     return tuple(where(on, float(k == 0), c) for k, c in enumerate(guards))
 
@@ -81,6 +84,8 @@ def _cut_at_contact(
     guards, noise = guards_of(problem, state, length, path), state.motion.noise
     clear = system.hold(_clear(state, path, guards).astype(system.dtype)) > 0
     seeks = jnp.zeros((), bool) if problem.look is None else problem.look.seeking
+    # A switch has length zero, and the length of a probe for a section is given. A guard that is
+    # not finite goes to the search of every step, whose θ is then NaN.
     near = ~clear & ~(waits | seeks | path.ends) & on_each(_are_finite, *guards)
 
     def searched(noise: Components, *guards: Components) -> tuple[Components, ...]:

@@ -80,7 +80,9 @@ class SectionSearch(Extension):
         would = step.length.h + delta, delta, passes
         seen = _look(self.watched, problem, state, own.watch, step.end.motion, would)
         seen = dataclasses.replace(seen, seeks=seen.seeks & is_running(problem.grid, state))
-        failure = RESULTS.nonfinite, ~all_finite(seen.sight.value)
+        # A trial step that is rejected or refused is not a part of the motion.
+        judged = own.watch.seeking | step.moved | step.lands
+        failure = RESULTS.nonfinite, judged & ~all_finite(seen.sight.value)
         return Verdict(seen.seeks, (failure,), seen)
 
     def after_step(
@@ -109,6 +111,7 @@ def _begin(
     watch = _moved_on(watched, problem, watch, sight, false)
     result, (_, noises) = state.result, _resolved(problem, sight)
     for bound, value, noise in zip(watched.bounds, sight.value.parts, noises.parts, strict=True):
+        # Beyond rounding, so that a run may start on a bound.
         outside = bound & (value < -noise) & (result == RESULTS.successful)
         result = RESULTS.where(outside, RESULTS.out_of_bounds, result)
     table = empty_crossings(problem.system, problem.recording.num_crossings)
@@ -139,6 +142,7 @@ def _look(
     # The next watch is one of four: a search that starts, one that comes closer, one that has
     # located its crossing, or one that has examined a minimum.
     found, begun = _begun(watched, problem, watch, sight, here)
+    # A search for a known crossing is completed first; the look at a minimum may make one known.
     begins = found & (looks | (passes & ~watch.seeking))
     closer, delta, done = _approach(problem, state, watch, sight, end.tau)
     located = watch.aim & ~watch.owed
@@ -312,8 +316,8 @@ def _crossed(
     wanted = _wanted(watched, problem, watch.side)
     counted = watch.aim & wanted & done & counts
     recorded = any_of(counted)
-    # A section whose S has jumped is on its other side at once.
     settled = watch.aim & ~watch.owed
+    # A crossed section starts at exactly zero, like the guard of a surface that was just left.
     after = dataclasses.replace(
         watch,
         side=where(watch.aim, -watch.side, watch.side),

@@ -87,7 +87,10 @@ def _resolved(
 ) -> Components:
     """A rate, or where it vanishes among rates of these sizes, a tiny number with the sign of the
     first higher derivative that does not."""
+    # Smaller than the rounding of the other rates. If all rates vanish, only the sign matters.
     tiny = where(scales > 0, system.eps * scales, 1.0)
+    # After a time s the rate is s H″ + s² H‴/2, and s < 0 backward in time, so that the direction
+    # changes the sign of the first term alone.
     signs = where(second != 0, direction * sign(second), sign(third))
     flat = abs(rate) <= _RATE_NOISE * system.eps * scales
     return where(flat, tiny * signs, rate)
@@ -183,6 +186,7 @@ def _first_mode_together(
         forces=forces,
     )
     mode, count = decide(question)
+    # Without a surface to decide there is one mode, whatever the decision returns.
     count = select(any_of(decided), count, 1)
     # Backward in time a rest may have started at any earlier time, so the motion is not unique.
     rests = unilateral.rests_of(mode)
@@ -221,6 +225,7 @@ def _start(problem: Problem, x: Components) -> Start:
         size = size + stop_gradient(abs(typical_step(problem) * f))
     noise = surface_noise(system, t, x, size, h_t, normals)
     mode, on, owed, count, determinant = _first_mode(problem, x, h, noise)
+    # A pinned lane is treated as off all surfaces. Its guards are armed, and no reset is due.
     if problem.kept is not None:
         met = ~problem.kept.on
         mode, on = where(met, mode, problem.kept.mode), on & met
@@ -233,6 +238,8 @@ def _start(problem: Problem, x: Components) -> Start:
         f = with_reactions(system, t, x, mode, filippov.free_field(system, t, x, mode))
     known = stop_gradient((system, t, x, f, mode, noise))
     g, rate, noise = guards(*known, stop_gradient(system.forcing_at(t)))
+    # As in `rearmed`, the guard of a surface that the motion leaves at once starts at exactly zero
+    # and does not fall, so that the start itself is not a contact.
     armed = stays_on(system, mode) | ~on
     g = where(armed, maximum(g, 0.0), 0.0)
     rate = where(armed, rate, direction * maximum(direction * rate, 0.0))
@@ -243,6 +250,7 @@ def _start(problem: Problem, x: Components) -> Start:
 
 def initial_state(problem: Problem, x: Components) -> LoopState:
     """The lane at t0."""
+    # With a clock, functions at t0 too are evaluated strictly between ticks.
     for extension in problem.extensions:
         problem = extension.before_step(problem, None)
     system, recording = problem.system, problem.recording
@@ -265,6 +273,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
             across=nowhere,
             together=None if alone else false,
             repeats=zero,
+            # Infinitely long ago, so that the first contact does not count as a repeated one.
             tau=tau - jnp.inf,
         ),
         counts=Counts(zero, zero, zero, zero, zero, None if problem.grid.forcing is None else zero),
@@ -274,6 +283,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         settled=false if system.resets else None,
         turn=accumulation.no_turn(system, x),
     )
+    # Extensions begin with a complete lane, which they may change. A bound violated at t0 ends it.
     own = []
     for extension in problem.extensions:
         state, first = extension.begin(problem, state)
@@ -287,6 +297,7 @@ def _first_trust(problem: Problem, motion: Motion) -> Trust:
     longest, error = one * jnp.inf, None
     if problem.tableau.tolerance is not None:
         longest, error = first_length(problem, motion), one
+    # The first steps count as long after a refusal, and have the usual error limits.
     return Trust(longest, one * jnp.inf, zero + WATCHED, zero, zero, error)
 
 
@@ -317,6 +328,8 @@ def _with_rate_of_jvp(primals: tuple, tangents: tuple) -> tuple:
     (_, v), (moved, rate) = primals, tangents
     if not isinstance(moved, SymbolicZero):
         still = jnp.zeros_like(v) if isinstance(rate, SymbolicZero) else rate
+        # XLA removes a selection with a constant flag, while to JAX the result depends on `moved`.
+        # A product of `moved` and zero would remain, and be NaN for an infinite `moved`.
         rate = select(False, moved, still)
     return v, rate
 
@@ -330,5 +343,6 @@ def _first_result(problem: Problem, x: Components, start: Start) -> RESULTS:
     if not problem.system.slides:
         slid = any_of(start.motion.mode == 0) & (count == 1)
         result = RESULTS.where(slid, RESULTS.undeclared_sliding, result)
+    # This test comes last and has precedence, since a mode decided from NaN has no meaning.
     fine = all_finite(x, start.motion.f, grid.t0, grid.length, grid.dt)
     return RESULTS.where(fine, result, RESULTS.nonfinite)

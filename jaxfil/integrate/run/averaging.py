@@ -40,11 +40,13 @@ class _OfSystem(eqx.Module):
     system: System
 
     def __call__(self, *args: Any) -> Any:
+        # By name, since `system` may be an argument at any position.
         named = dict(zip(self.__signature__.parameters, args, strict=False))
         return self.function(**named, system=self.system)
 
     @property
     def __signature__(self) -> inspect.Signature:
+        # Without `system`, for functions that look at the names of the arguments (`asked_of`).
         own = inspect.signature(self.function)
         return own.replace(parameters=[v for k, v in own.parameters.items() if k != "system"])
 
@@ -66,6 +68,7 @@ def _with_system(function: Callable[..., Any], system: System) -> Callable[..., 
     """A user's function with the system of its lane bound, if it takes one."""
     signature = signature_of(function)
     asks = signature is not None and "system" in signature.parameters
+    # A function that closes over a system instead would not see its parameters swept.
     return _OfSystem(function, system) if asks else function
 
 
@@ -149,6 +152,7 @@ class Averaging(eqx.Module):
             if one.is_integral:
                 rate = one.function(system)
                 rate = _Square(rate) if isinstance(one.quantity, RMS) else rate
+                # Each integral is one more component at the end, of a function of the first n.
                 wider, x = with_rate(wider, one.observed(rate, self.n), x)
         return wider, x
 
@@ -163,6 +167,8 @@ class Averaging(eqx.Module):
         like x with these. The span of the averages starts at grid point number `first`, or at this
         crossing of the section."""
         window, found = Window(first), []
+        # Extremes have a wider system of their own. Their functions are evaluated and not
+        # integrated, so the lane does not carry them.
         wider, start, signs, sums, count = system, x[: self.n], [], [], 0
         for one in self.each:
             if isinstance(one.quantity, _EXTREMES):
@@ -192,11 +198,13 @@ class Averaging(eqx.Module):
         for one in self.each:
             size = one.size
             if isinstance(one.quantity, _EXTREMES):
+                # Each kind has its numbers in the order of its quantities.
                 row, extremes = extremes[:size], extremes[size:]
             elif isinstance(one.quantity, EventSum):
                 row, sums = sums[:size], sums[size:]
             else:
                 row, means = means[:size], means[size:]
+                # The mean is of the square.
                 row = jnp.sqrt(row) if isinstance(one.quantity, RMS) else row
             rows.append(row)
         return jnp.concatenate(rows)

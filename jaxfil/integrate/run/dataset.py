@@ -76,6 +76,7 @@ def event_variables(events: Any, batch: Sequence[str]) -> dict[str, Variable]:
 def solution_arrays(sol: Any) -> NamedArrays:
     """The named arrays of a `Solution`."""
     labels: Labels = sol.labels
+    # The final state is never None, so the batch is known from its leading axes.
     *shape, n = np.shape(sol.x_final)
     batch = batch_dims(shape)
     variables = variables_of(sol, SOLUTION, batch)
@@ -85,10 +86,12 @@ def solution_arrays(sol: Any) -> NamedArrays:
     if sol.crossings is not None:
         variables |= variables_of(sol.crossings, CROSSINGS, batch)
     if sol.observed is not None:
+        # Axes after the batch and the time belong to the observable.
         own_dims = np.ndim(sol.observed) - len(batch) - 1
         own = (f"observed_{i}" for i in range(own_dims))
         variables["observed"] = (*batch, "time", *own), np.asarray(sol.observed)
     attributes = header("Solution") | {"compact": int(sol.compact)} | label_attributes(labels)
+    # Only dense output evaluates the system again, so only its file has the parameters.
     if sol._dense is not None:
         variables |= variables_of(sol._dense, DENSE, batch)
         arrays, known = system_entries(sol._dense.system, TAKEN, batch)

@@ -19,6 +19,7 @@ def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solutio
     """The same solution, or an error with the sentence of its outcome. Outside `jit` it also says
     where the run from x0 stopped."""
     if not is_known((sol, system, x0)):
+        # The error of a traced run is part of the program, and its sentence a constant.
         return raise_outcome(sol, sol.result, RESULTS.successful, RESULTS.section_reached)
     # Compared as Python numbers, since a comparison of arrays would compile a program.
     if code(sol.result) in (code(RESULTS.successful), code(RESULTS.section_reached)):
@@ -49,6 +50,7 @@ def _place(sol: Solution, system: System, x0: Array) -> str:
     )
     told = f"t = {float(sol.t_final):.10g}, x = {state}"
     size = jnp.maximum(abs(x0), abs(sol.x_final))
+    # A surface slid or rested on counts too, even if H is not within rounding.
     met = _surfaces(system, sol.t_final, sol.x_final, size) | (np.abs(sol.mode_final) != 1)
     if not met.any():
         return told

@@ -96,6 +96,7 @@ class _WithRate(System):
 
     @property
     def feels_reactions(self) -> bool:
+        # Without resets no surface is rested on, and all reactions are zero.
         asked = self.system.resets and "reaction" in asked_of(self.function)
         return self.system.feels_reactions or asked
 
@@ -149,6 +150,7 @@ def sections_of_run(
     asking = [s.function for s in sections if asked_of(s.function)]
     wider, start = system, x0
     for function in asking:
+        # One component for each such section, in their order, as `WatchedSections` expects.
         own = OfState(cast(function, x0.dtype), x0.shape[0])
         wider, start = with_rate(wider, Observable(own, ()), start)
     found = None
@@ -161,6 +163,7 @@ def checked_observable(name: str, function: Any, system: System, x: Array) -> Ob
     """A function to be observed in a run from a state like x."""
     function = cast(check.function(name, function, "(t, x, side)"), x.dtype)
     side = jnp.ones(check.shapes(system, x), x.dtype)
+    # Side, reaction and mode have one shape.
     given = dict.fromkeys(asked_of(function), side)
     out = check.returned(f"`{name}`", function, "", t=jnp.zeros((), x.dtype), x=x, **given)
     return Observable(function, check.real_shape(name, out))

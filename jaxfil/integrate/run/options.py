@@ -47,7 +47,8 @@ class Options(eqx.Module):
 
     def at_half_the_step(self) -> "Options":
         """The options of the run at half the step, which is not differentiated."""
-        budget = None if self.budget is None else 2 * self.budget
+        # Under a tolerance the share also divides the allowed error, which shortens the steps.
+        budget = None if self.budget is None else min(2 * self.budget, check.MOST_STEPS)
         return dataclasses.replace(self, budget=budget, reverse=False, share=FINER * self.share)
 
 
@@ -72,8 +73,10 @@ def options_of(
     max_events = check.count("max_events", max_events, optional=True)
     budget = check.count("max_steps", max_steps, optional=True)
     reverse = _is_reverse(adjoint)
+    # Both keep an array with an entry for each iteration.
     kept = by_steps or reverse
     if budget is None and adaptive:
+        # The length of an array is part of the program. A power of two is shared by many spans.
         rows = power_of_two(enough_iterations(_KEPT_STEPS, max_events or _MANY_EVENTS))
         budget = rows if kept else _MANY_STEPS
     elif budget is None and kept:
@@ -82,6 +85,7 @@ def options_of(
     if ts is not None:
         recorder = SaveTimes(ts=ts)
     elif by_steps:
+        # Dense output needs the start of every step, the first of which is at t0.
         with_t0 = save == "dense" or (saveat.subs is not None and bool(saveat.subs.t0))
         kind = SaveDense if save == "dense" else SaveSteps
         recorder = kind(size=budget or 0, with_t0=with_t0)
@@ -182,6 +186,7 @@ def _check_span(span: _Span, saveat: diffrax.SaveAt) -> None:
     t0, t1, dt = span
     ts = None if saveat.subs is None else saveat.subs.ts
     saved = None if ts is None else check.concrete(ts)
+    # By NumPy, since JAX would compile a program for each operation.
     if saved is not None and not valid_ts(saved.astype(dt.dtype), t0, t1, np):
         raise ValueError(
             f"`saveat.ts` must be times in order within the span from t0 = {t0} to t1 = {t1}, got "
@@ -230,5 +235,6 @@ def _default_budget(span: _Span | None, max_events: int | None) -> int:
             "`max_steps` must be an integer here, since an array of that length is kept, and `t0`, "
             "`t1` or `dt` is traced, so that the number of steps is unknown; got None."
         )
+    # A run over a span that is not finite ends at t0.
     num_steps = math.ceil(span.steps) if span.finite else 1
     return power_of_two(enough_iterations(num_steps, max_events or _MANY_EVENTS))

@@ -229,6 +229,7 @@ def _values(dense: Dense, observable: Observable, ts: Array) -> Array:
     modes = jax.vmap(lambda t: dense.modes[_step_at(dense, t)])(flat)
     problem = _around(dense, build(dense.system, x0, compact=dense.compact), dense.t0)
     values = observed(observable, problem, dense.system, x0, SavedStates(flat, xs, modes))
+    # `observed` marks such entries by inf, and dense output by NaN.
     outside = jnp.isnan(xs).any(axis=1).reshape(ts.shape + (1,) * len(observable.shape))
     return select(outside, jnp.nan, values.reshape(*ts.shape, *observable.shape))
 
@@ -240,6 +241,7 @@ def _step_at(dense: Dense, t: Array) -> Array:
     # Unreached entries become +inf in either direction of time, so that they are sorted last.
     keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
     late = sign * t + resolution(dense.t0, t)
+    # A time before the span has the first step, and its state is replaced by NaN.
     return jnp.maximum(jnp.searchsorted(keys, late, side="right") - 1, 0)
 
 
@@ -254,6 +256,7 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     system = within_step(dense, system, dense.ts[i])
     field = ModeField(system, system.of_surfaces(dense.modes[i].astype(dtype)))
     start, x = dense.ts[i], system.unpack(dense.xs[i])
+    # t may be before the start of its step, by the rounding of times (`_step_at`).
     end = step_again(dense, system, field, start, x, t - start)
     reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
     return select(reached, pack(end, dtype), jnp.nan)
@@ -266,6 +269,7 @@ def within_step(dense: Dense, system: ComponentSystem, t: Array) -> ComponentSys
 
 def _around(dense: Dense, system: ComponentSystem, t: Array) -> Problem:
     """The problem of a system from t on."""
+    # Only the start, the direction and the rounding of times are taken from this grid.
     grid = even_grid(t, dense.t1 - dense.t0, jnp.int32(1))
     return Problem(system, tableau_of(dense.stepper), grid, NOTHING)
 

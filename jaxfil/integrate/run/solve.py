@@ -173,6 +173,7 @@ def solve(
             "estimated at times that do not depend on the step; got True."
         )
     if throw:
+        # Without `throw` the outcome is `nonfinite`.
         check.finite("x0", x)
     run = _solve
     # JAX (0.10) cannot batch equinox's loop with checkpoints within a `jit` and then differentiate
@@ -181,6 +182,7 @@ def solve(
         run = _run
     sol = run(system, x, start, stop, length, stepper, options, watched, observable)
     if estimate_error:
+        # The estimate has no derivatives, and needs neither sections nor an observable.
         half = options.at_half_the_step()
         still, x, start, stop, half = _constant((system, x, start, stop, half))
         finer = _solve(still, x, start, stop, length / 2, stepper, half)
@@ -192,6 +194,7 @@ def solve(
 def _whole(start: Array, stop: Array) -> Array:
     """The length of the single grid step of a run whose steps follow a tolerance."""
     length = jax.lax.stop_gradient(abs(stop - start))
+    # A step must be positive even in a span of length zero.
     return select(length > 0, length, 1.0)
 
 
@@ -252,6 +255,7 @@ def _problem(
     dt: Array,
 ) -> Problem:
     """The problem of a solve, as the loop takes it."""
+    # The table of crossings is as long as the table of events.
     recording = Recording(options.recorder.since(t0), options.max_events, options.max_events)
     field = build(system, x0, compact=options.compact, transposed=options.reverse)
     watched = sections_of_run(sections, system, field, x0, options.reverse)
@@ -268,6 +272,7 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
         valid = valid & valid_ts(options.recorder.ts, t0, t1)
     dt = select(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
+    # The bound must be a number of the precision of the run.
     most = min(_MOST, float(jnp.finfo(dt.dtype).max))
     num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, most).astype(jnp.int32)
     ample, budget = iteration_budget(num_steps), options.budget

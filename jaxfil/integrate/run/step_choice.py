@@ -88,6 +88,7 @@ class StepChoice(eqx.Module):
         """The index of the smallest number of steps from which on all runs of a stepper meet the
         tolerance."""
         real = self.counts[i] > 0
+        # Negated, so that a NaN does not meet the tolerance.
         bad = np.flatnonzero(real & ~(self.errors[i] <= self.tolerance))
         k = int(bad.max(initial=-1)) + 1
         return k if k < real.sum() else None
@@ -103,6 +104,7 @@ def steps_and_stepper(steps: Any, stepper: Any, system: System) -> tuple[int, An
     """`steps`, a whole number, and `stepper`, still unchecked, from the arguments of a verb that
     counts steps by periods, or from a `StepChoice`."""
     if isinstance(steps, Adaptive):
+        # A period is one step of the grid, in which the tolerance chooses the lengths.
         return 1, controlled(steps, stepper)
     if not isinstance(steps, StepChoice):
         return check.count("steps", steps), stepper

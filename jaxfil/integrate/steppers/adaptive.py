@@ -64,6 +64,8 @@ class Adaptive(eqx.Module):
             raise ValueError(f"`atol` must not be negative, got {self.atol}.")
 
     def __repr__(self) -> str:
+        # A part of a tableau's name in files, from which the numbers are read back
+        # (`files.solution`).
         longest = "" if self.dtmax is None else f", dtmax={self.dtmax!r}"
         return f"Adaptive(rtol={self.rtol!r}, atol={self.atol!r}{longest})"
 

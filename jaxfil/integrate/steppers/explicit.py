@@ -86,6 +86,7 @@ class ExplicitTableau(eqx.Module):
     @property
     def times(self) -> list[float]:
         """Times in a step, as fractions, at which the field is evaluated after its start."""
+        # Stages at one time share its forcing. The end comes last, where the loop reads them.
         return [*sorted({*self.c} - {1.0}), 1.0]
 
     def forced(self, forcing: list[Forcing]) -> dict[float, Forcing]:
@@ -153,6 +154,7 @@ def controlled(tolerance: Adaptive, stepper: Any) -> Controlled:
     """The requested stepper, checked, with a tolerance."""
     method = checked_stepper(stepper)
     tableau = tableau_of(method)
+    # A crude estimate detects instability and does not measure an error.
     if tableau.crude or not tableau.d:
         raise ValueError(
             "`stepper` must have an error estimate if steps follow a tolerance, such as "
@@ -212,6 +214,7 @@ def tableau_of(stepper: Stepper) -> Tableau:
         return TaylorTableau(stepper.order, f"{name}({stepper.order})")
     if isinstance(stepper, diffrax.Euler):
         return ExplicitTableau((), (), (1.0,), (), name, order=1)
+    # The order of an explicit diffrax solver does not depend on its argument.
     given, order = stepper.tableau, stepper.order(None)  # pyright: ignore[reportArgumentType]
     assert isinstance(given, diffrax.ButcherTableau) and order is not None
     c, a, b = _floats(given.c), tuple(map(_floats, given.a_lower)), _floats(given.b_sol)
@@ -220,6 +223,7 @@ def tableau_of(stepper: Stepper) -> Tableau:
     if given.fsal:  # the last stage is the field at the end, which the loop evaluates anyway
         c, a, b = c[:-1], a[:-1], b[:-1]
     elif d:
+        # The estimate has no share of the field at the end.
         d = (*d, 0.0)
     return ExplicitTableau(c, a, b, d, name, order=order)
 
@@ -269,7 +273,9 @@ def step(
         slopes.append(field.once(ft.partial(_stage, field, c), t, h, inner, known[c]))
     end, error = _combined(x, h, tableau.b, slopes), None
     if tableau.d:
+        # Errors choose step lengths, which are constants in derivatives.
         error = stop_gradient(weighted(tableau.d[:-1], slopes))
+    # The end has many users, in each of which XLA would compute it again.
     end, error = field.once(lambda held: held, (end, error))
     return Trial(end, error, forcing)
 
@@ -304,6 +310,7 @@ def compact_step(
         return step(tableau, field, t, x, f, h, forcing)
     stages = tableau.stages
     times, rows = np.zeros(stages), np.zeros((stages, stages))
+    # Coefficients as square arrays, so that a loop can select its row. Row 0 is not used.
     for k, (c, row) in enumerate(zip(tableau.c, tableau.a, strict=True), start=1):
         times[k], rows[k, : len(row)] = c, row
     times, rows = times.astype(h.dtype), rows.astype(h.dtype)
@@ -316,6 +323,7 @@ def compact_step(
 
     def stage(k: Array, slopes: Components) -> Components:
         row, time = (jax.lax.dynamic_index_in_dim(v, k, keepdims=False) for v in (rows, times))
+        # Stage 0 is the field at the start, which is given, so `forced` begins with stage 1.
         own = [jax.lax.dynamic_index_in_dim(v, k - 1, keepdims=False) for v in forced]
         new = field(t + time * h, x + h * _sum_of_rows(row, slopes), own)
         return on_each(ft.partial(put, k), slopes, new)

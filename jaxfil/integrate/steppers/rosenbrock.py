@@ -184,6 +184,7 @@ def _linearised(
     field: SmoothField, gamma: float, t: Array, x: Components, f: Components, h: Array
 ) -> _Linearised:
     """J and ∂F/∂t at the start of a step, by automatic differentiation."""
+    # Linearised once, for ∂F/∂t and for all columns of J.
     _, push = jax.linearize(field, t, x)
     one, zero = jnp.ones_like(t), jnp.zeros_like(t)
     drift = h * push(one, x.like(zero))
@@ -226,6 +227,7 @@ def _stage(
     """The next k, from v = k + Σ coupling·slopes."""
     c, sum_, alpha, coupling = row
     if not slopes:
+        # The first stage is at the start, whose field is known.
         return start.solve(start.f + sum_ * start.drift)
     slope = field(start.t + c * start.h, _advanced(alpha, start.x, start.h, slopes))
     known = _sum(coupling, slopes)

@@ -108,6 +108,7 @@ def solved(
     series of time and state to the series of the field and of the guards, which have the components
     of `like`. Each coefficient is computed `once` (see `ComponentSystem.once`)."""
     t, x, h = at
+    # `fields` is filled below, since the series of states and of fields refer to each other.
     time, fields = expansion.linear(t, h), []
 
     def state(i: int, x0: Array) -> Series:
@@ -149,6 +150,8 @@ def _in_stages(
             orders = range(first, min(first + _TOGETHER, order + 1))
             expansion.stage(states, orders, once)
         return
+    # Coefficient k of the others needs coefficient k of the states, whose next one needs both. The
+    # last one of the states has no next one.
     for k in range(order + 1):
         expansion.stage(states, range(k, k + 1), once)
         if k < order:
@@ -172,6 +175,7 @@ def end_alone(
     """A polynomial that is right only at the end of a step, with the state x1 and the rate f there,
     for a step of another method. It has as many guards as m."""
     nothing, none, apart = 0.0 * x0, 0.0 * m, h * f - (x1 - x0)
+    # The quadratic through both states with the slope h f at its end.
     x = x0, (x1 - x0) - apart, apart, *(nothing,) * (order - 2)
     return Polynomial(h, x, (none,) * (order + 1), jnp.ones((), bool))
 

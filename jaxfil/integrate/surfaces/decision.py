@@ -129,6 +129,8 @@ def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Componen
     # `number` counts through the combinations, as digits to base 3, one for each surface to decide,
     # and through the three rounds.
     def goes_on(found: _Found) -> Array:
+        # A round is completed after a first solution too, so that all are counted. The next one is
+        # tried only if it has found no solution.
         rounds = found.number // size
         inside = found.number % size != 0
         return wanted & (rounds < 3) & (inside | (found.count == 0))
@@ -172,6 +174,7 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
     if made is not None and found.velocity is not None:
         eps = jnp.finfo(question.direction.dtype).eps
         size = made.size + abs(made.f) + abs(found.velocity)
+        # Each is compared with the first alone, since all counts above 1 mean the same, not unique.
         apart = any_of(abs(made.f - found.velocity) > _ONE_MOTION * eps * size)
         new = ok & ((found.count == 0) | apart)
         velocity = where(first, made.f, found.velocity)
@@ -270,6 +273,7 @@ def _rests(
     noise = _NOISE * eps * (known.sizes() + question.forces.sizes(force))
     fine = where(rests, sides * force > 0, sides * a >= 0)
     own = question.forces.response.gains.diagonal()
+    # λ times its own gain is an acceleration, as the noise is.
     small = where(rests, abs(force * own) <= noise, abs(a) <= noise)
     return fine, fine | small
 
@@ -282,6 +286,8 @@ def _by_pivoting(question: Question) -> tuple[Components, Array]:
     z, found = solve_on_box(q, matrix, low, high)
     on, mode = pack(question.on, bool), pack(question.mode, q.dtype)
     walls = jnp.zeros_like(on) if question.walls is None else pack(question.walls, bool) & on
+    # The solution only says which surfaces slide or rest. The weights and reactions themselves are
+    # computed from the mode.
     weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
     chosen = select(on, select(walls, select(z > 0, 2 * mode, mode), weight), mode)
     # Backward in time a repelling slide may have started at any earlier time.
@@ -295,7 +301,8 @@ def _by_pivoting(question: Question) -> tuple[Components, Array]:
 
 def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
     """q, M and the bounds of the inequality. z has weights and the sizes of reactions; F = −ψ for a
-    weight and a for a reaction. Surfaces that are not decided have equal bounds."""
+    weight and a for a reaction. Surfaces that are not decided, and do not rest,
+    have equal bounds."""
     known, direction = question.forces, question.direction
     active, mode = pack(question.on, bool), pack(question.mode, direction.dtype)
     side, resting = jnp.sign(mode), ~active & (abs(mode) == 2)
@@ -303,11 +310,15 @@ def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
     matrix, wall = -direction * slopes, jnp.zeros_like(active)
     by_weight = matrix
     if known is not None and question.walls is not None:
+        # The reaction of a surface that continues to rest is an unknown too, since the reactions of
+        # other surfaces change it.
         wall = (pack(question.walls, bool) & active) | resting
         of_wall = side[:, None]
         a = pack(known.accelerations[0], mode.dtype)
         base = select(wall, side * a, base)
         by_weight = select(wall[:, None], of_wall * known.accelerations.slopes(), matrix)
+        # The unknown of a wall is |λ|, hence the side in its column. Its row is the acceleration
+        # away from the wall, hence the side there.
         forces = [jnp.asarray(v.entries()) for v in (known.response.gains, known.pushes)]
         by_force = select(wall[:, None], of_wall * forces[0], -direction * forces[1])
         matrix = select(wall[None, :], by_force * side[None, :], by_weight)

@@ -69,14 +69,17 @@ def _held_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
     rate = eqx.combine(by_at.x, jax.tree.map(jnp.zeros_like, at.x))
 
     def change(function: _Function, rate: Components) -> Components:
+        # System and time move as at the start, and the state by `rate`.
         value, by = eqx.filter_jvp(lambda at: function(*at), (at,), (by_at._replace(x=rate),))
         return eqx.combine(by, jax.tree.map(jnp.zeros_like, value))
 
+    # Rests come first, so that the distance from a sliding surface is taken at the state at rest.
     if system.resets:
         rate = _to_rest(at, mode, surfaces & unilateral.rests_of(mode), change, rate)
     if system.slides:
         off = where(surfaces & (mode == 0), change(ComponentSystem.switching, rate), 0.0)
         rate = rate - _by_weights(at, mode, off)
+    # The value is computed by the function itself, so that second derivatives use this rule again.
     return _held(at, mode, surfaces), rate
 
 
@@ -97,6 +100,7 @@ def _to_rest(
     def bring(changed: Components, x: Components) -> Components:
         return impulse.directions.added(x, unilateral.multipliers(impulse.gains, changed, rests))
 
+    # H is brought to zero before ψ, since moving the state to H = 0 changes ψ.
     moments = bring(change(ComponentSystem.switching, rate), 0.0 * x)
     # The first moment of the impulses moves the state by d and, through the field, by (∂F/∂x) d.
     _, moved = jax.jvp(lambda x: system.field(t, x, sides), (x,), (moments,))

@@ -41,6 +41,7 @@ from jaxfil.integrate.system.components import (
     largest,
     least,
     pack,
+    sign,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -109,6 +110,7 @@ def field(
     system = system.in_mode(mode)
     if holds_together(system):
         return balance(system, t, x, mode, *corners(system, t, x, True, forcing)).field
+    # Here weights do not depend on reactions, so these are added to the field with the weights.
     f = free_field(system, t, x, mode, forcing)
     return unilateral.held_field(system, t, x, mode, f)[0] if system.resets else f
 
@@ -116,6 +118,7 @@ def field(
 def holds_together(system: ComponentSystem) -> bool:
     """Whether weights and reactions may depend on each other, for motions that slide on one surface
     and rest on another."""
+    # One surface cannot be slid and rested on at once.
     return system.resets and system.slides and system.m > 1
 
 
@@ -145,6 +148,7 @@ class Balance(eqx.Module):
     @property
     def determinant(self) -> Array:
         """The determinant of the equations of its weights (see `weights.determinant`)."""
+        # Only the search for singular points uses it, which has no derivatives.
         return determinant(*stop_gradient((self.mode, self.rates, self.weights)))
 
 
@@ -170,6 +174,7 @@ def balance(
     def free(t: Array, x: Components, mode: Components, fields: Corners, rates: Corners) -> tuple:
         return fields, rates, rates.map(lambda rate: 0.0 * rate)
 
+    # Without rests both branches agree, since all reactions are zero.
     resting = any_of(unilateral.rests_of(mode))
     held = system.where_any(resting, reacted, free, t, x, mode, fields, rates)
     fields, rates, forces = held
@@ -216,6 +221,7 @@ class ModeField(SmoothField):
 
     def __call__(self, t: Array, x: Components, forcing: Forcing | None = None) -> Components:
         if not self.blended:
+            # Such a mode consists of sides.
             return self.system.field(t, x, self.mode, True, forcing)
         choose = field if self.held else free_field
         return choose(self.system, t, x, self.mode, forcing)
@@ -236,11 +242,14 @@ class ModeField(SmoothField):
         unknown = any_of(unilateral.rests_of(mode)) if rests else jnp.zeros((), bool)
         if unserved:
             unknown = unknown | any_of(mode == 0)
+            # A series for the sides of the mode. A slide has the side 0 in it, without a meaning,
+            # and takes the step of the other method below.
             series = ft.partial(mode_series.polynomial, system, order, False)
 
         def other(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
             whole = ModeField(system, mode, self.blended, self.held)
             forcing = system.forcing(t, h, _OTHER.times)
+            # A compact program, since few lanes take this step.
             trial = compact_step(_OTHER, whole, t, x, whole(t, x), h, forcing)
             f1, error = whole(t + h, trial.x), trial.error
             assert error is not None
@@ -248,6 +257,7 @@ class ModeField(SmoothField):
             f = f1 - (order + 1.0) * (error + _OTHER.d[-1] * f1)
             return end_alone(order, h, x, trial.x, f, mode)
 
+        # Without a slide or a rest in any lane this is not executed.
         def mixed(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
             return select_all(unknown, other(t, x, h, mode), series(t, x, h, mode))
 
@@ -259,6 +269,7 @@ def guard(system: ComponentSystem, t: Array, x: Components, mode: Components) ->
     the reaction λ_j at rest."""
     if holds_together(system):
         return guard_together(system, t, x, mode)
+    # Of a resting surface, with the mode ±2, this is not selected below.
     off = free_guard(system, t, x, mode)
     if not system.resets:
         return off
@@ -283,6 +294,7 @@ def guard_together(
     held = balance(system, t, x, mode, *corners(system, t, x, forcing=forcing))
     w, off = held.weights, mode * system.switching(t, x)
     pushes = unilateral.sides_of(mode) * held.force
+    # 1 − w² as a product, which does not cancel near its zeros w = ±1, where a slide ends.
     return where(unilateral.rests_of(mode), pushes, where(mode == 0, (1 - w) * (1 + w), off))
 
 
@@ -299,6 +311,7 @@ def free_guard(
         return off
     _, rates = corners(system, t, x, forcing=forcing)
     w = weights(mode, rates)
+    # The same product as in `guard_together`.
     return where(mode == 0, (1 - w) * (1 + w), off)
 
 
@@ -325,8 +338,11 @@ def _choose_on_one(
 ) -> tuple[Components, Array]:
     """`choose` for separate surfaces, which the rates on both sides determine."""
     plus, minus = direction * above > 0, direction * below < 0
-    slide = (above * below <= 0) & (above != below)
+    # Equal rates with this sign are both zero, and have no weight.
+    # The product of small rates would be zero.
+    slide = (sign(above) * sign(below) <= 0) & (above != below)
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
+    # With several modes the lane ends as not unique, whichever is taken.
     side = where(plus, 1.0, where(minus, -1.0, 0.0)).astype(direction.dtype)
     return where(on & (count > 0), side, mode), _count_of_all(where(on, count, 1))
 

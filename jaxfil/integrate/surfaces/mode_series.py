@@ -131,6 +131,7 @@ def _of_slide(
 ) -> tuple[list[Series], list[Series]]:
     """Series of the field and the guards of a mode that may slide."""
     one = jnp.ones_like(t[0])
+    # Separate surfaces have two corners, all sides + and all sides −.
     sides = [system.for_each_surface(sign * one) for sign in (1.0, -1.0)]
     above, below = (_field(system, expansion, t, x, s) for s in sides)
     rise, fall = (_rates(system, expansion, t, x, f) for f in (above, below))
@@ -138,8 +139,10 @@ def _of_slide(
     fields = []
     for owners, up, down in zip(system.structure.switched, above, below, strict=True):
         if not owners:
+            # The number is not switched, so both sides agree in it.
             fields.append(up)
             continue
+        # Surfaces with series are separate, so a number has one owner (`slides_have_series`).
         s, w = mode.parts[owners[0]], weights[owners[0]]
         fields.append(_blend(expansion, s, w, up, down))
     off = _off(system, expansion, t, x, mode)
@@ -177,6 +180,7 @@ def _blend(expansion: Expansion, s: Array, w: Series, up: Series, down: Series) 
 
     def make(k: int) -> Array | None:
         parts = [v[k] for v in (mixed, up, down)]
+        # A structural zero stays one, and operations on it are omitted.
         if all(v is None for v in parts):
             return None
         both, one, other = (jnp.zeros_like(s) if v is None else v for v in parts)
@@ -190,6 +194,8 @@ def _guard(expansion: Expansion, s: Array, w: Series, off: Series) -> Series:
     square = product(expansion, w, w)
 
     def make(k: int) -> Array:
+        # 1 − w² cancels near w = ±1 in order 0. This is harmless, since the search takes orders 0
+        # and 1 from the guards of the loop (`path.guards_of`).
         squared, beside = (jnp.zeros_like(s) if v[k] is None else v[k] for v in (square, off))
         return select(s == 0, (1.0 - squared) if k == 0 else -squared, beside)
 

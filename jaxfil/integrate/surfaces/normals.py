@@ -14,7 +14,9 @@ def project(
     Where surfaces share numbers of the state, all corrections are solved for together, from
     Σ_k (∇H_j·∇H_k) μ_k = −h_j, since a correction for one surface moves the state off another.
     """
+    # Surfaces that share no number of the state have orthogonal normals.
     if system.m == 1 or system.structure.members is not None:
+        # A normal of zero length does not move the state, so any finite factor is right.
         squares = normals.squares()
         return normals.added(x, where(on, -h / where(squares == 0, 1, squares), 0.0))
 

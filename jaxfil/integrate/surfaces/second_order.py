@@ -51,12 +51,15 @@ def beyond_newton_to(
         return along(gap, *at)[1]
 
     g, slope = along(gap, given, *at)
+    # Lanes without a contact have g = ġ = 0, and with this divisor δ = 0.
     slope = select(slope == 0, 1.0, slope)
     here = stop_gradient((given, *at))
     _, bend = along(rate, *here)
     # `here` is constant: g̈ and the field's rate multiply δ², which has no derivative of lower
     # order than the second.
     f, turn = along(field, *here)
+    # The landing divides by a constant ġ, and its δ = −g/ġ is subtracted. Where g = 0 the two
+    # quotients have the same value and the same first derivative.
     fixed, delta = stop_gradient(slope), -g / slope
     beyond = delta + g / fixed - 0.5 * bend / fixed * delta * delta
     return beyond, beyond * f + 0.5 * delta * delta * turn

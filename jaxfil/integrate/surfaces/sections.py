@@ -62,7 +62,10 @@ class WatchedSections(eqx.Module):
         # The window between ticks is the same as for the field of the motion.
         wider = dataclasses.replace(self.asking, window=system.window)
         field = ModeField(wider, wider.of_surfaces(pack(mode, wider.dtype)))
+        # Components of functions that ask follow the state in the order of the sections
+        # (`run.observed.sections_of_run`).
         place = system.n + [i for i, f in enumerate(self.functions) if f is None].index(j)
+        # The extra components have no effect on the field, so any values serve.
         zeros = jnp.zeros((wider.n - system.n,), wider.dtype)
 
         def function(t: Array, x: Components) -> Array:
@@ -97,6 +100,7 @@ def watch_sections(
         if asked_of(section.function):
             functions.append(None)
             continue
+        # Arrays in a function are parameters, like the arrays of a system, and not constants.
         leaves, static = eqx.partition(cast(section.function, x0.dtype), eqx.is_array)
         traced = Traced(
             _on_components(static, x0.dtype),
@@ -141,11 +145,13 @@ def see(
     size = size + abs(dt) * field_terms(system, t, x, mode, f)
     values, rates, terms = [], [], []
     for j in range(len(watched.functions)):
+        # One gradient serves the rate and the sizes of the terms.
         value, pull = jax.vjp(watched.value(j, system, mode), t, x)
         by_t, by_x = pull(jnp.ones_like(value))
         values.append(value)
         rates.append(by_t + dot(by_x, f))
         terms.append(dot(abs(by_x), size) + abs(by_t * t))
+    # Rates have no derivative, as in `contacts.guards`.
     held, rates = system.hold(Components(values)), system.hold(stop_gradient(Components(rates)))
     return Sight(held, rates, stop_gradient(Components(terms)))
 

@@ -168,6 +168,7 @@ def _felt(
     """The response to reactions of a field that takes them, on `sides`, for walls on their sides
     `walls`."""
     alone = system.of_surfaces(jnp.asarray(system.holds_itself))
+    # r_j for a unit reaction, |λ_j| or (1 + e_j) |λ_j|. The gain of the reset is 1 + e_j.
     sizes = where(alone, walls, walls * impulse.gains.diagonal())
 
     def felt(unit: Components) -> Components:
@@ -193,6 +194,7 @@ def _direction(
     # The reset may be defined only for incoming states, so it is differentiated at one. The state
     # is moved just far enough that ψ has the incoming sign beyond rounding.
     terms = dot(abs(gradient), abs(x))
+    # Positive even at a state of zero. A Python number, since one of NumPy would promote float32.
     least = float(np.finfo(system.dtype).tiny) ** 0.5
     depth = stop_gradient(_NOISE * system.eps * terms + least + side * rate)
     moving = x + -side * depth * stop_gradient(inverse) * stop_gradient(gradient)
@@ -348,6 +350,7 @@ def reaction_scale(
     """The size of the terms in the reactions of a mode, m components."""
     c = constraints(system, t, x, sides_of(mode))
     f = system.field(t, x, sides_of(mode))
+    # λ_j = −a_j/(∇ψ_j·d_j) without the coupling to other surfaces, and a_j has the terms ∇ψ_j·F.
     own = abs(c.reaction.gains.diagonal())
     return abs(c.gradients) @ abs(f) / where(own > 0, own, 1)
 
@@ -386,9 +389,12 @@ def pressed(
         return rounds[1], let_go(rounds[1])
 
     if m == 1:
+        # A second round would not change the set.
         on = let_go(candidates)
     else:
+        # The set only shrinks, so there are at most m rounds.
         start = candidates, let_go(candidates)
         _, on = jax.lax.while_loop(lambda v: any_of(v[0] & ~v[1]), next_round, start)
     left = of.answered(a, multipliers(of.gains, a, on))
+    # Negated twice, so that a NaN counts as inconsistent.
     return on, ~any_of(candidates & ~on & ~(sides * left >= 0))

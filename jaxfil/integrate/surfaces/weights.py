@@ -77,6 +77,7 @@ def determinant(mode: Components, rates: Corners, w: Components) -> Array:
     if not rates.are_of_one:
         slid = (mode == 0).parts[0] if mode.is_array else None
         return small_linear.size_of_determinant(_matrix(mode, rates, w), slid)
+    # For separate surfaces ∂(dH_j/dt)/∂w_j = (r₊ − r₋)/2 is the only entry of its row.
     sizes = where(mode == 0, 0.5 * abs(rates[1] - rates[0]), 1)
     return ft.reduce(jnp.multiply, [v if v.ndim == 0 else jnp.prod(v) for v in sizes.parts])
 
@@ -110,6 +111,7 @@ def _implicit_weights(mode: Components, rates: Corners) -> Components:
 def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
     (mode, rates), (_, moved) = primals, tangents
     w = _implicit_weights(mode, rates)
+    # The change of dH/dt at constant weights must be cancelled by a change of the weights.
     change = _correction(mode, rates, w, moved.blend(mode, w))
     return w, where(mode == 0, -change, 0.0)
 
@@ -161,6 +163,8 @@ def _root_of_many(mode: Components, rates: Corners) -> Components:
     last = 2**m + 1
 
     def unsettled(state: tuple) -> Array:
+        # `k` counts iterations, `_NEWTON` for each attempt. Attempt 0 starts at w = 0, the next 2^m
+        # start in the corners, and the last starts at 0 again, to accept a root outside.
         _, unsure, k = state
         return unsure & (k < (last + 1) * _NEWTON)
 
@@ -182,6 +186,7 @@ def _root_of_many(mode: Components, rates: Corners) -> Components:
         start = where(mode == 0, corners, mode)
         return where(again, start, better), ~done, k
 
+    # The mode is the first start, with 0 on slides and the sides ±1 elsewhere.
     start = (mode, jnp.ones((), bool), jnp.zeros((), jnp.int32))
     w, _, _ = jax.lax.while_loop(unsettled, improve, start)
     return w
@@ -196,6 +201,7 @@ def _correction(
     mode: Components, rates: Corners, w: Components, residual: Components
 ) -> Components:
     """Newton's correction of the weights of the sliding surfaces, given dH/dt."""
+    # Other surfaces have the equation Δw = 0, so that all lanes solve systems of one size.
     right, matrix = where(mode == 0, residual, 0.0), _matrix(mode, rates, w)
     if isinstance(matrix, jax.Array):
         found = small_linear.solve(matrix, right.parts[0][:, None], (mode == 0).parts[0])
@@ -231,5 +237,7 @@ def _least_of_two(mode: Components, matrix: list[list[Array]]) -> list[list[Arra
     rows = []
     for row, (a, b) in zip(matrix, reversed(matrix), strict=True):
         free = (first == 0) & (second == 0) & (row[0] == 0) & (row[1] == 0)
+        # With the right-hand side 0 the row (−b, a) makes w parallel to the other row (a, b), as
+        # the smallest solution is.
         rows.append([select(free, -b, row[0]), select(free, a, row[1])])
     return rows

@@ -31,6 +31,7 @@ class Components:
     """A vector of numbers with elementwise operators."""
 
     __slots__ = ("parts",)
+    # `==` compares elementwise, so a vector cannot be a key.
     __hash__ = None  # pyright: ignore[reportAssignmentType]
     __array_ufunc__ = None  # NumPy scalars then defer to the operators of this class
 
@@ -53,6 +54,7 @@ class Components:
     @property
     def is_array(self) -> bool:
         """Whether all numbers are one array."""
+        # Under `vmap` the axis of lanes is hidden, so that a scalar has no axis in a batch either.
         return len(self.parts) == 1 and self.parts[0].ndim > 0
 
     @property
@@ -139,6 +141,7 @@ class Components:
 def on_each(function: Callable[..., Any], *values: Any) -> Components:
     """`function` applied elementwise to vectors and scalars; to whole arrays if the vectors are
     arrays."""
+    # Vectors of different lengths fail here.
     (length,) = {len(v.parts) for v in values if isinstance(v, Components)}
     columns = [v.parts if isinstance(v, Components) else (v,) * length for v in values]
     return Components(tuple(map(function, *columns)))
@@ -188,6 +191,7 @@ def _sum(v: Array) -> Array:
 def without_last(v: Components, k: int, flag: Array) -> Components:
     """The same numbers, with zeros in place of the last k ≥ 1 of them where the flag is set."""
     if v.is_array:
+        # A mask, since JAX writes an assignment to a slice as a scatter, which no kernel contains.
         last = np.arange(v.size) >= v.size - k
         return Components([select(flag & last, jnp.zeros_like(v.parts[0]), v.parts[0])])
     return Components((*v.parts[:-k], *(select(flag, 0.0, u) for u in v.parts[-k:])))
@@ -219,6 +223,7 @@ def first_set(flags: Components) -> Components:
     if flags.is_array:
         (flag,) = flags.parts
         number = jnp.arange(len(flag), dtype=jnp.int32)
+        # The first of equal maxima, or 0 without a set flag, which the flag itself then excludes.
         return Components([flag & (number == jax.lax.argmax(flag, 0, jnp.int32))])
     found, first = jnp.zeros((), bool), []
     for flag in flags.parts:
@@ -232,6 +237,7 @@ def index_of(flags: Components) -> Array:
     if flags.is_array:
         return jax.lax.argmax(flags.parts[0], 0, jnp.int32)
     place = jnp.zeros((), jnp.int32)
+    # From the last to the first, so that the lowest index overwrites the others.
     for i, flag in reversed(list(enumerate(flags.parts))):
         place = select(flag, jnp.int32(i), place)
     return place
@@ -288,6 +294,7 @@ class Polynomial(eqx.Module):
     def rate_at(self, s: Array) -> Components:
         """dx/dt at a fraction s of the step; zero in a step of length zero."""
         _, *slopes = (float(k) * c for k, c in enumerate(self.x))
+        # Switches take steps of length zero, in which the slopes h f_k/(k + 1) are zero too.
         stays = self.h == 0
         return select(stays, 0.0, 1 / select(stays, 1.0, self.h)) * horner(slopes, s)
 

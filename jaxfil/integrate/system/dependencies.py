@@ -51,6 +51,7 @@ def of(
     seen = [_flat(field.depends(*nothing, still, side, *none)) for side in of_side]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
     if m < 2:
+        # The two sides of a single surface determine all blends, affine or not.
         return Structure(switched, separate=m == 1, affine=False, members=None)
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
     # Reactions of different sides multiply different vectors, so a field with reactions counts as
@@ -60,6 +61,7 @@ def of(
     affine = single if reacting else field.is_affine(*nothing, still, all_sides, *none)
     return Structure(
         switched=switched,
+        # A reaction acts on the rates of other surfaces too.
         separate=not reacting and _are_separate(switched, steers),
         affine=affine,
         members=_members(np.array(steers)),
@@ -81,6 +83,7 @@ def _flat(flags: Components) -> list[bool]:
 def _are_separate(switched: Sequence[tuple[int, ...]], steers: Sequence[list[bool]]) -> bool:
     """Whether each surface is switched by its own side alone, given the sides on which the numbers
     of the field depend, and the surfaces that depend on those numbers of the state."""
+    # dH_j/dt depends on the rates of the numbers in H_j, and so on the sides that switch these.
     single = all(len(seen) <= 1 for seen in switched)
     foreign = any(
         enters and set(seen) - {j}

@@ -24,6 +24,7 @@ from jaxfil.xla.trace import Traced
 class ParametrizedFunction(eqx.Module):
     """One of the user's functions, on components, with its parameters."""
 
+    # The program is static and its parameters are not, so that new values compile no new program.
     traced: Traced = eqx.field(static=True)
     parameters: Any
     fence: Array | None
@@ -59,6 +60,7 @@ def on_components(
     m = 1 if h_shape == () else h_shape[0]
 
     def of_surfaces(numbers: Components) -> Array:
+        # A scalar H has a scalar side.
         return numbers.parts[0] if h_shape == () else pack(numbers, dtype)
 
     def field(

@@ -85,6 +85,7 @@ class Rows:
             return Components([self._array @ v.parts[0]])
         if self.members is None:
             return Components(dot(row, v) for row in self.rows)
+        # All rows are in one vector, so one product serves all surfaces.
         return Components([_sum_of_members(self.members, self.rows[0] * v)])
 
     def squares(self) -> Components:
@@ -99,6 +100,7 @@ class Rows:
         """The products of each row with each row of another matrix, which has no `members`."""
         if self.is_array:
             return Rows.array(self._array @ other._array.T)
+        # Each product gives a column, and the columns are transposed to rows.
         columns = [list((self @ row).parts) for row in other.rows]
         zero = jnp.zeros_like(self.rows[0].number(0))
         return Rows(Components(zero + v for v in row) for row in zip(*columns, strict=True))
@@ -115,6 +117,7 @@ class Rows:
             return x + Components([shares.parts[0] @ self._array])
         if self.members is not None:
             (row,) = self.rows
+            # Each number of the state belongs to at most one surface.
             return x + Components([_share_of_owner(self.members, row, shares)]) * row
         for row, share in zip(self.rows, shares.parts, strict=True):
             x = x + share * row
@@ -123,6 +126,8 @@ class Rows:
 
 def _sum_of_members(members: Members, terms: Components) -> Array:
     """The sum of the terms of each surface, (m,), given a term for each number of the state."""
+    # Shorter rows are padded with index 0, which `real` masks. H may depend on the time alone, with
+    # no number in any row.
     most = max(1, max(map(len, members)))
     table = np.zeros((len(members), most), np.int32)
     real = np.arange(most) < np.array([[len(row)] for row in members])

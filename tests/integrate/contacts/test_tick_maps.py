@@ -355,3 +355,56 @@ def test_a_tick_is_an_event_and_so_is_what_follows_from_it():
 
     sols = assert_derivatives(end, exact, [[2.5], [2.6]], 64, order=1)
     assert kinds_of(sols) == [[EventKind.stick, EventKind.tick, EventKind.slip]] * 2
+
+
+class Kicked(jf.System):
+    """x' = −10 x, with a kick by 1 at each whole time."""
+
+    clocks: ClassVar = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        return -10 * x
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+
+def test_sections_see_a_kick_without_surfaces():
+    level = jf.Section(lambda t, x: x[0] - 0.5)
+    sol = jf.solve(Kicked(), jnp.zeros(1), 0.0, 2.5, 0.02, sections=level, max_events=8)
+    # It jumps to 1, falls through 1/2 after log(2)/10, and jumps to 1 + exp(−10) in its turn.
+    times = [1, 1 + np.log(2) / 10, 2, 2 + np.log(2 * (1 + np.exp(-10))) / 10]
+    np.testing.assert_allclose(sol.crossings.ts[:4], times, rtol=1e-9)
+    np.testing.assert_allclose(sol.crossings.xs[:4, 0], [1, 0.5, 1 + np.exp(-10), 0.5], rtol=1e-9)
+    assert not np.isfinite(sol.crossings.ts[4:]).any()
+
+
+def test_backward_in_time_a_kick_cannot_be_undone_without_surfaces_either():
+    back = jf.solve(Kicked(), jnp.ones(1), 2.5, 0.0, 0.05, throw=False)
+    assert jf.RESULTS.names(back.result) == "irreversible_reset" and float(back.t_final) == 2.0
+
+
+class Alternating(jf.System):
+    """A clock changes the direction of motion."""
+
+    size: jax.Array
+    period: ClassVar[float] = 2.0
+    clocks: ClassVar = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        return self.size * (1 - 2 * jnp.mod(jnp.floor(t), 2)) + 0 * x
+
+
+def test_a_maximum_at_a_jump_of_the_field_is_that_of_the_motion():
+    found = jf.bifurcation_diagram(
+        Alternating(jnp.asarray(1.0)),
+        "size",
+        np.array([1.0, 2.0]),
+        np.zeros(1),
+        transient=1,
+        samples=2,
+        steps=8,
+        average=jf.Maximum(lambda t, x, side: x[0]),
+        progress=False,
+    )
+    np.testing.assert_allclose(found.averages["average"], [1, 2], rtol=1e-14)

@@ -318,3 +318,19 @@ def test_a_diagram_of_a_stuck_mass_has_no_samples():
             progress=False,
         )
         assert set(outcome_names(diagram.results)) == {"section_not_reached"}
+
+
+class Falling(jf.System):
+    """x' = −x³, whose first stages overflow in a step of one."""
+
+    def vector_field(self, t, x, side):
+        return -(x**3)
+
+
+def test_a_section_at_a_step_that_is_taken_back_decides_nothing():
+    """1/x² = 1/x₀² + 2 t, and log(x + c) is not finite at some trial steps."""
+    section = jf.Section(lambda t, x: jnp.log(x[0] + 1e-3) - jnp.log(0.5 + 1e-3))
+    sol = jf.solve(Falling(), jnp.array([1e3]), 0.0, 3.0, 1.0, sections=section, max_steps=4096)
+    plain = jf.solve(Falling(), jnp.array([1e3]), 0.0, 3.0, 1.0, max_steps=4096)
+    np.testing.assert_array_equal(sol.x_final, plain.x_final)
+    np.testing.assert_allclose(sol.crossings.ts[0], 2.0, rtol=1e-4)

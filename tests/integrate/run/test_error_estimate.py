@@ -231,3 +231,16 @@ def test_a_sweeps_errors_are_no_smaller_than_rounding_and_unknown_where_nothing_
     assert d.errors[0, 0] > np.finfo(float).eps
     lost = jf.bifurcation_diagram(driven, "omega", [np.nan], x0, **run)
     assert np.isnan(lost.errors).all() and "error unknown" in repr(lost)
+
+
+def test_the_largest_budget_of_steps_has_an_estimate_too():
+    sol = jf.solve(
+        jf.systems.SDOscillator(),
+        jnp.array([0.3, 0.0]),
+        0.0,
+        1.0,
+        0.1,
+        max_steps=2**31 - 1,
+        estimate_error=True,
+    )
+    assert np.isfinite(sol.errors).all()

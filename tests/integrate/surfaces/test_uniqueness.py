@@ -272,3 +272,41 @@ def test_backward_in_time_a_graze_where_nothing_slides_is_passed():
     sol = jf.solve(system, jnp.array([1.0, 0.5]), 2.0, 0.0, 0.3)
     assert sol.result == RESULTS.successful
     assert_allclose(sol.x_final, [-1, 0.5], rtol=0, atol=1e-14)
+
+
+class Slow(jf.System):
+    """x' = 1 above and 2 below a surface, in units of 1e-25, beside a relay of its own."""
+
+    def vector_field(self, t, x, side):
+        rate = jnp.where(side[0] > 0, 1e-25, 2e-25).astype(x.dtype)
+        return jnp.stack([rate, jnp.where(side[1] > 0, 1, -1).astype(x.dtype)])
+
+    def switching(self, t, x):
+        return x
+
+
+def test_rates_whose_product_is_too_small_for_a_float_cross():
+    x0 = jnp.array([-1e-25, 1.0], jnp.float32)
+    sol = jf.solve(Slow(), x0, 0.0, 2.0, 0.1, throw=False)
+    assert jf.RESULTS.names(sol.result) == "successful"
+    assert_allclose(sol.x_final, [1.5e-25, 3.0], rtol=1e-5)
+
+
+class Roots(jf.System):
+    """x' = √x + 1 above zero and 1 below, where the root is NaN; beside it a ball bounces."""
+
+    def vector_field(self, t, x, side):
+        rate = jnp.where(side[0] > 0, jnp.sqrt(x[0]) + 1, 1.0)
+        return jnp.stack([rate, x[2], -1.0 + 0 * t])
+
+    def switching(self, t, x):
+        return x[:2]
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 1, jnp.stack([x[0], x[1], -0.5 * x[2]]), x)
+
+
+def test_a_side_that_is_not_taken_may_have_no_field():
+    """Before the ball hits."""
+    sol = jf.solve(Roots(), jnp.array([-3.0, 1.0, 0.0]), 0.0, 1.0, 0.1)
+    assert_allclose(sol.x_final, [-2, 0.5, -1], rtol=1e-14)
