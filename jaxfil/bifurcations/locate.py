@@ -123,7 +123,8 @@ def find_bifurcation(
         x(t0 + T; x0) = x0,  H = Ḣ_s = 0  (for a slide Ḣ_s = 0 and its derivative along the slide)
 
     Newton's method solves for a state on the orbit, the phase of the tangency (or the period of an
-    autonomous system) and the parameter together.
+    autonomous system) and the parameter together. A contact whose reset is not the identity where
+    H = Ḣ = 0, such as a spike, is searched with that reset.
 
     **Arguments**
 

@@ -39,12 +39,13 @@ class Taylor(eqx.Module):
     x(t + h) = Σ_{k ≤ p} x_k h^k of order p, with the coefficients x_k by recurrences over the
     operations of the field, which must have power series: sums, products, quotients, powers,
     exponentials, trigonometric and hyperbolic functions and their inverses, selections. A selection
-    is decided by the state at the start of the step; a kink inside the step shows in the error,
-    which is estimated by the defect of the field at the end of the step. Contacts are located on
-    the polynomial, without a second step. Sweeps of piecewise linear systems take about half the
-    time that they take with `diffrax.Dopri8()`, and fields with several products of states up to
-    1.6 times as long. Steps in which a motion rests on a surface, or slides on surfaces whose
-    weights depend on each other, use `diffrax.Dopri8()`.
+    is decided at the start of the step, and on a kink of `max`, `abs`, `where` and the like by the
+    motion just after it; a kink inside the step shows in the error, which is estimated by the
+    defect of the field at the end of the step. Contacts are located on the polynomial, without a
+    second step. Sweeps of piecewise linear systems take about half the time that they take with
+    `diffrax.Dopri8()`, and fields with several products of states up to 1.6 times as long. Steps in
+    which a motion rests on a surface, or slides on surfaces whose weights depend on each other, use
+    `diffrax.Dopri8()`.
 
     **Errors**: a `ValueError` for an order out of range, and one that names an operation of the
     field without a power series, for example a `jax.lax.while_loop`.
