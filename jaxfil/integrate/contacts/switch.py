@@ -329,9 +329,10 @@ def _smooth_end(
     forcing: Forcing,
 ) -> StepEnd:
     """The end of a step in a system without surfaces, after a tick that waits."""
-    system, number, before = problem.system, problem.ticked, x
+    system, number, moved = problem.system, problem.ticked, jnp.zeros((), bool)
     if system.ticks and number is not None:
-        x = _ticked(system, number, t, x)
+        x, before = _ticked(system, number, t, x), x
+        moved = any_of(x != before)
     none, one = state.motion.mode, jnp.ones((), jnp.int32)
     f, scale = system.field(t, x, none, forcing=forcing), larger(state.motion.scale, x)
     motion = Motion(tau, x, f, scale, none, none, none, none, None)
@@ -339,7 +340,7 @@ def _smooth_end(
         motion=motion,
         gathered=none,
         num_modes=one,
-        moved=any_of(x != before),
+        moved=moved,
         ticked=None,
         off=none,
         members=none,

@@ -155,17 +155,16 @@ def _failures(
 
 def smooth_action_of(problem: Problem, state: LoopState, end: StepEnd, doubt: Doubt) -> Array:
     """The same in a system without surfaces."""
-    action, waits = jnp.full_like(state.motion.tau, ACCEPT), jnp.zeros((), bool)
+    action = jnp.full_like(state.motion.tau, ACCEPT)
+    too_long, refuses = doubt.too_long, doubt.refuses
     if problem.tick is not None:
-        waits = state.pending.waits
+        waits, back = state.pending.waits, problem.grid.direction < 0
+        too_long, refuses = too_long & ~waits, refuses & ~waits
         action = select(waits, SWITCH, action)
-    failures = (
-        (RESULTS.nonfinite, doubt.infinite),
-        (RESULTS.irreversible_reset, end.moved & (problem.grid.direction < 0)),
-        (RESULTS.step_too_long, doubt.too_long & ~waits),
-    )
+        action = failing(action, [(RESULTS.irreversible_reset, end.moved & back)])
+    failures = (RESULTS.nonfinite, doubt.infinite), (RESULTS.step_too_long, too_long)
     action = failing(action, failures)
-    action = select(doubt.refuses & ~waits, REFUSE, action)
+    action = select(refuses, REFUSE, action)
     return select(is_running(problem.grid, state), action, IDLE)
 
 
