@@ -29,11 +29,6 @@ from jaxfil.xla.select import select
 _WRITTEN_OUT = 5
 
 
-def _differ(a: Components, b: Components) -> Components:
-    """Whether numbers differ; two NaN do not."""
-    return (a != b) & ~((a != a) & (b != b))
-
-
 def every_side(m: int) -> np.ndarray:
     """All combinations of the sides of m surfaces, shape (2^m, m), the first surface varying
     slowest, + before −."""
@@ -63,7 +58,6 @@ def flipped_sides(system: ComponentSystem) -> tuple[int, ...] | None:
     # A number that depends on only one side is affine in it.
     if not are_coupled(system) or not (found.affine or found.separate):
         return None
-    # A side that switches no number of the field has no row, which would be a copy of the first.
     return tuple(sorted(set().union(*found.switched)))
 
 
@@ -71,7 +65,6 @@ def on_corners(
     function: Callable[[Components], Any], system: ComponentSystem, sides: np.ndarray
 ) -> Any:
     """A vector, or several, on combinations of sides, as `Corners`."""
-    # One tree for each combination becomes one tree of `Corners`. In a table `made` has one entry.
     made, is_table = _of_each(function, system, sides), _is_table(sides)
     flipped = flipped_sides(system)
     return jax.tree.map(lambda *each: Corners(each, is_table, flipped), *made, is_leaf=_is_vector)
@@ -92,7 +85,6 @@ def _of_each(
 ) -> list[Any]:
     if _is_table(sides):
         rows = sides.astype(system.dtype)
-        # Shape (k, m), or m columns of k numbers. `vmap` takes one combination of each.
         columns = Components([rows]) if system.packed else Components(scalars(rows.T))
         return [jax.vmap(function)(columns)]
     # Built from scalars and not from an array, since a constant array would become an argument of
@@ -138,7 +130,6 @@ class Corners:
         return cls([vectors], is_table=True)
 
     def tree_flatten(self) -> tuple[tuple, Any]:
-        # The layout is static, since functions choose between formulas by it.
         return self.rows, (self.is_table, self.flipped)
 
     @classmethod
@@ -155,7 +146,6 @@ class Corners:
     @property
     def are_of_one(self) -> bool:
         """Whether surfaces are separate, so that each has only its own two sides."""
-        # A single flipped side has two rows too. Otherwise coupled surfaces have 2^m ≥ 4 rows.
         return self.flipped is None and len(self) == 2
 
     def map(self, function: Callable[..., Components], *others: "Corners") -> "Corners":
@@ -195,8 +185,6 @@ class Corners:
         if self.flipped is not None:
             return self._affine_blend(self.flipped, mode, weights)
         corners = self
-        # The first surface varies slowest, so each pass blends the first one that remains, and the
-        # number of rows is halved.
         for i in range(mode.size):
             corners = corners.halved(ft.partial(mix, mode.number(i), weights.number(i)))
         return corners[0]
@@ -217,15 +205,8 @@ class Corners:
 
             return on_each(blended, self.rows[0])
         total, first, *others = self.rows[0], *self.rows
-        # A vector on a side that is not taken may be NaN or large. A number that depends on one
-        # surface alone is therefore taken from the row of its side, without a difference.
-        turned = None
         for share, other in zip(of_rows, others, strict=True):
-            turns = (share != 0) & _differ(other, first)
-            whole = turns & (share == 1) if turned is None else turns & (share == 1) & ~turned
-            total = where(turns, total - share * (first - other), total)
-            total = where(whole, other, total)
-            turned = turns if turned is None else turned | turns
+            total = total - share * (first - other)
         return total
 
     def slopes(self) -> Array:
@@ -243,7 +224,6 @@ class Corners:
         # A column for each side that switches the field, put at the index of its surface.
         place = np.zeros((len(self.flipped), m))
         place[np.arange(len(self.flipped)), list(self.flipped)] = 1.0
-        # The share of side − is (1 − w)/2, hence the factor.
         return 0.5 * (first - below).T @ jnp.asarray(place, first.dtype)
 
     def slope(self, mode: Components, weights: Components, j: int) -> Components:
@@ -255,7 +235,6 @@ class Corners:
         corners = self
         for i in range(mode.size):
             mixed = ft.partial(mix, mode.number(i), weights.number(i))
-            # The derivative of `mix` on a slide, where the share of side + is (1 + w)/2.
             corners = corners.halved(_half_difference if i == j else mixed)
         return corners[0]
 

@@ -290,23 +290,3 @@ def test_rates_whose_product_is_too_small_for_a_float_cross():
     sol = jf.solve(Slow(), x0, 0.0, 2.0, 0.1, throw=False)
     assert jf.RESULTS.names(sol.result) == "successful"
     assert_allclose(sol.x_final, [1.5e-25, 3.0], rtol=1e-5)
-
-
-class Roots(jf.System):
-    """x' = √x + 1 above zero and 1 below, where the root is NaN; beside it a ball bounces."""
-
-    def vector_field(self, t, x, side):
-        rate = jnp.where(side[0] > 0, jnp.sqrt(x[0]) + 1, 1.0)
-        return jnp.stack([rate, x[2], -1.0 + 0 * t])
-
-    def switching(self, t, x):
-        return x[:2]
-
-    def reset(self, t, x, surface):
-        return jnp.where(surface == 1, jnp.stack([x[0], x[1], -0.5 * x[2]]), x)
-
-
-def test_a_side_that_is_not_taken_may_have_no_field():
-    """Before the ball hits."""
-    sol = jf.solve(Roots(), jnp.array([-3.0, 1.0, 0.0]), 0.0, 1.0, 0.1)
-    assert_allclose(sol.x_final, [-2, 0.5, -1], rtol=1e-14)
