@@ -111,7 +111,6 @@ def _begin(
     watch = _moved_on(watched, problem, watch, sight, false)
     result, (_, noises) = state.result, _resolved(problem, sight)
     for bound, value, noise in zip(watched.bounds, sight.value.parts, noises.parts, strict=True):
-        # Beyond rounding, so that a run may start on a bound.
         outside = bound & (value < -noise) & (result == RESULTS.successful)
         result = RESULTS.where(outside, RESULTS.out_of_bounds, result)
     table = empty_crossings(problem.system, problem.recording.num_crossings)
@@ -316,6 +315,7 @@ def _crossed(
     wanted = _wanted(watched, problem, watch.side)
     counted = watch.aim & wanted & done & counts
     recorded = any_of(counted)
+    # A section whose S has jumped is on its other side at once.
     settled = watch.aim & ~watch.owed
     # A crossed section starts at exactly zero, like the guard of a surface that was just left.
     after = dataclasses.replace(

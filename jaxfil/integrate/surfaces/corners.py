@@ -58,6 +58,7 @@ def flipped_sides(system: ComponentSystem) -> tuple[int, ...] | None:
     # A number that depends on only one side is affine in it.
     if not are_coupled(system) or not (found.affine or found.separate):
         return None
+    # A side that switches no number of the field has no row, which would be a copy of the first.
     return tuple(sorted(set().union(*found.switched)))
 
 
@@ -65,6 +66,7 @@ def on_corners(
     function: Callable[[Components], Any], system: ComponentSystem, sides: np.ndarray
 ) -> Any:
     """A vector, or several, on combinations of sides, as `Corners`."""
+    # One tree for each combination becomes one tree of `Corners`. In a table `made` has one entry.
     made, is_table = _of_each(function, system, sides), _is_table(sides)
     flipped = flipped_sides(system)
     return jax.tree.map(lambda *each: Corners(each, is_table, flipped), *made, is_leaf=_is_vector)
@@ -85,6 +87,7 @@ def _of_each(
 ) -> list[Any]:
     if _is_table(sides):
         rows = sides.astype(system.dtype)
+        # Shape (k, m), or m columns of k numbers. `vmap` takes one combination of each.
         columns = Components([rows]) if system.packed else Components(scalars(rows.T))
         return [jax.vmap(function)(columns)]
     # Built from scalars and not from an array, since a constant array would become an argument of
@@ -130,6 +133,7 @@ class Corners:
         return cls([vectors], is_table=True)
 
     def tree_flatten(self) -> tuple[tuple, Any]:
+        # The layout is static, since functions choose between formulas by it.
         return self.rows, (self.is_table, self.flipped)
 
     @classmethod
@@ -146,6 +150,7 @@ class Corners:
     @property
     def are_of_one(self) -> bool:
         """Whether surfaces are separate, so that each has only its own two sides."""
+        # A single flipped side has two rows too. Otherwise coupled surfaces have 2^m ≥ 4 rows.
         return self.flipped is None and len(self) == 2
 
     def map(self, function: Callable[..., Components], *others: "Corners") -> "Corners":
@@ -185,6 +190,8 @@ class Corners:
         if self.flipped is not None:
             return self._affine_blend(self.flipped, mode, weights)
         corners = self
+        # The first surface varies slowest, so each pass blends the first one that remains, and the
+        # number of rows is halved.
         for i in range(mode.size):
             corners = corners.halved(ft.partial(mix, mode.number(i), weights.number(i)))
         return corners[0]
@@ -224,6 +231,7 @@ class Corners:
         # A column for each side that switches the field, put at the index of its surface.
         place = np.zeros((len(self.flipped), m))
         place[np.arange(len(self.flipped)), list(self.flipped)] = 1.0
+        # The share of side − is (1 − w)/2, hence the factor.
         return 0.5 * (first - below).T @ jnp.asarray(place, first.dtype)
 
     def slope(self, mode: Components, weights: Components, j: int) -> Components:
@@ -235,6 +243,7 @@ class Corners:
         corners = self
         for i in range(mode.size):
             mixed = ft.partial(mix, mode.number(i), weights.number(i))
+            # The derivative of `mix` on a slide, where the share of side + is (1 + w)/2.
             corners = corners.halved(_half_difference if i == j else mixed)
         return corners[0]
 
