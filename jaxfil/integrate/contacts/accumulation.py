@@ -164,6 +164,7 @@ def _turned(
     # Long after t0 a turn may be little longer than the spacing of times, and the low-order parts
     # determine its digits.
     time = (end.motion.tau - turn.tau) + stop_gradient(state.tau_low - turn.tau_low)
+    # Backward in time elapsed times decrease, so that turns are followed only forward.
     again = switches & (kind == turn.kind) & (time > 0)
     shrinks = again & (time < turn.length)
     # Lanes without a prediction divide by 1. In reverse mode the derivative of a quotient by zero
@@ -173,12 +174,15 @@ def _turned(
     left = select(shrinks, time * ratio / (1 - ratio), jnp.inf)
     move = end.motion.x - turn.x
     mean = move / took
+    # The middles of two turns are half the sum of their lengths apart, so this is half the rate at
+    # which the mean velocity changes.
     change = (mean - turn.move / before) / (took + before)
 
     def ahead(span: Array) -> Components:
         """The state after a part `span` of the remaining time."""
         return end.motion.x + span * (mean + (time + span) * change)
 
+    # Without a prediction the remaining time is inf, and the state would not be finite.
     limit = ahead(select(shrinks, left, 0))
     agrees, rounding, apart = _agrees(problem, state, end, time, ratio, left, limit, move)
     reached, clear = _surfaces_there(problem, state, end, left, limit, apart)
@@ -287,4 +291,5 @@ def _agrees(
     # A reset moves the state at a rounded time, also if the velocity is zero before and after it.
     speed = maximum(speed, abs(move) / select(time > 0, time, 1))
     apart = _AGREE * problem.system.eps * size / (shrink * shrink) + rounding * speed
+    # Negated twice, so that a NaN does not agree.
     return agrees & ~any_of(~(abs(limit - turn.limit) <= apart)), rounding, apart

@@ -58,6 +58,7 @@ def begin(
     state after it is on the side from which the motion comes.
     """
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
+    # A wall bounds H ≥ 0, so fields, rates and reactions are evaluated on side +.
     above = sides.like(jnp.ones_like(t))
     c = unilateral.constraints(system, t, x, above)
     f = system.field(t, x, above)
@@ -68,12 +69,16 @@ def begin(
     noise = unilateral.rate_noise(t, abs(x), inside, dt, f, c, by_time, surfaces)
     flat, wall = abs(c.rate) <= noise, on & c.throws_back
     rounding = _NOISE * system.eps * (abs(normals) @ abs(x))
+    # Only flags follow from the traces, so they have no derivative.
     seen = stop_gradient(_traces(system, t, x, on & ~c.throws_back, rounding))
+    # Along the motion H falls if the motion comes from side +.
     side = where(direction * rates < 0, above, -1.0)
     # Where ∂H/∂x = 0 the surface depends on time alone.
     timed = abs(normals) @ x.like(jnp.ones_like(t)) == 0
     returns = (abs(seen.h) > rounding) & (side * seen.h > 0)
     back = on & ~c.throws_back & ~flat
+    # A reset to the side from which the motion comes is due in either direction of time. Any other
+    # can be due only forward in time.
     back = back & (returns | (seen.unmade & ~timed & (direction > 0)))
     owed = (wall & (direction * rates < 0) & ~flat) | back
     start = where(wall, 1.0, where(back, side, sides))
@@ -110,6 +115,7 @@ def _traces(
 
     def own(number: Array) -> tuple[Array, Array, Array]:
         once = system.reset(t, x, number)
+        # Applied twice, since an idempotent reset is recognised by a second one without an effect.
         twice = system.reset(t, once, number)
         h = pack(system.switching(t, once), system.dtype)[number]
         return h, _differ(once, x), _differ(twice, once)

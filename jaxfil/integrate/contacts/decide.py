@@ -65,6 +65,7 @@ def _once(system: ComponentSystem, mode: Components, count: Array) -> Decision:
     # With one surface |mode| ≤ 2, so mode and count fit in one number, and only one value needs a
     # fence.
     both = system.hold(mode + 8 * number)
+    # |mode|/8 is at most 1/4, so the nearest whole number is the count.
     number = jnp.floor(0.125 * both.number(0) + 0.5)
     return Decision(both - 8 * number, number.astype(jnp.int32))
 

@@ -190,6 +190,7 @@ def rearmed(problem: Problem, state: LoopState, end: StepEnd) -> tuple[Motion, C
     double = met & (before | state.pending.grazes)
     if end.still is not None:
         double = double | end.still
+    # Clipped along the motion, since backward in time a guard that rises has a negative rate.
     rising = direction * maximum(direction * motion.rate, 0.0)
     start = dataclasses.replace(
         motion,

@@ -96,6 +96,7 @@ def first_zero(system: ComponentSystem, noise: Array, *c: Array) -> tuple[Array,
     0. `noise` is the rounding of the guard."""
     # A guard entirely within rounding has no meaningful zeros.
     quiet = sum(map(abs, c)) <= _CLOSE * noise
+    # As in `stays_positive`, the noise does not apply to a quotient by s or s².
     noise = select(c[0] > 0, noise, 0.0)
     kind = system.hold(select(quiet, float(_NO_ZERO), _kind(_reduced(c), noise)))
 
@@ -133,7 +134,10 @@ def _kind(q: Sequence[Array], noise: Array) -> Array:
     (falls, rises), (concave, convex) = _signs(slope), _signs(bend)
     end, rate, first = sum(q), sum(slope), slope[0]
     below = end < -noise
+    # A monotone, convex or concave polynomial that is positive at 0 and negative at the end has one
+    # zero.
     single = below & (falls | convex | concave)
+    # A convex polynomial that falls at the start and rises at the end has its minimum inside.
     turns = convex & (first < 0) & (rate > 0)
     simple = falls | rises | concave | (convex & ~turns)
     clear = (low > _CLOSE * noise) | (~below & simple) | (q[0] <= 0)
@@ -157,6 +161,7 @@ def _halved(q: Guard, kind: Array, noise: Array) -> tuple[Array, Array]:
     def halve(carry: tuple) -> tuple:
         q, kind, scale, count = carry
         half = select(kind == _UNKNOWN, 0.5, 1.0)
+        # On the first half the polynomial is one on [0, 1] with the coefficients c_k/2ᵏ.
         power, smaller = jnp.ones_like(noise), []
         for v in q:
             smaller.append(v * power)
@@ -171,6 +176,7 @@ def _halved(q: Guard, kind: Array, noise: Array) -> tuple[Array, Array]:
 
 def _minimum(system: ComponentSystem, q: Guard, turns: Array, high: Array) -> tuple[Array, Array]:
     """The position before `high` at which a convex polynomial is smallest, and its value there."""
+    # The slope of a convex polynomial rises through zero, and `_descending` expects one that falls.
     falls = tuple(-v for v in _slope(q))
     s = _descending(system, (*falls, jnp.zeros_like(high)), turns, high)
     return s, _value_and_slope(q, s)[0]
@@ -227,4 +233,5 @@ def _guess(c: Guard, zeros: Array, todo: Array, high: Array) -> Array:
         rate = c1 + s * (2 * c2 + 3 * s * c3) - zeros * value / s
         # The lower limit is positive, since the next rate has a quotient by s.
         s = jnp.clip(s - value / select(rate == 0, 1.0, rate), 0.01 * s, high)
+    # NaN differs from itself, and `high` takes its place.
     return select(todo & (s == s), s, high)

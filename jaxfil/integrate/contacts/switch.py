@@ -177,6 +177,7 @@ def evaluate_step_end(
     choice, again = _in_turn(problem, state, maps, choice, later)
     if system.slides and maps.h is not None:
         # A map may put the state on a surface on which it then slides.
+        # Surfaces of a located contact have this derivative through the time of the contact.
         put = (choice.mode == 0) & ~stays_on(system, state.motion.mode) & ~state.pending.surfaces
         x = held_from_here(system, t, x, choice.mode, put & state.pending.waits)
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
@@ -293,6 +294,7 @@ def _motion(
             determinant = system.hold(sliding_weights.determinant(*known))
         f = filippov.blend_fields(system, fields, mode, shares)
     f = system.hold(where(blind, jnp.nan, f))
+    # The field of a `balance` contains the reactions.
     f = f if together else with_reactions(system, t, x, mode, f)
     g, rate, noise = guards(system, t, x, f, mode, at.noise, forcing)
     return Motion(tau, x, f, at.scale, mode, g, rate, noise, determinant)

@@ -48,6 +48,8 @@ class Step(eqx.Module):
         """Whether time advances with the step, which is accepted or lands on a contact."""
         # An accepted step may have length zero, from a tick to a state saved at its time.
         far = stop_gradient(abs(self.length.h)) > 0
+        # A step to a saving time between grid points is accepted and taken back, so that `accepted`
+        # alone does not mean that time advances.
         return (self.moved & self.accepted & far) | self.lands
 
 
@@ -80,6 +82,7 @@ class Extension(eqx.Module):
 
     def at_end(self, problem: Problem, state: LoopState, own: Any, step: Step) -> Verdict | None:
         """The verdict about a trial step on which the loop would decide `step`."""
+        # A verdict, even without an effect, would have the step decided twice (`iterate._heard`).
         return None
 
     def after_step(
@@ -104,4 +107,5 @@ class Extension(eqx.Module):
 
 def extensions_of(problem: Problem, state: LoopState) -> Iterator[tuple[Extension, Any]]:
     """Each extension of a run, with its state."""
+    # A lane has these states only after `begin` (see `loop.start.initial_state`).
     return zip(problem.extensions, state.extensions, strict=True)

@@ -61,10 +61,12 @@ class TimeGrid(eqx.Module):
     @property
     def direction(self) -> Array:
         """+1 forward in time, −1 backward."""
+        # Not the sign of the length, which is 0 for an empty span and NaN for an invalid one.
         return select(self.length < 0, -1.0, 1.0).astype(self.dt.dtype)
 
     def same_time(self, tau: Array) -> Array:
         """The rounding of times near the elapsed time `tau`."""
+        # A tolerance is a constant in derivatives.
         t0, tau, dt = stop_gradient((self.t0, tau, self.dt))
         # The last term is a floor, so that the rounding is not zero at t = 0.
         size = jnp.maximum(jnp.maximum(abs(t0 + tau), abs(tau)), 1e-3 * abs(dt))
@@ -114,6 +116,8 @@ def grid_of_periods(
     length, forcing = count.astype(period.dtype) * period, None
     before = jnp.asarray(start, jnp.int32)
     if repeats is not None:
+        # The interval of a system that may not repeat is the whole run, so that elapsed times do
+        # not restart.
         whole = select(repeats, period, length), select(repeats, steps, num_steps)
         # A system that repeats is the same after any number of periods, so it starts at t0 = 0.
         before, forcing = select(repeats, 0, before), ForcingPeriod(*whole)

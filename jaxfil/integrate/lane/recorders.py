@@ -122,6 +122,7 @@ def _moved_jvp(primals: tuple, tangents: tuple) -> tuple:
     # The point and its tangent are both moved by `_moved`, so that the rule applies to itself and
     # gives derivatives of every order.
     at, rate = _moved(gap, (at, rate), _Linearised(field, by_field))
+    # Equinox has None for a tangent that is zero, and the field is then not evaluated.
     if by_gap is not None:
         rate = jax.tree.map(lambda own, f: own + by_gap * f, rate, field(at))
     return at, rate
@@ -154,6 +155,7 @@ class SaveTimes(Recorder):
 
     def next_time(self, num_saved: Array) -> tuple[Array, Array]:
         count = self.ts.shape[0]
+        # After the last time the flag is False, and the index only stays in range.
         return self.ts[jnp.minimum(num_saved, count - 1)], num_saved < count
 
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
@@ -180,6 +182,7 @@ class SaveSteps(Recorder):
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
         motion = step.end.motion
         end = problem.grid.t0 + motion.tau, motion.x, motion.mode
+        # A landing is not `moved`. The switch that follows saves the state after the contact.
         return _entered(state, after, problem.system, end, step.moved)
 
 

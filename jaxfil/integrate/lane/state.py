@@ -243,6 +243,7 @@ def tables_of(state: LoopState) -> list[Any]:
 def is_running(grid: TimeGrid, state: LoopState, stop: Array | None = None) -> Array:
     """Whether a lane has steps to do before step number `stop`, by default the last one."""
     unfinished = state.counts.index < (grid.num_steps if stop is None else stop)
+    # A lane that has used up its iterations stops here, and `iterate.finish` sets its outcome.
     affordable = state.counts.num_iterations < grid.max_iterations
     return unfinished & affordable & (state.result == RESULTS.successful)
 
@@ -255,6 +256,8 @@ def later(tau: Array, low: Array, h: Array) -> tuple[Array, Array]:
     these shifts add up. This is compensated summation.
     """
     h = low + h
+    # The order of these operations matters. `end − tau` is the part of h that the rounded sum
+    # contains, and the difference from h is the part that it has lost.
     end = tau + h
     # The derivative of the time is carried by `end` alone.
     return end, stop_gradient(h - (end - tau))

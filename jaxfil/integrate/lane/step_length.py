@@ -138,6 +138,7 @@ def _to_crossing(problem: Problem, state: LoopState, length: Length) -> Length:
     return Length(
         h=select(seeking, h, length.h),
         end=select(seeking, state.motion.tau + h, length.end),
+        # The room is measured from the end of the probe.
         room=select(seeking, length.h + length.room - h, length.room),
         cutting=length.cutting & ~seeking,
         gridded=length.gridded & ~seeking,

@@ -111,5 +111,6 @@ def controlled(
         taken=select(refused, 0, trust.taken + goes_on.astype(jnp.int32)),
         refused=select(goes_on & ~short, 0, trust.refused + one),
         halvings=trust.halvings + one,
+        # A step that was cut short is no evidence of the error of the next one.
         error=select(goes_on & ~cut, least, trust.error),
     )

@@ -50,12 +50,15 @@ class EventSums(Extension):
         verdict: Verdict | None,
     ) -> tuple[LoopState, Sums]:
         before, behind = state.motion, step.end.motion
+        # A switch that is taken back is not `made`, so each event is added once.
         counts = step.made & self.window.is_open(state)
+        # The function was traced with flags that are numbers of the run's precision (`event_sums`).
         members = step.end.members.astype(problem.system.dtype)
         # At a switch `before` is the corrected state of the landing, before its reset.
         at = problem.grid.t0 + before.tau, before.x, behind.x, members
 
         def added(so_far: Components, *at: Any) -> Components:
+            # The branch is common to all lanes of a batch, hence the selection by lane.
             return where(counts, so_far + self.function(*at), so_far)
 
         def same(so_far: Components, *at: Any) -> Components:
@@ -74,6 +77,7 @@ def event_sums(
 ) -> EventSums:
     """The sums of a function (t, before, after, surfaces) that returns an array of `count` numbers,
     over the events of runs from states like `x0`. `h_shape` is the shape of `System.switching`."""
+    # Arrays in the function are parameters, like the arrays of a system, and not constants.
     leaves, static = eqx.partition(function, eqx.is_array)
     dtype, x, t0 = x0.dtype, system.unpack(x0), jnp.zeros((), x0.dtype)
 

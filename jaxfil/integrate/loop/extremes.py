@@ -188,6 +188,7 @@ class Extremes(Extension):
             g0, d0, g1, d1 = stop_gradient(
                 (own.values[k], own.rates[k], now.values[k], now.rates[k])
             )
+            # Rates by the fraction of the step, which is the variable of the cubic.
             cubic = Cubic(g0, h * d0, g1, h * d1)
             theta = cubic.high
             turns = inside & (theta > 0) & (theta < 1)
@@ -227,6 +228,7 @@ class Extremes(Extension):
         # −missing·rate/2. With the derivative of that term it would be the derivative at
         # h + missing/2.
         value = value + missing * rate - stop_gradient(0.5 * missing * rate)
+        # A place at the end of a step has its exact value and its derivative, from `_further`.
         value = select(place.reach > 0, value, place.value)
         return select(place.value > -jnp.inf, value, jnp.nan)
 

@@ -68,6 +68,7 @@ def end_of_free_step(
     """The end of a trial step on the current sides of a lane, with the path of the whole step if it
     is known."""
     system, sides, t = problem.system, side_of(state.motion.mode), problem.grid.t0 + length.end
+    # The forcing at the end is known from the step, and is not computed again.
     f = system.hold(system.field(t, trial.x, sides, forcing=trial.forcing[-1]))
     value, slope = jax.jvp(system.switching, (t, trial.x), (jnp.ones_like(t), f))
     return FreeStep(trial, f, system.hold(sides * value), system.hold(sides * slope), path)
@@ -124,10 +125,12 @@ def accept_free_step(
         motion=select_all(clear, moved, before),
         # A grid point is a known time, and needs no low-order part.
         tau_low=select(clear, 0.0, state.tau_low),
+        # At the end every guard is beyond its rounding (`is_event_free`), so all are armed.
         armed=state.armed | clear,
         trust=trust_after_free_step(state.trust, clear),
         counts=dataclasses.replace(
             counts,
+            # The step is a whole one of the grid, since shorter ones are excluded in `is_near`.
             index=counts.index + one,
             num_iterations=counts.num_iterations + one,
             num_accepted=counts.num_accepted + one,

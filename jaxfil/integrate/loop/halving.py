@@ -124,6 +124,7 @@ def next_trust(
     # tried again after `_CALM` steps.
     grows = goes_on & (again | (2 * trust.longest < trust.ceiling))
     longest = select(grows, 2 * trust.longest, trust.longest)
+    # From the length of the grid's step on there is no limit, which `free_step.is_near` tests.
     longest = select(longest < dt, longest, jnp.inf)
     one, short = refused.astype(jnp.int32), h < _SHORTEST * dt
     return Trust(

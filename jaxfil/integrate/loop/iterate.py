@@ -172,6 +172,7 @@ def _heard(
         verdict = extension.at_end(problem, state, own, intended)
         verdicts.append(verdict)
         if verdict is not None:
+            # A lane that has ended stays idle, whatever an extension detects at its state.
             action = select(on & verdict.takes_back, judging.TAKE_BACK, action)
             action = judging.failing(action, [(r, on & v) for r, v in verdict.failures])
     # Without verdicts the action is the same object, and the step need not be decided twice.

@@ -105,6 +105,7 @@ def action_of(problem: Problem, state: LoopState, judgement: Judgement) -> Array
     if problem.system.m > 1:
         # A step that passes one surface is not accepted merely because it ends on another.
         landed = landed & ~any_of(contact.all & ~landing.surfaces)
+    # Each of these selections has precedence over the ones before it.
     action = select(contact.found, REJECT, ACCEPT)
     action = select(landed, select(landing.touched, TOUCH, LAND), action)
     action = select(state.pending.waits, SWITCH, action)

@@ -57,6 +57,7 @@ def is_clear(problem: Problem, state: LoopState, length: Length, path: Polynomia
 
 def _clear(state: LoopState, path: Polynomial, guards: tuple) -> Components:
     clear = on_each(lambda noise, *c: stays_positive(c, noise), state.motion.noise, *guards)
+    # A path that is right only at its end has unknown guards.
     return clear & ~path.ends
 
 
@@ -100,6 +101,8 @@ def _cut_at_contact(
         return never, never, 0.0 * never
 
     thetas, looks, known = system.where_any(any_of(near), searched, nothing, noise, *guards)
+    # A guard whose zeros stay unknown does not cut the step. It is missing in the surfaces returned
+    # as searched, so that the search of every step examines it.
     near = near & (known > 0)
     thetas, looks = where(near, thetas, NEVER), where(near, looks, NEVER)
     contact, lowest = system.hold((least(thetas), least(looks)))
@@ -108,12 +111,14 @@ def _cut_at_contact(
     h = s * length.h
     cuts = (s < 1) & (abs(h) > problem.grid.same_time(state.motion.tau))
     s, h = system.hold((select(cuts, s, 1.0), select(cuts, h, length.h)))
+    # At a minimum there is no contact to aim at.
     aimed = cuts & (contact <= lowest) & met_together(thetas, contact)
     search = ContactSearch(
         length=select(cuts, h, state.search.length),
         surfaces=where(cuts, aimed, state.search.surfaces),
         rejections=state.search.rejections,
     )
+    # The room is measured from the end of the step, so the part that is cut off is added to it.
     shorter = Length(
         h=h,
         end=select(cuts, state.motion.tau + h, length.end),
@@ -123,9 +128,11 @@ def _cut_at_contact(
         saving=length.saving & ~cuts,
         ticking=None if length.ticking is None else length.ticking & ~cuts,
     )
+    # These guards have no zero before the end, in the whole step or since it is cut at the first.
     return s, shorter, search, clear | near
 
 
 def _are_finite(*c: Array) -> Array:
     """Whether all coefficients of a guard are finite."""
+    # NaN fails this comparison, as inf does.
     return jnp.asarray(sum(map(abs, c)) < jnp.inf)

@@ -79,6 +79,8 @@ def unwatched(k: int, zero: Array) -> Watch:
     """The watch of k sections before the first evaluation."""
     false, none = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
     nothing, flags = Components((zero,) * k), Components((false,) * k)
+    # Side 0 stands for a section that has not been beyond its rounding. The search then assumes the
+    # side to which the motion goes, so that a start on a section is not a crossing of it.
     return Watch(
         side=nothing,
         value=nothing,
@@ -101,6 +103,7 @@ def empty_crossings(system: ComponentSystem, size: int | None) -> CrossingTable 
     """A table without crossings; None for a run without one."""
     if size is None:
         return None
+    # Unused rows keep inf and −1, which mark the padding of `Crossings`.
     return CrossingTable(
         ts=jnp.full((size,), jnp.inf, system.dtype),
         xs=jnp.full((size, system.n), jnp.inf, system.dtype),

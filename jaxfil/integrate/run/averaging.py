@@ -219,6 +219,7 @@ def checked_averaging(name: str, given: Any, system: System, x: Array) -> Averag
     """The quantities in the argument `name`, for runs from a state like x."""
     several = isinstance(given, Mapping)
     quantities = dict(given) if several else {_name_of(given): given}
+    # Results are indexed by these names, which are also the names of columns.
     if not quantities or not all(isinstance(key, str) and key for key in quantities):
         raise ValueError(
             f"`{name}` must be a function of (t, x, side), a quantity such as jaxfil.RMS, or a "
@@ -251,6 +252,7 @@ def _checked(
     function = _with_system(cast(function, x.dtype), system)
     if not isinstance(quantity, EventSum):
         return checked_observable(name, function, system, x).shape
+    # Flags of surfaces are passed as numbers of the run's precision (`event_sums`).
     given = {"before": x, "after": x, "surfaces": jnp.ones(h_shape, x.dtype)}
     out = check.returned(f"`{name}`", function, "", t=jnp.zeros((), x.dtype), **given)
     if isinstance(out, (int, float)):  # a Python number such as 1.0, which counts events

@@ -68,6 +68,7 @@ def event_variables(events: Any, batch: Sequence[str]) -> dict[str, Variable]:
     """The variables of an `Events`, with the kinds in words; empty for None."""
     if events is None:
         return {}
+    # The kinds are numbered from 0 in their order, so a code is the index of its word.
     words = np.array([kind.name for kind in EventKind])
     kinds = words[np.asarray(events.kinds)]
     return {**variables_of(events, EVENTS, batch), "event_kind": ((*batch, "event"), kinds)}

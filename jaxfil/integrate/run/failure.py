@@ -25,6 +25,7 @@ def raise_unless_successful(sol: Solution, system: System, x0: Array) -> Solutio
     if code(sol.result) in (code(RESULTS.successful), code(RESULTS.section_reached)):
         return sol
     told = f"{RESULTS[sol.result]} It stopped at {_place(sol, system, x0)}."
+    # Across a jump that is not declared as a surface, steps of any length may be too long.
     if code(sol.result) == code(RESULTS.step_too_long):
         told += _jumps(system, sol)
     raise EquinoxRuntimeError(told)
@@ -34,6 +35,7 @@ def _jumps(system: System, sol: Solution) -> str:
     """A sentence on operations in the vector field that jump without a surface; empty without
     any."""
     side = jnp.ones(np.shape(sol.mode_final), sol.x_final.dtype)
+    # A scalar H has a scalar side.
     if np.ndim(system.switching(sol.t_final, sol.x_final)) == 0:
         side = side[0]
     found = jumps_of(lambda x: field_of(system, sol.t_final, x, side), sol.x_final)

@@ -86,6 +86,7 @@ class _WithRate(System):
         mode: Array | None = None,
     ) -> Array:
         state, none = x[: self.n], jnp.zeros_like(side)
+        # A mode that is not given is the combination of sides, as in `ComponentSystem.mode`.
         known = {
             "side": side,
             "reaction": none if reaction is None else reaction,
@@ -113,6 +114,7 @@ class _WithRate(System):
 
     def reset(self, t: Array, x: Array, surface: Array) -> Array:
         after = self.system.reset(t, x[: self.n], surface)
+        # The extra components are integrals over time, which do not jump with the state.
         return jnp.concatenate([after, x[self.n :]])
 
     @property
@@ -134,6 +136,8 @@ class _WithRate(System):
 
 def with_rate(system: System, observable: Observable, x: Array) -> tuple[System, Array]:
     """A system with extra components whose rate is the observable, and its state: x and zeros."""
+    # x may end in components of earlier observables, which count as a part of the state here. The
+    # function does not see them if it is an `OfState`.
     wider = _WithRate(system, observable.function, x.shape[0])
     return wider, jnp.concatenate([x, jnp.zeros((observable.size,), x.dtype)])
 
@@ -185,6 +189,7 @@ def observed(
         # Unreached entries are inf; they are replaced before the evaluation, whose derivatives
         # would be NaN, and inf again after it.
         t, x = select(reached, t, problem.grid.t0), select(reached, x, x0)
+        # The mode of an unreached entry may be 0, and would be evaluated as a slide.
         mode = select(reached, mode.astype(x.dtype), 1.0)
         here = clocks.just_after(around, t).system
         rate = ModeField(here, here.of_surfaces(mode))(t, here.unpack(jnp.concatenate([x, more])))

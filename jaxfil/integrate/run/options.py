@@ -48,6 +48,7 @@ class Options(eqx.Module):
     def at_half_the_step(self) -> "Options":
         """The options of the run at half the step, which is not differentiated."""
         # Under a tolerance the share also divides the allowed error, which shortens the steps.
+        # Twice the budget must still be an int32.
         budget = None if self.budget is None else min(2 * self.budget, check.MOST_STEPS)
         return dataclasses.replace(self, budget=budget, reverse=False, share=FINER * self.share)
 
@@ -181,6 +182,7 @@ def _known_span(times: tuple[Scalar, Scalar, Scalar], dtype: np.dtype) -> _Span 
 def _check_span(span: _Span, saveat: diffrax.SaveAt) -> None:
     """Checks that saving times lie in the span in order, that a step exceeds the rounding of times
     in the span, and that the number of steps fits in an int32."""
+    # Such a run ends at t0 with the outcome `nonfinite`.
     if not span.finite:
         return
     t0, t1, dt = span

@@ -59,6 +59,8 @@ def events_of(table: EventTable | None) -> Events | None:
     """The public event table of a lane."""
     if table is None:
         return None
+    # The first of equal maxima is the lowest number. At a tick alone no flag is set, and the index
+    # would be 0, the number of a surface.
     first = jnp.argmax(table.members, axis=-1).astype(jnp.int32)
     surfaces = select(jnp.any(table.members, axis=-1), first, -1)
     return Events(table.ts, table.xs, surfaces, table.members, table.kinds, table.modes)
@@ -181,11 +183,14 @@ def errors(sol: Solution, finer: Solution) -> Float[Array, "k n"]:
     finer run fails, or a state was not reached, the error is unknown, inf.
     """
     assert sol.xs is not None and finer.xs is not None
+    # The finer run has no derivatives, so the difference from it must not have any either.
     xs = jax.lax.stop_gradient(sol.xs)
     known = jnp.isfinite(xs) & jnp.isfinite(finer.xs)
     size = jnp.max(select(known, abs(xs), 0.0), axis=-1, keepdims=True)
+    # Rounding of random signs adds up like the square root of the number of steps.
     units = jnp.sqrt(finer.stats["num_steps"].astype(xs.dtype))
     rounding = jnp.finfo(xs.dtype).eps * size * units
+    # Unreached entries are inf in both runs, and their difference would be NaN.
     distance = select(known, abs(xs - finer.xs), jnp.inf)
     return jnp.maximum(distance, rounding)
 
@@ -228,6 +233,7 @@ def _values(dense: Dense, observable: Observable, ts: Array) -> Array:
     xs = jax.vmap(ft.partial(evaluate, dense))(flat)
     modes = jax.vmap(lambda t: dense.modes[_step_at(dense, t)])(flat)
     problem = _around(dense, build(dense.system, x0, compact=dense.compact), dense.t0)
+    # States outside the span are NaN, which count as unreached.
     values = observed(observable, problem, dense.system, x0, SavedStates(flat, xs, modes))
     # `observed` marks such entries by inf, and dense output by NaN.
     outside = jnp.isnan(xs).any(axis=1).reshape(ts.shape + (1,) * len(observable.shape))
@@ -285,6 +291,7 @@ def step_again(
 def card(sol: Solution) -> str:
     """A summary in a few lines; only shapes for a batch or while traced."""
     told = precision(sol.x_final)
+    # While traced the numbers are unknown, and only their shapes can be printed.
     if isinstance(sol.t_final, jax.core.Tracer) or sol.t_final.ndim > 0:
         batch = tuple(sol.t_final.shape)
         n = sol.x_final.shape[-1]

@@ -150,6 +150,7 @@ def solve(
         length = check.scalar("dt", step, dtype, positive=True)
     stepper = checked_stepper(stepper)
     compact = is_compact_run(compact, system, x, (start, stop, length))
+    # The numbers as the user gave them, since under `jit` an array of JAX is not a known number.
     times = t0, t1, length if adaptive else step
     options = options_of(saveat, max_events, max_steps, adjoint, compact, times, dtype, adaptive)
     recorder = options.recorder
@@ -237,6 +238,7 @@ def _run(
         return dataclasses.replace(sol, observed=observed(observable, problem, system, x0, saves))
     if not isinstance(options.recorder, SaveDense):
         return sol
+    # The span of dense output ends where the run stopped, which may be before t1.
     dense = Dense(system, t0, sol.t_final, sol.ts, sol.xs, sol.modes, stepper, options.compact)
     return dataclasses.replace(sol, ts=None, xs=None, modes=None, _dense=dense)
 
@@ -260,6 +262,7 @@ def _problem(
     field = build(system, x0, compact=options.compact, transposed=options.reverse)
     watched = sections_of_run(sections, system, field, x0, options.reverse)
     grid = _time_grid(t0, t1, dt, options)
+    # Limited, since the budget of a solve has its own default for steps that follow a tolerance.
     return problem_of(field, tableau_of(stepper), grid, recording, watched, limited=True)
 
 

@@ -90,6 +90,7 @@ class StepChoice(eqx.Module):
         real = self.counts[i] > 0
         # Negated, so that a NaN does not meet the tolerance.
         bad = np.flatnonzero(real & ~(self.errors[i] <= self.tolerance))
+        # Counted from the last failure, since a few steps may meet the tolerance where more do not.
         k = int(bad.max(initial=-1)) + 1
         return k if k < real.sum() else None
 

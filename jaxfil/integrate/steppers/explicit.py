@@ -202,6 +202,7 @@ def tableau_of(stepper: Stepper) -> Tableau:
     _refuse_others(stepper)
     if isinstance(stepper, Controlled):
         own, tolerance = tableau_of(stepper.method), stepper.tolerance
+        # Files store the name of a tableau, from which the tolerance is read back.
         return dataclasses.replace(own, tolerance=tolerance, name=f"{own.name}, {tolerance!r}")
     name = type(stepper).__name__
     if isinstance(stepper, RK4):
@@ -313,6 +314,7 @@ def compact_step(
     # Coefficients as square arrays, so that a loop can select its row. Row 0 is not used.
     for k, (c, row) in enumerate(zip(tableau.c, tableau.a, strict=True), start=1):
         times[k], rows[k, : len(row)] = c, row
+    # In the precision of the run, since an array of NumPy in float64 would promote float32.
     times, rows = times.astype(h.dtype), rows.astype(h.dtype)
     number = jnp.arange(stages)
     known = tableau.forced(forcing)

@@ -173,10 +173,14 @@ def rosenbrock_step(
 ) -> tuple[Components, Components]:
     """The state at t + h, and the error estimate divided by h; `f` is the field at (t, x)."""
     start = field.once(ft.partial(_linearised, field, tableau.gamma), t, x, f, h)
+    # Each stage is behind a fence of its own. XLA would otherwise compute a stage again in every
+    # later one that uses it, as in `explicit.step`.
     slopes: list[Components] = []
     for row in zip(tableau.c, tableau.drift, tableau.alpha, tableau.coupling, strict=True):
         slopes.append(field.once(ft.partial(_stage, field, row), start, slopes))
     end = field.once(ft.partial(_advanced, tableau.b), x, h, slopes)
+    # Errors choose step lengths, which are constants in derivatives. The last coefficient is for
+    # the slope at the end, which `error_estimate` adds.
     return end, field.once(lambda held: held, stop_gradient(_sum(tableau.d[:-1], slopes)))
 
 
@@ -190,6 +194,7 @@ def _linearised(
     drift = h * push(one, x.like(zero))
     if x.is_array:
         eye = jnp.eye(x.parts[0].shape[0], dtype=t.dtype)
+        # The derivative along unit vector k is column k of J, hence the axis.
         columns = jax.vmap(lambda v: push(zero, Components([v])).parts[0], out_axes=1)(eye)
         matrix = eye - gamma * h * columns
         if len(eye) > _FEW:

@@ -117,6 +117,7 @@ def solved(
             if k == 0:
                 return x0
             slope = fields[i][k - 1]
+            # A structural zero stays one, and operations on it are omitted.
             return None if slope is None else (h * (1.0 / k)) * slope
 
         return expansion.series(make)
@@ -184,4 +185,6 @@ def end_alone(
 def error_at(tableau: TaylorTableau, known: Polynomial, s: Array) -> Components:
     """The share of the polynomial in the error estimate, the defect of the field (see
     `Trial.error`)."""
+    # The field at the end is added with the same share in `error_estimate`, where it is known. The
+    # sum is the defect.
     return stop_gradient(-tableau.d[0] * known.rate_at(s))

@@ -63,6 +63,7 @@ def _held(at: _Start, mode: Components, surfaces: Components) -> Components:
 
 @_held.def_jvp
 def _held_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
+    # The mode and the surfaces are discrete, and their tangents have no meaning.
     (at, mode, surfaces), (by_at, _, _) = primals, tangents
     system = at.system
     # Equinox omits tangents that are zero.
@@ -77,6 +78,7 @@ def _held_jvp(primals: tuple, tangents: tuple) -> tuple[Components, Components]:
     if system.resets:
         rate = _to_rest(at, mode, surfaces & unilateral.rests_of(mode), change, rate)
     if system.slides:
+        # The distance is from the moved surface, since H changes with time and parameters too.
         off = where(surfaces & (mode == 0), change(ComponentSystem.switching, rate), 0.0)
         rate = rate - _by_weights(at, mode, off)
     # The value is computed by the function itself, so that second derivatives use this rule again.
@@ -113,6 +115,7 @@ def _by_weights(at: _Start, mode: Components, off: Components) -> Components:
     system, t, x = at
     system = system.in_mode(mode)
     fields, rates = filippov.corners(system, t, x)
+    # Beside a rest the weights change the reactions too, so these are a part of the fields.
     if filippov.holds_together(system):
         held = filippov.balance(system, t, x, mode, fields, rates)
         fields, rates, mode = held.fields, held.rates, held.mode

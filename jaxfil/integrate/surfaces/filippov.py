@@ -192,6 +192,7 @@ def free_field(
     """`field` without the reactions of resting surfaces."""
     system = system.in_mode(mode)
     if not system.slides:
+        # A rest has the mode ±2, and fields take its side.
         sides = unilateral.sides_of(mode) if system.resets else mode
         return system.field(t, x, sides, True, forcing)
     fields, rates = corners(system, t, x, True, forcing)

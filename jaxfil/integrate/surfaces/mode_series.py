@@ -76,6 +76,7 @@ def polynomial(
     made = solved(once, expansion, functions, order, (t, start, h), mode)
     if not spelled:
         return made
+    # The loop carries the state as one array, so each coefficient becomes one again.
     rows = tuple(Components([jnp.stack(c.parts)]) for c in made.x)
     return eqx.tree_at(lambda v: v.x, made, rows)
 

@@ -92,6 +92,8 @@ def response(mode: Components, rates: Corners, change: Components) -> Components
         return where(slides, change / where(slides, slope, 1), 0.0)
     w = weights(mode, rates)
     slides = slides & (determinant(mode, rates, w) > 0)
+    # Where weights are undetermined the matrix is singular. With a side in place of the slide it
+    # has a row of the identity.
     mode = where(slides, mode, 1.0)
     return where(slides, _correction(mode, rates, w, change), 0.0)
 

@@ -169,6 +169,7 @@ def sign(v: Components) -> Components:
 
 def side_of(v: Components) -> Components:
     """−1 where a number is negative, else +1."""
+    # A zero counts as side +, since the sign 0 would stand for a slide.
     return on_each(lambda u: select(u < 0, -jnp.ones_like(u), jnp.ones_like(u)), v)
 
 

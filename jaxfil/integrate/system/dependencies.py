@@ -46,6 +46,7 @@ def of(
     side."""
     field, switching = functions
     n, m = len(of_number), len(of_side)
+    # Questions to a trace are flags in the form of its arguments, set for the numbers asked about.
     nothing, still = jax.tree.map(lambda _: False, (at, of_number[0]))
     none = jax.tree.map(lambda _: False, asked)
     seen = [_flat(field.depends(*nothing, still, side, *none)) for side in of_side]

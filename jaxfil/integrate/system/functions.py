@@ -71,12 +71,14 @@ def on_components(
         reaction: Components | None = None,
         mode: Components | None = None,
     ) -> Components:
+        # None stays None. A vector of components is always true, even one of zeros.
         given = (v and of_surfaces(v) for v in (reaction, mode))
         f = field_of(eqx.combine(leaves, static), t, pack(x, dtype), of_surfaces(sides), *given)
         return unpacked(f, as_array)
 
     def switching(leaves: System, t: Array, x: Components) -> Components:
         h = eqx.combine(leaves, static).switching(t, pack(x, dtype))
+        # H of one surface may be a scalar.
         h = jnp.reshape(h, (m,))
         return Components([h] if packed else scalars(h))
 
@@ -104,6 +106,7 @@ def reacting(
 
         return jax.jvp(of_reaction, (0.0 * reaction,), (reaction,))[1]
 
+    # Reactions have the form of the sides, the last of `at`, with one number for each surface.
     given = *at, at[-1], *asked
     return traced(field, *given), traced(felt, *given)
 
@@ -125,6 +128,8 @@ def accelerations(
     `rate_of`."""
 
     def second(leaves: System, t: Array, x: Components, sides: Components, reaction: Any) -> Any:
+        # dH/dt is a function of the field without reactions. Only its change along the motion
+        # includes them.
         along = jnp.ones_like(t), field(leaves, t, x, sides, reaction)
         return jax.jvp(lambda t, x: rate(leaves, t, x, sides), (t, x), along)[1]
 

@@ -123,6 +123,7 @@ class ProgramSize:
         vector instructions in a program that is written out."""
         one = _STEP * self.operations * (1 + _TANGENT * tangents) * steps
         share = _BLOCK + _LANE * block if self.spelled else _LANE_OF_ARRAY * block
+        # A last block with fewer lanes counts as a full one.
         return one * (lanes - math.ceil(lanes / block) * share)
 
 
@@ -168,6 +169,7 @@ def is_compact_sweep(
 def _checked(asked: object, default: Callable[[], bool]) -> bool:
     if asked is not None and not isinstance(asked, bool):
         raise ValueError(f"`compact` must be True, False or None, got {check.told(asked)}.")
+    # The default is computed only where it is needed, since it may trace the system's functions.
     return default() if asked is None else asked
 
 
@@ -203,5 +205,6 @@ def _operations(jaxpr: Any) -> int:
         inner = [getattr(program, "jaxpr", program) for program in programs(eqn.params)]
         sizes = (int(np.prod(v.aval.shape)) for v in eqn.outvars)
         own = sum(size if size <= _SPELLED else 1 for size in sizes)
+        # An operation that contains programs, such as a call or a loop, counts as these.
         count += sum(map(_operations, inner)) if inner else own
     return count
