@@ -72,9 +72,10 @@ def settled_average(
     or another quantity; with a `section`, from one of its crossings to another.
 
     Runs under `jax.jit` and `equinox.filter_vmap` (over a batched system, or over x0),
-    each lane with its own outcome, and has forward-mode derivatives, `jax.jvp` and `jax.jacfwd`, by
-    x0 and every float leaf of the system, exact through crossings, slides and resets. They are
-    the derivatives of the settled motion as soon as the transient has forgotten x0.
+    each lane with its own outcome, and has derivatives, forward (`jax.jvp`, `jax.jacfwd`) and by
+    `jax.grad`, which transposes them, by x0 and every float leaf of the system, exact through
+    crossings, slides and resets. They are the derivatives of the settled motion as soon as the
+    transient has forgotten x0.
 
     **Arguments**
 

@@ -6,7 +6,8 @@ with an initial state that shows its typical motion.
 Terms of this room:
 
 - forced: with a field or a surface that depends on time. All forced systems but `MovingBelt`, whose
-  two frequencies have no common period, have a `period` and can be sampled once per period.
+  two frequencies have only a long common period, have a `period` and can be sampled once per
+  period.
 - autonomous: without such a field or surface.
 - dimensionless: in units in which unnamed constants, a mass or a stiffness, are one.
 """

@@ -70,8 +70,8 @@ class BeltFriction(System):
 
     It sticks on x' = v while |f0 cos ωt − γ1 x − γ2 x³| < μg. The defaults are case 2 of the
     source, a cubic spring; case 1, a linear one, has γ1 = 10, γ2 = 0. Units follow from g in m/s².
-    Case 2 has two attractors from about ω = 4.53 to 4.65, where its diagrams depend on the initial
-    state. `TEXTBOOK` starts it from (0, 0).
+    Case 2 has two attractors from about ω = 4.46 to 4.68 (one of them chaotic from 4.53 on),
+    where its diagrams depend on the initial state. `TEXTBOOK` starts it from (0, 0).
 
     **Source**: B. Santhosh, S. Narayanan and C. Padmanabhan, Discontinuity induced bifurcations in
     nonlinear systems, Procedia IUTAM 19 (2016) 219–227.
@@ -147,8 +147,9 @@ class MovingBelt(System):
 
         x'' = −x − 0.4x' + cos 0.7t − F sgn(x' − v(t)),  v = cos t + 0.7;  H = x' − v(t)
 
-    It has two frequencies and no period. From (3, 0), as in `TEXTBOOK`, it crosses at t =
-    7.60556996475, sticks at 9.48337857886 and slips at 9.76525875446.
+    Its two frequencies, 0.7 and 1, have only the long common period 20π, and its `period` is None.
+    From (3, 0), as in `TEXTBOOK`, it crosses at t = 7.60556996475, sticks at 9.48337857886 and
+    slips at 9.76525875446.
 
     **Source**: M. Calvo, J. I. Montijano and L. Rández, Algorithm 968: DISODE45, ACM Transactions
     on Mathematical Software 43 (2016) 25.

@@ -71,9 +71,10 @@ def solve(
     r"""Integrate a nonsmooth system from `x0` at `t0` to `t1`.
 
     ẋ = F(t, x, side), side_j = sgn H_j(t, x), in Filippov's sense where the solution stays on a
-    surface. Steps have the fixed length `dt`, or a length that follows a tolerance. A step is cut
-    only at a contact, after which the next one ends on the grid again. Contacts are located to a
-    few eps, and the order of the stepper is preserved.
+    surface. Steps have the fixed length `dt`, or a length that follows a tolerance. A step is
+    shorter only where it ends on a contact, a tick of a clock, a saving time or a terminal section,
+    or where it is halved because it cannot be trusted; the next ones return to the grid. Contacts
+    are located to a few eps, and the order of the stepper is preserved.
 
     **Arguments**
 
@@ -95,8 +96,9 @@ def solve(
       `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, with second derivatives by
       `jax.jacfwd(jax.grad(…))`. First and second derivatives with respect to x0, t0, t1 and every
       float leaf of the system are exact through crossings, slides and resets; third ones raise.
-    - `throw`: raise an error unless the outcome is `RESULTS.successful`; otherwise return it. The
-      error says t, x and the surface where it stopped, but not from within `jit`.
+    - `throw`: raise an error unless the outcome is `successful` or `section_reached`; with False
+      return every outcome in `result`. The error says t, x and the surface where it stopped, but
+      not from within `jit`.
     - `estimate_error`: also run at half the step, and return the distance between the two as
       `errors`, an estimate of the global error; the cost is threefold. Needs `saveat` with `t1`
       or `ts`.

@@ -29,9 +29,9 @@ class Adaptive(eqx.Module):
 
     **Arguments**
 
-    - `rtol`, `atol`: the relative and the absolute tolerance, as in diffrax; numbers, not traced,
-      `rtol` positive and `atol` not negative. An `rtol` below 16 eps of the precision is replaced
-      by that value.
+    - `rtol`, `atol`: the relative and the absolute tolerance, as in diffrax, by default 1e-6 and
+      1e-9; numbers, not traced, `rtol` positive and `atol` not negative. An `rtol` below 16 eps of
+      the precision is replaced by that value.
     - `dtmax`: the longest step, in units of t; None for no limit. Contacts are located on the cubic
       through a step's ends, so a step may hide two of them if H oscillates faster than the state.
 
