@@ -81,14 +81,17 @@ def begin(
     # can be due only forward in time.
     back = back & (returns | (seen.unmade & ~timed & (direction > 0)))
     owed = (wall & (direction * rates < 0) & ~flat) | back
-    start = where(wall, 1.0, where(back, side, sides))
+    # A motion that stands still on a surface that lets pass is on either of its sides, unless it
+    # slides there, as with dry friction.
+    quiet = on & ~c.throws_back & (c.rate == 0) & (a == 0) & (rates == 0) & (not system.slides)
+    start = where(wall | quiet, 1.0, where(back, side, sides))
     # A rate within rounding has an unknown sign, so the acceleration decides, and where that
     # vanishes the first higher derivative that does not.
     lean = where(flat, where(a != 0, direction * a, rates), a)
     rests, consistent = unilateral.pressed(c.reaction, lean, above, wall & flat)
     return Beginning(
         sides=start,
-        known=wall | back,
+        known=wall | back | quiet,
         owed=owed,
         still=wall & flat,
         rests=rests,

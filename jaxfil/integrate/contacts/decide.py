@@ -20,6 +20,7 @@ from jaxfil.integrate.lane.step_length import typical_step
 from jaxfil.integrate.surfaces import (
     decision,
     filippov,
+    reactions,
     unilateral,
     weights as sliding_weights,
 )
@@ -94,8 +95,8 @@ def decided(
     if led is not None and led.constraints is not None and led.by_time is not None:
         c, by_time, normals = stop_gradient((led.constraints, led.by_time, at.normals))
         known, walls = stop_gradient((system, *here)), unilateral.sides_of(state.motion.mode)
-        forces = unilateral.forces_of(*known, walls, c, by_time, normals, fields)
-        before, _, _ = unilateral.held(forces, rates, unilateral.rests_of(state.motion.mode))
+        forces = reactions.forces_of(*known, walls, c, by_time, normals, fields)
+        before, _, _ = reactions.held(forces, rates, unilateral.rests_of(state.motion.mode))
     left, opened = _known(problem, state, before, at, led, later)
     on = opened | (grazes & state.pending.surfaces)
     if system.slides:
@@ -173,7 +174,7 @@ def _known(
         on = on & ~later
     if led is None:
         return left, on
-    beside, on = unilateral.sides_of(left), on & ~led.walls
+    beside, on = unilateral.sides_of(left), on & ~(led.walls | led.quiet)
     # At a surface where a rest ends, or that needs a reset, the motion takes its side.
     ends = hit & unilateral.rests_of(left) & ~resets.at_limit(state)
     ends = ends if later is None else ends | later

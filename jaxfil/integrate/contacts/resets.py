@@ -74,6 +74,9 @@ class Impact(eqx.Module):
     """Surfaces that throw back, on which the motion cannot slide."""
     still: Components
     """Surfaces with zero rate, which the motion rests on or leaves with zero rate."""
+    quiet: Components
+    """Surfaces that let pass, on which the reset leaves the state with neither a rate nor an
+    acceleration. The motion stays there, on its side."""
     rests: Components
     """Surfaces that the motion rests on; for several surfaces, in the fields before."""
     pushed: Components
@@ -220,7 +223,10 @@ def _follow(
     outward = direction * sides * rate
     away = (reset.moved | state.pending.jumped) & resting & (outward > noise)
     jumped = reset.moved | state.settled | state.pending.jumped
-    acts = jumped & on & (outward < -noise) & ~reset.heard
+    # A map may also leave the state exactly on a surface that lets it pass, and that it then moves
+    # across. A surface whose reset has no effect, as of dry friction, is decided with the others.
+    passed = switching & there & ~c.throws_back & ~stays_on(system, state.motion.mode)
+    acts = jumped & (on | (passed & c.changes)) & (outward < -noise) & ~reset.heard
     # A reset may let a fast motion through, even if it throws slow ones back.
     walls = c.throws_back & ~(reset.heard & (outward < -noise))
     # A surface that a map has carried the state across has a contact at this time.
@@ -239,6 +245,7 @@ def _follow(
         next=upcoming,
         walls=walls,
         still=still,
+        quiet=reset.acted & passed & (rate == 0) & (stop_gradient(seen.a) == 0),
         rests=rests,
         pushed=away,
         consistent=consistent | ~switching,

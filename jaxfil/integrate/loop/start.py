@@ -32,7 +32,12 @@ from jaxfil.integrate.lane.state import (
 from jaxfil.integrate.lane.step_length import typical_step
 from jaxfil.integrate.loop.controller import first_length
 from jaxfil.integrate.loop.halving import WATCHED
-from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
+from jaxfil.integrate.surfaces import (
+    filippov,
+    reactions,
+    unilateral,
+    weights as sliding_weights,
+)
 from jaxfil.integrate.surfaces.corners import (
     Corners,
     are_coupled,
@@ -174,7 +179,7 @@ def _first_mode_together(
     start = begin(problem, x, on, sides, resolved)
     _, _, normals = system.gradients(t, x)
     c, by_time = start.constraints, start.by_time
-    forces = unilateral.forces_of(system, t, x, above, c, by_time, normals, fields)
+    forces = reactions.forces_of(system, t, x, above, c, by_time, normals, fields)
     # If the pressing acceleration vanishes, the sign of the first nonzero derivative decides.
     flat = forces.accelerations.sizes() == 0
     leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))

@@ -4,7 +4,8 @@
   (`weights`); the blend is Filippov's convex combination (`filippov`).
 - mode series: power series of a mode's field and guards.
 - decision: the weights and reactions of all surfaces that a state is on, determined together.
-- reaction: the force on a motion at rest on a surface with a reset (`unilateral`).
+- reaction: the force on a motion at rest on a surface with a reset (`unilateral`), and its effect
+  on each combination of sides (`reactions`).
 - normal: ∇H, and projection along it (`normals`).
 - entering: the derivative of a state at which a slide or a rest starts, or which a map puts there.
 - section: a function whose zeros are recorded, and its rate along the motion (`sections`).

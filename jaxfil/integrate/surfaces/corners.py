@@ -29,6 +29,12 @@ from jaxfil.xla.select import select
 _WRITTEN_OUT = 5
 
 
+def _taken(share: Array, gap: Array) -> Array:
+    """A difference of two rows, without one that is not defined and has no share."""
+    # A finite one stays even without a share, since the blend has a derivative by its weight.
+    return select((share == 0) & ~jnp.isfinite(gap), 0.0, gap)
+
+
 def every_side(m: int) -> np.ndarray:
     """All combinations of the sides of m surfaces, shape (2^m, m), the first surface varying
     slowest, + before −."""
@@ -206,14 +212,13 @@ class Corners:
             table = jnp.stack(of_rows)
 
             def blended(v: Array) -> Array:
-                # A row without a share may be NaN.
                 p = table.reshape(-1, *(1,) * (v.ndim - 1))
-                return v[0] - jnp.sum(select(p == 0, 0.0, p * (v[0] - v[1:])), axis=0)
+                return v[0] - jnp.sum(p * _taken(p, v[0] - v[1:]), axis=0)
 
             return on_each(blended, self.rows[0])
         total, first, *others = self.rows[0], *self.rows
         for share, other in zip(of_rows, others, strict=True):
-            total = total - share * (first - other)
+            total = total - share * on_each(ft.partial(_taken, share), first - other)
         return total
 
     def slopes(self) -> Array:

@@ -24,7 +24,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
-from jaxfil.integrate.surfaces.unilateral import Forces, rests_of
+from jaxfil.integrate.surfaces.reactions import Forces
+from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.surfaces.weights import held_together, weights
 from jaxfil.integrate.system.components import (
     Components,

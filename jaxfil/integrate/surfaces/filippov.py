@@ -28,7 +28,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.steppers.explicit import ExplicitTableau, compact_step, tableau_of
 from jaxfil.integrate.steppers.taylor import end_alone
-from jaxfil.integrate.surfaces import mode_series, unilateral
+from jaxfil.integrate.surfaces import mode_series, reactions, unilateral
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, on_corners
 from jaxfil.integrate.surfaces.decision import decide, question_of
 from jaxfil.integrate.surfaces.weights import determinant, held_together, weights
@@ -166,7 +166,7 @@ def balance(
     def reacted(
         t: Array, x: Components, mode: Components, fields: Corners, rates: Corners
     ) -> tuple:
-        known = unilateral.forces(system, t, x, mode, fields)
+        known = reactions.forces(system, t, x, mode, fields)
         rests, sides = unilateral.rests_of(mode), unilateral.beside(mode)
         pushed, _, force = held_together(known, rates, sides, rests)
         return known.pushed(fields, force), pushed, force

@@ -46,7 +46,14 @@ class WatchedSections(eqx.Module):
 
     def value(self, j: int, system: ComponentSystem, mode: Components) -> Callable:
         """S number j, a function of time and state, on a motion of the given mode."""
-        function = self.functions[j] or self._asking_value(j, system, mode)
+        plain = self.functions[j]
+
+        def held(t: Array, x: Components) -> Array:
+            # Like the system's functions, on the side of a tick on which the motion is.
+            assert plain is not None
+            return plain(system.held(t), x)
+
+        function = self._asking_value(j, system, mode) if plain is None else held
         if not self.of_rate[j]:
             return function
 

@@ -5,12 +5,12 @@ and of the reaction that holds a motion at rest there.
 
 At rest on surface j both H_j = 0 and ψ_j = dH_j/dt = 0, and the field presses the motion against
 the surface. The reaction acts as the reset does, along the direction d_j in which the reset moves a
-state that arrives slowly. Near such a state the reset is x − d_j ψ_j, and with y = ∇ψ_j
+state that arrives slowly. With the change M = D reset_j − I of such a state, d_j is along
+p = M ∇ψ_j. A state that was moved along p arrives again and is moved by M p, so that
 
-    d_j = −(D reset_j − I) y / (∇ψ_j·y),    ψ_j after it = (1 − ∇ψ_j·d_j) ψ_j = −e_j ψ_j
+    ∇ψ_j·d_j = −(∇ψ_j·M p)/(∇ψ_j·p) = 1 + e_j,    ψ_j after it = −e_j ψ_j
 
-so that ∇ψ_j·d_j = 1 + e_j. A reset with e_j ≥ 0 reverses the motion, any other lets it pass. The
-reaction is
+A reset with e_j ≥ 0 reverses the motion, any other lets it pass. The reaction is
 
     ẋ = F + Σ_j λ_j d_j,    Σ_j (∇ψ_i·d_j) λ_j = −a_i,    a_i = dψ_i/dt along F
 
@@ -30,7 +30,7 @@ Simulation and stability analysis of impacting systems with complete chattering,
 """
 
 import functools as ft
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -39,7 +39,6 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.surfaces.corners import Corners, for_each_corner
 from jaxfil.integrate.system.components import Components, any_of, dot, side_of, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
@@ -48,8 +47,6 @@ from jaxfil.xla.small_linear import solve, solve_small
 
 # Rounding of a rate or of an acceleration, in eps of its terms.
 _NOISE = 64
-# Residual of terms that cancel, in eps of their sizes.
-_CANCELLED = 8
 
 
 class Constraints(eqx.Module):
@@ -63,14 +60,18 @@ class Constraints(eqx.Module):
     """The effect of resets."""
     reaction: "Response"
     """The effect of reactions, equal to `impulse` unless the field takes reactions."""
+    changes: Components
+    """Whether the reset of a surface changes a state that arrives there."""
+    clears: Components
+    """Whether it moves that state off the surface."""
 
     @property
     def throws_back(self) -> Components:
-        """Whether the reset of a surface reverses the motion, e_j ≥ 0."""
+        """Whether the reset of a surface reverses the motion there, e_j ≥ 0."""
         own = stop_gradient(self.impulse.gains.diagonal())
         # With e = 0 the gain is 1 only up to more than rounding, since the reset is differentiated
-        # at an incoming state (`_direction`). A reset that lets pass has a gain far below.
-        return own >= 1 - float(jnp.finfo(own.parts[0].dtype).eps) ** 0.5
+        # at an incoming state (`_effect`). A reset that lets pass has a gain far below.
+        return (own >= 1 - float(jnp.finfo(own.parts[0].dtype).eps) ** 0.5) & ~self.clears
 
 
 class Response(eqx.Module):
@@ -86,51 +87,6 @@ class Response(eqx.Module):
         return a + self.gains @ force
 
 
-class Forces(eqx.Module):
-    """The effect of reactions on the rates of all surfaces, at one state."""
-
-    response: Response
-    """The response on the sides of the mode."""
-    of_corners: tuple[Response, ...] | None
-    """The response on each combination of sides, one by one or as the rows of arrays; None if it is
-    the same on all."""
-    normals: Rows
-    """∇H_i, n numbers each."""
-    pushes: Rows
-    """∇H_i·d_j of the response, m numbers each."""
-    accelerations: Corners
-    """dψ/dt, m numbers, along the field on each combination of sides."""
-
-    def each(self, function: Callable[..., Components], *corners: Corners) -> Corners:
-        """`function` of the response and of whole vectors, on each combination."""
-        first, *others = corners
-        if self.of_corners is None:
-            return first.each(ft.partial(function, self.response), *others)
-        if first.is_table:
-            function = jax.vmap(function)
-        rows = map(function, self.of_corners, *(c.rows for c in corners))
-        return Corners(rows, first.is_table, first.flipped)
-
-    def pushed(self, fields: Corners, force: Corners) -> Corners:
-        """Fields with the reactions λ."""
-        return self.each(lambda of, f, force: of.directions.added(f, force), fields, force)
-
-    def sizes_of_fields(self, fields: Corners, force: Corners) -> Components:
-        """The size of the terms of fields with the reactions λ, over all sides."""
-
-        def made(of: Response, f: Components, force: Components) -> Components:
-            return abs(of.directions).added(abs(f), abs(force))
-
-        return self.each(made, fields, force).sizes()
-
-    def sizes(self, force: Components) -> Components:
-        """The size of the reactions' contributions to accelerations, over all sides."""
-        if self.of_corners is None:
-            return abs(self.response.gains) @ force
-        each = self.accelerations.all_of(force)
-        return self.each(lambda of, force: abs(of.gains) @ force, each).sizes()
-
-
 def contact_rates(
     system: ComponentSystem, t: Array, x: Components, sides: Components
 ) -> Components:
@@ -142,22 +98,27 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
     """The surfaces as constraints at (t, x), for a motion on `sides`."""
     rate, pull = jax.vjp(lambda x: contact_rates(system, t, x, sides), x)
     gradients = system.rows_of(pull)
-    direction = ft.partial(_direction, system, t, x)
+    _, pull_h = jax.vjp(lambda x: system.switching(t, x), x)
+    normals = system.rows_of(pull_h)
+    effect = ft.partial(_effect, system, t, x)
     if gradients.is_array:
         numbers = jnp.arange(system.m, dtype=jnp.int32)
-        given = sides.parts[0], rate.parts[0], gradients.rows[0], numbers
-        directions = Rows.array(jax.vmap(direction)(*given).parts[0])
+        given = sides.parts[0], rate.parts[0], gradients.rows[0], normals.rows[0], numbers
+        rows, changes, clears = jax.vmap(effect)(*given)
+        directions, flags = Rows.array(rows.parts[0]), ([changes], [clears])
     else:
-        each = zip(sides.parts, rate.parts, gradients.rows, strict=True)
-        directions = Rows(direction(*of_j, j) for j, of_j in enumerate(each))
+        each = zip(sides.parts, rate.parts, gradients.rows, normals.rows, strict=True)
+        rows, *flags = zip(*(effect(*of_j, j) for j, of_j in enumerate(each)), strict=True)
+        directions = Rows(rows)
+    changes, clears = map(Components, flags)
     impulse = Response(directions, gradients.products(directions))
     reaction = impulse
     if system.feels_reactions:
-        reaction = _felt(system, (t, x), sides, sides, gradients, impulse)
-    return Constraints(rate, gradients, impulse, reaction)
+        reaction = felt_response(system, (t, x), sides, sides, gradients, impulse)
+    return Constraints(rate, gradients, impulse, reaction, changes, clears)
 
 
-def _felt(
+def felt_response(
     system: ComponentSystem,
     at: tuple[Array, Components],
     walls: Components,
@@ -179,16 +140,18 @@ def _felt(
     return Response(directions, gradients.products(directions))
 
 
-def _direction(
+def _effect(
     system: ComponentSystem,
     t: Array,
     x: Components,
     side: Array,
     rate: Array,
     gradient: Components,
+    normal: Components,
     j: int | Array,
-) -> Components:
-    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state."""
+) -> tuple[Components, Array, Array]:
+    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state; whether the reset
+    changes the state x on the surface, and whether it moves it off."""
     size = dot(gradient, gradient)
     inverse = select(size > 0, 1 / select(size > 0, size, 1), 0.0)
     # The reset may be defined only for incoming states, so it is differentiated at one. The state
@@ -198,8 +161,20 @@ def _direction(
     least = float(np.finfo(system.dtype).tiny) ** 0.5
     depth = stop_gradient(_NOISE * system.eps * terms + least + side * rate)
     moving = x + -side * depth * stop_gradient(inverse) * stop_gradient(gradient)
-    _, moved = jax.jvp(lambda x: system.reset(t, x, jnp.int32(j)), (moving,), (gradient,))
-    return (gradient - moved) * inverse
+    reset = ft.partial(system.reset, t, surface=jnp.int32(j))
+    _, moved = jax.linearize(reset, moving)
+    push = moved(gradient) - gradient
+    again, own = moved(push) - push, dot(gradient, push)
+    known = own != 0
+    # 1 + e_j, by which a state that has been pushed comes back.
+    gain = -dot(gradient, again) / select(known, own, 1)
+    direction = push * select(known, gain / select(known, own, 1), 0)
+    # At x itself, since the incoming state may be off a curved surface.
+    after = reset(x)
+    step, sizes = stop_gradient((after - x, abs(after) + abs(x)))
+    # Far above the rounding of a state, and of a reset that puts it back on its surface.
+    clears = abs(dot(normal, step)) > system.eps**0.5 * dot(abs(stop_gradient(normal)), sizes)
+    return direction, any_of(step != 0), clears
 
 
 def accelerations(
@@ -237,10 +212,10 @@ def rate_noise(
 
 def multipliers(gains: Rows, a: Components, rests: Components) -> Components:
     """λ of the resting surfaces, 0 for others, given the accelerations a without reactions."""
-    return _multipliers_of_each(gains, [a], rests)[0]
+    return multipliers_of_each(gains, [a], rests)[0]
 
 
-def _multipliers_of_each(
+def multipliers_of_each(
     gains: Rows, each: Sequence[Components], rests: Components
 ) -> list[Components]:
     """`multipliers` for several accelerations, by one elimination."""
@@ -257,79 +232,6 @@ def _multipliers_of_each(
         entries = enumerate(zip(both, row.parts, strict=True))
         matrix.append([select(flag, gain, float(i == j)) for j, (flag, gain) in entries])
     return list(map(Components, solve_small(matrix, [v.parts for v in rights])))
-
-
-def forces(
-    system: ComponentSystem, t: Array, x: Components, mode: Components, fields: Corners
-) -> Forces:
-    """The effect of reactions for the given fields on all sides."""
-    sides = sides_of(mode)
-    c, first = constraints(system, t, x, sides), fields[0]
-    # ψ is the same function on all sides; only the field along which it changes differs.
-    by_time = accelerations(system, t, x, sides, first) - c.gradients @ first
-    _, _, normals = system.gradients(t, x)
-    return forces_of(system, t, x, sides, c, by_time, normals, fields)
-
-
-def forces_of(
-    system: ComponentSystem,
-    t: Array,
-    x: Components,
-    walls: Components,
-    c: Constraints,
-    by_time: Components,
-    normals: Rows,
-    fields: Corners,
-) -> Forces:
-    """The effect of reactions on surfaces with known constraints, for walls on their sides;
-    `by_time` is ∂ψ/∂t."""
-    of_corners = None
-    if system.feels_reactions:
-
-        def of(sides: Components) -> Response:
-            return _felt(system, (t, x), walls, sides, c.gradients, c.impulse)
-
-        of_corners = tuple(for_each_corner(of, system))
-    a = fields.each(lambda f: by_time + c.gradients @ f)
-    pushes = normals.products(c.reaction.directions)
-    return Forces(c.reaction, of_corners, normals, pushes, a)
-
-
-def held(known: Forces, rates: Corners, rests: Components) -> tuple[Corners, Corners, Corners]:
-    """Rates of H, accelerations and reactions λ on each combination of sides, with the reactions of
-    the resting surfaces. They are linear in the field, so they blend as it does."""
-
-    def reaction(of: Response, a: Components) -> Components:
-        return multipliers(of.gains, a, rests)
-
-    a = known.accelerations
-    if known.of_corners is None and not a.is_table:
-        rows = _multipliers_of_each(known.response.gains, a.rows, rests)
-        force = Corners(rows, flipped=a.flipped)
-    else:
-        force = known.each(reaction, a)
-    return (*answered(known, rates, force), force)
-
-
-def answered(known: Forces, rates: Corners, force: Corners) -> tuple[Corners, Corners]:
-    """Rates of H and accelerations on each combination of sides, with the given reactions."""
-
-    def pushed(rows: Rows, rate: Components, force: Components) -> Components:
-        # A rate that reactions cancel must be exactly zero; its rounding, of either sign, would
-        # otherwise determine weights.
-        after, size = rate + rows @ force, abs(rate) + abs(rows) @ abs(force)
-        small = abs(after) <= _CANCELLED * float(jnp.finfo(size.parts[0].dtype).eps) * size
-        return after - stop_gradient(where(small, after, 0.0))
-
-    def moved(of: Response, rate: Components, force: Components) -> Components:
-        same = known.of_corners is None
-        pushes = known.pushes if same else known.normals.products(of.directions)
-        return pushed(pushes, rate, force)
-
-    def gained(of: Response, a: Components, force: Components) -> Components:
-        return pushed(of.gains, a, force)
-
-    return known.each(moved, rates, force), known.each(gained, known.accelerations, force)
 
 
 def held_field(

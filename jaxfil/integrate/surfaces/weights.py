@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
-from jaxfil.integrate.surfaces.unilateral import Forces, answered, held
+from jaxfil.integrate.surfaces.reactions import Forces, answered, held
 from jaxfil.integrate.system.components import Components, largest, on_each, total, where
 from jaxfil.xla import small_linear
 from jaxfil.xla.select import select
@@ -57,7 +57,7 @@ def weights(mode: Components, rates: Corners) -> Components:
 def held_together(
     known: Forces, rates: Corners, mode: Components, rests: Components
 ) -> tuple[Corners, Corners, Corners]:
-    """`unilateral.held`, for a mode that slides or is on its sides where it does not rest.
+    """`reactions.held`, for a mode that slides or is on its sides where it does not rest.
 
     If the field takes reactions, these differ between combinations of sides. The held fields blend
     to the motion's field, with its reactions. Friction weights, from −1 to 1, are defined by the

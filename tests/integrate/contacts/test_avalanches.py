@@ -340,3 +340,53 @@ def test_a_run_goes_on_from_an_avalanche():
     last = solve(system, first.x_final, 1.5, t0=1.0)
     assert table(last)[1] == []
     assert_within(last.x_final, [0.7, 0.025], 64 * EPS)
+
+
+class Pair(jf.System):
+    """Two neurons with rates 1 and 1/4 that kick each other."""
+
+    kick: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([1.0 + 0 * t, 0.25 + 0 * t])
+
+    def switching(self, t, x):
+        return 1 - x
+
+    def reset(self, t, x, surface):
+        return jnp.where(jnp.arange(2, dtype=jnp.int32) == surface, 0.0, x + self.kick)
+
+
+def test_a_kick_to_the_threshold_itself_fires():
+    """From 1/2, at t = 1 the second neuron is at 3/4, and the kick brings it to 1."""
+    kicks = 0.25 + np.array([-1e-9, 0.0, 1e-9])
+    sols = jax.vmap(lambda kick: solve(Pair(kick), (0.0, 0.5), 1.5, dt=0.125))(kicks)
+    assert_array_equal(jf.RESULTS.names(sols.result), "successful")
+    assert_within(sols.x_final, np.array([[0.75, 0.125]] * 3), 1e-8)
+    assert_within(sols.x_final[1], np.array([0.75, 0.125]), 16 * EPS)
+
+
+class Leaky(jf.System):
+    """v' = 3/2 − v, which fires at 1; `s` is the sign of H."""
+
+    s: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return 1.5 - x
+
+    def switching(self, t, x):
+        return self.s * (1 - x[0])
+
+    def reset(self, t, x, surface):
+        return 0 * x
+
+
+def test_a_start_on_the_threshold_fires_whatever_the_sign_of_h():
+    """The reset leads off the surface, so it is not one of a wall."""
+    starts, signs = np.array([1 - 1e-12, 1.0] * 2), np.array([1.0, 1.0, -1.0, -1.0])
+    run = lambda v, s: solve(Leaky(s), (v,), 0.5, dt=0.01, stepper=diffrax.Dopri8())  # noqa: E731
+    sols = jax.vmap(run)(starts, signs)
+    assert_within(sols.x_final[:, 0], np.full(4, 1.5 * (1 - np.exp(-0.5))), 1e-11)
+    assert_array_equal(sols.num_events, 1)

@@ -408,3 +408,128 @@ def test_a_maximum_at_a_jump_of_the_field_is_that_of_the_motion():
         progress=False,
     )
     np.testing.assert_allclose(found.averages["average"], [1, 2], rtol=1e-14)
+
+
+class Limited(jf.System):
+    """A current that grows at 1 while its switch is on and falls at 1/2 while it is off: on at each
+    tick, off at the limit."""
+
+    limit: jax.Array
+    slides: ClassVar[bool] = False
+    clocks: ClassVar = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([jnp.where(x[1] > 0.5, 1.0, -0.5), 0 * x[1]])
+
+    def switching(self, t, x):
+        return self.limit - x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].set(0.0)
+
+    def tick(self, t, x, clock):
+        return x.at[1].set(1.0)
+
+
+def test_a_limit_that_is_reached_at_a_tick_is_still_a_limit():
+    """Switched off, on and off again at t = 1; at 1/2 at t = 2, at 3/4 at 3, and at 5/8 at 4."""
+    limits, x0 = 1.0 + np.array([-1e-9, 0.0, 1e-9]), (0.0, 1.0)
+    sols = jax.vmap(lambda limit: solve(Limited(limit), x0, 4.0))(limits)
+    assert jf.RESULTS.names(sols.result).tolist() == ["successful"] * 3
+    np.testing.assert_allclose(sols.x_final, [[0.625, 1.0]] * 3, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(sols.x_final[1], [0.625, 1.0], rtol=0, atol=16 * EPS)
+
+
+class Counter(jf.System):
+    """Ticks counted."""
+
+    clocks: ClassVar = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        return 0 * x
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+
+class CounterWithSurface(Counter):
+    def switching(self, t, x):
+        return x[0] + 100
+
+
+@pytest.mark.parametrize("system", [Counter(), CounterWithSurface()], ids=["alone", "surface"])
+def test_a_tick_at_the_start_of_a_run_backward_is_undone_first(system):
+    """The state at t0 is the one after the tick."""
+    sol = solve(system, (6.0,), 1.5, t0=2.0)
+    assert jf.RESULTS.names(sol.result) == "irreversible_reset"
+    sol = solve(system, (6.0,), 2.0, t0=2.5)
+    assert jf.RESULTS.names(sol.result) == "successful" and float(sol.x_final[0]) == 6
+
+
+class Tank(jf.System):
+    """An inlet that closes when the level comes to 1; a tick at t = 3 opens the outlet."""
+
+    slides: ClassVar[bool] = False
+    clocks: ClassVar = (jf.Clock(10.0, 3.0),)
+
+    def vector_field(self, t, x, side):
+        filling, draining = x[1] > 0.5, x[1] < -0.25
+        flow = jnp.where(filling, 1.0, jnp.where(draining, -0.5, 0.0))
+        return jnp.stack([flow, 0 * x[1]])
+
+    def switching(self, t, x):
+        return 1 - x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].set(0.0)
+
+    def tick(self, t, x, clock):
+        return x.at[1].set(-0.5)
+
+
+@pytest.mark.parametrize("x0, t0", [((0.0, 1.0), 0.0), ((1.0, 0.0), 1.0), ((1.0, 1.0), 1.0)])
+def test_a_level_that_stands_at_its_surface_stays_there(x0, t0):
+    sol = solve(Tank(), x0, 4.0, t0=t0)
+    assert jf.RESULTS.names(sol.result) == "successful"
+    np.testing.assert_allclose(sol.x_final, [0.5, -0.5], rtol=0, atol=16 * EPS)
+
+
+class Counted(jf.System):
+    """A block on friction 1 that stops at t = 1/2 and sticks; its stops are counted, and a clock
+    ticks without an effect."""
+
+    clocks: ClassVar = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([-side, 0 * x[1]])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].add(1.0)
+
+
+def test_a_tick_is_no_contact_of_a_surface_on_which_the_motion_slides():
+    sol = solve(Counted(), (0.5, 0.0), 3.5)
+    assert jf.RESULTS.names(sol.result) == "successful"
+    np.testing.assert_allclose(sol.x_final, [0.0, 1.0], rtol=0, atol=16 * EPS)
+
+
+class Raised(jf.System):
+    """A number that a tick raises by one."""
+
+    clocks: ClassVar = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        return 0 * x
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+
+def test_a_section_is_seen_from_one_side_of_a_tick():
+    """S = floor(t) − x + 1/2 does not change: both grow by one at each tick."""
+    section = jf.bound(lambda t, x: jnp.floor(t) - x[0] + 0.5)
+    sol = solve(Raised(), (0.0,), 4.5, sections=section)
+    assert jf.RESULTS.names(sol.result) == "successful" and int(sol.num_crossings) == 0

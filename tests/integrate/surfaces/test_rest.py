@@ -488,3 +488,49 @@ def test_rounding_of_the_first_velocity_does_not_hold_a_mass_at_a_wall_that_it_i
     assert set(map(str, outcome_names(results))) == {"successful"}
     bounce = np.concatenate([-0.5 * np.minimum(v, 0), 0 * v])
     np.testing.assert_allclose(x, np.stack([1 + bounce, 2 + bounce], axis=1), rtol=1e-13)
+
+
+class Billiard(jf.System):
+    """The unit circle, whose reset also puts the state back on it."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([x[2:], 0 * x[2:]])
+
+    def switching(self, t, x):
+        return 1 - x[0] ** 2 - x[1] ** 2
+
+    def reset(self, t, x, surface):
+        n = x[:2] / jnp.sqrt(x[0] ** 2 + x[1] ** 2)
+        return jnp.concatenate([n, x[2:] - 2 * (n @ x[2:]) * n])
+
+
+def test_a_start_on_a_curved_wall_is_thrown_back():
+    sol = solve(Billiard(), [1.0, 0.0, 1.0, 0.3], 1.0)
+    assert_allclose(sol.x_final, [0.0, 0.3, -1.0, 0.3], rtol=0, atol=1e-14)
+
+
+class Drawn(jf.System):
+    """A mass pressed on a wall at y = 1 and drawn to it, y' = v + c (1 − y), whose reset halves and
+    reverses v, a part of the velocity."""
+
+    c: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1] + self.c * (1 - x[0]), 2.0 + 0 * t])
+
+    def switching(self, t, x):
+        return 1 - x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-0.5)
+
+
+def test_a_reset_of_a_part_of_the_velocity_comes_to_rest():
+    run = lambda c: solve(Drawn(c), [1.0, 0.01], 1.0)  # noqa: E731
+    sols = jax.vmap(run)(jnp.array([0.0, 1.0, 3.0]))
+    assert_array_equal(outcome_names(sols.result), "successful")
+    assert_array_equal(sols.mode_final, 2)
+    assert_allclose(sols.x_final, [[1.0, 0.0]] * 3, rtol=0, atol=1e-14)
