@@ -76,14 +76,16 @@ class Clocks(Extension):
         return dataclasses.replace(after, pending=pending), ClockState(ticks, waiting)
 
 
-def first_ticks(problem: Problem) -> Ticks:
-    """The numbers of the first ticks after t0, in the direction of time."""
+def first_ticks(problem: Problem, at_start: bool = True) -> Ticks:
+    """The numbers of the first ticks from t0 on, in the direction of time. At the start of a run
+    backward in time a tick at t0 is the first one, since the state there is the one after it."""
     grid, ticks = problem.grid, []
     for period, phase in problem.system.clocks:
-        # A tick at t0 itself is excluded; `same` keeps the rounding of t0 − φ from including it.
+        # Any other tick at t0 is excluded; `same` keeps the rounding of t0 − φ from deciding.
         passed = stop_gradient((grid.t0 - phase) / period)
         same = _same_time(problem, jnp.zeros_like(passed)) / stop_gradient(period)
-        up, down = jnp.floor(passed + same) + 1, jnp.ceil(passed - same) - 1
+        up = jnp.floor(passed + same) + 1
+        down = jnp.floor(passed + same) if at_start else jnp.ceil(passed - same) - 1
         ticks.append(select(grid.direction > 0, up, down))
     return tuple(ticks)
 
@@ -109,16 +111,22 @@ def _next_tick(problem: Problem, ticks: Ticks) -> tuple[Array, Array]:
 
 def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
     """The problem with its functions restricted to times between the last and the next ticks."""
-    grid, lows, highs = problem.grid, [], []
-    last = tuple(k - grid.direction for k in ticks)
-    for a, b in zip(_taus(problem, last), _taus(problem, ticks), strict=True):
-        # Backward in time the last tick is the later one. `ComponentSystem.held` gives a clamped
-        # time the derivative of the time, so the window has no derivative.
-        lows.append(stop_gradient(grid.t0 + jnp.minimum(a, b)))
-        highs.append(stop_gradient(grid.t0 + jnp.maximum(a, b)))
-    low, high = lows[0], highs[0]
-    for a, b in zip(lows[1:], highs[1:], strict=True):
-        low, high = jnp.maximum(low, a), jnp.minimum(high, b)
+    grid, direction = problem.grid, problem.grid.direction
+    # Ticks k − 1, k and k + 1 of each clock, with times that increase in the direction of the run.
+    # They have no derivative, since `ComponentSystem.held` gives a clamped time the derivative of
+    # the time.
+    numbers = (tuple(k + step * direction for k in ticks) for step in (-1, 0, 1))
+    behind, ahead, after = (
+        [stop_gradient(direction * tau) for tau in _taus(problem, each)] for each in numbers
+    )
+    last = ft.reduce(jnp.maximum, behind)
+    # Of clocks that tick together one ticks first. Functions are then already evaluated after the
+    # ticks of the others.
+    same = _same_time(problem, last)
+    each = zip(ahead, after, strict=True)
+    first = ft.reduce(jnp.minimum, (select(a - last <= same, b, a) for a, b in each))
+    ends, t0 = (direction * last, direction * first), stop_gradient(grid.t0)
+    low, high = t0 + jnp.minimum(*ends), t0 + jnp.maximum(*ends)
     # The window is narrower than the interval by the rounding of a tick at each end, so that a
     # field that computes the tick itself, as t − φ, is on the right side of it.
     margins = (_same_time(problem, v - grid.t0) for v in (low, high))
@@ -133,7 +141,7 @@ def just_after(problem: Problem, t: Array) -> Problem:
     # The first ticks after a t0 are the next ones, so the grid is moved to t.
     grid = dataclasses.replace(problem.grid, t0=stop_gradient(t))
     here = dataclasses.replace(problem, grid=grid)
-    return between_ticks(here, first_ticks(here))
+    return between_ticks(here, first_ticks(here, at_start=False))
 
 
 def _same_time(problem: Problem, tau: Array) -> Array:

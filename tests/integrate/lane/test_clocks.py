@@ -216,3 +216,55 @@ def test_ticks_have_the_rounding_of_their_phases(ramp):
     exact = integral(start + 1.0, tooth, phase) - integral(start, tooth, phase)
     # Some twenty pieces, whose ends are known to the rounding of their phases.
     assert (abs(ends - exact) <= 64 * EPS * (1 + abs(phase))).all()
+
+
+class Samples(jf.System):
+    """The sum of the numbers of the ticks of the first clock, and the ticks of the second one."""
+
+    clocks = (jf.Clock(1.0), jf.Clock(2.0))
+
+    def vector_field(self, t, x, side):
+        return 0 * x
+
+    def tick(self, t, x, clock):
+        return jnp.where(clock == 0, x.at[0].add(jnp.floor(t)), x.at[1].add(1.0))
+
+
+class SamplesWithSurface(Samples):
+    def switching(self, t, x):
+        return x[0] + 100
+
+
+class Stairs(jf.System):
+    """A threshold that rises with each tick, in front of a state that is kicked by as much; resets
+    are counted."""
+
+    clocks = (jf.Clock(1.0), jf.Clock(2.0))
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return 0 * x
+
+    def switching(self, t, x):
+        return 1 + jnp.floor(t) - x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].add(1.0)
+
+    def tick(self, t, x, clock):
+        return jnp.where(clock == 0, x.at[0].add(1.0), x)
+
+
+@pytest.mark.parametrize(
+    "system, start, end",
+    [
+        (Samples(), (0.0, 0.0), (10.0, 2.0)),
+        (SamplesWithSurface(), (0.0, 0.0), (10.0, 2.0)),
+        (Stairs(), (0.5, 0.0), (4.5, 0.0)),
+    ],
+    ids=["alone", "surface", "stairs"],
+)
+def test_ticks_at_one_time_are_all_seen_from_just_after_it(system, start, end):
+    sol = jf.solve(system, jnp.array(start), 0.0, 4.5, 0.1, compact=True, throw=False)
+    assert jf.RESULTS.names(sol.result) == "successful"
+    np.testing.assert_array_equal(sol.x_final, end)
