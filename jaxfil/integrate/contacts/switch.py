@@ -31,7 +31,7 @@ from jaxfil.integrate.lane.state import FreeStep, LoopState, Motion, StepEnd
 from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_weights
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
-from jaxfil.integrate.surfaces.entering import held_from_here
+from jaxfil.integrate.surfaces.entering import fields_from_here, held_from_here
 from jaxfil.integrate.surfaces.normals import project
 from jaxfil.integrate.surfaces.second_order import beyond_newton
 from jaxfil.integrate.system.components import (
@@ -175,11 +175,13 @@ def evaluate_step_end(
         at = _with_rounding_of_forces(problem, state, length, at, fields)
     choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
     choice, again = _in_turn(problem, state, maps, choice, later)
-    if system.slides and maps.h is not None:
-        # A map may put the state on a surface on which it then slides.
+    if maps.h is not None and (system.ticks or system.m > 1):
+        # A tick or another surface's reset may put the state where it then slides or rests.
         # Surfaces of a located contact have this derivative through the time of the contact.
-        put = (choice.mode == 0) & ~stays_on(system, state.motion.mode) & ~state.pending.surfaces
+        put = stays_on(system, choice.mode) & ~stays_on(system, state.motion.mode)
+        put = put & ~state.pending.surfaces
         x = held_from_here(system, t, x, choice.mode, put & state.pending.waits)
+        fields, rates = fields_from_here(system, t, x, (fields, rates))
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
     if free is not None:
         stays, found = ~state.pending.waits & ~state.held, (free.f, free.g, free.rate)

@@ -28,6 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces import filippov, unilateral
+from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.weights import response, weights
 from jaxfil.integrate.system.components import Components, where
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -54,6 +55,27 @@ def held_from_here(
     `surfaces`, m flags, starts. The value of x is unchanged, bit for bit, and a program without
     derivatives contains no operations of this function."""
     return _held(_Start(system, t, x), mode, surfaces)
+
+
+def fields_from_here(
+    system: ComponentSystem, t: Array, x: Components, on_sides: tuple[Corners, Corners]
+) -> tuple[Corners, Corners]:
+    """The fields on all sides and the rates of H along them, with the derivatives that they have at
+    x, which may differ from the state at which they were computed by its derivative. Like
+    `held_from_here`, without operations in a program without derivatives."""
+    return _seen(_Start(system, t, x), on_sides)
+
+
+@eqx.filter_custom_jvp
+def _seen(at: _Start, on_sides: tuple[Corners, Corners]) -> tuple[Corners, Corners]:
+    return on_sides
+
+
+@_seen.def_jvp
+def _seen_jvp(primals: tuple, tangents: tuple) -> tuple:
+    (at, on_sides), (by_at, _) = primals, tangents
+    _, by = eqx.filter_jvp(lambda at: filippov.corners(*at), (at,), (by_at,))
+    return _seen(at, on_sides), eqx.combine(by, jax.tree.map(jnp.zeros_like, on_sides))
 
 
 @eqx.filter_custom_jvp

@@ -164,3 +164,27 @@ def test_a_start_at_rest(jacobian):
     for j, small in ((0, 1e-6), (2, 1e-4)):
         moved = end(x0.at[j].add(small)) - end(x0)
         np.testing.assert_allclose(moved / small, by_x[:, j], rtol=0, atol=5e-3)
+
+
+class PutThere(Leaning):
+    """The same, its first mass put to p, with the velocity v, at a tick."""
+
+    p: jax.Array
+    v: jax.Array
+    clocks = (jf.Clock(10.0, 1.03),)
+
+    def tick(self, t, x, clock):
+        return x.at[0].set(self.p).at[2].set(self.v)
+
+
+@pytest.mark.slow
+def test_a_tick_that_puts_the_state_at_rest():
+    c, tau = 0.4, 0.95
+
+    def end(put):
+        system = PutThere(jnp.asarray(c), put[0], put[1])
+        return run(system, jnp.array([5.0, 0.3, 0.0, 0.2, 0.0]), 1.03 + tau)[jnp.array([1, 3, 4])]
+
+    by_put = jax.jacfwd(end)(jnp.zeros(2))
+    cos, sin = c * np.cos(tau), c * np.sin(tau)
+    np.testing.assert_allclose(by_put, [[cos, sin], [-sin, cos], [-1, 0]], rtol=0, atol=1e-13)
