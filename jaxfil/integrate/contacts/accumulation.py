@@ -196,6 +196,9 @@ def _turned(
         soon = problem.system.eps**0.5 * typical_step(problem, state)
         together = total((turn.met | state.pending.surfaces).astype(jnp.int32)) > 1
         completed = completed & (together | (left <= soon))
+    if _is_watched(problem):
+        # States within the time of the jump would be computed from the last contact.
+        completed = completed & (left <= problem.system.eps**0.5 * typical_step(problem, state))
     starts = switches & (again | (turn.contacts >= _LONGEST))
     # The switch at the limit needs the surfaces of the completed turn. Any other start clears them.
     met = switches & (turn.met | state.pending.surfaces)
@@ -215,6 +218,12 @@ def _turned(
     )
     jump = select(completed, left - late, 0)
     return select_all(counts, now, turn), jump, ahead(jump)
+
+
+def _is_watched(problem: Problem) -> bool:
+    """Whether states between the steps are saved, or searched for crossings or extremes."""
+    followed = problem.recording.recorder.between_steps or problem.look is not None
+    return followed or any(e.between_steps for e in problem.extensions)
 
 
 def _surfaces_there(

@@ -71,6 +71,9 @@ class Extension(eqx.Module):
     """Whether the extension never changes the problem or a step, and follows steps without contact
     by `after_free_step` alone; lanes of a batch then need no full iteration for these steps."""
 
+    between_steps: ClassVar[bool] = False
+    """Whether the extension evaluates states between the steps, which repeat their motion."""
+
     def before_step(self, problem: Problem, own: Any) -> Problem:
         """The problem with the functions and the limits of time of a trial step. `own` is None in
         the evaluation at t0, which precedes `begin`."""

@@ -142,6 +142,8 @@ class Recorder(eqx.Module):
     """The name of the corresponding argument of `diffrax.SaveAt`."""
     at_known_times: ClassVar[bool] = True
     """Whether the saving times are independent of the steps."""
+    between_steps: ClassVar[bool] = False
+    """Whether states between the steps follow from the saved ones."""
     in_free_steps: ClassVar[bool] = False
     """Whether states are saved at grid points alone, by a method `keep` for steps without contact;
     lanes of a batch then need no full iteration for these steps."""
@@ -163,8 +165,8 @@ class Recorder(eqx.Module):
 
     def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:
         """The lane `after` a `Step` from `state`, a `LoopState`, with the states to be saved. The
-        loop calls it before `after_step` of extensions, but after these for a recorder of every
-        step of a system without surfaces, since a tick there is the work of an extension."""
+        loop calls it before `after_step` of extensions. The state to be saved is `step.end.motion`
+        where `step.moved`; a landing is saved with the switch that follows it."""
         return after
 
     def keep(self, problem: "Problem", state: Any, after: Any, x: Any, gridded: Array) -> Any:

@@ -173,6 +173,7 @@ class SaveSteps(Recorder):
 
     name = "steps"
     at_known_times = False
+    between_steps = True
     size: int = eqx.field(static=True, kw_only=True)
     """Capacity, in states."""
 

@@ -42,8 +42,7 @@ def problem_of(
         enough = jnp.maximum(grid.max_iterations, _LEAST + _OF_EACH * most)
         grid = dataclasses.replace(grid, max_iterations=enough)
     extensions: list[Extension] = []
-    # Clocks come first, since they restrict the times at which others evaluate functions, and since
-    # without surfaces they apply the tick to the lane that others see in `after_step`.
+    # Clocks come first, since they restrict the times at which others evaluate functions.
     if system.clocks:
         extensions.append(Clocks())
     if sections is not None:

@@ -248,3 +248,43 @@ def test_balls_that_come_to_rest_one_after_the_other():
     for v, t1, x in zip(second, ends, jax.vmap(end)(second, ends), strict=True):
         exact = [*one_ball(0.5, float(t1)), *one_ball(float(v), float(t1))]
         assert_allclose(x, exact, atol=1e-12)
+
+
+def twisting(t):
+    """(x, x') of the controller from (0, 1) without a load, half turn by half turn: up at 13, down
+    at 7."""
+    q, start, v, sign = np.sqrt(7 / 13), 0.0, 1.0, 1.0
+    for _ in range(200):
+        up, top = v / 13, v * v / 26
+        down, tau = np.sqrt(2 * top / 7), t - start
+        if tau <= up:
+            return sign * np.array([v * tau - 6.5 * tau**2, v - 13 * tau])
+        if tau <= up + down:
+            return sign * np.array([top - 3.5 * (tau - up) ** 2, -7 * (tau - up)])
+        start, v, sign = start + up + down, v * q, -sign
+    return np.zeros(2)
+
+
+def test_what_is_saved_follows_all_turns():
+    """Between saved steps too."""
+    x0, ts = jnp.array([0.0, 1.0, 0.0]), np.linspace(0.0, 1.0, 401)
+    dense = jf.solve(Twisting(), x0, 0.0, 1.0, 0.25, saveat=diffrax.SaveAt(dense=True))
+    exact = np.array([twisting(t) for t in ts])
+    assert_allclose(dense.evaluate(ts)[:, :2], exact, rtol=0, atol=1e-7)
+    steps = jf.solve(Twisting(), x0, 0.0, 1.0, 0.25, saveat=diffrax.SaveAt(steps=True))
+    n = int(steps.stats["num_saved"])
+    exact = np.array([twisting(float(t)) for t in steps.ts[:n]])
+    assert_allclose(steps.xs[:n, :2], exact, rtol=0, atol=1e-7)
+
+
+def test_sections_see_all_turns():
+    """Down through x = 1e-4, from the top v²/26 of each of the turns that are high enough."""
+    level, q = 1e-4, np.sqrt(7 / 13)
+    v = q ** np.arange(0, 10, 2)
+    start = (1 / 13 + np.sqrt(1 / 91)) * (1 - v) / (1 - q)
+    exact = start + v / 13 + np.sqrt(2 * (v * v / 26 - level) / 7)
+    section = jf.Section(lambda t, x: x[0] - level, -1)
+    x0 = jnp.array([0.0, 1.0, 0.0])
+    sol = jf.solve(Twisting(), x0, 0.0, 1.0, 0.25, sections=section)
+    assert int(sol.num_crossings) == 5
+    assert_allclose(sol.crossings.ts[:5], exact, rtol=0, atol=1e-10)
