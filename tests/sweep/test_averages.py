@@ -334,3 +334,29 @@ def test_the_slope_of_an_extreme_within_a_step_is_that_of_the_method():
     omega = jnp.array([0.6, 1.1, 1.5])
     slopes = jax.vmap(jax.grad(largest))(omega)
     np.testing.assert_allclose(slopes, jax.vmap(jax.grad(exact))(omega), rtol=5e-6)
+
+
+class Ringing(jf.System):
+    """x'' + x'/5 + x = 0."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - 0.2 * x[1]])
+
+
+@pytest.mark.parametrize("steps", [4, 40])
+def test_extremes_at_a_section_are_those_between_its_crossings(steps):
+    """The velocity falls from the first crossing of x = 0 on, up to the next one; it was larger
+    before it."""
+    w = np.sqrt(0.99)
+    exact = np.exp(-0.1 * (np.pi - np.arctan(w / 0.1)) / w)
+    found = jf.settled_average(
+        Ringing(),
+        {"top": jf.Maximum(lambda t, x, side: x[1])},
+        jnp.array([-1.0, 0.0]),
+        transient=0,
+        samples=2,
+        steps=steps,
+        section=jf.Section(lambda t, x: x[0], 1),
+        max_return=20.0,
+    )
+    np.testing.assert_allclose(found.averages["top"], exact, rtol=0, atol=1e-8)

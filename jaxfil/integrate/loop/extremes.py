@@ -29,6 +29,7 @@ from jaxfil.integrate.lane import clocks
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, Motion
+from jaxfil.integrate.loop.extensions import sections_in
 from jaxfil.integrate.loop.window import Window
 from jaxfil.integrate.steppers.explicit import compact_step
 from jaxfil.integrate.surfaces.filippov import ModeField
@@ -69,12 +70,16 @@ class SoFar(eqx.Module):
     rates: tuple[Array, ...]
     """The rates along the motion at the lane's state."""
     places: tuple[Place, ...]
+    since: Array
+    """The elapsed time at which the window has opened within a step, at a crossing of a section;
+    −inf if it opens at the end of a step."""
 
 
 class Extremes(Extension):
     """The largest values of k functions, which are the rates of the last components of a field."""
 
     in_free_steps: ClassVar[bool] = True
+    between_steps: ClassVar[bool] = True
     field: ComponentSystem
     n: int = eqx.field(static=True)
     """The number of components of the state that precede the functions' components."""
@@ -86,7 +91,7 @@ class Extremes(Extension):
         values, rates = self._seen(problem, state)
         nothing = self._here(problem, state.motion)
         nowhere = (dataclasses.replace(nothing, value=nothing.value - jnp.inf),) * len(values)
-        own = SoFar(values, rates, nowhere)
+        own = SoFar(values, rates, nowhere, jnp.full_like(state.motion.tau, -jnp.inf))
         # The start is a place of its own, if the window is open.
         return state, self._further(problem, state, state, own, own, jnp.zeros((), bool))
 
@@ -101,7 +106,21 @@ class Extremes(Extension):
     ) -> tuple[LoopState, SoFar]:
         now = self._now(own, self._seen(problem, after))
         # Across a switch values may jump, and a cubic through both ends would be meaningless.
-        return after, self._further(problem, state, after, own, now, ~step.switched)
+        found = self._further(problem, state, after, own, now, ~step.switched)
+        if (sections := sections_in(after)) is None:
+            return after, found
+        # A crossing is found by a step that ends on it and is taken back, which the run repeats if
+        # it goes on. The window may open or close there.
+        crossed = sections.watch.total > self.window.count(state)
+        there = dataclasses.replace(after, motion=step.end.motion)
+        at = self._now(own, self._seen(problem, there))
+        places = self._further(problem, state, there, own, at, ~step.switched).places
+        opens = crossed & self.window.is_open(after) & ~self.window.is_open(state)
+        return after, dataclasses.replace(
+            found,
+            places=select_all(crossed, places, found.places),
+            since=select(opens, stop_gradient(there.motion.tau), found.since),
+        )
 
     def after_free_step(
         self, problem: Problem, state: LoopState, after: LoopState, own: SoFar, clear: Array
@@ -111,7 +130,7 @@ class Extremes(Extension):
 
     def _now(self, own: SoFar, seen: Seen) -> SoFar:
         values, rates = seen
-        return SoFar(values, rates, own.places)
+        return SoFar(values, rates, own.places, own.since)
 
     def _seen(self, problem: Problem, state: LoopState) -> Seen:
         """Values and rates at the state of a lane. For a lane that neither slides nor rests they
@@ -183,6 +202,7 @@ class Extremes(Extension):
         h = stop_gradient(after.motion.tau - state.motion.tau)
         start, end = self._here(problem, state.motion), self._here(problem, after.motion)
         inside, here = smooth & self.window.is_open(state), self.window.is_open(after)
+        here = here & (after.motion.tau >= own.since)
         places = []
         for k, place in enumerate(own.places):
             g0, d0, g1, d1 = stop_gradient(
@@ -192,6 +212,7 @@ class Extremes(Extension):
             cubic = Cubic(g0, h * d0, g1, h * d1)
             theta = cubic.high
             turns = inside & (theta > 0) & (theta < 1)
+            turns = turns & (state.motion.tau + theta * h >= own.since)
             top = select(turns, cubic(theta), -jnp.inf)
             # The value at the end has its derivative. A value within the step gets one in `_found`.
             last = select(here, now.values[k], -jnp.inf)

@@ -283,8 +283,11 @@ def _followed(
     for extension, own, verdict in each:
         after, following_own = extension.after_step(problem, state, after, own, taken, verdict)
         following.append(following_own)
+        # Later extensions see what earlier ones have found.
+        own_states = *following, *state.extensions[len(following) :]
+        after = dataclasses.replace(after, extensions=own_states)
     # Elapsed times restart last, since extensions take differences of the times before and after.
-    return next_period(problem.grid, dataclasses.replace(after, extensions=tuple(following)))
+    return next_period(problem.grid, after)
 
 
 def integrate(problem: Problem, x0: Components) -> LoopState:

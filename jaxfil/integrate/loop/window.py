@@ -16,6 +16,9 @@ class Window(eqx.Module):
 
     def is_open(self, state: LoopState) -> Array:
         """Whether a lane has reached that grid point or crossing."""
+        return self.count(state) >= self.first
+
+    def count(self, state: LoopState) -> Array:
+        """The number of grid points, or of crossings, that a lane has reached."""
         sections = sections_in(state)
-        reached = state.counts.index if sections is None else sections.watch.total
-        return reached >= self.first
+        return state.counts.index if sections is None else sections.watch.total
