@@ -1,5 +1,7 @@
 """The clock of a forced system starts anew each period, so that no phase is lost in long runs."""
 
+import dataclasses
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
+from jaxfil.integrate.lane.forcing_phase import repeats
 
 X0 = np.array([0.1, 0.0], np.float32)
 PERIODS = 5000  # a time of 2e4, which float32 knows to 2e-3
@@ -114,3 +117,55 @@ def test_a_clock_goes_on_where_forces_of_two_frequencies_never_repeat(other):
     ends = 2 * np.pi / omegas[:, None] * np.array([41, 42])
     np.testing.assert_allclose(found.xs[..., 0], settled(omegas[:, None], ends), rtol=0, atol=1e-12)
     np.testing.assert_allclose(spectrum.x_final[0], settled(1.0, 82 * np.pi), rtol=0, atol=1e-12)
+
+
+class Parametric(jf.System):
+    """A stiffness and a coupling of frictions with a frequency of their own, beside the forcing."""
+
+    omega: jax.Array
+    nu: jax.Array
+    hold: jax.Array
+
+    def vector_field(self, t, x, side):
+        second = jnp.cos(self.nu * t)
+        force = -(1 + 0.5 * second) * x[0] - 0.2 * x[1] + jnp.cos(self.omega * t)
+        between = self.hold * second * (side[0] - side[1])
+        return jnp.stack([x[1], force, -x[2] + between])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - 30, x[1] + 30])
+
+    @property
+    def period(self):
+        return 2 * jnp.pi / self.omega
+
+
+def test_a_second_frequency_is_seen_from_rest_too():
+    """Its factor is zero in the initial state, or between sides that are equal."""
+    system = Parametric(*map(jnp.asarray, (1.3, 0.618, 0.0)))
+    assert not bool(repeats(system, system.period, jnp.zeros(3)))
+    held = Parametric(*map(jnp.asarray, (1.3, 2.6, 1.0)))
+    assert bool(repeats(held, held.period, jnp.zeros(3)))
+    apart = dataclasses.replace(held, nu=jnp.asarray(0.618))
+    assert not bool(repeats(apart, apart.period, jnp.zeros(3)))
+
+
+def test_samples_of_two_frequencies_from_rest_are_those_of_a_run():
+    system = Parametric(*map(jnp.asarray, (1.3, 0.618, 0.0)))
+    period = float(system.period)
+    ts = jnp.asarray(period * np.arange(11, 15))
+    run = jf.solve(system, jnp.zeros(3), 0.0, ts[-1], period / 40, saveat=diffrax.SaveAt(ts=ts))
+    found = jf.bifurcation_diagram(
+        system, "omega", [1.3], np.zeros(3), transient=10, samples=4, progress=False
+    )
+    np.testing.assert_allclose(found.xs[0], run.xs, rtol=0, atol=1e-8)
+
+
+def test_a_field_that_is_not_defined_elsewhere_still_repeats():
+    flat = jf.piecewise(
+        lambda t, x: jnp.sqrt(x) * 0 + jnp.cos(t) / x,
+        lambda t, x: jnp.log(x),
+        lambda t, x: x[0],
+        period=2 * np.pi,
+    )
+    assert bool(repeats(flat, jnp.asarray(2 * jnp.pi), jnp.asarray([0.1])))

@@ -12,6 +12,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
@@ -23,33 +24,44 @@ from jaxfil.xla.select import select
 
 # Times of the test, in periods; forces of other periods are not zero at both.
 _PHASES = (0.29, 0.83)
+# Distances of the other states of the test, in 1 + |x|, one for each component in turn.
+_APART = (0.618, -0.382, 0.854, -0.146, 0.472)
 # Tolerance of the test, in eps. The sum t + T is rounded, and cosines of multiples of the frequency
 # magnify that rounding.
 _SAME = 1024
 
 
 def repeats(system: System, period: Array, x: Array) -> Array:
-    """Whether field, H and resets at a state x are the same one period later. Forces of two
+    """Whether field, H and resets near a state x are the same one period later. Forces of two
     frequencies, or kicks at times of their own, are examples where they are not."""
     m = check.shapes(system, x)
     x, period = stop_gradient(x), stop_gradient(period)
 
-    def values(t: Array, side: Array) -> Array:
-        own = field_of(system, t, x, side * jnp.ones(m, x.dtype)), system.switching(t, x)
+    def values(x: Array, side: Array, t: Array) -> Array:
+        # A coefficient of friction has no effect without a reaction.
+        own = field_of(system, t, x, side, jnp.ones_like(side)), system.switching(t, x)
         if system.resets:
             count = m[0] if m else 1
             own += tuple(system.reset(t, x, jnp.asarray(j)) for j in range(count))
         return jnp.concatenate([jnp.ravel(v) for v in own])
 
+    # A coefficient that depends on time has no effect where its factor is zero, as at rest, or
+    # where the sides of two surfaces cancel it.
+    apart = jnp.asarray(np.resize(_APART, x.shape), x.dtype) * (1 + abs(x))
+    states, ones = jnp.stack([x, x + apart, x - apart]), np.ones(m)
+    turned = np.resize((1.0, -1.0), m)
+    sides = jnp.asarray(np.stack([ones, -ones, turned, -turned]), x.dtype)
     at = jnp.asarray(_PHASES, x.dtype) * period
-    both = jnp.asarray([-1.0, 1.0], x.dtype)
-    several = jax.vmap(jax.vmap(values, in_axes=(None, 0)), in_axes=(0, None))
-    # Shape (2 times, 2 sides, numbers). The size is the largest over times and sides, since a
-    # number may vanish at one of them.
-    now, later = several(at, both), several(at + period, both)
-    size = jnp.max(abs(now) + abs(later), axis=(0, 1))
+    several = values
+    for place in ((None, None, 0), (None, 0, None), (0, None, None)):
+        several = jax.vmap(several, in_axes=place)
+    # Shape (3 states, 4 sides, 2 times, numbers). The size is the largest over sides and times,
+    # since a number may vanish at one of them.
+    now, later = several(states, sides, at), several(states, sides, at + period)
+    size = jnp.max(abs(now) + abs(later), axis=(1, 2), keepdims=True)
     same = abs(now - later) <= _SAME * jnp.finfo(x.dtype).eps * size
-    return jnp.all(same)
+    # A field need not be defined away from its state.
+    return jnp.all(same | (now == later) | (jnp.isnan(now) & jnp.isnan(later)))
 
 
 def next_period(grid: TimeGrid, state: LoopState) -> LoopState:
