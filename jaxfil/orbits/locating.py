@@ -34,10 +34,16 @@ class _Lost(Exception):
 def zero_on_curve(
     curve: Curve[_Point], a: _Point, b: _Point, test: Callable[[_Point], float]
 ) -> _Point | None:
-    """The zero of a test function between two points. If the curve is lost, the last point on
-    it."""
+    """The zero of a test function between two points; None where its sign changes by a jump. If the
+    curve is lost, the last point on it."""
     part, last = _zero(curve, a, b, test)
-    return last if part is None else _at_part(curve, a, b, part) or last
+    if part is None:
+        return last
+    point = _at_part(curve, a, b, part)
+    # Moduli of pairs jump where a pair turns real.
+    if point is not None and _is_jump(a, b, point, test):
+        return None
+    return point or last
 
 
 def jumps_on_curve(
@@ -48,7 +54,13 @@ def jumps_on_curve(
     the answer is no."""
     part, _ = _zero(curve, a, b, test)
     point = None if part is None else _at_part(curve, a, b, part)
-    return point is not None and abs(test(point)) > _CROSSED * min(abs(test(a)), abs(test(b)))
+    return point is not None and _is_jump(a, b, point, test)
+
+
+def _is_jump(a: _Point, b: _Point, point: _Point, test: Callable[[_Point], float]) -> bool:
+    """Whether a change of sign of a test function between a and b, located at a point, is no
+    zero."""
+    return abs(test(point)) > _CROSSED * min(abs(test(a)), abs(test(b)))
 
 
 def _zero(

@@ -22,7 +22,7 @@ from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.extremum import largest
 from jaxfil.orbits.orbit_arrays import orbit_arrays
-from jaxfil.orbits.shooting import ShootingOptions
+from jaxfil.orbits.shooting import ShootingOptions, merged
 from jaxfil.xla.known import in_numpy
 from jaxfil.xla.select import select
 
@@ -75,7 +75,7 @@ class Orbit(eqx.Module):
 
     def states(self, ts: Float[Array, " k"]) -> Float[Array, "k n"]:
         """The states at times of the first period, in order, shape (k, n)."""
-        sol = self._solved(1, diffrax.SaveAt(ts=ts))
+        sol = self._saved(1, ts)
         assert sol.xs is not None
         return sol.xs
 
@@ -95,7 +95,7 @@ class Orbit(eqx.Module):
         too long for a straight line."""
         end = self.options.t0 + periods * self.period
         ts = jnp.linspace(self.options.t0, end, 10 * self._steps * periods + 1)
-        return self._solved(periods, diffrax.SaveAt(ts=ts))
+        return self._saved(periods, ts)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the orbit in the plane of its first two components, with the surfaces of its system;
@@ -124,6 +124,47 @@ class Orbit(eqx.Module):
     def _steps(self) -> int:
         """Approximate number of steps of a period."""
         return expected_steps(self.options.steps, self.options.stepper)
+
+    def _saved(self, periods: int, ts: Array) -> Solution:
+        """The run from t0 with its states at some times."""
+        # An unstable orbit cannot be followed for long, and starts again after each period.
+        if self.options.arcs == periods == 1:
+            return self._solved(periods, diffrax.SaveAt(ts=ts))
+        return _joined(self, self.arcs(periods, ts), ts)
+
+    def arcs(self, periods: int = 1, ts: Array | None = None) -> Solution:
+        """The arcs of some periods, a batch of runs, each from its own start, since errors would
+        grow too much in one run. With times, each has the states at those within it; without, every
+        step."""
+        count = self.options.arcs * periods
+        # As many steps as in the search for the orbit.
+        steps = -(-self.options.steps // self.options.arcs)
+        length = self.period / self.options.arcs
+        starts = jnp.tile(self.starts, (periods, 1))
+        budget = enough_iterations(self._steps, self.options.max_events)
+
+        def run(number: Array, start: Array) -> Solution:
+            t0 = self.options.t0 + number * length
+            t1 = t0 + length
+            at = (
+                diffrax.SaveAt(dense=True)
+                if ts is None
+                else diffrax.SaveAt(ts=jnp.clip(ts, t0, t1))
+            )
+            return solve(
+                self.system,
+                start,
+                t0,
+                t1,
+                length / steps,
+                stepper=self.options.stepper,
+                saveat=at,
+                max_events=self.options.max_events,
+                max_steps=budget if ts is None else None,
+                throw=False,
+            )
+
+        return eqx.filter_vmap(run)(jnp.arange(count).astype(starts.dtype), starts)
 
     def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
         # An array of that length is stored if every step is saved.
@@ -165,17 +206,53 @@ def _are_inside(multipliers: Array, autonomous: bool) -> Array:
     return jnp.max(size, axis=-1) < 1
 
 
+def _joined(orbit: Orbit, arcs: Solution, ts: Array) -> Solution:
+    """The arcs of an orbit as one run with the states at some times."""
+    assert arcs.xs is not None and arcs.modes is not None
+    count = arcs.xs.shape[0]
+    length = orbit.period / orbit.options.arcs
+    # A state at the end of an arc is the start of the next one.
+    own = jnp.floor((ts - orbit.options.t0) / length).astype(jnp.int32)
+    own, each = jnp.clip(own, 0, count - 1), jnp.arange(ts.shape[0])
+    result = RESULTS.successful
+    for i in reversed(range(count)):
+        one = jax.tree.map(lambda v, i=i: v[i], arcs.result)
+        result = RESULTS.where(one == RESULTS.successful, result, one)
+    last = jax.tree.map(lambda v: v[-1], (arcs.t_final, arcs.x_final, arcs.mode_final))
+    return Solution(
+        ts=jnp.asarray(ts),
+        xs=arcs.xs[own, each],
+        modes=arcs.modes[own, each],
+        events=merged(arcs.events, orbit.options.max_events * count),
+        num_events=jnp.sum(arcs.num_events, dtype=jnp.int32),
+        result=result,
+        stats=jax.tree.map(lambda v: jnp.sum(v, dtype=v.dtype), arcs.stats),
+        t_final=last[0],
+        x_final=last[1],
+        mode_final=last[2],
+        labels=arcs.labels,
+        compact=arcs.compact,
+    )
+
+
 @eqx.filter_jit
 def _extremes(orbit: Orbit) -> tuple[Array, Array]:
-    dense = orbit.dense()
-    n = orbit.x0.shape[-1]
+    if orbit.options.arcs > 1:
+        arcs = orbit.arcs()._dense
+        low, high = eqx.filter_vmap(ft.partial(_extremes_of, n=orbit.x0.shape[-1]))(arcs)
+        return jnp.min(low, axis=0), jnp.max(high, axis=0)
+    return _extremes_of(orbit.dense(), orbit.x0.shape[-1])
+
+
+def _extremes_of(dense: Dense, n: int) -> tuple[Array, Array]:
+    """The extremes of each component over every step of a run."""
     # The smallest value is the largest of the negative: one search for all, as lanes of a batch.
     numbers, signs = np.repeat(np.arange(n), 2), np.tile([-1.0, 1.0], n)
 
     def extreme(i: Array, sign: Array) -> Array:
         return sign * largest(dense, lambda t, x: sign * x[i]).value
 
-    both = jax.vmap(extreme)(jnp.asarray(numbers), jnp.asarray(signs, orbit.x0.dtype))
+    both = jax.vmap(extreme)(jnp.asarray(numbers), jnp.asarray(signs, dense.xs.dtype))
     return both[0::2], both[1::2]
 
 

@@ -99,6 +99,11 @@ def periodic_orbit(
     check.system("system", system)
     system = cast(system, dtype)
     autonomous = system.period is None
+    if autonomous and system.clocks:
+        raise ValueError(
+            f"`system` must have a `period`, a common one of its clocks; that of "
+            f"{type(system).__name__} is None."
+        )
     if autonomous and period is None:
         raise ValueError(
             f"`period` must be a guess of the period, since {type(system).__name__} is autonomous; "

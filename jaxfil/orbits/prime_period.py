@@ -29,7 +29,8 @@ def times_round(
     contacts = switches(events)
     if contacts.size:
         known = jax.tree.map(lambda v: np.asarray(v)[contacts], events)
-        closes = [_repeats(known, float(period), k) for k in range(1, _MOST + 1)]
+        start = abs(np.asarray(x0))
+        closes = [_repeats(known, start, float(period), k) for k in range(1, _MOST + 1)]
     else:
         parts = array_of(1 / np.arange(1.0, _MOST + 1), x0.dtype)
         gaps = np.asarray(_gaps(system, options, x0, period, parts))
@@ -37,8 +38,9 @@ def times_round(
     return int(np.max(np.flatnonzero(closes), initial=0)) + 1
 
 
-def _repeats(events: Events, period: float, k: int) -> bool:
-    """Whether contacts repeat after each k-th of the period."""
+def _repeats(events: Events, start: np.ndarray, period: float, k: int) -> bool:
+    """Whether contacts repeat after each k-th of the period, for an orbit with the sizes `start` of
+    the components at its start."""
     ts, xs = np.asarray(events.ts), np.asarray(events.xs)
     count = ts.size
     if count % k:
@@ -46,7 +48,9 @@ def _repeats(events: Events, period: float, k: int) -> bool:
     shift = count // k
     later = np.append(ts, ts + period)[shift : shift + count]
     same = np.all(abs(later - ts - period / k) < _CLOSE * period)
-    size = np.max(abs(xs), axis=0)
+    size = np.maximum(np.max(abs(xs), axis=0), start)
+    # A component that is zero on the surface has the rounding of its motion at every contact.
+    size = np.maximum(size, _CLOSE * size.max())
     return bool(same and np.all(abs(np.roll(xs, -shift, axis=0) - xs) <= _CLOSE * size))
 
 

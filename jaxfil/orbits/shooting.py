@@ -140,14 +140,14 @@ def shoot(
         by_start=by_start,
         by_global=by_global,
         size=select(size == 0, 1, size),
-        events=_merged(events, options.max_events),
+        events=merged(events, options.max_events),
         num_events=count,
         first_mode=modes[0],
         result=result,
     )
 
 
-def _merged(events: Events | None, size: int) -> Events | None:
+def merged(events: Events | None, size: int) -> Events | None:
     """The events of all arcs in one table, in order of time, its first `size` rows."""
     if events is None:
         return None

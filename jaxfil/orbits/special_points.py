@@ -31,14 +31,15 @@ def period_doubling(monodromy: np.ndarray) -> float:
 
 
 def neimark_sacker(monodromy: np.ndarray) -> float:
-    """The modulus of a complex pair of multipliers minus one; NaN without such a pair."""
+    """Π (|μ| − 1) over the complex pairs of multipliers; NaN without a pair."""
     return pair_on_circle(np.linalg.eigvals(monodromy))
 
 
 def pair_on_circle(values: np.ndarray) -> float:
     """The same, from multipliers."""
-    pair = values[np.imag(values) > 0]
-    return float(np.max(abs(pair)) - 1) if pair.size else np.nan
+    # A product, so that a pair that crosses the circle shows beside others outside of it.
+    pairs = values[np.imag(values) > 0]
+    return float(np.prod(abs(pairs) - 1)) if pairs.size else np.nan
 
 
 _TESTS: dict[str, Callable[[OrbitPoint], float]] = {

@@ -4,6 +4,7 @@ import functools
 from types import SimpleNamespace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import matplotlib
 import matplotlib.figure
@@ -435,3 +436,28 @@ def test_an_impact_passes_the_phase_of_shooting(t0):
             phase = np.arccos(np.minimum(fold / value, 1.0))
             seen = [thrown_once(value, p, t0) for p in (phase, -phase)]
             assert min(abs(x0 - x).max() for x in seen) < 1e-6
+
+
+class TwoLinear(jf.System):
+    """Two oscillators on their own, x'' + a x' + k x = cos t and y'' + c y' + 2 y = cos t."""
+
+    a: jax.Array
+    k: jax.Array
+    c: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        first = jnp.cos(t) - self.a * x[1] - self.k * x[0]
+        return jnp.stack([x[1], first, x[3], jnp.cos(t) - self.c * x[3] - 2 * x[2]])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name, start, stop, found", [("k", 0.05, 0.005, 0), ("c", 0.3, -0.3, 1)])
+def test_pairs_of_multipliers_are_told_apart(name, start, stop, found):
+    """One pair is outside of the circle. It turns real where k = a²/4; the other pair crosses the
+    circle where c = 0."""
+    system = TwoLinear(*map(jnp.asarray, (-0.2, 0.05, 0.3)))
+    orbit = jf.periodic_orbit(system, jnp.zeros(4))
+    branch = jf.continue_orbit(system, name, orbit, stop=stop)
+    points = [p.value for p in branch.points if p.kind == "neimark-sacker"]
+    assert_allclose(points, [0.0] * found, rtol=0, atol=1e-8)

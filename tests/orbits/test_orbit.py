@@ -512,6 +512,27 @@ def test_the_derivative_of_a_prime_period_is_that_of_the_orbit_found():
     assert_allclose(found, exact, rtol=1e-11)
 
 
+class TwoSpeeds(jf.System):
+    """The circle of radius one, faster by w where x < 0: T = π + π/w."""
+
+    w: jax.Array
+
+    def vector_field(self, t, x, side):
+        pull, rate = 1 - x[0] ** 2 - x[1] ** 2, jnp.where(side > 0, 1.0, self.w)
+        return jnp.stack([pull * x[0] - rate * x[1], pull * x[1] + rate * x[0]])
+
+    def switching(self, t, x):
+        return x[0]
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_the_period_is_prime_where_contacts_have_a_component_of_zero(times):
+    period = np.pi + np.pi / 1.7
+    guess = times * period + 0.05
+    orbit = jf.periodic_orbit(TwoSpeeds(jnp.asarray(1.7)), jnp.array([1.05, 0.1]), period=guess)
+    assert_allclose(orbit.period, period, rtol=1e-11)
+
+
 class Turning(jf.System):
     """The circle of radius one, once in 2π."""
 
@@ -570,3 +591,39 @@ def test_second_derivative_of_a_period():
     first, second = slopes(lo)
     assert_allclose(first, jax.grad(exact)(lo), rtol=1e-11, atol=0)
     assert_allclose(second, jax.grad(jax.grad(exact))(lo), rtol=1e-9, atol=0)
+
+
+class Repelling(jf.System):
+    """x'' = k² x + cos t, whose one orbit of 2π is −cos t/(1 + k²)."""
+
+    k: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], self.k**2 * x[0] + jnp.cos(t)])
+
+
+def test_an_orbit_in_segments_is_that_of_its_segments():
+    """A single run would grow by e^44."""
+    orbit = jf.periodic_orbit(Repelling(jnp.asarray(7.0)), jnp.zeros(2), segments=8, steps=200)
+    ts = jnp.linspace(0.0, 2 * np.pi, 11)
+    assert_allclose(orbit.states(ts)[:, 0], -np.cos(ts) / 50, rtol=0, atol=1e-13)
+    low, high = orbit.extremes()
+    assert_allclose([low[0], high[0]], [-0.02, 0.02], rtol=0, atol=1e-12)
+    run = orbit.trajectory(2)
+    assert run.num_events == 0 and bool(run.result == jf.RESULTS.successful)
+    assert_allclose(run.xs[:, 0], -np.cos(run.ts) / 50, rtol=0, atol=1e-13)
+
+
+class Teeth(jf.System):
+    """x' = −x + t mod 1, without a period of its own."""
+
+    clocks = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        return jnp.mod(t, 1.0) - x
+
+
+def test_clocks_need_a_period():
+    with pytest.raises(ValueError, match="`system` must have a `period`, a common one of its clo"):
+        jf.periodic_orbit(Teeth(), jnp.zeros(1), period=1.0)
