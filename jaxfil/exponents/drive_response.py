@@ -16,6 +16,9 @@ def _halves(x: Array) -> tuple[Array, Array]:
 
 
 class _DriveResponse(System):
+    """A drive x and a response y, z = (x, y), each (n,). Surfaces 0 to m − 1 belong to the drive, m
+    to 2m − 1 to the response."""
+
     system: System
     coupling: Array
 

@@ -142,7 +142,7 @@ def lyapunov_spectrum(
         compact=compact,
         tangents=x.size,
     )
-    return _spectrum(system, x, between, pace, min(BATCHES, periods))
+    return _spectrum(system, x, between, pace, min(BATCHES, int(periods)))
 
 
 @eqx.filter_jit

@@ -39,7 +39,12 @@ from jaxfil.xla.thresholds import SEPARATION
 
 # The distances that count as synchronised by default. Each is far above the rounding of a state of
 # ordinary size, which a pair that is driven keeps, and far below an attractor.
-_TOLERANCES = {"float64": 1e-10, "float32": 1e-5}
+_TOLERANCES = {"float64": 1e-10, "float32": 1e-5, "float16": 1e-2}
+# The distance of a response at its start, as a part of |x|.
+_START = 0.01
+# Number of directions, each with its opposite, in one of which a response starts beside walls, and
+# the multiple of rounding within which a state is on a wall.
+_DIRECTIONS, _HERE = 8, 64
 
 
 def synchronization_exponent(
@@ -153,14 +158,29 @@ def _settle(
     return kernel_if_it_fits(run, pace.compact)(x0)
 
 
-def _away(x: Array, part: float) -> tuple[Array, Array]:
-    """A state at a distance of `part` times |x|, in a generic direction, and the distance."""
-    # A direction along an axis may be special to the system, such as the direction of the flow.
-    direction = np.random.default_rng(0).normal(size=x.shape[0])
-    unit = jnp.asarray(direction / np.linalg.norm(direction), x.dtype)
+def _apart(x: Array, part: float) -> Array:
+    """A distance of `part` times |x|, or `part` at the origin."""
     norm = jnp.sqrt(jnp.sum(x * x))
-    distance = part * select(norm > 0, norm, 1.0)
-    return x + distance * unit, distance
+    return part * select(norm > 0, norm, 1.0)
+
+
+def _away(system: System, t: Array, x: Array, distance: Array) -> Array:
+    """A state at a distance from x, in a generic direction. Next to walls this is the first of
+    several directions that does not lead behind one."""
+    # A direction along an axis may be special to the system, such as the direction of the flow.
+    directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, x.shape[0]))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    states = x + distance * jnp.asarray(np.concatenate([directions, -directions]), x.dtype)
+    if not system.resets:
+        return states[0]
+
+    def surfaces(x: Array) -> Array:
+        return jnp.atleast_1d(system.switching(t, x))
+
+    # A motion is where H ≥ 0, and a state on a wall has H = 0 up to rounding.
+    rounding = _HERE * jnp.finfo(x.dtype).eps * _apart(x, 1.0)
+    fine = (jax.vmap(surfaces)(states) >= 0) | (surfaces(x) < -rounding)
+    return states[jnp.argmax(jnp.all(fine, axis=1))]
 
 
 @eqx.filter_jit
@@ -176,8 +196,8 @@ def _threshold(
     interval, x, settled = _settle(system, x0, interval, transient, pace)
 
     def lane(coupling: Array) -> tuple[Array, RESULTS]:
-        z = jnp.concatenate([x, _away(x, 0.01)[0]])
         grid = interval.grid(periods, steps, transient)
+        z = jnp.concatenate([x, _away(system, grid.t0, x, _apart(x, _START))])
         pair = build(drive_response(system, coupling), z, compact=pace.compact)
         problem = problem_of(pair, tableau_of(pace.stepper), grid)
 
@@ -215,7 +235,7 @@ def _threshold(
             synchronized=met,
             tolerance=tolerance,
             time=time,
-            bias=spacing / 2 + jnp.log(_away(x, 0.01)[1] / tolerance) / time,
+            bias=spacing / 2 + jnp.log(_apart(x, _START) / tolerance) / time,
             x0=x0,
             results=results,
             compact=pace.compact,
@@ -289,7 +309,7 @@ def transverse_exponent(
         stepper=stepper,
         compact=compact,
     )
-    return _transverse(system, x, strength, between, pace, min(BATCHES, periods))
+    return _transverse(system, x, strength, between, pace, min(BATCHES, int(periods)))
 
 
 @eqx.filter_jit
@@ -305,8 +325,9 @@ def _transverse(
     def run(x: Array, coupling: Array) -> TransverseExponent:
         # A distance d has an error of d from the curvature of the flow and of eps/d from rounding,
         # least at √eps; a larger one has room to shrink within an interval.
-        y, separation = _away(x, float(jnp.finfo(x.dtype).eps) ** 0.4)
-        z = jnp.concatenate([x, y])
+        separation = _apart(x, float(jnp.finfo(x.dtype).eps) ** 0.4)
+        start = interval.grid(jnp.ones_like(pace.steps), pace.steps, alone).t0
+        z = jnp.concatenate([x, _away(system, start, x, separation)])
         pair = build(drive_response(system, coupling), z, compact=pace.compact)
         ends = batch_ends(pace.periods, batches)
 

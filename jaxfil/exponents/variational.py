@@ -80,6 +80,8 @@ def _push(problem: Problem, variation: Variation) -> Variation:
     # A map may act at a time that differs, as may the second of several contacts; without
     # these a switch does not change the state.
     moves = system.resets or system.ticks or system.m > 1
+    # Where it does not, the derivative by the time is not computed, and the tangent after a switch
+    # is the one before it.
     given = (state.motion.x, state.motion.tau) if moves else (state.motion.x,)
     _, derivative, after = jax.linearize(through, *given, has_aux=True)
 
@@ -109,7 +111,8 @@ def _push(problem: Problem, variation: Variation) -> Variation:
 
 def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Array) -> Components:
     """A tangent after a switch. It was propagated to the contact itself, whose time moves by dt,
-    and through its resets. It contains f⁻ dt, and f⁺ dt is subtracted to return to a fixed time."""
+    and through its resets, so that it is R_x (v + f⁻ dt) + R_t dt with the tangent v before it.
+    f⁺ dt is subtracted to return to a fixed time."""
     system, t = problem.system, problem.grid.t0 + after.motion.tau
     v = v + -dt * after.motion.f
     if system.slides or system.resets:
