@@ -236,7 +236,10 @@ def sequence():
     followed = branch()
     named = SimpleNamespace(kind="adding-sliding", value=0.78)
     return unchecked(
-        jf.BifurcationSequence, branch=followed, bifurcations=[followed.points[0], named]
+        jf.BifurcationSequence,
+        branch=followed,
+        bifurcations=[followed.points[0], named],
+        indices=[point.index for point in followed.points],
     )
 
 

@@ -90,12 +90,14 @@ def _flights(orbit: Orbit) -> list[_Flight]:
         x = np.full(orbit.x0.shape, np.nan)
         return [_Flight(-np.inf, np.inf, first, np.zeros(first.shape, bool), x)]
     ts = np.asarray(events.ts)[ends]
+    # An orbit at a bifurcation has the contacts of its neighbour, which may start elsewhere.
+    ts = np.where((ts < t0) | (ts > t0 + period), t0 + np.mod(ts - t0, period), ts)
+    ends, ts = ends[np.argsort(ts, kind="stable")], np.sort(ts)
     modes = np.asarray(events.modes)[ends].astype(float)
     # The contact at the end of each flight.
     members = np.roll(np.asarray(events.members)[ends], -1, axis=0)
     xs = np.roll(np.asarray(events.xs)[ends], -1, axis=0)
     stops = np.append(ts[1:], ts[0] + period)
-    assert np.all(ts >= t0)
     return [_Flight(ts[i], stops[i], modes[i], members[i], xs[i]) for i in range(count)]
 
 

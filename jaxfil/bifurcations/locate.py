@@ -65,13 +65,16 @@ class Bifurcation(eqx.Module):
     value: Float[Array, ""]
     """The parameter value; NaN without a start."""
     orbit: Orbit
-    """The orbit at this value. It starts at the start of the flight around the tangency."""
+    """The orbit at this value. It starts at the start of the flight around the tangency. Its
+    `events` are the contacts of the given orbit; those at the tangency itself would depend on
+    rounding."""
     t: Float[Array, ""]
     """The time of the tangency."""
     x: Float[Array, " n"]
     """The state at time `t`."""
     code: Int[Array, ""]
-    """The number of its kind in `BIFURCATION_KINDS`; −1 if the conditions fit no kind."""
+    """The number of its kind in `BIFURCATION_KINDS`; −1 if the conditions fit no kind, or
+    if the search has failed."""
     conditions: Conditions
     """The conditions that define the kind."""
     residual: Float[Array, ""]
@@ -120,8 +123,9 @@ def find_bifurcation(
 ) -> Bifurcation:
     """Find the value of a parameter at which an orbit near `orbit` has a bifurcation.
 
-        x(t0 + T; x0) = x0,  H = Ḣ_s = 0  (for a slide Ḣ_s = 0 and its derivative along the slide)
+        x(t0 + T; x0) = x0,  H = Ḣ_s = 0  (for a slide Ḣ_s = 0 = dḢ_s/dt along the slide)
 
+    Ḣ_s is dH/dt along the field of the side s from which the orbit comes.
     Newton's method solves for a state on the orbit, the phase of the tangency (or the period of an
     autonomous system) and the parameter together. A contact whose reset is not the identity where
     H = Ḣ = 0, such as a spike, is searched with that reset.
@@ -131,7 +135,8 @@ def find_bifurcation(
     - `system`: the `System`.
     - `parameter`: the name of a scalar parameter.
     - `orbit`: a periodic orbit of `system` near the bifurcation, on either side of it; a batch (as
-      from `equinox.filter_vmap`) is searched in one call. It must not be traced.
+      from `equinox.filter_vmap`) is searched in one call. It must not be traced. The search starts
+      from the value that `parameter` has in the orbit's system.
     - `kind`: one of `BIFURCATION_KINDS`.
     - `newton_steps`: the largest number of evaluations.
     - `throw`: whether to raise an error unless the outcome is `successful`.
@@ -141,10 +146,10 @@ def find_bifurcation(
 
     **Outcomes**: `successful`; `no_tangency_found` if the orbit itself failed or comes near no
     surface in that way; `other_kind` for a bifurcation of the kind `.kind` instead; `orbit_lost`
-    where the orbit has a contact elsewhere; `newton_stalled`, `newton_singular` or
-    `newton_max_steps_reached` where there is perhaps no bifurcation; and where the flow cannot be
-    followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`, `zeno`,
-    `nonunique`, `reset_undecided`, `undeclared_sliding` or `step_too_long`.
+    where the flight around the tangency reaches another surface; `newton_stalled`,
+    `newton_singular` or `newton_max_steps_reached` where there is perhaps no bifurcation; and where
+    the flow cannot be followed from the guess, `nonfinite`, `max_steps_reached`, `mode_undecided`,
+    `zeno`, `nonunique`, `reset_undecided`, `undeclared_sliding` or `step_too_long`.
 
     **Source**: kinds and conditions: M. di Bernardo, C. Budd, A. Champneys, P. Kowalczyk,
     Piecewise-smooth Dynamical Systems (2008), chapter 8, with time as a state.
@@ -253,7 +258,7 @@ def _first_guess(
 @eqx.filter_jit
 def _of_kind(found: dict[str, Any], code: Array, missing: Array) -> dict[str, Any]:
     """The located bifurcation, with its outcome relative to the requested kind."""
-    # By precedence, last to first: no guess, the outcome of `bifurcation_at`, another kind.
+    # Each line overrides the one before it.
     other = RESULTS.where(found["code"] == code, RESULTS.successful, RESULTS.other_kind)
     result = RESULTS.where(found["result"] == RESULTS.successful, other, found["result"])
     result = RESULTS.where(missing, RESULTS.no_tangency_found, result)

@@ -31,6 +31,9 @@ class BifurcationSequence(eqx.Module):
     """A `Bifurcation` where the orbit is tangent to a surface; a `SpecialPoint` for folds, period
     doublings and Neimark–Sacker points, where rest begins or ceases, and for changes of contacts
     without a name."""
+    indices: list[int]
+    """For each of them the number of the orbit of the branch that follows it, as in
+    `SpecialPoint.index`; of the orbit itself at an end of the branch."""
 
     @property
     def result(self) -> RESULTS:
@@ -120,7 +123,9 @@ def find_bifurcations(
     )
     first, last = (_at_end(system, branch, side) for side in (0, -1))
     inner = [_named(system, branch, point) for point in branch.points]
-    return BifurcationSequence(branch, [*first, *inner, *last])
+    end = len(branch.values) - 1
+    indices = [0] * len(first) + [point.index for point in branch.points] + [end] * len(last)
+    return BifurcationSequence(branch, [*first, *inner, *last], indices)
 
 
 def _named(system: System, branch: Branch, point: SpecialPoint) -> Bifurcation | SpecialPoint:

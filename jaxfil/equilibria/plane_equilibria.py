@@ -54,4 +54,4 @@ def _modes(m: int) -> Float[np.ndarray, "k m"]:
     if m > _MOST:
         raise ValueError(f"`system` must have at most {_MOST} surfaces here, got {m}.")
     every = itertools.product((1.0, -1.0, 0.0), repeat=m)
-    return np.array([mode for mode in every if mode.count(0.0) < 2]).reshape(-1, m)
+    return np.array([mode for mode in every if mode.count(0.0) < 2])

@@ -1,6 +1,5 @@
 """The phase plane of a planar system: fields, nullclines, surfaces, equilibria and separatrices."""
 
-import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,6 +18,7 @@ from jaxfil.equilibria.tangency_points import FieldTangency, Limits, tangency_po
 from jaxfil.integrate.run.solution import Solution
 from jaxfil.integrate.run.solve import solve
 from jaxfil.integrate.steppers.explicit import RK4
+from jaxfil.integrate.surfaces.corners import every_side
 from jaxfil.model import check
 from jaxfil.model.labels import labels_of
 from jaxfil.model.parameter import cast
@@ -127,7 +127,7 @@ def _fields(system: System, points: Array) -> tuple[Array, Array]:
     def at(x: Array) -> tuple[Array, Array]:
         h = system.switching(t, x)
         m = jnp.size(h)
-        every = np.array(list(itertools.product((1.0, -1.0), repeat=m))).reshape(-1, m)
+        every = every_side(m)
         rows = every if jnp.ndim(h) else every[:, 0]
         fields = jax.vmap(lambda side: field_of(system, t, x, side))(jnp.asarray(rows))
         return jnp.where(jnp.atleast_1d(h) < 0, -1.0, 1.0), fields
@@ -141,7 +141,7 @@ def _on_grid(
     """Points of a grid, the fields there, each NaN off its own sides, and the actual field."""
     points = np.stack(np.meshgrid(*axes), axis=-1)
     sides, fields = map(np.asarray, _fields(system, array_of(points.reshape(-1, 2))))
-    every = np.array(list(itertools.product((1.0, -1.0), repeat=m))).reshape(-1, m)
+    every = every_side(m)
     holds = np.all(sides[:, None] == every, axis=-1)
     own = np.where(holds[..., None], fields, np.nan)
     shape = points.shape[:2]

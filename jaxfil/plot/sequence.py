@@ -53,11 +53,10 @@ def bifurcation_sequence(
     curves, wording = curves_of(branch, component, extremes)
     for curve in curves:
         draw_stability(ax, branch, curve, style)
-        # Each was located from the special point of the branch with the same index.
-        for i, (b, point) in enumerate(zip(found, branch.points, strict=True), start=1):
+        for i, (b, index) in enumerate(zip(found, found.indices, strict=True), start=1):
             marker, color = KINDS.get(str(b.kind), KINDS["undecided"])
             value = float(b.value)
-            at = value, height(branch, curve, value, point.index)
+            at = value, height(branch, curve, value, index)
             label = f"{i}: {b.kind}, {value:.6g}"
             ax.plot(*at, marker, color=color, markeredgecolor=BLACK, label=label)
             # Labels of neighbours alternate above and below.

@@ -51,8 +51,8 @@ CARDS = {
         "Branch of SDOscillator in float32: 2 orbits",
     ),
     "route": (
-        jf.BifurcationSequence(branch(ORBITS), []),
-        jf.BifurcationSequence(branch(SINGLE_ORBITS), []),
+        jf.BifurcationSequence(branch(ORBITS), [], []),
+        jf.BifurcationSequence(branch(SINGLE_ORBITS), [], []),
         "BifurcationSequence of SDOscillator in omega, 0 found in float32",
     ),
 }

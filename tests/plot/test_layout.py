@@ -134,7 +134,12 @@ def several():
         for i in range(2, 20, 2)
     ]
     followed = made(jf.Branch, **{**vars(type(followed)), "points": points})
-    return unchecked(jf.BifurcationSequence, branch=followed, bifurcations=points)
+    return unchecked(
+        jf.BifurcationSequence,
+        branch=followed,
+        bifurcations=points,
+        indices=[point.index for point in points],
+    )
 
 
 def test_a_long_legend_is_outside():

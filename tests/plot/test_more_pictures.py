@@ -1,6 +1,7 @@
 """Pictures of maps, sections, surfaces and sequences: what is drawn is what was worked out."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import matplotlib
@@ -80,6 +81,20 @@ def test_a_sequence_tells_each_bifurcation_with_its_place(ax):
     told = [text.get_text() for text in ax.get_legend().get_texts()]
     assert told == ["stable", "unstable", "1: fold, 0.9", "2: adding-sliding, 0.78"]
     assert [text.get_text() for text in ax.texts] == ["1", "2"]
+
+
+def test_a_bifurcation_at_the_end_of_a_branch_is_drawn_there(ax):
+    """It is no special point of the branch."""
+    followed = branch()
+    at_end = SimpleNamespace(kind="grazing", value=float(followed.values[-1]))
+    listed = unchecked(
+        jf.BifurcationSequence,
+        branch=followed,
+        bifurcations=[*followed.points, at_end],
+        indices=[*(point.index for point in followed.points), len(followed.values) - 1],
+    )
+    listed.plot(ax)
+    assert [text.get_text() for text in ax.texts] == ["1", "2", "3"]
 
 
 def test_multipliers_of_a_branch_have_its_parameters_colours(ax):

@@ -1,5 +1,6 @@
 """The phase plane of a planar system: its separatrices against closed forms, and what is marked."""
 
+import jax.numpy as jnp
 import matplotlib
 import numpy as np
 import pytest
@@ -33,6 +34,21 @@ def test_separatrices_of_saddles_lie_on_their_manifolds():
     assert_allclose(marked["saddle"], [[0, 2]], rtol=0, atol=1e-12)
     assert_allclose(marked["unstable equilibrium"], [[0, 1]], rtol=0, atol=1e-12)
     assert_allclose(marked["visible tangency"], [[-1, 0], [1, 0]], rtol=0, atol=1e-12)
+
+
+class Smooth(jf.System):
+    """A saddle at the origin and stable nodes at x = ±1, without a surface."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[0] - x[0] ** 3, -3 * x[1]])
+
+
+def test_a_system_without_surfaces_has_a_phase_plane():
+    ax = jf.plot.phase_plane(Smooth(), ((-2, 2), (-1, 1)), Figure().add_subplot())
+    points = {
+        v.get_label(): np.asarray(v.get_xydata()) for v in ax.lines if len(v.get_xydata()) == 1
+    }
+    assert_allclose(points["saddle"], [[0, 0]], rtol=0, atol=1e-9)
 
 
 def test_a_system_with_impacts_is_refused():
