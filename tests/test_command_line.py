@@ -158,7 +158,7 @@ def test_list_names_every_system_and_parameter_with_its_default(capsys):
     assert len(re.findall(r"^[a-z-]+", listing, re.M)) == len(jf.systems.TEXTBOOK) == 12
     assert "belt-friction\n    f0=10 g=9.81 mu=0.6 alpha=-0.05 beta=0 gamma1=0" in listing
     assert (
-        "bouncing-ball (not forced: a diagram needs --section)\n    g=9.8 restitution=0.9, from"
+        "bouncing-ball (no period: a diagram needs --section)\n    g=9.8 restitution=0.9, from"
         in listing
     )
 

@@ -58,7 +58,7 @@ def listing() -> str:
     lines = []
     for name, (cls, x0) in TEXTBOOK.items():
         parameters = " ".join(f"{p}={value:.10g}" for p, value in _defaults(cls).items())
-        kind = "" if cls().period is not None else " (not forced: a diagram needs --section)"
+        kind = "" if cls().period is not None else " (no period: a diagram needs --section)"
         lines.append(f"{name}{kind}\n    {parameters or 'no parameters'}, from {_text(x0)}")
     return "\n".join(lines)
 
@@ -92,6 +92,8 @@ def class_named(name: str) -> tuple[type[System], tuple[float, ...] | None]:
         for key, value in vars(_module(path)).items()
         if inspect.isclass(value) and issubclass(value, System) and not inspect.isabstract(value)
     }
+    if not found:
+        raise Misuse(f"FILE must define a jaxfil.System, but {file} has no such class")
     _one_of(f"CLASS of {file}", wanted, found)
     return found[wanted], None
 
@@ -122,7 +124,7 @@ def check_sampling(args: argparse.Namespace, of: Chosen) -> None:
         if args.max_return is None:
             raise Misuse("--max-return is required with --section")
     elif of.system(starts(args)).period is None:
-        raise Misuse(f"{of.name} has no forcing to sample at: --section says where")
+        raise Misuse(f"{of.name} has no period to sample at: --section says where")
     elif args.max_return is not None:
         raise Misuse("--max-return goes with --section")
 

@@ -1,6 +1,7 @@
 """A bifurcation diagram from its data set, bit for bit."""
 
 import json
+import re
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from jaxfil.sweep.diagram import TAKEN, BifurcationDiagram
 
 def diagram_from(data: NamedArrays) -> BifurcationDiagram:
     """The diagram."""
-    xs, swept = data.array("x"), tuple(data.attributes["swept"].split(", "))
+    # The indices of an array may contain commas, as in `a[1, 0]`.
+    xs, swept = data.array("x"), tuple(re.split(r", (?![^\[]*\])", data.attributes["swept"]))
     axes = [data.array(key_of(name, TAKEN)) for name in swept]
     if "point" in data.variables["x"][0]:
         values = np.stack(axes, axis=1)

@@ -64,9 +64,9 @@ def harmonic_balance(
 
     **Arguments**
 
-    - `system`: a forced `System`.
-    - `guess`: an `Orbit`; a function of t; or coefficients as in `FourierOrbit`, of any number of
-      harmonics.
+    - `system`: a forced `System` whose state does not jump, without `reset` and `tick`.
+    - `guess`: an `Orbit`; a function of t, shape (n,); or coefficients as in `FourierOrbit`, of any
+      number of harmonics.
     - `harmonics`: K, the number of the highest harmonic.
     - `periods`: forcing periods after which the orbit closes.
     - `newton_steps`: the largest number of evaluations of the residual.
@@ -101,6 +101,12 @@ def harmonic_balance(
             f"`system` must be forced, but the period of {type(system).__name__} is None; use "
             "`periodic_orbit`."
         )
+    jumps = "reset" if system.resets else "tick" if system.ticks else None
+    if jumps is not None:
+        raise ValueError(
+            f"`system` must have no `{jumps}`, since a Fourier series has no jumps; got a "
+            f"{type(system).__name__}. Use `periodic_orbit`."
+        )
     check.period(system, jnp.result_type(float))
     first = _first(system, guess, harmonics, periods)
     series = _solve(cast(system, first.dtype), first, periods, budget)
@@ -130,6 +136,10 @@ def _first(
     if callable(guess):
         phases = equal_phases(4 * size, jnp.result_type(float))
         check.returned("`guess`", guess, t=jnp.zeros((), phases.dtype))
+        at_once = jax.eval_shape(guess, jnp.zeros((), phases.dtype))
+        if not hasattr(at_once, "shape") or len(at_once.shape) != 1:
+            was = check.told(at_once) if not hasattr(at_once, "shape") else at_once.shape
+            raise ValueError(f"`guess` must return a state, an array of shape (n,), got {was}.")
         values: Any = jax.vmap(guess)(array_of(phases * system.period * periods))
         values = values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)
         return project(phases.astype(values.dtype), values, harmonics)

@@ -350,8 +350,11 @@ def _(primals: Any, tangents: Any) -> Any:
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse of a symmetric matrix whose rows have units; infinite if it is singular."""
+    """The inverse of a symmetric matrix whose rows have units; infinite if it is singular. A row of
+    zeros has an infinite diagonal entry, and does not affect the others."""
     size = jnp.sqrt(jnp.diag(matrix))
+    idle = jnp.diag(size == 0)
     scale = select(size > 0, size, 1)
-    inverse = jnp.linalg.inv(matrix / scale / scale[:, None]) / scale / scale[:, None]
-    return select(jnp.isfinite(inverse), inverse, jnp.inf)
+    scaled = select(idle, 1.0, matrix / scale / scale[:, None])
+    inverse = jnp.linalg.inv(scaled) / scale / scale[:, None]
+    return select(jnp.isfinite(inverse) & ~idle, inverse, jnp.inf)

@@ -34,6 +34,8 @@ from jaxfil.sweep.sweep import bifurcation_diagram
 TAKEN = {"label", "outcome", "outcome_code", "attractor", "period", "axis_0", "axis_1", "motion"}
 TAKEN |= {"point", "component", "unit", "components", "symbols", "units"} | CONDITIONS
 
+# Arguments of `bifurcation_diagram` that are passed on.
+_OPTIONS = ("steps", "stepper", "progress", "checkpoint", "compact", "section", "max_return")
 # Labels of states without a periodic attractor.
 APERIODIC, FAILED = 0, -1
 
@@ -155,7 +157,8 @@ def basins_of_attraction(
 
     **Arguments**
 
-    - `system`: a `System` with a `period`, or any `System` with a `section`.
+    - `system`: a `System` with a `period`, or any `System` with a `section`. It must have a float
+      field.
     - `axes`: the values of the two components in the grid, shapes (a,) and (b,).
     - `x0`: the other components of every initial state, shape (n,); by default zeros (2,).
     - `components`: the two components of the state along the grid.
@@ -185,6 +188,12 @@ def basins_of_attraction(
     [1, 2]
     """
     check.system("system", system)
+    unknown = [name for name in options if name not in _OPTIONS]
+    if unknown:
+        raise TypeError(
+            f"`{unknown[0]}` is not an argument of `basins_of_attraction`. Options of "
+            f"`bifurcation_diagram` that it takes are {', '.join(_OPTIONS)}."
+        )
     if options.get("section") is None:
         if system.period is None:
             raise ValueError(
@@ -203,16 +212,13 @@ def basins_of_attraction(
     first, second = _components(components, rest.size)
     states = np.broadcast_to(rest, (len(values[0]), len(values[1]), rest.size)).copy()
     states[..., first], states[..., second] = np.meshgrid(*values, indexing="ij")
-    names = [name for name, leaf in parameters(system).items() if np.ndim(leaf) == 0]
-    if not names:
-        raise ValueError(f"`system` must have a float field, got {type(system).__name__}.")
     # One lane for each state, as a sweep over a parameter with a constant value, so that it uses
     # the program, the chunks and the checkpoints of other sweeps.
-    constant = np.full(states[..., 0].size, parameters(system)[names[0]])
+    name, value = _a_parameter(system)
     diagram = bifurcation_diagram(
         system,
-        names[0],
-        constant,
+        name,
+        np.full(states[..., 0].size, value),
         jnp.asarray(states.reshape(-1, rest.size)),
         transient=transient,
         samples=samples,
@@ -234,6 +240,16 @@ def basins_of_attraction(
         ),
         names=diagram.labels.of(()),
     )
+
+
+def _a_parameter(system: System) -> tuple[str, float]:
+    """A parameter that is one number, or an entry of an array, and its value."""
+    known = {name: np.asarray(leaf) for name, leaf in parameters(system).items() if np.size(leaf)}
+    if not known:
+        raise ValueError(f"`system` must have a float field, got {type(system).__name__}.")
+    name = min(known, key=lambda name: known[name].ndim)
+    index = ",".join("0" * known[name].ndim)
+    return f"{name}[{index}]" if index else name, known[name].flat[0]
 
 
 def _axis(i: int, axis: Any) -> np.ndarray:

@@ -218,6 +218,11 @@ CALLS = {
         STEPPER,
         "rk4",
     ),
+    "stepper is a tolerance": (
+        lambda: solve(stepper=jf.Adaptive()),
+        "`stepper` must be a method; a tolerance takes the place of the step",
+        "Adaptive(",
+    ),
     "stepper is a class": (
         lambda: solve(stepper=diffrax.Tsit5),
         "`stepper` must be an instance",

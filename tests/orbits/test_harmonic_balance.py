@@ -165,6 +165,19 @@ def test_the_jacobian_is_the_derivative_of_the_residual(omega):
         assert_allclose(jacobian[:, i], slope, rtol=0, atol=1e-7)
 
 
+class Kicked(jf.System):
+    """A kick of one each period."""
+
+    period = 2 * np.pi
+    clocks = (jf.Clock(2 * np.pi, 1.0),)
+
+    def vector_field(self, t, x, side):
+        return -x + jnp.cos(t)
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+
 @pytest.mark.parametrize(
     "change, message",
     [
@@ -172,6 +185,10 @@ def test_the_jacobian_is_the_derivative_of_the_residual(omega):
         ({"system": S.SDOscillator}, "`system` must be an instance"),
         ({"guess": jnp.zeros((4, 2))}, r"`guess` must be .* got shape \(4, 2\)"),
         ({"guess": jnp.zeros(3)}, r"`guess` must be .* got shape \(3,\)"),
+        ({"guess": lambda t: jnp.cos(t)}, r"`guess` must return a state, .* got \(\)"),
+        ({"guess": lambda t: jnp.zeros((2, 1))}, r"`guess` must return a state, .* got \(2, 1\)"),
+        ({"system": S.ImpactOscillator()}, "`system` must have no `reset`, since a Fourier series"),
+        ({"system": Kicked()}, "`system` must have no `tick`, since a Fourier series"),
         ({"harmonics": 0}, "`harmonics` must be an integer of at least 1, got 0"),
         ({"periods": 0.5}, "`periods` must be an integer of at least 1, got 0.5"),
         ({"newton_steps": 0}, "`newton_steps` must be an integer of at least 1, got 0"),

@@ -8,6 +8,7 @@ import scipy.optimize
 
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_names
+from jaxfil.studies.fit import _inverse as inverse
 from tests.oracles.block import GUESSES, NAMES, TRUE, TS, X0, Block, data, motion, seen, stepped
 
 
@@ -109,3 +110,10 @@ def test_a_fit_has_its_derivatives(mode):
 
     for own, known in zip(both(found), both(exact), strict=True):
         np.testing.assert_allclose(own, known, rtol=0, atol=1e-8)
+
+
+def test_a_parameter_without_an_effect_leaves_the_error_of_others_finite():
+    found = inverse(jnp.array([[4.0, 0.0], [0.0, 0.0]]))
+    np.testing.assert_array_equal(found, [[0.25, 0.0], [0.0, jnp.inf]])
+    together = inverse(jnp.array([[4.0, 2.0], [2.0, 1.0]]))
+    assert not np.isfinite(together).any()

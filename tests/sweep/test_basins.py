@@ -1,5 +1,6 @@
 """Basins of attraction: the coexisting motions of the SD oscillator, and what cannot be told."""
 
+import jax
 import jax.numpy as jnp
 import matplotlib
 import matplotlib.pyplot as plt
@@ -51,11 +52,50 @@ def test_it_prints_and_draws_itself(found):
     plt.close("all")
 
 
+class Bare(jf.System):
+    """A driven oscillator without a parameter."""
+
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.cos(t) - 2 * x[0] - x[1]])
+
+
+class Listed(jf.System):
+    """The same, its stiffness and damping in one array."""
+
+    k: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.cos(t) - self.k[0] * x[0] - self.k[1] * x[1]])
+
+
+def test_parameters_may_be_an_array():
+    """The one attractor is Re(z eⁱᵗ), z = 1/(2 − 1 + i)."""
+    found = jf.basins_of_attraction(
+        Listed(jnp.array([2.0, 1.0])),
+        ([0.5, 1.0], [0.0]),
+        transient=60,
+        samples=4,
+        steps=20,
+        progress=False,
+    )
+    assert_array_equal(found.labels, 1)
+    assert_allclose(found.attractors[0][0], [0.5, 0.5], atol=1e-8)
+
+
+def test_an_option_that_would_have_no_effect_is_refused():
+    with pytest.raises(TypeError, match="`average` is not an argument of `basins_of_attraction`"):
+        jf.basins_of_attraction(SD, AXES, average=lambda t, x: x[0])
+
+
 @pytest.mark.parametrize(
     "change, message",
     [
         ({"axes": ([[1.0]], [1.0])}, r"`axes\[0\]` must be finite numbers of shape \(k,\)"),
         ({"components": (0, 2)}, "`components` must be two different ones from 0 to 1"),
+        ({"system": Bare()}, "`system` must have a float field, got Bare"),
     ],
 )
 def test_bad_calls(change, message):

@@ -39,6 +39,16 @@ def saved(diagram, path):
         return dict(data)
 
 
+class Matrix(jf.System):
+    """x' = a x + (cos t, 0)."""
+
+    a: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return self.a @ x + jnp.stack([jnp.cos(t), 0.0])
+
+
 @pytest.mark.parametrize("estimate_error", [False, True])
 def test_an_npz_has_the_names_of_the_fields(tmp_path, estimate_error):
     diagram = jf.bifurcation_diagram(
@@ -95,3 +105,12 @@ def test_an_npz_is_loaded_without_xarray(tmp_path, monkeypatch):
     diagram.save(tmp_path / "a.npz")
     monkeypatch.setitem(sys.modules, "xarray", None)
     assert eqx.tree_equal(jf.load(tmp_path / "a.npz"), diagram)
+
+
+def test_an_entry_of_an_array_may_be_named_with_spaces(tmp_path):
+    system = Matrix(jnp.array([[-0.5, 0.8], [-1.2, -0.7]]))
+    diagram = jf.bifurcation_diagram(system, "a[1, 0]", [-1.2, -0.3], X0, **RUN)
+    diagram.save(tmp_path / "a.npz")
+    back = jf.load(tmp_path / "a.npz")
+    assert back.parameter == "a[1, 0]"
+    assert_array_equal(back.xs, diagram.xs)

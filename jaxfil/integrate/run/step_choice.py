@@ -109,10 +109,15 @@ def steps_and_stepper(steps: Any, stepper: Any, system: System) -> tuple[int, An
         return 1, controlled(steps, stepper)
     if not isinstance(steps, StepChoice):
         return check.count("steps", steps), stepper
-    if not steps.forced or system.period is None:
+    if not steps.forced:
         raise ValueError(
             "`steps` must be a number, since a StepChoice for an autonomous system counts the "
             f"steps of its span, not of a period; got one of {steps.steps}."
+        )
+    if system.period is None:
+        raise ValueError(
+            "`steps` must be a number, since a StepChoice for a forced system counts the steps of "
+            f"a period, and {type(system).__name__} has no period; got one of {steps.steps}."
         )
     return steps.steps, _its_own(steps, stepper)
 

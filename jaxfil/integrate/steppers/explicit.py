@@ -183,6 +183,11 @@ def _refuse_others(stepper: Any, name: str = "stepper") -> None:
     explicit = isinstance(tableau, diffrax.ButcherTableau) and not tableau.implicit
     if isinstance(stepper, Controlled):
         return
+    if isinstance(stepper, Adaptive):
+        raise ValueError(
+            f"`{name}` must be a method; a tolerance takes the place of the step, as `dt` or "
+            f"`steps`; got {told(stepper)}."
+        )
     if not explicit and not isinstance(stepper, (*OWN_METHODS.values(), diffrax.Euler)):
         raise ValueError(
             f"`{name}` must be {', '.join(f'jaxfil.{own}()' for own in OWN_METHODS)} or an "
