@@ -22,7 +22,7 @@ from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Dataset, PathLike
 from jaxfil.orbits.extremum import largest
 from jaxfil.orbits.orbit_arrays import orbit_arrays
-from jaxfil.orbits.shooting import ShootingOptions, merged
+from jaxfil.orbits.shooting import ShootingOptions, first_failure, merged
 from jaxfil.xla.known import in_numpy
 from jaxfil.xla.select import select
 
@@ -130,9 +130,9 @@ class Orbit(eqx.Module):
         # An unstable orbit cannot be followed for long, and starts again after each period.
         if self.options.arcs == periods == 1:
             return self._solved(periods, diffrax.SaveAt(ts=ts))
-        return _joined(self, self.arcs(periods, ts), ts)
+        return _joined(self, self._arcs(periods, ts), ts)
 
-    def arcs(self, periods: int = 1, ts: Array | None = None) -> Solution:
+    def _arcs(self, periods: int = 1, ts: Array | None = None) -> Solution:
         """The arcs of some periods, a batch of runs, each from its own start, since errors would
         grow too much in one run. With times, each has the states at those within it; without, every
         step."""
@@ -214,22 +214,17 @@ def _joined(orbit: Orbit, arcs: Solution, ts: Array) -> Solution:
     # A state at the end of an arc is the start of the next one.
     own = jnp.floor((ts - orbit.options.t0) / length).astype(jnp.int32)
     own, each = jnp.clip(own, 0, count - 1), jnp.arange(ts.shape[0])
-    result = RESULTS.successful
-    for i in reversed(range(count)):
-        one = jax.tree.map(lambda v, i=i: v[i], arcs.result)
-        result = RESULTS.where(one == RESULTS.successful, result, one)
-    last = jax.tree.map(lambda v: v[-1], (arcs.t_final, arcs.x_final, arcs.mode_final))
     return Solution(
         ts=jnp.asarray(ts),
         xs=arcs.xs[own, each],
         modes=arcs.modes[own, each],
         events=merged(arcs.events, orbit.options.max_events * count),
         num_events=jnp.sum(arcs.num_events, dtype=jnp.int32),
-        result=result,
+        result=first_failure(arcs.result, count),
         stats=jax.tree.map(lambda v: jnp.sum(v, dtype=v.dtype), arcs.stats),
-        t_final=last[0],
-        x_final=last[1],
-        mode_final=last[2],
+        t_final=arcs.t_final[-1],
+        x_final=arcs.x_final[-1],
+        mode_final=arcs.mode_final[-1],
         labels=arcs.labels,
         compact=arcs.compact,
     )
@@ -238,7 +233,7 @@ def _joined(orbit: Orbit, arcs: Solution, ts: Array) -> Solution:
 @eqx.filter_jit
 def _extremes(orbit: Orbit) -> tuple[Array, Array]:
     if orbit.options.arcs > 1:
-        arcs = orbit.arcs()._dense
+        arcs = orbit._arcs()._dense
         low, high = eqx.filter_vmap(ft.partial(_extremes_of, n=orbit.x0.shape[-1]))(arcs)
         return jnp.min(low, axis=0), jnp.max(high, axis=0)
     return _extremes_of(orbit.dense(), orbit.x0.shape[-1])

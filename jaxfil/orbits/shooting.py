@@ -125,11 +125,7 @@ def shoot(
     else:
         done = jax.vmap(arc)(numbers, starts)
     by_start, by_global, ends, sizes, events, counts, modes, results = done
-    # The last write wins, so the outcome belongs to the first failed arc.
-    result = RESULTS.successful
-    for i in reversed(range(options.arcs)):
-        one = jax.tree.map(lambda v, i=i: v[i], results)
-        result = RESULTS.where(one == RESULTS.successful, result, one)
+    result = first_failure(results, options.arcs)
     count = jnp.sum(counts, dtype=jnp.int32)
     # The table of the orbit is as long as that of an arc.
     full = (result == RESULTS.successful) & (count > options.max_events)
@@ -145,6 +141,16 @@ def shoot(
         first_mode=modes[0],
         result=result,
     )
+
+
+def first_failure(results: RESULTS, arcs: int) -> RESULTS:
+    """The outcome of the first failed arc, given those of all; `successful` without one."""
+    result = RESULTS.successful
+    # The last write wins.
+    for i in reversed(range(arcs)):
+        one = jax.tree.map(lambda v, i=i: v[i], results)
+        result = RESULTS.where(one == RESULTS.successful, result, one)
+    return result
 
 
 def merged(events: Events | None, size: int) -> Events | None:

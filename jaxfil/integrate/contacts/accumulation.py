@@ -191,14 +191,14 @@ def _turned(
     agrees = agrees & reached & (late <= rounding)
     # A limit within the rounding of times is reached, whether predictions agree or not.
     completed = shrinks & (agrees | (left <= same) & (late <= same)) & clear
-    if problem.system.resets:
-        # For a single wall, `resets` has a better prediction, by the reset itself.
-        soon = problem.system.eps**0.5 * typical_step(problem, state)
-        together = total((turn.met | state.pending.surfaces).astype(jnp.int32)) > 1
-        completed = completed & (together | (left <= soon))
+    soon = left <= problem.system.eps**0.5 * typical_step(problem, state)
     if _is_watched(problem):
         # States within the time of the jump would be computed from the last contact.
-        completed = completed & (left <= problem.system.eps**0.5 * typical_step(problem, state))
+        completed = completed & soon
+    elif problem.system.resets:
+        # For a single wall, `resets` has a better prediction, by the reset itself.
+        together = total((turn.met | state.pending.surfaces).astype(jnp.int32)) > 1
+        completed = completed & (together | soon)
     starts = switches & (again | (turn.contacts >= _LONGEST))
     # The switch at the limit needs the surfaces of the completed turn. Any other start clears them.
     met = switches & (turn.met | state.pending.surfaces)
