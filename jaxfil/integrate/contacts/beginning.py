@@ -67,23 +67,24 @@ def begin(
     inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
     by_time, dt = a - c.gradients @ f, typical_step(problem)
     noise = unilateral.rate_noise(t, abs(x), inside, dt, f, c, by_time, surfaces)
-    flat, wall = abs(c.rate) <= noise, on & c.throws_back
+    reverses = unilateral.reset_effect(system, t, x, c, normals).throws_back
+    flat, wall = abs(c.rate) <= noise, on & reverses
     rounding = _NOISE * system.eps * (abs(normals) @ abs(x))
     # Only flags follow from the traces, so they have no derivative.
-    seen = stop_gradient(_traces(system, t, x, on & ~c.throws_back, rounding))
+    seen = stop_gradient(_traces(system, t, x, on & ~reverses, rounding))
     # Along the motion H falls if the motion comes from side +.
     side = where(direction * rates < 0, above, -1.0)
     # Where ∂H/∂x = 0 the surface depends on time alone.
     timed = abs(normals) @ x.like(jnp.ones_like(t)) == 0
     returns = (abs(seen.h) > rounding) & (side * seen.h > 0)
-    back = on & ~c.throws_back & ~flat
+    back = on & ~reverses & ~flat
     # A reset to the side from which the motion comes is due in either direction of time. Any other
     # can be due only forward in time.
     back = back & (returns | (seen.unmade & ~timed & (direction > 0)))
     owed = (wall & (direction * rates < 0) & ~flat) | back
     # A motion that stands still on a surface that lets pass is on either of its sides, unless it
     # slides there, as with dry friction.
-    quiet = on & ~c.throws_back & (c.rate == 0) & (a == 0) & (rates == 0) & (not system.slides)
+    quiet = on & ~reverses & (c.rate == 0) & (a == 0) & (rates == 0) & (not system.slides)
     start = where(wall | quiet, 1.0, where(back, side, sides))
     # A rate within rounding has an unknown sign, so the acceleration decides, and where that
     # vanishes the first higher derivative that does not.

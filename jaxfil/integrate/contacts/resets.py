@@ -25,7 +25,7 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.surfaces import filippov, unilateral
-from jaxfil.integrate.surfaces.unilateral import Constraints
+from jaxfil.integrate.surfaces.unilateral import Constraints, ResetEffect
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
@@ -97,6 +97,7 @@ class View(eqx.Module):
     """The surfaces as constraints, and their accelerations along the field."""
 
     constraints: Constraints
+    effect: ResetEffect
     a: Components
     by_time: Components
     """∂ψ/∂t, m components."""
@@ -174,9 +175,8 @@ def _view(
         fast = maximum(fast, abs(system.field(t, x, sides)))
     inside, dt = system.rate_rounding(t, x, sides), typical_step(problem, state)
     by_time = a - c.gradients @ f
-    return View(
-        c, a, by_time, unilateral.rate_noise(t, size, inside, dt, fast, c, by_time, surfaces)
-    )
+    noise = unilateral.rate_noise(t, size, inside, dt, fast, c, by_time, surfaces)
+    return View(c, unilateral.reset_effect(system, t, x, c, surfaces[1]), a, by_time, noise)
 
 
 def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
@@ -185,7 +185,9 @@ def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Co
     # A rate caused by a reset or a jump is not rounding, and is kept.
     thrown = reset.moved | (state.pending.jumped & (abs(stop_gradient(c.rate)) > seen.noise))
     # At the limit of turns the rates at the surfaces reached have died out.
-    rests = (unilateral.rests_of(state.motion.mode) & ~thrown) | (at_limit(state) & c.throws_back)
+    rests = (unilateral.rests_of(state.motion.mode) & ~thrown) | (
+        at_limit(state) & seen.effect.throws_back
+    )
     push = unilateral.multipliers(c.impulse.gains, c.rate, rests)
     c = dataclasses.replace(c, rate=c.impulse.answered(c.rate, push))
     seen = dataclasses.replace(seen, constraints=c)
@@ -213,11 +215,12 @@ def _follow(
     switching = state.pending.waits & ~state.pending.grazes
     sides, resting = unilateral.sides_of(state.motion.mode), unilateral.rests_of(state.motion.mode)
     limit, (rate, noise) = at_limit(state), (stop_gradient(c.rate), seen.noise)
+    reverses = seen.effect.throws_back
     # A surface just hit counts as reached even if |H| exceeds its rounding, since the rounding of
     # the contact's time is larger.
     here = reset.heard | (state.settled & state.pending.surfaces)
     there = ((abs(stop_gradient(at.h)) <= at.gathered) | here) & ~at.off
-    on = switching & c.throws_back & there
+    on = switching & reverses & there
     leaves = state.pending.surfaces & resting & ~reset.moved & ~limit
     still = on & ((abs(rate) <= noise) | limit) & ~leaves
     outward = direction * sides * rate
@@ -225,15 +228,15 @@ def _follow(
     jumped = reset.moved | state.settled | state.pending.jumped
     # A map may also leave the state exactly on a surface that lets it pass, and that it then moves
     # across. A surface whose reset has no effect, as of dry friction, is decided with the others.
-    passed = switching & there & ~c.throws_back & ~stays_on(system, state.motion.mode)
-    acts = jumped & (on | (passed & c.changes)) & (outward < -noise) & ~reset.heard
+    passed = switching & there & ~reverses & ~stays_on(system, state.motion.mode)
+    acts = jumped & (on | (passed & seen.effect.changes)) & (outward < -noise) & ~reset.heard
     # A reset may let a fast motion through, even if it throws slow ones back.
-    walls = c.throws_back & ~(reset.heard & (outward < -noise))
+    walls = reverses & ~(reset.heard & (outward < -noise))
     # A surface that a map has carried the state across has a contact at this time.
     across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
     # A waiting reset is dropped if the state was moved back, or no longer moves to its surface.
     back = at.off & (state.motion.mode * at.h > 0)
-    parts = c.throws_back & there & (outward > noise)
+    parts = reverses & there & (outward > noise)
     spared = reset.waits & (back | (reset.moved & parts))
     owed = (reset.waits & ~spared) | acts | across
     rests, consistent = unilateral.pressed(c.reaction, seen.a, sides, still)
@@ -277,7 +280,7 @@ def _chattering(
     held = c.reaction.answered(seen.a, unilateral.multipliers(c.reaction.gains, seen.a, rests))
     # The flights last 2ψ/(|a| (1 − e)) in all; `fall` is |a| (1 − e), with 1 − e = 2 − ∇ψ·d.
     away, fall = sides * c.rate, -sides * held * (2 - c.impulse.gains.diagonal())
-    bounces = reset.acted & c.throws_back & (away > seen.noise) & (fall > 0) & ~more
+    bounces = reset.acted & seen.effect.throws_back & (away > seen.noise) & (fall > 0) & ~more
     times = 2 * away / where(bounces, fall, 1)
     low = away * away <= 2 * abs(held) * at.gathered
     # If a grid point, saving time or tick comes before the rest, an ordinary step goes there first.

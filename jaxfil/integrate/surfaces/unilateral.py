@@ -60,18 +60,15 @@ class Constraints(eqx.Module):
     """The effect of resets."""
     reaction: "Response"
     """The effect of reactions, equal to `impulse` unless the field takes reactions."""
-    changes: Components
-    """Whether the reset of a surface changes a state that arrives there."""
-    clears: Components
-    """Whether it moves that state off the surface."""
 
-    @property
-    def throws_back(self) -> Components:
-        """Whether the reset of a surface reverses the motion there, e_j ≥ 0."""
-        own = stop_gradient(self.impulse.gains.diagonal())
-        # With e = 0 the gain is 1 only up to more than rounding, since the reset is differentiated
-        # at an incoming state (`_effect`). A reset that lets pass has a gain far below.
-        return (own >= 1 - float(jnp.finfo(own.parts[0].dtype).eps) ** 0.5) & ~self.clears
+
+class ResetEffect(eqx.Module):
+    """The effect of the reset of each surface on a state that arrives there, m flags each."""
+
+    changes: Components
+    """Whether it changes the state."""
+    throws_back: Components
+    """Whether it reverses the motion there, e_j ≥ 0, and does not move it off the surface."""
 
 
 class Response(eqx.Module):
@@ -98,24 +95,44 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
     """The surfaces as constraints at (t, x), for a motion on `sides`."""
     rate, pull = jax.vjp(lambda x: contact_rates(system, t, x, sides), x)
     gradients = system.rows_of(pull)
-    _, pull_h = jax.vjp(lambda x: system.switching(t, x), x)
-    normals = system.rows_of(pull_h)
-    effect = ft.partial(_effect, system, t, x)
+    direction = ft.partial(_direction, system, t, x)
     if gradients.is_array:
         numbers = jnp.arange(system.m, dtype=jnp.int32)
-        given = sides.parts[0], rate.parts[0], gradients.rows[0], normals.rows[0], numbers
-        rows, changes, clears = jax.vmap(effect)(*given)
-        directions, flags = Rows.array(rows.parts[0]), ([changes], [clears])
+        given = sides.parts[0], rate.parts[0], gradients.rows[0], numbers
+        directions = Rows.array(jax.vmap(direction)(*given).parts[0])
     else:
-        each = zip(sides.parts, rate.parts, gradients.rows, normals.rows, strict=True)
-        rows, *flags = zip(*(effect(*of_j, j) for j, of_j in enumerate(each)), strict=True)
-        directions = Rows(rows)
-    changes, clears = map(Components, flags)
+        each = zip(sides.parts, rate.parts, gradients.rows, strict=True)
+        directions = Rows([direction(*of_j, j) for j, of_j in enumerate(each)])
     impulse = Response(directions, gradients.products(directions))
     reaction = impulse
     if system.feels_reactions:
         reaction = felt_response(system, (t, x), sides, sides, gradients, impulse)
-    return Constraints(rate, gradients, impulse, reaction, changes, clears)
+    return Constraints(rate, gradients, impulse, reaction)
+
+
+def reset_effect(
+    system: ComponentSystem, t: Array, x: Components, c: Constraints, normals: Rows
+) -> ResetEffect:
+    """The effect of resets at (t, x), given the constraints and ∇H there."""
+
+    def own(normal: Components, j: int | Array) -> tuple[Array, Array]:
+        # At x itself, since an incoming state may be off a curved surface.
+        after = system.reset(t, x, jnp.int32(j))
+        step, sizes = stop_gradient((after - x, abs(after) + abs(x)))
+        # Far above the rounding of a state, and of a reset that puts it back on its surface.
+        least = system.eps**0.5 * dot(abs(stop_gradient(normal)), sizes)
+        return any_of(step != 0), abs(dot(normal, step)) > least
+
+    if normals.is_array:
+        flags = jax.vmap(own)(normals.rows[0], jnp.arange(system.m, dtype=jnp.int32))
+        changes, clears = (Components([v]) for v in flags)
+    else:
+        flags = [own(normal, j) for j, normal in enumerate(normals.rows)]
+        changes, clears = map(Components, zip(*flags, strict=True))
+    gains = stop_gradient(c.impulse.gains.diagonal())
+    # With e = 0 the gain is 1 only up to more than rounding, since the reset is differentiated
+    # at an incoming state (`_direction`). A reset that lets pass has a gain far below.
+    return ResetEffect(changes, (gains >= 1 - system.eps**0.5) & ~clears)
 
 
 def felt_response(
@@ -140,18 +157,16 @@ def felt_response(
     return Response(directions, gradients.products(directions))
 
 
-def _effect(
+def _direction(
     system: ComponentSystem,
     t: Array,
     x: Components,
     side: Array,
     rate: Array,
     gradient: Components,
-    normal: Components,
     j: int | Array,
-) -> tuple[Components, Array, Array]:
-    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state; whether the reset
-    changes the state x on the surface, and whether it moves it off."""
+) -> Components:
+    """d_j, from the derivative of the reset along y = ∇ψ_j at an incoming state."""
     size = dot(gradient, gradient)
     inverse = select(size > 0, 1 / select(size > 0, size, 1), 0.0)
     # The reset may be defined only for incoming states, so it is differentiated at one. The state
@@ -168,7 +183,7 @@ def _effect(
     known = own != 0
     # 1 + e_j, by which a state that has been pushed comes back.
     gain = -dot(gradient, again) / select(known, own, 1)
-    direction = push * select(known, gain / select(known, own, 1), 0)
+    return push * select(known, gain / select(known, own, 1), 0)
     # At x itself, since the incoming state may be off a curved surface.
     after = reset(x)
     step, sizes = stop_gradient((after - x, abs(after) + abs(x)))
