@@ -67,11 +67,14 @@ def begin(
     inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
     by_time, dt = a - c.gradients @ f, typical_step(problem)
     noise = unilateral.rate_noise(t, abs(x), inside, dt, f, c, by_time, surfaces)
-    reverses = unilateral.reset_effect(system, t, x, c, normals).throws_back
-    flat, wall = abs(c.rate) <= noise, on & reverses
-    rounding = _NOISE * system.eps * (abs(normals) @ abs(x))
+    flat, rounding = abs(c.rate) <= noise, _NOISE * system.eps * (abs(normals) @ abs(x))
     # Only flags follow from the traces, so they have no derivative.
-    seen = stop_gradient(_traces(system, t, x, on & ~reverses, rounding))
+    seen = stop_gradient(_traces(system, t, x, rounding))
+    # A reset may let a fast motion through, even if it throws slow ones back.
+    through = (direction * c.rate < -noise) & (direction * seen.rate < -noise)
+    reverses = unilateral.reset_effect(system, t, x, c, normals).throws_back & ~through
+    wall = on & reverses
+    unmade = seen.unmade & stop_gradient(_changed(system, t, x, on & ~reverses))
     # Along the motion H falls if the motion comes from side +.
     side = where(direction * rates < 0, above, -1.0)
     # Where ∂H/∂x = 0 the surface depends on time alone.
@@ -80,19 +83,16 @@ def begin(
     back = on & ~reverses & ~flat
     # A reset to the side from which the motion comes is due in either direction of time. Any other
     # can be due only forward in time.
-    back = back & (returns | (seen.unmade & ~timed & (direction > 0)))
+    back = back & (returns | (unmade & ~timed & (direction > 0)))
     owed = (wall & (direction * rates < 0) & ~flat) | back
-    # A motion that stands still on a surface that lets pass is on either of its sides, unless it
-    # slides there, as with dry friction.
-    quiet = on & ~reverses & (c.rate == 0) & (a == 0) & (rates == 0) & (not system.slides)
-    start = where(wall | quiet, 1.0, where(back, side, sides))
+    start = where(wall, 1.0, where(back, side, sides))
     # A rate within rounding has an unknown sign, so the acceleration decides, and where that
     # vanishes the first higher derivative that does not.
     lean = where(flat, where(a != 0, direction * a, rates), a)
     rests, consistent = unilateral.pressed(c.reaction, lean, above, wall & flat)
     return Beginning(
         sides=start,
-        known=wall | back | quiet,
+        known=wall | back,
         owed=owed,
         still=wall & flat,
         rests=rests,
@@ -108,29 +108,31 @@ class Trace(eqx.Module):
     h: Components
     """H after the reset."""
     unmade: Components
-    """Whether the state cannot be the result of a reset. The reset then moves it, and is either
-    idempotent or moves the state off the surface."""
+    """Whether the state cannot be the result of this reset alone. The reset then moves it, and is
+    either idempotent or moves the state off the surface."""
+    rate: Components
+    """dH/dt after the reset, on side +."""
 
 
-def _traces(
-    system: ComponentSystem, t: Array, x: Components, on: Components, noise: Components
-) -> Trace:
+def _traces(system: ComponentSystem, t: Array, x: Components, noise: Components) -> Trace:
     """The effect of the resets of a state's surfaces, given the rounding of H there."""
+    above = noise.like(jnp.ones_like(t))
 
-    def own(number: Array) -> tuple[Array, Array, Array]:
+    def own(number: Array) -> tuple[Array, Array, Array, Array]:
         once = system.reset(t, x, number)
         # Applied twice, since an idempotent reset is recognised by a second one without an effect.
         twice = system.reset(t, once, number)
         h = pack(system.switching(t, once), system.dtype)[number]
-        return h, _differ(once, x), _differ(twice, once)
+        rate = pack(unilateral.contact_rates(system, t, once, above), system.dtype)[number]
+        return h, _differ(once, x), _differ(twice, once), rate
 
     if system.packed:
         found = jax.vmap(own)(jnp.arange(system.m, dtype=jnp.int32))
-        h, moved, again = (Components([v]) for v in found)
+        h, moved, again, rate = (Components([v]) for v in found)
     else:
         each = zip(*(own(jnp.int32(j)) for j in range(system.m)), strict=True)
-        h, moved, again = map(Components, each)
-    return Trace(h, moved & (~again | (abs(h) > noise)) & _changed(system, t, x, on))
+        h, moved, again, rate = map(Components, each)
+    return Trace(h, moved & (~again | (abs(h) > noise)), rate)
 
 
 def _changed(system: ComponentSystem, t: Array, x: Components, on: Components) -> Array:

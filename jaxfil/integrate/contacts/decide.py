@@ -6,6 +6,8 @@ result is the mode and the number of modes in which the motion could continue. T
 surfaces is the sign of H.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -20,6 +22,7 @@ from jaxfil.integrate.lane.step_length import typical_step
 from jaxfil.integrate.surfaces import (
     decision,
     filippov,
+    next_derivatives,
     reactions,
     unilateral,
     weights as sliding_weights,
@@ -112,6 +115,7 @@ def decided(
         question = Question(
             rates=rates,
             fields=fields,
+            following=None,
             mode=left,
             on=on,
             walls=walls,
@@ -121,10 +125,10 @@ def decided(
             direction=grid.direction,
             threshold=threshold,
         )
-        chosen, count = _asked(system, question)
+        chosen, count = _asked(*stop_gradient((system, here)), question)
     else:
         beside = unilateral.beside(left) if system.resets else left
-        chosen, count = filippov.choose(rates, beside, on, grid.direction)
+        chosen, count = _on_separate(problem, here, rates, beside, on, at)
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None or led.constraints is not None:
         return _once(system, where(decide, chosen, left), count)
@@ -174,7 +178,7 @@ def _known(
         on = on & ~later
     if led is None:
         return left, on
-    beside, on = unilateral.sides_of(left), on & ~(led.walls | led.quiet)
+    beside, on = unilateral.sides_of(left), on & ~led.walls
     # At a surface where a rest ends, or that needs a reset, the motion takes its side.
     ends = hit & unilateral.rests_of(left) & ~resets.at_limit(state)
     ends = ends if later is None else ends | later
@@ -195,13 +199,46 @@ def _ended_at(problem: Problem, state: LoopState, rates: Corners) -> Components:
     return where(current > 0, one, -one)
 
 
-def _asked(system: ComponentSystem, question: Question) -> tuple[Components, Array]:
+def _asked(
+    system: ComponentSystem, here: tuple[Array, Components], question: Question
+) -> tuple[Components, Array]:
     """`decision.decide`, evaluated only where the state is on a surface."""
 
-    def same(question: Question) -> tuple[Components, Array]:
+    def asked(question: Question, t: Array, x: Components) -> tuple[Components, Array]:
+        if question.forces is None:
+            following = next_derivatives.second_derivatives(system, t, x)
+            question = dataclasses.replace(question, following=following)
+        return decision.decide(question)
+
+    def same(question: Question, t: Array, x: Components) -> tuple[Components, Array]:
         return question.mode, jnp.ones((), jnp.int32)
 
-    return system.where_any(any_of(question.on), decision.decide, same, question)
+    return system.where_any(any_of(question.on), asked, same, question, *here)
+
+
+def _on_separate(
+    problem: Problem,
+    here: tuple[Array, Components],
+    rates: Corners,
+    sides: Components,
+    on: Components,
+    at: Surfaces,
+) -> tuple[Components, Array]:
+    """The mode on separate surfaces."""
+    system, direction = problem.system, problem.grid.direction
+    known, here = stop_gradient((system, here))
+    if at.unsettled is None:  # all contacts are located, at a rate that does not vanish
+        return filippov.choose(None, rates, None, sides, on, direction)
+
+    def following(t: Array, x: Components) -> Corners:
+        return next_derivatives.second_derivatives(known, t, x)
+
+    def unknown(t: Array, x: Components) -> Corners:
+        return rates
+
+    level = on & ((rates[0] == 0) | (rates[1] == 0))
+    second = system.where_any(any_of(level), following, unknown, *here)
+    return filippov.choose(None, rates, second, sides, on, direction)
 
 
 def _rates_at_graze(

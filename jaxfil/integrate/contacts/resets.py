@@ -74,9 +74,6 @@ class Impact(eqx.Module):
     """Surfaces that throw back, on which the motion cannot slide."""
     still: Components
     """Surfaces with zero rate, which the motion rests on or leaves with zero rate."""
-    quiet: Components
-    """Surfaces that let pass, on which the reset leaves the state with neither a rate nor an
-    acceleration. The motion stays there, on its side."""
     rests: Components
     """Surfaces that the motion rests on; for several surfaces, in the fields before."""
     pushed: Components
@@ -176,7 +173,10 @@ def _view(
     inside, dt = system.rate_rounding(t, x, sides), typical_step(problem, state)
     by_time = a - c.gradients @ f
     noise = unilateral.rate_noise(t, size, inside, dt, fast, c, by_time, surfaces)
-    return View(c, unilateral.reset_effect(system, t, x, c, surfaces[1]), a, by_time, noise)
+    ahead = problem.grid.direction * system.eps**0.5 * dt
+    later = stop_gradient((t + ahead, x + ahead * f))
+    effect = unilateral.reset_effect(system, t, x, c, surfaces[1], later)
+    return View(c, effect, a, by_time, noise)
 
 
 def _held(state: LoopState, reset: Reset, seen: View, x: Components) -> tuple[Components, View]:
@@ -248,7 +248,6 @@ def _follow(
         next=upcoming,
         walls=walls,
         still=still,
-        quiet=reset.acted & passed & (rate == 0) & (stop_gradient(seen.a) == 0),
         rests=rests,
         pushed=away,
         consistent=consistent | ~switching,

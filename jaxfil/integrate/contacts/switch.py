@@ -120,6 +120,8 @@ def _surfaces_at(
         # A map must have changed H itself; rounding of an unchanged H does not leave its surface.
         off = off | (maps.moved & (abs(h) > gathered) & (abs(h - maps.h) > gathered))
         something = something | maps.moved
+    if problem.kept is not None:  # a lane pinned to its mode stays in it beyond its surfaces
+        off = off & ~problem.kept.on
     unsettled = None
     if are_coupled(system):
         # An event on one surface may change the field on another.
@@ -175,8 +177,9 @@ def evaluate_step_end(
         at = _with_rounding_of_forces(problem, state, length, at, fields)
     choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
     choice, again = _in_turn(problem, state, maps, choice, later)
-    if maps.h is not None and (system.ticks or system.m > 1):
-        # A tick or another surface's reset may put the state where it then slides or rests.
+    if system.clocks or (maps.h is not None and system.m > 1):
+        # A tick or another surface's reset may put the state where it then slides or rests, and
+        # H may jump there at a tick.
         # Surfaces of a located contact have this derivative through the time of the contact.
         put = stays_on(system, choice.mode) & ~stays_on(system, state.motion.mode)
         put = put & ~state.pending.surfaces

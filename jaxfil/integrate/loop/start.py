@@ -38,15 +38,15 @@ from jaxfil.integrate.surfaces import (
     unilateral,
     weights as sliding_weights,
 )
-from jaxfil.integrate.surfaces.corners import (
-    Corners,
-    are_coupled,
-    corner_sides,
-    every_side,
-    on_corners,
-)
+from jaxfil.integrate.surfaces.corners import Corners, are_coupled
 from jaxfil.integrate.surfaces.decision import decide, question_of
 from jaxfil.integrate.surfaces.entering import held_from_here
+from jaxfil.integrate.surfaces.next_derivatives import (
+    next_of,
+    on_every_side,
+    second_derivatives,
+    three_derivatives,
+)
 from jaxfil.integrate.system.components import (
     Components,
     all_finite,
@@ -66,71 +66,32 @@ _RATE_NOISE = 64
 _FEW = 3
 
 
-def _resolved_rates(system: ComponentSystem, t: Array, x: Components, direction: Array) -> Corners:
-    """dH/dt along the field of every combination of sides. A vanishing one is replaced by a tiny
-    number with the sign that dH/dt takes just after (from the second, then the third derivative of
-    H)."""
+def _rates_on_sides(
+    system: ComponentSystem, t: Array, x: Components, direction: Array
+) -> tuple[Corners, Corners, Corners]:
+    """The fields on all sides, dH/dt along each, and the derivative that decides where that is
+    zero."""
     if system.m > _FEW and are_coupled(system):
-        # For so many combinations of sides only first derivatives are computed.
-        return filippov.corners(system, t, x)[1]
-    rates, seconds, thirds = _all_rates(system, t, x)
-    scales = rates.sizes()
-
-    def resolved(rate: Components, second: Components, third: Components) -> Components:
-        return _resolved(system, direction, rate, second, third, scales)
-
-    return rates.map(resolved, seconds, thirds)
+        # For so many combinations of sides third derivatives are not computed.
+        return *filippov.corners(system, t, x), second_derivatives(system, t, x)
+    fields, rates, seconds, thirds = on_every_side(system, t, x)
+    following = seconds.map(lambda second, third: next_of(second, third, direction), thirds)
+    return fields, rates, following
 
 
 def _resolved(
     system: ComponentSystem,
     direction: Array,
     rate: Components,
-    second: Components,
-    third: Components,
+    following: Components,
     scales: Components,
 ) -> Components:
-    """A rate, or where it vanishes among rates of these sizes, a tiny number with the sign of the
-    first higher derivative that does not."""
+    """A rate, or where it vanishes among rates of these sizes, a tiny number with the sign that it
+    has just after."""
     # Smaller than the rounding of the other rates. If all rates vanish, only the sign matters.
     tiny = where(scales > 0, system.eps * scales, 1.0)
-    # After a time s the rate is s H″ + s² H‴/2, and s < 0 backward in time, so that the direction
-    # changes the sign of the first term alone.
-    signs = where(second != 0, direction * sign(second), sign(third))
     flat = abs(rate) <= _RATE_NOISE * system.eps * scales
-    return where(flat, tiny * signs, rate)
-
-
-def _all_rates(system: ComponentSystem, t: Array, x: Components) -> tuple[Corners, ...]:
-    """The first three derivatives of H on every combination of sides. The higher ones are not
-    affine in the sides even if the field is."""
-    # One program for all combinations, since it contains third derivatives of the field.
-    three = ft.partial(_three_rates, system, t, x)
-    if system.structure.separate:
-        return on_corners(three, system, corner_sides(system))
-    sides = every_side(system.m)
-    tables = [Corners.table(v) for v in jax.vmap(three)(Components(sides.T.astype(system.dtype)))]
-    if system.m > 2:
-        return (*tables,)
-    return tuple(Corners(table[k] for k in range(len(sides))) for table in tables)
-
-
-def _three_rates(
-    system: ComponentSystem, t: Array, x: Components, sides: Components
-) -> tuple[Components, Components, Components]:
-    """The first three derivatives of H along the field of some sides."""
-
-    def along(t: Array, x: Components) -> tuple[Array, Components]:
-        return jnp.ones_like(t), system.field(t, x, sides)
-
-    def first(t: Array, x: Components) -> Components:
-        return system.rate(t, x, along(t, x)[1])
-
-    def two(t: Array, x: Components) -> tuple[Components, Components]:
-        return jax.jvp(first, (t, x), along(t, x))
-
-    (one, second), (_, third) = jax.jvp(two, (t, x), along(t, x))
-    return one, second, third
+    return where(flat, tiny * direction * sign(following), rate)
 
 
 def _first_mode(
@@ -139,27 +100,27 @@ def _first_mode(
     """The mode at t0, the surfaces that the state starts on, those with a reset due first, the
     number of admissible modes, and the determinant of the weights."""
     system, grid, known = problem.system, problem.grid, stop_gradient(problem)
-    sides, on = side_of(h), abs(h) <= noise
+    on = abs(h) <= noise
+    # A motion that stands still on a surface counts as being on its side +.
+    sides = where(on, 1.0, side_of(h))
     # The choice of the mode has no derivative.
     here = stop_gradient((system, grid.t0, x, grid.direction))
     if system.resets and are_coupled(system):
         return _first_mode_together(known, stop_gradient(x), on, sides)
-    rates = _resolved_rates(*here)
+    (fields, rates, following), direction = _rates_on_sides(*here), grid.direction
     owed = None
     if system.resets:
-        start = begin(problem, x, on, sides, rates[0])
+        above = _resolved(system, direction, rates[0], following[0], rates.sizes())
+        start = begin(problem, x, on, sides, above)
         free = on & ~start.known
-        mode, count = filippov.choose(rates, start.sides, free, grid.direction)
+        mode, count = filippov.choose(fields, rates, following, start.sides, free, direction)
         mode = where(start.rests, 2 * mode, mode)
         count = select(start.consistent, count, 0)
         # Backward in time a rest may have started at any earlier time, so the motion is not unique.
         count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
         owed = start.owed
-    elif are_coupled(system) and rates.flipped is not None:
-        fields, _ = filippov.corners(*here[:3])
-        mode, count = decide(question_of(rates, fields, sides, on, grid.direction))
     else:
-        mode, count = filippov.choose(rates, sides, on, grid.direction)
+        mode, count = filippov.choose(fields, rates, following, sides, on, direction)
     determinant = None
     if system.slides:
         weights = sliding_weights.weights(mode, rates)
@@ -174,8 +135,9 @@ def _first_mode_together(
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     fields, rates = filippov.corners(system, t, x)
     above = sides.like(jnp.ones_like(t))
-    first, second, third = _three_rates(system, t, x, above)
-    resolved = _resolved(system, direction, first, second, third, abs(first))
+    _, first, second, third = three_derivatives(system, t, x, above)
+    following = next_of(second, third, direction)
+    resolved = _resolved(system, direction, first, following, abs(first))
     start = begin(problem, x, on, sides, resolved)
     _, _, normals = system.gradients(t, x)
     c, by_time = start.constraints, start.by_time
@@ -186,7 +148,7 @@ def _first_mode_together(
     forces = dataclasses.replace(forces, accelerations=leaning)
     decided = (on & ~start.known) | start.still
     question = dataclasses.replace(
-        question_of(rates, fields, start.sides, decided, direction),
+        question_of(rates, fields, None, start.sides, decided, direction),
         walls=start.still,
         forces=forces,
     )

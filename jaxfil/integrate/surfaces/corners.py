@@ -221,18 +221,21 @@ class Corners:
             total = total - share * on_each(ft.partial(_taken, share), first - other)
         return total
 
+    def matrix(self) -> Array:
+        """The vectors as the rows of an array, one for each combination."""
+        if not self.is_table:
+            return jnp.stack([pack(row, float) for row in self.rows])
+        columns = self.rows[0].parts
+        return columns[0] if columns[0].ndim > 1 else jnp.stack(columns, axis=1)
+
     def slopes(self) -> Array:
         """∂ blend/∂w_j in column j, shape (m, m), for vectors of one number for each of m surfaces
         that are affine in the sides."""
         assert self.flipped is not None
-        first = pack(self[0], float)
-        m = first.shape[0]
+        rows = self.matrix()
+        first, below, m = rows[0], rows[1:], rows.shape[1]
         if not self.flipped:
             return jnp.zeros((m, m), first.dtype)
-        if self.is_table and self.rows[0].parts[0].ndim > 1:
-            below = self.rows[0].parts[0][1:]
-        else:
-            below = jnp.stack([pack(self[1 + k], float) for k in range(len(self.flipped))])
         # A column for each side that switches the field, put at the index of its surface.
         place = np.zeros((len(self.flipped), m))
         place[np.arange(len(self.flipped)), list(self.flipped)] = 1.0

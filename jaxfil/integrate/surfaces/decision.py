@@ -14,6 +14,10 @@ solved by pivoting (`xla.complementarity`). Several solutions with one velocity,
 rub on the ground and on each other, count as one motion. If rounding excludes every solution, as
 for a mass at the limit of its friction, a solution to within rounding is taken; the motions agree
 to that order.
+
+Where ψ_j vanishes and no weight can change it, the next derivative of H_j decides, a_j = dψ_j/dt.
+An example is x″ = f − g sgn x − h sgn x′ with H = (x, x′), at rest, where ψ of x is x′. The motion
+slides on x only together with x′, to whose rate a of x is equal, and leaves towards a_j.
 """
 
 from typing import Any
@@ -26,7 +30,7 @@ from jaxtyping import Array
 from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.reactions import Forces
 from jaxfil.integrate.surfaces.unilateral import rests_of
-from jaxfil.integrate.surfaces.weights import held_together, weights
+from jaxfil.integrate.surfaces.weights import held_together, reach, weights
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
@@ -44,6 +48,8 @@ from jaxfil.xla.select import select
 _FEW = 3
 # Rounding of rates, accelerations and fields, in eps of the sizes of their terms.
 _NOISE = 64
+# Smaller than any rate that is not zero.
+_TINY = 1e-30
 # Tolerance for equal velocities, in eps; weights of coupled surfaces magnify rounding.
 _ONE_MOTION = 1024
 
@@ -56,8 +62,11 @@ class Question(eqx.Module):
     fields: Corners | None
     """The fields on these combinations, n components; None to count all modes as different
     motions."""
+    following: Corners | None
+    """dψ/dt on these combinations; None if it does not decide, or with `forces`, which have it."""
     mode: Components
-    """The mode, including rests, of surfaces that are not decided; the side of those that are."""
+    """The mode, including rests, of surfaces that are not decided; the side of those that are, on
+    which a motion that stands still stays."""
     on: Components
     """Surfaces to be decided."""
     walls: Components | None
@@ -78,13 +87,16 @@ class Question(eqx.Module):
 def question_of(
     rates: Corners,
     fields: Corners | None,
+    following: Corners | None,
     mode: Components,
     on: Components,
     direction: Array,
     threshold: Array | float = 0.0,
 ) -> Question:
     """The question for surfaces without resets, of which all are open."""
-    return Question(rates, fields, mode, on, None, None, None, None, direction, threshold)
+    return Question(
+        rates, fields, following, mode, on, None, None, None, None, direction, threshold
+    )
 
 
 class _Found(eqx.Module):
@@ -216,17 +228,28 @@ def _continues(
     # Scaled by the rates before reactions too. If a reaction already balances a friction, the rate
     # that remains is only rounding.
     rate, scale = rates.blend(sides, w), question.rates.sizes() + rates.sizes()
-    # If no side moves the state off a surface, only a slide on all of them keeps it there.
-    stays = ~any_of(slid & (sides != 0))
-    solved = (abs(rate) <= _NOISE * eps * scale) & ((scale > 0) | stays)
+    flat = abs(rate) <= _NOISE * eps * scale
+    governed = reach(sides, rates, w) > _NOISE * eps * scale
     outward = sides * direction * rate
-    rounded = (abs(rate) <= _NOISE * eps * scale) & (scale > 0)
+    rounded = flat & (scale > 0)
     leaves = (outward > question.threshold * scale) | (rounded & lenient)
     # At w = ±1 both the slide and its side hold, and the next derivative decides. The slide is
     # preferred: it ends at once if its weight leaves [−1, 1], whereas a wrong side would be
     # detected late. Where a reaction holds the state, no side moves it.
     edge = rounded if rests is None else rounded & ~any_of(rests)
     leaves = where(edge, rounds == 2, leaves)
+    following = question.following if accelerations is None else accelerations
+    solved = flat & governed
+    if following is not None:
+        bend, size = following.blend(sides, w), following.sizes()
+        if forces is not None and force is not None:
+            size = forces.accelerations.sizes() + forces.sizes(force.blend(sides, w))
+        noise = _NOISE * eps * size
+        turned = (sides * bend > noise) | (lenient & (abs(bend) <= noise))
+        still = (scale == 0) & (following.sizes() == 0)
+        turned = where(still, sides == where(question.mode < 0, -1.0, 1.0), turned)
+        leaves = where(flat & ~governed, turned, leaves)
+        solved = solved | (flat & _follows(question, following, slid & (sides == 0) & governed))
     ok = ok & ~any_of(slid & ~where(sides == 0, solved, leaves))
     mode = sides
     if rests is not None and accelerations is not None and force is not None and forces is not None:
@@ -247,6 +270,22 @@ def _continues(
     if question.fields is None:
         return ok, mode, None
     return ok, mode, _velocity(question.fields, forces, force, sides, w)
+
+
+def _follows(question: Question, following: Corners, holding: Components) -> Components:
+    """Whether dψ_j/dt is a multiple of ψ_i on all sides, for one of the surfaces i that hold the
+    motion. H_i is then the rate of H_j, and a slide on it is one on j."""
+    a, rates = following.matrix(), question.rates.matrix()
+    # Scaled, so that squares neither overflow nor vanish.
+    a, rates = (v / jnp.maximum(jnp.max(abs(v), axis=0), _TINY) for v in (a, rates))
+    products = a.T @ rates
+    sizes = jnp.sum(a * a, axis=0)[:, None] * jnp.sum(rates * rates, axis=0)
+    # The sine of the angle between both is below √(64 eps).
+    same = products * products >= (1 - _NOISE * jnp.finfo(a.dtype).eps) * sizes
+    found = jnp.any(same & (sizes > 0) & pack(holding, bool), axis=1)
+    return (
+        Components([found]) if holding.is_array else Components(found[j] for j in range(len(found)))
+    )
 
 
 def _velocity(

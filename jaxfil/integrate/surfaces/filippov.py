@@ -48,6 +48,8 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.moves import taken
 from jaxfil.xla.select import select, select_all
 
+# Rounding of rates, in eps of their sizes.
+_NOISE = 64
 # The method for steps in modes without a power series.
 _OTHER = tableau_of(diffrax.Dopri8())
 assert isinstance(_OTHER, ExplicitTableau)
@@ -317,35 +319,51 @@ def free_guard(
 
 
 def choose(
+    fields: Corners | None,
     rates: Corners,
+    following: Corners | None,
     mode: Components,
     on: Components,
     direction: Array,
-    threshold: Array | float = 0.0,
 ) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
 
     One admissible mode means that the solution is unique, several (repelling sliding) that it is
-    not, and zero is a tangency that first derivatives do not decide. An intersection is left at a
-    rate of more than `threshold`, relative to all rates there.
+    not, and zero is a tangency that these derivatives do not decide. `mode` has the side of each
+    surface, on which a motion that stands still stays. `following` is the derivative of H that
+    decides where dH/dt vanishes; None if only the rates do.
     """
     if rates.are_of_one:
-        return _choose_on_one(rates[0], rates[1], mode, on, direction)
-    return decide(question_of(rates, None, mode, on, direction, threshold))
+        return _choose_on_one(rates, following, mode, on, direction)
+    return decide(question_of(rates, fields, following, mode, on, direction))
 
 
 def _choose_on_one(
-    above: Components, below: Components, mode: Components, on: Components, direction: Array
+    rates: Corners,
+    following: Corners | None,
+    mode: Components,
+    on: Components,
+    direction: Array,
 ) -> tuple[Components, Array]:
     """`choose` for separate surfaces, which the rates on both sides determine."""
-    plus, minus = direction * above > 0, direction * below < 0
-    # Equal rates with this sign are both zero, and have no weight.
+    above, below = rates[0], rates[1]
     # The product of small rates would be zero.
-    slide = (sign(above) * sign(below) <= 0) & (above != below)
+    up, down = direction * sign(above), direction * sign(below)
+    level, still = (above == 0) & (below == 0), False
+    if following is not None:
+        next_above, next_below = following[0], following[1]
+        noise = _NOISE * float(jnp.finfo(direction.dtype).eps) * rates.sizes()
+        up = where(abs(above) <= noise, sign(next_above), up)
+        down = where(abs(below) <= noise, sign(next_below), down)
+        still = level & (next_above == 0) & (next_below == 0)
+    plus, minus = up > 0, down < 0
+    # Equal rates with this sign are both zero, and have no weight.
+    slide = (up * down <= 0) & ~level
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
     # With several modes the lane ends as not unique, whichever is taken.
     side = where(plus, 1.0, where(minus, -1.0, 0.0)).astype(direction.dtype)
-    return where(on & (count > 0), side, mode), _count_of_all(where(on, count, 1))
+    chosen = where(on & (count > 0), side, mode)
+    return chosen, _count_of_all(where(on & ~still, count, 1))
 
 
 def _count_of_all(counts: Components) -> Array:

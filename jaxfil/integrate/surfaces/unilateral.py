@@ -39,7 +39,14 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.system.components import Components, any_of, dot, side_of, where
+from jaxfil.integrate.system.components import (
+    Components,
+    all_finite,
+    any_of,
+    dot,
+    side_of,
+    where,
+)
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
@@ -66,7 +73,7 @@ class ResetEffect(eqx.Module):
     """The effect of the reset of each surface on a state that arrives there, m flags each."""
 
     changes: Components
-    """Whether it changes the state."""
+    """Whether it changes the state, there and just after."""
     throws_back: Components
     """Whether it reverses the motion there, e_j ≥ 0, and does not move it off the surface."""
 
@@ -111,9 +118,15 @@ def constraints(system: ComponentSystem, t: Array, x: Components, sides: Compone
 
 
 def reset_effect(
-    system: ComponentSystem, t: Array, x: Components, c: Constraints, normals: Rows
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    c: Constraints,
+    normals: Rows,
+    later: tuple[Array, Components] | None = None,
 ) -> ResetEffect:
-    """The effect of resets at (t, x), given the constraints and ∇H there."""
+    """The effect of resets at (t, x), given the constraints and ∇H there. With a `later` time and
+    state on the motion, a reset must change that state too in order to count as a change."""
 
     def own(normal: Components, j: int | Array) -> tuple[Array, Array]:
         # At x itself, since an incoming state may be off a curved surface.
@@ -121,7 +134,12 @@ def reset_effect(
         step, sizes = stop_gradient((after - x, abs(after) + abs(x)))
         # Far above the rounding of a state, and of a reset that puts it back on its surface.
         least = system.eps**0.5 * dot(abs(stop_gradient(normal)), sizes)
-        return any_of(step != 0), abs(dot(normal, step)) > least
+        changes = any_of(step != 0)
+        if later is not None:
+            # On its surface a comparison in a reset, such as of a force and the limit that it has
+            # just exceeded, is decided by rounding.
+            changes = changes & any_of(system.reset(*later, jnp.int32(j)) != later[1])
+        return changes, abs(dot(normal, step)) > least
 
     if normals.is_array:
         flags = jax.vmap(own)(normals.rows[0], jnp.arange(system.m, dtype=jnp.int32))
@@ -183,7 +201,9 @@ def _direction(
     known = own != 0
     # 1 + e_j, by which a state that has been pushed comes back.
     gain = -dot(gradient, again) / select(known, own, 1)
-    return push * select(known, gain / select(known, own, 1), 0)
+    direction = push * select(known, gain / select(known, own, 1), 0)
+    # A reset may be undefined far from its contacts, where no motion feels it.
+    return where(all_finite(direction), direction, 0.0)
     # At x itself, since the incoming state may be off a curved surface.
     after = reset(x)
     step, sizes = stop_gradient((after - x, abs(after) + abs(x)))

@@ -212,21 +212,41 @@ def _correction(
     return Components(found)
 
 
+def reach(mode: Components, rates: Corners, w: Components) -> Components:
+    """Σ_i |∂(dH_j/dt)/∂w_i| over the sliding surfaces i and j itself. Where it is zero, no weight
+    can hold the motion on surface j."""
+    slopes = _slopes(mode, rates, w)
+    if isinstance(slopes, jax.Array):
+        (slid,) = (mode == 0).parts
+        counted = slid[None, :] | jnp.eye(w.size, dtype=bool)
+        return Components([jnp.sum(select(counted, abs(slopes), 0.0), axis=1)])
+    found = []
+    for j, row in enumerate(slopes):
+        each = enumerate(zip(mode.parts, row, strict=True))
+        found.append(sum(abs(v) if i == j else select(s == 0, abs(v), 0.0) for i, (s, v) in each))
+    return Components(found)
+
+
+def _slopes(mode: Components, rates: Corners, w: Components) -> Array | list[tuple[Array, ...]]:
+    """∂(dH_j/dt)/∂w_i in row j, as an array for surfaces that are one."""
+    m = w.size
+    if mode.is_array and rates.flipped is not None:
+        return rates.slopes()
+    each = [rates.slope(mode, w, i).parts for i in range(m)]
+    if mode.is_array:
+        return jnp.stack([column for (column,) in each], axis=1)
+    return list(zip(*each, strict=True))
+
+
 def _matrix(mode: Components, rates: Corners, w: Components) -> Array | list[list[Array]]:
     """∂(dH_j/dt)/∂w_i of the sliding surfaces, with rows of the identity for the others."""
-    m = w.size
-    if mode.is_array:
+    slopes, m = _slopes(mode, rates, w), w.size
+    if isinstance(slopes, jax.Array):
         (slid,) = (mode == 0).parts
-        if rates.flipped is not None:
-            columns = rates.slopes()
-        else:
-            each = [rates.slope(mode, w, i).parts[0] for i in range(m)]
-            columns = jnp.stack(each, axis=1)
-        return select(slid[:, None], columns, jnp.eye(m, dtype=columns.dtype))
-    slopes = [rates.slope(mode, w, i).parts for i in range(m)]
+        return select(slid[:, None], slopes, jnp.eye(m, dtype=slopes.dtype))
     matrix = [
-        [select(s == 0, slopes[i][j], float(i == j)) for i in range(m)]
-        for j, s in enumerate(mode.parts)
+        [select(s == 0, v, float(i == j)) for i, v in enumerate(row)]
+        for j, (s, row) in enumerate(zip(mode.parts, slopes, strict=True))
     ]
     return _least_of_two(mode, matrix) if m == 2 else matrix
 
