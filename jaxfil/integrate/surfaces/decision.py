@@ -229,7 +229,8 @@ def _continues(
     # that remains is only rounding.
     rate, scale = rates.blend(sides, w), question.rates.sizes() + rates.sizes()
     flat = abs(rate) <= _NOISE * eps * scale
-    governed = reach(sides, rates, w) > _NOISE * eps * scale
+    # By its own force, also where the reaction of a wall that holds the same rate cancels it.
+    governed = reach(sides, question.rates, w) > _NOISE * eps * scale
     outward = sides * direction * rate
     rounded = flat & (scale > 0)
     leaves = (outward > question.threshold * scale) | (rounded & lenient)
