@@ -349,21 +349,22 @@ def _choose_on_one(
     above, below = rates[0], rates[1]
     # The product of small rates would be zero.
     up, down = direction * sign(above), direction * sign(below)
-    level, still = (above == 0) & (below == 0), False
+    level = (above == 0) & (below == 0)
+    decided = on
     if following is not None:
         next_above, next_below = following[0], following[1]
         noise = _NOISE * float(jnp.finfo(direction.dtype).eps) * rates.sizes()
         up = where(abs(above) <= noise, sign(next_above), up)
         down = where(abs(below) <= noise, sign(next_below), down)
-        still = level & (next_above == 0) & (next_below == 0)
+        decided = on & ~(level & (next_above == 0) & (next_below == 0))
     plus, minus = up > 0, down < 0
     # Equal rates with this sign are both zero, and have no weight.
     slide = (up * down <= 0) & ~level
     count = plus.astype(jnp.int32) + minus.astype(jnp.int32) + slide.astype(jnp.int32)
     # With several modes the lane ends as not unique, whichever is taken.
     side = where(plus, 1.0, where(minus, -1.0, 0.0)).astype(direction.dtype)
-    chosen = where(on & (count > 0), side, mode)
-    return chosen, _count_of_all(where(on & ~still, count, 1))
+    chosen = where(decided & (count > 0), side, mode)
+    return chosen, _count_of_all(where(decided, count, 1))
 
 
 def _count_of_all(counts: Components) -> Array:
