@@ -198,6 +198,31 @@ def test_the_margin_and_its_gradient_on_both_sides_of_grazing(sd):
     assert float(value) < 0
 
 
+class Threshold(jf.System):
+    """y' = cos t − y, and ½ more beyond y = d. Short of it y reaches 1/√2."""
+
+    d: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.cos(t) - x + jnp.where(side < 0, 0.5, 0.0)
+
+    def switching(self, t, x):
+        return self.d - x[0]
+
+
+class ThresholdWithClock(Threshold):
+    clocks = (jf.Clock(np.pi / 8, 0.2),)
+
+
+@pytest.mark.parametrize("kind", [Threshold, ThresholdWithClock])
+def test_ticks_do_not_end_a_flight_beyond_its_surface(kind):
+    orbit = jf.periodic_orbit(kind(jnp.array(0.8)), jnp.array([0.5]), steps=32)
+    margin = jax.jit(lambda d: jf.grazing_margin(kind(d), orbit))
+    for d in (0.8, 0.7, 0.6):
+        assert abs(float(margin(jnp.array(d))) - (d - np.sqrt(0.5))) < 1e-11
+
+
 class Counted(jf.systems.SDOscillator):
     """Counts how often its field is traced."""
 

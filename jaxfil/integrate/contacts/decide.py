@@ -6,8 +6,6 @@ result is the mode and the number of modes in which the motion could continue. T
 surfaces is the sign of H.
 """
 
-import dataclasses
-
 import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -112,10 +110,12 @@ def decided(
         kept, walls = opened & ~state.pending.surfaces, None
         if led is not None:
             walls, kept = decide & led.still & opened, kept & ~led.pushed
+        # `forces` have the second derivatives, with reactions.
+        second = None if forces is not None else _seconds(system, here, rates, decide)
         question = Question(
             rates=rates,
             fields=fields,
-            following=None,
+            following=second,
             mode=left,
             on=on,
             walls=walls,
@@ -124,11 +124,17 @@ def decided(
             forces=forces,
             direction=grid.direction,
             threshold=threshold,
+            leaves=decide,
         )
-        chosen, count = _asked(*stop_gradient((system, here)), question)
+        chosen, count = _asked(system, question)
     else:
         beside = unilateral.beside(left) if system.resets else left
-        chosen, count = _on_separate(problem, here, rates, beside, on, at)
+        second = None
+        # Elsewhere all contacts are located, at a rate that does not vanish.
+        if at.unsettled is not None:
+            flat = filippov.is_flat(rates[0], rates) | filippov.is_flat(rates[1], rates)
+            second = _seconds(system, here, rates, decide & any_of(on & flat))
+        chosen, count = filippov.choose(None, rates, second, beside, on, grid.direction)
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None or led.constraints is not None:
         return _once(system, where(decide, chosen, left), count)
@@ -199,46 +205,25 @@ def _ended_at(problem: Problem, state: LoopState, rates: Corners) -> Components:
     return where(current > 0, one, -one)
 
 
-def _asked(
-    system: ComponentSystem, here: tuple[Array, Components], question: Question
-) -> tuple[Components, Array]:
+def _asked(system: ComponentSystem, question: Question) -> tuple[Components, Array]:
     """`decision.decide`, evaluated only where the state is on a surface."""
 
-    def asked(question: Question, t: Array, x: Components) -> tuple[Components, Array]:
-        if question.forces is None:
-            following = next_derivatives.second_derivatives(system, t, x)
-            question = dataclasses.replace(question, following=following)
-        return decision.decide(question)
-
-    def same(question: Question, t: Array, x: Components) -> tuple[Components, Array]:
+    def same(question: Question) -> tuple[Components, Array]:
         return question.mode, jnp.ones((), jnp.int32)
 
-    return system.where_any(any_of(question.on), asked, same, question, *here)
+    return system.where_any(any_of(question.on), decision.decide, same, question)
 
 
-def _on_separate(
-    problem: Problem,
-    here: tuple[Array, Components],
-    rates: Corners,
-    sides: Components,
-    on: Components,
-    at: Surfaces,
-) -> tuple[Components, Array]:
-    """The mode on separate surfaces."""
-    system, direction = problem.system, problem.grid.direction
-    known, here = stop_gradient((system, here))
-    if at.unsettled is None:  # all contacts are located, at a rate that does not vanish
-        return filippov.choose(None, rates, None, sides, on, direction)
+def _seconds(
+    system: ComponentSystem, here: tuple[Array, Components], rates: Corners, wanted: Array
+) -> Corners:
+    """d²H/dt² on all sides, evaluated only in lanes where it is wanted."""
+    system, here = stop_gradient((system, here))
 
-    def following(t: Array, x: Components) -> Corners:
-        return next_derivatives.second_derivatives(known, t, x)
+    def found(t: Array, x: Components) -> Corners:
+        return next_derivatives.second_derivatives(system, t, x)
 
-    def unknown(t: Array, x: Components) -> Corners:
-        return rates
-
-    level = on & ((rates[0] == 0) | (rates[1] == 0))
-    second = system.where_any(any_of(level), following, unknown, *here)
-    return filippov.choose(None, rates, second, sides, on, direction)
+    return system.where_any(wanted, found, lambda t, x: rates, *here)
 
 
 def _rates_at_graze(

@@ -17,7 +17,7 @@ to that order.
 
 Where ψ_j vanishes and no weight can change it, the next derivative of H_j decides, a_j = dψ_j/dt.
 An example is x″ = f − g sgn x − h sgn x′ with H = (x, x′), at rest, where ψ of x is x′. The motion
-slides on x only together with x′, to whose rate a of x is equal, and leaves towards a_j.
+slides on x only together with x′, which the weight of x holds at zero, and leaves towards a_j.
 """
 
 from typing import Any
@@ -30,7 +30,7 @@ from jaxtyping import Array
 from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.reactions import Forces
 from jaxfil.integrate.surfaces.unilateral import rests_of
-from jaxfil.integrate.surfaces.weights import held_together, reach, weights
+from jaxfil.integrate.surfaces.weights import governs, held_together, is_governed, weights
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
@@ -48,8 +48,6 @@ from jaxfil.xla.select import select
 _FEW = 3
 # Rounding of rates, accelerations and fields, in eps of the sizes of their terms.
 _NOISE = 64
-# Smaller than any rate that is not zero.
-_TINY = 1e-30
 # Tolerance for equal velocities, in eps; weights of coupled surfaces magnify rounding.
 _ONE_MOTION = 1024
 
@@ -82,6 +80,8 @@ class Question(eqx.Module):
     """+1 forward in time, −1 backward."""
     threshold: Array | float
     """The rate above which the motion leaves a surface, relative to all rates there."""
+    leaves: Array | bool = True
+    """Whether dψ/dt is known, and may decide that the motion leaves."""
 
 
 def question_of(
@@ -229,8 +229,10 @@ def _continues(
     # that remains is only rounding.
     rate, scale = rates.blend(sides, w), question.rates.sizes() + rates.sizes()
     flat = abs(rate) <= _NOISE * eps * scale
-    # By its own force, also where the reaction of a wall that holds the same rate cancels it.
-    governed = reach(sides, question.rates, w) > _NOISE * eps * scale
+    # By their own forces or by those of reactions, which cancel where a wall holds the same rate.
+    governed = is_governed(sides, rates, w, _NOISE * eps * scale)
+    if rests is not None:
+        governed = governed | is_governed(sides, question.rates, w, _NOISE * eps * scale)
     outward = sides * direction * rate
     rounded = flat & (scale > 0)
     leaves = (outward > question.threshold * scale) | (rounded & lenient)
@@ -246,11 +248,15 @@ def _continues(
         if forces is not None and force is not None:
             size = forces.accelerations.sizes() + forces.sizes(force.blend(sides, w))
         noise = _NOISE * eps * size
-        turned = (sides * bend > noise) | (lenient & (abs(bend) <= noise))
+        known: Any = rounds == 2
+        if question.kept is not None and question.now is not None:
+            known = known | (question.kept & (sides == question.now))
+        turned = (sides * bend > noise) | (known & (abs(bend) <= noise))
         still = (scale == 0) & (following.sizes() == 0)
         turned = where(still, sides == where(question.mode < 0, -1.0, 1.0), turned)
-        leaves = where(flat & ~governed, turned, leaves)
-        solved = solved | (flat & _follows(question, following, slid & (sides == 0) & governed))
+        leaves = where(flat & ~governed, turned & question.leaves, leaves)
+        held_too = governs(sides, rates, w, _NOISE * eps * scale, slid & (sides == 0) & governed)
+        solved = solved | (flat & held_too)
     ok = ok & ~any_of(slid & ~where(sides == 0, solved, leaves))
     mode = sides
     if rests is not None and accelerations is not None and force is not None and forces is not None:
@@ -271,22 +277,6 @@ def _continues(
     if question.fields is None:
         return ok, mode, None
     return ok, mode, _velocity(question.fields, forces, force, sides, w)
-
-
-def _follows(question: Question, following: Corners, holding: Components) -> Components:
-    """Whether dψ_j/dt is a multiple of ψ_i on all sides, for one of the surfaces i that hold the
-    motion. H_i is then the rate of H_j, and a slide on it is one on j."""
-    a, rates = following.matrix(), question.rates.matrix()
-    # Scaled, so that squares neither overflow nor vanish.
-    a, rates = (v / jnp.maximum(jnp.max(abs(v), axis=0), _TINY) for v in (a, rates))
-    products = a.T @ rates
-    sizes = jnp.sum(a * a, axis=0)[:, None] * jnp.sum(rates * rates, axis=0)
-    # The sine of the angle between both is below √(64 eps).
-    same = products * products >= (1 - _NOISE * jnp.finfo(a.dtype).eps) * sizes
-    found = jnp.any(same & (sizes > 0) & pack(holding, bool), axis=1)
-    return (
-        Components([found]) if holding.is_array else Components(found[j] for j in range(len(found)))
-    )
 
 
 def _velocity(

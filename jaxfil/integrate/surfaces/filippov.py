@@ -338,6 +338,11 @@ def choose(
     return decide(question_of(rates, fields, following, mode, on, direction))
 
 
+def is_flat(rate: Components, rates: Corners) -> Components:
+    """Whether a rate of separate surfaces is zero to the rounding of those on both sides."""
+    return abs(rate) <= _NOISE * float(jnp.finfo(rate.parts[0].dtype).eps) * rates.sizes()
+
+
 def _choose_on_one(
     rates: Corners,
     following: Corners | None,
@@ -353,9 +358,8 @@ def _choose_on_one(
     decided = on
     if following is not None:
         next_above, next_below = following[0], following[1]
-        noise = _NOISE * float(jnp.finfo(direction.dtype).eps) * rates.sizes()
-        up = where(abs(above) <= noise, sign(next_above), up)
-        down = where(abs(below) <= noise, sign(next_below), down)
+        up = where(is_flat(above, rates), sign(next_above), up)
+        down = where(is_flat(below, rates), sign(next_below), down)
         decided = on & ~(level & (next_above == 0) & (next_below == 0))
     plus, minus = up > 0, down < 0
     # Equal rates with this sign are both zero, and have no weight.

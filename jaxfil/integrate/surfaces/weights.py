@@ -5,6 +5,7 @@ They solve dH/dt(w) = 0 on the sliding surfaces, given the rates dH/dt along the
 """
 
 import functools as ft
+import operator
 
 import jax
 import jax.numpy as jnp
@@ -212,18 +213,34 @@ def _correction(
     return Components(found)
 
 
-def reach(mode: Components, rates: Corners, w: Components) -> Components:
-    """Σ_i |∂(dH_j/dt)/∂w_i| over the sliding surfaces i and j itself. Where it is zero, no weight
-    can hold the motion on surface j."""
+def is_governed(mode: Components, rates: Corners, w: Components, noise: Components) -> Components:
+    """Whether a weight, of a sliding surface or its own, can change dH_j/dt beyond rounding."""
     slopes = _slopes(mode, rates, w)
     if isinstance(slopes, jax.Array):
-        (slid,) = (mode == 0).parts
-        counted = slid[None, :] | jnp.eye(w.size, dtype=bool)
-        return Components([jnp.sum(select(counted, abs(slopes), 0.0), axis=1)])
+        counted = (mode == 0).parts[0][None, :] | jnp.eye(w.size, dtype=bool)
+        known = jnp.sum(select(counted, abs(slopes), 0.0), axis=1)
+        return Components([known > noise.parts[0]])
     found = []
     for j, row in enumerate(slopes):
         each = enumerate(zip(mode.parts, row, strict=True))
-        found.append(sum(abs(v) if i == j else select(s == 0, abs(v), 0.0) for i, (s, v) in each))
+        known = sum(abs(v) if i == j else select(s == 0, abs(v), 0.0) for i, (s, v) in each)
+        found.append(known > noise.parts[j])
+    return Components(found)
+
+
+def governs(
+    mode: Components, rates: Corners, w: Components, noise: Components, others: Components
+) -> Components:
+    """Whether the weight of surface j changes the rate of another one among `others`."""
+    slopes = _slopes(mode, rates, w)
+    if isinstance(slopes, jax.Array):
+        changed = (abs(slopes) > noise.parts[0][:, None]) & others.parts[0][:, None]
+        return Components([jnp.any(changed & ~jnp.eye(w.size, dtype=bool), axis=0)])
+    found = []
+    for j in range(w.size):
+        rows = enumerate(zip(slopes, noise.parts, others.parts, strict=True))
+        each = [on & (abs(row[j]) > least) for i, (row, least, on) in rows if i != j]
+        found.append(ft.reduce(operator.or_, each))
     return Components(found)
 
 

@@ -57,3 +57,46 @@ def test_what_a_reset_does_not_throw_back_goes_through():
     np.testing.assert_array_equal(modes[:, 0], np.where(end[0] > 1, 1, -1))
     made = np.sum(np.asarray(kinds) == jf.EventKind.impact.value, axis=1)
     np.testing.assert_array_equal(made, impacts)
+
+
+class Step(jf.System):
+    """A particle on a potential step at x = 1. Down it leaves with -√(v² + 8)."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], 0.0])
+
+    def switching(self, t, x):
+        return x[0] - 1
+
+    def reset(self, t, x, surface):
+        v = x[1]
+        climbs = v**2 > 8
+        up = jnp.where(climbs, jnp.sqrt(jnp.where(climbs, v**2 - 8, 1.0)), -v)
+        return x.at[1].set(jnp.where(v < 0, -jnp.sqrt(v**2 + 8), up))
+
+
+class Toggle(jf.System):
+    """x' = 3 + u, and u changes its sign at x = 1."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([3 + x[1], 0.0])
+
+    def switching(self, t, x):
+        return 1 - x[0]
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-1.0)
+
+
+@pytest.mark.parametrize(
+    ("system", "x0", "cut", "after", "t1", "end"),
+    [
+        (Step(), [2.0, -1.0], 1.0, [1.0, -3.0], 2.0, [-2.0, -3.0]),
+        (Toggle(), [0.0, 1.0], 0.25, [1.0, -1.0], 1.0, [2.5, -1.0]),
+    ],
+)
+def test_a_run_from_just_after_the_passage_is_the_rest_of_the_run(system, x0, cut, after, t1, end):
+    whole = jf.solve(system, jnp.array(x0), 0.0, t1, 0.07)
+    rest = jf.solve(system, jnp.array(after), cut, t1, 0.07)
+    np.testing.assert_allclose(whole.x_final, end, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(rest.x_final, end, rtol=0, atol=1e-13)

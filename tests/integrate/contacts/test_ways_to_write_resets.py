@@ -80,3 +80,45 @@ def test_a_reset_at_the_place_of_its_surface(way):
     sol = jf.solve(Balls(way), jnp.array([1.0, 0.0, 0.9, 0.0]), 0.0, 2.0, 0.1)
     both = jnp.concatenate([bounced(1.0, 2.0), bounced(0.9, 2.0)])
     assert_allclose(sol.x_final, both, rtol=1e-12)
+
+
+class Plate(jf.System):
+    """A bullet that loses the energy 4 in a plate at x = 1. The reset is undefined for the state
+    after it."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], jnp.zeros_like(t)])
+
+    def switching(self, t, x):
+        return x[0] - 1
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], jnp.sqrt(x[1] ** 2 - 8)])
+
+
+class Rubbing(jf.System):
+    """A ball (z, z', vx, vy) with restitution 1/2 and Coulomb friction in impacts, by a formula
+    without a derivative where the ball falls straight down."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -jnp.ones_like(t), 0 * t, 0 * t])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        slip = x[2:]
+        keep = jnp.maximum(1 - 0.45 * jnp.abs(x[1]) / jnp.sqrt(slip @ slip), 0.0)
+        return jnp.concatenate([x[:1], -0.5 * x[1:2], keep * slip])
+
+
+@pytest.mark.parametrize(
+    ("system", "x0", "t1", "end"),
+    [
+        (Plate(), [0.0, 3.0], 1.0, [5 / 3, 1.0]),
+        (Rubbing(), [1.0, 0.0, 0.0, 0.0], 2.0, [*bounced(1.0, 2.0, 0.5), 0.0, 0.0]),
+    ],
+)
+def test_a_reset_is_asked_only_at_its_contacts(system, x0, t1, end):
+    sol = jf.solve(system, jnp.array(x0), 0.0, t1, 0.07)
+    assert_allclose(sol.x_final, jnp.stack(end), rtol=0, atol=1e-13)

@@ -188,3 +188,25 @@ def test_a_tick_that_puts_the_state_at_rest():
     by_put = jax.jacfwd(end)(jnp.zeros(2))
     cos, sin = c * np.cos(tau), c * np.sin(tau)
     np.testing.assert_allclose(by_put, [[cos, sin], [-sin, cos], [-1, 0]], rtol=0, atol=1e-13)
+
+
+class SwitchedOn(jf.System):
+    """A relay that a clock switches on at t = 1, with its set point where the state is."""
+
+    clocks = (jf.Clock(10.0, 1.0),)
+
+    def vector_field(self, t, x, side):
+        on = jnp.where(t < 1, 0.0, 1.0)
+        return jnp.stack([-side * on, 2 * side * on])
+
+    def switching(self, t, x):
+        return jnp.where(t < 1, 1.0, x[0] - 1)
+
+
+def test_a_surface_that_jumps_onto_the_state():
+    # Pushed off by δ the state comes back in the time δ, in which the other number moves by 2δ.
+    def end(x, t0):
+        return jf.solve(SwitchedOn(), jnp.stack([x, 0 * x]), t0, 2.0, 0.07).x_final
+
+    for t0 in (0.0, 1.0):
+        np.testing.assert_allclose(jax.jacfwd(end)(jnp.array(1.0), t0), [0, 2], atol=1e-13)
