@@ -44,6 +44,21 @@ def solve(matrix: Array, rights: Array, taken: Array) -> Array:
     return _reduced_among(rows, taken)[0]
 
 
+def inverse(matrix: Array | Sequence[Sequence[Array]], taken: Array | None = None) -> Array:
+    """The matrix that gives the solutions of `solve`, or of `solve_small` without `taken`, as
+    products with right-hand sides.
+
+    Right-hand sides that are tangents must stay out of the elimination, whose loop has the matrix
+    and them in one array. Reverse mode could not tell then that the pivots do not depend on them.
+    """
+    k = len(matrix)
+    if isinstance(matrix, jax.Array):
+        assert taken is not None
+        return solve(matrix, jnp.eye(k, dtype=matrix.dtype), taken)
+    unit = jnp.eye(k, dtype=jnp.result_type(matrix[0][0]))
+    return jnp.stack([jnp.stack(column) for column in solve_small(matrix, list(unit))], axis=1)
+
+
 def _among(matrix: Array, taken: Array) -> Array:
     """The matrix without the columns that are not in `taken`, which would scale its rows."""
     return select(taken, matrix, 0)

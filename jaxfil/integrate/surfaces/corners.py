@@ -35,6 +35,11 @@ def _taken(share: Array, gap: Array) -> Array:
     return select((share == 0) & ~jnp.isfinite(gap), 0.0, gap)
 
 
+def _of_share(share: Array, gap: Array) -> Array:
+    """The same for a blend whose weights are constant; linear in the difference."""
+    return select(share == 0, 0.0, gap)
+
+
 def every_side(m: int) -> np.ndarray:
     """All combinations of the sides of m surfaces, shape (2^m, m), the first surface varying
     slowest, + before −."""
@@ -188,13 +193,15 @@ class Corners:
             return on_each(lambda v: jnp.sum(abs(v), axis=0), self.rows[0])
         return ft.reduce(operator.add, map(abs, self.rows))
 
-    def blend(self, mode: Components, weights: Components) -> Components:
+    def blend(self, mode: Components, weights: Components, fixed: bool = False) -> Components:
         """Σ_s v_s Π_j (1 + s_j w_j)/2 over all combinations s of sides; for separate surfaces an
-        elementwise blend, in which each number of the vectors belongs to one surface."""
+        elementwise blend, in which each number of the vectors belongs to one surface. With `fixed`
+        weights, as of tangents, it is linear in the vectors."""
         if self.are_of_one:
             return mix(mode, weights, self[0], self[1])
         if self.flipped is not None:
-            return self._affine_blend(self.flipped, mode, weights)
+            taken = _of_share if fixed else _taken
+            return self._affine_blend(self.flipped, mode, weights, taken)
         corners = self
         # The first surface varies slowest, so each pass blends the first one that remains, and the
         # number of rows is halved.
@@ -203,7 +210,11 @@ class Corners:
         return corners[0]
 
     def _affine_blend(
-        self, flipped: tuple[int, ...], mode: Components, weights: Components
+        self,
+        flipped: tuple[int, ...],
+        mode: Components,
+        weights: Components,
+        taken: Callable[[Array, Array], Array],
     ) -> Components:
         """F_0 − Σ_j p_j (F_0 − F_j), with p_j the share of side −."""
         shares = where(mode > 0, 0.0, where(mode < 0, 1.0, 0.5 * (1 - weights)))
@@ -213,12 +224,12 @@ class Corners:
 
             def blended(v: Array) -> Array:
                 p = table.reshape(-1, *(1,) * (v.ndim - 1))
-                return v[0] - jnp.sum(p * _taken(p, v[0] - v[1:]), axis=0)
+                return v[0] - jnp.sum(p * taken(p, v[0] - v[1:]), axis=0)
 
             return on_each(blended, self.rows[0])
         total, first, *others = self.rows[0], *self.rows
         for share, other in zip(of_rows, others, strict=True):
-            total = total - share * on_each(ft.partial(_taken, share), first - other)
+            total = total - share * on_each(ft.partial(taken, share), first - other)
         return total
 
     def matrix(self) -> Array:

@@ -13,7 +13,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.reactions import Forces, answered, held
-from jaxfil.integrate.system.components import Components, largest, on_each, total, where
+from jaxfil.integrate.system.components import Components, largest, on_each, pack, total, where
 from jaxfil.xla import small_linear
 from jaxfil.xla.select import select
 
@@ -96,7 +96,7 @@ def response(mode: Components, rates: Corners, change: Components) -> Components
     # Where weights are undetermined the matrix is singular. With a side in place of the slide it
     # has a row of the identity.
     mode = where(slides, mode, 1.0)
-    return where(slides, _correction(mode, rates, w, change), 0.0)
+    return where(slides, _change(mode, rates, w, change), 0.0)
 
 
 @jax.custom_jvp
@@ -115,7 +115,7 @@ def _implicit_weights_jvp(primals: tuple, tangents: tuple) -> tuple[Components, 
     (mode, rates), (_, moved) = primals, tangents
     w = _implicit_weights(mode, rates)
     # The change of dH/dt at constant weights must be cancelled by a change of the weights.
-    change = _correction(mode, rates, w, moved.blend(mode, w))
+    change = _change(mode, rates, w, moved.blend(mode, w, fixed=True))
     return w, where(mode == 0, -change, 0.0)
 
 
@@ -211,6 +211,16 @@ def _correction(
         return Components([found[:, 0]])
     [found] = small_linear.solve_small(matrix, [right.parts])
     return Components(found)
+
+
+def _change(mode: Components, rates: Corners, w: Components, moved: Components) -> Components:
+    """`_correction` for a tangent of dH/dt, in which it is linear for reverse mode too."""
+    if w.size <= 2 and not mode.is_array:  # written out, without a loop
+        return _correction(mode, rates, w, moved)
+    right, matrix = pack(where(mode == 0, moved, 0.0), float), _matrix(mode, rates, w)
+    slid = (mode == 0).parts[0] if mode.is_array else None
+    found = small_linear.inverse(matrix, slid) @ right
+    return Components([found] if mode.is_array else list(found))
 
 
 def is_governed(mode: Components, rates: Corners, w: Components, noise: Components) -> Components:

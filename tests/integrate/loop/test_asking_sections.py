@@ -168,3 +168,25 @@ def test_what_a_section_cannot_be_given_is_refused_by_name():
 def solved(function):
     x0 = jnp.array([0.0, 0.0, 8.0, 0.0])
     jf.solve(Table(jnp.array(0.5)), x0, 0.0, 6.0, 0.1, sections=jf.Section(function))
+
+
+class Box(jf.System):
+    """A ball in a box that is shaken, with dry friction on its floor: two walls and a surface."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -0.4 * side[2]])
+
+    def switching(self, t, x):
+        gap = x[0] - 0.8 * jnp.sin(t)
+        return jnp.stack([0.3 + gap, 0.3 - gap, x[1] - 0.8 * jnp.cos(t)])
+
+    def reset(self, t, x, surface):
+        w = 0.8 * jnp.cos(t)
+        return jnp.where(surface == 2, x, jnp.stack([x[0], w - 0.5 * (x[1] - w)]))
+
+
+def test_a_section_of_the_mode_beside_friction_and_walls():
+    # It sticks until the floor's acceleration, 0.8 sin t, exceeds the friction's.
+    slips = jf.Section(lambda t, x, mode: jnp.abs(mode[2]) - 0.5)
+    sol = jf.solve(Box(), jnp.array([0.25, 0.8]), 0.0, 0.6, 0.05, sections=slips)
+    np.testing.assert_allclose(sol.crossings.ts[0], np.arcsin(0.5), rtol=1e-13)

@@ -1,6 +1,7 @@
 """Surfaces that are coupled: a field that is affine in its sides against the same motion in other
 words, which do not show it, and small linear systems against LAPACK."""
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -154,3 +155,32 @@ def test_a_singular_system_with_a_solution_is_solved(made, k):
         found, size = solved(a, a @ x)
         assert_allclose(a @ found, a @ x, rtol=0, atol=1e-12)
         assert size == 0
+
+
+class Held(jf.System):
+    """x' = d − M sgn x, held at x = 0, and z' = side."""
+
+    matrix: jax.Array
+    push: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([self.push - self.matrix @ side, side])
+
+    def switching(self, t, x):
+        return x[: self.push.shape[0]]
+
+
+@pytest.mark.parametrize("m", [2, 3, 4])
+def test_weights_of_coupled_surfaces_in_reverse_mode(m):
+    # The weights are M⁻¹ d, and z is their integral.
+    matrix = np.eye(m) + 0.2 * np.arange(m * m).reshape(m, m) / m**2
+    push, share = np.linspace(-0.2, 0.3, m), np.linspace(1, 2, m)
+
+    def end(push):
+        budget = dict(adjoint=diffrax.RecursiveCheckpointAdjoint(), max_steps=40)
+        system = Held(jnp.asarray(matrix), push)
+        sol = jf.solve(system, jnp.zeros(2 * m), 0.0, 0.5, 0.1, stepper=jf.RK4(), **budget)
+        return share @ sol.x_final[m:]
+
+    found = jax.grad(end)(jnp.asarray(push))
+    np.testing.assert_allclose(found, 0.5 * np.linalg.solve(matrix.T, share), rtol=1e-13)
