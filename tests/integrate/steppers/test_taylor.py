@@ -147,6 +147,29 @@ def test_a_kink_that_no_surface_tells_of_is_halved():
     assert_allclose(sol.x_final, exact, rtol=0, atol=1e-6)
 
 
+class Strips(jf.System):
+    """A force of 0.2 up to x = 1, 0 up to x = 2 and −0.2 after it, and numbers that decay."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([jnp.stack([x[1], -0.1 * (side[0] + side[1])]), -x[2:]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - 1.0, x[0] - 2.0])
+
+
+@pytest.mark.parametrize("others", [0, 11])
+def test_a_number_may_be_switched_by_several_surfaces_that_are_only_crossed(others):
+    x0 = jnp.concatenate([jnp.array([0.0, 1.0]), jnp.ones(others)])
+    sol = jf.solve(Strips(), x0, 0.0, 3.0, 0.05, stepper=jf.Taylor())
+    # v² = 1.4 between the surfaces, which takes 1/v, and the speed before them is 1 + 0.2 t.
+    v = np.sqrt(1.4)
+    rest = 3.0 - (v - 1) / 0.2 - 1 / v
+    exact = [2 + v * rest - 0.1 * rest**2, v - 0.2 * rest, *[np.exp(-3.0)] * others]
+    assert_allclose(sol.x_final, exact, rtol=0, atol=1e-13)
+
+
 class Looped(jf.System):
     """A field with a loop."""
 
