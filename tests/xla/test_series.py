@@ -95,6 +95,36 @@ KINKS = {
     "above": (lambda t, x: jnp.where(x > 0, x, t * x), lambda t, x: x, lambda t, x: t * x),
     "not above": (lambda t, x: jnp.where(x <= 0, -x, t * x), lambda t, x: t * x, lambda t, x: -x),
     "clipped": (lambda t, x: jnp.clip(x, 0.0, 1.0), lambda t, x: x, lambda t, x: 0 * x),
+    "a flag as a number": (
+        lambda t, x: (x > 0).astype(float) * x,
+        lambda t, x: x,
+        lambda t, x: 0 * x,
+    ),
+    "flags joined": (
+        lambda t, x: jnp.where((x > 0) & ~(x > 5), x, t),
+        lambda t, x: x,
+        lambda t, x: t,
+    ),
+    "a choice of numbers": (
+        lambda t, x: (1 + jnp.where(x > 0, 2.0, 1.0)) * x,
+        lambda t, x: 3 * x,
+        lambda t, x: 2 * x,
+    ),
+    "a branch": (
+        lambda t, x: jax.lax.cond(x > 0, lambda v: 3 * v, lambda v: v, x),
+        lambda t, x: 3 * x,
+        lambda t, x: x,
+    ),
+    "a sign": (lambda t, x: jnp.sign(x) * x, lambda t, x: x, lambda t, x: -x),
+    "rounded down": (lambda t, x: jnp.floor(x) * x, lambda t, x: 0 * x, lambda t, x: -x),
+    "rounded": (
+        lambda t, x: jnp.round(x + 0.5) * x,
+        lambda t, x: x,
+        lambda t, x: 0 * x,
+    ),
+    "a remainder": (lambda t, x: jnp.mod(x, 1.0), lambda t, x: x, lambda t, x: 1 + x),
+    "elsewhere": (lambda t, x: jnp.where(x == 0, 5.0, x), lambda t, x: x, lambda t, x: x),
+    "not here": (lambda t, x: jnp.where(x != 0, x, 5.0), lambda t, x: x, lambda t, x: x),
 }
 
 
