@@ -77,10 +77,18 @@ def _pruned(program: Any, done: dict[int, tuple]) -> Any:
 
 def _with_programs(eqn: Any, change: Callable) -> Any:
     """An operation with its inner programs changed."""
+
+    def changed(value: Any) -> Any:
+        if _is_program(value):
+            return change(value)
+        # The operation of `jax.checkpoint` has a program that is not closed.
+        return change(closed(value)).jaxpr if isinstance(value, jexc.Jaxpr) else value
+
     found = {
-        name: jax.tree.map(lambda v: change(v) if _is_program(v) else v, value)
+        name: jax.tree.map(changed, value)
         for name, value in eqn.params.items()
-        if _is_program(value) or (isinstance(value, tuple) and any(map(_is_program, value)))
+        if isinstance(value, (jexc.ClosedJaxpr, jexc.Jaxpr))
+        or (isinstance(value, tuple) and any(map(_is_program, value)))
     }
     return eqn.replace(params={**eqn.params, **found}) if found else eqn
 
@@ -96,10 +104,20 @@ def _is_program(value: Any) -> bool:
     return isinstance(value, jexc.ClosedJaxpr)
 
 
+def closed(program: Any) -> Any:
+    """An inner program, closed if it is not."""
+    return program if _is_program(program) else jexc.ClosedJaxpr(program, ())
+
+
 def replaced(program: Any, name: str, rule: Callable) -> Any:
     """The same program with each operation `name`, including those in loops and conditionals,
     replaced by the single result of `rule(eqn, *operands)`."""
     return _replaced(program, name, rule, {}) if _holds(program.jaxpr, name) else program
+
+
+def replaced_inside(eqn: Any, name: str, rule: Callable) -> Any:
+    """The same operation with `name` replaced in the programs inside it, as in `replaced`."""
+    return _with_programs(eqn, lambda program: replaced(program, name, rule))
 
 
 def _holds(jaxpr: Any, name: str) -> bool:
