@@ -134,9 +134,11 @@ def _replaced(program: Any, name: str, rule: Callable, done: dict[int, tuple]) -
     equations = []
     for eqn in program.jaxpr.eqns:
         if eqn.primitive.name == name:
+            # The replacement may have the same operation in it.
             call = _call(ft.partial(rule, eqn), [v.aval for v in eqn.invars])
-            eqn = call.replace(invars=eqn.invars, outvars=eqn.outvars)
-        equations.append(_with_programs(eqn, lambda v: _replaced(v, name, rule, done)))
+            equations.append(call.replace(invars=eqn.invars, outvars=eqn.outvars))
+        else:
+            equations.append(_with_programs(eqn, lambda v: _replaced(v, name, rule, done)))
     out = jexc.ClosedJaxpr(program.jaxpr.replace(eqns=equations), program.consts)
     done[id(program)] = program, out
     return out

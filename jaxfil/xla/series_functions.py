@@ -10,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxfil.xla.fast_trig import arctan2
 from jaxfil.xla.known import is_known
 from jaxfil.xla.series import (
     Expansion,
@@ -241,7 +242,7 @@ def _arctan2(expansion: Expansion, eqn: Any, y: Series, x: Series) -> Series:
 
     def make(k: int) -> Any:
         if k == 0:
-            return jnp.arctan2(first_of(y), first_of(x))
+            return arctan2(first_of(y), first_of(x))
         rise, fall = convolution(of_y, by_y, k, first=1), convolution(of_x, by_x, k, first=1)
         return scaled(1.0 / k, minus(rise, fall))
 

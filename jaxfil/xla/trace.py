@@ -19,8 +19,15 @@ from jaxtyping import Array
 from jaxfil.xla import elements, fast_trig, matrix_product
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, masked
 from jaxfil.xla.moves import applies_function, by_slices
-from jaxfil.xla.program import evaluate_one, interpreted, names, operations, programs, pruned
-from jaxfil.xla.select import select
+from jaxfil.xla.program import (
+    evaluate_one,
+    interpreted,
+    names,
+    operations,
+    programs,
+    pruned,
+    replaced_inside,
+)
 from jaxfil.xla.series import Expansion
 from jaxfil.xla.series_program import expanded
 
@@ -30,13 +37,7 @@ _RIGHT = {"atan": fast_trig.arctan}
 _FAST = {"sin": fast_trig.sin, "cos": fast_trig.cos, **_RIGHT}
 
 
-def _arctan2(y: Array, x: Array) -> Array:
-    """The angle of (x, y), with x hidden from the compiler. If x is known to be 1, XLA uses its
-    arctangent, which is wrong (jaxlib 0.10.2)."""
-    return jax.lax.atan2(y, select(y == y, x, y))
-
-
-_SAFE = {"atan2": _arctan2}
+_SAFE = {"atan2": fast_trig.arctan2}
 # The smallest array that is computed ahead in a compact program.
 _SOME = 3
 # Operations that take longer than a few multiplications.
@@ -291,7 +292,20 @@ class _Evaluation:
             return [_SAFE[name](*map(jnp.asarray, inputs))]
         if name == "dot_general" and self._mixed and matrix_product.is_small(eqn):
             return [matrix_product.written_out(eqn, *map(jnp.asarray, inputs))]
-        return evaluate_one(jaxpr, eqn, inputs)
+        return evaluate_one(jaxpr, _right_inside(eqn), inputs)
+
+
+def _right_inside(eqn: Any) -> Any:
+    """The same operation without XLA's arctangents in the programs inside it."""
+    for name, function in (_RIGHT | _SAFE).items():
+
+        def rule(inner: Any, *values: Array, function: Callable = function) -> Any:
+            if inner.invars[0].aval.dtype in _FLOATS:
+                return function(*values)
+            return inner.primitive.bind(*values, **inner.params)
+
+        eqn = replaced_inside(eqn, name, rule)
+    return eqn
 
 
 def _through(program: Any, args: Sequence[Any], rule: Callable, kind: type) -> list[Any]:
