@@ -6,7 +6,7 @@ operations.
 """
 
 import functools as ft
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import jax
@@ -112,7 +112,7 @@ def closed(program: Any) -> Any:
 def replaced(program: Any, name: str, rule: Callable) -> Any:
     """The same program with each operation `name`, including those in loops and conditionals,
     replaced by the single result of `rule(eqn, *operands)`."""
-    return _replaced(program, name, rule, {}) if _holds(program.jaxpr, name) else program
+    return _replaced(program, name, rule, {}) if holds(program.jaxpr, (name,)) else program
 
 
 def replaced_inside(eqn: Any, name: str, rule: Callable) -> Any:
@@ -120,9 +120,10 @@ def replaced_inside(eqn: Any, name: str, rule: Callable) -> Any:
     return _with_programs(eqn, lambda program: replaced(program, name, rule))
 
 
-def _holds(jaxpr: Any, name: str) -> bool:
+def holds(jaxpr: Any, names: Collection[str]) -> bool:
+    """Whether a program has one of some operations, also in the programs inside it."""
     return any(
-        eqn.primitive.name == name or any(_holds(inner, name) for inner in programs(eqn.params))
+        eqn.primitive.name in names or any(holds(inner, names) for inner in programs(eqn.params))
         for eqn in jaxpr.eqns
     )
 

@@ -21,8 +21,8 @@ from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, masked
 from jaxfil.xla.moves import applies_function, by_slices
 from jaxfil.xla.program import (
     evaluate_one,
+    holds,
     interpreted,
-    names,
     operations,
     programs,
     pruned,
@@ -99,7 +99,9 @@ class Traced:
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
         # Without singular operations all derivatives are finite at finite arguments, and need no
         # masks.
-        self._masks = transposed and not SINGULAR.isdisjoint(names(self._closed.jaxpr))
+        self.is_singular = holds(self._closed.jaxpr, SINGULAR)
+        """Whether derivatives may be infinite or NaN at finite arguments."""
+        self._masks = transposed and self.is_singular
         # Under `jit`, so that a transformation processes each function once, for any number of
         # calls.
         self._run, self._ahead = jax.jit(self._evaluated), jax.jit(self._found)
