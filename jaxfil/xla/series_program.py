@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.xla import elements
+from jaxfil.xla.known import is_known
 from jaxfil.xla.matrix_product import matrices_of
 from jaxfil.xla.program import evaluate_one, interpreted
 from jaxfil.xla.series import (
@@ -71,6 +72,9 @@ def array_of(expansion: Expansion, value: Any) -> Series:
 def _number(expansion: Expansion, value: Series, k: tuple[int, ...]) -> Series:
     # One series for each number, since squares and common terms are recognised by identity.
     key = ("number", value, k)
+    if _is_known(value) and is_known(value[0]):
+        # The numbers of a known array are known too, such as its exponents.
+        return expansion.once(key, lambda: expansion.constant(np.asarray(value[0])[k]))
     return expansion.once(key, lambda: linear_function(expansion, lambda v: v[k], value))
 
 

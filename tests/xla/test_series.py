@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxfil.xla.moves import by_slices
 from jaxfil.xla.series import Expansion, Series
@@ -146,6 +146,40 @@ def test_powers_of_zero_are_finite(power):
     found = [0.0 if v is None else float(v) for v in series_of(lambda t, x: x**power, argument)]
     exact = np.polynomial.polynomial.polypow(argument, int(power))[:ORDER]
     assert_allclose(found, np.pad(exact, (0, ORDER - len(exact))), rtol=1e-14)
+
+
+@pytest.mark.parametrize("argument", [(0.0, 0.3, -0.2, 0.1), (0.0, 0.0, 0.7, 0.2), (0.4, 0.3)])
+def test_powers_by_parameters_and_arrays_are_finite_at_zero(argument):
+    def powers(t, x):
+        return jnp.sum(jnp.stack([x, x, x]) ** jnp.arange(1.0, 4.0))
+
+    summed = np.zeros(ORDER)
+    for power in range(4):
+        own = np.polynomial.polynomial.polypow(argument, power)[:ORDER]
+        own = np.pad(own, (0, ORDER - len(own)))
+        summed += own * (power > 0)
+        assert_allclose(parametrised(argument, float(power)), own, rtol=0, atol=1e-15)
+    found = [0.0 if v is None else float(v) for v in series_of(powers, argument)]
+    assert_allclose(found, summed, rtol=0, atol=1e-15)
+
+
+@jax.jit
+def parametrised(argument, power):
+    """The coefficients of a power whose exponent is traced."""
+    expansion = Expansion({})
+    program = jax.make_jaxpr(lambda x, c: x**c)(0.0, 0.0)
+    x = expansion.series(lambda k: argument[k] if k < len(argument) else None)
+    (y,) = expanded(expansion, program, [x, power])
+    return jnp.stack([jnp.asarray(y[k]) for k in range(ORDER)])
+
+
+def test_a_root_and_a_power_that_is_not_whole_of_what_stays_zero_are_zero():
+    argument = (0.0, 0.0, 0.0)
+    for function in (jnp.sqrt, lambda x: x**1.5):
+        found = series_of(lambda t, x, f=function: f(x), argument)
+        assert_array_equal([0.0 if v is None else float(v) for v in found], 0.0)
+        found = series_of(lambda t, x, f=function: f(x), (0.0, 0.5))
+        assert not np.isfinite(float(found[1]))
 
 
 def test_zeros_by_structure_are_not_computed():

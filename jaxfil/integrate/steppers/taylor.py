@@ -41,7 +41,9 @@ class Taylor(eqx.Module):
     exponentials, trigonometric and hyperbolic functions and their inverses, selections. A selection
     is decided at the start of the step, and on a kink of `max`, `abs`, `where` and the like by the
     motion just after it; a kink inside the step shows in the error, which is estimated by the
-    defect of the field at the end of the step. Contacts are located on the polynomial, without a
+    defect of the field at the end of the step. A root, a power that is not whole or a quotient
+    (`jnp.sinc`) has no series where it is made of an exact zero that the motion leaves, as `|v|` at
+    rest; such a run ends as `nonfinite`. Contacts are located on the polynomial, without a
     second step. Sweeps of piecewise linear systems take 0.4 to 0.8 of the time that they take with
     `diffrax.Dopri8()`, and fields with several products of states up to 1.6 times as long. Steps in
     which a motion rests on a surface, or slides on surfaces whose weights depend on each other, use
