@@ -85,6 +85,8 @@ def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]
         return [_Rounded(v) for v in outputs]
     if name in elements.MOVES or name in _CHOICES:
         return [_moved(eqn, inputs, outputs[0])]
+    if name == "custom_linear_solve":
+        inputs = _without_factors(eqn, inputs)
     passed_on = _passed_on(name, run, inputs, len(outputs))
     if name in _EXACT:
         return [_Rounded(v, p) for v, p in zip(outputs, passed_on, strict=True)]
@@ -96,6 +98,14 @@ def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]
     if passed_on[0] is None:
         return [_Rounded(outputs[0], None, size)]
     return [_Rounded(outputs[0], passed_on[0] + size)]
+
+
+def _without_factors(eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
+    """The operands of a linear solve, of which factors of the matrix are exact. The derivative is
+    that by the matrix and the right-hand side."""
+    lengths = eqn.params["const_lengths"]
+    factors = range(lengths.matvec, sum(lengths))
+    return [_Rounded(v.value) if i in factors else v for i, v in enumerate(inputs)]
 
 
 def _called(program: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:

@@ -7,7 +7,7 @@ determine which of its results depend on which of its arguments.
 """
 
 import functools as ft
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.xla import elements, fast_trig, matrix_product
+from jaxfil.xla.dependence import degrees_of, dependencies
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, masked
-from jaxfil.xla.moves import applies_function, by_slices
+from jaxfil.xla.moves import by_slices
 from jaxfil.xla.program import (
     evaluate_one,
     holds,
@@ -42,13 +43,6 @@ _SAFE = {"atan2": fast_trig.arctan2}
 _SOME = 3
 # Operations that take longer than a few multiplications.
 _DEAR = (*_FAST, *_SAFE, "exp", "log", "log2", "pow", "tan", "tanh")
-# Operations of which each result depends only on the numbers at its own position. Results of other
-# ones, such as a sort, a conditional or a product of square matrices, depend on all numbers.
-_NAMES = """
-bessel_i0e bessel_i1e copy_p device_put imag nextafter real reduce_precision shift_left
-shift_right_arithmetic shift_right_logical copy stop_gradient
-"""
-_ON_EACH = elements.ON_EACH.union(ELEMENTWISE, _NAMES.split())
 # Operations without forward derivatives, unless a user's own rule encloses them.
 _NO_DERIVATIVES = {
     "custom_vjp_call": "jax.custom_vjp",
@@ -58,10 +52,6 @@ _NO_DERIVATIVES = {
 }
 # The time at which an argument is known: from the start, with the time, or with the state.
 FIRST, EARLY, LATE = range(3)
-
-
-_Flags = np.ndarray | np.bool_
-"""A flag for each element of an array."""
 
 
 class Traced:
@@ -95,7 +85,7 @@ class Traced:
         # The flags of the results that depend on a sine. With only one, a call whose result is used
         # `alone` needs no fence.
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
-        waves = _dependencies(self._closed, nothing, sources=self._functions)
+        waves = dependencies(self._closed, nothing, sources=self._functions)
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
         # Without singular operations all derivatives are finite at finite arguments, and need no
         # masks.
@@ -182,7 +172,7 @@ class Traced:
             np.broadcast_to(flag, v.aval.shape)
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
-        out = _dependencies(self._closed, flags)
+        out = dependencies(self._closed, flags)
         return jax.tree.unflatten(self._tree, list(map(np.asarray, out)))
 
     def is_affine(self, *args: Any) -> bool:
@@ -192,7 +182,7 @@ class Traced:
             np.full(v.aval.shape, int(flag))
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
-        return all(np.all(d <= 1) for d in _degrees(self._closed, degrees))
+        return all(np.all(d <= 1) for d in degrees_of(self._closed, degrees))
 
 
 def _without_derivatives(jaxpr: Any) -> str | None:
@@ -308,86 +298,3 @@ def _right_inside(eqn: Any) -> Any:
 
         eqn = replaced_inside(eqn, name, rule)
     return eqn
-
-
-def _through(program: Any, args: Sequence[Any], rule: Callable, kind: type) -> list[Any]:
-    """Properties of each number, propagated through a program, as arrays of a `kind` that is False
-    or 0 for constants. Rearrangements move them, and `rule(eqn, inputs)` handles other
-    operations."""
-
-    def known(_: Any, eqn: Any, inputs: Sequence[Any]) -> Sequence[Any]:
-        name, shape = eqn.primitive.name, eqn.outvars[0].aval.shape
-        if name in elements.MOVES:
-            return [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
-        if name == "custom_jvp_call":
-            return _through(eqn.params["call_jaxpr"], inputs, rule, kind)
-        return rule(eqn, inputs)
-
-    return interpreted(program, args, lambda v: np.zeros(np.shape(v), kind), known)
-
-
-def _dependencies(program: Any, args: Sequence[Any], sources: Collection[str] = ()) -> list[_Flags]:
-    """Elementwise dependency flags through a program; results of the primitives `sources` are
-    flagged."""
-
-    def flags(eqn: Any, inputs: Sequence[_Flags]) -> list[_Flags]:
-        shapes = [v.aval.shape for v in eqn.outvars]
-        if eqn.primitive.name in sources:
-            return [np.ones(shape, bool) for shape in shapes]
-        if eqn.primitive.name in _ON_EACH and all(x.shape in ((), shapes[0]) for x in inputs):
-            flag = np.zeros(shapes[0], bool)
-            for x in inputs:
-                flag = flag | x
-            return [flag]
-        some = any(bool(np.any(x)) for x in inputs)
-        return [np.full(shape, some) for shape in shapes]
-
-    return _through(program, args, flags, bool)
-
-
-# A degree above 1.
-_CURVED = 2
-# Operations that are linear in the operands with these numbers, given all others.
-_LINEAR = {
-    "dynamic_slice": (0,),
-    "dynamic_update_slice": (0, 1),
-    "gather": (0,),
-    "scatter": (0, 2),
-    "scatter-add": (0, 2),
-    "scatter_add": (0, 2),
-}
-
-
-def _degrees(program: Any, args: Sequence[np.ndarray]) -> list:
-    """The degree of each number in the arguments of degree 1, through a program: 0, 1, or `_CURVED`
-    for any other dependence."""
-
-    def degrees(eqn: Any, inputs: Sequence[np.ndarray]) -> list:
-        return [np.broadcast_to(_degree(eqn, inputs), v.aval.shape) for v in eqn.outvars]
-
-    return _through(program, args, degrees, int)
-
-
-def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:
-    """The degree of the result of one operation, number by number where this is simple."""
-    name, highest = eqn.primitive.name, [int(np.max(d, initial=0)) for d in inputs]
-    if name == "convert_element_type" and eqn.outvars[0].aval.dtype not in _FLOATS:
-        return _CURVED if any(highest) else 0  # truncated to integers
-    if name in ("add", "add_any", "sub", "neg", "convert_element_type", "copy"):
-        return ft.reduce(np.maximum, inputs)
-    if name == "mul":
-        return np.minimum(inputs[0] + inputs[1], _CURVED)
-    if name == "div" and highest[1] == 0:
-        return inputs[0]
-    # A flag that depends on the arguments makes jumps or kinks, so it is not affine.
-    if name == "select_n" and highest[0] == 0:
-        return ft.reduce(np.maximum, inputs[1:])
-    if name == "reduce_sum":
-        return np.max(inputs[0], axis=tuple(eqn.params["axes"]), initial=0)
-    if name == "dot_general":
-        return min(sum(highest), _CURVED)
-    # A scatter that applies a function may be as curved as that function.
-    numbers = () if applies_function(eqn) else _LINEAR.get(name, ())
-    if numbers and not any(d for k, d in enumerate(highest) if k not in numbers):
-        return max(highest[k] for k in numbers)
-    return _CURVED if any(highest) else 0

@@ -30,6 +30,13 @@ FUNCTIONS = {
             (x - a) - mpmath.floor((x - a) / mpmath.mpf(0.3)) * mpmath.mpf(0.3) - mpmath.mpf(0.1)
         ),
     ),
+    "linear system": (
+        lambda x, a: (
+            jnp.linalg.solve(jnp.array([[1, 0.25], [0.25, 1]]), jnp.stack([x + a, a]))[0] * 0.9375
+            - 0.75 * a
+        ),
+        lambda x, a: x,
+    ),
     "product of vectors": (
         lambda x, a: jnp.array([1.0, -1.0]) @ jnp.stack([(x + a) - a, (2 * x + a) - a]),
         lambda x, a: -x,
