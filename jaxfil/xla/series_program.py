@@ -204,7 +204,8 @@ def _of_one(expansion: Expansion, eqn: Any, inputs: Sequence[Series]) -> Series:
     bind = ft.partial(eqn.primitive.bind, **eqn.params)
     # Integers and flags are constant within a step. Constants that are not computed yet, such as a
     # sine at the start of a step, need no rule.
-    if not moves or name in FROZEN or all(v.degree == 0 for v in inputs):
+    constant = all(v.degree == 0 for v in inputs)
+    if not moves or (name in FROZEN and not _is_complex(eqn)) or constant:
         ahead = decided_by(expansion, *inputs)
         return expansion.series(lambda _: bind(*(just_after(ahead, v) for v in inputs)), 0)
     if name not in LINEAR or any(v.degree != 0 for v in inputs[1:]):
@@ -212,6 +213,11 @@ def _of_one(expansion: Expansion, eqn: Any, inputs: Sequence[Series]) -> Series:
     # The other operands, such as positions, are constants in all orders.
     others = inputs[1:]
     return linear_function(expansion, lambda v: bind(v, *(o[0] for o in others)), inputs[0])
+
+
+def _is_complex(eqn: Any) -> bool:
+    # The sign of a complex number is z/|z|, which moves.
+    return jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.complexfloating)
 
 
 def _decision(expansion: Expansion, eqn: Any) -> int:

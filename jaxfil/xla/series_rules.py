@@ -19,6 +19,8 @@ from jaxfil.xla.series import (
     first_of,
     kept,
     linear_function,
+    square,
+    sum_of,
 )
 from jaxfil.xla.series_functions import FUNCTIONS
 from jaxfil.xla.series_jumps import compared, decided_by, just_after
@@ -67,6 +69,10 @@ def _smaller(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
 
 
 def _absolute(expansion: Expansion, eqn: Any, a: Series) -> Series:
+    if jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.complexfloating):
+        parts = [linear_function(expansion, part, a) for part in (jnp.real, jnp.imag)]
+        size = sum_of(expansion, [square(expansion, v) for v in parts])
+        return FUNCTIONS["sqrt"](expansion, eqn, size)
     negative = linear_function(expansion, lambda v: -v, a)
     return _larger(expansion, eqn, a, negative)
 
@@ -107,7 +113,7 @@ def _dot(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
     return expansion.series(make)
 
 
-def _concatenate(expansion: Expansion, eqn: Any, *parts: Series) -> Series:
+def _put_together(expansion: Expansion, eqn: Any, *parts: Series) -> Series:
     bind = ft.partial(eqn.primitive.bind, **eqn.params)
     shapes = [v.aval for v in eqn.invars]
 
@@ -125,7 +131,7 @@ def _concatenate(expansion: Expansion, eqn: Any, *parts: Series) -> Series:
 RULES: dict[str, Callable] = FUNCTIONS | {
     "abs": _absolute,
     "clamp": _clamp,
-    "concatenate": _concatenate,
+    "concatenate": _put_together,
     "dot_general": _dot,
     "eq": _of_comparison(jnp.equal),
     "ge": _of_comparison(jnp.greater_equal),
@@ -135,8 +141,10 @@ RULES: dict[str, Callable] = FUNCTIONS | {
     "max": _larger,
     "min": _smaller,
     "ne": _of_comparison(jnp.not_equal),
+    "pad": _put_together,
     "rem": _remainder,
     "select_n": _select_n,
+    "stack": _put_together,
 }
 """The rules of operations, by their names."""
 COMPARISONS = frozenset(["eq", "ge", "gt", "le", "lt", "ne"])
@@ -151,6 +159,7 @@ LINEAR = frozenset(
         "cumsum",
         "dynamic_slice",
         "gather",
+        "imag",
         "neg",
         "real",
         "reduce_sum",
@@ -159,6 +168,7 @@ LINEAR = frozenset(
         "slice",
         "squeeze",
         "stop_gradient",
+        "tile",
         "transpose",
     ]
 )

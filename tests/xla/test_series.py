@@ -17,6 +17,7 @@ from tests.results import with_derivatives
 ORDER = 6
 # The argument as a polynomial in time, of which each function is the series.
 ARGUMENT = (0.4, 0.3, -0.2, 0.1, 0.05)
+NUMBERS = np.linspace(-1, 1, 40)
 MATRIX = np.arange(9.0).reshape(3, 3) / 7 - 0.3
 
 
@@ -46,6 +47,10 @@ FUNCTIONS = {
     "integers": lambda t, x: x * (jnp.round(5 * x).astype(int) // 2).astype(float),
     "remainder": lambda t, x: jnp.mod(t + 0.3, 1.7) * x,
     "small arrays": lambda t, x: jnp.sum(MATRIX @ jnp.stack([x, x * x, jnp.sin(t)])),
+    "complex": lambda t, x: abs((x + 1j * t) ** 2 + 0.5) + jnp.imag(1j * x),
+    "stacked": lambda t, x: jnp.sum(jnp.stack([x * NUMBERS, t * NUMBERS]) ** 2),
+    "padded": lambda t, x: jnp.sum(jnp.pad(x * NUMBERS, (1, 2), constant_values=t) ** 2),
+    "tiled": lambda t, x: jnp.sum(jnp.tile(x * NUMBERS, 2) ** 2),
     "places": lambda t, x: jnp.stack([x, t]).at[0].add(t * x).prod(),
     "large arrays": lambda t, x: jnp.sum(jnp.sin(jnp.arange(40.0) * x) * jnp.linspace(0, 1, 40)),
     "products of vectors": lambda t, x: jnp.dot(jnp.full(40, x), jnp.arange(40.0) * t * x),
@@ -209,6 +214,7 @@ def test_products_of_multiples_are_multiples_of_a_square():
     "name, function",
     [
         ("scan", lambda t, x: jax.lax.fori_loop(0, 3, lambda _, v: v * x, x)),
+        ("sign", lambda t, x: jnp.real(jnp.sign(x + 1j * t))),
         ("sort", lambda t, x: jnp.sort(jnp.stack([x, t]))[0]),
     ],
 )
