@@ -50,6 +50,7 @@ _NO_DERIVATIVES = {
     "pure_callback": "jax.pure_callback",
     "io_callback": "jax.experimental.io_callback",
 }
+_OPEN_LOOPS = {"while": "jax.lax.while_loop"}
 # The time at which an argument is known: from the start, with the time, or with the state.
 FIRST, EARLY, LATE = range(3)
 
@@ -162,7 +163,12 @@ class Traced:
 
     def without_derivatives(self) -> str | None:
         """An operation of the function without forward derivatives, by its name in JAX."""
-        return _without_derivatives(self._closed.jaxpr)
+        return _named(self._closed.jaxpr, _NO_DERIVATIVES)
+
+    @property
+    def has_open_loop(self) -> bool:
+        """Whether the function has a loop without reverse derivatives."""
+        return _named(self._closed.jaxpr, _OPEN_LOOPS) is not None
 
     def depends(self, *args: Any) -> Any:
         """Flags of the results that depend on the flagged arguments, number by number, as
@@ -185,11 +191,12 @@ class Traced:
         return all(np.all(d <= 1) for d in degrees_of(self._closed, degrees))
 
 
-def _without_derivatives(jaxpr: Any) -> str | None:
+def _named(jaxpr: Any, refused: Mapping[str, str]) -> str | None:
+    """The first of some operations in a program, by its name in JAX."""
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
         inner = [] if name == "custom_jvp_call" else programs(eqn.params)
-        for found in (_NO_DERIVATIVES.get(name), *map(_without_derivatives, inner)):
+        for found in (refused.get(name), *(_named(v, refused) for v in inner)):
             if found is not None:
                 return found
     return None

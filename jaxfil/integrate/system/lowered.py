@@ -36,6 +36,7 @@ from jaxfil.integrate.system.functions import (
 from jaxfil.integrate.system.refused import (
     check_affine,
     check_derivatives,
+    check_loops,
     check_reactions,
     check_sharding,
 )
@@ -343,6 +344,7 @@ def _build(
     traced_field = traced(field, leaves, t0, x, sides, *more, when=when[: 4 + len(more)])
     traced_switching = traced(switching, leaves, t0, x)
     check_derivatives(vector_field=traced_field, switching=traced_switching)
+    check_loops(switching=traced_switching)
     of_numbers = [unpacked(row, as_array) for row in np.eye(n, dtype=bool)]
     of_sides = [Components([row] if packed else row) for row in np.eye(m, dtype=bool)]
     rate = rate_of(field, switching)
