@@ -119,6 +119,12 @@ def arctan(x: Array) -> Array:
     return jnp.copysign(angle, x)
 
 
+def arctan2(y: Array, x: Array) -> Array:
+    """The angle of (x, y), with x hidden from the compiler. If x is known to be 1, XLA uses its
+    arctangent, which is wrong (jaxlib 0.10.2)."""
+    return jax.lax.atan2(y, select(y == y, x, y))
+
+
 arctan.defjvps(lambda dx, _, x: dx / (1 + x * x))
 sin.defjvps(lambda dx, _, x: dx * cos(x))
 cos.defjvps(lambda dx, _, x: -(dx * sin(x)))

@@ -6,7 +6,7 @@ operations.
 """
 
 import functools as ft
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import jax
@@ -77,10 +77,18 @@ def _pruned(program: Any, done: dict[int, tuple]) -> Any:
 
 def _with_programs(eqn: Any, change: Callable) -> Any:
     """An operation with its inner programs changed."""
+
+    def changed(value: Any) -> Any:
+        if _is_program(value):
+            return change(value)
+        # The operation of `jax.checkpoint` has a program that is not closed.
+        return change(closed(value)).jaxpr if isinstance(value, jexc.Jaxpr) else value
+
     found = {
-        name: jax.tree.map(lambda v: change(v) if _is_program(v) else v, value)
+        name: jax.tree.map(changed, value)
         for name, value in eqn.params.items()
-        if _is_program(value) or (isinstance(value, tuple) and any(map(_is_program, value)))
+        if isinstance(value, (jexc.ClosedJaxpr, jexc.Jaxpr))
+        or (isinstance(value, tuple) and any(map(_is_program, value)))
     }
     return eqn.replace(params={**eqn.params, **found}) if found else eqn
 
@@ -96,15 +104,26 @@ def _is_program(value: Any) -> bool:
     return isinstance(value, jexc.ClosedJaxpr)
 
 
+def closed(program: Any) -> Any:
+    """An inner program, closed if it is not."""
+    return program if _is_program(program) else jexc.ClosedJaxpr(program, ())
+
+
 def replaced(program: Any, name: str, rule: Callable) -> Any:
     """The same program with each operation `name`, including those in loops and conditionals,
     replaced by the single result of `rule(eqn, *operands)`."""
-    return _replaced(program, name, rule, {}) if _holds(program.jaxpr, name) else program
+    return _replaced(program, name, rule, {}) if holds(program.jaxpr, (name,)) else program
 
 
-def _holds(jaxpr: Any, name: str) -> bool:
+def replaced_inside(eqn: Any, name: str, rule: Callable) -> Any:
+    """The same operation with `name` replaced in the programs inside it, as in `replaced`."""
+    return _with_programs(eqn, lambda program: replaced(program, name, rule))
+
+
+def holds(jaxpr: Any, names: Collection[str]) -> bool:
+    """Whether a program has one of some operations, also in the programs inside it."""
     return any(
-        eqn.primitive.name == name or any(_holds(inner, name) for inner in programs(eqn.params))
+        eqn.primitive.name in names or any(holds(inner, names) for inner in programs(eqn.params))
         for eqn in jaxpr.eqns
     )
 
@@ -116,9 +135,11 @@ def _replaced(program: Any, name: str, rule: Callable, done: dict[int, tuple]) -
     equations = []
     for eqn in program.jaxpr.eqns:
         if eqn.primitive.name == name:
+            # The replacement may have the same operation in it.
             call = _call(ft.partial(rule, eqn), [v.aval for v in eqn.invars])
-            eqn = call.replace(invars=eqn.invars, outvars=eqn.outvars)
-        equations.append(_with_programs(eqn, lambda v: _replaced(v, name, rule, done)))
+            equations.append(call.replace(invars=eqn.invars, outvars=eqn.outvars))
+        else:
+            equations.append(_with_programs(eqn, lambda v: _replaced(v, name, rule, done)))
     out = jexc.ClosedJaxpr(program.jaxpr.replace(eqns=equations), program.consts)
     done[id(program)] = program, out
     return out

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.xla import elements
-from jaxfil.xla.program import evaluate_one, interpreted
+from jaxfil.xla.program import closed, evaluate_one, interpreted
 
 # Operations that only move numbers, possibly selected by integers or flags.
 _CHOICES = ("select_n", "gather", "dynamic_slice", "copy", "stop_gradient")
@@ -77,12 +77,16 @@ def rounding_of(function: Callable, *example: Any) -> Callable | None:
 def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
     """The results of one operation with their bounds."""
     name = eqn.primitive.name
+    if name in _WITH_PROGRAMS:
+        return _WITH_PROGRAMS[name](eqn, inputs)
     run = ft.partial(evaluate_one, jaxpr, eqn)
     outputs = run([v.value for v in inputs])
     if not any(map(_is_float, outputs)):
         return [_Rounded(v) for v in outputs]
     if name in elements.MOVES or name in _CHOICES:
         return [_moved(eqn, inputs, outputs[0])]
+    if name == "custom_linear_solve":
+        inputs = _without_factors(eqn, inputs)
     passed_on = _passed_on(name, run, inputs, len(outputs))
     if name in _EXACT:
         return [_Rounded(v, p) for v, p in zip(outputs, passed_on, strict=True)]
@@ -94,6 +98,94 @@ def _rounded(jaxpr: Any, eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]
     if passed_on[0] is None:
         return [_Rounded(outputs[0], None, size)]
     return [_Rounded(outputs[0], passed_on[0] + size)]
+
+
+def _without_factors(eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
+    """The operands of a linear solve, of which factors of the matrix are exact. The derivative is
+    that by the matrix and the right-hand side."""
+    lengths = eqn.params["const_lengths"]
+    factors = range(lengths.matvec, sum(lengths))
+    return [_Rounded(v.value) if i in factors else v for i, v in enumerate(inputs)]
+
+
+def _called(program: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
+    """The results of a program."""
+    return interpreted(closed(program), inputs, _Rounded, _rounded)
+
+
+def _branched(eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
+    """The results of the selected branch of a conditional."""
+    which, *args = inputs
+    cases = [_called(branch, args) for branch in eqn.params["branches"]]
+
+    def selected(parts: Sequence[Any], values: Sequence[Any]) -> Array | None:
+        if all(v is None for v in parts):
+            return None
+        pairs = zip(parts, values, strict=True)
+        # A branch may return a number of the program, which is no array.
+        filled = [jnp.asarray(_or_zero(v, of)) for v, of in pairs]
+        return jax.lax.select_n(jnp.clip(which.value, 0, len(cases) - 1), *filled)
+
+    return [
+        _Rounded(*(selected(part, values) for part in (values, *bounds)))
+        for values, *bounds in (zip(*each, strict=True) for each in zip(*cases, strict=True))
+    ]
+
+
+def _repeated(eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
+    """The results of a `while` loop, whose state carries its bounds."""
+    split = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
+    test_known, known = inputs[: split[0]], inputs[split[0] : sum(split)]
+
+    def test(state: Sequence[_Whole]) -> Array:
+        (again,) = _called(eqn.params["cond_jaxpr"], [*test_known, *map(_rounded_of, state)])
+        return again.value
+
+    def body(state: Sequence[_Whole]) -> list[_Whole]:
+        return _wholes(_called(eqn.params["body_jaxpr"], [*known, *map(_rounded_of, state)]))
+
+    return [*map(_rounded_of, jax.lax.while_loop(test, body, _wholes(inputs[sum(split) :])))]
+
+
+def _scanned(eqn: Any, inputs: Sequence[_Rounded]) -> list[_Rounded]:
+    """The results of a scan, whose state and rows carry their bounds."""
+    split = eqn.params["num_consts"], eqn.params["num_carry"]
+    known, state = inputs[: split[0]], inputs[split[0] : sum(split)]
+
+    def body(state: Sequence[_Whole], rows: Sequence[_Whole]) -> tuple[list, list]:
+        given = [*known, *map(_rounded_of, (*state, *rows))]
+        out = _wholes(_called(eqn.params["jaxpr"], given))
+        return out[: split[1]], out[split[1] :]
+
+    length, back = eqn.params["length"], eqn.params["reverse"]
+    start, rows = _wholes(state), _wholes(inputs[sum(split) :])
+    last, made = jax.lax.scan(body, start, rows, length=length, reverse=back)
+    return [*map(_rounded_of, (*last, *made))]
+
+
+# A value in the state of a loop, with a bound even if that is zero; None for an integer.
+_Whole = tuple[Array, Array | None]
+
+
+def _wholes(values: Sequence[_Rounded]) -> list[_Whole]:
+    arrays = [jnp.asarray(v.value) for v in values]
+    pairs = zip(arrays, values, strict=True)
+    return [(v, _or_zero(of.bound, v) if _is_float(v) else None) for v, of in pairs]
+
+
+def _rounded_of(whole: _Whole) -> _Rounded:
+    return _Rounded(*whole)
+
+
+# Operations that are made of programs, through which bounds are propagated.
+_WITH_PROGRAMS: dict[str, Callable] = {
+    "checkpoint": lambda eqn, inputs: _called(eqn.params["jaxpr"], inputs),
+    "cond": _branched,
+    "custom_jvp_call": lambda eqn, inputs: _called(eqn.params["call_jaxpr"], inputs),
+    "remat2": lambda eqn, inputs: _called(eqn.params["jaxpr"], inputs),
+    "scan": _scanned,
+    "while": _repeated,
+}
 
 
 def _is_float(v: Any) -> bool:

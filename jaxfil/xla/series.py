@@ -18,12 +18,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+# Orders of a motion that decide its jumps, 2 for a start at rest on a kink.
+AHEAD = 2
+
 
 class Series:
     """A value as a power series in time; `self[k]` is coefficient k, None for a structural zero.
     Values are numbers or arrays."""
 
-    __slots__ = ("_make", "degree", "is_kept", "is_of_time", "known", "later", "multiple", "terms")
+    __slots__ = ("_make", "degree", "is_kept", "is_of_time", "known", "multiple", "terms")
 
     def __init__(self, make: Callable[[int], Any], degree: int | None = None):
         self._make = make
@@ -37,9 +40,6 @@ class Series:
         """Whether coefficients of higher orders depend on all of these."""
         self.is_of_time = False
         """Whether it depends on time alone."""
-        self.later: Series | None = None
-        """Of a comparison the flags for coefficients of each order (see `series_rules.compared`);
-        None for others."""
         self.multiple: tuple[Series, Series] | None = None
         """The constant and the series of which it is the product; None for other series."""
         self.terms: tuple[tuple[float, Series], ...] | None = None
@@ -78,6 +78,10 @@ class Expansion:
     def __init__(self, functions: Mapping[str, Callable], hold: Callable = lambda v: v):
         self.functions, self._hold = functions, hold
         self.made: list[Series] = []
+        self.ahead = AHEAD
+        """The order up to which coefficients of a motion decide its jumps (see `series_jumps`)."""
+        self.jumps = False
+        """Whether there are any, as comparisons of states."""
         self._same: dict[tuple, Any] = {}
 
     def series(self, make: Callable[[int], Any], degree: int | None = None) -> Series:

@@ -10,8 +10,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxfil.xla.fast_trig import arctan2
 from jaxfil.xla.known import is_known
+from jaxfil.xla.select import select
 from jaxfil.xla.series import (
+    AHEAD,
     Expansion,
     Series,
     add,
@@ -163,11 +166,39 @@ def _real_power(expansion: Expansion, a: Series, c: Any) -> Series:
         if k == 0:
             return jnp.power(a[0], c)
         terms = [times((i * (c + 1) - k) * (1.0 / k), times(a[i], y[k - i])) for i in _upto(k)]
-        return times(add(terms), inverse[0])
+        out = times(add(terms), inverse[0])
+        return None if out is None else select(a[0] != 0, out, _power_of_zero(a, c, y, k))
 
     y = expansion.series(make)
     kept(a, y)
     return y
+
+
+def _power_of_zero(a: Series, c: Any, y: Series, k: int) -> Any:
+    """Coefficient k of y = a^c where a starts at zero. If a_m is the first that is not zero,
+    (k − m c) a_m y_k = Σ_{i > m} (i (c + 1) − k − m) a_i y_{k+m−i} and y_{mc} = a_m^c."""
+    like = jnp.zeros_like(a[0])
+    if _is_broken(c):
+        return like if a[k] is None else select(a[k] != 0, jnp.nan, like)
+    out = like
+    for m in range(min(k, AHEAD), 0, -1):
+        if a[m] is None:
+            continue
+        factors = [(i * (c + 1) - (k + m), times(a[i], y[k + m - i])) for i in range(m + 1, k + 1)]
+        total = add([like, *(times(factor, v) for factor, v in factors)])
+        # A divisor that is zero is not used.
+        first, apart = select(a[m] != 0, a[m], 1.0), jnp.asarray(k - m * c, like.dtype)
+        own = total / (first * select(apart != 0, apart, 1.0))
+        own = select(apart == 0, jnp.power(first, c), own)
+        own = select((c >= 1) & (c == jnp.round(c)) | (c == 0), own, jnp.nan)
+        out = select(a[m] != 0, own, out)
+    return out
+
+
+def _is_broken(c: Any) -> bool:
+    """Whether an exponent is known not to be whole. Such a power of zero has no series, unless it
+    stays zero."""
+    return is_known(c) and bool(np.all(np.asarray(c) % 1 != 0))
 
 
 def _upto(k: int) -> range:
@@ -223,7 +254,9 @@ def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
         # side.
         pairs = add([times(y[i], y[k - i]) for i in range(1, (k + 1) // 2)])
         middle = times(y[k // 2], y[k // 2]) if k % 2 == 0 else None
-        return times(minus(a[k], add([scaled(2.0, pairs), middle])), inverse[0])
+        rest = minus(a[k], add([scaled(2.0, pairs), middle]))
+        # The root of zero stays zero as long as its square does.
+        return None if rest is None else select(rest != 0, rest * inverse[0], 0.0 * rest)
 
     y = expansion.series(make)
     kept(y)
@@ -241,7 +274,7 @@ def _arctan2(expansion: Expansion, eqn: Any, y: Series, x: Series) -> Series:
 
     def make(k: int) -> Any:
         if k == 0:
-            return jnp.arctan2(first_of(y), first_of(x))
+            return arctan2(first_of(y), first_of(x))
         rise, fall = convolution(of_y, by_y, k, first=1), convolution(of_x, by_x, k, first=1)
         return scaled(1.0 / k, minus(rise, fall))
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfil.xla import elements
+from jaxfil.xla.known import is_known
 from jaxfil.xla.matrix_product import matrices_of
 from jaxfil.xla.program import evaluate_one, interpreted
 from jaxfil.xla.series import (
@@ -18,17 +19,19 @@ from jaxfil.xla.series import (
     Same,
     Series,
     degree_of,
-    first_of,
     linear_function,
     product,
     sum_of,
 )
+from jaxfil.xla.series_jumps import decided_by, just_after
 from jaxfil.xla.series_rules import (
     COMPARISONS,
     FROZEN,
     LINEAR,
     RULES,
     NoSeries,
+    is_real,
+    jumps,
     selected,
 )
 
@@ -69,6 +72,9 @@ def array_of(expansion: Expansion, value: Any) -> Series:
 def _number(expansion: Expansion, value: Series, k: tuple[int, ...]) -> Series:
     # One series for each number, since squares and common terms are recognised by identity.
     key = ("number", value, k)
+    if _is_known(value) and is_known(value[0]):
+        # The numbers of a known array are known too, such as its exponents.
+        return expansion.once(key, lambda: expansion.constant(np.asarray(value[0])[k]))
     return expansion.once(key, lambda: linear_function(expansion, lambda v: v[k], value))
 
 
@@ -81,7 +87,7 @@ def _made(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> 
     # Arrays of NumPy are not hashable, so the numbers in them are the key. The fields on both sides
     # of a surface share all operations that do not depend on the side.
     same = [v if isinstance(v, Series) else tuple(map(Same, v.ravel())) for v in inputs]
-    key = ("operation", Same(eqn), *same)
+    key = ("operation", Same(eqn), _decision(expansion, eqn), *same)
     return expansion.once(key, lambda: _new(expansion, jaxpr, eqn, inputs))
 
 
@@ -189,22 +195,34 @@ def _of_cond(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> list[Any]
 
 def _of_one(expansion: Expansion, eqn: Any, inputs: Sequence[Series]) -> Series:
     """The result of an operation on series of whole arrays."""
-    name, is_real = eqn.primitive.name, jnp.issubdtype(eqn.outvars[0].aval.dtype, jnp.inexact)
-    if name in RULES and (is_real or name in COMPARISONS):
+    name, moves = eqn.primitive.name, is_real(eqn.outvars[0].aval)
+    if name in RULES and (moves or name in COMPARISONS):
         # The equation is not in this key, unlike in `_made`, so that equal operations in different
         # programs are shared, such as those of H and of its rate.
-        key = (name, _params_key(eqn), *inputs)
+        key = (name, _params_key(eqn), _decision(expansion, eqn), *inputs)
         return expansion.once(key, lambda: RULES[name](expansion, eqn, *inputs))
     bind = ft.partial(eqn.primitive.bind, **eqn.params)
     # Integers and flags are constant within a step. Constants that are not computed yet, such as a
     # sine at the start of a step, need no rule.
-    if not is_real or name in FROZEN or all(v.degree == 0 for v in inputs):
-        return expansion.series(lambda _: bind(*(first_of(v) for v in inputs)), 0)
+    constant = all(v.degree == 0 for v in inputs)
+    if not moves or (name in FROZEN and not _is_complex(eqn)) or constant:
+        ahead = decided_by(expansion, *inputs)
+        return expansion.series(lambda _: bind(*(just_after(ahead, v) for v in inputs)), 0)
     if name not in LINEAR or any(v.degree != 0 for v in inputs[1:]):
         raise NoSeries(name)
     # The other operands, such as positions, are constants in all orders.
     others = inputs[1:]
     return linear_function(expansion, lambda v: bind(v, *(o[0] for o in others)), inputs[0])
+
+
+def _is_complex(eqn: Any) -> bool:
+    # The sign of a complex number is z/|z|, which moves.
+    return jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.complexfloating)
+
+
+def _decision(expansion: Expansion, eqn: Any) -> int:
+    """The order up to which coefficients decide the jumps of an operation; 0 without jumps."""
+    return expansion.ahead if jumps(eqn) else 0
 
 
 def _params_key(eqn: Any) -> str:

@@ -1,7 +1,7 @@
 """Power series of all operations: functions, selections, rearrangements and sums.
 
-A selection is decided at the start of a step, or if that is a kink, just after it, and fixed within
-it. If it would change within the step, the error estimate shows it.
+A selection is decided just after the start of a step, and fixed within it (see `series_jumps`). If
+it would change within the step, the error estimate shows it.
 """
 
 import functools as ft
@@ -11,7 +11,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxfil.xla.select import select
 from jaxfil.xla.series import (
     Expansion,
     Series,
@@ -20,11 +19,11 @@ from jaxfil.xla.series import (
     first_of,
     kept,
     linear_function,
+    square,
+    sum_of,
 )
 from jaxfil.xla.series_functions import FUNCTIONS
-
-# Order up to which coefficients of equal values are compared, 2 for a start at rest on a kink.
-_TIES = 2
+from jaxfil.xla.series_jumps import compared, decided_by, just_after
 
 
 class NoSeries(ValueError):
@@ -48,35 +47,9 @@ def selected(expansion: Expansion, which: Series, cases: Sequence[Series]) -> Se
         like = next(v for v in parts if v is not None)
         filled = [jnp.zeros_like(like) if v is None else jnp.asarray(v) for v in parts]
         shape = jnp.broadcast_shapes(*(v.shape for v in filled))
-        flag = which[0] if which.later is None else which.later[min(k, _TIES)]
-        return jax.lax.select_n(flag, *(jnp.broadcast_to(v, shape) for v in filled))
+        return jax.lax.select_n(which[0], *(jnp.broadcast_to(v, shape) for v in filled))
 
     return expansion.series(make, degree_of(*cases))
-
-
-def compared(expansion: Expansion, compare: Callable, a: Series, b: Series) -> Series:
-    """The flag of a comparison at the start of a step. If both values are equal there, its `later`
-    flags compare the first coefficients that differ, as the values do just after the start. A
-    motion that starts on a kink of its field thus takes the part of the field ahead of it."""
-    out = expansion.series(lambda _: compare(first_of(a), first_of(b)), 0)
-    if a.degree == b.degree == 0:
-        return out
-    later: Series
-
-    def coefficient(v: Series, k: int) -> Any:
-        return jnp.zeros_like(first_of(v)) if v[k] is None else v[k]
-
-    # Coefficient k of a selection needs coefficients up to k of the values, which are known by
-    # then. If these are all equal, so are the results of both cases up to that order.
-    def make(k: int) -> Any:
-        if k == 0:
-            return out[0]
-        ties = [coefficient(a, i) == coefficient(b, i) for i in range(k)]
-        now = compare(coefficient(a, k), coefficient(b, k))
-        return select(ft.reduce(jnp.logical_and, ties), now, later[k - 1])
-
-    later = out.later = expansion.series(make, _TIES)
-    return out
 
 
 def _of_comparison(compare: Callable) -> Callable:
@@ -96,6 +69,10 @@ def _smaller(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
 
 
 def _absolute(expansion: Expansion, eqn: Any, a: Series) -> Series:
+    if jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.complexfloating):
+        parts = [linear_function(expansion, part, a) for part in (jnp.real, jnp.imag)]
+        size = sum_of(expansion, [square(expansion, v) for v in parts])
+        return FUNCTIONS["sqrt"](expansion, eqn, size)
     negative = linear_function(expansion, lambda v: -v, a)
     return _larger(expansion, eqn, a, negative)
 
@@ -109,7 +86,15 @@ def _remainder(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
         raise NoSeries("rem")
     # Between two jumps the remainder is a minus a constant, a whole multiple of b, so that only
     # coefficient 0 differs. If b varies, the multiple does not remain constant in time.
-    return expansion.series(lambda k: jax.lax.rem(a[0], b[0]) if k == 0 else a[k], a.degree)
+    ahead = decided_by(expansion, a)
+
+    def make(k: int) -> Any:
+        if k > 0:
+            return a[k]
+        after = just_after(ahead, a)
+        return jax.lax.rem(after, b[0]) - (after - first_of(a))
+
+    return expansion.series(make, a.degree)
 
 
 def _dot(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
@@ -128,7 +113,7 @@ def _dot(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
     return expansion.series(make)
 
 
-def _concatenate(expansion: Expansion, eqn: Any, *parts: Series) -> Series:
+def _put_together(expansion: Expansion, eqn: Any, *parts: Series) -> Series:
     bind = ft.partial(eqn.primitive.bind, **eqn.params)
     shapes = [v.aval for v in eqn.invars]
 
@@ -146,19 +131,25 @@ def _concatenate(expansion: Expansion, eqn: Any, *parts: Series) -> Series:
 RULES: dict[str, Callable] = FUNCTIONS | {
     "abs": _absolute,
     "clamp": _clamp,
-    "concatenate": _concatenate,
+    "concatenate": _put_together,
     "dot_general": _dot,
+    "eq": _of_comparison(jnp.equal),
     "ge": _of_comparison(jnp.greater_equal),
     "gt": _of_comparison(jnp.greater),
     "le": _of_comparison(jnp.less_equal),
     "lt": _of_comparison(jnp.less),
     "max": _larger,
     "min": _smaller,
+    "ne": _of_comparison(jnp.not_equal),
+    "pad": _put_together,
     "rem": _remainder,
     "select_n": _select_n,
+    "stack": _put_together,
 }
 """The rules of operations, by their names."""
-COMPARISONS = frozenset(["ge", "gt", "le", "lt"])
+COMPARISONS = frozenset(["eq", "ge", "gt", "le", "lt", "ne"])
+# Real numbers that are selected by a comparison of the operands, or jump.
+_CHOSEN = frozenset(["abs", "clamp", "max", "min", "rem"])
 # Operations that are linear in the first operand, given the others.
 LINEAR = frozenset(
     [
@@ -168,6 +159,7 @@ LINEAR = frozenset(
         "cumsum",
         "dynamic_slice",
         "gather",
+        "imag",
         "neg",
         "real",
         "reduce_sum",
@@ -176,8 +168,20 @@ LINEAR = frozenset(
         "slice",
         "squeeze",
         "stop_gradient",
+        "tile",
         "transpose",
     ]
 )
 # Operations on real numbers that are constant within a step, away from their jumps.
 FROZEN = frozenset(["ceil", "floor", "round", "sign"])
+
+
+def jumps(eqn: Any) -> bool:
+    """Whether the result of an operation may jump, or have a kink, as its operands move."""
+    name = eqn.primitive.name
+    return name in FROZEN or name in _CHOSEN or not is_real(eqn.outvars[0].aval)
+
+
+def is_real(aval: Any) -> bool:
+    """Whether a value changes within a step, unlike integers and flags."""
+    return jnp.issubdtype(aval.dtype, jnp.inexact)

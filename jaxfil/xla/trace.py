@@ -7,7 +7,7 @@ determine which of its results depend on which of its arguments.
 """
 
 import functools as ft
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -17,10 +17,18 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.xla import elements, fast_trig, matrix_product
+from jaxfil.xla.dependence import degrees_of, dependencies
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, masked
-from jaxfil.xla.moves import applies_function, by_slices
-from jaxfil.xla.program import evaluate_one, interpreted, names, operations, programs, pruned
-from jaxfil.xla.select import select
+from jaxfil.xla.moves import by_slices
+from jaxfil.xla.program import (
+    evaluate_one,
+    holds,
+    interpreted,
+    operations,
+    programs,
+    pruned,
+    replaced_inside,
+)
 from jaxfil.xla.series import Expansion
 from jaxfil.xla.series_program import expanded
 
@@ -30,24 +38,11 @@ _RIGHT = {"atan": fast_trig.arctan}
 _FAST = {"sin": fast_trig.sin, "cos": fast_trig.cos, **_RIGHT}
 
 
-def _arctan2(y: Array, x: Array) -> Array:
-    """The angle of (x, y), with x hidden from the compiler. If x is known to be 1, XLA uses its
-    arctangent, which is wrong (jaxlib 0.10.2)."""
-    return jax.lax.atan2(y, select(y == y, x, y))
-
-
-_SAFE = {"atan2": _arctan2}
+_SAFE = {"atan2": fast_trig.arctan2}
 # The smallest array that is computed ahead in a compact program.
 _SOME = 3
 # Operations that take longer than a few multiplications.
 _DEAR = (*_FAST, *_SAFE, "exp", "log", "log2", "pow", "tan", "tanh")
-# Operations of which each result depends only on the numbers at its own position. Results of other
-# ones, such as a sort, a conditional or a product of square matrices, depend on all numbers.
-_NAMES = """
-bessel_i0e bessel_i1e copy_p device_put imag nextafter real reduce_precision shift_left
-shift_right_arithmetic shift_right_logical copy stop_gradient
-"""
-_ON_EACH = elements.ON_EACH.union(ELEMENTWISE, _NAMES.split())
 # Operations without forward derivatives, unless a user's own rule encloses them.
 _NO_DERIVATIVES = {
     "custom_vjp_call": "jax.custom_vjp",
@@ -55,12 +50,9 @@ _NO_DERIVATIVES = {
     "pure_callback": "jax.pure_callback",
     "io_callback": "jax.experimental.io_callback",
 }
+_OPEN_LOOPS = {"while": "jax.lax.while_loop"}
 # The time at which an argument is known: from the start, with the time, or with the state.
 FIRST, EARLY, LATE = range(3)
-
-
-_Flags = np.ndarray | np.bool_
-"""A flag for each element of an array."""
 
 
 class Traced:
@@ -94,11 +86,13 @@ class Traced:
         # The flags of the results that depend on a sine. With only one, a call whose result is used
         # `alone` needs no fence.
         nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
-        waves = _dependencies(self._closed, nothing, sources=self._functions)
+        waves = dependencies(self._closed, nothing, sources=self._functions)
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
         # Without singular operations all derivatives are finite at finite arguments, and need no
         # masks.
-        self._masks = transposed and not SINGULAR.isdisjoint(names(self._closed.jaxpr))
+        self.is_singular = holds(self._closed.jaxpr, SINGULAR)
+        """Whether derivatives may be infinite or NaN at finite arguments."""
+        self._masks = transposed and self.is_singular
         # Under `jit`, so that a transformation processes each function once, for any number of
         # calls.
         self._run, self._ahead = jax.jit(self._evaluated), jax.jit(self._found)
@@ -169,7 +163,12 @@ class Traced:
 
     def without_derivatives(self) -> str | None:
         """An operation of the function without forward derivatives, by its name in JAX."""
-        return _without_derivatives(self._closed.jaxpr)
+        return _named(self._closed.jaxpr, _NO_DERIVATIVES)
+
+    @property
+    def has_open_loop(self) -> bool:
+        """Whether the function has a loop without reverse derivatives."""
+        return _named(self._closed.jaxpr, _OPEN_LOOPS) is not None
 
     def depends(self, *args: Any) -> Any:
         """Flags of the results that depend on the flagged arguments, number by number, as
@@ -179,7 +178,7 @@ class Traced:
             np.broadcast_to(flag, v.aval.shape)
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
-        out = _dependencies(self._closed, flags)
+        out = dependencies(self._closed, flags)
         return jax.tree.unflatten(self._tree, list(map(np.asarray, out)))
 
     def is_affine(self, *args: Any) -> bool:
@@ -189,14 +188,15 @@ class Traced:
             np.full(v.aval.shape, int(flag))
             for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
         ]
-        return all(np.all(d <= 1) for d in _degrees(self._closed, degrees))
+        return all(np.all(d <= 1) for d in degrees_of(self._closed, degrees))
 
 
-def _without_derivatives(jaxpr: Any) -> str | None:
+def _named(jaxpr: Any, refused: Mapping[str, str]) -> str | None:
+    """The first of some operations in a program, by its name in JAX."""
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
         inner = [] if name == "custom_jvp_call" else programs(eqn.params)
-        for found in (_NO_DERIVATIVES.get(name), *map(_without_derivatives, inner)):
+        for found in (refused.get(name), *(_named(v, refused) for v in inner)):
             if found is not None:
                 return found
     return None
@@ -291,87 +291,17 @@ class _Evaluation:
             return [_SAFE[name](*map(jnp.asarray, inputs))]
         if name == "dot_general" and self._mixed and matrix_product.is_small(eqn):
             return [matrix_product.written_out(eqn, *map(jnp.asarray, inputs))]
-        return evaluate_one(jaxpr, eqn, inputs)
+        return evaluate_one(jaxpr, _right_inside(eqn), inputs)
 
 
-def _through(program: Any, args: Sequence[Any], rule: Callable, kind: type) -> list[Any]:
-    """Properties of each number, propagated through a program, as arrays of a `kind` that is False
-    or 0 for constants. Rearrangements move them, and `rule(eqn, inputs)` handles other
-    operations."""
+def _right_inside(eqn: Any) -> Any:
+    """The same operation without XLA's arctangents in the programs inside it."""
+    for name, function in (_RIGHT | _SAFE).items():
 
-    def known(_: Any, eqn: Any, inputs: Sequence[Any]) -> Sequence[Any]:
-        name, shape = eqn.primitive.name, eqn.outvars[0].aval.shape
-        if name in elements.MOVES:
-            return [elements.moved(name, eqn.params, [*map(np.asarray, inputs)], shape)]
-        if name == "custom_jvp_call":
-            return _through(eqn.params["call_jaxpr"], inputs, rule, kind)
-        return rule(eqn, inputs)
+        def rule(inner: Any, *values: Array, function: Callable = function) -> Any:
+            if inner.invars[0].aval.dtype in _FLOATS:
+                return function(*values)
+            return inner.primitive.bind(*values, **inner.params)
 
-    return interpreted(program, args, lambda v: np.zeros(np.shape(v), kind), known)
-
-
-def _dependencies(program: Any, args: Sequence[Any], sources: Collection[str] = ()) -> list[_Flags]:
-    """Elementwise dependency flags through a program; results of the primitives `sources` are
-    flagged."""
-
-    def flags(eqn: Any, inputs: Sequence[_Flags]) -> list[_Flags]:
-        shapes = [v.aval.shape for v in eqn.outvars]
-        if eqn.primitive.name in sources:
-            return [np.ones(shape, bool) for shape in shapes]
-        if eqn.primitive.name in _ON_EACH and all(x.shape in ((), shapes[0]) for x in inputs):
-            flag = np.zeros(shapes[0], bool)
-            for x in inputs:
-                flag = flag | x
-            return [flag]
-        some = any(bool(np.any(x)) for x in inputs)
-        return [np.full(shape, some) for shape in shapes]
-
-    return _through(program, args, flags, bool)
-
-
-# A degree above 1.
-_CURVED = 2
-# Operations that are linear in the operands with these numbers, given all others.
-_LINEAR = {
-    "dynamic_slice": (0,),
-    "dynamic_update_slice": (0, 1),
-    "gather": (0,),
-    "scatter": (0, 2),
-    "scatter-add": (0, 2),
-    "scatter_add": (0, 2),
-}
-
-
-def _degrees(program: Any, args: Sequence[np.ndarray]) -> list:
-    """The degree of each number in the arguments of degree 1, through a program: 0, 1, or `_CURVED`
-    for any other dependence."""
-
-    def degrees(eqn: Any, inputs: Sequence[np.ndarray]) -> list:
-        return [np.broadcast_to(_degree(eqn, inputs), v.aval.shape) for v in eqn.outvars]
-
-    return _through(program, args, degrees, int)
-
-
-def _degree(eqn: Any, inputs: Sequence[np.ndarray]) -> Any:
-    """The degree of the result of one operation, number by number where this is simple."""
-    name, highest = eqn.primitive.name, [int(np.max(d, initial=0)) for d in inputs]
-    if name == "convert_element_type" and eqn.outvars[0].aval.dtype not in _FLOATS:
-        return _CURVED if any(highest) else 0  # truncated to integers
-    if name in ("add", "add_any", "sub", "neg", "convert_element_type", "copy"):
-        return ft.reduce(np.maximum, inputs)
-    if name == "mul":
-        return np.minimum(inputs[0] + inputs[1], _CURVED)
-    if name == "div" and highest[1] == 0:
-        return inputs[0]
-    # A flag that depends on the arguments makes jumps or kinks, so it is not affine.
-    if name == "select_n" and highest[0] == 0:
-        return ft.reduce(np.maximum, inputs[1:])
-    if name == "reduce_sum":
-        return np.max(inputs[0], axis=tuple(eqn.params["axes"]), initial=0)
-    if name == "dot_general":
-        return min(sum(highest), _CURVED)
-    # A scatter that applies a function may be as curved as that function.
-    numbers = () if applies_function(eqn) else _LINEAR.get(name, ())
-    if numbers and not any(d for k, d in enumerate(highest) if k not in numbers):
-        return max(highest[k] for k in numbers)
-    return _CURVED if any(highest) else 0
+        eqn = replaced_inside(eqn, name, rule)
+    return eqn

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import pytest
+from jax.scipy.linalg import solve_triangular
 
 from jaxfil.xla.trace import Traced
 
@@ -11,6 +12,9 @@ AFFINE = {
     "scattered": lambda x, s: x.at[0].add(s[1]).at[2].set(s[0]),
     "chosen by the state": lambda x, s: jnp.where(x > 0, x, 2 * s) / (1 + x * x),
     "moved and summed": lambda x, s: jnp.roll(s, 1) * jnp.sin(x) + jnp.sum(s) - jnp.cumsum(s),
+    "solved for": lambda x, s: jnp.linalg.solve(MATRIX + 3 * jnp.eye(3), x - s) + x,
+    "an inverse": lambda x, s: jnp.linalg.inv(MATRIX + x * jnp.eye(3)) @ s,
+    "solved for with a triangle": lambda x, s: solve_triangular(jnp.eye(3), s, lower=True),
     "of none": lambda x, s: x**3,
 }
 CURVED = {
@@ -20,6 +24,7 @@ CURVED = {
     "a power": lambda x, s: s**2,
     "an absolute value": lambda x, s: abs(s) * x,
     "cut off": lambda x, s: x * s.astype(int).astype(x.dtype),
+    "a matrix of a solution": lambda x, s: jnp.linalg.solve(jnp.diag(2 + s), MATRIX[0]),
     "an exponential": lambda x, s: jnp.exp(s),
 }
 

@@ -8,6 +8,7 @@ import pytest
 import jaxfil as jf
 from jaxfil.xla import fast_trig
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
+from tests.xla.operations import names
 
 PAIRS = [(fast_trig.sin, np.sin), (fast_trig.cos, np.cos)]
 
@@ -152,3 +153,35 @@ def test_dependencies_are_told_component_by_component():
     traced = Traced(components, jnp.zeros(2), jnp.float64(1.0))
     assert traced.depends(False, True) == (False, True, False)
     assert traced.depends(True, False) == (True, True, True)
+
+
+def angles(x):
+    return jnp.arctan(3.0 * x) + jnp.arctan2(x, 1.0)
+
+
+@jax.custom_jvp
+def own_rule(x):
+    return angles(x)
+
+
+own_rule.defjvp(lambda x, dx: (own_rule(*x), 3.0 * dx[0]))
+INSIDE = {
+    "branch": lambda x: jax.lax.cond(x[0] > 0, angles, lambda x: x, x),
+    "checkpoint": jax.checkpoint(angles),
+    "checkpoint in a loop": lambda x: jax.lax.fori_loop(
+        0, 1, lambda _, x: jax.checkpoint(angles)(x), x
+    ),
+    "own rule": own_rule,
+    "scan": lambda x: jax.lax.map(angles, x),
+}
+
+
+@pytest.mark.parametrize("way", INSIDE)
+def test_no_arctangent_of_xla_is_left_inside_of_operations(way):
+    x = jnp.linspace(0.1, 2.0, 3)
+    traced = Traced(INSIDE[way], x)
+    found = list(names(jax.make_jaxpr(traced)(x).jaxpr))
+    # Of `angles`, that of two arguments is one of which the compiler does not know that x is 1.
+    assert "atan" not in found
+    assert found.count("select_n") >= found.count("atan2") == 1
+    np.testing.assert_allclose(traced(x), np.arctan(3 * x) + np.arctan(x), rtol=4e-16)

@@ -30,6 +30,13 @@ FUNCTIONS = {
             (x - a) - mpmath.floor((x - a) / mpmath.mpf(0.3)) * mpmath.mpf(0.3) - mpmath.mpf(0.1)
         ),
     ),
+    "linear system": (
+        lambda x, a: (
+            jnp.linalg.solve(jnp.array([[1, 0.25], [0.25, 1]]), jnp.stack([x + a, a]))[0] * 0.9375
+            - 0.75 * a
+        ),
+        lambda x, a: x,
+    ),
     "product of vectors": (
         lambda x, a: jnp.array([1.0, -1.0]) @ jnp.stack([(x + a) - a, (2 * x + a) - a]),
         lambda x, a: -x,
@@ -72,6 +79,52 @@ def test_bounds_go_where_their_values_go():
     np.testing.assert_array_equal(bound(-1.0), [0, 0, 0])
 
 
+def plain(x, a):
+    y = (x + a) - a
+    for _ in range(3):
+        y = 0.5 * jnp.sin(y + a)
+    return y - x
+
+
+@jax.custom_jvp
+def moved(x, a):
+    return (x + a) - a
+
+
+moved.defjvp(lambda x, dx: (moved(*x), dx[0]))
+# The same function in other words. Branches that are not taken have a large rounding.
+WAYS = {
+    "branch": lambda x, a: jax.lax.cond(x > 0, plain, lambda x, a: (x + 1e9 * a) * 1.0, x, a),
+    "other branch": lambda x, a: jax.lax.switch(7, [lambda x, a: 1e9 * a + x - x, plain], x, a),
+    "checkpoint": jax.checkpoint(plain),
+    "own rule": lambda x, a: looped(moved(x, a), x, a),
+    "scan": lambda x, a: looped((x + a) - a, x, a),
+    "while": lambda x, a: (
+        jax.lax.while_loop(
+            lambda c: c[0] < 3,
+            lambda c: (c[0] + 1, 0.5 * jnp.sin(c[1] + a)),
+            (0, (x + a) - a),
+        )[1]
+        - x
+    ),
+    "rows": lambda x, a: (
+        jax.lax.scan(lambda y, shift: (0.5 * jnp.sin(y + shift), y), (x + a) - a, jnp.full(3, a))[0]
+        - x
+    ),
+}
+
+
+def looped(y, x, a):
+    return jax.lax.fori_loop(0, 3, lambda _, y: 0.5 * jnp.sin(y + a), y) - x
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_rounding_is_followed_into_programs_inside_of_operations(way):
+    exact, found = (rounding_of(f, 0.3, 1e4)(0.3, 1e4) for f in (plain, WAYS[way]))
+    # The last operation of a loop may be counted.
+    np.testing.assert_allclose(found, exact, rtol=1e-3)
+
+
 def test_functions_with_rules_of_their_own_pass_bounds_on():
     # A rule for derivatives, as those of jax.nn have, a loop and a choice.
     def function(x):
@@ -81,4 +134,5 @@ def test_functions_with_rules_of_their_own_pass_bounds_on():
 
     bound = rounding_of(function, 1.0)
     slope = jax.grad(function)(1.0)
-    assert slope * 10.0 <= bound(1.0) <= slope * 10.0 + 4 * function(1.0)
+    # The softplus and three products of it round, each by the share of it that reaches y = 80.
+    assert slope * 10.0 <= bound(1.0) <= slope * 10.0 + 4 * 80.1

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxfil.xla.moves import by_slices
 from jaxfil.xla.series import Expansion, Series
@@ -17,6 +17,7 @@ from tests.results import with_derivatives
 ORDER = 6
 # The argument as a polynomial in time, of which each function is the series.
 ARGUMENT = (0.4, 0.3, -0.2, 0.1, 0.05)
+NUMBERS = np.linspace(-1, 1, 40)
 MATRIX = np.arange(9.0).reshape(3, 3) / 7 - 0.3
 
 
@@ -46,6 +47,10 @@ FUNCTIONS = {
     "integers": lambda t, x: x * (jnp.round(5 * x).astype(int) // 2).astype(float),
     "remainder": lambda t, x: jnp.mod(t + 0.3, 1.7) * x,
     "small arrays": lambda t, x: jnp.sum(MATRIX @ jnp.stack([x, x * x, jnp.sin(t)])),
+    "complex": lambda t, x: abs((x + 1j * t) ** 2 + 0.5) + jnp.imag(1j * x),
+    "stacked": lambda t, x: jnp.sum(jnp.stack([x * NUMBERS, t * NUMBERS]) ** 2),
+    "padded": lambda t, x: jnp.sum(jnp.pad(x * NUMBERS, (1, 2), constant_values=t) ** 2),
+    "tiled": lambda t, x: jnp.sum(jnp.tile(x * NUMBERS, 2) ** 2),
     "places": lambda t, x: jnp.stack([x, t]).at[0].add(t * x).prod(),
     "large arrays": lambda t, x: jnp.sum(jnp.sin(jnp.arange(40.0) * x) * jnp.linspace(0, 1, 40)),
     "products of vectors": lambda t, x: jnp.dot(jnp.full(40, x), jnp.arange(40.0) * t * x),
@@ -95,6 +100,36 @@ KINKS = {
     "above": (lambda t, x: jnp.where(x > 0, x, t * x), lambda t, x: x, lambda t, x: t * x),
     "not above": (lambda t, x: jnp.where(x <= 0, -x, t * x), lambda t, x: t * x, lambda t, x: -x),
     "clipped": (lambda t, x: jnp.clip(x, 0.0, 1.0), lambda t, x: x, lambda t, x: 0 * x),
+    "a flag as a number": (
+        lambda t, x: (x > 0).astype(float) * x,
+        lambda t, x: x,
+        lambda t, x: 0 * x,
+    ),
+    "flags joined": (
+        lambda t, x: jnp.where((x > 0) & ~(x > 5), x, t),
+        lambda t, x: x,
+        lambda t, x: t,
+    ),
+    "a choice of numbers": (
+        lambda t, x: (1 + jnp.where(x > 0, 2.0, 1.0)) * x,
+        lambda t, x: 3 * x,
+        lambda t, x: 2 * x,
+    ),
+    "a branch": (
+        lambda t, x: jax.lax.cond(x > 0, lambda v: 3 * v, lambda v: v, x),
+        lambda t, x: 3 * x,
+        lambda t, x: x,
+    ),
+    "a sign": (lambda t, x: jnp.sign(x) * x, lambda t, x: x, lambda t, x: -x),
+    "rounded down": (lambda t, x: jnp.floor(x) * x, lambda t, x: 0 * x, lambda t, x: -x),
+    "rounded": (
+        lambda t, x: jnp.round(x + 0.5) * x,
+        lambda t, x: x,
+        lambda t, x: 0 * x,
+    ),
+    "a remainder": (lambda t, x: jnp.mod(x, 1.0), lambda t, x: x, lambda t, x: 1 + x),
+    "elsewhere": (lambda t, x: jnp.where(x == 0, 5.0, x), lambda t, x: x, lambda t, x: x),
+    "not here": (lambda t, x: jnp.where(x != 0, x, 5.0), lambda t, x: x, lambda t, x: x),
 }
 
 
@@ -116,6 +151,40 @@ def test_powers_of_zero_are_finite(power):
     found = [0.0 if v is None else float(v) for v in series_of(lambda t, x: x**power, argument)]
     exact = np.polynomial.polynomial.polypow(argument, int(power))[:ORDER]
     assert_allclose(found, np.pad(exact, (0, ORDER - len(exact))), rtol=1e-14)
+
+
+@pytest.mark.parametrize("argument", [(0.0, 0.3, -0.2, 0.1), (0.0, 0.0, 0.7, 0.2), (0.4, 0.3)])
+def test_powers_by_parameters_and_arrays_are_finite_at_zero(argument):
+    def powers(t, x):
+        return jnp.sum(jnp.stack([x, x, x]) ** jnp.arange(1.0, 4.0))
+
+    summed = np.zeros(ORDER)
+    for power in range(4):
+        own = np.polynomial.polynomial.polypow(argument, power)[:ORDER]
+        own = np.pad(own, (0, ORDER - len(own)))
+        summed += own * (power > 0)
+        assert_allclose(parametrised(argument, float(power)), own, rtol=0, atol=1e-15)
+    found = [0.0 if v is None else float(v) for v in series_of(powers, argument)]
+    assert_allclose(found, summed, rtol=0, atol=1e-15)
+
+
+@jax.jit
+def parametrised(argument, power):
+    """The coefficients of a power whose exponent is traced."""
+    expansion = Expansion({})
+    program = jax.make_jaxpr(lambda x, c: x**c)(0.0, 0.0)
+    x = expansion.series(lambda k: argument[k] if k < len(argument) else None)
+    (y,) = expanded(expansion, program, [x, power])
+    return jnp.stack([jnp.asarray(y[k]) for k in range(ORDER)])
+
+
+def test_a_root_and_a_power_that_is_not_whole_of_what_stays_zero_are_zero():
+    argument = (0.0, 0.0, 0.0)
+    for function in (jnp.sqrt, lambda x: x**1.5):
+        found = series_of(lambda t, x, f=function: f(x), argument)
+        assert_array_equal([0.0 if v is None else float(v) for v in found], 0.0)
+        found = series_of(lambda t, x, f=function: f(x), (0.0, 0.5))
+        assert not np.isfinite(float(found[1]))
 
 
 def test_zeros_by_structure_are_not_computed():
@@ -145,6 +214,7 @@ def test_products_of_multiples_are_multiples_of_a_square():
     "name, function",
     [
         ("scan", lambda t, x: jax.lax.fori_loop(0, 3, lambda _, v: v * x, x)),
+        ("sign", lambda t, x: jnp.real(jnp.sign(x + 1j * t))),
         ("sort", lambda t, x: jnp.sort(jnp.stack([x, t]))[0]),
     ],
 )

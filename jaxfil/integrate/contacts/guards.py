@@ -15,7 +15,14 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import KeptMode, Problem
 from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd
 from jaxfil.integrate.surfaces import filippov, unilateral
-from jaxfil.integrate.system.components import Components, Forcing, any_of, maximum, where
+from jaxfil.integrate.system.components import (
+    Components,
+    Forcing,
+    any_of,
+    maximum,
+    on_each,
+    where,
+)
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
@@ -69,7 +76,12 @@ def surface_noise(
     system, t, x, size, h_t, normals = stop_gradient((system, t, x, size, h_t, normals))
     noise = NOISE * system.eps * (abs(normals) @ size + abs(h_t * t))
     inside = system.rounding(t, x)
-    return noise if inside is None else noise + _INSIDE * system.eps * inside
+    if inside is not None:
+        noise = noise + _INSIDE * system.eps * inside
+    if not system.may_lack_gradients:
+        return noise
+    # Without a gradient the rounding is unknown, and the surface is where H is exactly zero.
+    return where(on_each(jnp.isfinite, noise), noise, 0.0)
 
 
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:
@@ -115,6 +127,11 @@ def guards(
         noise = _noise_of_rest(system, t, x, mode, noise)
     elif system.resets:
         g, rate, noise = _guards_of_rest(system, t, x, f, mode, (g, rate, noise))
+    if system.may_lack_gradients:
+        # A surface that is not reached here needs no rate. Without one, as of |v| at rest, the
+        # value and the rate at the end of the next step find its contact.
+        known = on_each(jnp.isfinite, rate) | ~(abs(g) > noise)
+        rate = where(known, rate, 0.0)
     # Rates have no derivative: Newton's correction δ = −g/ġ holds ġ constant, and its second
     # derivatives are added separately (`second_order`).
     return system.hold(g), stop_gradient(system.hold(rate)), noise

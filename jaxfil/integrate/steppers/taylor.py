@@ -24,7 +24,7 @@ from jaxtyping import Array
 from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.system.components import Components, Polynomial
 from jaxfil.model.argument import is_whole, told
-from jaxfil.xla.series import Expansion, Series, kept
+from jaxfil.xla.series import AHEAD, Expansion, Series, kept
 
 # Useful orders. Below, Runge–Kutta is cheaper; above, coefficients are dominated by rounding.
 _ORDERS = range(4, 41)
@@ -41,11 +41,14 @@ class Taylor(eqx.Module):
     exponentials, trigonometric and hyperbolic functions and their inverses, selections. A selection
     is decided at the start of the step, and on a kink of `max`, `abs`, `where` and the like by the
     motion just after it; a kink inside the step shows in the error, which is estimated by the
-    defect of the field at the end of the step. Contacts are located on the polynomial, without a
-    second step. Sweeps of piecewise linear systems take 0.4 to 0.8 of the time that they take with
-    `diffrax.Dopri8()`, and fields with several products of states up to 1.6 times as long. Steps in
-    which a motion rests on a surface, or slides on surfaces whose weights depend on each other, use
-    `diffrax.Dopri8()`.
+    defect of the field at the end of the step. A root, a power that is not whole or a quotient
+    (`jnp.sinc`) has no series where it is made of an exact zero that the motion leaves, as `|v|` at
+    rest; such a run ends as `nonfinite`. With `diffrax.RecursiveCheckpointAdjoint()` the gradient
+    is NaN where the field of the other side is NaN; `jax.grad` without `adjoint` has no such limit.
+    Contacts are located on the polynomial, without a second step. Sweeps of piecewise linear
+    systems take 0.4 to 0.8 of the time that they take with `diffrax.Dopri8()`, and fields with
+    several products of states up to 1.6 times as long. Steps in which a motion rests on a surface,
+    or slides on surfaces whose weights depend on each other, use `diffrax.Dopri8()`.
 
     **Errors**: a `ValueError` for an order out of range, and one that names an operation of the
     field without a power series, for example a `jax.lax.while_loop`.
@@ -109,14 +112,15 @@ def solved(
     series of time and state to the series of the field and of the guards, which have the components
     of `like`. Each coefficient is computed `once` (see `ComponentSystem.once`)."""
     t, x, h = at
-    # `fields` is filled below, since the series of states and of fields refer to each other.
+    # `fields`, with the decisions up to each order, is filled below, since the series of states and
+    # of fields refer to each other.
     time, fields = expansion.linear(t, h), []
 
     def state(i: int, x0: Array) -> Series:
         def make(k: int) -> Any:
             if k == 0:
                 return x0
-            slope = fields[i][k - 1]
+            slope = fields[min(k - 1, AHEAD)][i][k - 1]
             # A structural zero stays one, and operations on it are omitted.
             return None if slope is None else (h * (1.0 / k)) * slope
 
@@ -125,7 +129,9 @@ def solved(
     states = [state(i, x0) for i, x0 in enumerate(x.parts)]
     kept(*states)
     found, guards = functions(time, states)
-    fields.extend(found)
+    fields.extend([found] * (AHEAD + 1))
+    if expansion.jumps:
+        _decide(expansion, lambda: functions(time, states)[0], states, fields, once)
     # Other series of which later coefficients need all earlier ones. Guards that are linear in the
     # state are none of these: they are cheaper to recompute than to store and read.
     others = [
@@ -140,6 +146,21 @@ def solved(
     else:
         known = _coefficients(guards, order + 1, like)
     return Polynomial(h, _coefficients(states, order + 1, x), known, jnp.zeros((), bool))
+
+
+def _decide(
+    expansion: Expansion, field: Callable, states: list[Series], fields: list, once: Callable
+) -> None:
+    """Computes the coefficients of the states that decide jumps (see `series_jumps`); `fields` are
+    those with the decisions up to each order, of which the last one is made."""
+    num_made = len(expansion.made)
+    for ahead in range(AHEAD):
+        expansion.ahead = ahead
+        fields[ahead] = field()
+    expansion.ahead = AHEAD
+    expansion.stage(states, range(AHEAD + 1), once)
+    # Higher orders depend on none of these series.
+    del expansion.made[num_made:]
 
 
 def _in_stages(

@@ -237,8 +237,8 @@ class ModeField(SmoothField):
         """The power series of the motion in a step of the mode. For a rest, or a slide on surfaces
         whose weights depend on each other, it is right only at the end of the step, by Dopri8."""
         system, mode = self.system, self.mode
-        series = ft.partial(mode_series.polynomial, system, order, self.blended)
         slides, rests = self.blended and system.slides, self.held and system.resets
+        series = ft.partial(mode_series.polynomial, system, order, slides)
         unserved = slides and not mode_series.slides_have_series(system)
         if not rests and not unserved:
             return series(t, x, h, mode)

@@ -17,6 +17,7 @@ from jaxtyping import Array
 from jaxfil.integrate.system.components import Components, Forcing, pack, scalars
 from jaxfil.model import check
 from jaxfil.model.system import System, field_of
+from jaxfil.xla.select import select
 from jaxfil.xla.series import Expansion, Series
 from jaxfil.xla.trace import Traced
 
@@ -140,3 +141,12 @@ def clocks_of(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
     """Periods and phases of a system's clocks."""
     pairs = [(clock.period, clock.phase) for clock in check.clocks(system)]
     return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)
+
+
+def fence_of(leaves: Any, x0: Array) -> Array:
+    """The number 1, opaque to the compiler and different for each lane, that sines are divided by.
+    XLA removes a conditional around a single sine (`ComponentSystem.once`) but keeps a division."""
+    numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype and v.size]
+    firsts = [jnp.ravel(v)[0] for v in jax.lax.stop_gradient(numbers)]
+    never = sum(firsts) == jnp.finfo(x0.dtype).max
+    return select(never, 2.0, 1.0).astype(x0.dtype)

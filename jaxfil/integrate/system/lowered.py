@@ -27,6 +27,7 @@ from jaxfil.integrate.system.functions import (
     ParametrizedFunction,
     accelerations,
     clocks_of,
+    fence_of,
     on_components,
     rate_of,
     reacting,
@@ -35,6 +36,7 @@ from jaxfil.integrate.system.functions import (
 from jaxfil.integrate.system.refused import (
     check_affine,
     check_derivatives,
+    check_loops,
     check_reactions,
     check_sharding,
 )
@@ -42,7 +44,6 @@ from jaxfil.integrate.system.rows import Rows
 from jaxfil.model import check
 from jaxfil.model.system import System
 from jaxfil.xla.rounding import rounding_of
-from jaxfil.xla.select import select
 from jaxfil.xla.series import Expansion, Series
 from jaxfil.xla.trace import EARLY, FIRST, LATE, Traced
 
@@ -234,6 +235,11 @@ class ComponentSystem(eqx.Module):
         """The same of dH/dt along the field on some sides, for systems with resets."""
         return self._rate_rounding and self._rate_rounding(self.held(t), x, sides)
 
+    @property
+    def may_lack_gradients(self) -> bool:
+        """Whether H may have a value without a gradient, as √x at 0."""
+        return self._switching.traced.is_singular
+
     def reset(self, t: Array, x: Components, surface: Array) -> Components:
         """The state after an impact on `surface`."""
         return self._reset(self.held(t), x, jnp.asarray(surface, jnp.int32))
@@ -338,6 +344,7 @@ def _build(
     traced_field = traced(field, leaves, t0, x, sides, *more, when=when[: 4 + len(more)])
     traced_switching = traced(switching, leaves, t0, x)
     check_derivatives(vector_field=traced_field, switching=traced_switching)
+    check_loops(switching=traced_switching)
     of_numbers = [unpacked(row, as_array) for row in np.eye(n, dtype=bool)]
     of_sides = [Components([row] if packed else row) for row in np.eye(m, dtype=bool)]
     rate = rate_of(field, switching)
@@ -364,7 +371,7 @@ def _build(
     )
     on_cpu = jax.default_backend() == "cpu"
     # In compact programs a sine is one operation, which XLA does not recompute.
-    fence = _fence(leaves, x0) if on_cpu and not compact else None
+    fence = fence_of(leaves, x0) if on_cpu and not compact else None
     return ComponentSystem(
         n=n,
         m=m,
@@ -388,12 +395,3 @@ def _build(
         asks_mode=system._observes_mode,
         _opaque_one=jax.lax.optimization_barrier(jnp.ones((), dtype)) if on_cpu else None,
     )
-
-
-def _fence(leaves: Any, x0: Array) -> Array:
-    """The number 1, opaque to the compiler and different for each lane, that sines are divided by.
-    XLA removes a conditional around a single sine (`ComponentSystem.once`) but keeps a division."""
-    numbers = [v for v in jax.tree.leaves((leaves, x0)) if v.dtype == x0.dtype and v.size]
-    firsts = [jnp.ravel(v)[0] for v in jax.lax.stop_gradient(numbers)]
-    never = sum(firsts) == jnp.finfo(x0.dtype).max
-    return select(never, 2.0, 1.0).astype(x0.dtype)

@@ -62,3 +62,15 @@ def check_derivatives(**functions: Traced) -> None:
                 f"`{name}` must have forward derivatives, which are used to locate contacts, got "
                 f"one that calls `{found}`. Wrap it in `jax.custom_jvp`."
             )
+
+
+def check_loops(**functions: Traced) -> None:
+    """Raises an error for functions with a loop that has no reverse derivatives, which give the
+    gradients of all surfaces at once."""
+    for name, function in functions.items():
+        if function.has_open_loop:
+            raise ValueError(
+                f"`{name}` must have reverse derivatives, which give the gradients of surfaces, "
+                "got one that calls `jax.lax.while_loop`. Give the loop a fixed number of turns, "
+                "as jax.lax.fori_loop(0, 20, ...) has, or wrap it in `jax.custom_jvp`."
+            )

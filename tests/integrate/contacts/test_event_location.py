@@ -292,3 +292,34 @@ def test_a_large_transient_is_forgotten(dtype, start):
     error = abs(float(sol.x_final[0]) - (0.8 * np.exp(-5) - 0.3))
     assert error < 100 * np.finfo(dtype).eps
     assert error < 10 * float(sol.errors[0, 0])
+
+
+class Launch(jf.System):
+    """Full thrust up to a speed of 1, half of it after it."""
+
+    thrust: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([x[2:], self.thrust * jnp.where(side > 0, 0.5, 1.0)])
+
+    def switching(self, t, x):
+        return jnp.linalg.norm(x[2:]) - 1.0
+
+
+def launched(thrust):
+    """The state at t = 2, from rest at 0."""
+    size = jnp.linalg.norm(thrust)
+    rest = 2.0 - 1.0 / size
+    speed, way = 1 + 0.5 * size * rest, 0.5 / size + rest + 0.25 * size * rest**2
+    return jnp.concatenate([way * thrust / size, speed * thrust / size])
+
+
+def test_a_run_may_start_where_a_distant_surface_has_no_gradient():
+    thrusts = jnp.array([[0.6, 0.8], [1.0, 0.0], [0.0, -2.0]])
+
+    def end(thrust):
+        return jf.solve(Launch(thrust), jnp.zeros(4), 0.0, 2.0, 0.1).x_final
+
+    for function, exact in ((end, launched), (jax.jacfwd(end), jax.jacfwd(launched))):
+        found = jax.jit(jax.vmap(function))(thrusts)
+        assert_allclose(found, jax.vmap(exact)(thrusts), rtol=0, atol=1e-13)

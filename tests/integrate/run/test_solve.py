@@ -4,6 +4,7 @@ import gc
 import math
 import os
 import sys
+from collections.abc import Callable
 
 import diffrax
 import equinox as eqx
@@ -413,6 +414,46 @@ def test_a_field_without_forward_derivatives_is_refused_by_name(how):
     )
     with pytest.raises(TypeError, match=match):
         jf.solve(Called(how), jnp.array([1.0, 0.0]), 0.0, 1.0, 0.05)
+
+
+def kepler(mean):
+    """The eccentric anomaly u of an orbit with an eccentricity of 0.5, u − sin(u)/2 = mean."""
+
+    def better(u):
+        return u - (u - 0.5 * jnp.sin(u) - mean) / (1 - 0.5 * jnp.cos(u))
+
+    return better
+
+
+def in_fixed_turns(mean):
+    return jax.lax.fori_loop(0, 20, lambda _, u: kepler(mean)(u), mean)
+
+
+def until_it_stays(mean):
+    def is_far(u):
+        return abs(kepler(mean)(u) - u) > 1e-14
+
+    return jax.lax.while_loop(is_far, kepler(mean), mean)
+
+
+class Satellite(jf.System):
+    """A counter that runs while the distance 1 − cos(u)/2 exceeds 1.2."""
+
+    anomaly: Callable = eqx.field(static=True)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([0.5 * (1.0 + side)])
+
+    def switching(self, t, x):
+        return 1 - 0.5 * jnp.cos(self.anomaly(t)) - 1.2
+
+
+def test_a_loop_in_a_surface_has_a_fixed_number_of_turns():
+    sol = jf.solve(Satellite(in_fixed_turns), jnp.zeros(1), 0.0, 2.0, 0.1)
+    u = np.arccos(-0.4)
+    assert_allclose(sol.x_final, 2.0 - (u - 0.5 * np.sin(u)), rtol=0, atol=1e-13)
+    with pytest.raises(ValueError, match=r"^`switching` must have reverse.*while_loop.*fori_loop"):
+        jf.solve(Satellite(until_it_stays), jnp.zeros(1), 0.0, 2.0, 0.1)
 
 
 def test_a_field_computed_on_the_host_is_solved_with_a_rule_around_it():

@@ -147,6 +147,68 @@ def test_a_kink_that_no_surface_tells_of_is_halved():
     assert_allclose(sol.x_final, exact, rtol=0, atol=1e-6)
 
 
+class Strips(jf.System):
+    """A force of 0.2 up to x = 1, 0 up to x = 2 and −0.2 after it, and numbers that decay."""
+
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([jnp.stack([x[1], -0.1 * (side[0] + side[1])]), -x[2:]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - 1.0, x[0] - 2.0])
+
+
+@pytest.mark.parametrize("others", [0, 11])
+def test_a_number_may_be_switched_by_several_surfaces_that_are_only_crossed(others):
+    x0 = jnp.concatenate([jnp.array([0.0, 1.0]), jnp.ones(others)])
+    sol = jf.solve(Strips(), x0, 0.0, 3.0, 0.05, stepper=jf.Taylor())
+    # v² = 1.4 between the surfaces, which takes 1/v, and the speed before them is 1 + 0.2 t.
+    v = np.sqrt(1.4)
+    rest = 3.0 - (v - 1) / 0.2 - 1 / v
+    exact = [2 + v * rest - 0.1 * rest**2, v - 0.2 * rest, *[np.exp(-3.0)] * others]
+    assert_allclose(sol.x_final, exact, rtol=0, atol=1e-13)
+
+
+class Springs(jf.System):
+    """A spring of stiffness 50 on one side of q = 0, written in several ways, and a quadratic
+    drag."""
+
+    which: jax.Array
+
+    def vector_field(self, t, x, side):
+        q, v = x
+        ways = [
+            jnp.maximum(q, 0.0),
+            (q > 0).astype(float) * q,
+            jnp.where((q > 0) & (q < 5), q, 0.0),
+            jnp.where(q > 0, 1.0, 0.0) * q,
+            jax.lax.cond(q > 0, lambda q: q, lambda q: 0 * q, q),
+            0.5 * (1 + jnp.sign(q)) * q,
+            jnp.round(q + 0.5) * q,
+            jnp.where(q == 0, 0.0, jnp.maximum(q, 0.0)),
+        ]
+        drag = 9.81 - 0.5 * jnp.sign(v) * v**2
+        return jnp.stack([v, self.which @ jnp.stack([*(-50.0 * way for way in ways), drag])])
+
+
+def test_a_start_on_a_kink_takes_the_part_ahead_however_it_is_written():
+    which, t1 = np.repeat(np.eye(9), 2, axis=0), 0.06
+    speeds = np.array([1.0, -1.0] * 8 + [0.0, 0.0])
+
+    @jax.jit
+    @jax.vmap
+    def end(which, v):
+        x0 = jnp.stack([0.0, v])
+        return jf.solve(Springs(which), x0, 0.0, t1, 0.02, stepper=jf.Taylor()).x_final
+
+    w, fall = 50.0**0.5, (0.5 / 9.81) ** 0.5
+    held, free = [np.sin(w * t1) / w, np.cos(w * t1)], [-t1, -1.0]
+    dropped = [np.log(np.cosh(9.81 * fall * t1)) / 0.5, np.tanh(9.81 * fall * t1) / fall]
+    exact = np.stack([held, free] * 8 + [dropped] * 2)
+    assert_allclose(end(which, speeds), exact, rtol=0, atol=1e-13)
+
+
 class Looped(jf.System):
     """A field with a loop."""
 

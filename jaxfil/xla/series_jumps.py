@@ -1,0 +1,60 @@
+"""Jumps in power series: comparisons and other operations that are constant between their jumps.
+
+If a motion starts on a jump or kink of a program, as at rest where a friction reverses, the part
+just after the start is right, which the first coefficients of the motion decide. Coefficient k + 1
+of a state is coefficient k of its field, which needs the decision itself. A field that is
+continuous there has the same value on both sides, so coefficients of order 0 need no decision, and
+where a decision needs coefficients up to order k + 1, both sides agree up to order k. `Taylor` thus
+computes the field up to order 0 with the decisions at the start (`Expansion.ahead` = 0), up to
+order 1 with those up to order 1, and all others with those up to order `AHEAD`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxfil.xla.select import select
+from jaxfil.xla.series import AHEAD, Expansion, Series, first_of
+
+
+def decided_by(expansion: Expansion, *values: Series) -> int:
+    """The order up to which coefficients decide a jump of some values."""
+    # Coefficients of time, and of constants, depend on no decision.
+    if all(v.degree is not None for v in values):
+        return AHEAD
+    expansion.jumps = True
+    return expansion.ahead
+
+
+def compared(expansion: Expansion, compare: Callable, a: Series, b: Series) -> Series:
+    """The flag of a comparison of the first coefficients that differ, as the values do just after
+    the start of a step."""
+    if a.degree == b.degree == 0:
+        return expansion.series(lambda _: compare(first_of(a), first_of(b)), 0)
+    highest = decided_by(expansion, a, b)
+
+    def coefficient(v: Series, k: int) -> Any:
+        return jnp.zeros_like(first_of(v)) if v[k] is None else v[k]
+
+    def from_order(k: int) -> Any:
+        own, other = coefficient(a, k), coefficient(b, k)
+        now = compare(own, other)
+        return now if k == highest else select(own == other, from_order(k + 1), now)
+
+    return expansion.series(lambda _: from_order(0), 0)
+
+
+def just_after(ahead: int, a: Series) -> Any:
+    """A value just after the start of a step, apart from the value there by its last bits in the
+    direction of the motion, which the coefficients up to order `ahead` tell."""
+    first = first_of(a)
+    if a.degree == 0 or not jnp.issubdtype(first.dtype, jnp.floating):
+        return first
+    direction = jnp.zeros_like(first)
+    for k in range(ahead, 0, -1):
+        if a[k] is not None:
+            direction = select(a[k] != 0, jnp.sign(a[k]), direction)
+    # The smallest normal number, since XLA may replace those below by zero.
+    limits = jnp.finfo(first.dtype)
+    return first + direction * (limits.eps * abs(first) + limits.tiny)
