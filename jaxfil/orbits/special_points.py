@@ -19,10 +19,16 @@ def _fold(point: OrbitPoint) -> float:
     return float(point.tangent[-1])
 
 
-def branch_point(point: OrbitPoint) -> float:
-    """The determinant of the equations with the tangent appended, zero where branches cross."""
+def crossing(a: OrbitPoint, b: OrbitPoint) -> Callable[[OrbitPoint], float]:
+    """The test function of points between two neighbours that is zero where branches cross: the
+    determinant of the equations with the tangent appended."""
+    # A row that itself vanishes at the crossing turns at once there, if it has length one at each
+    # point. One of the neighbours has a length for it.
+    lengths = [np.linalg.norm(point.rows, axis=1, keepdims=True) for point in (a, b)]
+    length = np.maximum(*lengths)
+    length = np.where(length == 0, 1, length)
     # With the tangent appended, the determinant does not vanish at a fold of the curve.
-    return float(np.linalg.det(np.vstack([point.rows, point.tangent])))
+    return lambda point: float(np.linalg.det(np.vstack([point.rows / length, point.tangent])))
 
 
 def period_doubling(monodromy: np.ndarray) -> float:
@@ -46,7 +52,6 @@ _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
     "fold": _fold,
     "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
     "neimark-sacker": lambda point: neimark_sacker(np.asarray(point.shot.monodromy)),
-    "branch-point": branch_point,
 }
 
 
@@ -78,7 +83,7 @@ def special_orbits(
 
 def _zeros(curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
     """Zeros of the test functions between two points with the same contacts."""
-    for kind, test in _TESTS.items():
+    for kind, test in {**_TESTS, "branch-point": crossing(a, b)}.items():
         if test(a) * test(b) < 0:
             point = zero_on_curve(curve, a, b, test)
             if point is not None:

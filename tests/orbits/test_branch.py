@@ -461,3 +461,30 @@ def test_pairs_of_multipliers_are_told_apart(name, start, stop, found):
     branch = jf.continue_orbit(system, name, orbit, stop=stop)
     points = [p.value for p in branch.points if p.kind == "neimark-sacker"]
     assert_allclose(points, [0.0] * found, rtol=0, atol=1e-8)
+
+
+class Invaded(jf.System):
+    """x' = cos t − x, y' = (r + x − c y − d y²) y; its orbit y = 0 has a multiplier exp(2πr)."""
+
+    r: jax.Array
+    c: jax.Array
+    d: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        rate = self.r + x[0] - self.c * x[1] - self.d * x[1] ** 2
+        return jnp.stack([jnp.cos(t) - x[0], rate * x[1]])
+
+
+@pytest.mark.parametrize("c, d", [(1.0, 0.0), (0.0, 1.0)])
+def test_a_branch_goes_on_where_one_of_its_equations_vanishes(c, d):
+    """At r = 0 the end of y has the derivatives 1 by y and 0 by r."""
+    system = Invaded(jnp.float64(-0.2), jnp.float64(c), jnp.float64(d))
+    orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.0]), steps=16)
+    branch = jf.continue_orbit(system, "r", orbit, stop=0.2, max_step=0.1)
+    assert branch.values[-1] == 0.2
+    largest = np.max(abs(branch.orbits.multipliers), axis=1)
+    assert_allclose(largest, np.exp(2 * np.pi * branch.values), rtol=1e-6)
+    (point,) = branch.points
+    assert point.kind == "branch-point"
+    assert_allclose(point.value, 0, rtol=0, atol=1e-9)
