@@ -138,8 +138,6 @@ def _sizes(u: np.ndarray, m: int) -> np.ndarray:
 def _least(curve: BalanceCurve, start: EquilibriumPoint, ends: list[float]) -> np.ndarray:
     """The least scales of unknowns on the branch."""
     size = _sizes(start.u, start.mode.size)
-    if size[-1] < _SMALL * np.max(np.abs(ends)):
-        size[-1] = 0.0
     least = _LEAST * least_scales(size, curve.place, ends)
     least[-1] /= _LEAST
     return least

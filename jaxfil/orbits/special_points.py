@@ -4,6 +4,7 @@ They are zeros of test functions (a fold, a period doubling, a Neimark–Sacker 
 and changes of the sequence of contacts.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -87,4 +88,16 @@ def _zeros(curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint) -> Iterator[S
         if test(a) * test(b) < 0:
             point = zero_on_curve(curve, a, b, test)
             if point is not None:
+                if kind == "branch-point":
+                    point = dataclasses.replace(point, tangent=_tangent_between(a, b, point))
                 yield Special(kind, point, point.sequence, point.sequence)
+
+
+def _tangent_between(a: OrbitPoint, b: OrbitPoint, point: OrbitPoint) -> np.ndarray:
+    """The tangent at a point between two neighbours, from theirs, because the equations have two
+    null vectors where branches cross."""
+    chord, way, end = ((v / point.scale) for v in (b.u - a.u, point.u - a.u, b.tangent * b.scale))
+    part = (chord @ way) / (chord @ chord)
+    start = a.tangent * a.scale / point.scale
+    tangent = (1 - part) * start / np.linalg.norm(start) + part * end / np.linalg.norm(end)
+    return tangent / np.linalg.norm(tangent)

@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import quad
 from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import jaxfil as jf
@@ -317,7 +318,8 @@ def test_a_force_goes_through_zero_and_the_orbit_with_it():
 
 def test_a_special_point_is_drawn_on_the_curve():
     # Between the orbits number 1 and 2, halfway.
-    point = jf.SpecialPoint("contacts", 1.5, sd_branch().points[0].orbit, 2, (), ())
+    orbit = sd_branch().points[0].orbit
+    point = jf.SpecialPoint("contacts", 1.5, orbit, 2, (), (), np.zeros(3))
     orbits = SimpleNamespace(x0=np.asarray([[0.0, 0], [1, 0], [4, 0]]), system=S.SDOscillator())
     told = {"parameter": "a", "values": np.arange(3.0), "points": [point]}
     branch = made(jf.Branch, **told, orbits=orbits, stable=np.ones(3, bool))
@@ -386,7 +388,7 @@ OTHER = S.SDOscillator(f0=0.4, zeta=-1.0)
 @pytest.mark.parametrize("start", ["orbit", "period doubling"])
 def test_an_orbit_of_another_system_is_an_outcome(start):
     first = sd_branch().at(0.7)[0]
-    doubling = jf.SpecialPoint("period-doubling", 0.7, first, 0, (), ())
+    doubling = jf.SpecialPoint("period-doubling", 0.7, first, 0, (), (), np.zeros(3))
     given = {"orbit": first, "period doubling": doubling}[start]
     branch = jf.continue_orbit(OTHER, "omega", given, stop=0.8, throw=False)
     assert outcome_names(branch.result) == "newton_stalled"
@@ -488,3 +490,14 @@ def test_a_branch_goes_on_where_one_of_its_equations_vanishes(c, d):
     (point,) = branch.points
     assert point.kind == "branch-point"
     assert_allclose(point.value, 0, rtol=0, atol=1e-9)
+    crossing = jf.continue_orbit(system, "r", point, stop=(-0.2, 0.2), max_step=0.2)
+    # u = y⁻ᵏ has the equation u' = k − k (r + x) u, k = 1 if d = 0 and otherwise 2, on which the
+    # orbit has the integral of r + x = A(t) with x = (cos t + sin t)/2.
+    k, period = 1 + d, 2 * np.pi
+    for r, y in zip(crossing.values[::4], crossing.orbits.x0[::4, 1], strict=True):
+
+        def grown(s, r=r):
+            return np.exp(k * (r * (s - period) + (np.sin(s) - np.cos(s) + 1) / 2))
+
+        u = k * quad(grown, 0, period)[0] / (1 - np.exp(-k * r * period))
+        assert_allclose(y**-k, u, rtol=1e-5)
