@@ -71,9 +71,9 @@ def continue_orbit(
     - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
       does not begin contains only the given orbit.
 
-    Where a contact passes the phase t0 of the orbit, x(t0) jumps although the orbit does not. The
-    branch is then shot from a phase far from contacts, and its orbits are converted back to t0.
-    A special point there has its orbit at that other phase (`options.t0`).
+    Where a contact or a tick passes the phase t0 of the orbit, x(t0) jumps although the orbit does
+    not. The branch is then shot from a phase far from them, and its orbits are converted back to
+    t0. A special point there has its orbit at that other phase (`options.t0`).
 
     **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` gives the
     reason. A closed branch is followed once, and a branch of doubled period to where it joins the

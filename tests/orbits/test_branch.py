@@ -440,6 +440,61 @@ def test_an_impact_passes_the_phase_of_shooting(t0):
             assert min(abs(x0 - x).max() for x in seen) < 1e-6
 
 
+class Ticked(jf.System):
+    """x' = −x, and x + 1 at the time late in each period, without a surface."""
+
+    late: jax.Array
+    period = 1.0
+
+    def vector_field(self, t, x, side):
+        return -x
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+    @property
+    def clocks(self):
+        return (jf.Clock(1.0, self.late),)
+
+
+def test_a_tick_passes_the_phase_of_shooting():
+    system = Ticked(jnp.float64(0.2))
+    orbit = jf.periodic_orbit(system, jnp.ones(1), steps=8)
+    branch = jf.continue_orbit(system, "late", orbit, stop=-0.3, max_step=0.2)
+    assert branch.values[-1] == -0.3
+    away = abs(branch.values) > 1e-6
+    highest = 1 / (1 - np.exp(-1))
+    exact = highest * np.exp(-np.mod(-branch.values[away], 1))
+    assert_allclose(branch.orbits.x0[away, 0], exact, rtol=1e-7)
+
+
+class Thermostat(jf.System):
+    """A room that cools towards 10 and warms towards 35, switched at 18 and `high`."""
+
+    high: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([10.0 - x[0] + 25.0 * x[1], 0 * x[1]])
+
+    def switching(self, t, x):
+        return jnp.stack([self.high - x[0], x[0] - 18.0])
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], jnp.where(surface == 0, 0.0, 1.0)])
+
+
+@pytest.mark.slow
+def test_a_contact_passes_the_state_from_which_an_autonomous_orbit_is_shot():
+    """The branch starts from 20 degrees, and its orbits end below."""
+    system = Thermostat(jnp.float64(20.5))
+    orbit = jf.periodic_orbit(system, jnp.array([20.0, 1.0]), period=0.45, steps=8)
+    branch = jf.continue_orbit(system, "high", orbit, stop=19.0, max_step=0.2)
+    assert branch.values[-1] == 19.0
+    exact = np.log((branch.values - 10) / 8) + np.log(17 / (35 - branch.values))
+    assert_allclose(branch.orbits.period, exact, rtol=1e-8)
+
+
 class TwoLinear(jf.System):
     """Two oscillators on their own, x'' + a x' + k x = cos t and y'' + c y' + 2 y = cos t."""
 
