@@ -45,7 +45,8 @@ def continue_equilibrium(
     equilibrium, the branch continues with equilibria of the other mode that are equilibria of the
     system. With $A = F_x$ there, $C = \nabla H_j$ and $G = \tfrac12 (F_+ - F_-)$ it continues in
     the same direction of the parameter (persistence) if $C A^{-1} G > 0$, and back (a nonsmooth
-    fold) if it is negative.
+    fold) if it is negative. Where the field is continuous, $F_+ = F_-$ on the surface, it continues
+    on the other side, in the same direction if $\det A_+ \det A_- > 0$.
 
     **Arguments**
 
