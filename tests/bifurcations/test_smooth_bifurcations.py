@@ -159,6 +159,15 @@ def test_the_other_one_of_two_lines(j, k):
     assert_allclose(crossing.orbits.x0[:, 0], 1 + k * crossing.values, rtol=1e-10)
 
 
+def test_a_crossing_that_breaks_up_has_no_curve():
+    """y = r + a y − y³ has a pitchfork at a = 1 for r = 0 only."""
+    system = a_map(a=0.5, d=-1.0)
+    point = special(system, "a", 0.0, 1.2, "branch-point")
+    curve = jf.continue_bifurcation(system, ("a", "r"), point, stop=(0.5, 1.5))
+    assert_allclose(curve.values, [[1.0, 0.0]], rtol=0, atol=1e-9)
+    assert all("no branches cross beyond" in why for why in curve.ended)
+
+
 class Gears(jf.System):
     """x'' + 0.1 x' + g(x) = 0.1 + a ω² cos ωt, g the stiffness outside of a backlash |x| < 1."""
 
