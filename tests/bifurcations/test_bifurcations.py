@@ -641,3 +641,36 @@ def test_the_margin_is_that_of_the_lower_minimum(late):
     system = Follower(jnp.float64(late))
     orbit = jf.periodic_orbit(system, jnp.array([1.0]), steps=15)
     np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-8)
+
+
+class Filter(jf.System):
+    """y' = a cos t − c y, whose orbit has the amplitude a/√(1 + c²), below y = 1."""
+
+    a: jax.Array
+    c: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return self.a * jnp.cos(t) - self.c * x
+
+    def switching(self, t, x):
+        return 1.0 - x[0]
+
+
+@pytest.mark.slow
+def test_a_margin_and_a_value_have_second_derivatives():
+    a, c = jnp.float64(1.0), jnp.float64(0.8)
+    orbit = jf.periodic_orbit(Filter(a, c), jnp.array([0.5]), steps=24)
+
+    def margin(p):
+        return jf.grazing_margin(Filter(*p), orbit, throw=False).value
+
+    exact = jax.hessian(lambda p: 1 - p[0] / jnp.sqrt(1 + p[1] ** 2))(jnp.stack([a, c]))
+    found = jax.jit(jax.jacfwd(jax.grad(margin)))(jnp.stack([a, c]))
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9)
+
+    def value(c):
+        return jf.find_bifurcation(Filter(a, c), "a", orbit, "grazing", throw=False).value
+
+    np.testing.assert_allclose(jax.grad(jax.grad(value))(c), (1 + c**2) ** -1.5, rtol=1e-8)
