@@ -20,6 +20,7 @@ from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, app
 from jaxfil.integrate.run.solution import switches
 from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
 from jaxfil.integrate.system import lowered
+from jaxfil.integrate.system.components import pack
 from jaxfil.model.outcomes import is_successful
 from jaxfil.model.system import System
 from jaxfil.orbits.orbit import Orbit
@@ -199,21 +200,35 @@ def _minima(steps: _Steps, flight: _Flight, j: int, kind: str) -> list[_Candidat
     low, high = max(flight.start, ts[0] - 0.5 * period), min(flight.stop, ts[-1] + 0.5 * period)
     inside = (times > low) & (times < high)
     times, states = times[inside], states[inside]
-    if times.size < 3:
+    if times.size < 2:
         return []
     mode = array_of(flight.mode)
-    guard, weight = _guards(steps.orbit.system, _filled(times), _filled(states), mode, j)
-    guard, weight = np.asarray(guard)[: times.size], np.asarray(weight)[: times.size]
+    on_steps = _guards(steps.orbit.system, _filled(times), _filled(states), mode, j)
+    guard, rate, weight = (np.asarray(v)[: times.size] for v in on_steps)
     found = []
-    for k in range(1, times.size - 1):
-        if guard[k] <= guard[k - 1] and guard[k] < guard[k + 1] and ts[0] <= times[k] < ts[-1]:
-            # The time of a sine with this guard's amplitude: the lowest minimum is first.
-            reach = float(np.sqrt(max(guard[k], 0) / np.max(guard)) * period / np.pi)
-            side = np.sign(weight[k]) if sliding else flight.mode[j]
-            left = times[k] - min(0.5 * (times[k] - flight.start), 0.25 * period)
-            right = times[k] + min(0.5 * (flight.stop - times[k]), 0.25 * period)
-            found.append(_Candidate(reach, j, side, flight.mode, left, times[k], right))
+    for k in np.flatnonzero((rate[:-1] < 0) & (rate[1:] >= 0)).tolist():
+        # Not at the ends of steps, where a higher minimum may seem to be the lower one.
+        at, least = _least(times[k : k + 2], guard[k : k + 2], rate[k : k + 2])
+        if not ts[0] <= at < ts[-1]:
+            continue
+        # The time of a sine with this guard's amplitude: the lowest minimum is first.
+        reach = float(np.sqrt(max(least, 0) / np.max(guard)) * period / np.pi)
+        side = np.sign(weight[k]) if sliding else flight.mode[j]
+        left = at - min(0.5 * (at - flight.start), 0.25 * period)
+        right = at + min(0.5 * (flight.stop - at), 0.25 * period)
+        found.append(_Candidate(reach, j, side, flight.mode, left, at, right))
     return found
+
+
+def _least(ts: np.ndarray, values: np.ndarray, rates: np.ndarray) -> tuple[float, float]:
+    """The minimum of the cubic with these values and rates at both ends of a step, the first rate
+    negative and the second one not."""
+    length = ts[1] - ts[0]
+    (low, high), (down, up) = values, length * rates
+    cubic, square = 2 * (low - high) + down + up, 3 * (high - low) - 2 * down - up
+    part = -down / (square + np.sqrt(square**2 - 3 * cubic * down))
+    least = ((cubic * part + square) * part + down) * part + low
+    return float(ts[0] + part * length), float(least)
 
 
 def _filled(rows: np.ndarray) -> Array:
@@ -222,17 +237,25 @@ def _filled(rows: np.ndarray) -> Array:
 
 
 @eqx.filter_jit
-def _guards(system: System, ts: Array, xs: Array, mode: Array, j: int) -> tuple[Array, Array]:
-    """The guard of surface j and the sliding weight at many points of a flight."""
+def _guards(
+    system: System, ts: Array, xs: Array, mode: Array, j: int
+) -> tuple[Array, Array, Array]:
+    """The guard of surface j, its rate and the sliding weight at many points of a flight."""
 
-    def one(t: Array, x: Array) -> tuple[Array, Array]:
+    def one(t: Array, x: Array) -> tuple[Array, Array, Array]:
         on_components = lowered.build(system, x, compact=True)
-        blocks, modes = on_components.unpack(x), on_components.of_surfaces(mode)
+        modes = on_components.of_surfaces(mode)
+
+        def guard(t: Array, x: Array) -> Array:
+            return filippov.guard(on_components, t, on_components.unpack(x), modes).number(j)
+
+        blocks = on_components.unpack(x)
+        field = pack(filippov.field(on_components, t, blocks, modes), x.dtype)
         weight = jnp.zeros((), x.dtype)
         if on_components.slides:
             _, rates = filippov.corners(on_components, t, blocks)
             weight = sliding_weights.weights(modes, rates).number(j)
-        return filippov.guard(on_components, t, blocks, modes).number(j), weight
+        return *jax.jvp(guard, (t, x), (jnp.ones_like(t), field)), weight
 
     return jax.vmap(one)(ts, xs)
 

@@ -182,6 +182,14 @@ class CriticalCurve(EquationsCurve[CriticalPoint]):
         point = point or change_on_curve(self, here, ahead, lambda p: abs(self._kappa(p)) <= 1)[0]
         return point, f"the multipliers meet at {level:g}, at {self.told(point)}"
 
+    def refusal(self, ahead: CriticalPoint) -> str | None:
+        """Beside a branch point that breaks up, the equations hold for no orbit, β ≠ 0."""
+        if self.equations.kind != "branch-point":
+            return None
+        beta = float(self.equations.split(ahead.u)[1][-1])
+        crosses = abs(beta) <= np.sqrt(np.finfo(ahead.u.dtype).eps)
+        return None if crosses else "no branches cross"
+
     def special_end(self, here: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
         """A point with a tangent orbit, whose multipliers may have a square root."""
         problem, orbit = self._orbit(here)

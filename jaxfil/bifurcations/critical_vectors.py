@@ -9,7 +9,8 @@ condition, for an autonomous system), and G_p its derivative by a parameter:
     branch point       Jᵀ w = 0,  G_pᵀ w = 0,  and the orbit closes up to β b
 
 κ = cos θ where the multipliers are e^{±iθ}. The pair v, w spans their plane, also where they
-coincide at ±1. The unknown β is zero at a branch point due to symmetry, and b is w at a neighbour.
+coincide at ±1. The unknown β is zero at a branch point, and b is w at a neighbour. On a curve a
+symmetry, or an invariant plane, keeps β at zero; else the curve ends (`CriticalCurve.refusal`).
 Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), section 10.3.
 """
 

@@ -141,6 +141,11 @@ class DefiningSystem(Equations):
         turns = [_slopes_along(self.residual_at, part)[0] for part in near]
         return jax.device_put(np.concatenate(turns, axis=1)[:, : theta.shape[0]])
 
+    def by_unknowns(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """Derivatives in forward mode."""
+        residual = lambda z: self.residual(system_of(theta), z)[0]  # noqa: E731
+        return kernel_if_it_fits(jax.jacfwd(residual))(z)
+
 
 class _Evaluated(eqx.Module):
     """Residual and Jacobian for given slopes; the further data is the `Closing`."""

@@ -68,7 +68,7 @@ def grazing_margin(
     **Arguments**
 
     - `system`: the `System`; the margin is differentiable with respect to each of its float leaves,
-      forward and reverse, under `jit` and `vmap`.
+      forward and reverse, twice, under `jit` and `vmap`.
     - `orbit`: an orbit of `system` at parameters close by, which selects the flight and starts
       Newton's method. It must not be traced.
     - `throw`: whether to raise an error unless the outcome is `successful`.
@@ -164,6 +164,11 @@ class _Margin(Equations):
         """The rows of closure, H and Ḣ."""
         return self.tangency.by_parameters(system_of, theta, z[:-1])
 
+    def by_unknowns(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """The same, with the column of the margin."""
+        by_z = self.tangency.by_unknowns(system_of, theta, z[:-1])
+        return jnp.concatenate([by_z, _by_margin(by_z)], axis=1)
+
 
 def _without_height(at: Evaluation, z: Array) -> Evaluation:
     """The equations without H = 0. The further data has the value of H, which is the margin at a
@@ -189,6 +194,9 @@ def _with_margin(root: Root) -> tuple[Array, Array]:
     # Without an orbit the last guard has no meaning.
     margin, jacobian, _ = root.at.aux
     margin = select(root.result == RESULTS.successful, margin, jnp.nan)
-    n = jacobian.shape[0] - 2
-    by_margin = jnp.zeros((n + 2, 1), margin.dtype).at[n].set(-1)
-    return jnp.append(root.z, margin), jnp.concatenate([jacobian, by_margin], axis=1)
+    return jnp.append(root.z, margin), jnp.concatenate([jacobian, _by_margin(jacobian)], axis=1)
+
+
+def _by_margin(jacobian: Array) -> Array:
+    """The derivative of the equations by the margin, in the row of H."""
+    return jnp.zeros_like(jacobian[:, :1]).at[-2].set(-1)

@@ -120,8 +120,9 @@ def continue_bifurcation(
 
     by pseudo-arclength continuation, with both parameters p among the unknowns. M is the monodromy
     matrix, exact through every contact, J and G_p the derivatives of the closure by state (and
-    period) and by a parameter; β is zero at a branch point due to symmetry. Points of codimension
-    two, each of one of `CODIMENSION_TWO_KINDS`, are located on the curve.
+    period) and by a parameter. β is zero at a branch point, and stays zero due to a symmetry or an
+    invariant plane; without one the branches no longer cross, and the curve ends where it starts.
+    Points of codimension two, each of one of `CODIMENSION_TWO_KINDS`, are located on the curve.
 
     **Arguments**
 

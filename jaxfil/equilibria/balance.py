@@ -53,6 +53,14 @@ class Balance(eqx.Module):
         n = z.shape[0] - self.mode.shape[0]
         return z[:n], z[n:]
 
+    def unknowns_in(self, after: Float[Array, " m"], z: Float[Array, " N"]) -> Float[Array, " N"]:
+        """The unknowns of a boundary equilibrium in the mode on the other side of the boundary: a
+        side for a side, no reaction where it begins to rest, and the same weight."""
+        x, multipliers = self.split(z)
+        begun = select(abs(after) == 2, jnp.zeros_like(after), multipliers)
+        begun = select(abs(after) == 1, after, begun)
+        return jnp.concatenate([x, select(after == self.mode, multipliers, begun)])
+
     def h(self, x: Float[Array, " n"]) -> Float[Array, " m"]:
         """H of all surfaces."""
         return jnp.atleast_1d(self.system.switching(jnp.zeros((), x.dtype), x))

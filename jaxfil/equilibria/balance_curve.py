@@ -2,7 +2,8 @@
 
 Where a margin becomes zero an equilibrium reaches the boundary of its mode. From there the curve
 continues with equilibria of the mode on the other side that are equilibria of the system, in the
-same direction (persistence) or back (a nonsmooth fold).
+same direction (persistence) or back (a nonsmooth fold). That mode is rest at a wall, the other side
+of a surface across which the field is continuous, and otherwise sliding.
 """
 
 import dataclasses
@@ -106,6 +107,18 @@ def _walls(varied: Varied, u: Array) -> Array:
     return throws_back(balance, balance.split(z)[0])
 
 
+@eqx.filter_jit
+def _in_mode(varied: Varied, after: Array, u: Array) -> tuple[Varied, Array, Array]:
+    """The same in another mode, with the unknowns of a boundary equilibrium, and whether it is an
+    equilibrium there."""
+    balance, z = varied.at(u)
+    z = balance.unknowns_in(after, z)
+    beside = Varied(dataclasses.replace(varied.balance, mode=after), varied.parameter)
+    found = evaluation(Balance(balance.system, after, balance.affine), z, abs(z))
+    balances = found.size(found.equation_scale) < jnp.finfo(z.dtype).eps ** 0.5
+    return beside, jnp.append(z, u[-1]), balances
+
+
 @dataclasses.dataclass(frozen=True)
 class BalanceCurve(Curve[EquilibriumPoint]):
     """The curve of a balance and a parameter; `least` bounds scales from below."""
@@ -166,11 +179,15 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         """The boundary equilibrium between two neighbours, the first if there are several."""
         before, after = here.known, ahead.known
         left = (before.margins > before.noise) & (after.margins < 0)
-        found = []
+        # The start of a curve may be a boundary equilibrium itself.
+        starts = (abs(before.margins) <= before.noise) & (after.margins < -after.noise)
+        found = [
+            (0.0, j, dataclasses.replace(here, met=j)) for j in np.flatnonzero(starts).tolist()
+        ]
         for j in np.flatnonzero(left).tolist():
             point = zero_on_curve(self, here, ahead, lambda p, j=j: float(p.known.margins[j]))
             if point is not None:
-                away = np.linalg.norm((point.u - here.u) / here.scale)
+                away = float(np.linalg.norm((point.u - here.u) / here.scale))
                 found.append((away, j, dataclasses.replace(point, met=j)))
         if not found:
             return None
@@ -202,20 +219,29 @@ class BalanceCurve(Curve[EquilibriumPoint]):
     def _beyond(self, u: np.ndarray, j: int) -> "tuple[BalanceCurve | None, np.ndarray]":
         """The curve of the mode on the other side of the boundary at surface j, and a boundary
         equilibrium in its unknowns."""
-        balance, mode, u = self.varied.balance, self.mode.copy(), u.copy()
-        place = u.size - 1 - mode.size + j
-        if mode[j] == 0:
-            mode[j] = u[place] = np.sign(u[place])
-        elif abs(mode[j]) == 2:
-            mode[j] = u[place] = np.sign(mode[j])
-        elif balance.system.resets and bool(_walls(self.varied, array_of(u))[j]):
-            mode[j], u[place] = 2 * mode[j], 0.0
-        elif balance.system.slides:
-            mode[j] = 0.0
-        else:
-            return None, u
-        beside = Balance(balance.system, array_of(mode, u.dtype), balance.affine)
-        return dataclasses.replace(self, varied=Varied(beside, self.parameter)), u
+        balance, side = self.varied.balance, self.mode[j]
+        place = u.size - 1 - self.mode.size + j
+        if side == 0:
+            return self._in(np.sign(u[place]), u, j)[:2]
+        if abs(side) == 2:
+            return self._in(np.sign(side), u, j)[:2]
+        if balance.system.resets and bool(_walls(self.varied, array_of(u))[j]):
+            return self._in(2 * side, u, j)[:2]
+        # A field that balances on both sides is continuous.
+        beside, there, balances = self._in(-side, u, j)
+        if balances:
+            return beside, there
+        return self._in(0.0, u, j)[:2] if balance.system.slides else (None, u)
+
+    def _in(
+        self, mode_of_one: float, u: np.ndarray, j: int
+    ) -> "tuple[BalanceCurve, np.ndarray, bool]":
+        """The curve of another mode of surface j, its unknowns at a boundary equilibrium, and
+        whether it is an equilibrium in that mode too."""
+        after = self.mode.copy()
+        after[j] = mode_of_one
+        varied, there, balances = _in_mode(self.varied, array_of(after, u.dtype), array_of(u))
+        return dataclasses.replace(self, varied=varied), np.array(there), bool(balances)
 
 
 def _fold(point: EquilibriumPoint) -> float:

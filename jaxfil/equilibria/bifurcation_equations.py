@@ -63,17 +63,20 @@ class BifurcationEquations(eqx.Module):
 
     def persists(self, u: Array) -> Array:
         """Positive where a boundary equilibrium persists, negative at a nonsmooth fold: −det J⁺
-        det J, with J⁺ of the mode on the other side; for rest the opposite sign."""
+        det J, with J⁺ of the mode on the other side; for rest, and for the other side of a surface,
+        the opposite sign."""
         balance, z = self.at(u)
         beside = Balance(balance.system, self.after, balance.affine)
-        both = [jax.jacfwd(b.residual)(z) for b in (balance, beside)]
+        others = balance.unknowns_in(self.after, z)
+        both = [jax.jacfwd(b.residual)(v) for b, v in ((balance, z), (beside, others))]
         # Rows are scaled by their sizes, because only the sign matters.
         sizes = [jnp.max(abs(v), axis=1, keepdims=True) for v in both]
         determinants = [
             jnp.linalg.det(v / jnp.where(s > 0, s, 1)) for v, s in zip(both, sizes, strict=True)
         ]
         rests = jnp.any(balance.rested != beside.rested)
-        return jnp.where(rests, 1.0, -1.0) * determinants[0] * determinants[1]
+        passes = jnp.any(balance.mode * beside.mode < 0)
+        return jnp.where(rests | passes, 1.0, -1.0) * determinants[0] * determinants[1]
 
 
 @eqx.filter_jit

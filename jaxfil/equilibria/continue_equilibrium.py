@@ -45,7 +45,8 @@ def continue_equilibrium(
     equilibrium, the branch continues with equilibria of the other mode that are equilibria of the
     system. With $A = F_x$ there, $C = \nabla H_j$ and $G = \tfrac12 (F_+ - F_-)$ it continues in
     the same direction of the parameter (persistence) if $C A^{-1} G > 0$, and back (a nonsmooth
-    fold) if it is negative.
+    fold) if it is negative. Where the field is continuous, $F_+ = F_-$ on the surface, it continues
+    on the other side, in the same direction if $\det A_+ \det A_- > 0$.
 
     **Arguments**
 
@@ -138,8 +139,6 @@ def _sizes(u: np.ndarray, m: int) -> np.ndarray:
 def _least(curve: BalanceCurve, start: EquilibriumPoint, ends: list[float]) -> np.ndarray:
     """The least scales of unknowns on the branch."""
     size = _sizes(start.u, start.mode.size)
-    if size[-1] < _SMALL * np.max(np.abs(ends)):
-        size[-1] = 0.0
     least = _LEAST * least_scales(size, curve.place, ends)
     least[-1] /= _LEAST
     return least

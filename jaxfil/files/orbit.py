@@ -67,6 +67,7 @@ def _points(data: NamedArrays, one: System, parameter: str) -> list[SpecialPoint
                 index=int(row.array("index")),
                 before=_sequence(str(row.array("before"))),
                 after=_sequence(str(row.array("after"))),
+                direction=row.array("direction"),
             )
         )
     return found

@@ -39,6 +39,9 @@ class SpecialPoint(eqx.Module):
     """The contacts before, as in `Branch.sequences`."""
     after: tuple = eqx.field(static=True)
     """The contacts after."""
+    direction: Float[np.ndarray, " u"]
+    """The direction of the branch: how much the starts of all arcs, the period of an autonomous
+    orbit and the parameter change together."""
 
     def __repr__(self) -> str:
         more = f"{len(self.before)} to {len(self.after)} contacts"

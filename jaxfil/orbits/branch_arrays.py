@@ -20,12 +20,12 @@ from jaxfil.model.labels import labels_of
 from jaxfil.orbits.orbit_arrays import TAKEN as ORBIT_TAKEN, option_attributes, orbit_variables
 from jaxfil.xla.known import part_of, stacked
 
-_ALONG, _SPECIAL = "orbit", "special"
+_ALONG, _SPECIAL, _UNKNOWN = "orbit", "special", "unknown"
 _POINT = ("kind", "value", "index", "before", "after")
 # Names of its data set that are not parameters.
 TAKEN = {*ORBIT_TAKEN, "sequence", "branch_outcome", "branch_outcome_code", "ended_before"}
-TAKEN |= {"ended_after", "periods", "swept", _ALONG, _SPECIAL}
-TAKEN |= {f"special_{name}" for name in {*_POINT, *ORBIT_TAKEN}}
+TAKEN |= {"ended_after", "periods", "swept", _ALONG, _SPECIAL, _UNKNOWN}
+TAKEN |= {f"special_{name}" for name in {*_POINT, "direction", *ORBIT_TAKEN}}
 
 
 def branch_arrays(branch: Any) -> NamedArrays:
@@ -60,6 +60,7 @@ def _points(points: list[Any]) -> dict[str, Variable]:
         name: (_SPECIAL, np.array([_plain(getattr(point, name)) for point in points]))
         for name in _POINT
     }
+    named["direction"] = ((_SPECIAL, _UNKNOWN), np.array([point.direction for point in points]))
     return _prefixed("special_", orbit_variables(orbits, (_SPECIAL,)) | named)
 
 

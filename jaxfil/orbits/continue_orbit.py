@@ -5,6 +5,7 @@ every change of the sequence of contacts.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,11 +20,11 @@ from jaxfil.orbits.corrector import (
     OrbitProblem,
     contacts_of,
     orbit_of,
-    rows_of,
     solve_across,
 )
 from jaxfil.orbits.curve import ArclengthConstraint, constraint_across, least_scales
 from jaxfil.orbits.half_period import half_gap, may_be_doubled
+from jaxfil.orbits.newton import Evaluation
 from jaxfil.orbits.orbit import Orbit
 from jaxfil.orbits.orbit_curve import OrbitCurve
 from jaxfil.orbits.phase_shift import problem_at
@@ -32,8 +33,10 @@ from jaxfil.xla.known import array_of, stacked
 
 # The least scale of a guessed state.
 _SMALL = 1e-3
-# Trial steps off a branch, along the critical vector.
+# Trial steps off a branch, along the tangent of another one.
 _OFF = (1e-2, 3e-3, 1e-3)
+# Differences of the equations' derivative use this power of eps, in scaled unknowns.
+_STEP = 1 / 3
 
 
 def continue_orbit(
@@ -68,9 +71,9 @@ def continue_orbit(
     - `throw`: whether to raise an error unless the outcome is `successful`; otherwise a branch that
       does not begin contains only the given orbit.
 
-    Where a contact passes the phase t0 of the orbit, x(t0) jumps although the orbit does not. The
-    branch is then shot from a phase far from contacts, and its orbits are converted back to t0.
-    A special point there has its orbit at that other phase (`options.t0`).
+    Where a contact or a tick passes the phase t0 of the orbit, x(t0) jumps although the orbit does
+    not. The branch is then shot from a phase far from them, and its orbits are converted back to
+    t0. A special point there has its orbit at that other phase (`options.t0`).
 
     **Returns** a `Branch`. One that ends before `stop` is a success; `Branch.ended` gives the
     reason. A closed branch is followed once, and a branch of doubled period to where it joins the
@@ -101,10 +104,10 @@ def continue_orbit(
     if isinstance(orbit, SpecialPoint):
         # From its parent the branch goes one way.
         given, within = orbit.orbit, range_ahead
-        curve, start, result = _off_branch(system, parameter, orbit)
+        curve, start, result = _off_branch(system, parameter, orbit, ends)
     elif isinstance(orbit, Orbit) and orbit.x0.ndim == 1:
         given, within = orbit, range_around
-        curve, start, result = _on_branch(system, parameter, orbit)
+        curve, start, result = _on_branch(system, parameter, orbit, ends)
     else:
         raise ValueError(
             f"`orbit` must be a single Orbit or a SpecialPoint, got {check.told(orbit)}."
@@ -122,16 +125,16 @@ def continue_orbit(
 
 
 def _on_branch(
-    system: System, parameter: str, orbit: Orbit
+    system: System, parameter: str, orbit: Orbit, ends: list[float]
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
     """The branch of an orbit; the orbit as a point of it, if Newton's method converges; its
     outcome."""
-    curve, u, constraint = _given(system, parameter, orbit)
+    curve, u, constraint = _given(system, parameter, orbit, ends)
     return curve, *curve.begin(u, constraint, curve.axis(u))
 
 
 def _given(
-    system: System, parameter: str, orbit: Orbit
+    system: System, parameter: str, orbit: Orbit, ends: list[float]
 ) -> tuple[OrbitCurve, np.ndarray, ArclengthConstraint]:
     """The branch of an orbit, the orbit as a guess of a point of it, and the constraint of a fixed
     parameter."""
@@ -153,6 +156,7 @@ def _given(
     # Before the first shot the size of a component on the orbit is unknown.
     size = np.maximum(np.max(abs(starts), axis=0), _SMALL)
     scale = np.append(np.tile(size, orbit.options.arcs), [abs(v) or 1.0 for v in q])
+    scale = np.maximum(scale, least_scales(scale, curve.place, ends))
     return curve, u, constraint_across(u, scale, curve.axis(u), 0.0)
 
 
@@ -170,17 +174,17 @@ def _known(
 
 
 def _off_branch(
-    system: System, parameter: str, doubling: SpecialPoint
+    system: System, parameter: str, doubling: SpecialPoint, ends: list[float]
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
     """The branch of doubled period at a period doubling, or the one that crosses at a branch point;
     a neighbouring point of it, if it exists; the outcome of Newton's method."""
     if doubling.kind == "branch-point":
-        return _across(system, parameter, doubling.orbit)
+        return _across(system, parameter, doubling, ends)
     if doubling.kind != "period-doubling":
         raise ValueError(
             f"`orbit` must be a period doubling or a branch point, got a {doubling.kind}."
         )
-    single, at, result = _on_branch(system, parameter, doubling.orbit)
+    single, at, result = _on_branch(system, parameter, doubling.orbit, ends)
     problem = single.problem
     if problem.options.arcs > 1:
         raise ValueError("`orbit` must be shot in one segment.")
@@ -193,33 +197,62 @@ def _off_branch(
 
 
 def _beside(
-    curve: OrbitCurve, base: np.ndarray, scale: np.ndarray, along: np.ndarray
+    curve: OrbitCurve,
+    base: np.ndarray,
+    scale: np.ndarray,
+    along: np.ndarray,
+    parent: np.ndarray | float = 0.0,
 ) -> tuple[OrbitPoint | None, RESULTS]:
-    """A point of the branch at a small distance along a direction, if it exists; the outcome of
-    Newton's method."""
+    """A point of the branch at a small distance along its tangent, if it exists; the outcome of
+    Newton's method. `parent` is the tangent of the branch that is left."""
     result = RESULTS.newton_stalled
     for ds in _OFF:
         constraint = constraint_across(base, scale, along, ds)
         point, result = curve.begin(base + ds * along * scale, constraint, along)
-        if point is not None:
+        if point is None:
+            continue
+        if abs(point.tangent @ along) > abs(np.sum(point.tangent * parent)):
             return point, result
+        result = RESULTS.newton_stalled  # Newton's method has returned to the parent
     return None, result
 
 
 def _across(
-    system: System, parameter: str, orbit: Orbit
+    system: System, parameter: str, point: SpecialPoint, ends: list[float]
 ) -> tuple[OrbitCurve, OrbitPoint | None, RESULTS]:
-    """The branch that crosses at a branch point, reached along the null vector at a fixed value of
-    the parameter, which breaks a symmetry if the branch has one."""
-    curve, u, constraint = _given(system, parameter, orbit)
-    # One evaluation, because Newton's method does not converge where branches cross.
-    root = solve_across(curve.problem, array_of(u), constraint, array_of(1, jnp.int32))
-    jacobian = np.asarray(root.at.jacobian)
-    if not np.isfinite(jacobian).all():
+    """The branch that crosses at a branch point, reached along its tangent."""
+    curve, u, constraint = _given(system, parameter, point.orbit, ends)
+
+    def evaluation(u: np.ndarray) -> Evaluation:
+        # One evaluation, because Newton's method does not converge where branches cross.
+        return solve_across(curve.problem, array_of(u), constraint, array_of(1, jnp.int32)).at
+
+    at = evaluation(u)
+    scale, unit = np.asarray(at.unknown_scale), np.asarray(at.equation_scale)[:-1, None]
+
+    def rows(z: np.ndarray) -> np.ndarray:
+        return np.asarray(evaluation(u + z * scale).jacobian)[:-1] * scale / unit
+
+    if not np.isfinite(rows(0 * u)).all():
         return curve, None, RESULTS.nonfinite
-    scale = np.asarray(root.at.unknown_scale)
-    null = np.linalg.svd(rows_of(root, scale)[:, :-1])[2][-1]
-    return curve, *_beside(curve, u, scale, np.append(null, 0.0))
+    parent = point.direction / scale
+    parent = parent / np.linalg.norm(parent)
+    return curve, *_beside(curve, u, scale, _other_tangent(rows, parent), parent)
+
+
+def _other_tangent(rows: Callable[[np.ndarray], np.ndarray], parent: np.ndarray) -> np.ndarray:
+    """The tangent of the second of two curves that cross, given about that of the first. Both are
+    the null vectors v of the rows F' for which wᵀ F'' v v = 0, with w the left null vector."""
+    left, _, right = np.linalg.svd(rows(0 * parent))
+    w, null = left[:, -1], right[-2:]
+    h = np.finfo(w.dtype).eps ** _STEP
+    turned = [w @ (rows(h * v) - rows(-h * v)) @ null.T / (2 * h) for v in null]
+    # Of both signs where curves cross.
+    (low, high), axes = np.linalg.eigh(np.array(turned))
+    parts = np.sqrt(max(high, 0.0)), np.sqrt(max(-low, 0.0))
+    both = [(axes * parts) @ signs @ null for signs in ([1.0, 1.0], [1.0, -1.0])]
+    tangents = [v / np.linalg.norm(v) for v in both]
+    return min(tangents, key=lambda v: abs(v @ parent))
 
 
 def _doubled(
@@ -228,6 +261,7 @@ def _doubled(
     """The orbit at a period doubling run through twice, as unknowns, their scale, and the direction
     in which it separates from the branch."""
     base, scale = at.u.copy(), single.metric(at)
+    scale[-1] = at.scale[-1]  # not zero where the parameter is
     values, vectors = np.linalg.eig(monodromy)
     # Both sections of the new orbit lie along the eigenvector of −1, with the same parameter and
     # time up to the square of their distance.
@@ -252,7 +286,13 @@ def _branch(curve: OrbitCurve, path: Path[OrbitPoint]) -> Branch:
         orbits=stacked(orbits),
         points=[
             SpecialPoint(
-                s.kind, curve.value(s.point), _orbit(curve, s.point), s.index, s.before, s.after
+                s.kind,
+                curve.value(s.point),
+                _orbit(curve, s.point),
+                s.index,
+                s.before,
+                s.after,
+                s.point.tangent * s.point.scale,
             )
             for s in path.special
         ],

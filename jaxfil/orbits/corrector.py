@@ -26,7 +26,7 @@ class OrbitPoint(CurvePoint):
     """A point of a branch: an orbit, with its `Shot` as NumPy arrays. If a branch of half the
     period may be reached, `half_gap` is x(t0 + T/2) − x(t0), each component scaled; otherwise it is
     empty. `t0` is the phase of the shot, if it differs from the problem's. `rows` is the derivative
-    of its equations, by scaled unknowns, each row of length one."""
+    of its equations, by scaled unknowns."""
 
     shot: Shot
     residual: float
@@ -81,11 +81,8 @@ def point_of(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> 
 
 
 def rows_of(root: Root, scale: np.ndarray) -> np.ndarray:
-    """The derivative of the equations at a root, except the constraint, by scaled unknowns, with
-    each row normalised unless it is zero."""
-    rows = np.asarray(root.at.jacobian)[:-1] * scale
-    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    return rows / np.where(lengths == 0, 1, lengths)
+    """The derivative of the equations at a root, except the constraint, by scaled unknowns."""
+    return np.asarray(root.at.jacobian)[:-1] * scale
 
 
 def orbit_of(problem: OrbitProblem, point: OrbitPoint) -> Orbit:

@@ -83,13 +83,17 @@ def at_root(root: Root, constraint: ArclengthConstraint, along: np.ndarray) -> d
 # The least scale of an unknown on a curve, relative to its initial value, and of a parameter: steps
 # relative to a number that goes to zero would never reach zero.
 _LEAST, _LEAST_OF_PARAMETER = 0.01, 0.1
+# A parameter starts at zero if it starts below this fraction of its ends.
+_SMALL = 1e-3
 
 
 def least_scales(at_start: np.ndarray, place: int, ends: list[float]) -> np.ndarray:
     """The least scales of unknowns, from their scales at the start of a curve. The scale of the
     parameter, which may also start at zero, follows from the smaller of its start and end."""
     least = _LEAST * np.where(at_start == 0, 1.0, at_start)
-    values = [abs(v) for v in (at_start[place], *ends) if v != 0]
+    values = [abs(v) for v in ends if v != 0]
+    if at_start[place] > _SMALL * max(values, default=0.0):
+        values.append(at_start[place])
     least[place] = _LEAST_OF_PARAMETER * min(values, default=1.0)
     return least
 

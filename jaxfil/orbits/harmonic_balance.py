@@ -3,11 +3,8 @@
 The equations are Galerkin's, ∫ (ẋ − F(t, x, sgn H)) ψ_k dt = 0 for the constant and every cosine
 and sine up to harmonic K, alternating between the series and values in time.
 
-sgn H has no useful derivative for Newton's method, and on a grid its jump is known only to a cell.
-The zeros of H on the series are therefore located in every cell of the grid, and the integral is
-taken from zero to zero with a Gauss rule. The residual is then a smooth function of the
-coefficients. Its derivative has two parts, by autodiff at every point and every zero: ∂F/∂x under
-the integral, and the jump of F at each zero times the rate at which the zero moves (Leibniz).
+The integrals are those of `galerkin`, and the solution has derivatives by the implicit function
+theorem.
 """
 
 import functools as ft
@@ -25,19 +22,14 @@ from jaxfil.integrate.lane.problem import period_outcome
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS, raise_if_failed
 from jaxfil.model.parameter import cast
-from jaxfil.model.system import System, field_of
-from jaxfil.orbits.fourier import FourierOrbit, equal_phases, project, slope_of, waves_at
+from jaxfil.model.system import System
+from jaxfil.orbits.fourier import FourierOrbit, equal_phases, project
+from jaxfil.orbits.galerkin import CELLS, Galerkin
+from jaxfil.orbits.implicit import Equations, SystemOf, solve_implicit
 from jaxfil.orbits.newton import Evaluation, newton
 from jaxfil.orbits.orbit import Orbit
-from jaxfil.orbits.regula_falsi import zero_between
-from jaxfil.xla.known import array_of
+from jaxfil.xla.known import array_of, without_derivatives
 from jaxfil.xla.select import select
-
-# Cells of the grid per harmonic, and points of the Gauss rule in each part of a cell. They
-# integrate a product of two highest harmonics, half a turn in a cell, to 1e-10.
-_CELLS, _POINTS = 4, 6
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
-
 
 Guess: TypeAlias = Orbit | Callable[[Array], Array] | Float[Array, "k n"]
 """An orbit, a function of t, or coefficients."""
@@ -64,7 +56,9 @@ def harmonic_balance(
 
     **Arguments**
 
-    - `system`: a forced `System` whose state does not jump, without `reset` and `tick`.
+    - `system`: a forced `System` whose state does not jump, without `reset` and `tick`. The
+      coefficients are differentiable with respect to each of its float leaves, forward and reverse,
+      and once more.
     - `guess`: an `Orbit`; a function of t, shape (n,); or coefficients as in `FourierOrbit`, of any
       number of harmonics.
     - `harmonics`: K, the number of the highest harmonic.
@@ -75,7 +69,8 @@ def harmonic_balance(
     **Returns** a `FourierOrbit`. For a batch use `equinox.filter_vmap` with `throw=False`.
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
-    without an orbit; `nonfinite` if the equations are not finite at the guess; `invalid_period`.
+    without an orbit; `nonfinite` if the equations are not finite at the guess; `invalid_period`;
+    `step_too_long` if a clock whose period is traced ticks twice in a 4K + 8th part of the period.
 
     **Source**: textbook: M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems
     (2019), except for integrals from zero to zero of H, which are ours.
@@ -109,7 +104,11 @@ def harmonic_balance(
         )
     check.period(system, jnp.result_type(float))
     first = _first(system, guess, harmonics, periods)
-    series = _solve(cast(system, first.dtype), first, periods, budget)
+    system = cast(system, first.dtype)
+    equations = _Series(budget, periods, _cells(system, harmonics, periods), *first.shape)
+    z, (residual, result, num_steps) = solve_implicit(equations, system, first.ravel())
+    period = equations.period(system, first.dtype)
+    series = FourierOrbit(z.reshape(first.shape), period, residual, result, num_steps)
     if not throw:
         return series
     return raise_if_failed(series, series.result)
@@ -169,127 +168,61 @@ def _resized(c: Array, size: int) -> Array:
     return jnp.zeros((size, c.shape[1]), c.dtype).at[: c.shape[0]].set(c[:size])
 
 
-class _Balance(eqx.Module):
-    """Galerkin's equations of a system for size = 2K + 1 coefficients of n components."""
+def _cells(system: System, harmonics: int, periods: int) -> int:
+    """The number of cells of the grid, in each of which a clock of known period ticks at most
+    once."""
+    cells = CELLS * harmonics + 8
+    system = without_derivatives(system)
+    for clock in check.clocks(system):
+        length, step = check.concrete(system.period), check.concrete(clock.period)
+        if length is not None and step is not None and np.isfinite(length / step):
+            cells = max(cells, int(np.ceil(periods * length / step)))
+    return cells
 
-    system: System
-    period: Array
+
+class _Series(Equations):
+    """Galerkin's equations for `size` = 2K + 1 coefficients of n components."""
+
+    newton_steps: Array
+    periods: int = eqx.field(static=True)
+    cells: int = eqx.field(static=True)
     size: int = eqx.field(static=True)
     n: int = eqx.field(static=True)
 
-    def state(self, c: Array, phase: Array) -> Array:
-        """x at a phase, shape (n,)."""
-        return waves_at(phase, (self.size - 1) // 2) @ c
+    @eqx.filter_jit
+    def period(self, system: System, dtype: np.dtype) -> Array:
+        """The period of the orbit."""
+        return jnp.asarray(system.period, dtype) * self.periods
 
-    def switching(self, phase: Array, x: Array) -> Array:
-        """H, shape (m,)."""
-        return jnp.atleast_1d(self.system.switching(phase * self.period, x))
+    def galerkin(self, system: System, dtype: np.dtype) -> Galerkin:
+        """The equations of a system."""
+        return Galerkin(system, self.period(system, dtype), self.size, self.n, self.cells)
 
-    def force(self, phase: Array, x: Array, sides: Array) -> Array:
-        """T F, shape (n,)."""
-        h_shape = check.shapes(self.system, x)
-        side = sides[0] if h_shape == () else sides
-        return self.period * field_of(self.system, phase * self.period, x, side)
+    @eqx.filter_jit
+    def solve(self, system: System, guess: Array) -> tuple[Array, Array, tuple]:
+        """Newton's iteration; the further data is its residual, outcome and length."""
+        galerkin = self.galerkin(system, guess.dtype)
 
+        def evaluate(z: Array) -> Evaluation:
+            value, jacobian = galerkin.with_derivative(z)
+            scale = jnp.max(abs(z.reshape(self.size, self.n)), axis=0)
+            scale = jnp.tile(select(scale == 0, 1, scale), self.size)
+            fine = jnp.all(jnp.isfinite(value))
+            result = RESULTS.where(fine, RESULTS.successful, RESULTS.nonfinite)
+            return Evaluation(value, jacobian, 2 * jnp.pi * scale, scale, result, None)
 
-@eqx.filter_jit
-def _solve(system: System, first: Array, periods: int, newton_steps: Array) -> FourierOrbit:
-    size, n = first.shape
-    period = jnp.asarray(system.period, first.dtype) * periods
-    balance = _Balance(system, period, size, n)
+        root = newton(evaluate, guess, self.newton_steps)
+        result = RESULTS.where(galerkin.is_fine, root.result, RESULTS.step_too_long)
+        result = period_outcome(galerkin.period, result)
+        return root.z, root.at.jacobian, (root.size, result, root.num_steps)
 
-    def evaluate(z: Array) -> Evaluation:
-        value, jacobian = _equations(balance, z.reshape(size, n))
-        scale = jnp.max(abs(z.reshape(size, n)), axis=0)
-        scale = jnp.tile(select(scale == 0, 1, scale), size)
-        fine = jnp.all(jnp.isfinite(value))
-        result = RESULTS.where(fine, RESULTS.successful, RESULTS.nonfinite)
-        return Evaluation(value, jacobian, 2 * jnp.pi * scale, scale, result, None)
+    @eqx.filter_jit
+    def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """By the integrals with moving zeros."""
+        residual = lambda theta: self.galerkin(system_of(theta), z.dtype).residual(z)  # noqa: E731
+        return jax.jacfwd(residual)(theta)
 
-    root = newton(evaluate, first.ravel(), newton_steps)
-    result = period_outcome(period, root.result)
-    return FourierOrbit(root.z.reshape(size, n), period, root.size, result, root.num_steps)
-
-
-def _equations(balance: _Balance, c: Array) -> tuple[Array, Array]:
-    """Coefficients of dx/dφ − T F, shape (size · n,), and their derivative."""
-    size, n = balance.size, balance.n
-    harmonics = (size - 1) // 2
-    basis = jax.vmap(ft.partial(waves_at, harmonics=harmonics))
-    # The coefficient of a wave is twice its mean with the function.
-    norm = select(jnp.arange(size) == 0, 1.0, 2.0).astype(c.dtype)[:, None]
-    slope = ft.partial(slope_of, harmonics=harmonics)
-
-    # dx/dφ is a series itself and exact; only the force is integrated.
-    phases, weights, sides, zeros = _quadrature(balance, c)
-    at_points = basis(phases)
-    states = at_points @ c
-    force = jax.vmap(balance.force)(phases, states, sides)
-    by_state = jax.vmap(jax.jacfwd(balance.force, argnums=1))(phases, states, sides)
-    value = slope(c) - norm * (at_points.T @ (weights[:, None] * force))
-
-    weighted = at_points * weights[:, None]
-    integral = jnp.einsum("pk,pij,pl->kilj", weighted, by_state, at_points, optimize="optimal")
-    if zeros is not None:
-        where, jump, moves = zeros
-        at_zeros = basis(where)
-        integral += jnp.einsum(
-            "pk,pi,pj,pl->kilj", at_zeros, jump, moves, at_zeros, optimize="optimal"
-        )
-    eye = jnp.eye(size * n, dtype=c.dtype).reshape(size * n, size, n)
-    linear = jax.vmap(slope)(eye).reshape(size * n, size * n).T
-    derivative = linear - (norm[:, :, None, None] * integral).reshape(size * n, size * n)
-    return value.ravel(), derivative
-
-
-def _quadrature(balance: _Balance, c: Array) -> tuple[Array, Array, Array, tuple | None]:
-    """Phases (p,), weights (p,) and sides (p, m) of all points; and for every zero of H its phase,
-    the jump of T F across it (n,), and the derivative of its phase with respect to x (n,)."""
-    cells = _CELLS * ((balance.size - 1) // 2) + 8
-    edges = jnp.arange(cells + 1).astype(c.dtype) / cells
-    surfaces = lambda p: balance.switching(p, balance.state(c, p))  # noqa: E731
-    at_edges = jax.vmap(surfaces)(edges)
-    m = at_edges.shape[1]
-    cell = ft.partial(_cell, surfaces, m)
-    phases, weights, sides, roots, crosses = jax.vmap(cell)(
-        edges[:-1], edges[1:], at_edges[:-1], at_edges[1:]
-    )
-    flat = (phases.ravel(), weights.ravel(), sides.reshape(phases.size, m))
-    if m == 0:
-        return *flat, None
-
-    def move(phase: Array, j: Array, crosses: Array, h_before: Array) -> tuple[Array, Array]:
-        x = balance.state(c, phase)
-        # Leibniz: the zero moves by −∇H·δx/(dH/dφ), and the integral by that times the jump.
-        rate = jax.jvp(surfaces, (phase,), (jnp.ones_like(phase),))[1][j]
-        normal = jax.jacfwd(balance.switching, argnums=1)(phase, x)[j]
-        side = select(balance.switching(phase, x) > 0, 1.0, -1.0).astype(c.dtype)
-        before = select(h_before[j] > 0, 1.0, -1.0).astype(c.dtype)
-        jump = balance.force(phase, x, side.at[j].set(before))
-        jump -= balance.force(phase, x, side.at[j].set(-before))
-        return select(crosses, jump, 0), -normal / select(rate == 0, 1, rate)
-
-    numbers = jnp.broadcast_to(jnp.arange(m), roots.shape)
-    before = jnp.repeat(at_edges[:-1, None], m, axis=1)
-    jump, moves = jax.vmap(jax.vmap(move))(roots, numbers, crosses, before)
-    return *flat, (roots.ravel(), jump.reshape(-1, balance.n), moves.reshape(-1, balance.n))
-
-
-def _cell(
-    surfaces: Callable, m: int, a: Array, b: Array, h_a: Array, h_b: Array
-) -> tuple[Array, ...]:
-    """Points, weights and sides of a cell cut at the zeros of H, and the zeros."""
-    crosses = (h_a > 0) != (h_b > 0)
-    zeros = [
-        select(crosses[j], zero_between(lambda p, j=j: surfaces(p)[j], a, b, h_a[j], h_b[j]), b)
-        for j in range(m)
-    ]
-    # A cut without a crossing is at the end of the cell, and the piece beyond it has no weight.
-    cuts = jnp.sort(jnp.stack([a, *zeros, b]))
-    middle, half = 0.5 * (cuts[:-1] + cuts[1:]), 0.5 * (cuts[1:] - cuts[:-1])
-    sides = select(jax.vmap(surfaces)(middle) > 0, 1.0, -1.0).astype(a.dtype)
-    points = middle[:, None] + half[:, None] * jnp.asarray(_NODES, a.dtype)
-    weights = half[:, None] * jnp.asarray(_WEIGHTS, a.dtype)
-    sides = jnp.repeat(sides[:, None], _POINTS, axis=1)
-    roots = jnp.stack(zeros) if m else jnp.zeros((0,), a.dtype)
-    return points, weights, sides, roots, crosses
+    @eqx.filter_jit
+    def by_unknowns(self, system_of: SystemOf, theta: Array, z: Array) -> Array:
+        """Newton's matrix."""
+        return self.galerkin(system_of(theta), z.dtype).with_derivative(z)[1]

@@ -14,6 +14,8 @@ from jaxfil.orbits.curve import SHARP, Curve, CurvePoint, constraint_across
 
 # Special points are located to this distance, in scaled unknowns.
 _LOCATED = 1e-12
+# Where branches cross, the equations are singular at the point itself, but not at this distance.
+_ASIDE = 1e-10
 # A test function below this is zero, a determinant of numbers of order one, known to rounding.
 _ZERO = 1e-13
 # A test function at its zero is below this fraction of its values at the neighbours.
@@ -69,14 +71,14 @@ def _zero(
     """The fraction of the distance between two points at which a test function changes its sign, by
     Alefeld, Potra and Shi's algorithm 748, or None if the curve is lost, and the last point on
     it."""
-    last = None
+    last, aside = None, _ASIDE / _distance(a, b)
 
     def value(part: float) -> float:
         nonlocal last
         # The ends are known.
         if part in (0.0, 1.0):
             return test(b if part else a)
-        point = _at_part(curve, a, b, part)
+        point = _at_part(curve, a, b, part) or _at_part(curve, a, b, part + aside)
         found = np.nan if point is None else test(point)
         if not np.isfinite(found):
             raise _Lost

@@ -28,7 +28,7 @@ from jaxfil.orbits.locating import change_on_curve, jumps_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase import phased_like
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
-from jaxfil.orbits.special_points import branch_point, kind_of_change, special_orbits
+from jaxfil.orbits.special_points import crossing, kind_of_change, special_orbits
 from jaxfil.xla.known import array_of
 
 # A guess from a neighbour converges in a few steps or not at all; across a square root of the
@@ -202,9 +202,10 @@ class OrbitCurve(Curve[OrbitPoint]):
     def jumps(self, a: OrbitPoint, b: OrbitPoint) -> bool:
         """Whether the determinant changes its sign without a zero, as where a step past the end of
         a branch meets another arm of it, which is as near as a fold to an end in a graze."""
-        if not self.same(a, b) or branch_point(a) * branch_point(b) >= 0:
+        test = crossing(a, b)
+        if not self.same(a, b) or test(a) * test(b) >= 0:
             return False
-        return jumps_on_curve(self, a, b, branch_point)
+        return jumps_on_curve(self, a, b, test)
 
     def about(self, point: OrbitPoint) -> str:
         """The largest multiplier, if it is as large as near a square root of the period map."""

@@ -1,8 +1,7 @@
-"""Change of the phase at which the orbits of a branch are shot, if a contact reaches it.
+"""Change of the phase at which the orbits of a branch are shot, if a contact or a tick reaches it.
 
-As a contact passes the phase t0 the orbit varies smoothly, but x(t0) jumps by a reset, or has a
-corner. The branch is then shot from a phase far from all contacts, and its points are converted
-back to t0.
+As one passes the phase t0 the orbit varies smoothly, but x(t0) jumps by a reset, or has a corner.
+The branch is then shot from a phase far from all of them, and its points are converted back to t0.
 """
 
 import dataclasses
@@ -15,6 +14,7 @@ from jaxfil.integrate.lane.problem import NOTHING
 from jaxfil.integrate.loop.iterate import integrate
 from jaxfil.integrate.run.solution import switches
 from jaxfil.integrate.system.components import pack
+from jaxfil.model.system import System
 from jaxfil.orbits.closing import OrbitProblem
 from jaxfil.orbits.corrector import OrbitPoint
 from jaxfil.xla.known import array_of
@@ -24,25 +24,36 @@ _NEAR = 1e-3
 
 
 def contact_phases(problem: OrbitProblem, point: OrbitPoint) -> np.ndarray:
-    """The phases of contacts after t0, as fractions of the period from 0 to 1, ascending."""
-    events = point.shot.events
-    if events is None:
-        return np.zeros(0)
-    ts = np.asarray(events.ts)[switches(events)]
-    phases = (ts - float(problem.options.t0)) / period_of(problem, point)
+    """The phases of contacts and ticks after t0, as fractions of the period from 0 to 1,
+    ascending."""
+    system, period = _setting(problem, point)
+    events, ts = point.shot.events, []
+    if events is not None:
+        ts.append(np.asarray(events.ts)[switches(events)])
+    # The events of a system without surfaces are not recorded.
+    for clock in system.clocks:
+        step = float(clock.period)
+        ts.append(float(clock.phase) + step * np.arange(np.ceil(period / step)))
+    phases = (np.concatenate([np.zeros(0), *ts]) - float(problem.options.t0)) / period
     return np.sort(phases % 1.0)
+
+
+def _setting(problem: OrbitProblem, point: OrbitPoint) -> tuple[System, float]:
+    """The system and the period of an orbit."""
+    _, q = problem.split(array_of(point.u))
+    system, period = problem.setting(q)
+    return system, float(np.asarray(period))
 
 
 def period_of(problem: OrbitProblem, point: OrbitPoint) -> float:
     """The period of an orbit."""
-    _, q = problem.split(array_of(point.u))
-    return float(np.asarray(problem.setting(q)[1]))
+    return _setting(problem, point)[1]
 
 
 def quiet_phase(problem: OrbitProblem, point: OrbitPoint) -> float | None:
-    """The middle of the longest time without a contact, as a fraction of the period after t0, if a
-    contact is at t0; otherwise None. Not for autonomous orbits, or several arcs."""
-    if problem.autonomous or problem.options.arcs > 1:
+    """The middle of the longest time without a contact or a tick, as a fraction of the period after
+    t0, if one is at t0; otherwise None. Not for several arcs."""
+    if problem.options.arcs > 1:
         return None
     phases = contact_phases(problem, point)
     if not phases.size or np.min(np.minimum(phases, 1 - phases)) > _NEAR:

@@ -39,6 +39,10 @@ class Range:
     high: float
     ways: tuple[float, ...]
 
+    def is_left(self, value: float, rate: float) -> bool:
+        """Whether a curve leaves the range from this value with this rate."""
+        return (value <= self.low and rate < 0) or (value >= self.high and rate > 0)
+
 
 def ends_of(stop: Any) -> list[float]:
     """The argument `stop`, a number or a pair, as a list of one or two numbers."""
@@ -159,6 +163,8 @@ def _follow(
             return end(why, closed=ahead is start)
         curve, points[-1], passed = onward
         special.append(dataclasses.replace(passed, index=len(points) - 1))
+        if within.is_left(curve.value(points[-1]), points[-1].tangent[curve.place]):
+            return end(why)
         ds = min(curve.steps.first, max_step)
     return end(f"{max_points} points were made")
 

@@ -4,6 +4,7 @@ They are zeros of test functions (a fold, a period doubling, a Neimark–Sacker 
 and changes of the sequence of contacts.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -19,10 +20,16 @@ def _fold(point: OrbitPoint) -> float:
     return float(point.tangent[-1])
 
 
-def branch_point(point: OrbitPoint) -> float:
-    """The determinant of the equations with the tangent appended, zero where branches cross."""
+def crossing(a: OrbitPoint, b: OrbitPoint) -> Callable[[OrbitPoint], float]:
+    """The test function of points between two neighbours that is zero where branches cross: the
+    determinant of the equations with the tangent appended."""
+    # A row that itself vanishes at the crossing turns at once there, if it has length one at each
+    # point. One of the neighbours has a length for it.
+    lengths = [np.linalg.norm(point.rows, axis=1, keepdims=True) for point in (a, b)]
+    length = np.maximum(*lengths)
+    length = np.where(length == 0, 1, length)
     # With the tangent appended, the determinant does not vanish at a fold of the curve.
-    return float(np.linalg.det(np.vstack([point.rows, point.tangent])))
+    return lambda point: float(np.linalg.det(np.vstack([point.rows / length, point.tangent])))
 
 
 def period_doubling(monodromy: np.ndarray) -> float:
@@ -46,7 +53,6 @@ _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
     "fold": _fold,
     "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
     "neimark-sacker": lambda point: neimark_sacker(np.asarray(point.shot.monodromy)),
-    "branch-point": branch_point,
 }
 
 
@@ -78,8 +84,20 @@ def special_orbits(
 
 def _zeros(curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
     """Zeros of the test functions between two points with the same contacts."""
-    for kind, test in _TESTS.items():
+    for kind, test in {**_TESTS, "branch-point": crossing(a, b)}.items():
         if test(a) * test(b) < 0:
             point = zero_on_curve(curve, a, b, test)
             if point is not None:
+                if kind == "branch-point":
+                    point = dataclasses.replace(point, tangent=_tangent_between(a, b, point))
                 yield Special(kind, point, point.sequence, point.sequence)
+
+
+def _tangent_between(a: OrbitPoint, b: OrbitPoint, point: OrbitPoint) -> np.ndarray:
+    """The tangent at a point between two neighbours, from theirs, because the equations have two
+    null vectors where branches cross."""
+    chord, way, end = ((v / point.scale) for v in (b.u - a.u, point.u - a.u, b.tangent * b.scale))
+    part = (chord @ way) / (chord @ chord)
+    start = a.tangent * a.scale / point.scale
+    tangent = (1 - part) * start / np.linalg.norm(start) + part * end / np.linalg.norm(end)
+    return tangent / np.linalg.norm(tangent)

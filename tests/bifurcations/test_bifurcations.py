@@ -642,3 +642,60 @@ def test_the_margin_of_an_orbit_that_hits_is_no_maximum(jitted):
     margin = lambda s: jf.grazing_margin(s, orbit, throw=False)  # noqa: E731
     found = (eqx.filter_jit(margin) if jitted else margin)(system)
     assert outcome_names(found.result) == "no_tangency_found" and np.isnan(found.value)
+
+
+class Follower(jf.System):
+    """x follows cos 2(t − a) + 0.03 sin(t − a), whose least value is −1.03 at t = a + 3π/2."""
+
+    late: jax.Array
+    period = 2 * np.pi
+    slides = False
+
+    def vector_field(self, t, x, side):
+        angle = t - self.late
+        towards = jnp.cos(2 * angle) + 0.03 * jnp.sin(angle)
+        return towards - 2 * jnp.sin(2 * angle) + 0.03 * jnp.cos(angle) - x
+
+    def switching(self, t, x):
+        return x[0] + 1.5
+
+
+@pytest.mark.parametrize("late", [0.1, -0.1])
+def test_the_margin_is_that_of_the_lower_minimum(late):
+    """Between the ends of steps, at which the other one is lower for one of these times."""
+    system = Follower(jnp.float64(late))
+    orbit = jf.periodic_orbit(system, jnp.array([1.0]), steps=15)
+    np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-8)
+
+
+class Filter(jf.System):
+    """y' = a cos t − c y, whose orbit has the amplitude a/√(1 + c²), below y = 1."""
+
+    a: jax.Array
+    c: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return self.a * jnp.cos(t) - self.c * x
+
+    def switching(self, t, x):
+        return 1.0 - x[0]
+
+
+@pytest.mark.slow
+def test_a_margin_and_a_value_have_second_derivatives():
+    a, c = jnp.float64(1.0), jnp.float64(0.8)
+    orbit = jf.periodic_orbit(Filter(a, c), jnp.array([0.5]), steps=24)
+
+    def margin(p):
+        return jf.grazing_margin(Filter(*p), orbit, throw=False).value
+
+    exact = jax.hessian(lambda p: 1 - p[0] / jnp.sqrt(1 + p[1] ** 2))(jnp.stack([a, c]))
+    found = jax.jit(jax.jacfwd(jax.grad(margin)))(jnp.stack([a, c]))
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9)
+
+    def value(c):
+        return jf.find_bifurcation(Filter(a, c), "a", orbit, "grazing", throw=False).value
+
+    np.testing.assert_allclose(jax.grad(jax.grad(value))(c), (1 + c**2) ** -1.5, rtol=1e-8)

@@ -129,6 +129,45 @@ def test_a_branch_that_crosses(d, c):
     assert curve.ended[1] == "b = 0.3 was reached"
 
 
+class Lines(jf.System):
+    """A map with the fixed points y = 1 + j p and y = 1 + k p, in the form of `Map`."""
+
+    p: jax.Array
+    j: jax.Array
+    k: jax.Array
+
+    period = 1.0
+    clocks = (jf.Clock(1.0, 0.5),)
+
+    def vector_field(self, t, x, side):
+        return jnp.zeros_like(x)
+
+    def tick(self, t, x, clock):
+        last, y = x
+        product = (y - 1 - self.j * self.p) * (y - 1 - self.k * self.p)
+        return jnp.stack([y, y + 0.1 * (last - y) - 0.5 * product])
+
+
+@pytest.mark.parametrize("j, k", [(1.0, 3.0), (3.0, 1.0), (1.0, 1.1), (0.0, 1.0), (1.0, 0.0)])
+def test_the_other_one_of_two_lines(j, k):
+    system = Lines(jnp.float64(0.2), jnp.float64(j), jnp.float64(k))
+    orbit = jf.periodic_orbit(system, jnp.full(2, 1 + 0.2 * j), steps=2, stepper=jf.RK4())
+    branch = jf.continue_orbit(system, "p", orbit, stop=-0.2, max_step=0.2)
+    (point,) = [point for point in branch.points if point.kind == "branch-point"]
+    assert_allclose(point.value, 0, rtol=0, atol=1e-9)
+    crossing = jf.continue_orbit(system, "p", point, stop=(-0.2, 0.2), max_step=0.2)
+    assert_allclose(crossing.orbits.x0[:, 0], 1 + k * crossing.values, rtol=1e-10)
+
+
+def test_a_crossing_that_breaks_up_has_no_curve():
+    """y = r + a y − y³ has a pitchfork at a = 1 for r = 0 only."""
+    system = a_map(a=0.5, d=-1.0)
+    point = special(system, "a", 0.0, 1.2, "branch-point")
+    curve = jf.continue_bifurcation(system, ("a", "r"), point, stop=(0.5, 1.5))
+    assert_allclose(curve.values, [[1.0, 0.0]], rtol=0, atol=1e-9)
+    assert all("no branches cross beyond" in why for why in curve.ended)
+
+
 class Gears(jf.System):
     """x'' + 0.1 x' + g(x) = 0.1 + a ω² cos ωt, g the stiffness outside of a backlash |x| < 1."""
 
@@ -301,13 +340,13 @@ def test_folds_of_an_autonomous_orbit():
 def test_where_no_curve_begins():
     system, points = gears()
     orbit = eqx.tree_at(lambda orbit: orbit.x0, points["fold"][0].orbit, jnp.array([jnp.nan, 0.0]))
-    lost = jf.SpecialPoint("fold", 0.7, orbit, 0, (), ())
+    lost = jf.SpecialPoint("fold", 0.7, orbit, 0, (), (), np.zeros(3))
     free = "omega", "error"
     curve = jf.continue_bifurcation(system, free, lost, stop=0.8, throw=False)
     assert len(curve.values) == 1 and curve.kinds == ("fold",)
     with pytest.raises(eqx.EquinoxRuntimeError):
         jf.continue_bifurcation(system, free, lost, stop=0.8)
-    changed = jf.SpecialPoint("contacts", 0.7, orbit, 0, (), ())
+    changed = jf.SpecialPoint("contacts", 0.7, orbit, 0, (), (), np.zeros(3))
     message = "`bifurcation` must be a single Bifurcation, or a SpecialPoint of kind fold.*contacts"
     with pytest.raises(ValueError, match=message):
         jf.continue_bifurcation(system, free, changed, stop=0.8)

@@ -95,3 +95,35 @@ class Oscillator(jf.System):
 
     def switching(self, t, x):
         return x[1]
+
+
+class SoftStop(jf.System):
+    """x″ = f − x − 0.3 x′, less k (x − 1) where x > 1."""
+
+    f: jax.Array
+    k: jax.Array
+
+    def vector_field(self, t, x, side):
+        stop = jnp.where(side > 0, self.k * (x[0] - 1), 0.0)
+        return jnp.stack([x[1], self.f - x[0] - 0.3 * x[1] - stop])
+
+    def switching(self, t, x):
+        return x[0] - 1
+
+
+class Hill(jf.System):
+    """A particle above y = −h x², which throws it back; it comes to rest on the top for μ < 0."""
+
+    mu: jax.Array
+    k: jax.Array
+    h: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[2], x[3], -self.k * x[0] - x[2], self.mu - x[1] - x[3]])
+
+    def switching(self, t, x):
+        return x[1] + self.h * x[0] ** 2
+
+    def reset(self, t, x, surface):
+        n = jnp.stack([2 * self.h * x[0], jnp.ones_like(x[0])])
+        return jnp.concatenate([x[:2], x[2:] - 1.5 * (n @ x[2:]) / (n @ n) * n])

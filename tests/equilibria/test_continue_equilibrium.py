@@ -10,6 +10,7 @@ from tests.equilibria.planar import (
     Boundary,
     Oscillator,
     PseudoSaddleNode,
+    SoftStop,
     Spring,
     TwoSurfaces,
 )
@@ -41,6 +42,35 @@ def test_a_branch_goes_on_over_a_boundary(g, kind):
     inner = branch.at(-0.5 if g > 0 else 0.5)
     assert {one.kind for one in inner} == ({"pseudo"} if g > 0 else {"pseudo", "regular"})
     assert f"{kind} at" in repr(branch)
+
+
+@pytest.mark.parametrize("g", [1.0, -1.0])
+def test_a_branch_starts_on_a_boundary(g):
+    """For μ < 0 there is the pseudo-equilibrium if g = 1, and none if g = −1."""
+    system = Boundary(0.0, g)
+    start = jf.equilibrium(system, jnp.array([0.1, 0.6]))
+    assert start.kind == "boundary"
+    branch = jf.continue_equilibrium(system, "mu", start, stop=-0.8)
+    ends = {1.0: "mu = -0.8 was reached", -1.0: "the boundary at surface 0 was met at 0"}
+    assert branch.ended[1] == ends[g]
+    expected = np.stack([-0.75 * branch.values, 0 * branch.values], axis=1)
+    assert_allclose(branch.equilibria.x, expected, **CLOSE)
+    assert [point.kind for point in branch.points] == ["persistence" if g > 0 else "nonsmooth-fold"]
+    both = jf.continue_equilibrium(system, "mu", start, stop=(-0.8, 0.9))
+    assert_allclose(both.values[[0, -1]], [-0.8 if g > 0 else 0.9, 0.9], **CLOSE)
+
+
+@pytest.mark.parametrize("k, end", [(4.0, 2.0), (-2.0, 0.5)])
+def test_a_branch_goes_on_where_the_field_is_continuous(k, end):
+    """Forward over a stop, back over one that is softer than nothing."""
+    system = SoftStop(0.5, k)
+    start = jf.equilibrium(system, jnp.array([0.4, 0.0]))
+    branch = jf.continue_equilibrium(system, "f", start, stop=(0.5, 2.0))
+    assert happened(branch) == [("persistence" if k > -1 else "nonsmooth-fold", (-1,), (1,))]
+    assert_allclose(branch.points[0].value, 1.0, **CLOSE)
+    f, x = branch.values, np.asarray(branch.equilibria.x)[:, 0]
+    assert f[-1] == end
+    assert_allclose(x, np.where(x > 1, (f + k) / (1 + k), f), **CLOSE)
 
 
 def test_pseudo_equilibria_meet_in_a_fold():

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from tests.equilibria.planar import Boundary, PseudoSaddleNode
+from tests.equilibria.planar import Boundary, Hill, PseudoSaddleNode, SoftStop
 
 CLOSE = {"rtol": 0, "atol": 1e-11}
 
@@ -50,6 +50,24 @@ def test_a_curve_of_boundary_equilibria_changes_its_kind():
     expected = np.where(curve.values[:, 0] > 0, "persistence", "nonsmooth-fold")
     assert {*curve.kinds} == {"persistence", "nonsmooth-fold"}
     assert curve.kinds == tuple(expected.tolist())
+
+
+def test_a_curve_over_a_continuous_boundary_changes_its_kind():
+    """Beyond f = 1 there is x = (f + k)/(1 + k), which is above 1 for k > −1 only."""
+    point = the_point(SoftStop(0.5, 4.0), "f", jnp.array([0.4, 0.0]), 1.5)
+    curve = jf.continue_equilibrium_bifurcation(SoftStop(0.5, 4.0), ("k", "f"), point, stop=-3.0)
+    assert_allclose(curve.values[:, 1], 1.0, **CLOSE)
+    expected = np.where(curve.values[:, 0] > -1, "persistence", "nonsmooth-fold")
+    assert {*curve.kinds} == {"persistence", "nonsmooth-fold"}
+    assert curve.kinds == tuple(expected.tolist())
+
+
+def test_a_curve_of_rests_on_a_curved_wall():
+    system = Hill(0.5, 1.0, 1.0)
+    point = the_point(system, "mu", jnp.array([0.01, 0.4, 0.0, 0.0]), -0.2)
+    assert point.kind == "persistence"
+    curve = jf.continue_equilibrium_bifurcation(system, ("k", "mu"), point, stop=1.5)
+    assert {*curve.kinds} == {"persistence"}
 
 
 def test_a_curve_of_hopf_points():

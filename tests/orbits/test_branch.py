@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import quad
 from scipy.optimize import brentq, fsolve, minimize_scalar
 
 import jaxfil as jf
@@ -317,7 +318,8 @@ def test_a_force_goes_through_zero_and_the_orbit_with_it():
 
 def test_a_special_point_is_drawn_on_the_curve():
     # Between the orbits number 1 and 2, halfway.
-    point = jf.SpecialPoint("contacts", 1.5, sd_branch().points[0].orbit, 2, (), ())
+    orbit = sd_branch().points[0].orbit
+    point = jf.SpecialPoint("contacts", 1.5, orbit, 2, (), (), np.zeros(3))
     orbits = SimpleNamespace(x0=np.asarray([[0.0, 0], [1, 0], [4, 0]]), system=S.SDOscillator())
     told = {"parameter": "a", "values": np.arange(3.0), "points": [point]}
     branch = made(jf.Branch, **told, orbits=orbits, stable=np.ones(3, bool))
@@ -386,7 +388,7 @@ OTHER = S.SDOscillator(f0=0.4, zeta=-1.0)
 @pytest.mark.parametrize("start", ["orbit", "period doubling"])
 def test_an_orbit_of_another_system_is_an_outcome(start):
     first = sd_branch().at(0.7)[0]
-    doubling = jf.SpecialPoint("period-doubling", 0.7, first, 0, (), ())
+    doubling = jf.SpecialPoint("period-doubling", 0.7, first, 0, (), (), np.zeros(3))
     given = {"orbit": first, "period doubling": doubling}[start]
     branch = jf.continue_orbit(OTHER, "omega", given, stop=0.8, throw=False)
     assert outcome_names(branch.result) == "newton_stalled"
@@ -438,6 +440,61 @@ def test_an_impact_passes_the_phase_of_shooting(t0):
             assert min(abs(x0 - x).max() for x in seen) < 1e-6
 
 
+class Ticked(jf.System):
+    """x' = −x, and x + 1 at the time late in each period, without a surface."""
+
+    late: jax.Array
+    period = 1.0
+
+    def vector_field(self, t, x, side):
+        return -x
+
+    def tick(self, t, x, clock):
+        return x + 1
+
+    @property
+    def clocks(self):
+        return (jf.Clock(1.0, self.late),)
+
+
+def test_a_tick_passes_the_phase_of_shooting():
+    system = Ticked(jnp.float64(0.2))
+    orbit = jf.periodic_orbit(system, jnp.ones(1), steps=8)
+    branch = jf.continue_orbit(system, "late", orbit, stop=-0.3, max_step=0.2)
+    assert branch.values[-1] == -0.3
+    away = abs(branch.values) > 1e-6
+    highest = 1 / (1 - np.exp(-1))
+    exact = highest * np.exp(-np.mod(-branch.values[away], 1))
+    assert_allclose(branch.orbits.x0[away, 0], exact, rtol=1e-7)
+
+
+class Thermostat(jf.System):
+    """A room that cools towards 10 and warms towards 35, switched at 18 and `high`."""
+
+    high: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([10.0 - x[0] + 25.0 * x[1], 0 * x[1]])
+
+    def switching(self, t, x):
+        return jnp.stack([self.high - x[0], x[0] - 18.0])
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], jnp.where(surface == 0, 0.0, 1.0)])
+
+
+@pytest.mark.slow
+def test_a_contact_passes_the_state_from_which_an_autonomous_orbit_is_shot():
+    """The branch starts from 20 degrees, and its orbits end below."""
+    system = Thermostat(jnp.float64(20.5))
+    orbit = jf.periodic_orbit(system, jnp.array([20.0, 1.0]), period=0.45, steps=8)
+    branch = jf.continue_orbit(system, "high", orbit, stop=19.0, max_step=0.2)
+    assert branch.values[-1] == 19.0
+    exact = np.log((branch.values - 10) / 8) + np.log(17 / (35 - branch.values))
+    assert_allclose(branch.orbits.period, exact, rtol=1e-8)
+
+
 class TwoLinear(jf.System):
     """Two oscillators on their own, x'' + a x' + k x = cos t and y'' + c y' + 2 y = cos t."""
 
@@ -461,3 +518,41 @@ def test_pairs_of_multipliers_are_told_apart(name, start, stop, found):
     branch = jf.continue_orbit(system, name, orbit, stop=stop)
     points = [p.value for p in branch.points if p.kind == "neimark-sacker"]
     assert_allclose(points, [0.0] * found, rtol=0, atol=1e-8)
+
+
+class Invaded(jf.System):
+    """x' = cos t − x, y' = (r + x − c y − d y²) y; its orbit y = 0 has a multiplier exp(2πr)."""
+
+    r: jax.Array
+    c: jax.Array
+    d: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        rate = self.r + x[0] - self.c * x[1] - self.d * x[1] ** 2
+        return jnp.stack([jnp.cos(t) - x[0], rate * x[1]])
+
+
+@pytest.mark.parametrize("c, d", [(1.0, 0.0), (0.0, 1.0)])
+def test_a_branch_goes_on_where_one_of_its_equations_vanishes(c, d):
+    """At r = 0 the end of y has the derivatives 1 by y and 0 by r."""
+    system = Invaded(jnp.float64(-0.2), jnp.float64(c), jnp.float64(d))
+    orbit = jf.periodic_orbit(system, jnp.array([0.5, 0.0]), steps=16)
+    branch = jf.continue_orbit(system, "r", orbit, stop=0.2, max_step=0.1)
+    assert branch.values[-1] == 0.2
+    largest = np.max(abs(branch.orbits.multipliers), axis=1)
+    assert_allclose(largest, np.exp(2 * np.pi * branch.values), rtol=1e-6)
+    (point,) = branch.points
+    assert point.kind == "branch-point"
+    assert_allclose(point.value, 0, rtol=0, atol=1e-9)
+    crossing = jf.continue_orbit(system, "r", point, stop=(-0.2, 0.2), max_step=0.2)
+    # u = y⁻ᵏ has the equation u' = k − k (r + x) u, k = 1 if d = 0 and otherwise 2, on which the
+    # orbit has the integral of r + x = A(t) with x = (cos t + sin t)/2.
+    k, period = 1 + d, 2 * np.pi
+    for r, y in zip(crossing.values[::4], crossing.orbits.x0[::4, 1], strict=True):
+
+        def grown(s, r=r):
+            return np.exp(k * (r * (s - period) + (np.sin(s) - np.cos(s) + 1) / 2))
+
+        u = k * quad(grown, 0, period)[0] / (1 - np.exp(-k * r * period))
+        assert_allclose(y**-k, u, rtol=1e-5)

@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import brentq
 
 import jaxfil as jf
 from jaxfil import RESULTS
 from jaxfil.model.outcomes import outcome_names
-from jaxfil.orbits import harmonic_balance as harmonic
+from jaxfil.orbits.galerkin import Galerkin
 from tests.oracles.compilations import Counter
 from tests.problems import closed_forms
 
@@ -148,21 +149,129 @@ def test_a_first_call_compiles_a_few_programs():
 def test_the_jacobian_is_the_derivative_of_the_residual(omega):
     # Through zeros of H that move with the coefficients.
     system = S.BeltFriction(gamma1=10.0, gamma2=0.0, omega=omega)
-    balance = harmonic._Balance(system, jnp.asarray(2 * jnp.pi / omega), 9, 2)
+    balance = Galerkin(system, jnp.asarray(2 * jnp.pi / omega), 9, 2, 24)
     c = np.zeros((9, 2))
     c[1:7] = np.asarray([[0.8, 1.5], [0.3, 2.0], [0.1, 0.2], [-0.1, 0.3], [0.05, 0.1], [0.0, -0.2]])
-    equations = jax.jit(harmonic._equations)
-    jacobian = equations(balance, jnp.asarray(c))[1]
-    assert jnp.sum(jax.jit(harmonic._quadrature)(balance, jnp.asarray(c))[3][1] != 0) >= 2
+    equations = eqx.filter_jit(Galerkin.with_derivative)
+    jacobian = equations(balance, jnp.asarray(c).ravel())[1]
+    assert jnp.sum(balance._quadrature(jnp.asarray(c))[3].crosses) >= 2
     for i in range(c.size):
         step = np.zeros(c.size)
         step[i] = 1e-4
         at = [
-            np.asarray(equations(balance, jnp.asarray(c + k * step.reshape(9, 2)))[0])
+            np.asarray(equations(balance, jnp.asarray(c.ravel() + k * step))[0])
             for k in (-2, -1, 1, 2)
         ]
         slope = np.tensordot([1, -8, 8, -1], at, 1) / 12e-4
         assert_allclose(jacobian[:, i], slope, rtol=0, atol=1e-7)
+
+
+class Helped(jf.System):
+    """y' = cos t − y, and + j where y > d."""
+
+    d: jax.Array
+    j: jax.Array
+    period = 2 * np.pi
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.cos(t) - x + jnp.where(side < 0, self.j, 0.0)
+
+    def switching(self, t, x):
+        return self.d - x[0]
+
+
+def helped(p):
+    """One harmonic of the orbit that is above d for a part β/π of the period: the force of the
+    surface is j β/π + g cos τ there, with τ the phase from its middle and g = 2 j sin β/π."""
+    d, j = p
+
+    def parts(beta):
+        g = 2 * j * np.sin(beta) / np.pi
+        amplitude = (g + np.sqrt(2 - g**2)) / 2  # of (A − g)² + A² = 1
+        return g, amplitude, d - j * beta / np.pi - amplitude * np.cos(beta)
+
+    beta = brentq(lambda beta: parts(beta)[2], 0.9, 1.6, xtol=1e-15)
+    g, amplitude, _ = parts(beta)
+    middle = np.arctan2(amplitude, amplitude - g)
+    return np.array([j * beta / np.pi, amplitude * np.cos(middle), amplitude * np.sin(middle)])
+
+
+P = np.array([0.7, 1.0])
+
+
+def solved(p, guess):
+    found = jf.harmonic_balance(Helped(p[0], p[1]), guess, 1, throw=False)
+    return found.coefficients[:, 0]
+
+
+@pytest.mark.parametrize("away", [0.0, 0.02])
+def test_coefficients_have_the_derivatives_of_the_closed_form(away):
+    guess = jnp.asarray(helped(P)[:, None] + away)
+    assert_allclose(solved(jnp.asarray(P), guess), helped(P), rtol=0, atol=1e-12)
+    steps = 1e-4 * np.eye(2)
+    exact = np.stack([(helped(P + h) - helped(P - h)) / 2e-4 for h in steps], axis=1)
+    for derivative in (jax.jacfwd, jax.jacrev):
+        found = jax.jit(derivative(solved))(jnp.asarray(P), guess)
+        assert_allclose(found, exact, rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_coefficients_have_second_derivatives():
+    guess, steps = jnp.asarray(helped(P)[:, None]), 1e-3 * np.eye(2)
+    pairs = [[helped(P + g + h) - helped(P + g - h) for h in steps] for g in steps]
+    other = [[helped(P - g + h) - helped(P - g - h) for h in steps] for g in steps]
+    exact = np.moveaxis((np.array(pairs) - np.array(other)) / 4e-6, 2, 0)
+    found = jax.jit(jax.hessian(solved))(jnp.asarray(P), guess)
+    assert_allclose(found, exact, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2])
+def test_a_pass_within_one_cell_is_seen(late):
+    """Where a sine reaches d for an angle 2β only, which is 1/10 of a cell."""
+    beta = 0.025
+    d = np.cos(beta)
+    c = np.array([0.0, np.cos(late), np.sin(late)])
+    # x' − cos t + x, without the force j/2π ∫ (1, 2 cos, 2 sin) over the pass.
+    expected = np.array([0.0, c[1] + c[2] - 1, c[2] - c[1]])
+    expected -= np.array([beta, 2 * np.sin(beta) * c[1], 2 * np.sin(beta) * c[2]]) / np.pi
+    galerkin = Galerkin(Helped(jnp.float64(d), jnp.float64(1.0)), jnp.float64(2 * np.pi), 3, 1, 12)
+    found = eqx.filter_jit(Galerkin.with_derivative)(galerkin, jnp.asarray(c))[0]
+    assert_allclose(found, 2 * np.pi * expected, rtol=0, atol=1e-12)
+
+
+class Pulsed(jf.System):
+    """x' = −x and + 1 during the first part of each of `many` pulses in a period."""
+
+    part: jax.Array
+    many: int = eqx.field(static=True)
+    period = 1.0
+
+    def vector_field(self, t, x, side):
+        return jnp.where(jnp.mod(self.many * t, 1.0) < self.part, 1.0, 0.0) - x
+
+    @property
+    def clocks(self):
+        return jf.Clock(1 / self.many), jf.Clock(1 / self.many, self.part / self.many)
+
+
+@pytest.mark.parametrize("many", [1, 40])
+def test_a_field_that_jumps_at_ticks(many):
+    """The harmonics of the pulses are balanced one by one."""
+
+    def exact(part):
+        k = many * np.arange(1, 3)
+        of_pulses = many * (1 - np.exp(-2j * np.pi * k / many * part)) / (1j * np.pi * k)
+        x = np.where(k <= 2, of_pulses / (1 + 2j * np.pi * k), 0)
+        return np.concatenate([[part], *((v.real, -v.imag) for v in x)])
+
+    def found(part):
+        return jf.harmonic_balance(Pulsed(part, many), jnp.zeros((5, 1)), 2).coefficients[:, 0]
+
+    part = jnp.float64(0.37)
+    assert_allclose(found(part), exact(0.37), rtol=0, atol=1e-13)
+    slope = (exact(0.371) - exact(0.369)) / 0.002
+    assert_allclose(jax.jacfwd(found)(part), slope, rtol=0, atol=1e-5)
 
 
 class Kicked(jf.System):
