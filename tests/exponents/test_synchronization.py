@@ -231,7 +231,9 @@ def test_the_threshold_of_a_linear_system_and_its_bias():
     assert np.isnan(none.exponent) and not np.any(none.synchronized)
 
 
-@pytest.mark.parametrize("a, size, transient", [(-0.1, 1.0, 200), (0.01, 1e-9, 0), (0.01, 1e200, 0)])
+@pytest.mark.parametrize(
+    "a, size, transient", [(-0.1, 1.0, 200), (0.01, 1e-9, 0), (0.01, 1e200, 0)]
+)
 def test_the_threshold_does_not_depend_on_the_size_of_the_drive(a, size, transient):
     """The drive of the first has decayed to 1e-35."""
     run = {"periods": 100, "interval": 4.0, "stepper": jf.RK4(), "tolerance": 1e-9}
