@@ -32,7 +32,7 @@ from jaxfil.sweep.sweep import bifurcation_diagram
 
 # Names of its data set that are not parameters.
 TAKEN = {"label", "outcome", "outcome_code", "attractor", "period", "axis_0", "axis_1", "motion"}
-TAKEN |= {"point", "component", "unit", "components", "symbols", "units"} | CONDITIONS
+TAKEN |= {"point", "component", "unit", "components", "symbols", "units", "x0_dtype"} | CONDITIONS
 
 # Arguments of `bifurcation_diagram` that are passed on.
 _OPTIONS = ("steps", "stepper", "progress", "checkpoint", "compact", "section", "max_return")
@@ -116,6 +116,8 @@ class Basins(eqx.Module):
             coordinates[lane] = lane, values, words
         attributes = header("Basins") | {"system": self.system, **given}
         attributes |= label_attributes(self.names) | {"components": np.array(self.components)}
+        # The numbers of attributes are read as float64, and there may be no attractor.
+        attributes["x0_dtype"] = self.conditions.x0.dtype.name
         return NamedArrays(variables | arrays, coordinates, attributes)
 
     def __repr__(self) -> str:
