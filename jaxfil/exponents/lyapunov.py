@@ -151,7 +151,7 @@ def _spectrum(
     system: System, x0: Array, interval: Interval, pace: Pace, batches: int
 ) -> LyapunovSpectrum:
     def run(x0: Array) -> LyapunovSpectrum:
-        between = interval.of(system, x0)
+        between = interval.of(system, x0, pace)
         grid = between.grid(pace.periods + pace.transient, pace.steps)
         field = build(system, x0, compact=pace.compact)
         problem = problem_of(field, tableau_of(pace.stepper), grid)

@@ -144,7 +144,7 @@ def _settle(
     """The interval of the system, and the drive alone, after its transient, with its size."""
 
     def run(x0: Array) -> tuple[Interval, Array, Array, RESULTS]:
-        between = interval.of(system, x0)
+        between = interval.of(system, x0, pace)
         grid = between.grid(jnp.maximum(transient, 1), pace.steps)
         field = build(system, x0, compact=pace.compact)
         problem = problem_of(field, tableau_of(pace.stepper), grid)
