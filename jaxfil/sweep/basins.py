@@ -154,7 +154,8 @@ def basins_of_attraction(
 
         |x(t + mT) − x(t)| ≤ tolerance · max |x|
 
-    in every component. Motions of one period are one attractor if one passes, at the phase of the
+    in every component. Below eps times the largest initial state of the grid it has decayed to rest
+    at zero, of period 1. Motions of one period are one attractor if one passes, at the phase of the
     section, near a point of the other.
 
     **Arguments**
@@ -287,7 +288,7 @@ def _classified(
         while left.size:
             points = diagram.xs[left[0], -period:]  # after the longest transient
             # Ten times the largest distance at which two lanes of one motion repeat.
-            near = 10 * same_state(points, tolerance)
+            near = 10 * same_state(points, tolerance, diagram.decayed)
             away = np.abs(diagram.xs[left, -1][:, None] - points)
             same = np.any(np.all(away <= near, axis=-1), axis=-1)
             attractors.append(points)
