@@ -315,6 +315,16 @@ class Relay(jf.System):
 class Broken(Relay):
     def vector_field(self, t, x, side):
         raise ValueError("in its own file")
+
+
+class Chain(jf.System):
+    n: int = 2
+    fixed: bool = False
+    stiffness: float = 1
+
+    def vector_field(self, t, x, side):
+        pull = 0.0 if self.fixed else sum(x[1 + k] for k in range(self.n - 1))
+        return jnp.stack([pull - self.stiffness * x[0]] + [-x[k] for k in range(1, self.n)])
 """
 
 
@@ -351,12 +361,33 @@ def test_a_system_of_a_file_is_swept_at_a_section(own):
     assert diagram.errors is not None and diagram.errors.max() < 1e-9
 
 
+def test_whole_numbers_of_a_system_of_a_file_remain_whole(own, capsys):
+    words = ["simulate", "own.py:Chain", "--x0", "1,0.5,0.2", "--time", "1", "--set", "stiffness=2"]
+    for fixed, pull in (("1", 0.0), ("0", 0.7)):
+        assert main([*words, "n=3", f"fixed={fixed}", "--out", "chain.png"]) == 0
+        exact = np.exp(-2) + pull * (np.exp(-1) - np.exp(-2))
+        assert_allclose(jf.load(own / "chain.npz").xs[-1, 0], exact, rtol=1e-5)
+    capsys.readouterr()
+    assert "n must be an integer, it was 2.5" in refused(capsys, *words, "n=2.5")
+    assert "fixed must be 0 or 1, it was 2" in refused(capsys, *words, "n=3", "fixed=2")
+
+
+def test_an_orbit_is_shown_with_a_parameter_that_is_absent_by_default(tmp_path, capsys):
+    system = jf.systems.SDOscillator(alpha=0.5, zeta=0.3)
+    run = {"transient": 40, "steps": 20, "stepper": jf.RK4()}
+    orbit = jf.periodic_orbit(system, jnp.array([1.0, 0.1]), **run)
+    orbit.save(tmp_path / "orbit.npz")
+    assert main(["show", str(tmp_path / "orbit.npz")]) == 0
+    assert capsys.readouterr().out == f"{orbit}\n"
+
+
 def test_mistakes_in_a_system_of_a_file(own, capsys):
     relay = ["simulate", "own.py:Relay", "--x0", "3,0"]
     assert "--set must give friction" in refused(capsys, *relay)
     assert "--x0 is required" in refused(capsys, *relay[:2], "--set", "friction=1")
     told = refused(capsys, "simulate", "own.py:Relai", "--x0", "3,0")
-    assert told.endswith("must be one of Relay, Broken; it was 'Relai'; did you mean 'Relay'?\n")
+    assert "must be one of Relay, Broken, Chain; it was 'Relai'" in told
+    assert told.endswith("; did you mean 'Relay'?\n")
     # The library's sentence, where the state does not fit the field.
     assert "JAX" not in refused(capsys, *relay[:3], "3", "--set", "friction=1")
     with pytest.raises(ValueError, match="in its own file"):

@@ -36,8 +36,7 @@ class Chosen:
         """The system, with additional parameters."""
         given = {**self.settings, **more}
         nested = {name: given.pop(name) for name in [*given] if _is_path(name)}
-        # Arrays are float leaves of any class, with or without a converter.
-        system = self.cls(**{name: jnp.asarray(value) for name, value in given.items()})
+        system = self.cls(**_numbers(self.cls, given))
         return replace_parameters(system, nested, nested.values())
 
     def parameters(self) -> dict[str, float]:
@@ -51,6 +50,25 @@ class Chosen:
             symbols = {}
         given = (f", {symbols.get(p, p)} = {v:.10g}" for p, v in self.settings.items())
         return f"{self.name}{''.join(given)}, from {_text(self.x0)}"
+
+
+def _numbers(cls: type[System], given: Mapping[str, float]) -> dict[str, Any]:
+    """The values of fields, of the types of these fields; raises `Misuse` for those they cannot
+    hold."""
+    kinds = {f.name: f.type for f in dataclasses.fields(cls)}
+    return {name: _number(name, kinds.get(name), value) for name, value in given.items()}
+
+
+def _number(name: str, kind: Any, value: float) -> Any:
+    """The value of a field that is declared to be of a kind, in words or as a type."""
+    if kind in (int, "int", bool, "bool"):
+        whole = kind in (int, "int")
+        if value not in (0, 1) and not (whole and value.is_integer()):
+            must = "an integer" if whole else "0 or 1"
+            raise Misuse(f"{name} must be {must}, it was {value:.10g}")
+        return int(value) if whole else bool(value)
+    # Arrays are float leaves of any class, with or without a converter.
+    return jnp.asarray(value)
 
 
 def listing() -> str:
@@ -75,6 +93,7 @@ def chosen(args: argparse.Namespace) -> Chosen:
     missing = [p for p in required(cls) if p not in settings and p not in swept]
     if missing:
         raise Misuse(f"--set must give {', '.join(missing)}, which has no default")
+    _numbers(cls, swept | settings)
     return Chosen(args.system, cls, settings, _state(args, default))
 
 

@@ -1,6 +1,7 @@
 """The command `show`, which prints and draws the contents of a file."""
 
 import argparse
+import dataclasses
 
 import jax.numpy as jnp
 
@@ -9,6 +10,8 @@ from jaxfil.command.misuse import Misuse
 from jaxfil.command.picture import draw
 from jaxfil.files.load import load
 from jaxfil.model import dataset_io
+from jaxfil.model.dataset_io import NamedArrays
+from jaxfil.model.parameter import parameters
 from jaxfil.model.system import System
 from jaxfil.sweep.interrupt import Interrupts
 from jaxfil.systems import TEXTBOOK
@@ -31,9 +34,23 @@ def run(args: argparse.Namespace, of: None, interrupts: Interrupts) -> int:
 
 def _system(args: argparse.Namespace) -> System | None:
     """A system of the named class, for results that need one."""
+    data = dataset_io.load(args.file)
     if args.system is not None:
-        cls = class_named(args.system)[0]
-        # Placeholder numbers, which the values of the file replace.
-        return cls(**{name: jnp.ones(()) for name in required(cls)})
-    name = dataset_io.load(args.file).attributes.get("system")
-    return next((cls() for cls, _ in TEXTBOOK.values() if cls.__name__ == name), None)
+        return _with_parameters(class_named(args.system)[0], data)
+    name = data.attributes.get("system")
+    known = (cls for cls, _ in TEXTBOOK.values() if cls.__name__ == name)
+    return next((_with_parameters(cls, data) for cls in known), None)
+
+
+def _with_parameters(cls: type[System], data: NamedArrays) -> System:
+    """A system of a class with the parameters of a file, as placeholder numbers that its values
+    replace."""
+    numbers = {name: jnp.ones(()) for name in required(cls)}
+    own = parameters(cls(**numbers))
+    held = {*data.variables, *data.coordinates, *data.attributes}
+    # A parameter that is None by default, or by a converter for its default.
+    for field in dataclasses.fields(cls):
+        absent = field.init and field.name not in own
+        if absent and (field.default is None or isinstance(field.default, float)):
+            numbers |= {field.name: jnp.ones(())} if held & {field.name, f"{field.name}_"} else {}
+    return cls(**numbers)

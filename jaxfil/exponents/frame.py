@@ -52,8 +52,8 @@ def gram_schmidt(system: ComponentSystem, frame: Frame, dropped: Array) -> tuple
     """An orthonormal frame, and log R_ii of each vector.
 
     A vector whose part outside of the previous ones is rounding is replaced by an orthogonal one.
-    Its logarithm is −inf where a slide or a reset may have `dropped` it, with an exact length of
-    zero, and NaN elsewhere, because it is too small to be resolved.
+    Its logarithm is −inf where a contact or a slide has `dropped` it, with an exact length of zero,
+    and NaN elsewhere, because it is too small to be resolved.
     """
     # A QR factorisation of LAPACK would end the kernel.
     if not isinstance(frame, tuple):

@@ -41,12 +41,11 @@ class Interval(eqx.Module):
     repeats: Array | None = None
     """Whether the system repeats after it; None if unknown."""
 
-    def of(self, system: System, x: Array) -> "Interval":
+    def of(self, system: System, x: Array, pace: Pace) -> "Interval":
         """The same, with `repeats` determined for the system near a state."""
-        asked = self.forced and not system.clocks
-        return Interval(
-            self.length, self.forced, repeats(system, self.length, x) if asked else None
-        )
+        asked, count = self.forced and not system.clocks, pace.transient + pace.periods
+        known = repeats(system, self.length, x, count) if asked else None
+        return Interval(self.length, self.forced, known)
 
     def grid(self, count: Array, steps: Array, start: Array | int = 0) -> TimeGrid:
         """The grid of `count` intervals after the first `start`."""

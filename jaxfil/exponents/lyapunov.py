@@ -89,10 +89,11 @@ def lyapunov_spectrum(
         λ_i = lim (1/t) Σ_k log R_ii(k),    M_k Q_{k−1} = Q_k R(k)
 
     with M_k the derivative of the flow over period k. n tangent vectors are propagated along the
-    orbit, exactly through crossings, slides and resets, and orthonormalised once a forcing period.
-    The orbit first runs `transient` periods. The tangent vectors join it for the last quarter of
-    them (in a compact program from the start), which aligns them; the average is then taken over
-    `periods` more.
+    orbit, exactly through crossings, slides and resets. They are orthonormalised once a forcing
+    period, before and after each contact that may remove a direction, and along slides. The orbit
+    first runs `transient` periods. The tangent vectors join it for the last quarter of them (in a
+    compact program from the start), which aligns them; the average is then taken over `periods`
+    more.
 
     Runs under `jax.jit` and `equinox.filter_vmap` (over a batched system, or over x0),
     each lane with its own outcome, and has forward-mode derivatives.
@@ -150,7 +151,7 @@ def _spectrum(
     system: System, x0: Array, interval: Interval, pace: Pace, batches: int
 ) -> LyapunovSpectrum:
     def run(x0: Array) -> LyapunovSpectrum:
-        between = interval.of(system, x0)
+        between = interval.of(system, x0, pace)
         grid = between.grid(pace.periods + pace.transient, pace.steps)
         field = build(system, x0, compact=pace.compact)
         problem = problem_of(field, tableau_of(pace.stepper), grid)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxfil.exponents.batch_means import BATCHES, averages, batch_ends
 from jaxfil.exponents.coupled import Synchronization, TransverseExponent
+from jaxfil.exponents.distance import away, distance_in, or_one, size_of
 from jaxfil.exponents.drive_response import drive_response
 from jaxfil.exponents.intervals import Interval, Pace, interval_of, pace_of
 from jaxfil.integrate.lane.problem import Problem, period_outcome
@@ -25,7 +26,7 @@ from jaxfil.integrate.loop.iterate import advance, finish, integrate
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.run.step_choice import StepCount
 from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
-from jaxfil.integrate.system.components import Components, pack
+from jaxfil.integrate.system.components import pack
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model import check
 from jaxfil.model.outcomes import RESULTS
@@ -37,14 +38,11 @@ from jaxfil.xla.lanes import lanes_of
 from jaxfil.xla.select import select
 from jaxfil.xla.thresholds import SEPARATION
 
-# The distances that count as synchronised by default. Each is far above the rounding of a state of
-# ordinary size, which a pair that is driven keeps, and far below an attractor.
-_TOLERANCES = {"float64": 1e-10, "float32": 1e-5, "float16": 1e-2}
-# The distance of a response at its start, as a part of |x|.
+# The distances that count as synchronised by default, in sizes of the drive. Each is far above
+# rounding, which a pair that is driven keeps, and far below an attractor.
+_TOLERANCES = {"float64": 1e-10, "float32": 1e-5, "float16": 4e-3}
+# The distance of a response at its start, in sizes of the drive.
 _START = 0.01
-# Number of directions, each with its opposite, in one of which a response starts beside walls, and
-# the multiple of rounding within which a state is on a wall.
-_DIRECTIONS, _HERE = 8, 64
 
 
 def synchronization_exponent(
@@ -64,8 +62,10 @@ def synchronization_exponent(
 
         ẋ = F(t, x),    ẏ = F(t, y) + ε(x − y):    λ1 ≈ min {ε : |x − y| → 0}
 
-    The drive x runs `transient` periods from `x0` at t = 0. The response y starts 1 % away from it,
-    and both run until |x − y| ≤ `tolerance`, for `periods` periods at most.
+    The drive x runs `transient` periods from `x0` at t = 0. The response y starts at a distance of
+    0.01·s, and both run until |x − y| ≤ `tolerance`·s, for `periods` periods at most. The size s is
+    the recent maximum of |x| at that time, without a transient that of the first period, or 1 if x
+    is zero.
 
     Runs under `jax.jit` and `equinox.filter_vmap` over parameters; couplings are batched inside.
 
@@ -80,9 +80,9 @@ def synchronization_exponent(
     - `transient`: forcing periods of the drive before the response starts.
     - `steps`: steps per forcing period; or `Adaptive`, a tolerance; or the result of `choose_step`,
       which has its own `stepper`.
-    - `tolerance`: the distance that counts as synchronised, positive, in units of the state; by
-      default 1e-10, in float32 1e-5. A large one is reached by chance within chaos: at 1e-3 almost
-      any coupling synchronises. One below the rounding of the state may never be reached.
+    - `tolerance`: the distance that counts as synchronised, relative to the size s, from 0 to 0.01;
+      by default 1e-10, in float32 1e-5. A large one is reached by chance within chaos: at 1e-3
+      almost any coupling synchronises. One below rounding may never be reached.
     - `interval`: the time that replaces the forcing period; an autonomous system needs one.
     - `stepper`: as in `solve`; by default `diffrax.Dopri8()`.
     - `compact`: as in `solve`.
@@ -119,6 +119,12 @@ def synchronization_exponent(
     between = interval_of(system, interval, x.dtype)
     tolerance = _TOLERANCES[x.dtype.name] if tolerance is None else tolerance
     within = check.scalar("tolerance", tolerance, x.dtype, positive=True)
+    known = check.concrete(within)
+    if known is not None and known >= _START:
+        raise ValueError(
+            f"`tolerance` must be below {_START}, the distance at which the response starts, got "
+            f"{check.told(tolerance)}."
+        )
     pace = pace_of(
         drive_response(system, grid[0]),  # one system of twice the size
         jnp.concatenate([x, x]),
@@ -132,20 +138,13 @@ def synchronization_exponent(
     return _threshold(system, x, grid, within, between, pace)
 
 
-def _distance(z: Components) -> Array:
-    if z.is_array:
-        return jnp.sqrt(jnp.sum(jnp.square(jnp.subtract(*jnp.split(z.parts[0], 2)))))
-    n = len(z.parts) // 2
-    return jnp.sqrt(sum((a - b) ** 2 for a, b in zip(z.parts[:n], z.parts[n:], strict=True)))
-
-
 def _settle(
     system: System, x0: Array, interval: Interval, transient: Array, pace: Pace
-) -> tuple[Interval, Array, RESULTS]:
-    """The interval of the system, and the drive alone, after its transient."""
+) -> tuple[Interval, Array, Array, RESULTS]:
+    """The interval of the system, and the drive alone, after its transient, with its size."""
 
-    def run(x0: Array) -> tuple[Interval, Array, RESULTS]:
-        between = interval.of(system, x0)
+    def run(x0: Array) -> tuple[Interval, Array, Array, RESULTS]:
+        between = interval.of(system, x0, pace)
         grid = between.grid(jnp.maximum(transient, 1), pace.steps)
         field = build(system, x0, compact=pace.compact)
         problem = problem_of(field, tableau_of(pace.stepper), grid)
@@ -153,34 +152,13 @@ def _settle(
         # A grid needs a step: without a transient one period is run and discarded.
         moved = transient > 0
         x = select(moved, pack(state.motion.x, x0.dtype), x0)
-        return between, x, RESULTS.where(moved, state.result, RESULTS.successful)
+        # A drive may pass near the origin, where it is not as small as its state.
+        recent = size_of(pack(state.motion.scale, x0.dtype))
+        recent = select(state.result == RESULTS.successful, recent, 0.0)
+        size = or_one(jnp.maximum(recent, size_of(x)))
+        return between, x, size, RESULTS.where(moved, state.result, RESULTS.successful)
 
     return kernel_if_it_fits(run, pace.compact)(x0)
-
-
-def _apart(x: Array, part: float) -> Array:
-    """A distance of `part` times |x|, or `part` at the origin."""
-    norm = jnp.sqrt(jnp.sum(x * x))
-    return part * select(norm > 0, norm, 1.0)
-
-
-def _away(system: System, t: Array, x: Array, distance: Array) -> Array:
-    """A state at a distance from x, in a generic direction. Next to walls this is the first of
-    several directions that does not lead behind one."""
-    # A direction along an axis may be special to the system, such as the direction of the flow.
-    directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, x.shape[0]))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    states = x + distance * jnp.asarray(np.concatenate([directions, -directions]), x.dtype)
-    if not system.resets:
-        return states[0]
-
-    def surfaces(x: Array) -> Array:
-        return jnp.atleast_1d(system.switching(t, x))
-
-    # A motion is where H ≥ 0, and a state on a wall has H = 0 up to rounding.
-    rounding = _HERE * jnp.finfo(x.dtype).eps * _apart(x, 1.0)
-    fine = (jax.vmap(surfaces)(states) >= 0) | (surfaces(x) < -rounding)
-    return states[jnp.argmax(jnp.all(fine, axis=1))]
 
 
 @eqx.filter_jit
@@ -193,11 +171,11 @@ def _threshold(
     pace: Pace,
 ) -> Synchronization:
     periods, transient, steps = pace.periods, pace.transient, pace.steps
-    interval, x, settled = _settle(system, x0, interval, transient, pace)
+    interval, x, size, settled = _settle(system, x0, interval, transient, pace)
 
     def lane(coupling: Array) -> tuple[Array, RESULTS]:
         grid = interval.grid(periods, steps, transient)
-        z = jnp.concatenate([x, _away(system, grid.t0, x, _apart(x, _START))])
+        z = jnp.concatenate([x, away(system, grid.t0, x, _START * size)])
         pair = build(drive_response(system, coupling), z, compact=pace.compact)
         problem = problem_of(pair, tableau_of(pace.stepper), grid)
 
@@ -210,11 +188,12 @@ def _threshold(
             after = advance(problem, state)
             left = left - (after.counts.index - state.counts.index)
             due = (left <= 0) & (after.counts.index > state.counts.index)
-            nearest = select(due, jnp.minimum(nearest, _distance(after.motion.x)), nearest)
+            nearest = select(due, jnp.minimum(nearest, distance_in(after.motion.x, size)), nearest)
             return after, nearest, select(due, steps, left)
 
         begun = initial_state(problem, pair.unpack(z))
-        state, nearest, _ = jax.lax.while_loop(on, go, (begun, _distance(begun.motion.x), steps))
+        first = begun, distance_in(begun.motion.x, size), steps
+        state, nearest, _ = jax.lax.while_loop(on, go, first)
         met = (nearest <= tolerance) & (state.result == RESULTS.successful)
         result = RESULTS.where(met, state.result, finish(grid, state).result)
         result = RESULTS.where(settled == RESULTS.successful, result, settled)
@@ -231,11 +210,11 @@ def _threshold(
         return Synchronization(
             exponent=select(jnp.any(met), couplings[first], jnp.nan),
             couplings=couplings,
-            distances=nearest,
+            distances=nearest * size,
             synchronized=met,
-            tolerance=tolerance,
+            tolerance=tolerance * size,
             time=time,
-            bias=spacing / 2 + jnp.log(_apart(x, _START) / tolerance) / time,
+            bias=spacing / 2 + jnp.log(_START / tolerance) / time,
             x0=x0,
             results=results,
             compact=pace.compact,
@@ -320,14 +299,14 @@ def _transverse(
     # with the direction of fastest growth before it counts.
     turning = pace.transient // 4
     alone = pace.transient - turning
-    interval, x, settled = _settle(system, x0, interval, alone, pace)
+    interval, x, _, settled = _settle(system, x0, interval, alone, pace)
 
     def run(x: Array, coupling: Array) -> TransverseExponent:
         # A distance d has an error of d from the curvature of the flow and of eps/d from rounding,
         # least at √eps; a larger one has room to shrink within an interval.
-        separation = _apart(x, float(jnp.finfo(x.dtype).eps) ** 0.4)
+        separation = float(jnp.finfo(x.dtype).eps) ** 0.4 * or_one(size_of(x))
         start = interval.grid(jnp.ones_like(pace.steps), pace.steps, alone).t0
-        z = jnp.concatenate([x, _away(system, start, x, separation)])
+        z = jnp.concatenate([x, away(system, start, x, separation)])
         pair = build(drive_response(system, coupling), z, compact=pace.compact)
         ends = batch_ends(pace.periods, batches)
 
@@ -372,11 +351,11 @@ def _parted(
         now = problem(k)
         state = integrate(now, now.system.unpack(z))
         end = pack(state.motion.x, z.dtype)
-        distance = _distance(state.motion.x)
+        grown = distance_in(state.motion.x, separation)
         # A smaller distance is unresolved, and would give a wrong but plausible rate.
-        resolved = distance > SEPARATION * eps * jnp.sqrt(jnp.sum(end * end))
-        growth = growth + select(resolved, jnp.log(distance / separation), jnp.nan)
-        apart = (end[n:] - end[:n]) * (separation / select(resolved, distance, 1.0))
+        resolved = grown * separation > SEPARATION * eps * size_of(end)
+        growth = growth + select(resolved, jnp.log(grown), jnp.nan)
+        apart = (end[n:] - end[:n]) / select(resolved, grown, 1.0)
         return k + 1, jnp.concatenate([end[:n], end[:n] + apart]), growth, state.result
 
     def batch(carry: tuple, stop: Array) -> tuple:

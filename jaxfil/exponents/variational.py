@@ -27,7 +27,7 @@ from jaxfil.integrate.surfaces import filippov
 from jaxfil.integrate.surfaces.normals import project
 from jaxfil.integrate.system.components import Components, where
 from jaxfil.integrate.system.lowered import ComponentSystem
-from jaxfil.xla.select import select
+from jaxfil.xla.select import select, select_all
 
 
 class Variation(eqx.Module):
@@ -39,26 +39,27 @@ class Variation(eqx.Module):
     delay: Components
     """dt* of each vector while a switch is pending."""
     left: Array
-    """Number of steps to the next orthonormalisation."""
-    dropped: Array
-    """Whether a slide or a reset may have removed a direction since the last orthonormalisation."""
+    """Number of steps to the next regular orthonormalisation."""
+    free: Array
+    """Whether a step away from contacts and slides has been taken since the last
+    orthonormalisation."""
     growth: Components
     """Σ log R_ii of each vector."""
 
 
 def vary(system: ComponentSystem, state: LoopState, every: Array) -> Variation:
     """A lane with a generic frame, to be orthonormalised every `every` steps."""
-    dropped = jnp.zeros((), bool)
     zero = zeros(system)
-    return Variation(state, generic_frame(system), zero, every, dropped, zero)
+    return Variation(state, generic_frame(system), zero, every, jnp.zeros((), bool), zero)
 
 
 def propagate(problem: Problem, every: Array, variation: Variation, stop: Array) -> Variation:
     """Propagate an orbit and its frame to step number `stop`; `growth` starts at zero."""
     still = zeros(problem.system)
 
-    def step(v: Variation) -> Variation:
-        return _orthonormalised(problem.system, every, v.state, _push(problem, v))
+    def step(before: Variation) -> Variation:
+        after, repeats = _from_orthonormal(problem.system, before, _push(problem, before))
+        return _orthonormalised(problem.system, every, before.state, after, repeats)
 
     return jax.lax.while_loop(
         lambda v: is_running(problem.grid, v.state, stop),
@@ -95,18 +96,31 @@ def _push(problem: Problem, variation: Variation) -> Variation:
         return pushed, late
 
     frame, delay = for_each(push, variation.frame, variation.delay)
-    # Only a slide or a reset removes directions exactly; a lost one then has the length zero.
-    moved = after.held
-    if system.resets or system.ticks:
-        moved = moved | after.pending.waits
-    return Variation(
-        after,
-        frame,
-        delay,
-        variation.left - (after.counts.index - state.counts.index),
-        variation.dropped | moved,
-        variation.growth,
-    )
+    left = variation.left - (after.counts.index - state.counts.index)
+    free = variation.free | ~(_in_contact(state) | after.pending.waits)
+    return Variation(after, frame, delay, left, free, variation.growth)
+
+
+def _in_contact(state: LoopState) -> Array:
+    """Whether the next iteration may remove directions exactly, at a switch or along a surface."""
+    return state.held | state.pending.waits
+
+
+def _from_orthonormal(
+    system: ComponentSystem, before: Variation, after: Variation
+) -> tuple[Variation, Array]:
+    """The variation after an iteration, and whether the iteration has to be repeated because it has
+    reached a contact from a frame that was not orthonormal."""
+    # Contacts and slides alone remove directions exactly, to a length of rounding. A direction that
+    # has contracted on the way has that length too, so each contact starts from a new frame.
+    if not _removes_directions(system):
+        return after, jnp.zeros((), bool)
+    repeats = after.state.pending.waits & ~before.state.pending.waits & before.free
+    return select_all(repeats, before, after), repeats
+
+
+def _removes_directions(system: ComponentSystem) -> bool:
+    return bool(system.slides or system.resets or system.ticks)
 
 
 def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Array) -> Components:
@@ -125,23 +139,32 @@ def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Arra
 
 
 def _orthonormalised(
-    system: ComponentSystem, every: Array, before: LoopState, variation: Variation
+    system: ComponentSystem,
+    every: Array,
+    before: LoopState,
+    variation: Variation,
+    repeats: Array,
 ) -> Variation:
     """The same, with its frame orthonormalised where that is due."""
-    due = (variation.left <= 0) & (variation.state.counts.index > before.counts.index)
+    state = variation.state
+    regular = (variation.left <= 0) & (state.counts.index > before.counts.index)
+    due = regular | repeats
+    if _removes_directions(system):
+        due = due | (_in_contact(before) & ~state.pending.waits)
 
     def as_it_is(frame: Frame, _: Array) -> tuple[Frame, Components]:
         return frame, zeros(system)
 
     orthonormal = ft.partial(gram_schmidt, system)
-    frame, lengths = system.where_any(
-        due, orthonormal, as_it_is, variation.frame, variation.dropped
-    )
-    growth = variation.growth + where(due, lengths, 0.0)
+    frame, lengths = system.where_any(due, orthonormal, as_it_is, variation.frame, ~variation.free)
+    lengths = where(due, lengths, 0.0)
+    growth = variation.growth + lengths
+    # A direction that is lost once has lost all, also if it is not resolved at other times.
+    lost = (variation.growth == -jnp.inf) | (lengths == -jnp.inf)
     return dataclasses.replace(
         variation,
         frame=jax.tree.map(lambda q, v: select(due, q, v), frame, variation.frame),
-        left=select(due, every, variation.left),
-        dropped=variation.dropped & ~due,
-        growth=growth,
+        left=select(regular, every, variation.left),
+        free=variation.free & ~due,
+        growth=where(lost, -jnp.inf, growth),
     )

@@ -12,6 +12,8 @@ def basins_from(data: NamedArrays) -> Basins:
     """The basins."""
     first, second = map(int, np.asarray(data.attributes["components"]))
     axes = data.array("axis_0"), data.array("axis_1")
+    # A file of an earlier version does not say in which precision it was computed.
+    dtype = np.dtype(data.attributes.get("x0_dtype", axes[0].dtype))
     attractors = ()
     if "attractor" in data:
         rows = zip(data.array("attractor"), data.array("period"), strict=True)
@@ -23,6 +25,6 @@ def basins_from(data: NamedArrays) -> Basins:
         results=outcomes_from(data),
         components=(first, second),
         system=str(data.attributes["system"]),
-        conditions=conditions_from(data, axes[0].dtype, TAKEN),
+        conditions=conditions_from(data, dtype, TAKEN),
         names=labels_from(data),
     )

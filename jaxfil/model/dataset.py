@@ -123,10 +123,10 @@ def quantities_from(data: NamedArrays) -> dict[str, np.ndarray] | None:
 
 def axis_of(labels: Labels, name: str, dimension: str, values: np.ndarray) -> Variable:
     """A parameter's values along a dimension, with its symbol and unit in xarray's form."""
-    known = {"long_name": labels.symbol(name), "units": labels.unit(name)}
+    symbol, unit = labels.symbol(name), labels.unit(name)
     # A symbol equal to the name is omitted, because xarray shows the name by itself.
-    attributes = {key: word for key, word in known.items() if word not in ("", name)}
-    return dimension, values, attributes
+    attributes = {"long_name": symbol} if symbol != name else {}
+    return dimension, values, attributes | ({"units": unit} if unit else {})
 
 
 def label_attributes(labels: Labels) -> dict[str, Attribute]:
@@ -168,11 +168,17 @@ def parameter_entries(
     for name, value in known.items():
         key = key_of(name, taken)
         if value.ndim:  # attributes of a file are numbers, or rows of them
-            own = [f"{key}_{i}" for i in range(value.ndim - len(batch))]
+            own = own_dimensions(key, value.ndim - len(batch))
             variables[key] = (*batch, *own), value
         else:
             attributes[key] = float(value)
     return variables, attributes
+
+
+def own_dimensions(name: str, number: int) -> list[str]:
+    """The names of the dimensions of an array in a data set, which are no names of parameters."""
+    # An array has no attributes that are parameters, as its path with a dot would name.
+    return [f"{name}.dim_{i}" for i in range(number)]
 
 
 def system_entries(

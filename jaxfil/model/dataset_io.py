@@ -30,6 +30,8 @@ Attribute: TypeAlias = Any
 
 # The entry of an .npz that describes the others.
 _CONTENTS = "jaxfil_contents"
+# A quantity in seconds is a number, and not a time of a calendar.
+_AS_STORED = {"decode_timedelta": False}
 # Packages that each format needs in addition to NumPy.
 _PACKAGES = {".nc": ("xarray", "h5netcdf", "h5py"), ".zarr": ("xarray", "zarr"), ".npz": ()}
 
@@ -93,7 +95,8 @@ def write_zarr(data: NamedArrays, path: Path) -> None:
 
 def read_zarr(path: Path) -> Dataset:
     """The data set of a Zarr store, in memory."""
-    return _xarray("xarray", "zarr").load_dataset(path, engine="zarr", consolidated=False)
+    xarray = _xarray("xarray", "zarr")
+    return xarray.load_dataset(path, engine="zarr", consolidated=False, **_AS_STORED)
 
 
 def load(path: PathLike) -> NamedArrays:
@@ -107,7 +110,7 @@ def load(path: PathLike) -> NamedArrays:
     xarray = _xarray(*packages)
     if path.suffix == ".nc":
         with _foreign_refused(path):
-            return _from_xarray(xarray.load_dataset(path, engine="h5netcdf"))
+            return _from_xarray(xarray.load_dataset(path, engine="h5netcdf", **_AS_STORED))
     return _from_xarray(read_zarr(path))
 
 

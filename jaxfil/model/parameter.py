@@ -142,6 +142,12 @@ def is_parameter(leaf: object) -> bool:
 
 def cast(system: _Tree, dtype: DTypeLike) -> _Tree:
     """`system`, or another pytree, with every float leaf as an array of the given dtype, so that no
-    float is static."""
+    float is static. Complex leaves are refused."""
+    for name, leaf in parameters(system).items():
+        if jnp.iscomplexobj(leaf):
+            raise ValueError(
+                f"`{name}` of {type(system).__name__} must be real, got {told(leaf)}; give its "
+                "real and its imaginary part as two parameters."
+            )
     # A Python float would be a constant of the compiled program, and a new value a new program.
     return jax.tree.map(lambda leaf: array_of(leaf, dtype) if is_parameter(leaf) else leaf, system)

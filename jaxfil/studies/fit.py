@@ -37,8 +37,8 @@ class Fit(eqx.Module):
     """The fitted parameters."""
     covariance: Float[Array, "k k"]
     """Covariance of the parameters, (JᵀJ)⁻¹ with J the Jacobian of the residuals, each divided by
-    its `sigma`; without `sigma` times the variance of the residuals. Infinite for parameters that
-    do not affect the data."""
+    its `sigma`; without `sigma` times the variance of the residuals, which is infinite unless
+    there are more numbers than parameters. Infinite for parameters that do not affect the data."""
     residuals: Float[Array, " N"]
     """(observed − measured)/sigma, in the order of the data."""
     system: System
@@ -316,11 +316,15 @@ def _search(model: _Model, starts: Array, rtol: float, max_steps: int, scaled: b
     costs = 0.5 * jnp.sum(all_away**2, axis=1)
     best = jnp.argmin(select(jnp.isnan(costs), jnp.inf, costs))
     value, away, slopes = values[best], all_away[best], all_slopes[best]
-    freedom = max(1, away.shape[0] - value.shape[0])
-    variance = jnp.sum(away**2) / freedom if scaled else 1.0
+    freedom = away.shape[0] - value.shape[0]
+    covariance = _inverse(slopes.T @ slopes)
+    if scaled and freedom > 0:
+        covariance = jnp.sum(away**2) / freedom * covariance
+    elif scaled:  # without a residual to spare, the error of the data is unknown
+        covariance = jnp.full_like(covariance, jnp.inf)
     return Fit(
         values=value,
-        covariance=variance * _inverse(slopes.T @ slopes),
+        covariance=covariance,
         residuals=away,
         system=model.at(value),
         result=jax.tree.map(lambda v: v[best], results),

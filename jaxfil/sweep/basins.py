@@ -32,7 +32,7 @@ from jaxfil.sweep.sweep import bifurcation_diagram
 
 # Names of its data set that are not parameters.
 TAKEN = {"label", "outcome", "outcome_code", "attractor", "period", "axis_0", "axis_1", "motion"}
-TAKEN |= {"point", "component", "unit", "components", "symbols", "units"} | CONDITIONS
+TAKEN |= {"point", "component", "unit", "components", "symbols", "units", "x0_dtype"} | CONDITIONS
 
 # Arguments of `bifurcation_diagram` that are passed on.
 _OPTIONS = ("steps", "stepper", "progress", "checkpoint", "compact", "section", "max_return")
@@ -116,6 +116,8 @@ class Basins(eqx.Module):
             coordinates[lane] = lane, values, words
         attributes = header("Basins") | {"system": self.system, **given}
         attributes |= label_attributes(self.names) | {"components": np.array(self.components)}
+        # The numbers of attributes are read as float64, and there may be no attractor.
+        attributes["x0_dtype"] = self.conditions.x0.dtype.name
         return NamedArrays(variables | arrays, coordinates, attributes)
 
     def __repr__(self) -> str:
@@ -152,7 +154,8 @@ def basins_of_attraction(
 
         |x(t + mT) − x(t)| ≤ tolerance · max |x|
 
-    in every component. Motions of one period are one attractor if one passes, at the phase of the
+    in every component. Below eps times the largest initial state of the grid it has decayed to rest
+    at zero, of period 1. Motions of one period are one attractor if one passes, at the phase of the
     section, near a point of the other.
 
     **Arguments**
@@ -285,7 +288,7 @@ def _classified(
         while left.size:
             points = diagram.xs[left[0], -period:]  # after the longest transient
             # Ten times the largest distance at which two lanes of one motion repeat.
-            near = 10 * same_state(points, tolerance)
+            near = 10 * same_state(points, tolerance, diagram.decayed)
             away = np.abs(diagram.xs[left, -1][:, None] - points)
             same = np.any(np.all(away <= near, axis=-1), axis=-1)
             attractors.append(points)

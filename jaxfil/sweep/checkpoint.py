@@ -19,6 +19,7 @@ from typing import TypeVar
 import numpy as np
 
 from jaxfil.model import dataset_io
+from jaxfil.model.dataset import own_dimensions
 from jaxfil.model.dataset_io import NamedArrays, Variable
 from jaxfil.model.outcomes import outcome_codes, outcome_names, outcomes
 from jaxfil.model.types import Dataset, PathLike
@@ -188,7 +189,7 @@ def _names(chunk: FinishedChunk) -> np.ndarray:
 
 def _pack(record: Record, checksum: str) -> NamedArrays:
     arrays = {name: v for name, v in record.items() if isinstance(v, np.ndarray)}
-    variables = {name: ([f"{name}_{i}" for i in range(v.ndim)], v) for name, v in arrays.items()}
+    variables = {name: (own_dimensions(name, v.ndim), v) for name, v in arrays.items()}
     attributes = {name: v for name, v in record.items() if name not in arrays}
     return NamedArrays(variables, attributes=attributes | {"checksum": checksum})
 

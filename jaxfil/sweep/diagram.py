@@ -32,9 +32,10 @@ TAKEN |= {"averages", "quantity", "quantities"}
 TAKEN |= {"swept", "symbols", "halvings"} | CONDITIONS
 
 
-def same_state(xs: np.ndarray, tolerance: float) -> np.ndarray:
-    """The largest distance of equal states of a motion, (…, k, n), per component, (…, n)."""
-    size = np.max(np.abs(xs), axis=-2)
+def same_state(xs: np.ndarray, tolerance: float, least: float) -> np.ndarray:
+    """The largest distance of equal states of a motion, (…, k, n), per component, (…, n). A motion
+    smaller than `least` has decayed."""
+    size = np.maximum(np.max(np.abs(xs), axis=-2), least)
     largest = np.max(size, axis=-1, keepdims=True)
     return np.maximum(tolerance * size, SAME_STATE * np.finfo(xs.dtype).eps * largest)
 
@@ -102,17 +103,27 @@ class BifurcationDiagram(eqx.Module):
         component, over all samples and for m up to half their number. It is 0 without such m
         (chaos, a torus, a longer period or an unfinished transient), and −1 where the lane failed.
         A component below 1024 eps of the lane's largest one is rounding, or has decayed, and has no
-        separate period.
+        separate period. A motion below eps times the largest initial state has decayed to rest at
+        zero, of period 1.
         """
         # Relative to the largest |x| of the lane instead of its spread, which is zero for a motion
         # of period one. The shortest period that fits is chosen, because its multiples fit too.
         xs = self.xs
-        bound = same_state(xs, tolerance)
+        bound = same_state(xs, tolerance, self.decayed)
         found = np.where(self.successful, 0, -1)
         for m in range(1, xs.shape[-2] // 2 + 1):
             apart = np.max(np.abs(xs[..., m:, :] - xs[..., :-m, :]), axis=-2)
             found[(found == 0) & np.all(apart <= bound, axis=-1)] = m
         return found
+
+    @property
+    def decayed(self) -> float:
+        """The size below which a motion has decayed, eps times the largest initial state; 0 for
+        observed values, which have other units."""
+        if self.conditions.observe is not None:
+            return 0.0
+        largest = np.max(np.abs(self.conditions.x0), initial=0.0)
+        return float(np.finfo(self.xs.dtype).eps * largest)
 
     def to_xarray(self) -> Dataset:
         """An `xarray.Dataset` of `x` (parameters, sample, component), of `outcome` (parameters)

@@ -125,7 +125,7 @@ class Sampling(eqx.Module):
             return Point(values, None)
         system, period = self.at(values)
         carrying, x = self._carried(system, x0)
-        return Point(values, repeats(carrying, period, x))
+        return Point(values, repeats(carrying, period, x, self.transient + self.samples))
 
     def _carried(self, system: System, x0: Array) -> tuple[System, Array]:
         """A system and its state, both extended by the integrals along the motion."""

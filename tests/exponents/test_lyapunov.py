@@ -79,6 +79,40 @@ def test_eigenvalues_and_a_contraction_that_rounding_hides():
         assert_array_equal(found.settled, np.isfinite(second))
 
 
+class Kicked(jf.System):
+    """x0' = -0.1 x0 + x1, x1' = -20 x1, and a third one that decays, or slides with a `pull`; once
+    a period of 2 the second is multiplied by `keep`, and 1 is added to it."""
+
+    keep: jax.Array
+    pull: jax.Array
+    period = 2.0
+
+    @property
+    def clocks(self):
+        return (jf.Clock(2.0, 0.5),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([-0.1 * x[0] + x[1], -20 * x[1], -self.pull * side - x[2]])
+
+    def switching(self, t, x):
+        return x[2]
+
+    def tick(self, t, x, clock):
+        return jnp.stack([x[0], self.keep * x[1] + 1, x[2]])
+
+
+def test_what_rounding_hides_is_not_lost_by_a_kick_or_a_slide():
+    # Within a period the second direction shrinks by e^-40 against the first. It is lost where the
+    # kick sets it, and the third is where it slides, with a new frame after each step.
+    keep, pull = jnp.array([[1.0, 0.0], [0.0, 0.0], [1.0, 1.0], [0.0, 1.0]]).T
+    run = {"periods": 4, "transient": 24, "steps": 80, "stepper": jf.RK4()}
+    found = spectra(Kicked(keep, pull), jnp.tile(jnp.array([0.0, 0.0, 1.0]), (4, 1)), **run)
+    second = [[-1.0, np.nan], [-1.0, -np.inf], [-20.0, -np.inf], [-np.inf, -np.inf]]
+    assert_allclose(found.exponents[:, 0], -0.1, rtol=1e-3)
+    assert_allclose(found.exponents[:, 1:], second, rtol=2e-3)
+    assert np.all(found.result == RESULTS.successful)
+
+
 def test_the_derivative_of_an_exponent():
     def largest(a):
         system = Linear(-a * jnp.eye(1))

@@ -231,6 +231,21 @@ def test_the_threshold_of_a_linear_system_and_its_bias():
     assert np.isnan(none.exponent) and not np.any(none.synchronized)
 
 
+@pytest.mark.parametrize(
+    "a, size, transient", [(-0.1, 1.0, 200), (0.01, 1e-9, 0), (0.01, 1e200, 0)]
+)
+def test_the_threshold_does_not_depend_on_the_size_of_the_drive(a, size, transient):
+    """The drive of the first has decayed to 1e-35."""
+    run = {"periods": 100, "interval": 4.0, "stepper": jf.RK4(), "tolerance": 1e-9}
+    system, x0, grid = Decay(jnp.asarray(a)), jnp.array([size, 0.0]), jnp.linspace(-0.1, 0.1, 201)
+    found = jf.synchronization_exponent(system, x0, grid, transient=transient, **run)
+    unit = np.random.default_rng(0).normal(size=2)
+    part = 0.01 * abs(unit[0]) / np.linalg.norm(unit)
+    assert_allclose(found.exponent, a + np.log(part / 1e-9) / 400, rtol=0, atol=1.1e-3)
+    # The size is that of a period, in which the drive grows.
+    assert_allclose(found.tolerance, 1e-9 * size * np.exp(4 * a * transient), rtol=0.05)
+
+
 def test_the_bias_has_half_of_the_step_of_the_grid_that_the_exponent_lies_in():
     """What synchronises has ε ≥ 0.0195 or so. Where the lowest coupling does already, or none does,
     no step holds the exponent, and nothing is known of how far off the answer is."""
@@ -286,6 +301,7 @@ def test_sticking_chaos_by_its_rate():
         ({"couplings": 0.3}, r"`couplings` must be of shape \(c,\)"),
         ({"couplings": [0.4, 0.3]}, "`couplings` must be ascending"),
         ({"tolerance": 0.0}, "`tolerance` must be a positive number"),
+        ({"tolerance": 0.02}, "`tolerance` must be below 0.01, the distance at which"),
         ({"periods": 0}, "`periods` must be an integer of at least 1"),
         ({"system": jf.systems.CoulombOscillator()}, "`interval` must be a positive number"),
         ({"x0": np.zeros((2, 2))}, r"`x0` must be of shape \(n,\)"),

@@ -158,6 +158,9 @@ def test_basins(tmp_path):
     assert data["axis_1"].attrs["long_name"] == "x'"
     assert data.attrs["omega"] == 0.6 and data.attrs["transient"] == 20
     assert data["period"].values.tolist() == [len(points) for points in found.attractors]
+    single = jax.tree.map(lambda v: v.astype("float32") if v.dtype == float else v, found)
+    kept(single, tmp_path)
+    kept(dataclasses.replace(single, attractors=()), tmp_path)
     chaos = eqx.tree_at(lambda b: b.attractors, found, ())
     kept(chaos, tmp_path, suffixes=[".nc"])
 

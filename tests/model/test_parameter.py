@@ -160,3 +160,12 @@ def test_a_network_may_be_in_the_field():
         k3 = field(t + h / 2, x + h / 2 * k2)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + field(t + h, x + h * k3))
     np.testing.assert_allclose(end, x, rtol=0, atol=1e-13)
+
+
+def test_a_complex_leaf_is_refused_by_name():
+    told = r"`a` of Coupled must be real, got .*; give its real and its imaginary part"
+    system = eqx.tree_at(lambda s: s.a, coupled(), jnp.asarray(1j * MATRIX))
+    with pytest.raises(ValueError, match=told):
+        jf.solve(system, jnp.zeros(2), 0.0, 1.0, 0.1)
+    with pytest.raises(ValueError, match=told):
+        jf.lyapunov_spectrum(system, jnp.zeros(2))

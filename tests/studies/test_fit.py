@@ -117,3 +117,18 @@ def test_a_parameter_without_an_effect_leaves_the_error_of_others_finite():
     np.testing.assert_array_equal(found, [[0.25, 0.0], [0.0, jnp.inf]])
     together = inverse(jnp.array([[4.0, 2.0], [2.0, 1.0]]))
     assert not np.isfinite(together).any()
+
+
+def test_as_many_numbers_as_parameters_say_nothing_of_their_error():
+    """x = f + (3 − f) cos t until it first stops; SciPy has an error of infinity too."""
+    ts = np.array([2.0])
+    seen_once = 0.45 + 2.55 * np.cos(ts)
+    system, x0 = jf.systems.CoulombOscillator(friction=0.3), jnp.array([3.0, 0.0])
+    given = {"observe": lambda t, x: x[0], "stepper": jf.RK4()}
+    found = jf.fit(system, ("friction",), ts, seen_once, x0, 0.1, **given)
+    np.testing.assert_allclose(found.values, 0.45, rtol=1e-4)
+    with pytest.warns(scipy.optimize.OptimizeWarning):
+        _, covariance = scipy.optimize.curve_fit(
+            lambda t, f: f + (3 - f) * np.cos(t), ts, seen_once, p0=[0.3]
+        )
+    np.testing.assert_array_equal(found.covariance, covariance)

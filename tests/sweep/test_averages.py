@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxfil as jf
 
@@ -334,6 +335,45 @@ def test_the_slope_of_an_extreme_within_a_step_is_that_of_the_method():
     omega = jnp.array([0.6, 1.1, 1.5])
     slopes = jax.vmap(jax.grad(largest))(omega)
     np.testing.assert_allclose(slopes, jax.vmap(jax.grad(exact))(omega), rtol=5e-6)
+
+
+class Swing(jf.System):
+    """x = 0.05 + sin t, beside a y that rests at 0, with a constant in its extremes."""
+
+    shift: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([jnp.cos(t), -self.shift * x[1]])
+
+
+def test_extremes_at_kinks_and_the_size_of_what_rests_with_their_derivatives():
+    """|x| is least where its rate jumps, and of two lines the lower one is largest where they
+    cross, at 3x = p − 1. A mean square of zero has no derivative by its square root."""
+
+    def lower(t, x, side, system):
+        return jnp.minimum(system.shift - x[0], 1 + 2 * x[0])
+
+    average = {
+        "closest": jf.Minimum(lambda t, x, side: jnp.abs(x[0])),
+        "peak": jf.Maximum(lower),
+        "idle": jf.RMS(lambda t, x, side: x[1]),
+        "power": lambda t, x, side: x[0] ** 2,
+    }
+
+    def averages(shift):
+        x0 = jnp.array([0.05, 0.0])
+        run = {"transient": 0, "samples": 1, "stepper": jf.RK4()}
+        return jf.settled_average(Swing(shift), average, x0, **run).averages
+
+    p = jnp.asarray(0.9)
+    exact = {"closest": 0.0, "peak": (1 + 2 * p) / 3, "idle": 0.0, "power": 0.05**2 + 0.5}
+    slopes = {"closest": 0.0, "peak": 2 / 3, "idle": 0.0, "power": 0.0}
+    values, found = jax.jvp(averages, (p,), (jnp.ones_like(p),))
+    for name in exact:
+        assert_allclose(values[name], exact[name], rtol=0, atol=1e-5, err_msg=name)
+        assert_allclose(found[name], slopes[name], rtol=0, atol=1e-6, err_msg=name)
+    assert_array_equal(jax.grad(lambda p: averages(p)["idle"])(p), 0.0)
 
 
 class Ringing(jf.System):

@@ -1,5 +1,7 @@
 """Basins of attraction: the coexisting motions of the SD oscillator, and what cannot be told."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import matplotlib
@@ -101,3 +103,30 @@ def test_an_option_that_would_have_no_effect_is_refused():
 def test_bad_calls(change, message):
     with pytest.raises(ValueError, match=message):
         jf.basins_of_attraction(**{"system": SD, "axes": AXES} | change)
+
+
+class Scaled(jf.System):
+    """x'' + 0.3 x' + (1 + 0.2 cos t) x = a cos t: all motions go to one of the size of a."""
+
+    a: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        force = self.a * jnp.cos(t) - (1 + 0.2 * jnp.cos(t)) * x[0]
+        return jnp.stack([x[1], force - 0.3 * x[1]])
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_rest_at_the_origin_is_an_attractor_of_period_one(size):
+    """From the origin itself too. A motion of a millionth of the grid is no rest."""
+    run = {"transient": 60, "samples": 4, "steps": 20, "stepper": jf.RK4(), "progress": False}
+    grid = [-size, 0.0, size], [0.0]
+    still = jf.basins_of_attraction(Scaled(jnp.array(0.0)), grid, **run)
+    assert still.labels.ravel().tolist() == [1, 1, 1] and len(still.attractors) == 1
+    small = jf.bifurcation_diagram(
+        Scaled(jnp.array(0.0)), "a", [0.0, 1e-6 * size], jnp.array([size, 0.0]), **run
+    )
+    assert small.periods().tolist() == [1, 1]
+    assert abs(small.xs[1]).max() > 1e-7 * size
+    moving = dataclasses.replace(small, xs=small.xs * jnp.array([1.0, -1.0, 1.0, -1.0])[:, None])
+    assert moving.periods().tolist() == [1, 2]

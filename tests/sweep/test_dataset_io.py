@@ -2,12 +2,14 @@
 
 import dataclasses
 import sys
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
+from jax import Array
 
 import jaxfil as jf
 from jaxfil.model.outcomes import outcome_codes
@@ -142,3 +144,35 @@ def test_bad_paths(tmp_path, monkeypatch):
 def test_an_outcome_of_another_version_is_named():
     with pytest.raises(ValueError, match=r"An outcome must be one of successful, .*got 'tired'"):
         outcome_codes(np.array(["successful", "tired"]))
+
+
+class Fourier(System):
+    """x' = −c x + a_0 + a[0] cos t + a[1] cos 2t."""
+
+    c: Array
+    a_0: Array
+    a: Array
+    period = 2 * np.pi
+    units: ClassVar = {"c": "c", "a_0": "seconds"}
+
+    def vector_field(self, t, x, side):
+        waves = self.a[0] * jnp.cos(t) + self.a[1] * jnp.cos(2 * t)
+        return jnp.stack([-self.c * x[0] + self.a_0 + waves])
+
+
+@pytest.mark.parametrize("name, ending", [("a_0", "nc"), ("c", "npz")])
+def test_names_and_units_of_parameters_are_no_names_of_the_dataset(name, ending, tmp_path):
+    """A dimension of `a` is not called a_0, a unit may be equal to its parameter, and a quantity in
+    seconds is no time of a calendar."""
+    system = Fourier(jnp.array(1.0), jnp.array(0.5), jnp.array([1.0, 0.2]))
+    run = {"transient": 2, "samples": 2, "steps": 20, "stepper": jf.RK4(), "progress": False}
+    diagram = jf.bifurcation_diagram(
+        system, name, np.array([0.5, 1.0, 1.5]), jnp.zeros(1), checkpoint=tmp_path / "kept", **run
+    )
+    diagram.save(tmp_path / f"diagram.{ending}")
+    back = jf.load(tmp_path / f"diagram.{ending}")
+    np.testing.assert_array_equal(back.values, diagram.values, strict=True)
+    np.testing.assert_array_equal(back.xs, diagram.xs, strict=True)
+    parameters = back.conditions.parameters
+    np.testing.assert_array_equal(parameters["a"], [1.0, 0.2], strict=True)
+    assert back.labels == diagram.labels

@@ -10,6 +10,7 @@ import pytest
 
 import jaxfil as jf
 from jaxfil.integrate.lane.forcing_phase import repeats
+from jaxfil.model.parameter import cast
 
 X0 = np.array([0.1, 0.0], np.float32)
 PERIODS = 5000  # a time of 2e4, which float32 knows to 2e-3
@@ -143,11 +144,11 @@ class Parametric(jf.System):
 def test_a_second_frequency_is_seen_from_rest_too():
     """Its factor is zero in the initial state, or between sides that are equal."""
     system = Parametric(*map(jnp.asarray, (1.3, 0.618, 0.0)))
-    assert not bool(repeats(system, system.period, jnp.zeros(3)))
+    assert not bool(repeats(system, system.period, jnp.zeros(3), 600))
     held = Parametric(*map(jnp.asarray, (1.3, 2.6, 1.0)))
-    assert bool(repeats(held, held.period, jnp.zeros(3)))
+    assert bool(repeats(held, held.period, jnp.zeros(3), 600))
     apart = dataclasses.replace(held, nu=jnp.asarray(0.618))
-    assert not bool(repeats(apart, apart.period, jnp.zeros(3)))
+    assert not bool(repeats(apart, apart.period, jnp.zeros(3), 600))
 
 
 def test_samples_of_two_frequencies_from_rest_are_those_of_a_run():
@@ -168,4 +169,37 @@ def test_a_field_that_is_not_defined_elsewhere_still_repeats():
         lambda t, x: x[0],
         period=2 * np.pi,
     )
-    assert bool(repeats(flat, jnp.asarray(2 * jnp.pi), jnp.asarray([0.1])))
+    assert bool(repeats(flat, jnp.asarray(2 * jnp.pi), jnp.asarray([0.1]), 600))
+
+
+class Late(jf.System):
+    """x' = −x + r(t) cos t, whose factor r sets in at `begin`, or is a pulse about it."""
+
+    begin: jax.Array
+    pulse: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        after = jax.nn.sigmoid(4 * (t - self.begin))
+        ends = jax.nn.sigmoid(4 * (self.begin + 40.0 - t))
+        return (jnp.cos(t) * after * (1 - self.pulse + self.pulse * ends) - x[0])[None]
+
+
+@pytest.mark.parametrize("pulse, end", [(0.0, 0.5), (1.0, 0.0)])
+def test_a_force_that_sets_in_late_is_seen(pulse, end):
+    """x ends as r (cos t + sin t)/2, a power of 1/4 on average."""
+    system, x0 = Late(jnp.asarray(60.0), jnp.asarray(pulse)), jnp.array([0.5])
+    assert not bool(repeats(system, jnp.asarray(2 * np.pi), x0, 30))
+    assert bool(repeats(system, jnp.asarray(2 * np.pi), x0, 3))
+    run = {"transient": 28, "samples": 2, "progress": False}
+    found = jf.bifurcation_diagram(system, "pulse", [pulse], x0, **run)
+    np.testing.assert_allclose(found.xs[0, :, 0], end, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_fast_forcing_repeats_over_long_runs_in_each_precision(dtype):
+    forced = jf.piecewise(
+        lambda t, x: jnp.cos(7 * t) - x, lambda t, x: jnp.cos(2 * t) - x, lambda t, x: x[0]
+    )
+    x0 = jnp.zeros(1, dtype)
+    assert bool(repeats(cast(forced, dtype), jnp.asarray(2 * np.pi, dtype), x0, 3000))

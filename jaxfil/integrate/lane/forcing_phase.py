@@ -22,18 +22,21 @@ from jaxfil.model import check
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
 
-# Times of the test, in periods; forces of other periods are not zero at both.
-_PHASES = (0.29, 0.83)
+# Times of the test, in periods; forces of other periods are not zero at both. They are compared
+# with one period later, and as many as `_LATER` others, spread over a period, with periods spread
+# over the run, since a force may set in late.
+_PHASES, _LATER = (0.29, 0.83), 30
 # Distances of the other states of the test, in 1 + |x|, one for each component in turn.
 _APART = (0.618, -0.382, 0.854, -0.146, 0.472)
-# Tolerance of the test, in eps. The sum t + T is rounded, and cosines of multiples of the frequency
-# magnify that rounding.
+# Tolerance of the test, in eps for each period. The sum t + T is rounded, and cosines of multiples
+# of the frequency magnify that rounding.
 _SAME = 1024
 
 
-def repeats(system: System, period: Array, x: Array) -> Array:
-    """Whether field, H and resets near a state x are the same one period later. Forces of two
-    frequencies, or kicks at times of their own, are examples where they are not."""
+def repeats(system: System, period: Array, x: Array, count: Array | int) -> Array:
+    """Whether field, H and resets near a state x are the same in all of `count` periods, seen at
+    some times. Forces of two frequencies, kicks at times of their own, or a slow start are examples
+    where they are not. A pulse shorter than a thirtieth of the run may pass unseen."""
     m = check.shapes(system, x)
     x, period = stop_gradient(x), stop_gradient(period)
 
@@ -51,15 +54,20 @@ def repeats(system: System, period: Array, x: Array) -> Array:
     states, ones = jnp.stack([x, x + apart, x - apart]), np.ones(m)
     turned = np.resize((1.0, -1.0), m)
     sides = jnp.asarray(np.stack([ones, -ones, turned, -turned]), x.dtype)
-    at = jnp.asarray(_PHASES, x.dtype) * period
+    phases = jnp.asarray((*_PHASES, *np.linspace(0.01, 0.99, _LATER)), x.dtype)
+    parts = np.linspace(0, 1, _LATER + 1)[1:]
+    # In an order that is not that of the phases.
+    parts = jnp.asarray(np.append([0.0, 0.0], parts[np.arange(_LATER) * 7 % _LATER]), x.dtype)
+    ahead = jnp.maximum(jnp.round(parts * (jnp.asarray(count, x.dtype) - 1)), 1)
+    at = phases * period
     several = values
     for place in ((None, None, 0), (None, 0, None), (0, None, None)):
         several = jax.vmap(several, in_axes=place)
-    # Shape (3 states, 4 sides, 2 times, numbers). The size is the largest over sides and times,
-    # since a number may vanish at one of them.
-    now, later = several(states, sides, at), several(states, sides, at + period)
+    # Shape (3 states, 4 sides, times, numbers). The size is the largest over sides and times, since
+    # a number may vanish at one of them.
+    now, later = several(states, sides, at), several(states, sides, at + ahead * period)
     size = jnp.max(abs(now) + abs(later), axis=(1, 2), keepdims=True)
-    same = abs(now - later) <= _SAME * jnp.finfo(x.dtype).eps * size
+    same = abs(now - later) <= _SAME * jnp.finfo(x.dtype).eps * ahead[:, None] * size
     # A field need not be defined away from its state.
     return jnp.all(same | (now == later) | (jnp.isnan(now) & jnp.isnan(later)))
 

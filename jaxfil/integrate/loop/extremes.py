@@ -5,12 +5,14 @@ The functions are the rates of extra components behind the state (`run.observed`
     values and rates at both ends of a step ──> Hermite's cubic ──> is its maximum the largest yet?
                                                                          │ the start of the step,
                                                                          v its mode, the time to it
-    at the end of the run: that step again, of the length at which the rate of g vanishes
+    at the end of the run: that step again, of the length at which the rate of g changes its sign
 
 In the loop the cubic only determines in which step the largest value lies, so that other steps do
-not pay for a search. Its error, of order four, does not enter the result. The length is a constant
-in derivatives, like the lengths to contacts. At a maximum of a smooth piece the rate is zero, and
-the ends of the pieces move with their contacts, so the derivative is right in both cases.
+not pay for a search. Its error, of order four, or of order one at a kink of g, does not enter the
+result. The lengths are constants in derivatives, like the lengths to contacts. At a maximum of a
+smooth piece the rate is zero, and the ends of the pieces move with their contacts, so the
+derivative is right in both cases. At a kink, where the rate jumps from ȧ > 0 to ḃ < 0, it is that
+of the value at which a and b cross, (ȧ db − ḃ da)/(ȧ − ḃ).
 """
 
 import dataclasses
@@ -37,8 +39,9 @@ from jaxfil.integrate.system.components import Components, pack, side_of
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select, select_all
 
-# Number of secant steps for the length at which a rate vanishes.
-_SECANTS = 3
+# Largest number of steps to the length at which a rate changes its sign; halvings alone reach the
+# rounding of a length.
+_STEPS = 60
 
 
 Seen: TypeAlias = tuple[tuple[Array, ...], tuple[Array, ...]]
@@ -70,6 +73,8 @@ class SoFar(eqx.Module):
     rates: tuple[Array, ...]
     """The rates along the motion at the lane's state."""
     places: tuple[Place, ...]
+    ends: tuple[Array, ...]
+    """The largest values at the ends of steps; −inf at first."""
     since: Array
     """The elapsed time at which the window has opened within a step, at a crossing of a section;
     −inf if it opens at the end of a step."""
@@ -91,7 +96,8 @@ class Extremes(Extension):
         values, rates = self._seen(problem, state)
         nothing = self._here(problem, state.motion)
         nowhere = (dataclasses.replace(nothing, value=nothing.value - jnp.inf),) * len(values)
-        own = SoFar(values, rates, nowhere, jnp.full_like(state.motion.tau, -jnp.inf))
+        never = jnp.full_like(state.motion.tau, -jnp.inf)
+        own = SoFar(values, rates, nowhere, tuple(v - jnp.inf for v in values), never)
         # The start is a place of its own, if the window is open.
         return state, self._further(problem, state, state, own, own, jnp.zeros((), bool))
 
@@ -114,11 +120,12 @@ class Extremes(Extension):
         crossed = sections.watch.total > self.window.count(state)
         there = dataclasses.replace(after, motion=step.end.motion)
         at = self._now(own, self._seen(problem, there))
-        places = self._further(problem, state, there, own, at, ~step.switched).places
+        inside = self._further(problem, state, there, own, at, ~step.switched)
         opens = crossed & self.window.is_open(after) & ~self.window.is_open(state)
         return after, dataclasses.replace(
             found,
-            places=select_all(crossed, places, found.places),
+            places=select_all(crossed, inside.places, found.places),
+            ends=select_all(crossed, inside.ends, found.ends),
             since=select(opens, stop_gradient(there.motion.tau), found.since),
         )
 
@@ -130,7 +137,7 @@ class Extremes(Extension):
 
     def _now(self, own: SoFar, seen: Seen) -> SoFar:
         values, rates = seen
-        return SoFar(values, rates, own.places, own.since)
+        return SoFar(values, rates, own.places, own.ends, own.since)
 
     def _seen(self, problem: Problem, state: LoopState) -> Seen:
         """Values and rates at the state of a lane. For a lane that neither slides nor rests they
@@ -203,7 +210,7 @@ class Extremes(Extension):
         start, end = self._here(problem, state.motion), self._here(problem, after.motion)
         inside, here = smooth & self.window.is_open(state), self.window.is_open(after)
         here = here & (after.motion.tau >= own.since)
-        places = []
+        places, ends = [], []
         for k, place in enumerate(own.places):
             g0, d0, g1, d1 = stop_gradient(
                 (own.values[k], own.rates[k], now.values[k], now.rates[k])
@@ -219,18 +226,20 @@ class Extremes(Extension):
             between = dataclasses.replace(start, value=top, length=theta * h, reach=h)
             found = select_all(top > last, between, dataclasses.replace(end, value=last))
             places.append(select_all(found.value > place.value, found, place))
-        return dataclasses.replace(now, places=tuple(places))
+            ends.append(select(last > own.ends[k], last, own.ends[k]))
+        return dataclasses.replace(now, places=tuple(places), ends=tuple(ends))
 
     def found(self, problem: Problem, own: SoFar) -> Array:
         """The extremes, shape (k,), at the end of one lane; NaN if it ended before the window."""
         # A loop over the places, so that the program contains the step once.
         places = jax.tree.map(lambda *v: jnp.stack(v), *own.places)
         found = jax.lax.map(
-            lambda at: self._found(problem, *at), (places, jnp.arange(len(places.t)))
+            lambda at: self._found(problem, *at),
+            (places, jnp.stack(own.ends), jnp.arange(len(places.t))),
         )
         return np.asarray(self.signs, found.dtype) * found
 
-    def _found(self, problem: Problem, place: Place, i: Array) -> Array:
+    def _found(self, problem: Problem, place: Place, end: Array, i: Array) -> Array:
         tableau, t, x = problem.tableau, place.t, place.x
         around = dataclasses.replace(problem, system=self.field)
         system = clocks.just_after(around, t).system
@@ -242,35 +251,66 @@ class Extremes(Extension):
             values, rates = map(jnp.stack, self._of(field, t + h, end.x))
             return values[i], rates[i]
 
-        h, missing = stop_gradient(_turning_point(at, place))
-        value, rate = at(h)
-        # The value and the derivative at h + missing, to second order in `missing`.
-        # The rate vanishes at the maximum, so g̈ missing = −rate, and the term g̈ missing²/2 is
-        # −missing·rate/2. With the derivative of that term it would be the derivative at
-        # h + missing/2.
-        value = value + missing * rate - stop_gradient(0.5 * missing * rate)
+        before, after, part = stop_gradient(_turning_point(at, place))
+        # Between the two lengths the rate is a straight line, or jumps.
+        value = (1 - part) * at(before)[0] + part * at(after)[0]
         # A place at the end of a step has its exact value and its derivative, from `_further`.
         value = select(place.reach > 0, value, place.value)
+        # At a kink the cubic may have chosen a step without the largest value.
+        value = select(end > value, end, value)
         return select(place.value > -jnp.inf, value, jnp.nan)
 
 
-def _turning_point(at: Callable[[Array], tuple[Array, Array]], place: Place) -> tuple[Array, Array]:
-    """The length at which a rate vanishes in the step of a place, by the secant method, and the
-    estimated remaining error of that length."""
+def _turning_point(
+    at: Callable[[Array], tuple[Array, Array]], place: Place
+) -> tuple[Array, Array, Array]:
+    """Two lengths between which the rate changes from positive to negative in the step of a place,
+    as close as rounding allows, and the part of the way from one to the other at which it does.
+    Both are the same without such a change."""
 
-    def missing(known: tuple[Array, ...]) -> Array:
-        h0, r0, h1, r1 = known
-        rise = r1 - r0
-        return select(rise != 0, -r1 * (h1 - h0) / select(rise != 0, rise, 1), 0.0)
+    def rate(h: Array) -> Array:
+        return at(h)[1]
 
-    def closer(_: Array | int, known: tuple[Array, ...]) -> tuple[Array, ...]:
-        _, _, h1, r1 = known
-        h = jnp.clip(h1 + missing(known), 0.0, place.reach)
-        return h1, r1, h, at(h)[1]
+    def on(known: tuple[Array, ...]) -> Array:
+        low, r_low, high, r_high, count = known
+        part = _part(r_low, r_high)
+        # The distance of the nearer length. At a jump both are near, with rates that are not small.
+        away = jnp.minimum(part, 1 - part) * (high - low)
+        small = 4 * jnp.finfo(high.dtype).eps * place.reach
+        return (count < _STEPS) & (r_low > 0) & (r_high < 0) & (away > small)
 
-    zero, length = jnp.zeros_like(place.length), place.length
-    first = zero, at(zero)[1], length, at(length)[1]
-    known = h0, _, h1, _ = jax.lax.fori_loop(0, _SECANTS, closer, first)
-    # The secant through two lengths that are equal to rounding is meaningless.
-    left = missing(known)
-    return h1, select(abs(left) <= abs(h1 - h0), left, 0.0)
+    def closer(known: tuple[Array, ...]) -> tuple[Array, ...]:
+        low, r_low, high, r_high, count = known
+        secant = low + _part(r_low, r_high) * (high - low)
+        # A secant is near at once where the rate is straight. Every other step is a halving, which
+        # also approaches a jump.
+        h = select(count % 2 == 0, jnp.clip(secant, low, high), _middle(low, high))
+        r = rate(h)
+        rises = r > 0
+        return (
+            select(rises, h, low),
+            select(rises, r, r_low),
+            select(rises, high, h),
+            select(rises, r_high, r),
+            count + 1,
+        )
+
+    middle, zero = place.length, jnp.zeros_like(place.length)
+    r_middle, before = rate(middle), zero
+    rises = r_middle > 0
+    low, high = select(rises, middle, before), select(rises, place.reach, middle)
+    known = low, rate(low), high, rate(high), jnp.zeros((), jnp.int32)
+    low, r_low, high, r_high, _ = jax.lax.while_loop(on, closer, known)
+    turns = (r_low > 0) & (r_high <= 0)
+    low, high = select(turns, low, middle), select(turns, high, middle)
+    return low, high, select(turns, _part(r_low, r_high), 0.0)
+
+
+def _middle(low: Array, high: Array) -> Array:
+    return low + 0.5 * (high - low)
+
+
+def _part(r_low: Array, r_high: Array) -> Array:
+    """The part of the way between two rates at which a line through them vanishes."""
+    fall = r_low - r_high
+    return select(fall > 0, r_low / select(fall > 0, fall, 1), 0.0)

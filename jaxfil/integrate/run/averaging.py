@@ -27,6 +27,7 @@ from jaxfil.model.parameter import cast
 from jaxfil.model.quantity import KINDS, RMS, EventSum, Maximum, Minimum, Quantity
 from jaxfil.model.section import Section
 from jaxfil.model.system import System
+from jaxfil.xla.select import select
 
 _EXTREMES = Maximum, Minimum
 # The name of a single quantity whose function has no name.
@@ -205,9 +206,15 @@ class Averaging(eqx.Module):
             else:
                 row, means = means[:size], means[size:]
                 # The mean is of the square.
-                row = jnp.sqrt(row) if isinstance(one.quantity, RMS) else row
+                row = _root(row) if isinstance(one.quantity, RMS) else row
             rows.append(row)
         return jnp.concatenate(rows)
+
+
+def _root(square: Array) -> Array:
+    """The square root, whose derivative is 0 at a square of zero, and not 0/0."""
+    zero = square == 0
+    return select(zero, 0.0, jnp.sqrt(select(zero, 1.0, square)))
 
 
 def averages_in(state: LoopState) -> tuple[SoFar | Sums, ...]:
