@@ -241,8 +241,8 @@ def _across(
 
 
 def _other_tangent(rows: Callable[[np.ndarray], np.ndarray], parent: np.ndarray) -> np.ndarray:
-    """The tangent of the second of two curves that cross, given an approximate one of the first.
-    Both are null vectors v of the rows F' with wᵀ F'' v v = 0, where w is the left null vector."""
+    """The tangent of a curve that crosses another one, whose own tangent is known roughly. Both are
+    the null vectors v of the rows F' for which wᵀ F'' v v = 0, with w the left null vector."""
     left, _, right = np.linalg.svd(rows(0 * parent))
     w, null = left[:, -1], right[-2:]
     h = np.finfo(w.dtype).eps ** _STEP
