@@ -12,7 +12,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.contacts import resets
-from jaxfil.integrate.contacts.guards import NOISE, Surfaces
+from jaxfil.integrate.contacts.guards import NOISE, Surfaces, is_close
 from jaxfil.integrate.contacts.resets import Impact
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
@@ -169,11 +169,7 @@ def _known(
     if later is not None:  # surfaces that the state was carried across are switched first
         settles = settles & ~later
     left = where(settles, where(at.h > 0, one, -one), left)
-    # A surface that will be reached within the rounding of times is decided now, since its contact
-    # would follow at the same rounded time, unless it is not armed yet.
-    near = abs(state.motion.rate) * problem.grid.same_time(state.motion.tau)
-    close = (state.motion.mode != 0) & (abs(at.h) < near) & state.armed
-    on = (hit & ~leaving) | close
+    on = (hit & ~leaving) | is_close(problem, state, at.h)
     if at.unsettled is not None:
         # The guard of a side has the rounding of the steps before.
         before = where(abs(mode) == 1, state.motion.noise, 0.0)

@@ -173,6 +173,14 @@ def _guards_of_rest(
     return system.where_any(any_of(rests), reactions, lambda t, x, f, known: known, t, x, f, known)
 
 
+def is_close(problem: Problem, state: LoopState, h: Components) -> Components:
+    """Surfaces with these H that will be reached within the rounding of times. They count as
+    reached, since their contacts would follow at the same rounded time; one that is not armed was
+    left just now."""
+    near = abs(state.motion.rate) * problem.grid.same_time(state.motion.tau)
+    return (state.motion.mode != 0) & (abs(h) < near) & state.armed
+
+
 def unguarded(kept: KeptMode | None, motion: Motion, num_modes: Array) -> tuple[Motion, Array]:
     """A motion and the number of modes that could continue, with guards far from zero where a lane
     is pinned to its mode."""

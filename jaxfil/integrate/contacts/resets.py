@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.contacts.guards import Surfaces, stays_on
+from jaxfil.integrate.contacts.guards import Surfaces, is_close, stays_on
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.lane.step_length import Length, typical_step
@@ -227,9 +227,12 @@ def _follow(
     away = (reset.moved | state.pending.jumped) & resting & (outward > noise)
     jumped = reset.moved | state.settled | state.pending.jumped
     # A map may also leave the state exactly on a surface that lets it pass, and that it then moves
-    # across. A surface whose reset has no effect, as of dry friction, is decided with the others.
-    passed = switching & there & ~reverses & ~stays_on(system, state.motion.mode)
-    acts = jumped & (on | (passed & seen.effect.changes)) & (outward < -noise) & ~reset.heard
+    # across; or that surface would be reached at the same rounded time. A surface whose reset has
+    # no effect, as of dry friction, is decided with the others.
+    close = is_close(problem, state, at.h)
+    passed = switching & ~reverses & ~stays_on(system, state.motion.mode) & seen.effect.changes
+    due = (jumped & on) | (passed & ((jumped & there) | (close & ~at.off)))
+    acts = due & (outward < -noise) & ~reset.heard
     # A reset may let a fast motion through, even if it throws slow ones back.
     walls = reverses & ~(reset.heard & (outward < -noise))
     # A surface that a map has carried the state across has a contact at this time.

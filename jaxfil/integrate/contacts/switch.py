@@ -20,6 +20,7 @@ from jaxfil.integrate.contacts.guards import (
     NOISE,
     Surfaces,
     guards,
+    is_close,
     larger,
     stays_on,
     surface_noise,
@@ -253,7 +254,8 @@ def _to_later(problem: Problem, state: LoopState, end: StepEnd) -> StepEnd:
         return end
     system, direction = problem.system, problem.grid.direction
     falls = direction * end.motion.rate < 0
-    comes = state.pending.waits & first_set(end.next) & falls & (abs(end.motion.g) <= end.gathered)
+    here = (abs(end.motion.g) <= end.gathered) | is_close(problem, state, end.motion.g)
+    comes = state.pending.waits & first_set(end.next) & falls & here
     missing = -end.motion.g / where(falls, end.motion.rate, -direction)
     delta = total(where(comes, missing - stop_gradient(missing), 0.0))
     linear = delta, end.motion.x + delta * end.motion.f

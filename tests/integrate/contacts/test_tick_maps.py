@@ -533,3 +533,41 @@ def test_a_section_is_seen_from_one_side_of_a_tick():
     section = jf.bound(lambda t, x: jnp.floor(t) - x[0] + 0.5)
     sol = solve(Raised(), (0.0,), 4.5, sections=section)
     assert jf.RESULTS.names(sol.result) == "successful" and int(sol.num_crossings) == 0
+
+
+class PhaseLocked(jf.System):
+    """A charge-pump phase-locked loop: phase, voltage, up, down. The edges of the reference are
+    ticks, those of the oscillator are resets at the phase 1. The first of both starts the pump, the
+    other one stops it."""
+
+    f0: jax.Array
+    gain: jax.Array
+    slides = False
+    clocks = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        pump = x[2] - x[3]
+        return jnp.stack([self.f0 + self.gain * (x[1] + 0.6 * pump), 0.2 * pump, 0 * t, 0 * t])
+
+    def switching(self, t, x):
+        return 1 - x[0]
+
+    def reset(self, t, x, surface):
+        up = x[2] > 0.5
+        return jnp.stack([x[0] - 1, x[1], jnp.where(up, 0.0, x[2]), jnp.where(up, x[3], 1.0)])
+
+    def tick(self, t, x, clock):
+        down = x[3] > 0.5
+        return jnp.stack([x[0], x[1], jnp.where(down, x[2], 1.0), jnp.where(down, 0.0, x[3])])
+
+
+def test_an_edge_at_the_rounded_time_of_a_tick_is_not_lost():
+    # Locked, both edges fall together in every period, to rounding, and v = (1 − f0)/gain.
+    def end(p):
+        start = jnp.array([0.3, 0.0, 0.0, 0.0])
+        sol = jf.solve(PhaseLocked(p[0], p[1]), start, 0.0, 120.5, 0.25, max_events=512)
+        return sol.x_final[:2], sol.x_final
+
+    slopes, found = jax.jit(jax.jacfwd(end, has_aux=True))(jnp.array([0.8, 1.0]))
+    np.testing.assert_allclose(found, [0.5, 0.2, 0, 0], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(slopes, [[0, 0], [-1, -0.2]], rtol=0, atol=1e-6)
