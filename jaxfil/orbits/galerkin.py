@@ -206,8 +206,8 @@ def _zeros(h: Callable[[Array], Array], a: Array, b: Array) -> _Zeros:
 
 
 def _moving(h: Callable[[Array], Array], zero: Array) -> Array:
-    """A zero with its first two derivatives by all that h depends on, which are those of two steps
-    of Newton's method from there."""
+    """A zero with its first two derivatives by all that h depends on, which two steps of Newton's
+    method from there have."""
     there = fixed = stop_gradient(zero)
     for _ in range(2):
         value, rate = jax.jvp(h, (there,), (jnp.ones_like(there),))

@@ -3,8 +3,7 @@
 The equations are Galerkin's, ∫ (ẋ − F(t, x, sgn H)) ψ_k dt = 0 for the constant and every cosine
 and sine up to harmonic K, alternating between the series and values in time.
 
-The integrals are those of `galerkin`, and the solution has derivatives by the implicit function
-theorem.
+`galerkin` takes the integrals, and the solution has derivatives by the implicit function theorem.
 """
 
 import functools as ft
