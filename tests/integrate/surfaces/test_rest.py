@@ -457,6 +457,28 @@ def test_a_ball_that_is_stopped_falls_through_what_does_not_hold_it():
     assert_allclose(sol.x_final, [-8, -4], rtol=1e-13)
 
 
+class Caught(jf.System):
+    """A mass that is pushed to q = 0 from both sides, and put there at t = 1, to rest."""
+
+    clocks = (jf.Clock(10.0, 1.0),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -side])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def tick(self, t, x, clock):
+        return 0 * x
+
+
+def test_a_map_that_leads_nowhere_is_told():
+    # It would have to be held there, on a surface of its velocity too.
+    sol = solve(Caught(), (0.9, 0), 5.0)
+    assert sol.result == RESULTS.reset_undecided
+    assert_allclose(sol.t_final, 1.0, rtol=1e-13)
+
+
 class Away(jf.System):
     """A mass (q, v) that an acceleration of 2 takes away from a wall at q = 0."""
 
