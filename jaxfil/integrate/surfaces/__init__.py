@@ -4,6 +4,8 @@
   (`weights`); the blend is Filippov's convex combination (`filippov`).
 - mode series: power series of a mode's field and guards.
 - decision: the weights and reactions of all surfaces that a state is on, determined together.
+- next derivative: the second and third derivatives of H, which decide where the first is zero and
+  no weight can change it.
 - reaction: the force on a motion at rest on a surface with a reset (`unilateral`), and its effect
   on each combination of sides (`reactions`).
 - normal: ∇H, and projection along it (`normals`).
