@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, every_side, on_corners
-from jaxfil.integrate.surfaces.unilateral import contact_rates
+from jaxfil.integrate.surfaces.unilateral import accelerations
 from jaxfil.integrate.system.components import Components, sign, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 
@@ -20,8 +20,7 @@ def second_derivatives(system: ComponentSystem, t: Array, x: Components) -> Corn
     """a along the field on the combinations of sides that determine it."""
 
     def second(sides: Components) -> Components:
-        along = jnp.ones_like(t), system.field(t, x, sides)
-        return jax.jvp(lambda t, x: contact_rates(system, t, x, sides), (t, x), along)[1]
+        return accelerations(system, t, x, sides, system.field(t, x, sides))
 
     return on_corners(second, system, corner_sides(system))
 

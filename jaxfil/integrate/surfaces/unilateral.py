@@ -204,12 +204,6 @@ def _direction(
     direction = push * select(known, gain / select(known, own, 1), 0)
     # A reset may be undefined far from its contacts, where no motion feels it.
     return where(all_finite(direction), direction, 0.0)
-    # At x itself, since the incoming state may be off a curved surface.
-    after = reset(x)
-    step, sizes = stop_gradient((after - x, abs(after) + abs(x)))
-    # Far above the rounding of a state, and of a reset that puts it back on its surface.
-    clears = abs(dot(normal, step)) > system.eps**0.5 * dot(abs(stop_gradient(normal)), sizes)
-    return direction, any_of(step != 0), clears
 
 
 def accelerations(

@@ -10,18 +10,22 @@ import pytest
 import jaxfil as jf
 
 
-class Gate(jf.System):
-    """A point that meets x = 1. Faster than `strength` it goes through, and otherwise comes back
-    half as fast; or, with a `kick`, it leaves upward with this velocity at least."""
-
-    strength: jax.Array
-    kick: jax.Array
+class Free(jf.System):
+    """A point that no force acts on, with a surface at x = 1."""
 
     def vector_field(self, t, x, side):
         return jnp.stack([x[1], 0.0])
 
     def switching(self, t, x):
         return x[0] - 1
+
+
+class Gate(Free):
+    """A point that meets x = 1. Faster than `strength` it goes through, and otherwise comes back
+    half as fast; or, with a `kick`, it leaves upward with this velocity at least."""
+
+    strength: jax.Array
+    kick: jax.Array
 
     def reset(self, t, x, surface):
         v = x[1]
@@ -59,14 +63,8 @@ def test_what_a_reset_does_not_throw_back_goes_through():
     np.testing.assert_array_equal(made, impacts)
 
 
-class Step(jf.System):
+class Step(Free):
     """A particle on a potential step at x = 1. Down it leaves with -√(v² + 8)."""
-
-    def vector_field(self, t, x, side):
-        return jnp.stack([x[1], 0.0])
-
-    def switching(self, t, x):
-        return x[0] - 1
 
     def reset(self, t, x, surface):
         v = x[1]
