@@ -228,11 +228,12 @@ def _continues(
     # Scaled by the rates before reactions too. If a reaction already balances a friction, the rate
     # that remains is only rounding.
     rate, scale = rates.blend(sides, w), question.rates.sizes() + rates.sizes()
-    flat = abs(rate) <= _NOISE * eps * scale
+    small = _NOISE * eps * scale
+    flat = abs(rate) <= small
     # By their own forces or by those of reactions, which cancel where a wall holds the same rate.
-    governed = is_governed(sides, rates, w, _NOISE * eps * scale)
+    governed = is_governed(sides, rates, w, small)
     if rests is not None:
-        governed = governed | is_governed(sides, question.rates, w, _NOISE * eps * scale)
+        governed = governed | is_governed(sides, question.rates, w, small)
     outward = sides * direction * rate
     rounded = flat & (scale > 0)
     leaves = (outward > question.threshold * scale) | (rounded & lenient)
@@ -244,18 +245,11 @@ def _continues(
     following = question.following if accelerations is None else accelerations
     solved = flat & governed
     if following is not None:
-        bend, size = following.blend(sides, w), following.sizes()
-        if forces is not None and force is not None:
-            size = forces.accelerations.sizes() + forces.sizes(force.blend(sides, w))
-        noise = _NOISE * eps * size
-        known: Any = rounds == 2
-        if question.kept is not None and question.now is not None:
-            known = known | (question.kept & (sides == question.now))
-        turned = (sides * bend > noise) | (known & (abs(bend) <= noise))
+        turned = _turned(question, following, force, sides, w, rounds)
         still = (scale == 0) & (following.sizes() == 0)
         turned = where(still, sides == where(question.mode < 0, -1.0, 1.0), turned)
         leaves = where(flat & ~governed, turned & question.leaves, leaves)
-        held_too = governs(sides, rates, w, _NOISE * eps * scale, slid & (sides == 0) & governed)
+        held_too = governs(sides, rates, w, small, slid & (sides == 0) & governed)
         solved = solved | (flat & held_too)
     ok = ok & ~any_of(slid & ~where(sides == 0, solved, leaves))
     mode = sides
@@ -277,6 +271,26 @@ def _continues(
     if question.fields is None:
         return ok, mode, None
     return ok, mode, _velocity(question.fields, forces, force, sides, w)
+
+
+def _turned(
+    question: Question,
+    following: Corners,
+    force: Corners | None,
+    sides: Components,
+    w: Components,
+    rounds: Array,
+) -> Components:
+    """Whether dψ/dt leads away from each surface on its side; to within rounding in the third round
+    and where the motion is on that side already."""
+    forces, eps = question.forces, jnp.finfo(question.direction.dtype).eps
+    bend, size = following.blend(sides, w), following.sizes()
+    if forces is not None and force is not None:
+        size = forces.accelerations.sizes() + forces.sizes(force.blend(sides, w))
+    noise, known = _NOISE * eps * size, rounds == 2
+    if question.kept is not None and question.now is not None:
+        known = known | (question.kept & (sides == question.now))
+    return (sides * bend > noise) | (known & (abs(bend) <= noise))
 
 
 def _velocity(
