@@ -2,8 +2,8 @@
 
 jaxfil, SciPy, diffrax and heyoka with located contacts, and diffrax on the smoothed problem.
 Writes `results/work_precision.txt` and a picture for each problem. `--only NAME` measures one
-problem and writes its picture alone; `--quick` measures fewer settings and writes nothing; `--draw`
-measures nothing and draws the pictures of the tables that are there.
+problem, writes its picture and replaces its table; `--quick` measures fewer settings and writes no
+files; `--draw` measures nothing and draws the pictures of the tables that are there.
 """
 
 import argparse
@@ -28,6 +28,7 @@ from benchmarks.work_precision.problems import PROBLEMS
 from benchmarks.work_precision.program import LANES
 
 TABLES = RESULTS / "work_precision.txt"
+BETWEEN = "\n\n\n"  # two tables in it
 PROGRAMS = (ours, diffrax_events, heyoka_events, scipy_events, smoothed)
 COLUMNS = (
     Column("program"),
@@ -117,6 +118,18 @@ def draw(names):
         picture.draw(PROBLEMS[name], saved.rows(text, name), _path(name))
 
 
+def write(found, texts):
+    """Write the tables of the problems measured, beside those that are there of the others."""
+    others = [name for name in PROBLEMS if name not in texts]
+    if others:
+        there = TABLES.read_text()
+        kept = dict(zip(PROBLEMS, there.split(BETWEEN)[2:], strict=True))
+        texts = {name: texts.get(name, kept[name].rstrip("\n") + "\n") for name in PROBLEMS}
+        found = {name: found.get(name) or saved.rows(there, name) for name in PROBLEMS}
+    parts = [ABOUT, overview(found), *(texts[name] for name in PROBLEMS)]
+    TABLES.write_text(BETWEEN.join(part.removesuffix("\n") for part in parts) + "\n")
+
+
 def _path(name):
     """Where the picture of a problem is."""
     return RESULTS / f"work_precision_{name}.png"
@@ -145,8 +158,8 @@ def main():
         print(texts[-1], f"[{time.perf_counter() - started:.0f} s]\n", sep="\n", flush=True)
         if not asked.quick:
             picture.draw(PROBLEMS[name], rows, _path(name))
-    if not asked.quick and not asked.only:
-        TABLES.write_text("\n\n".join([ABOUT, overview(found), *texts]))
+    if not asked.quick:
+        write(found, dict(zip(names, texts, strict=True)))
     print(overview(found), f"{time.perf_counter() - begun:.0f} s", sep="\n")
 
 

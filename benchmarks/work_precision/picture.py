@@ -1,7 +1,8 @@
-"""Error against run time as a picture: contacts located on the left, smoothed on the right.
+"""Error against run time as a picture: one lane, a lane of a batch, and the smoothed problem.
 
-A problem and its rows enter; a file leaves. A colour is a program, a mark a method, a line how the
-lanes ran.
+A problem and its rows enter; a file leaves. A colour is a program, a mark a method; jaxfil's Taylor
+series are darker, and dashed where their order is not 12. Loops compiled whole, and tolerances of a
+single lane, are in the table alone.
 """
 
 import itertools
@@ -23,21 +24,20 @@ MARKS = {
     "RK45": "s",
     "RK4": "^",
     "Taylor": "*",
-    "Taylor8": "$8$",
-    "Taylor12": "$12$",
-    "Taylor16": "$16$",
+    "Taylor8": "*",
+    "Taylor12": "*",
+    "Taylor16": "*",
     "Radau": "D",
     "Kvaerno5": "D",
     "LSODA": "v",
-    "tolerance": "P",
+    "Dopri8, tolerance": "P",
+    "Taylor12, tolerance": "X",
 }
-LINES = {
-    "one lane": {"ls": "-"},
-    "one lane, loop compiled whole": {"ls": "--", "mfc": "white"},
-    f"a lane of a batch of {LANES}": {"ls": ":", "lw": 1.6},
-}
+SMOOTHED = "smoothed; width at each curve"
+DARKER = "#08306b"
+DASHES = {"Taylor8": ":", "Taylor16": "--"}
 
-# Where the name of a curve may be, beside one of its ends.
+# Where the name of a curve may be, beside one of its points.
 PLACES = (
     {"xytext": (0, 4), "ha": "center", "va": "bottom"},
     {"xytext": (0, -4), "ha": "center", "va": "top"},
@@ -51,51 +51,71 @@ PLACES = (
 
 
 def draw(problem, rows, path):
-    """Both panels, or the left one alone where nothing was smoothed."""
+    """The panels that there are rows for."""
     with paper.style():
         paper.save(_figure(problem, rows), path)
 
 
 def _figure(problem, rows):
     """The figure of `draw`."""
-    smooth = any(r.program == "smoothed" for r in rows)
-    figure = paper.canvas(paper.PAGE, 140)
-    axes = figure.subplots(1, 1 + smooth, sharex=True, sharey=True, squeeze=False)[0]
-    for key, some in curves([r for r in rows if r.lanes == 1]).items():
-        _curve(axes[-1 if key[0] == "smoothed" else 0], *key, some)
-    for key, some in curves([r for r in rows if r.lanes > 1]).items():
-        _curve(axes[0], *key, some)
-    axes[0].set(xscale="log", yscale="log", ylabel="run time (ms)")
-    axes[0].invert_xaxis()
-    axes[0].set_ylim(top=2 * axes[0].get_ylim()[1])  # room for the names of the widths
-    titles = ("contacts located", "sgn H smoothed to tanh(H/w); w at each curve")
-    for ax, title in zip(axes, titles, strict=False):
-        ax.set(xlabel="error at t1 (smaller to the right)")
+    panels = {title: some for title, some in _panels(rows).items() if some}
+    figure = paper.canvas(paper.PAGE, 125)
+    axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    for ax, (title, some) in zip(axes, panels.items(), strict=True):
+        for key, points in curves(some).items():
+            _curve(ax, *key, points)
+        ax.set(xscale="log", yscale="log")
         paper.entitle(ax, title)
         ax.grid(alpha=0.25)
-    if smooth:
-        _beside(axes[1], rows)
+    axes[0].set(ylabel="run time (ms)")
+    axes[0].invert_xaxis()
+    # Room for the names of the widths.
+    axes[0].set(xlim=(1e2 * axes[0].get_xlim()[0], None), ylim=(None, 2 * axes[0].get_ylim()[1]))
+    axes[len(axes) // 2].set(xlabel="error at t1 (smaller to the right)")
     figure.suptitle(problem.title)
     figure.get_layout_engine().set(wspace=0.06)  # the last tick of one panel, the first of the next
-    figure.legend(handles=list(_handles(rows)), loc="outside lower center", ncols=3, frameon=False)
-    if smooth:
-        _name_widths(axes[1], [r for r in rows if r.program == "smoothed"])
+    shown = [row for some in panels.values() for row in some]
+    figure.legend(handles=list(_handles(shown)), loc="outside lower center", ncols=4, frameon=False)
+    if SMOOTHED in panels:
+        _name_widths(axes[-1], [r for r in rows if r.program == "smoothed"])
     return figure
+
+
+def _panels(rows):
+    """{title: rows}. Beside the batches stands the fastest program that has none, and beside the
+    smoothed problem the located one."""
+    single = [r for r in rows if r.lanes == 1 and NOTE not in r.method]
+    located = [r for r in single if r.program != "smoothed"]
+    smoothed = [r for r in single if r.program == "smoothed"]
+    ours = [r for r in located if (r.program, r.method) == ("jaxfil", "Dopri8")]
+    batch = [r for r in rows if r.lanes > 1]
+    return {
+        "one lane": [r for r in located if "tolerance" not in r.method],
+        f"a lane of {LANES}; heyoka: one": batch + [r for r in located if r.program == "heyoka"],
+        SMOOTHED: smoothed + ours if smoothed else [],
+    }
+
+
+def _style(program, method):
+    """How the points of a curve are drawn and joined. What a smoothed method is called ends with
+    its width."""
+    name = method if method in MARKS else method.split(",")[0]
+    series = program == "jaxfil" and name.startswith("Taylor")
+    color = DARKER if series else PROGRAMS[program][0]
+    dashes = DASHES.get(name, "-")
+    return {"color": color, "marker": MARKS[name], "ls": dashes, "ms": 3.5, "lw": 0.9}
 
 
 def _curve(ax, program, method, rows):
     """Points in the order of settings; a run that failed has none."""
-    name = method.split(",")[0]
-    kind = 2 if rows[0].lanes > 1 else 1 if NOTE in method else 0
-    mark = MARKS["tolerance" if "tolerance" in method else name]
-    style = {"color": PROGRAMS[program][0], "marker": mark, "ms": 3.5, "lw": 0.9}
     points = [(r.error, 1e3 * r.seconds) for r in rows if 0 < r.error < math.inf]
-    ax.plot(*zip(*points, strict=True), **{**style, **list(LINES.values())[kind]})
+    if points:
+        ax.plot(*zip(*points, strict=True), **_style(program, method))
 
 
 def _name_widths(ax, rows):
-    """The width of each smoothed curve at one of its ends, where neither curves nor other names
-    are."""
+    """The width of each smoothed curve at one of its ends, or else of its points, where there are
+    neither curves nor other names."""
     ax.figure.get_layout_engine().execute(ax.figure)
     points = np.concatenate([_between(ax.transData.transform(c.get_xydata())) for c in ax.lines])
     boxes = []
@@ -104,10 +124,12 @@ def _name_widths(ax, rows):
         if not found:
             continue
         power = round(math.log10(float(method.split("width ")[1])))
-        for end, place in itertools.product((found[-1], found[0]), PLACES):
-            name = ax.annotate(f"$10^{{{power}}}$", end, textcoords="offset points", **place)
+        ends = dict.fromkeys((found[-1], found[0], *found))
+        for at, place in itertools.product(ends, PLACES):
+            name = ax.annotate(f"$10^{{{power}}}$", at, textcoords="offset points", **place)
             box = name.get_window_extent()
-            if not (box.count_overlaps(boxes) or box.count_contains(points)):
+            free = not (box.count_overlaps(boxes) or box.count_contains(points))
+            if free and ax.bbox.containsx(box.x0) and ax.bbox.containsx(box.x1):
                 break
             name.remove()
         else:
@@ -121,21 +143,10 @@ def _between(points, pieces=60):
     return np.stack([np.interp(at, np.arange(len(points)), column) for column in points.T], axis=1)
 
 
-def _beside(ax, rows):
-    """The jaxfil curve that the smoothed ones are to be seen beside."""
-    ours = curves([r for r in rows if r.lanes == 1])["jaxfil", "Dopri8"]
-    _curve(ax, "jaxfil", "Dopri8", ours)
-
-
 def _handles(rows):
     """The entries of the legend."""
-    shown = {(r.program, r.method.split(",")[0]) for r in rows}
-    shown |= {(r.program, "tolerance") for r in rows if "tolerance" in r.method}
-    for program, (color, _) in PROGRAMS.items():
-        for method, mark in MARKS.items():
-            if (program, method) in shown:
-                label = f"{program} {method}"
-                yield Line2D([], [], color=color, marker=mark, ms=3.5, lw=0.9, label=label)
-    for label, style in LINES.items():
-        style = {"color": "0.4", "marker": "o", "ms": 3.5, "lw": 0.9, **style}
-        yield Line2D([], [], **style, label=label)
+    names = {(r.program, r.method if r.method in MARKS else r.method.split(",")[0]) for r in rows}
+    for program in PROGRAMS:
+        for method in MARKS:
+            if (program, method) in names:
+                yield Line2D([], [], **_style(program, method), label=f"{program} {method}")
