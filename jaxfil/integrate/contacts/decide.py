@@ -26,7 +26,7 @@ from jaxfil.integrate.surfaces import (
     weights as sliding_weights,
 )
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
-from jaxfil.integrate.surfaces.decision import Question
+from jaxfil.integrate.surfaces.question import Question
 from jaxfil.integrate.system.components import Components, any_of, first_set, maximum, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.select import select
@@ -106,12 +106,13 @@ def decided(
     # Where a slide on an intersection ends, both the slide and the next mode would be admissible
     # within rounding.
     threshold = select(waits, 0.0, NOISE * system.eps)
+    instant = grid.same_time(state.motion.tau)
     if are_coupled(system):
         kept, walls = opened & ~state.pending.surfaces, None
         if led is not None:
             walls, kept = decide & led.still & opened, kept & ~led.pushed
         # `forces` have the second derivatives, with reactions.
-        second = None if forces is not None else _seconds(system, here, rates, decide)
+        second = None if forces is not None else _seconds(system, here, rates, decide, left, on)
         question = Question(
             rates=rates,
             fields=fields,
@@ -125,6 +126,7 @@ def decided(
             direction=grid.direction,
             threshold=threshold,
             leaves=decide,
+            instant=instant,
         )
         chosen, count = _asked(system, question)
     else:
@@ -133,8 +135,10 @@ def decided(
         # Elsewhere all contacts are located, at a rate that does not vanish.
         if at.unsettled is not None:
             flat = filippov.is_flat(rates[0], rates) | filippov.is_flat(rates[1], rates)
-            second = _seconds(system, here, rates, decide & any_of(on & flat))
-        chosen, count = filippov.choose(None, rates, second, beside, on, grid.direction)
+            # Where something has jumped, also a rate that vanishes up to the rounding of the time.
+            wanted = decide & any_of(on & (flat | at.unsettled))
+            second = _seconds(system, here, rates, wanted, beside, on)
+        chosen, count = filippov.choose(None, rates, second, beside, on, grid.direction, instant)
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None or led.constraints is not None:
         return _once(system, where(decide, chosen, left), count)
@@ -211,13 +215,19 @@ def _asked(system: ComponentSystem, question: Question) -> tuple[Components, Arr
 
 
 def _seconds(
-    system: ComponentSystem, here: tuple[Array, Components], rates: Corners, wanted: Array
+    system: ComponentSystem,
+    here: tuple[Array, Components],
+    rates: Corners,
+    wanted: Array,
+    mode: Components,
+    on: Components,
 ) -> Corners:
-    """d²H/dt² on all sides, evaluated only in lanes where it is wanted."""
+    """d²H/dt² on all sides of the surfaces that the state is on, evaluated only in lanes where it
+    is wanted."""
     system, here = stop_gradient((system, here))
 
     def found(t: Array, x: Components) -> Corners:
-        return next_derivatives.second_derivatives(system, t, x)
+        return next_derivatives.second_derivatives(system, t, x, mode, on)
 
     return system.where_any(wanted, found, lambda t, x: rates, *here)
 

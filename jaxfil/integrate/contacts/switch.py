@@ -178,9 +178,9 @@ def evaluate_step_end(
         at = _with_rounding_of_forces(problem, state, length, at, fields)
     choice = decided(problem, state, (t, x), (fields, rates), at, led, later)
     choice, again = _in_turn(problem, state, maps, choice, later)
-    if system.clocks or (maps.h is not None and system.m > 1):
-        # A tick or another surface's reset may put the state where it then slides or rests, and
-        # H may jump there at a tick.
+    if system.clocks or are_coupled(system):
+        # A tick, or a contact or reset of another surface, may put the state where it then slides
+        # or rests, and H may jump there at a tick.
         # Surfaces of a located contact have this derivative through the time of the contact.
         put = stays_on(system, choice.mode) & ~stays_on(system, state.motion.mode)
         put = put & ~state.pending.surfaces

@@ -39,7 +39,7 @@ from jaxfil.integrate.surfaces import (
     weights as sliding_weights,
 )
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
-from jaxfil.integrate.surfaces.decision import decide, question_of
+from jaxfil.integrate.surfaces.decision import decide
 from jaxfil.integrate.surfaces.entering import held_from_here
 from jaxfil.integrate.surfaces.next_derivatives import (
     next_of,
@@ -47,6 +47,7 @@ from jaxfil.integrate.surfaces.next_derivatives import (
     second_derivatives,
     three_derivatives,
 )
+from jaxfil.integrate.surfaces.question import question_of
 from jaxfil.integrate.system.components import (
     Components,
     all_finite,
@@ -67,14 +68,19 @@ _FEW = 3
 
 
 def _rates_on_sides(
-    system: ComponentSystem, t: Array, x: Components, direction: Array
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    direction: Array,
+    sides: Components,
+    on: Components,
 ) -> tuple[Corners, Corners, Corners]:
     """The fields on all sides, dH/dt along each, and the derivative that decides where that is
     zero."""
     if system.m > _FEW and are_coupled(system):
         # For so many combinations of sides third derivatives are not computed.
-        return *filippov.corners(system, t, x), second_derivatives(system, t, x)
-    fields, rates, seconds, thirds = on_every_side(system, t, x)
+        return *filippov.corners(system, t, x), second_derivatives(system, t, x, sides, on)
+    fields, rates, seconds, thirds = on_every_side(system, t, x, sides, on)
     following = seconds.map(lambda second, third: next_of(second, third, direction), thirds)
     return fields, rates, following
 
@@ -107,20 +113,22 @@ def _first_mode(
     here = stop_gradient((system, grid.t0, x, grid.direction))
     if system.resets and are_coupled(system):
         return _first_mode_together(known, stop_gradient(x), on, sides)
-    (fields, rates, following), direction = _rates_on_sides(*here), grid.direction
-    owed = None
+    (fields, rates, following), direction = _rates_on_sides(*here, sides, on), grid.direction
+    owed, instant = None, known.grid.same_time(jnp.zeros((), system.dtype))
     if system.resets:
         above = _resolved(system, direction, rates[0], following[0], rates.sizes())
         start = begin(problem, x, on, sides, above)
         free = on & ~start.known
-        mode, count = filippov.choose(fields, rates, following, start.sides, free, direction)
+        mode, count = filippov.choose(
+            fields, rates, following, start.sides, free, direction, instant
+        )
         mode = where(start.rests, 2 * mode, mode)
         count = select(start.consistent, count, 0)
         # Backward in time a rest may have started at any earlier time, so the motion is not unique.
         count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
         owed = start.owed
     else:
-        mode, count = filippov.choose(fields, rates, following, sides, on, direction)
+        mode, count = filippov.choose(fields, rates, following, sides, on, direction, instant)
     determinant = None
     if system.slides:
         weights = sliding_weights.weights(mode, rates)
@@ -147,8 +155,9 @@ def _first_mode_together(
     leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))
     forces = dataclasses.replace(forces, accelerations=leaning)
     decided = (on & ~start.known) | start.still
+    instant = problem.grid.same_time(jnp.zeros((), system.dtype))
     question = dataclasses.replace(
-        question_of(rates, fields, None, start.sides, decided, direction),
+        question_of(rates, fields, None, start.sides, decided, direction, instant),
         walls=start.still,
         forces=forces,
     )

@@ -40,6 +40,10 @@ def _of_share(share: Array, gap: Array) -> Array:
     return select(share == 0, 0.0, gap)
 
 
+def _size(v: Array) -> Array:
+    return select(jnp.isnan(v), 0.0, abs(v))
+
+
 def every_side(m: int) -> np.ndarray:
     """All combinations of the sides of m surfaces, shape (2^m, m), the first surface varying
     slowest, + before −."""
@@ -188,10 +192,12 @@ class Corners:
         return Corners.table(function(above, below))
 
     def sizes(self) -> Components:
-        """Σ |v| over the combinations, elementwise."""
+        """Σ |v| over the combinations, elementwise. A number that is not defined on one of them,
+        where the motion never goes, does not count."""
+        sizes = [on_each(_size, row) for row in self.rows]
         if self.is_table:
-            return on_each(lambda v: jnp.sum(abs(v), axis=0), self.rows[0])
-        return ft.reduce(operator.add, map(abs, self.rows))
+            return on_each(lambda v: jnp.sum(v, axis=0), sizes[0])
+        return ft.reduce(operator.add, sizes)
 
     def blend(self, mode: Components, weights: Components, fixed: bool = False) -> Components:
         """Σ_s v_s Π_j (1 + s_j w_j)/2 over all combinations s of sides; for separate surfaces an

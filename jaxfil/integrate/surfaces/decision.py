@@ -17,7 +17,9 @@ to that order.
 
 Where ψ_j vanishes and no weight can change it, the next derivative of H_j decides, a_j = dψ_j/dt.
 An example is x″ = f − g sgn x − h sgn x′ with H = (x, x′), at rest, where ψ of x is x′. The motion
-slides on x only together with x′, which the weight of x holds at zero, and leaves towards a_j.
+slides on x only together with x′, which the weight of x holds at zero, and leaves towards a_j. A
+brake whose force grows from zero is another one. There ψ_j vanishes on every side, and a_j is in
+its place throughout (`in_place`).
 """
 
 from typing import Any
@@ -28,6 +30,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
+from jaxfil.integrate.surfaces.pivoting import by_pivoting
+from jaxfil.integrate.surfaces.question import Question, Velocity, are_apart, in_place
 from jaxfil.integrate.surfaces.reactions import Forces
 from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.surfaces.weights import governs, held_together, is_governed, weights
@@ -37,66 +41,15 @@ from jaxfil.integrate.system.components import (
     maximum,
     minimum,
     on_each,
-    pack,
     total,
     where,
 )
-from jaxfil.xla.complementarity import is_monotone, solve_on_box
 from jaxfil.xla.select import select
 
 # The largest number of active surfaces whose combinations are tried if pivoting is possible too.
 _FEW = 3
 # Rounding of rates, accelerations and fields, in eps of the sizes of their terms.
 _NOISE = 64
-# Tolerance for equal velocities, in eps; weights of coupled surfaces magnify rounding.
-_ONE_MOTION = 1024
-
-
-class Question(eqx.Module):
-    """The data of a decision. Components are m."""
-
-    rates: Corners
-    """ψ, on each combination of sides."""
-    fields: Corners | None
-    """The fields on these combinations, n components; None to count all modes as different
-    motions."""
-    following: Corners | None
-    """dψ/dt on these combinations; None if it does not decide, or with `forces`, which have it."""
-    mode: Components
-    """The mode, including rests, of surfaces that are not decided; the side of those that are, on
-    which a motion that stands still stays."""
-    on: Components
-    """Surfaces to be decided."""
-    walls: Components | None
-    """Surfaces to be decided that the motion can rest but not slide on; None without any."""
-    kept: Components | None
-    """Surfaces to be decided on which the motion continues unchanged if it can, within rounding;
-    None without any."""
-    now: Components | None
-    """The current mode of the surfaces in `kept`."""
-    forces: Forces | None
-    """Reactions; None without walls."""
-    direction: Array
-    """+1 forward in time, −1 backward."""
-    threshold: Array | float
-    """The rate above which the motion leaves a surface, relative to all rates there."""
-    leaves: Array | bool = True
-    """Whether dψ/dt is known, and may decide that the motion leaves."""
-
-
-def question_of(
-    rates: Corners,
-    fields: Corners | None,
-    following: Corners | None,
-    mode: Components,
-    on: Components,
-    direction: Array,
-    threshold: Array | float = 0.0,
-) -> Question:
-    """The question for surfaces without resets, of which all are open."""
-    return Question(
-        rates, fields, following, mode, on, None, None, None, None, direction, threshold
-    )
 
 
 class _Found(eqx.Module):
@@ -106,13 +59,6 @@ class _Found(eqx.Module):
     count: Array
     velocity: Components | None
     number: Array
-
-
-class _Velocity(eqx.Module):
-    """A velocity, n components, and the size of its terms."""
-
-    f: Components
-    size: Components
 
 
 def decide(question: Question) -> tuple[Components, Array]:
@@ -127,7 +73,7 @@ def decide(question: Question) -> tuple[Components, Array]:
         return _by_trial(question, few)
 
     # The sizes of both programs are bounded; in a batch both are executed.
-    return jax.lax.cond(few, tried, _by_pivoting, question)
+    return jax.lax.cond(few, tried, by_pivoting, question)
 
 
 def _by_trial(question: Question, wanted: Array | bool = True) -> tuple[Components, Array]:
@@ -185,10 +131,8 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
     ok, mode, made = _continues(question, candidate, rounds)
     first, new, velocity = ok & (found.count == 0), ok, None
     if made is not None and found.velocity is not None:
-        eps = jnp.finfo(question.direction.dtype).eps
-        size = made.size + abs(made.f) + abs(found.velocity)
         # Each is compared with the first alone, since all counts above 1 mean the same, not unique.
-        apart = any_of(abs(made.f - found.velocity) > _ONE_MOTION * eps * size)
+        apart = are_apart(made, Velocity(found.velocity, abs(found.velocity)))
         new = ok & ((found.count == 0) | apart)
         velocity = where(first, made.f, found.velocity)
     # A combination that holds only to within rounding is the same motion to that order.
@@ -203,7 +147,7 @@ def _try(question: Question, found: _Found, candidate: Components, rounds: Array
 
 def _continues(
     question: Question, candidate: Components, rounds: Array
-) -> tuple[Array, Components, _Velocity | None]:
+) -> tuple[Array, Components, Velocity | None]:
     """Whether the motion can continue in a combination, the resulting mode, and the velocity."""
     on, walls, forces = question.on, question.walls, question.forces
     rates, ok = question.rates, jnp.ones((), bool)
@@ -222,6 +166,16 @@ def _continues(
         held = held_together(forces, rates, where(ok, sides, 1.0), rests)
         rates, accelerations, force = held
     slid = on if walls is None else on & ~walls
+    following = question.following if accelerations is None else accelerations
+    stays = jnp.zeros((), bool)
+    if following is not None:
+        # The weight of another rate that slides is known from that rate.
+        small = _NOISE * eps * rates.sizes()
+        alone = ~governs(sides, rates, sides, small, slid & (sides == 0))
+        alone = alone & slid & question.leaves
+        rates, replaced = in_place(rates, following, direction, question.instant, alone)
+        if question.kept is not None and question.now is not None:
+            stays = replaced & question.kept & (sides == question.now)
     w = weights(where(ok, sides, 1.0), rates)
     # Rounding may put the weight outside [−1, 1].
     w = where(slid & (sides == 0), minimum(maximum(w, -1.0), 1.0), w)
@@ -239,10 +193,10 @@ def _continues(
     leaves = (outward > question.threshold * scale) | (rounded & lenient)
     # At w = ±1 both the slide and its side hold, and the next derivative decides. The slide is
     # preferred: it ends at once if its weight leaves [−1, 1], whereas a wrong side would be
-    # detected late. Where a reaction holds the state, no side moves it.
-    edge = rounded if rests is None else rounded & ~any_of(rests)
+    # detected late. Where a reaction holds the state, no side moves it. A motion that dψ/dt keeps
+    # on its side has no slide there that could end.
+    edge = rounded & ~stays if rests is None else rounded & ~stays & ~any_of(rests)
     leaves = where(edge, rounds == 2, leaves)
-    following = question.following if accelerations is None else accelerations
     solved = flat & governed
     if following is not None:
         turned = _turned(question, following, force, sides, w, rounds)
@@ -295,16 +249,16 @@ def _turned(
 
 def _velocity(
     fields: Corners, forces: Forces | None, force: Corners | None, sides: Components, w: Components
-) -> _Velocity:
+) -> Velocity:
     """The velocity of a combination with the given weights and reactions."""
     if forces is None or force is None:
-        return _Velocity(fields.blend(sides, w), fields.sizes())
+        return Velocity(fields.blend(sides, w), fields.sizes())
     if forces.of_corners is not None:
         f = forces.pushed(fields, force).blend(sides, w)
-        return _Velocity(f, forces.sizes_of_fields(fields, force))
+        return Velocity(f, forces.sizes_of_fields(fields, force))
     pushes, directions = force.blend(sides, w), forces.response.directions
     f = directions.added(fields.blend(sides, w), pushes)
-    return _Velocity(f, abs(directions).added(fields.sizes(), abs(pushes)))
+    return Velocity(f, abs(directions).added(fields.sizes(), abs(pushes)))
 
 
 def _rests(
@@ -321,54 +275,3 @@ def _rests(
     # λ times its own gain is an acceleration, as the noise is.
     small = where(rests, abs(force * own) <= noise, abs(a) <= noise)
     return fine, fine | small
-
-
-def _by_pivoting(question: Question) -> tuple[Components, Array]:
-    """`_by_trial` for many surfaces, with a field that is affine in its sides. The solution is
-    unique if the symmetric part of the matrix is positive definite; otherwise one solution is
-    computed, and others are not searched for."""
-    q, matrix, low, high = _inequality(question)
-    z, found = solve_on_box(q, matrix, low, high)
-    on, mode = pack(question.on, bool), pack(question.mode, q.dtype)
-    walls = jnp.zeros_like(on) if question.walls is None else pack(question.walls, bool) & on
-    # The solution only says which surfaces slide or rest. The weights and reactions themselves are
-    # computed from the mode.
-    weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
-    chosen = select(on, select(walls, select(z > 0, 2 * mode, mode), weight), mode)
-    # Backward in time a repelling slide may have started at any earlier time.
-    slides = (question.direction < 0) & jnp.any(on & (chosen == 0))
-    repels = jax.lax.cond(slides, lambda: ~is_monotone(matrix, on), lambda: jnp.zeros((), bool))
-    count = select(found, select(repels, 2, 1), 0).astype(jnp.int32)
-    if question.mode.is_array:
-        return Components([chosen]), count
-    return Components(chosen[j] for j in range(len(mode))), count
-
-
-def _inequality(question: Question) -> tuple[Array, Array, Array, Array]:
-    """q, M and the bounds of the inequality. z has weights and the sizes of reactions; F = −ψ for a
-    weight and a for a reaction. Surfaces that are not decided, and do not rest,
-    have equal bounds."""
-    known, direction = question.forces, question.direction
-    active, mode = pack(question.on, bool), pack(question.mode, direction.dtype)
-    side, resting = jnp.sign(mode), ~active & (abs(mode) == 2)
-    base, slopes = -direction * pack(question.rates[0], mode.dtype), question.rates.slopes()
-    matrix, wall = -direction * slopes, jnp.zeros_like(active)
-    by_weight = matrix
-    if known is not None and question.walls is not None:
-        # The reaction of a surface that continues to rest is an unknown too, since the reactions of
-        # other surfaces change it.
-        wall = (pack(question.walls, bool) & active) | resting
-        of_wall = side[:, None]
-        a = pack(known.accelerations[0], mode.dtype)
-        base = select(wall, side * a, base)
-        by_weight = select(wall[:, None], of_wall * known.accelerations.slopes(), matrix)
-        # The unknown of a wall is |λ|, hence the side in its column. Its row is the acceleration
-        # away from the wall, hence the side there.
-        forces = [jnp.asarray(v.entries()) for v in (known.response.gains, known.pushes)]
-        by_force = select(wall[:, None], of_wall * forces[0], -direction * forces[1])
-        matrix = select(wall[None, :], by_force * side[None, :], by_weight)
-    # The base rates belong to w = 1 (all sides +); the side of a wall is fixed.
-    q = base + by_weight @ (select(wall, side, 0.0) - 1.0)
-    low = select(wall, 0.0, select(active, -1.0, side))
-    high = select(wall, jnp.inf, select(active, 1.0, side))
-    return q, matrix, low, high

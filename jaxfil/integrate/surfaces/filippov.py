@@ -30,7 +30,8 @@ from jaxfil.integrate.steppers.explicit import ExplicitTableau, compact_step, ta
 from jaxfil.integrate.steppers.taylor import end_alone
 from jaxfil.integrate.surfaces import mode_series, reactions, unilateral
 from jaxfil.integrate.surfaces.corners import Corners, corner_sides, on_corners
-from jaxfil.integrate.surfaces.decision import decide, question_of
+from jaxfil.integrate.surfaces.decision import decide
+from jaxfil.integrate.surfaces.question import in_place, question_of
 from jaxfil.integrate.surfaces.weights import determinant, held_together, weights
 from jaxfil.integrate.system.components import (
     Components,
@@ -325,17 +326,19 @@ def choose(
     mode: Components,
     on: Components,
     direction: Array,
+    instant: Array | float = 0.0,
 ) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
 
     One admissible mode means that the solution is unique, several (repelling sliding) that it is
     not, and zero is a tangency that these derivatives do not decide. `mode` has the side of each
     surface, on which a motion that stands still stays. `following` is the derivative of H that
-    decides where dH/dt vanishes; None if only the rates do.
+    decides where dH/dt vanishes, within the rounding `instant` of the time; None if only the rates
+    do.
     """
     if rates.are_of_one:
-        return _choose_on_one(rates, following, mode, on, direction)
-    return decide(question_of(rates, fields, following, mode, on, direction))
+        return _choose_on_one(rates, following, mode, on, direction, instant)
+    return decide(question_of(rates, fields, following, mode, on, direction, instant))
 
 
 def is_flat(rate: Components, rates: Corners) -> Components:
@@ -349,8 +352,11 @@ def _choose_on_one(
     mode: Components,
     on: Components,
     direction: Array,
+    instant: Array | float,
 ) -> tuple[Components, Array]:
     """`choose` for separate surfaces, which the rates on both sides determine."""
+    if following is not None:
+        rates, _ = in_place(rates, following, direction, instant)
     above, below = rates[0], rates[1]
     # The product of small rates would be zero.
     up, down = direction * sign(above), direction * sign(below)

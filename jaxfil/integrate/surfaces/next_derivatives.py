@@ -5,24 +5,48 @@ and b = da/dt along the field of its side. The first of them that is not zero de
 """
 
 import functools as ft
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.surfaces.corners import Corners, corner_sides, every_side, on_corners
+from jaxfil.integrate.surfaces.corners import (
+    Corners,
+    are_coupled,
+    corner_sides,
+    every_side,
+    on_corners,
+)
 from jaxfil.integrate.surfaces.unilateral import accelerations
 from jaxfil.integrate.system.components import Components, sign, where
 from jaxfil.integrate.system.lowered import ComponentSystem
 
 
-def second_derivatives(system: ComponentSystem, t: Array, x: Components) -> Corners:
-    """a along the field on the combinations of sides that determine it."""
+def second_derivatives(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, on: Components
+) -> Corners:
+    """a along the field on the combinations of sides that determine it, of the surfaces that the
+    state is `on`, with the sides of the others in `mode`."""
 
     def second(sides: Components) -> Components:
         return accelerations(system, t, x, sides, system.field(t, x, sides))
 
-    return on_corners(second, system, corner_sides(system))
+    return _on_sides(second, system, mode, on)
+
+
+def _on_sides(
+    function: Callable[[Components], Any], system: ComponentSystem, mode: Components, on: Components
+) -> Any:
+    """A vector, or several, on the combinations of sides that determine a field."""
+    if system.m == 1 or are_coupled(system):
+        return on_corners(function, system, corner_sides(system))
+    # Rates of separate surfaces do not depend on each other's sides, but their derivatives may.
+    above, below = (function(where(on, side, mode)) for side in (1.0, -1.0))
+    return jax.tree.map(
+        lambda *rows: Corners(rows), above, below, is_leaf=lambda v: isinstance(v, Components)
+    )
 
 
 def three_derivatives(
@@ -43,13 +67,15 @@ def three_derivatives(
     return along(t, x)[1], rate, second, third
 
 
-def on_every_side(system: ComponentSystem, t: Array, x: Components) -> tuple[Corners, ...]:
+def on_every_side(
+    system: ComponentSystem, t: Array, x: Components, mode: Components, on: Components
+) -> tuple[Corners, ...]:
     """`three_derivatives` on every combination of sides, since the higher ones are not affine in
-    the sides even if the field is."""
+    the sides even if the field is; for separate surfaces as in `second_derivatives`."""
     # One program for all combinations, since it contains third derivatives of the field.
     found = ft.partial(three_derivatives, system, t, x)
     if system.structure.separate:
-        return on_corners(found, system, corner_sides(system))
+        return _on_sides(found, system, mode, on)
     sides = every_side(system.m)
     tables = [Corners.table(v) for v in jax.vmap(found)(Components(sides.T.astype(system.dtype)))]
     if system.m > 2:

@@ -266,27 +266,39 @@ def _slopes(mode: Components, rates: Corners, w: Components) -> Array | list[tup
 
 
 def _matrix(mode: Components, rates: Corners, w: Components) -> Array | list[list[Array]]:
-    """∂(dH_j/dt)/∂w_i of the sliding surfaces, with rows of the identity for the others."""
+    """∂(dH_j/dt)/∂w_i of the sliding surfaces, with rows of the identity for the others.
+
+    If no side moves the state off a surface, as of x in x″ = f − g sgn x − h sgn x′ at rest (or at
+    the point to which a twisting controller converges, a sliding mode of the second order), its row
+    is zero, and all solutions give the same field. Its weight is then twice that of the surface
+    which it moves the most, here x′, so that it ends first and the other holds to the end.
+    """
     slopes, m = _slopes(mode, rates, w), w.size
     if isinstance(slopes, jax.Array):
         (slid,) = (mode == 0).parts
-        return select(slid[:, None], slopes, jnp.eye(m, dtype=slopes.dtype))
-    matrix = [
-        [select(s == 0, v, float(i == j)) for i, v in enumerate(row)]
-        for j, (s, row) in enumerate(zip(mode.parts, slopes, strict=True))
-    ]
-    return _least_of_two(mode, matrix) if m == 2 else matrix
-
-
-def _least_of_two(mode: Components, matrix: list[list[Array]]) -> list[list[Array]]:
-    """The matrix of a slide on two surfaces. If no side moves the state off one of them, as at the
-    point to which a twisting controller converges (a sliding mode of the second order), its row is
-    zero, and all solutions give the same field; the smallest one is taken."""
-    first, second = mode.parts
+        one = jnp.eye(m, dtype=slopes.dtype)
+        moved = select(slid[:, None] & slid[None, :], abs(slopes), 0.0)
+        free = slid & (jnp.max(moved, axis=1) == 0)
+        most = jnp.argmax(moved, axis=0)
+        sign = jnp.sign(jnp.diag(slopes[most]) * jnp.diag(slopes)[most])
+        tie = one[most] - (0.5 * sign)[:, None] * one
+        tie = select((jnp.max(moved, axis=0) > 0)[:, None], tie, 0.0)
+        return select(slid[:, None], select(free[:, None], tie, slopes), one)
+    flags = [s == 0 for s in mode.parts]
     rows = []
-    for row, (a, b) in zip(matrix, reversed(matrix), strict=True):
-        free = (first == 0) & (second == 0) & (row[0] == 0) & (row[1] == 0)
-        # With the right-hand side 0 the row (−b, a) makes w parallel to the other row (a, b), as
-        # the smallest solution is.
-        rows.append([select(free, -b, row[0]), select(free, a, row[1])])
+    for j, (slid, row) in enumerate(zip(flags, slopes, strict=True)):
+        one = [float(i == j) for i in range(m)]
+        tie, most, free = [0.0] * m, jnp.zeros_like(row[0]), slid
+        for i, (other, size) in enumerate(zip(flags, row, strict=True)):
+            free = free & ~(other & (size != 0))
+            if i == j:
+                continue
+            by = select(slid & other, abs(slopes[i][j]), 0.0)
+            sign = jnp.sign(slopes[i][j] * slopes[i][i])
+            here = [-0.5 * sign if k == j else float(k == i) for k in range(m)]
+            tie = [select(by > most, a, b) for a, b in zip(here, tie, strict=True)]
+            most = jnp.maximum(by, most)
+        rows.append(
+            [select(slid, select(free, b, v), a) for v, b, a in zip(row, tie, one, strict=True)]
+        )
     return rows

@@ -1,0 +1,150 @@
+"""The decision for many surfaces, with a field that is affine in its sides, by pivoting.
+
+The conditions of `decision` are then one affine variational inequality on a box, for the weights
+and the reactions of all surfaces together (`xla.complementarity`). Its size is the number of
+surfaces, where combinations of modes are 3^m.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxfil.integrate.surfaces.question import Question, Velocity, are_apart, in_place
+from jaxfil.integrate.surfaces.unilateral import rests_of
+from jaxfil.integrate.system.components import Components, pack, where
+from jaxfil.xla.complementarity import is_monotone, solve_on_box
+from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import COMPLEMENTARITY
+
+
+class _Inequality(eqx.Module):
+    """The variational inequality F = q + M z on a box, of all surfaces. z has weights, and the
+    sizes of reactions; F = −ψ for a weight and a for a reaction. Surfaces that are not decided, and
+    do not rest, have equal bounds."""
+
+    q: Array
+    matrix: Array
+    low: Array
+    high: Array
+    slid: Array
+    """Surfaces with a weight to be found, m flags."""
+    level: Array
+    """Those of them that dψ/dt decides in place of ψ."""
+
+
+def by_pivoting(question: Question) -> tuple[Components, Array]:
+    """`decision.decide` by pivoting. The solution is unique if the symmetric part of the matrix is
+    positive definite. Otherwise the search starts again from other sides, from the opposite of all
+    and of each, until another motion is found."""
+    posed = _inequality(question)
+    z, found = _solved(posed, jnp.ones_like(posed.q))
+    on, mode = pack(question.on, bool), pack(question.mode, posed.q.dtype)
+    # The solution only says which surfaces slide or rest. The weights and reactions themselves are
+    # computed from the mode.
+    weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
+    # Where dψ/dt vanishes in place of ψ, the slide of another surface holds both.
+    noise = COMPLEMENTARITY * jnp.finfo(z.dtype).eps * (abs(posed.q) + abs(posed.matrix) @ abs(z))
+    balanced = abs(posed.q + posed.matrix @ z) <= noise
+    both = posed.level & balanced
+    holding = balanced & jnp.any((posed.matrix != 0) & both[None, :], axis=1)
+    weight = select(both | holding, 0.0, weight)
+    chosen = select(on, select(posed.slid, weight, select(z > 0, 2 * mode, mode)), mode)
+    monotone = is_monotone(posed.matrix, on)
+    # Backward in time a repelling slide may have started at any earlier time.
+    several = ~monotone & (question.direction < 0) & jnp.any(on & (chosen == 0))
+    # A slide that continues has been decided before.
+    searched = found & ~monotone & ~several & question.leaves
+    several = several | _has_another(question, posed, z, searched)
+    count = select(found, select(several, 2, 1), 0).astype(jnp.int32)
+    return _like(question.mode, chosen), count
+
+
+def _like(mode: Components, v: Array) -> Components:
+    """The numbers of all surfaces in the layout of the mode."""
+    return Components([v] if mode.is_array else list(v))
+
+
+def _solved(posed: _Inequality, signs: Array) -> tuple[Array, Array]:
+    """A solution, and whether one was found, with these signs of the unknowns. The search starts at
+    the lower bounds, and a sign of −1 makes the upper one the lower."""
+    turned = signs < 0
+    low, high = select(turned, -posed.high, posed.low), select(turned, -posed.low, posed.high)
+    matrix = signs[:, None] * posed.matrix * signs[None, :]
+    z, found = solve_on_box(signs * posed.q, matrix, low, high)
+    return signs * z, found
+
+
+def _has_another(question: Question, posed: _Inequality, z: Array, wanted: Array) -> Array:
+    """Whether a search from other sides finds a solution with another velocity."""
+    first, number = _velocity_of(question, z), jnp.arange(len(z), dtype=jnp.int32)
+
+    def goes_on(state: tuple[Array, Array]) -> Array:
+        another, k = state
+        return wanted & ~another & (k < len(z))
+
+    def next_one(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        _, k = state
+        signs = select(posed.slid & ((k < 0) | (number == k)), -1.0, 1.0).astype(z.dtype)
+        other, found = _solved(posed, signs)
+        return found & are_apart(first, _velocity_of(question, other)), k + 1
+
+    start = jnp.zeros((), bool), jnp.full((), -1, jnp.int32)
+    another, _ = jax.lax.while_loop(goes_on, next_one, start)
+    return another
+
+
+def _velocity_of(question: Question, z: Array) -> Velocity:
+    """The velocity with the weights and reactions z; these themselves if all modes count as
+    different motions."""
+    weights, forces = _like(question.mode, z), question.forces
+    if question.fields is None:
+        return Velocity(weights, abs(weights))
+    slid = question.on if question.walls is None else question.on & ~question.walls
+    sides = where(slid, 0.0, where(question.mode < 0, -1.0, 1.0))
+    f, size = question.fields.blend(sides, weights), question.fields.sizes()
+    if forces is None:
+        return Velocity(f, size)
+    force, directions = where(slid, 0.0, weights * sides), forces.response.directions
+    force = where(rests_of(question.mode) | (question.on & ~slid), force, 0.0)
+    return Velocity(directions.added(f, force), abs(directions).added(size, abs(force)))
+
+
+def _inequality(question: Question) -> _Inequality:
+    """The inequality of a question with a field that is affine in its sides."""
+    known, direction = question.forces, question.direction
+    active, mode = pack(question.on, bool), pack(question.mode, direction.dtype)
+    side, resting = jnp.sign(mode), ~active & (abs(mode) == 2)
+    slid, rates, level = active, question.rates, jnp.zeros_like(active)
+    if question.walls is not None:
+        slid = active & ~pack(question.walls, bool)
+    following = question.following if known is None else known.accelerations
+    if following is not None:
+        free = question.on & question.leaves
+        if known is not None:
+            free = free & (abs(known.pushes) @ question.mode.like(jnp.ones_like(direction)) == 0)
+        free = free if question.walls is None else free & ~question.walls
+        rates, replaced = in_place(rates, following, direction, question.instant, free)
+        level = pack(replaced, bool)
+    base, slopes = -direction * pack(rates[0], mode.dtype), rates.slopes()
+    matrix, wall = -direction * slopes, jnp.zeros_like(active)
+    by_weight = matrix
+    if known is not None and question.walls is not None:
+        # The reaction of a surface that continues to rest is an unknown too, since the reactions of
+        # other surfaces change it.
+        wall = (active & ~slid) | resting
+        of_wall = side[:, None]
+        a = pack(known.accelerations[0], mode.dtype)
+        base = select(wall, side * a, base)
+        by_weight = select(wall[:, None], of_wall * known.accelerations.slopes(), matrix)
+        # The unknown of a wall is |λ|, hence the side in its column. Its row is the acceleration
+        # away from the wall, hence the side there.
+        gains, pushes = (jnp.asarray(v.entries()) for v in (known.response.gains, known.pushes))
+        pushes = select(level[:, None], -gains, -direction * pushes)
+        by_force = select(wall[:, None], of_wall * gains, pushes)
+        matrix = select(wall[None, :], by_force * side[None, :], by_weight)
+    # The base rates belong to w = 1 (all sides +); the side of a wall is fixed.
+    q = base + by_weight @ (select(wall, side, 0.0) - 1.0)
+    low = select(wall, 0.0, select(active, -1.0, side))
+    high = select(wall, jnp.inf, select(active, 1.0, side))
+    return _Inequality(q, matrix, low, high, slid, level)
