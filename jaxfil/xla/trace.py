@@ -191,6 +191,12 @@ class Traced:
         return all(np.all(d <= 1) for d in degrees_of(self._closed, degrees))
 
 
+def without_branches(function: Callable, *args: Any) -> Any:
+    """`function(*args)`, with derivatives that are independent of branches that are not taken, in
+    reverse mode too (`masked_product`)."""
+    return Traced(function, *args, transposed=True, fast=False)(*args)
+
+
 def _named(jaxpr: Any, refused: Mapping[str, str]) -> str | None:
     """The first of some operations in a program, by its name in JAX."""
     for eqn in jaxpr.eqns:
