@@ -427,6 +427,38 @@ def test_extremes_have_second_derivatives_also_beside_a_side_that_is_not_a_numbe
     assert_allclose(of_peak, jax.hessian(exact)(p)[1], rtol=0, atol=1e-12)
 
 
+class Driven(jf.System):
+    """x' = −x + cos ωt, seen with a period that ω does not change."""
+
+    omega: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return -x + jnp.cos(self.omega * t)
+
+
+def test_the_derivative_by_a_frequency_beside_the_period_grows_with_time():
+    """It repeats at ω = 1, where elapsed times restart, but its change with ω does not."""
+    first, count = 6, 2
+
+    def mean(omega):
+        average = {"p": lambda t, x: x[0] * jnp.cos(t)}
+        run = dict(transient=first, samples=count, steps=40, compact=True)
+        return jf.settled_average(Driven(omega), average, jnp.zeros(1), **run).averages["p"]
+
+    def exact(w):
+        t = jnp.linspace(first, first + count, 8001)[:-1] * 2 * jnp.pi
+        x = (jnp.cos(w * t) + w * jnp.sin(w * t) - jnp.exp(-t)) / (1 + w * w)
+        dt = 2 * jnp.pi * count / t.size
+        ends = jnp.stack([t[0], t[-1] + dt])
+        edge = (jnp.cos(w * ends) + w * jnp.sin(w * ends)) / (1 + w * w) * jnp.cos(ends)
+        return jnp.mean(x * jnp.cos(t)) + (edge[1] - edge[0]) / (2 * t.size)
+
+    w = jnp.ones(())
+    want = jax.jvp(exact, (w,), (w,))[1]
+    assert_allclose(jax.grad(mean)(w), want, rtol=1e-5)
+
+
 class Ringing(jf.System):
     """x'' + x'/5 + x = 0."""
 
