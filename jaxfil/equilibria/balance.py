@@ -23,6 +23,7 @@ from jaxfil.integrate.system.lowered import build
 from jaxfil.model.system import System, field_of
 from jaxfil.xla.select import select
 from jaxfil.xla.thresholds import EQUATIONS
+from jaxfil.xla.trace import without_branches
 
 # Largest number of surfaces whose 2^m combinations of sides are always evaluated.
 _FEW = 5
@@ -63,13 +64,15 @@ class Balance(eqx.Module):
 
     def h(self, x: Float[Array, " n"]) -> Float[Array, " m"]:
         """H of all surfaces."""
-        return jnp.atleast_1d(self.system.switching(jnp.zeros((), x.dtype), x))
+        switching = self.system.switching
+        return jnp.atleast_1d(without_branches(switching, jnp.zeros((), x.dtype), x))
 
     def _force(self, x: Array, sides: Array) -> Array:
         """F on given sides."""
         t = jnp.zeros((), x.dtype)
         scalar = jnp.ndim(self.system.switching(t, x)) == 0
-        return field_of(self.system, t, x, sides[0] if scalar else sides)
+        sides = sides[0] if scalar else sides
+        return without_branches(ft.partial(field_of, self.system), t, x, sides)
 
     def field(self, x: Float[Array, " n"], multipliers: Float[Array, " m"]) -> Float[Array, " n"]:
         """The blend of the fields with these weights and reactions."""
@@ -110,7 +113,9 @@ class Balance(eqx.Module):
         depth = jax.lax.stop_gradient(select(self.mode < 0, -depth, depth) * inverse)
 
         def direction(j: Array, normal: Array, depth: Array) -> Array:
-            reset = lambda x: self.system.reset(jnp.zeros((), x.dtype), x, j)  # noqa: E731
+            def reset(x: Array) -> Array:
+                return without_branches(self.system.reset, jnp.zeros((), x.dtype), x, j)
+
             moving = x - depth * jax.lax.stop_gradient(normal)
             return normal - jax.jvp(reset, (moving,), (normal,))[1]
 

@@ -73,7 +73,9 @@ def periodic_orbit(
     **Returns** an `Orbit`. For a batch use `equinox.filter_vmap` with `throw=False`; each lane then
     has its own outcome. The first and second derivatives of `orbit.x0` and `orbit.period` with
     respect to the float leaves of the system follow from the implicit function theorem, forward and
-    reverse; all other derivatives are NaN.
+    reverse; all other derivatives are NaN. The phase of an autonomous orbit is arbitrary, and in
+    derivatives `x0` stays in the plane through the guess that the search has used, although a new
+    search with other parameters uses another one; what does not depend on the phase is exact.
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
     without an orbit; `behind_surface` for an orbit with H < 0 at a surface that reflects; and if

@@ -131,15 +131,18 @@ class Sampling(eqx.Module):
         """A system and its state, both extended by the integrals along the motion."""
         return (system, x0) if self.averaging is None else self.averaging.carried(system, x0)
 
-    def problem(self, point: Point, start: Array) -> tuple[Problem, Components]:
-        """The integration problem of a lane, and its initial components."""
+    def problem(
+        self, point: Point, start: Array, transposed: bool = False
+    ) -> tuple[Problem, Components]:
+        """The integration problem of a lane, and its initial components. If `transposed`, what is
+        computed from its extensions is differentiated in reverse mode."""
         system, period = self.at(point.values)
         x0, phase = self.split(start)
         carrying, x = self._carried(system, x0)
         field = build(carrying, x, compact=self.compact)
         others = ()
         if self.averaging is not None:
-            others = self.averaging.extensions(system, field, x, self._first)
+            others = self.averaging.extensions(system, field, x, self._first, transposed)
         if self.section is not None:
             run = self._to_the_last_crossing(carrying, field, period, (x, phase), others)
             return run, field.unpack(x)
@@ -252,7 +255,8 @@ class Sampling(eqx.Module):
 
     def _averaged(self, averaging: Averaging, point: Point, start: Array, kept: Kept) -> Array:
         """The numbers of all quantities of a lane."""
-        problem, _ = self.problem(point, start)
+        # The run is differentiated forward, in a kernel, and what follows as the user asks.
+        problem, _ = self.problem(point, start, transposed=True)
         integrals, ts = kept.saved.xs[:, averaging.n :], kept.saved.ts
         if self.section is None:
             _, period = self.at(point.values)

@@ -52,6 +52,23 @@ def _with_known_numbers(closed: Any) -> tuple[Any, list]:
     return jaxpr, [value for _, value in rest]
 
 
+def with_traced_values(program: Any) -> tuple[Any, tuple]:
+    """A program whose closure has known values alone, and those that are traced, which are its
+    first arguments. A rule for derivatives that evaluates the program later would otherwise see
+    traced values of an outer transformation, and miss their tangents."""
+    pairs = list(zip(program.jaxpr.constvars, program.consts, strict=True))
+    moved = [(var, value) for var, value in pairs if not is_known(value)]
+    if not moved:
+        return program, ()
+    kept = [(var, value) for var, value in pairs if is_known(value)]
+    first = [var for var, _ in moved]
+    jaxpr = program.jaxpr.replace(
+        constvars=[var for var, _ in kept],
+        invars=[*first, *program.jaxpr.invars],
+    )
+    return jexc.ClosedJaxpr(jaxpr, [value for _, value in kept]), tuple(v for _, v in moved)
+
+
 def pruned(program: Any) -> Any:
     """The same program without operations whose results are unused, such as tangents of values
     whose derivative is zero by structure. XLA would remove them too, but only after they have been

@@ -7,7 +7,7 @@ determine which of its results depend on which of its arguments.
 """
 
 import functools as ft
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -28,6 +28,7 @@ from jaxfil.xla.program import (
     programs,
     pruned,
     replaced_inside,
+    with_traced_values,
 )
 from jaxfil.xla.series import Expansion
 from jaxfil.xla.series_program import expanded
@@ -65,6 +66,10 @@ class Traced:
     `transposed`, derivatives that may be infinite or NaN use `masked_product`. Unless it is `fast`,
     sines and cosines are XLA's own, one operation in place of some twenty, arrays built from
     numbers remain arrays, and only arrays are computed early, by functions that vectorise.
+
+    Numbers of the function's closure that are traced, as one with respect to which a user
+    differentiates, are arguments too, so that its derivatives in any rule include them. They are
+    `closed_over`, and precede the others in a call.
     """
 
     def __init__(
@@ -77,15 +82,17 @@ class Traced:
     ):
         self._fast, self._functions = fast, _FAST if fast else _RIGHT
         written, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+        written, self.closed_over = with_traced_values(written)
         self._closed = by_slices(written)
         self._of_rates: dict[int, Any] = {}
         self._tree = jax.tree.structure(shape)
         order = when or (LATE,) * len(example)
         each = zip(order, example, strict=True)
         self._when = [k for k, arg in each for _ in jax.tree.leaves(arg)]
+        self._when = [FIRST] * len(self.closed_over) + self._when
         # The flags of the results that depend on a sine. With only one, a call whose result is used
         # `alone` needs no fence.
-        nothing = jax.tree.map(lambda v: np.zeros(np.shape(v), bool), jax.tree.leaves(example))
+        nothing = [np.zeros(v.shape, bool) for v in self._closed.in_avals]
         waves = dependencies(self._closed, nothing, sources=self._functions)
         self._shared = sum(int(np.sum(flags)) for flags in waves) > 1
         # Without singular operations all derivatives are finite at finite arguments, and need no
@@ -173,22 +180,26 @@ class Traced:
     def depends(self, *args: Any) -> Any:
         """Flags of the results that depend on the flagged arguments, number by number, as
         pytrees."""
-        jaxpr = self._closed.jaxpr
-        flags = [
-            np.broadcast_to(flag, v.aval.shape)
-            for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
-        ]
+        flags = [np.broadcast_to(flag, v.shape) for v, flag in self._asked(args)]
         out = dependencies(self._closed, flags)
         return jax.tree.unflatten(self._tree, list(map(np.asarray, out)))
 
     def is_affine(self, *args: Any) -> bool:
         """Whether all results are provably affine in the flagged arguments."""
-        jaxpr = self._closed.jaxpr
-        degrees = [
-            np.full(v.aval.shape, int(flag))
-            for v, flag in zip(jaxpr.invars, jax.tree.leaves(args), strict=True)
-        ]
+        degrees = [np.full(v.shape, int(flag)) for v, flag in self._asked(args)]
         return all(np.all(d <= 1) for d in degrees_of(self._closed, degrees))
+
+    def _asked(self, flags: tuple) -> Iterator[tuple[Any, Any]]:
+        """The shape of each argument with its flag, which is not set for those closed over."""
+        every = [*(False for _ in self.closed_over), *jax.tree.leaves(flags)]
+        return zip(self._closed.in_avals, every, strict=True)
+
+
+def without_branches(function: Callable, *args: Any) -> Any:
+    """`function(*args)`, with derivatives that are independent of branches that are not taken, in
+    reverse mode too (`masked_product`)."""
+    traced = Traced(function, *args, transposed=True, fast=False)
+    return traced(traced.closed_over, *args)
 
 
 def _named(jaxpr: Any, refused: Mapping[str, str]) -> str | None:

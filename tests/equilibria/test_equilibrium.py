@@ -71,6 +71,26 @@ def test_derivatives_of_a_weight_and_of_an_eigenvalue():
     assert_allclose(rate, -1 / (1 + k) ** 2, rtol=256 * EPS)
 
 
+class Tank(jf.System):
+    """x' = 1 − p x² above 0, √(−x) below, which is not a number above."""
+
+    p: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.where(side > 0, 1 - self.p * x**2, jnp.sqrt(-x))
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def test_the_jacobian_beside_a_side_that_is_not_a_number_has_reverse_mode():
+    """It is −2√p at x = 1/√p."""
+    slope = jax.grad(lambda p: jf.equilibrium(Tank(p), jnp.array([0.9])).jacobian[0, 0])
+    p = jnp.asarray(0.8)
+    assert_allclose(slope(p), -(p**-0.5), rtol=64 * EPS)
+    assert_allclose(jax.jacfwd(slope)(p), 0.5 * p**-1.5, rtol=256 * EPS)
+
+
 def test_a_pseudo_equilibrium_of_two_surfaces():
     found = jf.equilibrium(TwoSurfaces(1.5), jnp.zeros(2))
     assert (found.kind, found.mode.tolist()) == ("pseudo", [0, 0])

@@ -376,6 +376,89 @@ def test_extremes_at_kinks_and_the_size_of_what_rests_with_their_derivatives():
     assert_array_equal(jax.grad(lambda p: averages(p)["idle"])(p), 0.0)
 
 
+class Lifted(jf.System):
+    """x'' = −x, or v' = √(0.1 − v) below, which is NaN above 0.1."""
+
+    period = 2 * np.pi
+    slides = False
+
+    def vector_field(self, t, x, side):
+        below = jnp.sqrt(0.1 - x)
+        return jnp.where(side > 0, jnp.stack([x[1], -x[0]]), below)
+
+    def switching(self, t, x):
+        return x[0] + 3.0
+
+
+class Lower(eqx.Module):
+    """The lower one of two curves."""
+
+    slope: jax.Array
+
+    def __call__(self, t, x, side):
+        return jnp.minimum(x[0] + 0.05 * t, self.slope * x[1] + 0.05 * t * x[0])
+
+
+def test_extremes_have_second_derivatives_also_beside_a_side_that_is_not_a_number():
+    """The largest x is the amplitude. The lower one of two curves is largest where they cross."""
+
+    def largest(p):
+        average = {"top": jf.Maximum(lambda t, x, side: x[0]), "peak": jf.Maximum(Lower(p[1]))}
+        x0 = jnp.stack([p[0] * jnp.sin(p[2]), p[0] * jnp.cos(p[2])])
+        run = dict(transient=0, samples=1, steps=40, compact=True)
+        found = jf.settled_average(Lifted(), average, x0, **run).averages
+        return jnp.stack([found["top"], found["peak"]])
+
+    def exact(p):
+        def curves(t):
+            x, v = p[0] * jnp.sin(t + p[2]), p[0] * jnp.cos(t + p[2])
+            return jnp.stack([x + 0.05 * t, p[1] * v + 0.05 * t * x])
+
+        t = jnp.asarray(0.8)
+        for _ in range(8):
+            (a, b), (ra, rb) = jax.jvp(curves, (t,), (jnp.ones(()),))
+            t = t - (a - b) / (ra - rb)
+        return jnp.stack([p[0], curves(t)[0]])
+
+    p = jnp.array([1.3, 0.7, -0.2])
+    assert_allclose(jax.jacrev(largest)(p), jax.jacfwd(exact)(p), rtol=0, atol=1e-12)
+    of_top, of_peak = jax.jacfwd(jax.jacrev(largest))(p)
+    assert_allclose(of_top, np.zeros((3, 3)), rtol=0, atol=1e-12)
+    assert_allclose(of_peak, jax.hessian(exact)(p)[1], rtol=0, atol=1e-12)
+
+
+class Driven(jf.System):
+    """x' = −x + cos ωt, seen with a period that ω does not change."""
+
+    omega: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return -x + jnp.cos(self.omega * t)
+
+
+def test_the_derivative_by_a_frequency_beside_the_period_grows_with_time():
+    """It repeats at ω = 1, where elapsed times restart, but its change with ω does not."""
+    first, count = 6, 2
+
+    def mean(omega):
+        average = {"p": lambda t, x: x[0] * jnp.cos(t)}
+        run = dict(transient=first, samples=count, steps=40, compact=True)
+        return jf.settled_average(Driven(omega), average, jnp.zeros(1), **run).averages["p"]
+
+    def exact(w):
+        t = jnp.linspace(first, first + count, 8001)[:-1] * 2 * jnp.pi
+        x = (jnp.cos(w * t) + w * jnp.sin(w * t) - jnp.exp(-t)) / (1 + w * w)
+        dt = 2 * jnp.pi * count / t.size
+        ends = jnp.stack([t[0], t[-1] + dt])
+        edge = (jnp.cos(w * ends) + w * jnp.sin(w * ends)) / (1 + w * w) * jnp.cos(ends)
+        return jnp.mean(x * jnp.cos(t)) + (edge[1] - edge[0]) / (2 * t.size)
+
+    w = jnp.ones(())
+    want = jax.jvp(exact, (w,), (w,))[1]
+    assert_allclose(jax.grad(mean)(w), want, rtol=1e-5)
+
+
 class Ringing(jf.System):
     """x'' + x'/5 + x = 0."""
 

@@ -34,7 +34,7 @@ from jaxfil.integrate.surfaces import filippov, unilateral, weights as sliding_w
 from jaxfil.integrate.surfaces.corners import Corners, are_coupled
 from jaxfil.integrate.surfaces.entering import fields_from_here, held_from_here
 from jaxfil.integrate.surfaces.normals import project
-from jaxfil.integrate.surfaces.second_order import beyond_newton
+from jaxfil.integrate.surfaces.second_order import met_here
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
@@ -42,11 +42,9 @@ from jaxfil.integrate.system.components import (
     any_of,
     first_set,
     maximum,
-    total,
     where,
 )
 from jaxfil.integrate.system.lowered import ComponentSystem
-from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select, select_all
 
 # Backward in time the state at the end of a slide has the errors of both directions, hence this
@@ -256,11 +254,9 @@ def _to_later(problem: Problem, state: LoopState, end: StepEnd) -> StepEnd:
     falls = direction * end.motion.rate < 0
     here = (abs(end.motion.g) <= end.gathered) | is_close(problem, state, end.motion.g)
     comes = state.pending.waits & first_set(end.next) & falls & here
-    missing = -end.motion.g / where(falls, end.motion.rate, -direction)
-    delta = total(where(comes, missing - stop_gradient(missing), 0.0))
-    linear = delta, end.motion.x + delta * end.motion.f
-    t, mode = problem.grid.t0 + end.motion.tau, end.motion.mode
-    delta, x = add_second_derivative(beyond_newton, linear, system, t, end.motion.x, mode, comes)
+    at = problem.grid.t0 + end.motion.tau, end.motion.x
+    motion, gap = (end.motion.mode, end.motion.f), (end.motion.g, end.motion.rate)
+    delta, x = met_here(system, at, motion, gap, comes)
     jump = delta if end.jump is None else end.jump + delta
     misfit = None
     if state.pending.together is not None:

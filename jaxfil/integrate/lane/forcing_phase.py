@@ -9,10 +9,13 @@ period, and is exact at the start of one.
 """
 
 import dataclasses
+from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
@@ -33,41 +36,96 @@ _APART = (0.618, -0.382, 0.854, -0.146, 0.472)
 _SAME = 1024
 
 
+@eqx.filter_custom_jvp
 def repeats(system: System, period: Array, x: Array, count: Array | int) -> Array:
     """Whether field, H and resets near a state x are the same in all of `count` periods, seen at
     some times. Forces of two frequencies, kicks at times of their own, or a slow start are examples
-    where they are not. A pulse shorter than a thirtieth of the run may pass unseen."""
-    m = check.shapes(system, x)
-    x, period = stop_gradient(x), stop_gradient(period)
+    where they are not. A pulse shorter than a thirtieth of the run may pass unseen.
 
-    def values(x: Array, side: Array, t: Array) -> Array:
-        # A coefficient of friction has no effect without a reaction.
-        own = field_of(system, t, x, side, jnp.ones_like(side)), system.switching(t, x)
-        if system.resets:
-            count = m[0] if m else 1
-            own += tuple(system.reset(t, x, jnp.asarray(j)) for j in range(count))
-        return jnp.concatenate([jnp.ravel(v) for v in own])
+    In a derivative by the system their derivatives must be the same too: by the frequency of a
+    force, but for one that determines the period, they grow with time."""
+    same = _Values(system, x, count)
+    now, later = same(system, period)
+    return _are_same(now, later, same.ahead, abs(now) + abs(later))
 
-    # A coefficient that depends on time has no effect where its factor is zero, as at rest, or
-    # where the sides of two surfaces cancel it.
-    apart = jnp.asarray(np.resize(_APART, x.shape), x.dtype) * (1 + abs(x))
-    states, ones = jnp.stack([x, x + apart, x - apart]), np.ones(m)
-    turned = np.resize((1.0, -1.0), m)
-    sides = jnp.asarray(np.stack([ones, -ones, turned, -turned]), x.dtype)
-    phases = jnp.asarray((*_PHASES, *np.linspace(0.01, 0.99, _LATER)), x.dtype)
-    parts = np.linspace(0, 1, _LATER + 1)[1:]
-    # In an order that is not that of the phases.
-    parts = jnp.asarray(np.append([0.0, 0.0], parts[np.arange(_LATER) * 7 % _LATER]), x.dtype)
-    ahead = jnp.maximum(jnp.round(parts * (jnp.asarray(count, x.dtype) - 1)), 1)
-    at = phases * period
-    several = values
-    for place in ((None, None, 0), (None, 0, None), (0, None, None)):
-        several = jax.vmap(several, in_axes=place)
-    # Shape (3 states, 4 sides, times, numbers). The size is the largest over sides and times, since
-    # a number may vanish at one of them.
-    now, later = several(states, sides, at), several(states, sides, at + ahead * period)
-    size = jnp.max(abs(now) + abs(later), axis=(1, 2), keepdims=True)
-    same = abs(now - later) <= _SAME * jnp.finfo(x.dtype).eps * ahead[:, None] * size
+
+@repeats.def_jvp
+def _repeats_jvp(primals: tuple, tangents: tuple) -> tuple:
+    (system, period, x, count), (by_system, *_) = primals, tangents
+    found, here = repeats(system, period, x, count), stop_gradient((period, x))
+    # Equinox has None for tangents that are zero.
+    moving = jax.tree.map(
+        lambda v, by: None if by is None else stop_gradient(v),
+        system,
+        by_system,
+        is_leaf=lambda v: v is None,
+    )
+    theta, unravel = ravel_pytree(moving)
+    if theta.size:
+        rest = jax.tree.map(lambda v: stop_gradient(v) if eqx.is_array(v) else v, system)
+        found = found & _rates_repeat(lambda v: eqx.combine(unravel(v), rest), theta, *here, count)
+    return found, None
+
+
+def _rates_repeat(
+    system_of: Callable[[Array], System], theta: Array, period: Array, x: Array, count: Array | int
+) -> Array:
+    """Whether derivatives by the numbers of a system are the same in all periods."""
+    same = _Values(system_of(theta), x, count)
+
+    def length(theta: Array) -> Array:
+        return jnp.asarray(system_of(theta).period, x.dtype)
+
+    now, later = jax.jacfwd(lambda v: same(system_of(v), length(v)))(theta)
+    _, by_time = jax.jvp(lambda v: same(system_of(theta), v)[1], (period,), (period,))
+    # Of the change with the phase and of the change with time at a phase nothing may remain.
+    part = abs(jax.jacfwd(length)(theta)) / abs(period)
+    return _are_same(now, later, same.ahead, abs(now) + abs(later) + abs(by_time)[..., None] * part)
+
+
+class _Values:
+    """Field, H and resets at some states, on some sides and at some phases, now and later."""
+
+    def __init__(self, system: System, x: Array, count: Array | int):
+        self.m = m = check.shapes(system, x)
+        # A coefficient that depends on time has no effect where its factor is zero, as at rest, or
+        # where the sides of two surfaces cancel it.
+        x = stop_gradient(x)
+        apart = jnp.asarray(np.resize(_APART, x.shape), x.dtype) * (1 + abs(x))
+        turned, ones = np.resize((1.0, -1.0), m), np.ones(m)
+        self.states = jnp.stack([x, x + apart, x - apart])
+        self.sides = jnp.asarray(np.stack([ones, -ones, turned, -turned]), x.dtype)
+        phases = (*_PHASES, *np.linspace(0.01, 0.99, _LATER))
+        self.phases = jnp.asarray(phases, x.dtype)
+        parts = np.linspace(0, 1, _LATER + 1)[1:]
+        # In an order that is not that of the phases.
+        parts = jnp.asarray(np.append([0.0, 0.0], parts[np.arange(_LATER) * 7 % _LATER]), x.dtype)
+        self.ahead = jnp.maximum(jnp.round(parts * (jnp.asarray(count, x.dtype) - 1)), 1)
+
+    def __call__(self, system: System, period: Array) -> tuple[Array, Array]:
+        """The values at both times, shape (3 states, 4 sides, times, numbers)."""
+
+        def values(x: Array, side: Array, t: Array) -> Array:
+            # A coefficient of friction has no effect without a reaction.
+            own = field_of(system, t, x, side, jnp.ones_like(side)), system.switching(t, x)
+            if system.resets:
+                count = self.m[0] if self.m else 1
+                own += tuple(system.reset(t, x, jnp.asarray(j)) for j in range(count))
+            return jnp.concatenate([jnp.ravel(v) for v in own])
+
+        several, at = values, self.phases * period
+        for place in ((None, None, 0), (None, 0, None), (0, None, None)):
+            several = jax.vmap(several, in_axes=place)
+        now = several(self.states, self.sides, at)
+        return now, several(self.states, self.sides, at + self.ahead * period)
+
+
+def _are_same(now: Array, later: Array, ahead: Array, size: Array) -> Array:
+    """Whether arrays of shape (states, sides, times, …) are the same to rounding."""
+    # The size is the largest over sides and times, since a number may vanish at one of them.
+    size = jnp.max(size, axis=(1, 2), keepdims=True)
+    ahead = ahead.reshape(-1, *(1,) * (now.ndim - 3))
+    same = abs(now - later) <= _SAME * jnp.finfo(now.dtype).eps * ahead * size
     # A field need not be defined away from its state.
     return jnp.all(same | (now == later) | (jnp.isnan(now) & jnp.isnan(later)))
 

@@ -92,4 +92,4 @@ def event_sums(
 
     nowhere = system.for_each_surface(jnp.zeros((), dtype))
     traced = Traced(on_components, leaves, t0, x, x, nowhere, fast=not system.compact)
-    return EventSums(ParametrizedFunction(traced, leaves, system.fence), count, window)
+    return EventSums(ParametrizedFunction.of(traced, leaves, system.fence), count, window)

@@ -12,7 +12,8 @@ not pay for a search. Its error, of order four, or of order one at a kink of g, 
 result. The lengths are constants in derivatives, like the lengths to contacts. At a maximum of a
 smooth piece the rate is zero, and the ends of the pieces move with their contacts, so the
 derivative is right in both cases. At a kink, where the rate jumps from ȧ > 0 to ḃ < 0, it is that
-of the value at which a and b cross, (ȧ db − ḃ da)/(ȧ − ḃ).
+of the value at which a and b cross, (ȧ db − ḃ da)/(ȧ − ḃ). Second derivatives have further terms,
+since the time of a maximum moves (`_beyond`).
 """
 
 import dataclasses
@@ -33,10 +34,11 @@ from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, Motion
 from jaxfil.integrate.loop.extensions import sections_in
 from jaxfil.integrate.loop.window import Window
-from jaxfil.integrate.steppers.explicit import compact_step
+from jaxfil.integrate.steppers.explicit import Tableau, compact_step
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import Components, pack, side_of
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select, select_all
 
 # Largest number of steps to the length at which a rate changes its sign; halvings alone reach the
@@ -44,6 +46,8 @@ from jaxfil.xla.select import select, select_all
 _STEPS = 60
 
 
+_Turn: TypeAlias = tuple[Array, Array, Array]
+"""Two lengths around a maximum, and the part of the way between them (`_turning_point`)."""
 Seen: TypeAlias = tuple[tuple[Array, ...], tuple[Array, ...]]
 """The values of functions and their rates along a motion."""
 
@@ -240,30 +244,66 @@ class Extremes(Extension):
         return np.asarray(self.signs, found.dtype) * found
 
     def _found(self, problem: Problem, place: Place, end: Array, i: Array) -> Array:
-        tableau, t, x = problem.tableau, place.t, place.x
-        around = dataclasses.replace(problem, system=self.field)
-        system = clocks.just_after(around, t).system
-        field = ModeField(system, place.mode)
-        f = field(t, x)
+        tableau, around = problem.tableau, dataclasses.replace(problem, system=self.field)
+        here = dataclasses.replace(self, field=clocks.just_after(around, place.t).system)
+
+        def beyond(here: Extremes, place: Place, i: Array, turn: _Turn, dt: Array) -> Array:
+            return _beyond(lambda h: here._within(tableau, place, i, h), turn, place.reach, dt)
 
         def at(h: Array) -> tuple[Array, Array]:
-            end = compact_step(tableau, field, t, x, f, h, system.forcing(t, h, tableau.times))
-            values, rates = map(jnp.stack, self._of(field, t + h, end.x))
-            return values[i], rates[i]
+            return here._within(tableau, place, i, h)
 
-        before, after, part = stop_gradient(_turning_point(at, place))
+        before, after, part = turn = stop_gradient(_turning_point(at, place))
         # Between the two lengths the rate is a straight line, or jumps.
         value = (1 - part) * at(before)[0] + part * at(after)[0]
         # A place at the end of a step has its exact value and its derivative, from `_further`.
         value = select(place.reach > 0, value, place.value)
+        dt = abs(problem.grid.dt)
+        value = add_second_derivative(beyond, value, here, place, i, turn, dt)
         # At a kink the cubic may have chosen a step without the largest value.
         value = select(end > value, end, value)
         return select(place.value > -jnp.inf, value, jnp.nan)
 
+    def _within(self, tableau: Tableau, place: Place, i: Array, h: Array) -> tuple[Array, Array]:
+        """Function number i and its rate after a length h of the step of a place."""
+        field, t, x = ModeField(self.field, place.mode), place.t, place.x
+        forcing = self.field.forcing(t, h, tableau.times)
+        end = compact_step(tableau, field, t, x, field(t, x), h, forcing)
+        values, rates = map(jnp.stack, self._of(field, t + h, end.x))
+        return values[i], rates[i]
 
-def _turning_point(
-    at: Callable[[Array], tuple[Array, Array]], place: Place
-) -> tuple[Array, Array, Array]:
+
+def _beyond(
+    at: Callable[[Array], tuple[Array, Array]], turn: _Turn, reach: Array, dt: Array
+) -> Array:
+    """Terms of second order of a maximum, of which the value and the first derivatives are zero.
+
+    With the rate r and its slope r′ < 0 at a smooth maximum, the time of the maximum moves by
+    −r/r′, and the value rises by −r²/2r′. At a kink with D = a − b it moves by −D/Ḋ, and
+
+        a − (ȧ/Ḋ) D + (ä/Ḋ² − ȧ D̈/Ḋ³) D²/2
+
+    is the value at which a and b cross; the first derivative has a constant part p of D for ȧ/Ḋ.
+    """
+    before, after, part = turn
+    one = jnp.ones_like(before)
+    (a, a_t), (_, a_tt) = jax.jvp(at, (before,), (one,))
+    (b, b_t), (_, b_tt) = jax.jvp(at, (after,), (one,))
+    a_tt, b_tt = stop_gradient((a_tt, b_tt))
+    small = float(jnp.finfo(one.dtype).eps) ** 0.5
+    rate, slope = select_all(part < 0.5, (a_t, a_tt), (b_t, b_tt))
+    smooth = (slope < 0) & (abs(rate) <= -small * slope * dt)
+    rises = -0.5 * rate**2 / select(smooth, slope, -one)
+    apart, fall = a - b, a_t - b_t
+    # The two lengths are so near that a smooth rate falls by less.
+    kink = (after - before <= small * reach) & (fall > small * reach * (abs(a_tt) + abs(b_tt)))
+    moves = apart / select(kink, fall, one)
+    bend = (1 - part) * a_tt + part * b_tt
+    crosses = (part - a_t / select(kink, fall, one)) * apart + 0.5 * bend * moves**2
+    return select(kink, crosses, select(smooth, rises, 0.0))
+
+
+def _turning_point(at: Callable[[Array], tuple[Array, Array]], place: Place) -> _Turn:
     """Two lengths between which the rate changes from positive to negative in the step of a place,
     as close as rounding allows, and the part of the way from one to the other at which it does.
     Both are the same without such a change."""

@@ -48,10 +48,12 @@ from jaxfil.integrate.surfaces.next_derivatives import (
     three_derivatives,
 )
 from jaxfil.integrate.surfaces.question import question_of
+from jaxfil.integrate.surfaces.second_order import met_here
 from jaxfil.integrate.system.components import (
     Components,
     all_finite,
     any_of,
+    first_set,
     maximum,
     side_of,
     sign,
@@ -219,6 +221,10 @@ def _start(problem: Problem, x: Components) -> Start:
     armed = stays_on(system, mode) | ~on
     g = where(armed, maximum(g, 0.0), 0.0)
     rate = where(armed, rate, direction * maximum(direction * rate, 0.0))
+    if owed is not None:
+        # The contact that is here at t0 is earlier or later beside this state.
+        gap = h, stop_gradient(h_t + normals @ f)
+        tau, x = met_here(system, (t, x), (mode, f), gap, first_set(owed))
     motion = Motion(tau, x, f, scale, mode, g, rate, noise, determinant)
     motion, count = unguarded(problem.kept, motion, count)
     return Start(motion, armed, owed, count)
@@ -231,7 +237,9 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
         problem = extension.before_step(problem, None)
     system, recording = problem.system, problem.recording
     start = _start(problem, x)
-    zero, false, tau = jnp.zeros((), jnp.int32), jnp.zeros((), bool), start.motion.tau
+    zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+    # The time of a contact at t0 has a derivative, and these have none.
+    tau = stop_gradient(start.motion.tau)
     nowhere = system.for_each_surface(false)
     alone = system.m <= 1 or system.resets or system.structure.separate
     state = LoopState(

@@ -162,11 +162,16 @@ class Averaging(eqx.Module):
         return eqx.tree_at(lambda s: s.function, section, OfState(section.function, self.n))
 
     def extensions(
-        self, system: System, field: ComponentSystem, x: Array, first: Array
+        self,
+        system: System,
+        field: ComponentSystem,
+        x: Array,
+        first: Array,
+        transposed: bool = False,
     ) -> tuple[Extension, ...]:
         """The extensions for lanes of a system whose `field` carries the integrals, from states
         like x with these. The span of the averages starts at grid point number `first`, or at this
-        crossing of the section."""
+        crossing of the section. `found` is differentiated in reverse mode if `transposed`."""
         window, found = Window(first), []
         # Extremes have a wider system of their own. Their functions are evaluated and not
         # integrated, so the lane does not carry them.
@@ -178,7 +183,7 @@ class Averaging(eqx.Module):
             elif isinstance(one.quantity, EventSum):
                 sums, count = [*sums, one.function(system)], count + one.size
         if signs:
-            rates = build(wider, start, compact=field.compact)
+            rates = build(wider, start, compact=field.compact, transposed=transposed)
             found.append(Extremes(rates, self.n, tuple(signs), window))
         if sums:
             row = _Row(tuple(sums), self.n)

@@ -130,6 +130,10 @@ class _WithRate(System):
         return self.system.ticks
 
     @property
+    def period(self) -> Array | float | None:
+        return self.system.period
+
+    @property
     def clocks(self) -> Clocks:
         return self.system.clocks
 

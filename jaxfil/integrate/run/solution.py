@@ -258,7 +258,8 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     forward = dense.t1 >= dense.t0
     sign = select(forward, 1.0, -1.0).astype(dtype)
     i = _step_at(dense, t)
-    system = build(dense.system, dense.xs[i], compact=dense.compact)
+    # The run is differentiated forward, in a kernel, and this step as the user asks.
+    system = build(dense.system, dense.xs[i], compact=dense.compact, transposed=True)
     system = within_step(dense, system, dense.ts[i])
     field = ModeField(system, system.of_surfaces(dense.modes[i].astype(dtype)))
     start, x = dense.ts[i], system.unpack(dense.xs[i])

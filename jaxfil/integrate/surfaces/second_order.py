@@ -1,4 +1,4 @@
-"""Second derivatives of a landing.
+"""Second derivatives of a landing, and a landing that is here already.
 
 Newton's step in time, t += δ, x += δ f, δ = −g/ġ with constant ġ, has the first derivatives of a
 landing. This file has the terms that complete the second ones.
@@ -13,9 +13,27 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.filippov import ModeField, guard
-from jaxfil.integrate.system.components import Components, total, where
+from jaxfil.integrate.system.components import Components, any_of, total, where
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select
+
+
+def met_here(
+    system: ComponentSystem,
+    at: tuple[Array, Components],
+    motion: tuple[Components, Components],
+    gap: tuple[Components, Components],
+    met: Components,
+) -> tuple[Array, Components]:
+    """The time to a contact with the surface `met` (m flags, one or none set) and the state there,
+    on a motion of the given mode with the field f, where g, one of the gaps, is zero to rounding,
+    with its rate. The value of the time is zero, and its derivatives are not."""
+    (t, x), (mode, f), (g, rate) = at, motion, gap
+    missing = -g / where(met, rate, 1.0)
+    delta = total(where(met, missing - stop_gradient(missing), 0.0))
+    moved = where(any_of(met), x + delta * f, x)
+    return add_second_derivative(beyond_newton, (delta, moved), system, t, x, mode, met)
 
 
 def beyond_newton(

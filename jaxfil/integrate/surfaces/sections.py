@@ -117,7 +117,7 @@ def watch_sections(
             transposed=transposed,
             fast=not system.compact,
         )
-        functions.append(ParametrizedFunction(traced, leaves, system.fence))
+        functions.append(ParametrizedFunction.of(traced, leaves, system.fence))
     last = [None if s.terminal is None else jnp.asarray(s.terminal, jnp.int32) for s in sections]
     return WatchedSections(
         functions=tuple(functions),

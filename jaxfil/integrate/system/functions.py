@@ -28,7 +28,13 @@ class ParametrizedFunction(eqx.Module):
     # The program is static and its parameters are not, so that new values compile no new program.
     traced: Traced = eqx.field(static=True)
     parameters: Any
+    """The array leaves, after the traced numbers that the function closes over."""
     fence: Array | None
+
+    @staticmethod
+    def of(traced: Traced, leaves: Any, fence: Array | None) -> "ParametrizedFunction":
+        """A function traced for these leaves."""
+        return ParametrizedFunction(traced, (traced.closed_over, leaves), fence)
 
     def __call__(self, *args: Any, **options: Any) -> Any:
         return self.traced(self.parameters, *args, fence=self.fence, **options)

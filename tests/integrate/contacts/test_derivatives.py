@@ -235,6 +235,35 @@ def test_a_side_not_taken_leaves_no_nan_in_reverse_mode(stepper, kind):
     assert_allclose(jax.jit(jax.grad(end))(p, REVERSE), want, rtol=1e-12)
 
 
+class Draining(jf.System):
+    """v' = −p √(v + 0.4) above 0, and below it a rate that is not a number above 0.4."""
+
+    pull: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        above, below = -self.pull * jnp.sqrt(x + 0.4), -0.1 / jnp.sqrt(0.4 - x)
+        return jnp.where(side > 0, above, below)
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def test_dense_output_beside_a_side_not_taken_has_reverse_mode():
+    """v = (√1.4 − p t/2)² − 0.4 from 1."""
+
+    def at(p):
+        dense = diffrax.SaveAt(dense=True)
+        sol = jf.solve(Draining(p), jnp.ones(1), 0.0, 1.0, 0.05, saveat=dense, max_events=4)
+        return sol.evaluate(0.43)[0]
+
+    def exact(p):
+        return (jnp.sqrt(1.4) - 0.215 * p) ** 2 - 0.4
+
+    p = jnp.asarray(0.8)
+    assert_allclose(jax.grad(at)(p), jax.grad(exact)(p), rtol=1e-13)
+
+
 @jax.jit
 @with_values
 def end_by_alpha(alpha):

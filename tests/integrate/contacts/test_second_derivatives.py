@@ -190,6 +190,59 @@ def test_a_curve_that_moves():
 
 
 @pytest.mark.slow
+def test_a_start_on_a_wall_has_the_time_of_its_impact():
+    """Beside the floor, at h, the impact comes at the root of h − v δ − g δ²/2."""
+
+    def end(p):
+        h, v = p
+        ball = S.BouncingBall(g=9.8, restitution=0.8)
+        sol = jf.solve(ball, jnp.stack([h, -v]), 0.0, 0.1, 0.05, stepper=PARABOLAS, max_events=2)
+        return jnp.append(sol.x_final, sol.events.ts[0])
+
+    def exact(p):
+        h, v = p
+        fast = jnp.sqrt(v**2 + 2 * 9.8 * h)
+        d = 2 * h / (v + fast)
+        up, left = 0.8 * fast, 0.1 - d
+        return jnp.stack([up * left - 4.9 * left**2, up - 9.8 * left, d])
+
+    p, u, v = jnp.array([[0.0, 1.0], [1.0, 0.3], [0.7, -1.0]])
+    got, want = twice(end)(p, u, v), twice(exact)(p, u, v)
+    for one, other in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+        compare(one, other, 1e-13)
+
+
+def test_numbers_in_closures_have_the_derivatives_of_parameters():
+    """From a start on the slide x = a, which moves with it, y = a t, which is a³ at a²."""
+
+    def slide(a):
+        relay = jf.piecewise(
+            lambda t, x: jnp.stack([-1.0 + 0 * x[0], a]),
+            lambda t, x: jnp.stack([1.0 + 0 * x[0], a]),
+            lambda t, x: x[0] - a,
+        )
+        sol = jf.solve(
+            relay,
+            jnp.stack([a, 0 * a]),
+            0.0,
+            1.0,
+            0.25,
+            stepper=PARABOLAS,
+            saveat=diffrax.SaveAt(ts=jnp.array([0.33, 1.0])),
+            sections=jf.Section(lambda t, x: x[1] - a**3),
+            max_events=2,
+        )
+        return jnp.append(sol.xs.ravel(), sol.crossings.ts[0])
+
+    def exact(a):
+        return jnp.stack([a, 0.33 * a, a, a, a**2])
+
+    one = jnp.ones(())
+    got, want = twice(slide)(0.7 * one, one, one), twice(exact)(0.7 * one, one, one)
+    for left, right in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+        compare(left, right, 1e-13)
+
+
 def test_event_times_and_saved_states():
     # A ball's first impact and the states before and after it.
     def kept(p):
