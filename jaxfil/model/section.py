@@ -128,7 +128,8 @@ def minima(function: Observe, terminal: int | None = None) -> Section:
 
 
 def bound(function: Observe) -> Section:
-    """A bound of the region f(t, x) ≥ 0. A run that leaves it, or starts outside, ends there.
+    """A bound of the region f(t, x) ≥ 0. A run that leaves it, forward or backward in time, or
+    starts outside, ends there. A start on the bound is inside.
 
     The outcome is `out_of_bounds`, which is not a success. It distinguishes, for example, an
     overturned block or a diverging voltage from a run that reached its end.

@@ -104,7 +104,7 @@ def _begin(
     """A lane at t0, watched from there on."""
     motion = state.motion
     false = jnp.zeros((), bool)
-    watch = unwatched(len(watched.functions), jnp.zeros_like(motion.tau))
+    watch = unwatched(watched.bounds, jnp.zeros_like(motion.tau))
     at = problem.grid.t0 + motion.tau, motion.x
     dt = typical_step(problem, state)
     sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale, dt)
@@ -203,9 +203,11 @@ def _resolved(problem: Problem, sight: Sight) -> tuple[Components, Components]:
 
 
 def _wanted(watched: WatchedSections, problem: Problem, side: Components) -> Components:
-    """Whether a crossing from these sides, along the motion, is in the section's direction."""
+    """Whether a crossing from these sides, along the motion, is in the section's direction. That is
+    a direction of growing time, but a bound is left in either direction of time."""
     wanted = Components(watched.directions)
-    return (side * problem.grid.direction * wanted < 0) | (wanted == 0)
+    along = Components(1 if bound else problem.grid.direction for bound in watched.bounds)
+    return (side * along * wanted < 0) | (wanted == 0)
 
 
 def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components:

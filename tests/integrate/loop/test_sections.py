@@ -158,6 +158,32 @@ def test_a_run_ends_at_a_crossing_or_at_a_bound_with_an_outcome_of_its_own():
     assert outside.result == jf.RESULTS.out_of_bounds and outside.t_final == 0
 
 
+def test_a_bound_is_left_in_either_direction_of_time_and_from_itself():
+    """A flight x + vt − t²/2 is above 0 up to v ± √(v² + 2x)."""
+    inside = jf.bound(lambda t, x: x[0])
+
+    def run(x, v, t1):
+        flight = Flight(), jnp.stack([x, v]), 0.0, t1, 0.25
+        return jf.solve(*flight, sections=inside, throw=False, stepper=diffrax.Midpoint())
+
+    # The last lanes have both ends in one step, and one that they do not come to.
+    lanes = [(1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (0.0, 0.0), (0.0, 0.1), (0.0, 3.0)]
+    x, v = np.transpose(lanes)
+    root = np.sqrt(v**2 + 2 * x)
+    for sign in (1, -1):
+        sol = jax.jit(jax.vmap(run, (0, 0, None)))(jnp.asarray(x), jnp.asarray(v), 5.0 * sign)
+        ends = sign * np.maximum(sign * v + root, 0)
+        left = abs(ends) < 5
+        np.testing.assert_allclose(sol.t_final, np.where(left, ends, 5 * sign), atol=16 * EPS)
+        np.testing.assert_array_equal(sol.result == jf.RESULTS.out_of_bounds, left)
+        np.testing.assert_allclose(np.asarray(sol.x_final)[left, 0], 0, atol=32 * EPS)
+    # A run goes no further from where another one has ended.
+    ended = jf.solve(
+        Flight(), sol.x_final[0], sol.t_final[0], -5.0, 0.25, sections=inside, throw=False
+    )
+    assert ended.result == jf.RESULTS.out_of_bounds and ended.t_final == sol.t_final[0]
+
+
 # A relay in a loop with a plant of third order, x' = A x + b u, u = −sgn c·x.
 A = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, -1.0]])
 B = np.array([0.0, 0.0, 1.0])
