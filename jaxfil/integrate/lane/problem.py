@@ -158,9 +158,9 @@ class Recorder(eqx.Module):
         """Empty buffers for the saved states, a `SavedStates`; None for a recorder without."""
         return None
 
-    def next_time(self, num_saved: Array) -> tuple[Array, Array] | None:
-        """The next elapsed time at which a step must end to be saved, and whether there is one;
-        None if steps end at grid points alone."""
+    def next_time(self, num_saved: Array) -> tuple[Array, Array, Array] | None:
+        """The next elapsed time at which a step must end to be saved, whether there is one, and
+        whether there are more after it; None if steps end at grid points alone."""
         return None
 
     def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:

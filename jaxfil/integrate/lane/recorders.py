@@ -153,14 +153,14 @@ class SaveTimes(Recorder):
     def empty(self, system: ComponentSystem) -> SavedStates:
         return _empty(system, *self.ts.shape * 3)
 
-    def next_time(self, num_saved: Array) -> tuple[Array, Array]:
-        count = self.ts.shape[0]
-        # After the last time the flag is False, and the index only stays in range.
-        return self.ts[jnp.minimum(num_saved, count - 1)], num_saved < count
+    def next_time(self, num_saved: Array) -> tuple[Array, Array, Array]:
+        last = self.ts.shape[0] - 1
+        # After the last time the flags are False, and the index only stays in range.
+        return self.ts[jnp.minimum(num_saved, last)], num_saved <= last, num_saved < last
 
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
         motion = step.end.motion
-        t, (at, _) = problem.grid.t0 + motion.tau, self.next_time(state.counts.num_saved)
+        t, (at, *_) = problem.grid.t0 + motion.tau, self.next_time(state.counts.num_saved)
         # Where a saving time coincides with a grid point, the step ends at the grid point, which
         # has no derivative with respect to the saving time; `_moved` supplies it.
         field = _InTime(ModeField(problem.system, motion.mode))

@@ -65,12 +65,14 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     target, gridded, saving = grid.grid_point(counts.in_period + 1), True, jnp.zeros((), bool)
     wanted, ticking = problem.recording.recorder.next_time(counts.num_saved), None
     if wanted is not None:
-        (at, due), same = wanted, grid.same_time(target)
+        (at, due, more), same = wanted, grid.same_time(target)
         ahead = (at - target) * grid.direction
         # A saving time within rounding of the grid point is the same point, so that no step as
         # short as the rounding remains between them.
         saving = due & (ahead <= same)
-        gridded = ~saving | (ahead >= -same)
+        # At the end only the last saving time is, since the loop ends with the last grid point.
+        more = more & (counts.index + 1 >= grid.num_steps)
+        gridded = ~saving | (ahead >= -same) & ~more
         target = select(gridded, target, at)
     if problem.tick is not None:
         target, ticking = _up_to_tick(problem, state, target)

@@ -283,16 +283,40 @@ def test_trivial_case_of_a_diagram():
     assert (diagram.results == RESULTS.successful).all()
 
 
-def test_a_smooth_scene_is_saved_between_its_steps():
-    # x' = -x has no surface; nine times to a step.
-    class Decay(jf.System):
-        def vector_field(self, t, x, side):
-            return -x
+class Decay(jf.System):
+    """x' = -x: no surface."""
 
+    def vector_field(self, t, x, side):
+        return -x
+
+
+def test_a_smooth_scene_is_saved_between_its_steps():
+    # Nine times to a step.
     ts = jnp.linspace(0.0, 1.0, 46)
     sol = jf.solve(Decay(), jnp.ones(1), 0.0, 1.0, 0.2, saveat=diffrax.SaveAt(ts=ts))
     assert sol.stats["num_steps"] == 5
     assert_allclose(sol.xs[:, 0], np.exp(-ts), rtol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_times_that_coincide_are_each_saved(dtype):
+    # At a grid point, between two, at both ends, and two times within rounding of the end.
+    eps = jnp.finfo(dtype).eps
+    part = jnp.asarray([0, 0, 0.2, 0.2, 0.7, 0.7, 1 - 2 * eps, 1, 1], dtype)
+
+    def states(ts, t1):
+        saveat = diffrax.SaveAt(ts=ts)
+        one = jnp.ones(1, dtype)
+        sol = jf.solve(Decay(), one, 0.0, t1, dtype(0.2), saveat=saveat, throw=False)
+        return sol.xs[:, 0], (sol.xs[:, 0], sol.result, sol.stats["num_steps"])
+
+    t1s = jnp.asarray([1, -1, 0], dtype)
+    ts = t1s[:, None] * part
+    rows = jax.vmap(jax.jacfwd(states, has_aux=True))
+    by_time, (xs, result, num_steps) = jax.jit(rows)(ts, t1s)
+    assert (result == RESULTS.successful).all() and num_steps.tolist()[:2] == [5, 5]
+    assert_allclose(xs, np.exp(-ts), rtol=256 * eps)
+    assert_allclose(by_time, [-np.diag(np.exp(-t)) for t in ts], rtol=4096 * eps)
 
 
 @pytest.fixture(scope="module")
