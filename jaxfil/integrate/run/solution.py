@@ -264,7 +264,9 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     start, x = dense.ts[i], system.unpack(dense.xs[i])
     # t may be before the start of its step, by the rounding of times (`_step_at`).
     end = step_again(dense, system, field, start, x, t - start)
-    reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
+    # The end may be the t1 of the run only up to rounding.
+    after, left = sign * (t - dense.t0), sign * (dense.t1 - t)
+    reached = jnp.minimum(after, left) >= -resolution(dense.t0, dense.t1)
     return select(reached, pack(end, dtype), jnp.nan)
 
 

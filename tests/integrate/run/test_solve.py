@@ -319,6 +319,16 @@ def test_times_that_coincide_are_each_saved(dtype):
     assert_allclose(by_time, [-np.diag(np.exp(-t)) for t in ts], rtol=4096 * eps)
 
 
+@pytest.mark.parametrize("span", [(-0.3, 2.0), (0.3, -2.0)])
+def test_dense_output_reaches_the_end_of_its_span(span):
+    # t0 + (t1 - t0) is not t1 in floating point.
+    sol = jf.solve(Decay(), jnp.ones(1), *span, 0.2, saveat=diffrax.SaveAt(dense=True))
+    assert float(sol.t_final) != span[1]
+    ts = np.asarray([*span, 1.001 * span[1], np.inf, np.nan])
+    assert_allclose(sol.evaluate(ts)[:2, 0], np.exp(span[0] - ts[:2]), rtol=1e-9)
+    assert_array_equal(sol.evaluate(ts)[2:], np.nan)
+
+
 @pytest.fixture(scope="module")
 def coulomb():
     """x'' = -x - 0.4 sgn x' from (3, 0): 2.6 cos t + 0.4 until it turns at π."""
