@@ -242,11 +242,11 @@ def _values(dense: Dense, observable: Observable, ts: Array) -> Array:
 
 def _step_at(dense: Dense, t: Array) -> Array:
     """The number of the step that contains a time. A time within rounding of a contact or a tick
-    belongs to the step after it."""
+    belongs to the step after it, in the order of time also in a run backward."""
     sign = select(dense.t1 >= dense.t0, 1.0, -1.0).astype(t.dtype)
     # Unreached entries become +inf in either direction of time, so that they are sorted last.
     keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
-    late = sign * t + resolution(dense.t0, t)
+    late = sign * (t + resolution(dense.t0, t))
     # A time before the span has the first step, and its state is replaced by NaN.
     return jnp.maximum(jnp.searchsorted(keys, late, side="right") - 1, 0)
 
