@@ -22,8 +22,9 @@ class Section(eqx.Module):
     $$\Sigma = \{(t, x) : S(t, x) = 0\}$$
 
     A crossing is a change of sign of S along the motion, beyond rounding. A start on the section, a
-    touch, and an impact that reflects the motion are not crossings. If S jumps across zero, by an
-    impact or a change of the field, this is a crossing at that time.
+    touch, and an impact that reflects the motion are not crossings. A crossing at t1 belongs to the
+    run. If S jumps across zero, by an impact or a change of the field, this is a crossing at that
+    time.
 
     **Arguments**
 

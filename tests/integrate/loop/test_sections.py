@@ -184,6 +184,41 @@ def test_a_bound_is_left_in_either_direction_of_time_and_from_itself():
     assert ended.result == jf.RESULTS.out_of_bounds and ended.t_final == sol.t_final[0]
 
 
+class Clockwork(jf.System):
+    """x' = 1, with a surface at 0."""
+
+    def vector_field(self, t, x, side):
+        return jnp.ones_like(x)
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def test_a_crossing_at_the_end_belongs_to_the_run_as_a_contact_does():
+    """The span is (t0, t1]: chained runs cross as often as the whole one, in either direction."""
+    # From x at t0 to t1: past 0, to 0, from 0, just not to 0, an empty span; and backward.
+    lanes = [
+        (-1.0, 0.0, 1.1, 1), (-1.0, 0.0, 1.0, 1), (-0.3, 0.1, 0.4, 1), (0.0, 1.0, 2.0, 0),
+        (-1.0, 0.0, 1 - 1e-12, 0), (-1.0, 0.0, 0.0, 0), (1.0, 0.0, -1.0, 1), (0.0, 1.0, 0.0, 0),
+    ]  # fmt: skip
+    x0, t0, t1, count = np.transpose(lanes)
+    passing = jf.Section(lambda t, x: x[0])
+    ending = jf.Section(lambda t, x: x[0] * (2 + x[0]), terminal=1)
+
+    @jax.jit
+    @jax.vmap
+    def run(x0, t0, t1):
+        how = dict(throw=False, stepper=diffrax.Midpoint(), max_events=4)
+        return jf.solve(Clockwork(), x0[None], t0, t1, 0.25, sections=(passing, ending), **how)
+
+    sol = run(*map(jnp.asarray, (x0, t0, t1)))
+    np.testing.assert_array_equal(sol.num_events, count)
+    np.testing.assert_array_equal((sol.crossings.sections == 1).sum(1), count)
+    np.testing.assert_array_equal(sol.result == jf.RESULTS.section_reached, count == 1)
+    at = np.asarray(sol.crossings.ts)[count == 1, 0]
+    np.testing.assert_allclose(at, (t0 - x0)[count == 1], rtol=0, atol=8 * EPS)
+
+
 # A relay in a loop with a plant of third order, x' = A x + b u, u = −sgn c·x.
 A = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, -1.0]])
 B = np.array([0.0, 0.0, 1.0])
