@@ -196,9 +196,10 @@ def solve(
 
 def _whole(start: Array, stop: Array) -> Array:
     """The length of the single grid step of a run whose steps follow a tolerance."""
-    length = jax.lax.stop_gradient(abs(stop - start))
-    # A step must be positive even in a span of length zero.
-    return select(length > 0, length, 1.0)
+    start, stop = jax.lax.stop_gradient((start, stop))
+    length, least = abs(stop - start), resolution(start, stop)
+    # A step must exceed the rounding of times even in a span that does not.
+    return select(length > least, length, 1.0 + 2 * least)
 
 
 def _constant(tree: Any) -> Any:
