@@ -169,6 +169,11 @@ class Recorder(eqx.Module):
         where `step.moved`; a landing is saved with the switch that follows it."""
         return after
 
+    def at_section(self, problem: "Problem", state: Any) -> Any:
+        """The lane `state` after the loop, with its end saved if a section has ended the run there
+        and the rule selects it."""
+        return state
+
     def keep(self, problem: "Problem", state: Any, after: Any, x: Any, gridded: Array) -> Any:
         """The lane `after`, with the state x saved if it is at a grid point just reached
         (`gridded`) that the recorder selects."""

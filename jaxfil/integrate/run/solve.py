@@ -224,10 +224,13 @@ def _run(
     def run(x0: Array, *span: Array) -> Solution:
         problem = problem_over(x0, *span)
         x = problem.system.unpack(x0)
-        if not options.reverse:
-            return _solution(problem, options, x0, integrate(problem, x))
-        assert options.budget is not None
-        state = integrate_with_checkpoints(problem, x, options.budget, options.checkpoints)
+        if options.reverse:
+            assert options.budget is not None
+            state = integrate_with_checkpoints(problem, x, options.budget, options.checkpoints)
+        else:
+            state = integrate(problem, x)
+        if any(s.terminal is not None for s in sections):
+            state = problem.recording.recorder.at_section(problem, state)
         return _solution(problem, options, x0, state)
 
     # The conversion of the end is inside the kernel. Its derivatives then need no values from

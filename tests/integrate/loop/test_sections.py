@@ -184,6 +184,29 @@ def test_a_bound_is_left_in_either_direction_of_time_and_from_itself():
     assert ended.result == jf.RESULTS.out_of_bounds and ended.t_final == sol.t_final[0]
 
 
+def test_the_saved_steps_of_a_run_end_where_a_section_ends_it():
+    """A flight from 0 at v is at 1/2 again at v + √(v² − 1); one at 3 is out of bounds at once."""
+    sections = jf.Section(lambda t, x: x[0] - 0.5, -1, terminal=1), jf.bound(lambda t, x: 2 - x[0])
+    saveat = diffrax.SaveAt(steps=True, t0=True)
+
+    def steps(x, v):
+        flight = Flight(), jnp.stack([x, v]), 0.0, 4.0, 0.25
+        how = dict(sections=sections, saveat=saveat, stepper=diffrax.Midpoint(), max_events=4)
+        sol = jf.solve(*flight, throw=False, **how)
+        return sol.ts, sol.xs, sol.t_final
+
+    # The third comes to t1, and the last one to the section at a step, 1/2 + √1.
+    x, v = jnp.array([0.0, 0.0, 0.0, 3.0, 0.875]), jnp.array([1.5, 3.0, 0.5, 0.0, 0.5])
+    ts, xs, ends = jax.jit(jax.vmap(steps))(x, v)
+    exact = [1.5 + np.sqrt(1.25), 3 - np.sqrt(5), 4.0, 0.0, 1.5]
+    for i, end in enumerate(exact):
+        saved = np.asarray(ts[i])[np.isfinite(ts[i])]
+        assert (np.diff(saved) > 0).all() and saved[-1] == ends[i]
+        np.testing.assert_allclose(saved[-1], end, rtol=16 * EPS)
+        want = x[i] + v[i] * saved - saved**2 / 2
+        np.testing.assert_allclose(xs[i][: len(saved), 0], want, rtol=0, atol=32 * EPS)
+
+
 class Clockwork(jf.System):
     """x' = 1, with a surface at 0."""
 

@@ -208,7 +208,9 @@ def test_reverse_mode_and_backward_time():
 
 def test_spans_within_rounding_and_empty_ones_are_run():
     def end(t0):
-        return jf.solve(Orbit(), jnp.asarray(planet(0.5, 1.0)), t0, 0.3, jf.Adaptive(1e-8), throw=False)
+        return jf.solve(
+            Orbit(), jnp.asarray(planet(0.5, 1.0)), t0, 0.3, jf.Adaptive(1e-8), throw=False
+        )
 
     # 0.1 + 0.2 is the number after 0.3.
     t0 = jnp.array([0.1 + 0.2, 0.3, 0.3 - 1e-15, 0.0])
