@@ -89,8 +89,10 @@ def solve(
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
       other options raise an error that names them.
     - `max_events`: length of the event table; None for no table and no limit.
-    - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
-      of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
+    - `max_steps`: budget of loop iterations (a contact or a crossing takes about four, a tick two,
+      a saving time one). Needed where an array of that length is kept (`steps`, `dense`, reverse
+      mode) and the span or `dt` is traced, or where there are many ticks, or more contacts and
+      crossings than `max_events`, or than 256 if that is None.
     - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` transpose the forward
       derivative by each number that varies; for hundreds of parameters,
       `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, with second derivatives by
@@ -276,15 +278,17 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     """The grid of a solve. Invalid values that were traced, and therefore not checked earlier, make
     it NaN, which has an outcome of its own."""
     length = t1 - t0
-    valid = dt > resolution(t0, t1)
+    valid, num_times = dt > resolution(t0, t1), 0
     if isinstance(options.recorder, SaveTimes):
+        num_times = options.recorder.ts.shape[0]
         valid = valid & valid_ts(options.recorder.ts, t0, t1)
     dt = select(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
     # The bound must be a number of the precision of the run.
     most = min(_MOST, float(jnp.finfo(dt.dtype).max))
     num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, most).astype(jnp.int32)
-    ample, budget = iteration_budget(num_steps), options.budget
+    # A saving time between grid points takes an iteration of its own.
+    ample, budget = iteration_budget(num_steps) + num_times, options.budget
     iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
     # More steps than an int32 holds exhaust the budget at once, since the count would overflow.
     iterations = select(steps > most, 0, iterations)

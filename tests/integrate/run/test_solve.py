@@ -319,6 +319,18 @@ def test_times_that_coincide_are_each_saved(dtype):
     assert_allclose(by_time, [-np.diag(np.exp(-t)) for t in ts], rtol=4096 * eps)
 
 
+def test_saving_times_have_iterations_of_their_own():
+    ts = jnp.linspace(0.001, 0.999, 400)
+
+    def total(x0):
+        how = dict(adjoint=diffrax.RecursiveCheckpointAdjoint(), max_events=8, throw=False)
+        at = diffrax.SaveAt(ts=ts)
+        return jf.solve(Decay(), x0, 0.0, 1.0, 0.1, saveat=at, stepper=jf.RK4(), **how).xs.sum()
+
+    got, by = jax.value_and_grad(total)(jnp.ones(1))
+    assert_allclose([got, by[0]], np.exp(-ts).sum(), rtol=1e-6)
+
+
 @pytest.mark.parametrize("span", [(-0.3, 2.0), (0.3, -2.0)])
 def test_dense_output_reaches_the_end_of_its_span(span):
     # t0 + (t1 - t0) is not t1 in floating point.
