@@ -22,8 +22,9 @@ class Section(eqx.Module):
     $$\Sigma = \{(t, x) : S(t, x) = 0\}$$
 
     A crossing is a change of sign of S along the motion, beyond rounding. A start on the section, a
-    touch, and an impact that reflects the motion are not crossings. If S jumps across zero, by an
-    impact or a change of the field, this is a crossing at that time.
+    touch, and an impact that reflects the motion are not crossings. A crossing at t1 belongs to the
+    run. If S jumps across zero, by an impact or a change of the field, this is a crossing at that
+    time.
 
     **Arguments**
 
@@ -128,7 +129,8 @@ def minima(function: Observe, terminal: int | None = None) -> Section:
 
 
 def bound(function: Observe) -> Section:
-    """A bound of the region f(t, x) ≥ 0. A run that leaves it, or starts outside, ends there.
+    """A bound of the region f(t, x) ≥ 0. A run that leaves it, forward or backward in time, or
+    starts outside, ends there. A start on the bound is inside.
 
     The outcome is `out_of_bounds`, which is not a success. It distinguishes, for example, an
     overturned block or a diverging voltage from a run that reached its end.

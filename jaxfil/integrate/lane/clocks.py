@@ -134,14 +134,15 @@ def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
     return dataclasses.replace(problem, system=dataclasses.replace(problem.system, window=window))
 
 
-def just_after(problem: Problem, t: Array) -> Problem:
-    """The problem from a time on, up to the next ticks."""
+def just_after(problem: Problem, t: Array, *, in_time: bool = False) -> Problem:
+    """The problem from a time on, up to the next ticks, in the direction of the run or, with
+    `in_time`, of growing time."""
     if not problem.system.clocks:
         return problem
     # The first ticks after a t0 are the next ones, so the grid is moved to t.
     grid = dataclasses.replace(problem.grid, t0=stop_gradient(t))
     here = dataclasses.replace(problem, grid=grid)
-    return between_ticks(here, first_ticks(here, at_start=False))
+    return between_ticks(here, first_ticks(here, at_start=in_time))
 
 
 def _same_time(problem: Problem, tau: Array) -> Array:

@@ -158,9 +158,9 @@ class Recorder(eqx.Module):
         """Empty buffers for the saved states, a `SavedStates`; None for a recorder without."""
         return None
 
-    def next_time(self, num_saved: Array) -> tuple[Array, Array] | None:
-        """The next elapsed time at which a step must end to be saved, and whether there is one;
-        None if steps end at grid points alone."""
+    def next_time(self, num_saved: Array) -> tuple[Array, Array, Array] | None:
+        """The next elapsed time at which a step must end to be saved, whether there is one, and
+        whether there are more after it; None if steps end at grid points alone."""
         return None
 
     def record(self, problem: "Problem", state: Any, after: Any, step: Any) -> Any:
@@ -168,6 +168,11 @@ class Recorder(eqx.Module):
         loop calls it before `after_step` of extensions. The state to be saved is `step.end.motion`
         where `step.moved`; a landing is saved with the switch that follows it."""
         return after
+
+    def at_section(self, problem: "Problem", state: Any) -> Any:
+        """The lane `state` after the loop, with its end saved if a section has ended the run there
+        and the rule selects it."""
+        return state
 
     def keep(self, problem: "Problem", state: Any, after: Any, x: Any, gridded: Array) -> Any:
         """The lane `after`, with the state x saved if it is at a grid point just reached

@@ -19,7 +19,9 @@ from jaxfil.integrate.lane.state import LoopState, SavedStates
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import Components, pack, without_last
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.masked_write import masked_write
+from jaxfil.xla.select import select
 
 
 class SaveSamples(Recorder):
@@ -153,14 +155,14 @@ class SaveTimes(Recorder):
     def empty(self, system: ComponentSystem) -> SavedStates:
         return _empty(system, *self.ts.shape * 3)
 
-    def next_time(self, num_saved: Array) -> tuple[Array, Array]:
-        count = self.ts.shape[0]
-        # After the last time the flag is False, and the index only stays in range.
-        return self.ts[jnp.minimum(num_saved, count - 1)], num_saved < count
+    def next_time(self, num_saved: Array) -> tuple[Array, Array, Array]:
+        last = self.ts.shape[0] - 1
+        # After the last time the flags are False, and the index only stays in range.
+        return self.ts[jnp.minimum(num_saved, last)], num_saved <= last, num_saved < last
 
     def record(self, problem: Problem, state: LoopState, after: LoopState, step: Step) -> LoopState:
         motion = step.end.motion
-        t, (at, _) = problem.grid.t0 + motion.tau, self.next_time(state.counts.num_saved)
+        t, (at, *_) = problem.grid.t0 + motion.tau, self.next_time(state.counts.num_saved)
         # Where a saving time coincides with a grid point, the step ends at the grid point, which
         # has no derivative with respect to the saving time; `_moved` supplies it.
         field = _InTime(ModeField(problem.system, motion.mode))
@@ -185,6 +187,23 @@ class SaveSteps(Recorder):
         end = problem.grid.t0 + motion.tau, motion.x, motion.mode
         # A landing is not `moved`. The switch that follows saves the state after the contact.
         return _entered(state, after, problem.system, end, step.moved)
+
+    def at_section(self, problem: Problem, state: LoopState) -> LoopState:
+        saves, number, end = state.saves, state.counts.num_saved, state.motion
+        assert saves is not None
+        t, x, mode = problem.grid.t0 + end.tau, pack(end.x, problem.system.dtype), end.mode
+        # A crossing at the start, or at a jump, is at a state that is saved already.
+        before = select(number > 0, saves.ts[jnp.maximum(number - 1, 0)], problem.grid.t0)
+        ended = (state.result == RESULTS.section_reached) | (state.result == RESULTS.out_of_bounds)
+        ended = ended & (t != before)
+        # A selection of all rows, since a single write in place has no reverse derivative here.
+        here = ended & (jnp.arange(self.size, dtype=number.dtype) == number)
+        saves = SavedStates(
+            ts=select(here, t, saves.ts),
+            xs=select(here[:, None], x, saves.xs),
+            modes=select(here[:, None], mode_codes(mode), saves.modes),
+        )
+        return _with(state, saves, ended)
 
 
 class SaveDense(SaveSteps):

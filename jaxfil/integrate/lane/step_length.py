@@ -65,15 +65,17 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     target, gridded, saving = grid.grid_point(counts.in_period + 1), True, jnp.zeros((), bool)
     wanted, ticking = problem.recording.recorder.next_time(counts.num_saved), None
     if wanted is not None:
-        (at, due), same = wanted, grid.same_time(target)
+        (at, due, more), same = wanted, grid.same_time(target)
         ahead = (at - target) * grid.direction
         # A saving time within rounding of the grid point is the same point, so that no step as
         # short as the rounding remains between them.
         saving = due & (ahead <= same)
-        gridded = ~saving | (ahead >= -same)
+        # At the end only the last saving time is, since the loop ends with the last grid point.
+        more = more & (counts.index + 1 >= grid.num_steps)
+        gridded = ~saving | (ahead >= -same) & ~more
         target = select(gridded, target, at)
     if problem.tick is not None:
-        target, ticking = _up_to_tick(problem, state, target)
+        target, ticking = _up_to_tick(problem, state, target, saving)
         gridded, saving = gridded & ~ticking, saving & ~ticking
     tau, trust = state.motion.tau, state.trust
     full, longest = target - tau, grid.direction * trust.longest
@@ -107,13 +109,16 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     return _to_crossing(problem, state, length)
 
 
-def _up_to_tick(problem: Problem, state: LoopState, target: Array) -> tuple[Array, Array]:
+def _up_to_tick(
+    problem: Problem, state: LoopState, target: Array, saving: Array
+) -> tuple[Array, Array]:
     """The elapsed time at which a step ends, which is the next tick if that is not later than the
     target, and whether it is a tick.
 
-    A tick is a discontinuity of its own, so a state to be saved at its time is saved after it, by a
-    step of length zero. A target that coincides with the tick up to rounding is replaced by it, and
-    then moves with the tick in derivatives.
+    A tick is a discontinuity of its own. A state to be saved at its time is the one after it, so it
+    is saved by a step of length zero that follows, or backward in time before the tick. A target
+    that coincides with the tick up to rounding is replaced by it, and then moves with the tick in
+    derivatives.
     """
     grid, tick = problem.grid, problem.tick
     assert tick is not None
@@ -121,8 +126,8 @@ def _up_to_tick(problem: Problem, state: LoopState, target: Array) -> tuple[Arra
     ahead = (known - stop_gradient(target)) * grid.direction
     same = grid.same_time(target)
     # The span is open at its smallest time, so backward in time a tick at its end is outside it.
-    last = (grid.direction < 0) & (state.counts.index + 1 >= grid.num_steps)
-    ticking = (ahead < -same) | (ahead <= same) & ~last
+    last = saving | (state.counts.index + 1 >= grid.num_steps)
+    ticking = (ahead < -same) | (ahead <= same) & ~(last & (grid.direction < 0))
     at = select(abs(ahead) <= same, stop_gradient(target), known)
     # Of two ticks at one time the second must not lie before the current time by rounding.
     at = select((at - tau) * grid.direction < 0, tau, at)

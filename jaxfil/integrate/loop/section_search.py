@@ -16,7 +16,7 @@ derivative.
 Values of S within rounding are ignored: a section counts as crossed when S has been beyond its
 rounding on both sides. A section that is zero where a piece of the motion begins, as at a contact
 with a surface that it coincides with, is crossed there if S continues to the other side, and only
-there.
+there. A crossing at t1 belongs to the run, as a contact does, and not to one that starts there.
 """
 
 import dataclasses
@@ -77,7 +77,9 @@ class SectionSearch(Extension):
 
     def at_end(self, problem: Problem, state: LoopState, own: SectionState, step: Step) -> Verdict:
         passes, delta = step.lands | step.accepted, select(step.lands, step.delta, 0.0)
-        would = step.length.h + delta, delta, passes
+        last = step.gridded & (state.counts.index + 1 >= problem.grid.num_steps)
+        ahead = select(last, typical_step(problem, state), 0.0)
+        would = step.length.h + delta, delta, passes, ahead * problem.grid.direction
         seen = _look(self.watched, problem, state, own.watch, step.end.motion, would)
         seen = dataclasses.replace(seen, seeks=seen.seeks & is_running(problem.grid, state))
         # A trial step that is rejected or refused is not a part of the motion.
@@ -104,7 +106,7 @@ def _begin(
     """A lane at t0, watched from there on."""
     motion = state.motion
     false = jnp.zeros((), bool)
-    watch = unwatched(len(watched.functions), jnp.zeros_like(motion.tau))
+    watch = unwatched(watched.bounds, jnp.zeros_like(motion.tau))
     at = problem.grid.t0 + motion.tau, motion.x
     dt = typical_step(problem, state)
     sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale, dt)
@@ -123,11 +125,12 @@ def _look(
     state: LoopState,
     watch: Watch,
     end: Motion,
-    would: tuple[Array, Array, Array],
+    would: tuple[Array, Array, Array, Array],
 ) -> Seen:
     """The sections at the end of a trial step. `would` has the length of the step including the
-    correction of its landing, this correction, and whether the loop would accept the step."""
-    h, correction, passes = would
+    correction of its landing, this correction, whether the loop would accept the step, and the time
+    by which the motion is followed further (`_find`)."""
+    h, correction, passes, ahead = would
     at = problem.grid.t0 + end.tau, end.x
     dt = typical_step(problem, state)
     sight = see(watched, problem.system, at, (end.mode, end.f), end.scale, dt)
@@ -140,7 +143,7 @@ def _look(
     looks = watch.seeking & ~any_of(watch.aim)
     # The next watch is one of four: a search that starts, one that comes closer, one that has
     # located its crossing, or one that has examined a minimum.
-    found, begun = _begun(watched, problem, watch, sight, here)
+    found, begun = _begun(watched, problem, watch, sight, (here, ahead))
     # A search for a known crossing is completed first; the look at a minimum may make one known.
     begins = found & (looks | (passes & ~watch.seeking))
     closer, delta, done = _approach(problem, state, watch, sight, end.tau)
@@ -162,23 +165,27 @@ def _look(
         tau=tau,
         tau_low=tau_low,
         x=x,
-        result=_result(watched, state.result, watch.aim, behind.counts, recorded & finite),
+        result=watched.outcome(state.result, watch.aim, behind.counts, recorded & finite),
     )
 
 
 def _begun(
-    watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, here: Array
+    watched: WatchedSections,
+    problem: Problem,
+    watch: Watch,
+    sight: Sight,
+    up_to: tuple[Array, Array],
 ) -> tuple[Array, Watch]:
-    """Whether there is a crossing or a minimum of |S| to examine before a length `here`, and the
-    watch of a lane that starts to search for it."""
-    found, length, aim = _find(watched, problem, watch, sight, here)
+    """Whether there is a crossing or a minimum of |S| to examine, and the watch of a lane that
+    starts to search for it. `up_to` is as in `_find`."""
+    found, length, aim = _find(watched, problem, watch, sight, up_to)
     begun = dataclasses.replace(
         watch,
         seeking=jnp.ones_like(found),
         length=length,
         aim=aim,
         low=select(length * problem.grid.direction > 0, watch.start, 0.0),
-        high=stop_gradient(here),
+        high=stop_gradient(up_to[0]),
         tries=jnp.zeros_like(watch.tries),
     )
     return found, begun
@@ -203,9 +210,11 @@ def _resolved(problem: Problem, sight: Sight) -> tuple[Components, Components]:
 
 
 def _wanted(watched: WatchedSections, problem: Problem, side: Components) -> Components:
-    """Whether a crossing from these sides, along the motion, is in the section's direction."""
+    """Whether a crossing from these sides, along the motion, is in the section's direction. That is
+    a direction of growing time, but a bound is left in either direction of time."""
     wanted = Components(watched.directions)
-    return (side * problem.grid.direction * wanted < 0) | (wanted == 0)
+    along = Components(1 if bound else problem.grid.direction for bound in watched.bounds)
+    return (side * along * wanted < 0) | (wanted == 0)
 
 
 def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components:
@@ -217,11 +226,16 @@ def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components
 
 
 def _find(
-    watched: WatchedSections, problem: Problem, watch: Watch, sight: Sight, length: Array
+    watched: WatchedSections,
+    problem: Problem,
+    watch: Watch,
+    sight: Sight,
+    up_to: tuple[Array, Array],
 ) -> tuple[Array, Array, Components]:
     """Whether there is a crossing or a minimum to examine between the start of the watch and a
-    `length`, at which length, and the section crossed there."""
-    h = stop_gradient(length) - watch.start
+    length, at which length, and the section crossed there. `up_to` has the length, and at the end
+    of the run a time by which the motion is followed further; 0 before."""
+    h, ahead = stop_gradient(up_to[0]) - watch.start, up_to[1]
     sides, (_, noises) = _sides(problem, watch, sight, h), _resolved(problem, sight)
     wanted = _wanted(watched, problem, sides)
     start = where(watch.away, sides * watch.value, 0.0)
@@ -230,6 +244,9 @@ def _find(
     near = ~(watch.away & on_each(stays_off, *ends, noises)) & (sides != 0)
     # A section that stays within its rounding, as along a slide or a rest, is not crossed.
     near = near & ~on_each(stays_within, *ends, noises)
+    # A run that ends on a section crosses it if the motion goes on to its other side.
+    over = (abs(end) <= noises) & (sides * ahead * sight.rate < -noises)
+    near, ends = near | over, (*ends[:2], where(over, -2 * noises, end), ends[3])
     thetas, lows = [], []
     for each in zip(*(v.parts for v in (near, *ends, watch.away, noises, wanted)), strict=True):
         theta, low = problem.system.where_any(each[0], _first_of_one, _nothing, *each[1:])
@@ -254,8 +271,7 @@ def _first_of_one(
     over = g1 < -noise
     # If S is zero at the start and decreases, the crossing is at the start.
     theta = select((g0 < -noise) | (~away & (d0 <= 0) & over), 0.0, theta)
-    # A crossing in the unwanted direction, without a later one, need not be located.
-    passed = ~wanted & over
+    passed = ~wanted & over  # in the unwanted direction, without a later one: need not be located
     return select(passed, NEVER, theta), select(passed, NEVER, low)
 
 
@@ -331,22 +347,6 @@ def _crossed(
         total=watch.total + recorded.astype(jnp.int32),
     )
     return recorded, after
-
-
-def _result(
-    watched: WatchedSections,
-    result: RESULTS,
-    aim: Components,
-    counts: Components,
-    recorded: Array,
-) -> RESULTS:
-    """The outcome of the run after a crossing."""
-    each = zip(aim.parts, counts.parts, watched.terminal, watched.bounds, strict=True)
-    for aimed, count, last, bound in each:
-        if last is not None:
-            outcome = RESULTS.out_of_bounds if bound else RESULTS.section_reached
-            result = RESULTS.where(recorded & aimed & (count >= last), outcome, result)
-    return result
 
 
 def _moved_on(

@@ -75,14 +75,15 @@ class Seen(eqx.Module):
     """The outcome of the run after the crossing."""
 
 
-def unwatched(k: int, zero: Array) -> Watch:
-    """The watch of k sections before the first evaluation."""
-    false, none = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
+def unwatched(bounds: tuple[bool, ...], zero: Array) -> Watch:
+    """The watch of k sections before the first evaluation, of which some are bounds."""
+    k, false, none = len(bounds), jnp.zeros((), bool), jnp.zeros((), jnp.int32)
     nothing, flags = Components((zero,) * k), Components((false,) * k)
     # Side 0 stands for a section that has not been beyond its rounding. The search then assumes the
-    # side to which the motion goes, so that a start on a section is not a crossing of it.
+    # side to which the motion goes, so that a start on a section is not a crossing of it. A start
+    # on a bound is within it, so that a motion to the other side leaves it.
     return Watch(
-        side=nothing,
+        side=Components(jnp.ones_like(zero) if bound else zero for bound in bounds),
         value=nothing,
         rate=nothing,
         away=flags,

@@ -195,7 +195,8 @@ def observed(
         t, x = select(reached, t, problem.grid.t0), select(reached, x, x0)
         # The mode of an unreached entry may be 0, and would be evaluated as a slide.
         mode = select(reached, mode.astype(x.dtype), 1.0)
-        here = clocks.just_after(around, t).system
+        # A state saved at a tick is the one after it, also backward in time.
+        here = clocks.just_after(around, t, in_time=True).system
         rate = ModeField(here, here.of_surfaces(mode))(t, here.unpack(jnp.concatenate([x, more])))
         return select(reached, pack(rate, x.dtype)[n:], jnp.inf).reshape(observable.shape)
 

@@ -73,15 +73,15 @@ def options_of(
         _check_span(span, saveat)
     max_events = check.count("max_events", max_events, optional=True)
     budget = check.count("max_steps", max_steps, optional=True)
-    reverse = _is_reverse(adjoint)
+    reverse, num_times = _is_reverse(adjoint), 0 if ts is None else ts.shape[0]
     # Both keep an array with an entry for each iteration.
     kept = by_steps or reverse
     if budget is None and adaptive:
         # The length of an array is part of the program. A power of two is shared by many spans.
-        rows = power_of_two(enough_iterations(_KEPT_STEPS, max_events or _MANY_EVENTS))
-        budget = rows if kept else _MANY_STEPS
+        rows = enough_iterations(_KEPT_STEPS, max_events or _MANY_EVENTS) + num_times
+        budget = power_of_two(rows) if kept else _MANY_STEPS + num_times
     elif budget is None and kept:
-        budget = _default_budget(span, max_events)
+        budget = _default_budget(span, max_events, num_times)
     recorder = Recorder()
     if ts is not None:
         recorder = SaveTimes(ts=ts)
@@ -230,8 +230,8 @@ def _is_reverse(adjoint: Any) -> bool:
     )
 
 
-def _default_budget(span: _Span | None, max_events: int | None) -> int:
-    """The iterations allowed for the span."""
+def _default_budget(span: _Span | None, max_events: int | None, num_times: int) -> int:
+    """The iterations allowed for the span, with one for each of `num_times` saving times."""
     if span is None:
         raise ValueError(
             "`max_steps` must be an integer here, since an array of that length is kept, and `t0`, "
@@ -239,4 +239,4 @@ def _default_budget(span: _Span | None, max_events: int | None) -> int:
         )
     # A run over a span that is not finite ends at t0.
     num_steps = math.ceil(span.steps) if span.finite else 1
-    return power_of_two(enough_iterations(num_steps, max_events or _MANY_EVENTS))
+    return power_of_two(enough_iterations(num_steps, max_events or _MANY_EVENTS) + num_times)

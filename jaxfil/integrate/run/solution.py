@@ -242,11 +242,11 @@ def _values(dense: Dense, observable: Observable, ts: Array) -> Array:
 
 def _step_at(dense: Dense, t: Array) -> Array:
     """The number of the step that contains a time. A time within rounding of a contact or a tick
-    belongs to the step after it."""
+    belongs to the step after it, in the order of time also in a run backward."""
     sign = select(dense.t1 >= dense.t0, 1.0, -1.0).astype(t.dtype)
     # Unreached entries become +inf in either direction of time, so that they are sorted last.
     keys = select(jnp.isfinite(dense.ts), sign * dense.ts, jnp.inf)
-    late = sign * t + resolution(dense.t0, t)
+    late = sign * (t + resolution(dense.t0, t))
     # A time before the span has the first step, and its state is replaced by NaN.
     return jnp.maximum(jnp.searchsorted(keys, late, side="right") - 1, 0)
 
@@ -265,7 +265,9 @@ def evaluate(dense: Dense, t: Scalar) -> Float[Array, " n"]:
     start, x = dense.ts[i], system.unpack(dense.xs[i])
     # t may be before the start of its step, by the rounding of times (`_step_at`).
     end = step_again(dense, system, field, start, x, t - start)
-    reached = (sign * t >= sign * dense.t0) & (sign * t <= sign * dense.t1)
+    # The end may be the t1 of the run only up to rounding.
+    after, left = sign * (t - dense.t0), sign * (dense.t1 - t)
+    reached = jnp.minimum(after, left) >= -resolution(dense.t0, dense.t1)
     return select(reached, pack(end, dtype), jnp.nan)
 
 

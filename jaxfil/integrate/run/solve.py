@@ -89,8 +89,10 @@ def solve(
     - `saveat`: `diffrax.SaveAt` with one of `t1`, `ts`, `steps`, `dense` (and `t0` with `steps`);
       other options raise an error that names them.
     - `max_events`: length of the event table; None for no table and no limit.
-    - `max_steps`: budget of loop iterations (a contact takes about four). Needed where an array
-      of that length is kept (`steps`, `dense`, reverse mode) and the span or `dt` is traced.
+    - `max_steps`: budget of loop iterations (a contact or a crossing takes about four, a tick two,
+      a saving time one). Needed where an array of that length is kept (`steps`, `dense`, reverse
+      mode) and the span or `dt` is traced, or where there are many ticks, or more contacts and
+      crossings than `max_events`, or than 256 if that is None.
     - `adjoint`: with `diffrax.ForwardMode()`, `jax.grad` and `jax.vjp` transpose the forward
       derivative by each number that varies; for hundreds of parameters,
       `diffrax.RecursiveCheckpointAdjoint()` runs the loop backward, with second derivatives by
@@ -196,9 +198,10 @@ def solve(
 
 def _whole(start: Array, stop: Array) -> Array:
     """The length of the single grid step of a run whose steps follow a tolerance."""
-    length = jax.lax.stop_gradient(abs(stop - start))
-    # A step must be positive even in a span of length zero.
-    return select(length > 0, length, 1.0)
+    start, stop = jax.lax.stop_gradient((start, stop))
+    length, least = abs(stop - start), resolution(start, stop)
+    # A step must exceed the rounding of times even in a span that does not.
+    return select(length > least, length, 1.0 + 2 * least)
 
 
 def _constant(tree: Any) -> Any:
@@ -223,10 +226,13 @@ def _run(
     def run(x0: Array, *span: Array) -> Solution:
         problem = problem_over(x0, *span)
         x = problem.system.unpack(x0)
-        if not options.reverse:
-            return _solution(problem, options, x0, integrate(problem, x))
-        assert options.budget is not None
-        state = integrate_with_checkpoints(problem, x, options.budget, options.checkpoints)
+        if options.reverse:
+            assert options.budget is not None
+            state = integrate_with_checkpoints(problem, x, options.budget, options.checkpoints)
+        else:
+            state = integrate(problem, x)
+        if any(s.terminal is not None for s in sections):
+            state = problem.recording.recorder.at_section(problem, state)
         return _solution(problem, options, x0, state)
 
     # The conversion of the end is inside the kernel. Its derivatives then need no values from
@@ -272,15 +278,17 @@ def _time_grid(t0: Array, t1: Array, dt: Array, options: Options) -> TimeGrid:
     """The grid of a solve. Invalid values that were traced, and therefore not checked earlier, make
     it NaN, which has an outcome of its own."""
     length = t1 - t0
-    valid = dt > resolution(t0, t1)
+    valid, num_times = dt > resolution(t0, t1), 0
     if isinstance(options.recorder, SaveTimes):
+        num_times = options.recorder.ts.shape[0]
         valid = valid & valid_ts(options.recorder.ts, t0, t1)
     dt = select(valid, jax.lax.stop_gradient(dt), jnp.nan)
     steps = jax.lax.stop_gradient(abs(length) / dt)
     # The bound must be a number of the precision of the run.
     most = min(_MOST, float(jnp.finfo(dt.dtype).max))
     num_steps = jnp.clip(jnp.ceil(steps - _WHOLE), 1, most).astype(jnp.int32)
-    ample, budget = iteration_budget(num_steps), options.budget
+    # A saving time between grid points takes an iteration of its own.
+    ample, budget = iteration_budget(num_steps) + num_times, options.budget
     iterations = ample if budget is None else jnp.asarray(budget, jnp.int32)
     # More steps than an int32 holds exhaust the budget at once, since the count would overflow.
     iterations = select(steps > most, 0, iterations)

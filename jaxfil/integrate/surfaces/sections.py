@@ -20,6 +20,7 @@ from jaxfil.integrate.surfaces.second_order import beyond_newton_to
 from jaxfil.integrate.system.components import Components, dot, pack, total, where
 from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
 from jaxfil.model.observe import asked_of
+from jaxfil.model.outcomes import RESULTS
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section
 from jaxfil.xla.trace import Traced
@@ -80,6 +81,18 @@ class WatchedSections(eqx.Module):
             return field(t, state).number(place)
 
         return function
+
+    def outcome(
+        self, result: RESULTS, aim: Components, counts: Components, recorded: Array
+    ) -> RESULTS:
+        """The outcome of a run after a crossing of the section `aim`, if it is `recorded`, given
+        the one before and the number of crossings of each section."""
+        each = zip(aim.parts, counts.parts, self.terminal, self.bounds, strict=True)
+        for aimed, count, last, bound in each:
+            if last is not None:
+                outcome = RESULTS.out_of_bounds if bound else RESULTS.section_reached
+                result = RESULTS.where(recorded & aimed & (count >= last), outcome, result)
+        return result
 
 
 class Sight(eqx.Module):

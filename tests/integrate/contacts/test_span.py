@@ -120,6 +120,46 @@ def test_dense_output_is_that_just_after_a_tick(system):
     assert_array_equal(got, [0, 1, 1, 2, 2])
 
 
+class Alternating(jf.System):
+    """x' = 1 + floor t, on the sides −1 and +1 in turn."""
+
+    tick: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return 1 + jnp.floor(t / self.tick)[None]
+
+    def switching(self, t, x):
+        return jnp.where(jnp.mod(t / self.tick, 2.0) < 1, -1.0, 1.0) + 0 * x[0]
+
+    @property
+    def clocks(self):
+        return (jf.Clock(self.tick),)
+
+
+def number_and_side(t, x, side):
+    return jnp.stack([jnp.floor(t), side])
+
+
+@pytest.mark.parametrize("dt", [0.1, jf.Adaptive()], ids=repr)
+def test_backward_in_time_what_is_saved_at_a_tick_is_after_it(dt):
+    """In time, as the run that goes forward has it: between steps, at a grid point, at the end."""
+    one, ts = Alternating(jnp.asarray(1.0)), jnp.array([2.5, 2.0, 1.5, 1.0])
+    saveat, how = diffrax.SaveAt(ts=ts), dict(observe=number_and_side, stepper=diffrax.Dopri5())
+    sol = solve(one, [4.5], 1.0, dt, 2.5, saveat=saveat, **how)
+    assert_within(sol.xs[:, 0], [4.5, 3.0, 2.0, 1.0], 64 * EPS)
+    assert_array_equal(sol.modes[:, 0], [-1, -1, 1, 1])
+    assert_array_equal(sol.observed, [[2, -1], [2, -1], [1, 1], [1, 1]])
+
+
+def test_backward_in_time_dense_output_at_a_tick_is_after_it():
+    one, ts = Alternating(jnp.asarray(1.0)), jnp.array([2.5, 2.0, 1.999, 1.0])
+    sol = solve(one, [4.5], 1.0, 0.1, 2.5, saveat=diffrax.SaveAt(dense=True))
+    assert_within(sol.evaluate(ts)[:, 0], [4.5, 3.0, 2.998, 1.0], 64 * EPS)
+    seen = sol.evaluate(ts, observe=number_and_side)
+    assert_array_equal(seen, [[2, -1], [2, -1], [1, 1], [1, 1]])
+
+
 @pytest.mark.parametrize("period", [0.3, 0.7, 0.123456789])
 def test_dense_output_at_a_tick_that_is_a_grid_point_but_for_rounding(period):
     """With steps of 0.1 the tick is at 0.7000000000000001."""

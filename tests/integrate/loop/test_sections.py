@@ -158,6 +158,90 @@ def test_a_run_ends_at_a_crossing_or_at_a_bound_with_an_outcome_of_its_own():
     assert outside.result == jf.RESULTS.out_of_bounds and outside.t_final == 0
 
 
+def test_a_bound_is_left_in_either_direction_of_time_and_from_itself():
+    """A flight x + vt − t²/2 is above 0 up to v ± √(v² + 2x)."""
+    inside = jf.bound(lambda t, x: x[0])
+
+    def run(x, v, t1):
+        flight = Flight(), jnp.stack([x, v]), 0.0, t1, 0.25
+        return jf.solve(*flight, sections=inside, throw=False, stepper=diffrax.Midpoint())
+
+    # The last lanes have both ends in one step, and one that they do not come to.
+    lanes = [(1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (0.0, 0.0), (0.0, 0.1), (0.0, 3.0)]
+    x, v = np.transpose(lanes)
+    root = np.sqrt(v**2 + 2 * x)
+    for sign in (1, -1):
+        sol = jax.jit(jax.vmap(run, (0, 0, None)))(jnp.asarray(x), jnp.asarray(v), 5.0 * sign)
+        ends = sign * np.maximum(sign * v + root, 0)
+        left = abs(ends) < 5
+        np.testing.assert_allclose(sol.t_final, np.where(left, ends, 5 * sign), atol=16 * EPS)
+        np.testing.assert_array_equal(sol.result == jf.RESULTS.out_of_bounds, left)
+        np.testing.assert_allclose(np.asarray(sol.x_final)[left, 0], 0, atol=32 * EPS)
+    # A run goes no further from where another one has ended.
+    ended = jf.solve(
+        Flight(), sol.x_final[0], sol.t_final[0], -5.0, 0.25, sections=inside, throw=False
+    )
+    assert ended.result == jf.RESULTS.out_of_bounds and ended.t_final == sol.t_final[0]
+
+
+def test_the_saved_steps_of_a_run_end_where_a_section_ends_it():
+    """A flight from 0 at v is at 1/2 again at v + √(v² − 1); one at 3 is out of bounds at once."""
+    sections = jf.Section(lambda t, x: x[0] - 0.5, -1, terminal=1), jf.bound(lambda t, x: 2 - x[0])
+    saveat = diffrax.SaveAt(steps=True, t0=True)
+
+    def steps(x, v):
+        flight = Flight(), jnp.stack([x, v]), 0.0, 4.0, 0.25
+        how = dict(sections=sections, saveat=saveat, stepper=diffrax.Midpoint(), max_events=4)
+        sol = jf.solve(*flight, throw=False, **how)
+        return sol.ts, sol.xs, sol.t_final
+
+    # The third comes to t1, and the last one to the section at a step, 1/2 + √1.
+    x, v = jnp.array([0.0, 0.0, 0.0, 3.0, 0.875]), jnp.array([1.5, 3.0, 0.5, 0.0, 0.5])
+    ts, xs, ends = jax.jit(jax.vmap(steps))(x, v)
+    exact = [1.5 + np.sqrt(1.25), 3 - np.sqrt(5), 4.0, 0.0, 1.5]
+    for i, end in enumerate(exact):
+        saved = np.asarray(ts[i])[np.isfinite(ts[i])]
+        assert (np.diff(saved) > 0).all() and saved[-1] == ends[i]
+        np.testing.assert_allclose(saved[-1], end, rtol=16 * EPS)
+        want = x[i] + v[i] * saved - saved**2 / 2
+        np.testing.assert_allclose(xs[i][: len(saved), 0], want, rtol=0, atol=32 * EPS)
+
+
+class Clockwork(jf.System):
+    """x' = 1, with a surface at 0."""
+
+    def vector_field(self, t, x, side):
+        return jnp.ones_like(x)
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def test_a_crossing_at_the_end_belongs_to_the_run_as_a_contact_does():
+    """The span is (t0, t1]: chained runs cross as often as the whole one, in either direction."""
+    # From x at t0 to t1: past 0, to 0, from 0, just not to 0, an empty span; and backward.
+    lanes = [
+        (-1.0, 0.0, 1.1, 1), (-1.0, 0.0, 1.0, 1), (-0.3, 0.1, 0.4, 1), (0.0, 1.0, 2.0, 0),
+        (-1.0, 0.0, 1 - 1e-12, 0), (-1.0, 0.0, 0.0, 0), (1.0, 0.0, -1.0, 1), (0.0, 1.0, 0.0, 0),
+    ]  # fmt: skip
+    x0, t0, t1, count = np.transpose(lanes)
+    passing = jf.Section(lambda t, x: x[0])
+    ending = jf.Section(lambda t, x: x[0] * (2 + x[0]), terminal=1)
+
+    @jax.jit
+    @jax.vmap
+    def run(x0, t0, t1):
+        how = dict(throw=False, stepper=diffrax.Midpoint(), max_events=4)
+        return jf.solve(Clockwork(), x0[None], t0, t1, 0.25, sections=(passing, ending), **how)
+
+    sol = run(*map(jnp.asarray, (x0, t0, t1)))
+    np.testing.assert_array_equal(sol.num_events, count)
+    np.testing.assert_array_equal((sol.crossings.sections == 1).sum(1), count)
+    np.testing.assert_array_equal(sol.result == jf.RESULTS.section_reached, count == 1)
+    at = np.asarray(sol.crossings.ts)[count == 1, 0]
+    np.testing.assert_allclose(at, (t0 - x0)[count == 1], rtol=0, atol=8 * EPS)
+
+
 # A relay in a loop with a plant of third order, x' = A x + b u, u = −sgn c·x.
 A = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, -1.0]])
 B = np.array([0.0, 0.0, 1.0])

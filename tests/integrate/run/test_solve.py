@@ -283,16 +283,62 @@ def test_trivial_case_of_a_diagram():
     assert (diagram.results == RESULTS.successful).all()
 
 
-def test_a_smooth_scene_is_saved_between_its_steps():
-    # x' = -x has no surface; nine times to a step.
-    class Decay(jf.System):
-        def vector_field(self, t, x, side):
-            return -x
+class Decay(jf.System):
+    """x' = -x: no surface."""
 
+    def vector_field(self, t, x, side):
+        return -x
+
+
+def test_a_smooth_scene_is_saved_between_its_steps():
+    # Nine times to a step.
     ts = jnp.linspace(0.0, 1.0, 46)
     sol = jf.solve(Decay(), jnp.ones(1), 0.0, 1.0, 0.2, saveat=diffrax.SaveAt(ts=ts))
     assert sol.stats["num_steps"] == 5
     assert_allclose(sol.xs[:, 0], np.exp(-ts), rtol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_times_that_coincide_are_each_saved(dtype):
+    # At a grid point, between two, at both ends, and two times within rounding of the end.
+    eps = jnp.finfo(dtype).eps
+    part = jnp.asarray([0, 0, 0.2, 0.2, 0.7, 0.7, 1 - 2 * eps, 1, 1], dtype)
+
+    def states(ts, t1):
+        saveat = diffrax.SaveAt(ts=ts)
+        one = jnp.ones(1, dtype)
+        sol = jf.solve(Decay(), one, 0.0, t1, dtype(0.2), saveat=saveat, throw=False)
+        return sol.xs[:, 0], (sol.xs[:, 0], sol.result, sol.stats["num_steps"])
+
+    t1s = jnp.asarray([1, -1, 0], dtype)
+    ts = t1s[:, None] * part
+    rows = jax.vmap(jax.jacfwd(states, has_aux=True))
+    by_time, (xs, result, num_steps) = jax.jit(rows)(ts, t1s)
+    assert (result == RESULTS.successful).all() and num_steps.tolist()[:2] == [5, 5]
+    assert_allclose(xs, np.exp(-ts), rtol=256 * eps)
+    assert_allclose(by_time, [-np.diag(np.exp(-t)) for t in ts], rtol=4096 * eps)
+
+
+def test_saving_times_have_iterations_of_their_own():
+    ts = jnp.linspace(0.001, 0.999, 400)
+
+    def total(x0):
+        how = dict(adjoint=diffrax.RecursiveCheckpointAdjoint(), max_events=8, throw=False)
+        at = diffrax.SaveAt(ts=ts)
+        return jf.solve(Decay(), x0, 0.0, 1.0, 0.1, saveat=at, stepper=jf.RK4(), **how).xs.sum()
+
+    got, by = jax.value_and_grad(total)(jnp.ones(1))
+    assert_allclose([got, by[0]], np.exp(-ts).sum(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("span", [(-0.3, 2.0), (0.3, -2.0)])
+def test_dense_output_reaches_the_end_of_its_span(span):
+    # t0 + (t1 - t0) is not t1 in floating point.
+    sol = jf.solve(Decay(), jnp.ones(1), *span, 0.2, saveat=diffrax.SaveAt(dense=True))
+    assert float(sol.t_final) != span[1]
+    ts = np.asarray([*span, 1.001 * span[1], np.inf, np.nan])
+    assert_allclose(sol.evaluate(ts)[:2, 0], np.exp(span[0] - ts[:2]), rtol=1e-9)
+    assert_array_equal(sol.evaluate(ts)[2:], np.nan)
 
 
 @pytest.fixture(scope="module")

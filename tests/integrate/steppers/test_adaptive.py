@@ -206,6 +206,20 @@ def test_reverse_mode_and_backward_time():
     assert_allclose(back, planet(0.5, 0.0), rtol=0, atol=1e-8)
 
 
+def test_spans_within_rounding_and_empty_ones_are_run():
+    def end(t0):
+        return jf.solve(
+            Orbit(), jnp.asarray(planet(0.5, 1.0)), t0, 0.3, jf.Adaptive(1e-8), throw=False
+        )
+
+    # 0.1 + 0.2 is the number after 0.3.
+    t0 = jnp.array([0.1 + 0.2, 0.3, 0.3 - 1e-15, 0.0])
+    sol = jax.jit(jax.vmap(end))(t0)
+    assert (sol.result == jf.RESULTS.successful).all()
+    assert_allclose(sol.x_final[:3], [planet(0.5, 1.0)] * 3, rtol=1e-13)
+    assert_allclose(sol.t_final, 0.3, rtol=4e-16)
+
+
 def test_single_precision():
     x0 = jnp.asarray(planet(0.9, 0.0), jnp.float32)
     sol = jf.solve(Orbit(), x0, 0.0, 5.0, jf.Adaptive(1e-5, 1e-6))
