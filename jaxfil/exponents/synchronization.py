@@ -299,12 +299,12 @@ def _transverse(
     # with the direction of fastest growth before it counts.
     turning = pace.transient // 4
     alone = pace.transient - turning
-    interval, x, _, settled = _settle(system, x0, interval, alone, pace)
+    interval, x, size, settled = _settle(system, x0, interval, alone, pace)
 
-    def run(x: Array, coupling: Array) -> TransverseExponent:
+    def run(x: Array, size: Array, coupling: Array) -> TransverseExponent:
         # A distance d has an error of d from the curvature of the flow and of eps/d from rounding,
         # least at √eps; a larger one has room to shrink within an interval.
-        separation = float(jnp.finfo(x.dtype).eps) ** 0.4 * or_one(size_of(x))
+        separation = float(jnp.finfo(x.dtype).eps) ** 0.4 * size
         start = interval.grid(jnp.ones_like(pace.steps), pace.steps, alone).t0
         z = jnp.concatenate([x, away(system, start, x, separation)])
         pair = build(drive_response(system, coupling), z, compact=pace.compact)
@@ -335,7 +335,7 @@ def _transverse(
             compact=pace.compact,
         )
 
-    return kernel_if_it_fits(run, pace.compact)(x, coupling)
+    return kernel_if_it_fits(run, pace.compact)(x, size, coupling)
 
 
 def _parted(

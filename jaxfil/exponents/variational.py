@@ -22,7 +22,7 @@ from jaxfil.exponents.frame import Frame, for_each, generic_frame, gram_schmidt,
 from jaxfil.integrate.contacts.guards import stays_on
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, is_running
-from jaxfil.integrate.loop.iterate import advance
+from jaxfil.integrate.loop.iterate import advance, problem_of_step
 from jaxfil.integrate.surfaces import filippov
 from jaxfil.integrate.surfaces.normals import project
 from jaxfil.integrate.system.components import Components, where
@@ -71,9 +71,10 @@ def propagate(problem: Problem, every: Array, variation: Variation, stop: Array)
 def _push(problem: Problem, variation: Variation) -> Variation:
     """One iteration of the loop."""
     system, state = problem.system, variation.state
+    between = problem_of_step(problem, state).system
 
     def through(x: Components, tau: Array = state.motion.tau) -> tuple:
-        f = filippov.field(system, problem.grid.t0 + tau, x, state.motion.mode)
+        f = filippov.field(between, problem.grid.t0 + tau, x, state.motion.mode)
         motion = dataclasses.replace(state.motion, x=x, f=f, tau=tau)
         after = advance(problem, dataclasses.replace(state, motion=motion))
         return (after.motion.x, after.motion.tau), after
@@ -127,7 +128,8 @@ def _apply_saltation(problem: Problem, after: LoopState, v: Components, dt: Arra
     """A tangent after a switch. It was propagated to the contact itself, whose time moves by dt,
     and through its resets, so that it is R_x (v + f⁻ dt) + R_t dt with the tangent v before it.
     f⁺ dt is subtracted to return to a fixed time."""
-    system, t = problem.system, problem.grid.t0 + after.motion.tau
+    system = problem_of_step(problem, after).system
+    t = problem.grid.t0 + after.motion.tau
     v = v + -dt * after.motion.f
     if system.slides or system.resets:
         _, _, normals = system.gradients(t, after.motion.x)

@@ -29,8 +29,9 @@ from jaxfil.xla.select import select
 # with one period later, and as many as `_LATER` others, spread over a period, with periods spread
 # over the run, since a force may set in late.
 _PHASES, _LATER = (0.29, 0.83), 30
-# Distances of the other states of the test, in 1 + |x|, one for each component in turn.
-_APART = (0.618, -0.382, 0.854, -0.146, 0.472)
+# Distances of the other states of the test, in 1 + |x|, one for each component in turn, and their
+# multiples. A force may act only beyond a gap.
+_APART, _FARTHER = (0.618, -0.382, 0.854, -0.146, 0.472), (1.0, -1.0, 10.0, -10.0, 100.0, -100.0)
 # Tolerance of the test, in eps for each period. The sum t + T is rounded, and cosines of multiples
 # of the frequency magnify that rounding.
 _SAME = 1024
@@ -40,7 +41,8 @@ _SAME = 1024
 def repeats(system: System, period: Array, x: Array, count: Array | int) -> Array:
     """Whether field, H and resets near a state x are the same in all of `count` periods, seen at
     some times. Forces of two frequencies, kicks at times of their own, or a slow start are examples
-    where they are not. A pulse shorter than a thirtieth of the run may pass unseen.
+    where they are not. A pulse shorter than a thirtieth of the run may pass unseen, as may a force
+    that acts in a narrow range of states.
 
     In a derivative by the system their derivatives must be the same too: by the frequency of a
     force, but for one that determines the period, they grow with time."""
@@ -93,7 +95,7 @@ class _Values:
         x = stop_gradient(x)
         apart = jnp.asarray(np.resize(_APART, x.shape), x.dtype) * (1 + abs(x))
         turned, ones = np.resize((1.0, -1.0), m), np.ones(m)
-        self.states = jnp.stack([x, x + apart, x - apart])
+        self.states = jnp.stack([x, *(x + times * apart for times in _FARTHER)])
         self.sides = jnp.asarray(np.stack([ones, -ones, turned, -turned]), x.dtype)
         phases = (*_PHASES, *np.linspace(0.01, 0.99, _LATER))
         self.phases = jnp.asarray(phases, x.dtype)
@@ -103,7 +105,7 @@ class _Values:
         self.ahead = jnp.maximum(jnp.round(parts * (jnp.asarray(count, x.dtype) - 1)), 1)
 
     def __call__(self, system: System, period: Array) -> tuple[Array, Array]:
-        """The values at both times, shape (3 states, 4 sides, times, numbers)."""
+        """The values at both times, shape (7 states, 4 sides, times, numbers)."""
 
         def values(x: Array, side: Array, t: Array) -> Array:
             # A coefficient of friction has no effect without a reaction.

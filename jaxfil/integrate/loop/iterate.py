@@ -74,10 +74,16 @@ from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select, select_all
 
 
-def advance(problem: Problem, state: LoopState) -> LoopState:
-    """One iteration. A lane that has ended is unchanged."""
+def problem_of_step(problem: Problem, state: LoopState) -> Problem:
+    """The problem of the next iteration, with functions of time kept between two ticks."""
     for extension, own in extensions_of(problem, state):
         problem = extension.before_step(problem, own)
+    return problem
+
+
+def advance(problem: Problem, state: LoopState) -> LoopState:
+    """One iteration. A lane that has ended is unchanged."""
+    problem = problem_of_step(problem, state)
     length = choose_length(problem, state)
     if isinstance(problem.tableau, TaylorTableau) and problem.system.m > 0:
         return _advance_along(problem, state, length)
