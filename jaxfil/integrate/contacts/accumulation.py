@@ -155,7 +155,7 @@ def _turned(
     problem: Problem, state: LoopState, length: Length, end: StepEnd
 ) -> tuple[Turn, Array, Components]:
     """The turn after a switch, and the time and the state of the limit of turns."""
-    turn, same = state.turn, problem.grid.same_time(end.motion.tau)
+    turn, same = state.turn, problem.same_time(end.motion.tau)
     assert turn is not None
     # After the limit, turns are counted from the start.
     counts = _counts(state)
@@ -286,7 +286,7 @@ def _agrees(
 ) -> tuple[Array, Array, Components]:
     """Whether the limit equals the one predicted by the turn before, to within rounding, and the
     rounding of its time and of its state."""
-    turn, same = state.turn, problem.grid.same_time(state.motion.tau)
+    turn, same = state.turn, problem.same_time(state.motion.tau)
     assert turn is not None
     # The factor 1/(1 − q) of a ratio of two times magnifies their rounding twice.
     shrink = 1 - ratio

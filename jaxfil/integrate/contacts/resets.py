@@ -172,7 +172,7 @@ def _view(
         fast = maximum(fast, abs(system.field(t, x, sides)))
     inside, dt = system.rate_rounding(t, x, sides), typical_step(problem, state)
     by_time = a - c.gradients @ f
-    noise = unilateral.rate_noise(t, size, inside, dt, fast, c, by_time, surfaces)
+    noise = unilateral.rate_noise(system, t, size, inside, dt, fast, c, by_time, surfaces)
     ahead = problem.grid.direction * system.eps**0.5 * dt
     later = stop_gradient((t + ahead, x + ahead * f))
     effect = unilateral.reset_effect(system, t, x, c, surfaces[1], later)
@@ -276,7 +276,7 @@ def _chattering(
     that time beyond the field's."""
     system, grid, c = problem.system, problem.grid, seen.constraints
     sides = unilateral.sides_of(state.motion.mode)
-    same = grid.same_time(state.motion.tau)
+    same = problem.same_time(state.motion.tau)
     # The neglected error is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * typical_step(problem, state))
     held = c.reaction.answered(seen.a, unilateral.multipliers(c.reaction.gains, seen.a, rests))
