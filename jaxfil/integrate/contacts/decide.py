@@ -136,10 +136,10 @@ def decided(
             second = _seconds(system, here, rates, decide & any_of(on & flat))
         chosen, count = filippov.choose(None, rates, second, beside, on, grid.direction)
     count = select(decide, count, jnp.maximum(count, 1))
-    if led is None or led.constraints is not None:
+    if led is None:
         return _once(system, where(decide, chosen, left), count)
-    mode = where(decide & ~unilateral.rests_of(left), chosen, left)
-    return _once(system, mode, select(led.consistent, count, 0))
+    decide = decide if led.constraints is not None else decide & ~unilateral.rests_of(left)
+    return _once(system, where(decide, chosen, left), select(led.consistent, count, 0))
 
 
 def _known(

@@ -79,7 +79,8 @@ class Impact(eqx.Module):
     pushed: Components
     """Resting surfaces from which another one's reset has pushed the motion away."""
     consistent: Array
-    """Whether these reactions are consistent (see `unilateral.pressed`)."""
+    """Whether these reactions are consistent (see `unilateral.pressed`); for several surfaces,
+    whether they hold the state at the limit of turns."""
     jump: Array
     """The duration of a chattering that ends here; 0 without one."""
     kick: Components
@@ -243,6 +244,11 @@ def _follow(
     spared = reset.waits & (back | (reset.moved & parts))
     owed = (reset.waits & ~spared) | acts | across
     rests, consistent = unilateral.pressed(c.reaction, seen.a, sides, still)
+    if system.m > 1:
+        # Reactions of several surfaces are decided later (`decide`), but not the rates that have
+        # died out at a limit of turns, where all surfaces rest.
+        alive = outward < -noise / system.eps**0.5
+        consistent = ~any_of(limit & reverses & alive)
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
     others = more & state.pending.surfaces & ~reset.heard & ~spared

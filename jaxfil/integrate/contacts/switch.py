@@ -211,7 +211,8 @@ def evaluate_step_end(
     )
     if led is not None:
         end = _led_on(end, led)
-    return accumulation.follow_turns(problem, state, length, _to_later(problem, state, end))
+    end = _to_later(problem, state, end)
+    return accumulation.follow_turns(problem, state, length, end, maps.reset)
 
 
 def _in_turn(
