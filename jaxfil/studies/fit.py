@@ -354,11 +354,17 @@ def _(primals: Any, tangents: Any) -> Any:
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse of a symmetric matrix whose rows have units; infinite if it is singular. A row of
-    zeros has an infinite diagonal entry, and does not affect the others."""
+    """The inverse of a symmetric matrix whose rows have units; infinite for unknowns that it does
+    not determine, alone or together. These do not affect the others."""
     size = jnp.sqrt(jnp.diag(matrix))
     idle = jnp.diag(size == 0)
     scale = select(size > 0, size, 1)
     scaled = select(idle, 1.0, matrix / scale / scale[:, None])
-    inverse = jnp.linalg.inv(scaled) / scale / scale[:, None]
+    # Rounding leaves eigenvalues of a singular matrix with any sign.
+    eigenvalues, vectors = jnp.linalg.eigh(lax.stop_gradient(scaled))
+    eps = float(jnp.finfo(matrix.dtype).eps)
+    lost = vectors * (abs(eigenvalues) <= PIVOT * eps)
+    part = jnp.sqrt(jnp.sum(lost**2, axis=1)) > eps**0.5
+    idle = idle | (part[:, None] & part[None, :])
+    inverse = jnp.linalg.inv(scaled + lost @ lost.T) / scale / scale[:, None]
     return select(jnp.isfinite(inverse) & ~idle, inverse, jnp.inf)

@@ -17,6 +17,11 @@ Where the fields are constant both are exact, with their derivatives. Elsewhere 
 time is of the order of the square of the remaining time, and the error of the state of its cube.
 The limit is used when two consecutive turns predict the same one to within rounding, in time and in
 every component of the state.
+
+Resets may end the series later, as one that keeps a band of a hysteresis above a least width, or a
+latch that acts below some gap. So the resets of the turn also act on a copy of it, made smaller by
+a factor ε towards the limit L. If p and R(p) are the states before and after a reset of the turn,
+its copy must give L + ε (R(p) − L) again, whatever the others have left in memories.
 """
 
 import dataclasses
@@ -29,12 +34,14 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.contacts.guards import stays_on
+from jaxfil.integrate.contacts.resets import Reset
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length, typical_step
 from jaxfil.integrate.system.components import (
     Components,
     any_of,
+    index_of,
     largest,
     maximum,
     total,
@@ -49,6 +56,9 @@ _LONGEST = 16
 _AGREE = 4
 # The largest such rounding, as a part of the length of a turn.
 _TOLD = 1 / 16
+# The size of the copy of a turn, as this power of eps. It is large compared with the rounding of
+# the turn, so that a reset can tell the directions in it.
+_COPY = 2 / 3
 
 
 class Turn(eqx.Module):
@@ -79,6 +89,9 @@ class Turn(eqx.Module):
     """Number of contacts since."""
     completed: Array
     """Whether the next switch is the one at the limit."""
+    copy: Components | None
+    """The state of the small copy of this turn, less ε times the state itself, n components; None
+    without resets."""
 
 
 def has_turns(system: ComponentSystem) -> bool:
@@ -106,17 +119,21 @@ def no_turn(system: ComponentSystem, x: Components) -> Turn | None:
         # As after too many contacts, so that the first one starts a turn.
         contacts=jnp.full((), _LONGEST, jnp.int32),
         completed=false,
+        copy=x if system.resets else None,
     )
 
 
-def follow_turns(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> StepEnd:
-    """The end of a step with the turn that its switch belongs to. If that turn completes the
-    accumulation, the step jumps to the limit of all later turns."""
+def follow_turns(
+    problem: Problem, state: LoopState, length: Length, end: StepEnd, reset: Reset | None
+) -> StepEnd:
+    """The end of a step with the turn that its switch, with this reset, belongs to. If that turn
+    completes the accumulation, the step jumps to the limit of all later turns."""
     turn = state.turn
     if turn is None:
         return end
+    follows = _counts(state) if reset is None else _counts(state) | any_of(reset.heard)
     turn, jump, x = problem.system.where_any(
-        _counts(state), _turned, _as_before, problem, state, length, end
+        follows, _turned, _as_before, problem, state, length, end, reset
     )
     done = turn.completed
     upcoming = done & turn.met
@@ -146,16 +163,16 @@ def _counts(state: LoopState) -> Array:
 
 
 def _as_before(
-    problem: Problem, state: LoopState, length: Length, end: StepEnd
+    problem: Problem, state: LoopState, length: Length, end: StepEnd, reset: Reset | None
 ) -> tuple[Turn | None, Array, Components]:
     return state.turn, jnp.zeros_like(end.motion.tau), end.motion.x
 
 
 def _turned(
-    problem: Problem, state: LoopState, length: Length, end: StepEnd
+    problem: Problem, state: LoopState, length: Length, end: StepEnd, reset: Reset | None
 ) -> tuple[Turn, Array, Components]:
     """The turn after a switch, and the time and the state of the limit of turns."""
-    turn, same = state.turn, problem.grid.same_time(end.motion.tau)
+    turn, same = state.turn, problem.same_time(end.motion.tau)
     assert turn is not None
     # After the limit, turns are counted from the start.
     counts = _counts(state)
@@ -189,6 +206,9 @@ def _turned(
     # The predicted limit may be past a grid point by the rounding of the prediction.
     late = length.beyond(left)
     agrees = agrees & reached & (late <= rounding)
+    copy = _copied(problem, state, end, reset)
+    if copy is not None:
+        agrees = agrees & _is_alike(problem, copy, turn.limit, apart)
     # A limit within the rounding of times is reached, whether predictions agree or not.
     completed = shrinks & (agrees | (left <= same) & (late <= same)) & clear
     soon = left <= problem.system.eps**0.5 * typical_step(problem, state)
@@ -215,9 +235,42 @@ def _turned(
         late=select(starts, 0, _lateness(state)),
         contacts=select(starts, 0, turn.contacts + 1),
         completed=completed,
+        copy=copy and where(starts, (1 - _scale(problem)) * stop_gradient(limit), copy),
     )
     jump = select(completed, left - late, 0)
-    return select_all(counts, now, turn), jump, ahead(jump)
+    other = dataclasses.replace(turn, copy=copy)
+    return select_all(counts, now, other), jump, ahead(jump)
+
+
+def _scale(problem: Problem) -> float:
+    """The factor ε by which the copy of a turn is smaller."""
+    return problem.system.eps**_COPY
+
+
+def _copied(
+    problem: Problem, state: LoopState, end: StepEnd, reset: Reset | None
+) -> Components | None:
+    """`Turn.copy` after a reset.
+
+    The copy moves by ε times what the state moves by, except in a reset. It starts as L + ε (x − L)
+    after the first contact, so that `Turn.copy` is (1 − ε) L then, and again where the copy has
+    followed the turn.
+    """
+    turn, scale = state.turn, _scale(problem)
+    assert turn is not None
+    if reset is None or turn.copy is None:
+        return None
+    system, tau = stop_gradient((problem.system, end.motion.tau))
+    left = turn.tau + turn.left - tau
+    t = problem.grid.t0 + tau + (1 - scale) * select(jnp.isfinite(left), left, 0)
+    before, after = scale * stop_gradient(state.motion.x), scale * stop_gradient(reset.x)
+    moved = system.reset(stop_gradient(t), before + turn.copy, index_of(reset.heard)) - after
+    return where(any_of(reset.heard), moved, turn.copy)
+
+
+def _is_alike(problem: Problem, copy: Components, limit: Components, apart: Components) -> Array:
+    """Whether the copy of a turn has followed it, to within the rounding of the limit."""
+    return ~any_of(~(abs(copy - (1 - _scale(problem)) * limit) <= _AGREE * apart))
 
 
 def _is_watched(problem: Problem) -> bool:
@@ -286,7 +339,7 @@ def _agrees(
 ) -> tuple[Array, Array, Components]:
     """Whether the limit equals the one predicted by the turn before, to within rounding, and the
     rounding of its time and of its state."""
-    turn, same = state.turn, problem.grid.same_time(state.motion.tau)
+    turn, same = state.turn, problem.same_time(state.motion.tau)
     assert turn is not None
     # The factor 1/(1 − q) of a ratio of two times magnifies their rounding twice.
     shrink = 1 - ratio

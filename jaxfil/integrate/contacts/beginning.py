@@ -66,7 +66,7 @@ def begin(
     _, h_t, normals = system.gradients(t, x)
     inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
     by_time, dt = a - c.gradients @ f, typical_step(problem)
-    noise = unilateral.rate_noise(t, abs(x), inside, dt, f, c, by_time, surfaces)
+    noise = unilateral.rate_noise(system, t, abs(x), inside, dt, f, c, by_time, surfaces)
     flat, rounding = abs(c.rate) <= noise, _NOISE * system.eps * (abs(normals) @ abs(x))
     # Only flags follow from the traces, so they have no derivative.
     seen = stop_gradient(_traces(system, t, x, rounding))

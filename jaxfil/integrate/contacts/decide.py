@@ -106,7 +106,7 @@ def decided(
     # Where a slide on an intersection ends, both the slide and the next mode would be admissible
     # within rounding.
     threshold = select(waits, 0.0, NOISE * system.eps)
-    instant = grid.same_time(state.motion.tau)
+    instant = problem.same_time(state.motion.tau)
     if are_coupled(system):
         kept, walls = opened & ~state.pending.surfaces, None
         if led is not None:
@@ -140,10 +140,10 @@ def decided(
             second = _seconds(system, here, rates, wanted, beside, on)
         chosen, count = filippov.choose(None, rates, second, beside, on, grid.direction, instant)
     count = select(decide, count, jnp.maximum(count, 1))
-    if led is None or led.constraints is not None:
+    if led is None:
         return _once(system, where(decide, chosen, left), count)
-    mode = where(decide & ~unilateral.rests_of(left), chosen, left)
-    return _once(system, mode, select(led.consistent, count, 0))
+    decide = decide if led.constraints is not None else decide & ~unilateral.rests_of(left)
+    return _once(system, where(decide, chosen, left), select(led.consistent, count, 0))
 
 
 def _known(

@@ -23,6 +23,7 @@ from jaxfil.integrate.system.components import (
     on_each,
     where,
 )
+from jaxfil.integrate.system.functions import size_of_time
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
@@ -74,7 +75,8 @@ def surface_noise(
     rounding is proportional to the running maximum `size` of states, and all intermediate values
     in H, such as t + φ in a sine with a phase φ."""
     system, t, x, size, h_t, normals = stop_gradient((system, t, x, size, h_t, normals))
-    noise = NOISE * system.eps * (abs(normals) @ size + abs(h_t * t))
+    late = abs(h_t * size_of_time(system.clocks, t))
+    noise = NOISE * system.eps * (abs(normals) @ size + late)
     inside = system.rounding(t, x)
     if inside is not None:
         noise = noise + _INSIDE * system.eps * inside
@@ -177,7 +179,7 @@ def is_close(problem: Problem, state: LoopState, h: Components) -> Components:
     """Surfaces with these H that will be reached within the rounding of times. They count as
     reached, since their contacts would follow at the same rounded time; one that is not armed was
     left just now."""
-    near = abs(state.motion.rate) * problem.grid.same_time(state.motion.tau)
+    near = abs(state.motion.rate) * problem.same_time(state.motion.tau)
     return (state.motion.mode != 0) & (abs(h) < near) & state.armed
 
 

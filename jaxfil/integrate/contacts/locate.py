@@ -20,7 +20,7 @@ its contact is a root after the cubic's maximum, never the one at the start.
 
 Three tolerances separate a contact from rounding, each with a scale: the noise of a guard, a
 multiple of eps and of the size of its terms (`guards.surface_noise`); the rounding of times
-(`TimeGrid.same_time`); and eps^(2/3), up to which one Newton correction in time is exact to
+(`Problem.same_time`); and eps^(2/3), up to which one Newton correction in time is exact to
 rounding in the state and in its derivative.
 """
 
@@ -128,7 +128,7 @@ def find_contact(
     system, h = problem.system, stop_gradient(length.h)  # the search has no derivatives
     # A slide or a rest that ends at a grid point ends next to it, by the rounding of times. In the
     # brief step to the grid point the field may still point back, which is not a new contact.
-    rounding, dt = problem.grid.same_time(end.motion.tau), typical_step(problem, state)
+    rounding, dt = problem.same_time(end.motion.tau), typical_step(problem, state)
     brief = length.known & (abs(h) <= jnp.minimum(_BRIEF * rounding, _BRIEF_PART * dt))
     noise = _searched_to(state, end)
     ends = state.motion.g, h * state.motion.rate, stop_gradient(end.motion.g), h * end.motion.rate
@@ -173,7 +173,7 @@ def _to_singular_point(
     the distance. The last of them is long compared with rounding, and passes over the point.
     """
     assert state.motion.determinant is not None and end.motion.determinant is not None
-    least = _LAST_LOOK * problem.grid.same_time(end.motion.tau)
+    least = _LAST_LOOK * problem.same_time(end.motion.tau)
     repels, fades = end.num_modes > 1, end.motion.determinant < _FADED * state.motion.determinant
     singular = (repels | fades) & ~state.pending.waits & (abs(h) > least)
     then = select(repels, -end.motion.determinant, end.motion.determinant)
@@ -226,7 +226,7 @@ def land(problem: Problem, state: LoopState, end: StepEnd, length: Length) -> La
     # Contacts within the rounding of times of the first are reached with it; a later one needs a
     # step of its own.
     best = least(where(hits, direction * stop_gradient(times), jnp.inf))
-    same = problem.grid.same_time(end.motion.tau)
+    same = problem.same_time(end.motion.tau)
     hits = hits & ((kinds >= _HERE) | (direction * stop_gradient(times) <= best + same))
     # The surfaces are switched in the order of their numbers.
     first = first_set(hits)
@@ -262,7 +262,7 @@ def _kinds_of_end(
 ) -> tuple[Components, Components]:
     """The relation of the end of a step to each surface, as floats, and the times to contacts."""
     system, grid, h = problem.system, problem.grid, length.h
-    direction, same = grid.direction, grid.same_time(end.motion.tau)
+    direction, same = grid.direction, problem.same_time(end.motion.tau)
     small = system.eps ** (2 / 3)
     rate, aimed = end.motion.rate, length.cutting & state.search.surfaces
     falls = direction * rate < 0

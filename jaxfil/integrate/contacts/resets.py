@@ -79,7 +79,8 @@ class Impact(eqx.Module):
     pushed: Components
     """Resting surfaces from which another one's reset has pushed the motion away."""
     consistent: Array
-    """Whether these reactions are consistent (see `unilateral.pressed`)."""
+    """Whether these reactions are consistent (see `unilateral.pressed`); for several surfaces,
+    whether they hold the state at the limit of turns."""
     jump: Array
     """The duration of a chattering that ends here; 0 without one."""
     kick: Components
@@ -172,7 +173,7 @@ def _view(
         fast = maximum(fast, abs(system.field(t, x, sides)))
     inside, dt = system.rate_rounding(t, x, sides), typical_step(problem, state)
     by_time = a - c.gradients @ f
-    noise = unilateral.rate_noise(t, size, inside, dt, fast, c, by_time, surfaces)
+    noise = unilateral.rate_noise(system, t, size, inside, dt, fast, c, by_time, surfaces)
     ahead = problem.grid.direction * system.eps**0.5 * dt
     later = stop_gradient((t + ahead, x + ahead * f))
     effect = unilateral.reset_effect(system, t, x, c, surfaces[1], later)
@@ -243,6 +244,11 @@ def _follow(
     spared = reset.waits & (back | (reset.moved & parts))
     owed = (reset.waits & ~spared) | acts | across
     rests, consistent = unilateral.pressed(c.reaction, seen.a, sides, still)
+    if system.m > 1:
+        # Reactions of several surfaces are decided later (`decide`), but not the rates that have
+        # died out at a limit of turns, where all surfaces rest.
+        alive = outward < -noise / system.eps**0.5
+        consistent = ~any_of(limit & reverses & alive)
     more = any_of(owed)
     jump, kick = _chattering(problem, state, length, reset, seen, at, rests, more)
     others = more & state.pending.surfaces & ~reset.heard & ~spared
@@ -276,7 +282,7 @@ def _chattering(
     that time beyond the field's."""
     system, grid, c = problem.system, problem.grid, seen.constraints
     sides = unilateral.sides_of(state.motion.mode)
-    same = grid.same_time(state.motion.tau)
+    same = problem.same_time(state.motion.tau)
     # The neglected error is a part T ȧ/a of T.
     longest = jnp.maximum(same, system.eps**0.5 * typical_step(problem, state))
     held = c.reaction.answered(seen.a, unilateral.multipliers(c.reaction.gains, seen.a, rests))

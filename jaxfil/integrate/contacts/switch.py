@@ -111,7 +111,7 @@ def _surfaces_at(
     gathered = surface_noise(system, t, x, scale, h_t, normals)
     if system.slides:
         gathered = select(problem.grid.direction < 0, _BACKWARD, 1.0) * gathered
-    same = problem.grid.same_time(state.motion.tau)
+    same = problem.same_time(state.motion.tau)
     # H has jumped by more than the rounding of times explains.
     away = abs(h) > gathered + 2 * same * abs(stop_gradient(state.motion.rate))
     off, something = pending.waits & pending.across & away, pending.waits & pending.jumped
@@ -209,7 +209,8 @@ def evaluate_step_end(
     )
     if led is not None:
         end = _led_on(end, led)
-    return accumulation.follow_turns(problem, state, length, _to_later(problem, state, end))
+    end = _to_later(problem, state, end)
+    return accumulation.follow_turns(problem, state, length, end, maps.reset)
 
 
 def _in_turn(

@@ -14,7 +14,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
-from jaxfil.integrate.lane.problem import SAME_TIME, Problem
+from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.model.clock import Ticks
 from jaxfil.xla.select import select
@@ -83,7 +83,7 @@ def first_ticks(problem: Problem, at_start: bool = True) -> Ticks:
     for period, phase in problem.system.clocks:
         # Any other tick at t0 is excluded; `same` keeps the rounding of t0 − φ from deciding.
         passed = stop_gradient((grid.t0 - phase) / period)
-        same = _same_time(problem, jnp.zeros_like(passed)) / stop_gradient(period)
+        same = problem.same_time(jnp.zeros_like(passed)) / stop_gradient(period)
         up = jnp.floor(passed + same) + 1
         down = jnp.floor(passed + same) if at_start else jnp.ceil(passed - same) - 1
         ticks.append(select(grid.direction > 0, up, down))
@@ -104,7 +104,7 @@ def _next_tick(problem: Problem, ticks: Ticks) -> tuple[Array, Array]:
     first, *others = _taus(problem, ticks)
     number = jnp.zeros((), jnp.int32)
     for j, tau in enumerate(others, start=1):
-        before = (tau - first) * problem.grid.direction < -_same_time(problem, first)
+        before = (tau - first) * problem.grid.direction < -problem.same_time(first)
         first, number = select(before, tau, first), select(before, j, number)
     return first, number
 
@@ -122,14 +122,14 @@ def between_ticks(problem: Problem, ticks: Ticks) -> Problem:
     last = ft.reduce(jnp.maximum, behind)
     # Of clocks that tick together one ticks first. Functions are then already evaluated after the
     # ticks of the others.
-    same = _same_time(problem, last)
+    same = problem.same_time(last)
     each = zip(ahead, after, strict=True)
     first = ft.reduce(jnp.minimum, (select(a - last <= same, b, a) for a, b in each))
     ends, t0 = (direction * last, direction * first), stop_gradient(grid.t0)
     low, high = t0 + jnp.minimum(*ends), t0 + jnp.maximum(*ends)
     # The window is narrower than the interval by the rounding of a tick at each end, so that a
     # field that computes the tick itself, as t − φ, is on the right side of it.
-    margins = (_same_time(problem, v - grid.t0) for v in (low, high))
+    margins = (problem.same_time(v - grid.t0) for v in (low, high))
     window = low + next(margins), high - next(margins)
     return dataclasses.replace(problem, system=dataclasses.replace(problem.system, window=window))
 
@@ -143,11 +143,3 @@ def just_after(problem: Problem, t: Array, *, in_time: bool = False) -> Problem:
     grid = dataclasses.replace(problem.grid, t0=stop_gradient(t))
     here = dataclasses.replace(problem, grid=grid)
     return between_ticks(here, first_ticks(here, at_start=in_time))
-
-
-def _same_time(problem: Problem, tau: Array) -> Array:
-    """The rounding of ticks near an elapsed time. It includes the rounding of phases, which may be
-    much larger than times, in φ + kT as well as in a field's own t − φ."""
-    grid, phases = problem.grid, [abs(stop_gradient(phase)) for _, phase in problem.system.clocks]
-    largest = ft.reduce(jnp.maximum, phases)
-    return grid.same_time(tau) + SAME_TIME * problem.system.eps * largest

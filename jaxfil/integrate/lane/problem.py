@@ -12,6 +12,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.steppers.explicit import Tableau
 from jaxfil.integrate.system.components import Components
+from jaxfil.integrate.system.functions import size_of_time
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select
@@ -63,14 +64,6 @@ class TimeGrid(eqx.Module):
         """+1 forward in time, −1 backward."""
         # Not the sign of the length, which is 0 for an empty span and NaN for an invalid one.
         return select(self.length < 0, -1.0, 1.0).astype(self.dt.dtype)
-
-    def same_time(self, tau: Array) -> Array:
-        """The rounding of times near the elapsed time `tau`."""
-        # A tolerance is a constant in derivatives.
-        t0, tau, dt = stop_gradient((self.t0, tau, self.dt))
-        # The last term is a floor, so that the rounding is not zero at t = 0.
-        size = jnp.maximum(jnp.maximum(abs(t0 + tau), abs(tau)), 1e-3 * abs(dt))
-        return SAME_TIME * jnp.finfo(dt.dtype).eps * size
 
     def grid_point(self, index: Array) -> Array:
         """Elapsed time at the end of step number `index` (from 1), within the forcing interval."""
@@ -232,3 +225,12 @@ class Problem(eqx.Module):
     def compact(self) -> bool:
         """Whether the stages of a step are in a loop (see `compact_step`)."""
         return self.system.compact
+
+    def same_time(self, tau: Array) -> Array:
+        """The rounding of times near the elapsed time `tau`, within which two times are one."""
+        # A tolerance is a constant in derivatives.
+        grid, clocks = self.grid, self.system.clocks
+        t0, tau, dt, clocks = stop_gradient((grid.t0, tau, grid.dt, clocks))
+        # The last term is a floor, so that the rounding is not zero at t = 0.
+        size = jnp.maximum(jnp.maximum(abs(t0 + tau), abs(tau)), 1e-3 * abs(dt))
+        return SAME_TIME * self.system.eps * size_of_time(clocks, size)

@@ -65,7 +65,7 @@ def choose_length(problem: Problem, state: LoopState) -> Length:
     target, gridded, saving = grid.grid_point(counts.in_period + 1), True, jnp.zeros((), bool)
     wanted, ticking = problem.recording.recorder.next_time(counts.num_saved), None
     if wanted is not None:
-        (at, due, more), same = wanted, grid.same_time(target)
+        (at, due, more), same = wanted, problem.same_time(target)
         ahead = (at - target) * grid.direction
         # A saving time within rounding of the grid point is the same point, so that no step as
         # short as the rounding remains between them.
@@ -124,7 +124,7 @@ def _up_to_tick(
     assert tick is not None
     known, tau = stop_gradient((tick, state.motion.tau))
     ahead = (known - stop_gradient(target)) * grid.direction
-    same = grid.same_time(target)
+    same = problem.same_time(target)
     # The span is open at its smallest time, so backward in time a tick at its end is outside it.
     last = saving | (state.counts.index + 1 >= grid.num_steps)
     ticking = (ahead < -same) | (ahead <= same) & ~(last & (grid.direction < 0))

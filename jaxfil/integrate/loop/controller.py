@@ -104,7 +104,7 @@ def controlled(
     if tolerance.dtmax is not None:
         longest = jnp.minimum(longest, tolerance.dtmax)
     # A step shorter than the spacing of times does not count as progress.
-    one, short = refused.astype(jnp.int32), h < problem.grid.same_time(state.motion.tau)
+    one, short = refused.astype(jnp.int32), h < problem.same_time(state.motion.tau)
     return dataclasses.replace(
         trust,
         longest=longest,

@@ -80,7 +80,7 @@ def judged(
     # A shorter flight is indistinguishable from the time correction at its end.
     tau, repeats = end.motion.tau, state.pending.repeats
     flight = abs(tau - state.pending.tau)
-    again, hidden = flight <= 4 * problem.grid.same_time(tau), jnp.zeros((), bool)
+    again, hidden = flight <= 4 * problem.same_time(tau), jnp.zeros((), bool)
     if problem.system.resets and problem.system.m > 1:
         # The same holds for a flight that moves no further from its surface than rounding.
         low = flight * abs(state.motion.rate) <= _LOW * state.motion.noise
@@ -213,7 +213,7 @@ def next_search_length(
     """The signed length to the next expected contact after this trial step; 0 if none is expected,
     or if the step cannot be trusted."""
     grid = problem.grid
-    least = _LEAST_CUT * grid.same_time(state.motion.tau) * grid.direction
+    least = _LEAST_CUT * problem.same_time(state.motion.tau) * grid.direction
     cut = judgement.contact.theta * step.length.h
     cut = select(abs(cut) < abs(least), least, cut)
     # If the step has ended just short of its contact, Newton gives the remaining time.

@@ -109,7 +109,7 @@ def _cut_at_contact(
     s = jnp.minimum(contact, lowest)
     # A cut shorter than the rounding of times is omitted; the search of every step handles it.
     h = s * length.h
-    cuts = (s < 1) & (abs(h) > problem.grid.same_time(state.motion.tau))
+    cuts = (s < 1) & (abs(h) > problem.same_time(state.motion.tau))
     s, h = system.hold((select(cuts, s, 1.0), select(cuts, h, length.h)))
     # At a minimum there is no contact to aim at.
     aimed = cuts & (contact <= lowest) & met_together(thetas, contact)

@@ -306,7 +306,7 @@ def _approach(
     # Newton's error is of order δ² S̈/Ṡ, bounded as for contacts in `locate.land`.
     bend = size * abs(rate - rate0) <= small * abs(rate * (at - watch.start))
     close = falls & inside & (size <= known) & bend
-    narrow = abs(high - low) <= grid.same_time(tau)
+    narrow = abs(high - low) <= problem.same_time(tau)
     done = close | (abs(g) <= noise) | narrow | owed | (watch.tries >= _TRIES)
     halved = ~inside | (watch.tries >= _NEWTON)
     length = select(halved, 0.5 * (low + high), newton)

@@ -116,7 +116,7 @@ def _first_mode(
     if system.resets and are_coupled(system):
         return _first_mode_together(known, stop_gradient(x), on, sides)
     (fields, rates, following), direction = _rates_on_sides(*here, sides, on), grid.direction
-    owed, instant = None, known.grid.same_time(jnp.zeros((), system.dtype))
+    owed, instant = None, known.same_time(jnp.zeros((), system.dtype))
     if system.resets:
         above = _resolved(system, direction, rates[0], following[0], rates.sizes())
         start = begin(problem, x, on, sides, above)
@@ -157,7 +157,7 @@ def _first_mode_together(
     leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))
     forces = dataclasses.replace(forces, accelerations=leaning)
     decided = (on & ~start.known) | start.still
-    instant = problem.grid.same_time(jnp.zeros((), system.dtype))
+    instant = problem.same_time(jnp.zeros((), system.dtype))
     question = dataclasses.replace(
         question_of(rates, fields, None, start.sides, decided, direction, instant),
         walls=start.still,

@@ -18,6 +18,7 @@ from jaxtyping import Array
 from jaxfil.integrate.surfaces.filippov import ModeField, field_terms
 from jaxfil.integrate.surfaces.second_order import beyond_newton_to
 from jaxfil.integrate.system.components import Components, dot, pack, total, where
+from jaxfil.integrate.system.functions import size_of_time
 from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
 from jaxfil.model.observe import asked_of
 from jaxfil.model.outcomes import RESULTS
@@ -170,7 +171,7 @@ def see(
         by_t, by_x = pull(jnp.ones_like(value))
         values.append(value)
         rates.append(by_t + dot(by_x, f))
-        terms.append(dot(abs(by_x), size) + abs(by_t * t))
+        terms.append(dot(abs(by_x), size) + abs(by_t * size_of_time(system.clocks, t)))
     # Rates have no derivative, as in `contacts.guards`.
     held, rates = system.hold(Components(values)), system.hold(stop_gradient(Components(rates)))
     return Sight(held, rates, stop_gradient(Components(terms)))

@@ -47,6 +47,7 @@ from jaxfil.integrate.system.components import (
     side_of,
     where,
 )
+from jaxfil.integrate.system.functions import size_of_time
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.integrate.system.rows import Rows
 from jaxfil.xla.select import select
@@ -215,6 +216,7 @@ def accelerations(
 
 
 def rate_noise(
+    system: ComponentSystem,
     t: Array,
     x: Components,
     inside: Components | None,
@@ -227,12 +229,12 @@ def rate_noise(
     """The rounding error of ψ, from t and x, from its terms, and from the preceding steps.
     `surfaces` are ∂H/∂t and ∂H/∂x, `by_time` is ∂ψ/∂t, `inside` is
     `ComponentSystem.rate_rounding`; x and f are sizes."""
-    h_t, normals = surfaces
+    (h_t, normals), clock = surfaces, size_of_time(system.clocks, t)
     # Steps accumulate rounding in proportion to these terms, even if ψ itself stays zero, as for
     # bodies that fall side by side.
     gained = abs(c.gradients) @ abs(f)
     terms = abs(h_t) + abs(normals) @ abs(f) + abs(c.gradients) @ x
-    terms = terms + abs(by_time * t) + (gained + abs(by_time)) * abs(dt)
+    terms = terms + abs(by_time * clock) + (gained + abs(by_time)) * abs(dt)
     # Rounding inside ψ does not accumulate over steps. The factor 2 is the largest difference
     # between two evaluations.
     terms = _NOISE * terms if inside is None else _NOISE * terms + 2 * inside

@@ -6,7 +6,7 @@ of H.
 """
 
 import functools as ft
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -147,6 +147,15 @@ def clocks_of(system: System, dtype: Any) -> tuple[tuple[Array, Array], ...]:
     """Periods and phases of a system's clocks."""
     pairs = [(clock.period, clock.phase) for clock in check.clocks(system)]
     return tuple((jnp.asarray(a, dtype), jnp.asarray(b, dtype)) for a, b in pairs)
+
+
+def size_of_time(clocks: Sequence[tuple[Array, Array]], t: Array) -> Array:
+    """A number of the size that the rounding of t is proportional to. With clocks it includes the
+    phases, which may be much larger than times, in ticks φ + kT as well as in a field's own t − φ.
+    """
+    if not clocks:
+        return t
+    return abs(t) + ft.reduce(jnp.maximum, (abs(phase) for _, phase in clocks))
 
 
 def fence_of(leaves: Any, x0: Array) -> Array:

@@ -288,3 +288,125 @@ def test_sections_see_all_turns():
     sol = jf.solve(Twisting(), x0, 0.0, 1.0, 0.25, sections=section)
     assert int(sol.num_crossings) == 5
     assert_allclose(sol.crossings.ts[:5], exact, rtol=0, atol=1e-10)
+
+
+class Band(jf.System):
+    """x' = ±1 between two thresholds, each of which is moved to q times the other one when that is
+    reached, but no nearer to zero than a least width."""
+
+    q: jax.Array
+    least: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], 0 * t, 0 * t, 0 * t])
+
+    def switching(self, t, x):
+        return jnp.stack([x[2] - x[0], x[0] - x[3]])
+
+    def reset(self, t, x, surface):
+        top = x.at[1].set(-1.0).at[3].set(-jnp.maximum(self.q * x[2], self.least))
+        bottom = x.at[1].set(1.0).at[2].set(jnp.maximum(-self.q * x[3], self.least))
+        return jnp.where(surface == 0, top, bottom)
+
+
+class Gripper(jf.System):
+    """A puck of speed 1 between two plates that approach it at `q` each, up to a hit at a distance
+    below the least one, which latches them."""
+
+    q: jax.Array
+    least: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], 0 * t, -self.q * (1 - x[3]), 0 * t])
+
+    def switching(self, t, x):
+        return jnp.stack([x[2] - x[0], x[2] + x[0]])
+
+    def reset(self, t, x, surface):
+        latch = jnp.where(x[2] < self.least, 1.0, x[3])
+        return jnp.stack([x[0], -x[1], x[2], latch])
+
+
+def band(q, least, t1):
+    t, x, v, a, b, count = 0.0, 0.0, 1.0, 1.0, -1.0, 0
+    while (dt := (a - x) if v > 0 else (x - b)) and t + dt < t1:
+        t, count = t + dt, count + 1
+        if v > 0:
+            x, v, b = a, -1.0, -max(q * a, least)
+        else:
+            x, v, a = b, 1.0, max(-q * b, least)
+    return np.array([x + v * (t1 - t), v, a, b]), count
+
+
+def gripper(q, least, t1):
+    t, x, v, gap, latch, count = 0.0, 0.0, 1.0, 1.0, 0.0, 0
+    while t + (dt := (gap - v * x) / (1 + q * (1 - latch))) < t1:
+        t, x, v, gap, count = t + dt, x + v * dt, -v, gap - q * (1 - latch) * dt, count + 1
+        latch = float(gap < least)
+    dt = t1 - t
+    return np.array([x + v * dt, v, gap - q * (1 - latch) * dt, latch]), count
+
+
+@pytest.mark.parametrize(
+    "system, exact, t1, last",
+    [(Band, band, 4.3007, "successful"), (Gripper, gripper, 3.2003, "zeno")],
+)
+def test_turns_that_a_reset_will_end_have_no_limit(system, exact, t1, last):
+    """Without a least width they have one, at which the band rests. The plates do not, and no
+    motion is left between them."""
+    start = jnp.array([0.0, 1.0, 1.0, -1.0 if system is Band else 0.0])
+    p = np.array([[0.5, 2e-3], [0.4, 3e-3], [0.45, 0.05], [0.5, 0.0]])
+
+    @jax.vmap
+    def run(p):
+        def end(p):
+            sol = jf.solve(system(*p), start, 0.0, t1, 0.3, stepper=jf.RK4(), throw=False)
+            return sol.x_final, (sol.x_final, sol.num_events, sol.result)
+
+        return jax.jacfwd(end, has_aux=True)(p)
+
+    slopes, (xs, counts, results) = run(jnp.asarray(p))
+    assert outcome_names(results).tolist() == ["successful"] * 3 + [last]
+    for one, x, count, slope in zip(p[:3], xs, counts, slopes, strict=False):
+        right, number = exact(*one, t1)
+        assert count == number
+        assert_allclose(x, right, atol=1e-9)
+        h = 1e-7 * np.eye(2)
+        by = [(exact(*(one + d), t1)[0] - exact(*(one - d), t1)[0]) / 2e-7 for d in h]
+        assert_allclose(slope, np.transpose(by), rtol=1e-5, atol=1e-5)
+    assert counts[3] < 20
+    assert_allclose(xs[3, [0, 2]], 0.0, atol=1e-14)
+
+
+class Tanks(jf.System):
+    """Two leaking tanks; the inflow is moved to one of them when it is empty (Alur and Henzinger,
+    1997)."""
+
+    leaks: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[2] - self.leaks[0], 1 - x[2] - self.leaks[1], 0 * t])
+
+    def switching(self, t, x):
+        return x[:2]
+
+    def reset(self, t, x, surface):
+        return x.at[2].set(jnp.where(surface == 0, 1.0, 0.0))
+
+
+def test_a_limit_that_no_reaction_can_hold_has_no_continuation():
+    """Both tanks are empty, and together they leak faster than they fill."""
+    leaks = jnp.array([[0.7, 0.8], [0.9, 0.6], [0.6, 0.65]])
+
+    @jax.vmap
+    def run(leaks):
+        start = jnp.array([1.0, 0.6, 1.0])
+        sol = jf.solve(Tanks(leaks), start, 0.0, 8.0, 0.5, stepper=jf.RK4(), throw=False)
+        return sol.result, sol.t_final
+
+    results, times = run(leaks)
+    assert outcome_names(results).tolist() == ["zeno"] * 3
+    assert_allclose(times, 1.6 / (leaks.sum(1) - 1), rtol=1e-12)

@@ -5,6 +5,7 @@ Against closed forms, and for a voltage-mode buck converter against matrix expon
 
 from typing import ClassVar
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -268,3 +269,123 @@ def test_ticks_at_one_time_are_all_seen_from_just_after_it(system, start, end):
     sol = jf.solve(system, jnp.array(start), 0.0, 4.5, 0.1, compact=True, throw=False)
     assert jf.RESULTS.names(sol.result) == "successful"
     np.testing.assert_array_equal(sol.x_final, end)
+
+
+class Dose(jf.System):
+    """x' = −x, with a dose at each tick and a kick at the time s."""
+
+    dose: jax.Array
+    phase: jax.Array
+    s: jax.Array
+    kick: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return -x
+
+    def switching(self, t, x):
+        return t - self.s
+
+    def reset(self, t, x, surface):
+        return x + self.kick
+
+    def tick(self, t, x, clock):
+        return x + self.dose
+
+    @property
+    def clocks(self):
+        return (jf.Clock(0.1, self.phase),)
+
+
+@jax.jit
+@jax.vmap
+def doses(p, x0, t0, ts):
+    """The states saved at `ts`, the derivative of the last one by p, and the outcome."""
+
+    def states(p):
+        options = dict(saveat=diffrax.SaveAt(ts=ts), stepper=jf.RK4(), throw=False)
+        sol = jf.solve(Dose(*p), x0[None], t0, ts[-1], 0.0125, **options)
+        return sol.xs[-1, 0], (sol.xs[:, 0], sol.result)
+
+    slope, (xs, result) = jax.jacfwd(states, has_aux=True)(p)
+    return xs, slope, result
+
+
+def test_every_tick_of_a_large_phase_acts_once_in_runs_chained_at_ticks():
+    """φ + kT is rounded by more than the times of the run, and by more than those of the kick."""
+    phases = np.array([0.0, -100.1, 500.0, -1000.1])
+    p = np.array([[0.3, phase, 0.3, 0.7] for phase in phases])
+    x, t, saved = np.ones(4), 0.0, []
+    for ts in ([0.1, 0.2], [0.3, 0.4], [0.5, 0.55]):
+        xs, slope, results = doses(p, x, np.full(4, t), np.tile(ts, (4, 1)))
+        assert (results == jf.RESULTS.successful).all()
+        x, t = xs[:, -1], ts[-1]
+        saved.append(xs)
+    whole, slope, results = doses(p, np.ones(4), np.zeros(4), np.tile([0.3, 0.55], (4, 1)))
+    assert (results == jf.RESULTS.successful).all()
+    times = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.55])
+
+    def exact(t):
+        ticks = np.arange(1, round(t / 0.1 - 0.3) + 1) * 0.1
+        return np.exp(-t) + 0.3 * np.exp(ticks - t).sum() + 0.7 * np.exp(0.3 - t) * (t > 0.29)
+
+    want, atol = np.array([exact(t) for t in times]), 1e-7
+    np.testing.assert_allclose(np.concatenate(saved, axis=1), np.tile(want, (4, 1)), atol=atol)
+    np.testing.assert_allclose(whole, np.tile(want[[2, 5]], (4, 1)), atol=atol)
+    ticks = np.exp(np.arange(1, 6) * 0.1 - 0.55).sum()
+    last = np.exp(0.3 - 0.55)
+    by = [ticks, 0.3 * ticks, 0.7 * last, last]
+    np.testing.assert_allclose(slope, np.tile(by, (4, 1)), atol=atol)
+
+
+class Table(jf.System):
+    """A ball that rests on a table A sin t, whose ticks are counted; the second clock only has a
+    large phase."""
+
+    phase: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -9.81 + 0 * t, 0 * t])
+
+    def switching(self, t, x):
+        return x[0] - 0.5 * jnp.sin(t)
+
+    def reset(self, t, x, surface):
+        v = 0.5 * jnp.cos(t)
+        return x.at[1].set(v - 0.5 * (x[1] - v))
+
+    def tick(self, t, x, clock):
+        return jnp.where(clock == 0, x.at[2].add(1.0), x)
+
+    @property
+    def clocks(self):
+        return jf.Clock(0.5), jf.Clock(1000.0, self.phase)
+
+
+class Belt(Table):
+    """A mass that sticks to a belt of the velocity A sin t."""
+
+    slides: ClassVar[bool] = True
+    reset = jf.System.reset
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([-2.0 * side, 0 * t, 0 * t])
+
+
+@pytest.mark.parametrize("system", [Table, Belt])
+def test_ticks_of_a_large_phase_let_a_state_stay_on_its_surface(system):
+    """The ticks are the only events."""
+
+    @jax.vmap
+    def end(phase):
+        x0 = jnp.array([0.0, 0.5 * (system is Table), 0.0])
+        options = dict(stepper=jf.RK4(), compact=True, max_events=16, throw=False)
+        sol = jf.solve(system(phase), x0, 0.0, 3.2, 0.1, **options)
+        return sol.x_final, sol.num_events, sol.result
+
+    xs, counts, results = end(jnp.array([5.0, 500.0, -123.4]))
+    assert (results == jf.RESULTS.successful).all()
+    np.testing.assert_allclose(xs[:, 0], 0.5 * np.sin(3.2), rtol=0, atol=1e-11)
+    assert xs[:, 2].tolist() == [6.0] * 3
+    assert counts.tolist() == [6] * 3
