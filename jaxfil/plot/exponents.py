@@ -92,7 +92,9 @@ def lyapunov_exponents(
                 end = f"{column[which].min():.3g}".replace("-inf", "−∞").replace("-", "−")
                 _on_edge(ax, values[which], edges, marker, color, f"{name} {told} {end}")
                 edges += 1
-    ax.set_xlim(values.min(), values.max() if values.max() > values.min() else None)
+    finite = values[np.isfinite(values)]
+    if finite.size:
+        ax.set_xlim(finite.min(), finite.max() if finite.max() > finite.min() else None)
     ax.set_xlabel(parameter)
     ax.set_ylabel("exponents per unit time")
     legend(ax, markerscale=2)

@@ -87,8 +87,10 @@ def bifurcation_diagram(
     ax.plot(*xy, **styled(style, **ours))
     _limit(ax, column[seen])
     _tick_failures(ax, values[~diagram.successful])
-    if values.min() < values.max():
-        ax.set_xlim(values.min(), values.max())
+    # A value that is not finite belongs to a lane that failed.
+    finite = values[np.isfinite(values)]
+    if finite.size and finite.min() < finite.max():
+        ax.set_xlim(finite.min(), finite.max())
     ax.set_xlabel(diagram.labels.parameter(diagram.parameter))
     ax.set_ylabel(diagram.labels.component(component, _sampled(diagram)))
     if new:

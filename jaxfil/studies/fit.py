@@ -28,6 +28,7 @@ from jaxfil.model.parameter import cast, get_parameter, replace_parameters, scal
 from jaxfil.model.system import System
 from jaxfil.model.types import Scalar, State
 from jaxfil.xla.select import select
+from jaxfil.xla.thresholds import PIVOT
 
 
 class Fit(eqx.Module):
@@ -361,9 +362,9 @@ def _inverse(matrix: Array) -> Array:
     scale = select(size > 0, size, 1)
     scaled = select(idle, 1.0, matrix / scale / scale[:, None])
     # Rounding leaves eigenvalues of a singular matrix with any sign.
-    eigenvalues, vectors = jnp.linalg.eigh(lax.stop_gradient(scaled))
+    eigenvalues, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(scaled))
     eps = float(jnp.finfo(matrix.dtype).eps)
-    lost = vectors * (abs(eigenvalues) <= PIVOT * eps)
+    lost = select(abs(eigenvalues) <= PIVOT * eps, vectors, 0.0)
     part = jnp.sqrt(jnp.sum(lost**2, axis=1)) > eps**0.5
     idle = idle | (part[:, None] & part[None, :])
     inverse = jnp.linalg.inv(scaled + lost @ lost.T) / scale / scale[:, None]

@@ -325,6 +325,43 @@ def test_a_pair_has_the_clocks_of_its_system():
     assert jf.drive_response(saw, 0.2).clocks == saw.clocks
 
 
+def test_a_spectrum_stays_between_the_ticks_of_its_system():
+    """The rounding of a tick decides nothing, in the orbit as in the exponent."""
+
+    def run(tooth):
+        options = {
+            "interval": 3 * tooth,
+            "periods": 40,
+            "transient": 4,
+            "steps": 7,
+            "compact": True,
+        }
+        found = jf.lyapunov_spectrum(Sawtooth(tooth), jnp.ones(1), **options)
+        return found.exponents[0], found.x_final[0]
+
+    (exponent, end), (slope, _) = jax.jvp(run, (jnp.array(0.3),), (jnp.array(1.0),))
+    assert_allclose(exponent, 0.15 - 0.25, rtol=0, atol=1e-10)
+    assert_allclose(end, np.exp(-0.1 * 44 * 0.9), rtol=1e-10)
+    assert_allclose(slope, 0.5, rtol=0, atol=1e-8)
+
+
+class Lag(jf.System):
+    """x' = cos(t − π/4) − x, which settles on sin(t)/√2, zero at the end of each period."""
+
+    rate: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return (jnp.cos(t - jnp.pi / 4) - self.rate * x[0])[None]
+
+
+def test_a_drive_that_is_zero_where_it_is_sampled_has_a_transverse_exponent():
+    options = {"periods": 40, "steps": 40, "transient": 40}
+    found = jf.transverse_exponent(Lag(jnp.array(1.0)), jnp.array([0.3]), **options)
+    # The distance, 4e-7 at first, shrinks by e^(-2π) in a period, and is known to eps.
+    assert_allclose(found.exponent, -1.0, rtol=0, atol=1e-7)
+
+
 class Skewed(jf.System):
     """Rates −1/10 and −1, along directions that are nearly the same, and a force."""
 

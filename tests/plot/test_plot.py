@@ -127,6 +127,13 @@ def test_a_diagram_of_one_value_can_be_seen():
     assert ax.lines[0].get_markersize() == 3
 
 
+def test_values_that_are_not_finite_do_not_count_in_the_limits():
+    shown = swept()
+    shown = dataclasses.replace(shown, values=jnp.asarray(shown.values).at[1].set(jnp.inf))
+    ax = jf.plot.bifurcation_diagram(shown)
+    assert ax.get_xlim() == (shown.values[0], shown.values[-1])
+
+
 def test_a_million_samples_are_one_image(tmp_path):
     # One line of markers, kept as pixels: a stroke for each would be minutes and 60 MB.
     diagram = swept()

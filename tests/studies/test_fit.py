@@ -117,6 +117,15 @@ def test_a_parameter_without_an_effect_leaves_the_error_of_others_finite():
     np.testing.assert_array_equal(found, [[0.25, 0.0], [0.0, jnp.inf]])
     together = inverse(jnp.array([[4.0, 2.0], [2.0, 1.0]]))
     assert not np.isfinite(together).any()
+    # Of two numbers the product alone is known, beside a third one; rounding has any sign.
+    rows = np.random.default_rng(0).normal(size=(40, 12))
+    for row in rows:
+        slopes = np.stack([0.7 * row, np.roll(row, 1), 1.3 * row], axis=1)
+        found = np.asarray(inverse(jnp.asarray(slopes.T @ slopes)))
+        assert np.isinf(found[[0, 0, 2, 2], [0, 2, 0, 2]]).all()
+        assert found[1, 1] == pytest.approx(
+            1 / (row @ row - (row @ np.roll(row, 1)) ** 2 / (row @ row))
+        )
 
 
 def test_as_many_numbers_as_parameters_say_nothing_of_their_error():

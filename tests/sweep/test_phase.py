@@ -151,6 +151,23 @@ def test_a_second_frequency_is_seen_from_rest_too():
     assert not bool(repeats(apart, apart.period, jnp.zeros(3), 600))
 
 
+class BehindAGap(jf.System):
+    """x'' = cos t − (2 + cos νt) max(x − 1, 0)², a contact whose stiffness has a frequency."""
+
+    nu: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        contact = (2 + jnp.cos(self.nu * t)) * jnp.maximum(x[0] - 1, 0) ** 2
+        return jnp.stack([x[1], jnp.cos(t) - contact])
+
+
+def test_a_second_frequency_is_seen_beyond_a_gap():
+    for nu, same in ((0.618, False), (2.0, True)):
+        system = BehindAGap(jnp.asarray(nu))
+        assert bool(repeats(system, jnp.asarray(2 * jnp.pi), jnp.zeros(2), 600)) == same
+
+
 def test_samples_of_two_frequencies_from_rest_are_those_of_a_run():
     system = Parametric(*map(jnp.asarray, (1.3, 0.618, 0.0)))
     period = float(system.period)
