@@ -80,7 +80,7 @@ def _rates_repeat(
 
     now, later = jax.jacfwd(lambda v: same(system_of(v), length(v)))(theta)
     _, by_time = jax.jvp(lambda v: same(system_of(theta), v)[1], (period,), (period,))
-    # Of the change with the phase and of the change with time at a phase nothing may remain.
+    # Neither a change with the phase may remain nor one with time at a phase.
     part = abs(jax.jacfwd(length)(theta)) / abs(period)
     return _are_same(now, later, same.ahead, abs(now) + abs(later) + abs(by_time)[..., None] * part)
 

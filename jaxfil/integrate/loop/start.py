@@ -238,7 +238,7 @@ def initial_state(problem: Problem, x: Components) -> LoopState:
     system, recording = problem.system, problem.recording
     start = _start(problem, x)
     zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-    # The time of a contact at t0 has a derivative, and these have none.
+    # The time of a contact at t0 has a derivative, unlike these.
     tau = stop_gradient(start.motion.tau)
     nowhere = system.for_each_surface(false)
     alone = system.m <= 1 or system.resets or system.structure.separate

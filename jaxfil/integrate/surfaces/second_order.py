@@ -26,7 +26,7 @@ def met_here(
     gap: tuple[Components, Components],
     met: Components,
 ) -> tuple[Array, Components]:
-    """The time to a contact with the surface `met` (m flags, one or none set) and the state there,
+    """The time to a contact with the surface `met` (m flags, at most one set) and the state there,
     on a motion of the given mode with the field f, where g, one of the gaps, is zero to rounding,
     with its rate. The value of the time is zero, and its derivatives are not."""
     (t, x), (mode, f), (g, rate) = at, motion, gap
