@@ -645,9 +645,11 @@ def test_the_margin_of_an_orbit_that_hits_is_no_maximum(jitted):
 
 
 class Follower(jf.System):
-    """x follows cos 2(t − a) + 0.03 sin(t − a), whose least value is −1.03 at t = a + 3π/2."""
+    """x follows cos 2(t − a) + 0.03 sin(t − a), whose least value is −1.03 at t = a + 3π/2. At a
+    second surface, −sin(t − a) = `cut` around that time, the orbit does not change."""
 
     late: jax.Array
+    cut: jax.Array
     period = 2 * np.pi
     slides = False
 
@@ -657,15 +659,16 @@ class Follower(jf.System):
         return towards - 2 * jnp.sin(2 * angle) + 0.03 * jnp.cos(angle) - x
 
     def switching(self, t, x):
-        return x[0] + 1.5
+        return jnp.stack([x[0] + 1.5, self.cut + jnp.sin(t - self.late)])
 
 
-@pytest.mark.parametrize("late", [0.1, -0.1])
-def test_the_margin_is_that_of_the_lower_minimum(late):
-    """Between the ends of steps, at which the other one is lower for one of these times."""
-    system = Follower(jnp.float64(late))
+@pytest.mark.parametrize("late, cut", [(0.1, 2.0), (-0.1, 2.0), (3.2, 0.54), (-4.4, -0.54)])
+def test_the_margin_is_that_of_the_lower_minimum(late, cut):
+    """Between the ends of steps, at which the other one is lower for one of these times; in a
+    flight without the heights of the other one; and in a flight past the end of the period."""
+    system = Follower(jnp.float64(late), jnp.float64(cut))
     orbit = jf.periodic_orbit(system, jnp.array([1.0]), steps=15)
-    np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-7)
 
 
 class Filter(jf.System):
