@@ -16,7 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, approach, conditions
+from jaxfil.bifurcations.tangency import (
+    ARRIVAL,
+    FAMILIES,
+    SLIDE,
+    Tangency,
+    approach,
+    conditions,
+    least_between,
+)
 from jaxfil.integrate.run.solution import switches
 from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
 from jaxfil.integrate.system import lowered
@@ -220,25 +228,16 @@ def _minima_of(steps: _Steps, flight: _Flight, j: int) -> tuple[list[_Candidate]
     found, first = [], max(flight.start, ts[0])
     for k in np.flatnonzero((rate[:-1] < 0) & (rate[1:] >= 0)).tolist():
         # Not at the ends of steps, where a higher minimum may seem to be the lower one.
-        at, least = _least(times[k : k + 2], guard[k : k + 2], rate[k : k + 2])
+        length = times[k + 1] - times[k]
+        part, least = least_between(length, (guard[k], guard[k + 1]), (rate[k], rate[k + 1]))
+        at = float(times[k] + part * length)
         if not first <= at < first + period:  # once in an endless flight
             continue
         side = np.sign(weight[k]) if flight.mode[j] == 0 else flight.mode[j]
         left = at - min(0.5 * (at - flight.start), 0.25 * period)
         right = at + min(0.5 * (flight.stop - at), 0.25 * period)
-        found.append(_Candidate(least, j, side, flight.mode, left, at, right))
+        found.append(_Candidate(float(least), j, side, flight.mode, left, at, right))
     return found, float(np.max(guard))
-
-
-def _least(ts: np.ndarray, values: np.ndarray, rates: np.ndarray) -> tuple[float, float]:
-    """The minimum of the cubic with these values and rates at both ends of a step, the first rate
-    negative and the second one not."""
-    length = ts[1] - ts[0]
-    (low, high), (down, up) = values, length * rates
-    cubic, square = 2 * (low - high) + down + up, 3 * (high - low) - 2 * down - up
-    part = -down / (square + np.sqrt(square**2 - 3 * cubic * down))
-    least = ((cubic * part + square) * part + down) * part + low
-    return float(ts[0] + part * length), float(least)
 
 
 def _filled(rows: np.ndarray) -> Array:
