@@ -85,6 +85,10 @@ def test_pseudo_equilibria_meet_in_a_fold():
     assert_allclose(np.sort(x[[0, -1]]), [-1.0, 1.0], **CLOSE)
     # The eigenvalue of the slide, which attracts.
     assert_allclose(branch.eigenvalues[:, 0], -x, **CLOSE)
+    # Nearer to the fold than the points of the branch.
+    value = 0.5 * (point.value + np.min(branch.values))
+    beside = np.sort([at.x[0] for at in branch.at(value)])
+    assert_allclose(beside, np.array([-1, 1]) * (value + 0.25) ** 0.5, rtol=1e-9)
 
 
 def test_a_branch_leaves_two_surfaces_one_after_the_other():
