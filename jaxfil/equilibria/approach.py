@@ -37,7 +37,7 @@ class Approach(eqx.Module):
         """The number of directions in which the motion leaves the surfaces; zero if it reaches
         them in a finite time from everywhere. It does not depend on the units of H."""
         if not self.slid.size:
-            return jnp.zeros((), jnp.int32)
+            return jnp.zeros((), int)
         # In the unit of each H in which its largest response is 1.
         size = jnp.max(abs(self.response), axis=0)
         scaled = self.response / select(size > 0, size, jnp.ones_like(size))
