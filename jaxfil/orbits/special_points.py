@@ -12,7 +12,7 @@ import numpy as np
 from jaxfil.orbits.chattering import differ_by_chattering, rests_in
 from jaxfil.orbits.corrector import OrbitPoint
 from jaxfil.orbits.curve import Curve, Special
-from jaxfil.orbits.locating import ends_between, is_corner, zero_on_curve
+from jaxfil.orbits.locating import count_on_curve, ends_between, is_corner, zero_on_curve
 
 
 def _fold(point: OrbitPoint) -> float:
@@ -108,19 +108,13 @@ def _crossed(
 ) -> Iterator[Special[OrbitPoint]]:
     """The point at which multipliers cross the circle without a zero of a test function: several at
     once, as those of a symmetric orbit, or a pair that is real at one of two neighbours."""
-    sizes = [np.sort(abs(_multipliers(point)))[::-1] for point in (a, b)]
-    outside = [int(np.sum(size > 1 + _ON_CIRCLE)) for size in sizes]
-    last = max(outside) - 1
-    if outside[0] == outside[1] or min(size[last] for size in sizes) >= 1:
-        return
-    point = zero_on_curve(
-        curve, a, b, lambda p: float(np.sort(abs(_multipliers(p)))[::-1][last] - 1)
-    )
+    point = count_on_curve(curve, a, b, lambda p: abs(_multipliers(p)) - 1, _ON_CIRCLE)
     if point is None:
         return
     # Not that of the flow of an autonomous system, which is 1.
     values = _multipliers(point)
-    critical = min(values[np.argsort(abs(abs(values) - 1))[: max(outside)]], key=np.real)
+    distances = abs(abs(values) - 1)
+    critical = min(values[distances <= np.min(distances) + _ON_CIRCLE], key=np.real)
     if abs(np.imag(critical)) > _ON_CIRCLE**0.5:
         yield Special("neimark-sacker", point, point.sequence, point.sequence)
     elif np.real(critical) < 0:

@@ -1,5 +1,6 @@
 """Branches of equilibria and what bounds them, against closed forms."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -120,6 +121,24 @@ def test_a_hopf_point():
     assert happened(branch) == [("hopf", (1,), (1,))]
     assert_allclose(branch.points[0].value, 0.0, **CLOSE)
     assert branch.stable.tolist() == (branch.values < 0).tolist()
+
+
+class Pairs(jf.System):
+    """Two equal oscillators on their own, z' = (a + i)(z − 1 − i)."""
+
+    a: jax.Array
+
+    def vector_field(self, t, x, side):
+        x, y = x.reshape(2, 2) - 1
+        return jnp.concatenate([self.a * x - y, x + self.a * y])
+
+
+def test_two_pairs_cross_the_axis_at_once():
+    system = Pairs(0.5)
+    start = jf.equilibrium(system, jnp.full(4, 1.1))
+    branch = jf.continue_equilibrium(system, "a", start, stop=-0.5)
+    assert happened(branch) == [("hopf", (), ())]
+    assert_allclose(branch.points[0].value, 0.0, **CLOSE)
 
 
 def test_a_virtual_equilibrium_is_on_no_branch():
