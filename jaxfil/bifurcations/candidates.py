@@ -16,7 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxfil.bifurcations.tangency import ARRIVAL, FAMILIES, SLIDE, Tangency, approach, conditions
+from jaxfil.bifurcations.tangency import (
+    ARRIVAL,
+    FAMILIES,
+    SLIDE,
+    Tangency,
+    approach,
+    conditions,
+    least_between,
+)
 from jaxfil.integrate.run.solution import switches
 from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
 from jaxfil.integrate.system import lowered
@@ -144,15 +152,14 @@ def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency
     real = np.isfinite(np.asarray(dense.ts))
     steps = _Steps(orbit, np.asarray(dense.ts)[real], np.asarray(dense.xs)[real])
     found: list[_Candidate] = []
-    for kind, (i, flight) in itertools.product(kinds, enumerate(flights)):
-        before, after = flights[i - 1], flights[(i + 1) % len(flights)]
-        for j in range(flight.mode.size):
+    for kind, j in itertools.product(kinds, range(flights[0].mode.size)):
+        arrives = FAMILIES[kind] == ARRIVAL
+        for i, flight in enumerate(flights):
+            before, after = flights[i - 1], flights[(i + 1) % len(flights)]
             found += _short(flight, before, after, j, kind, len(flights))
-            if FAMILIES[kind] == ARRIVAL:
-                found += _arrivals(steps, flight, after, j, kind)
-            else:
-                found += _impacts(steps, flight, after, j, kind)
-                found += _minima(steps, flight, j, kind)
+            found += (_arrivals if arrives else _impacts)(steps, flight, after, j, kind)
+        if not arrives:
+            found += _minima(steps, flights, j, kind)
     found.sort(key=lambda one: one.reach)
     # Two kinds have the same minima.
     first = {(one.j, one.middle): one for one in reversed(found)}
@@ -188,47 +195,49 @@ def _short(
     return [_Candidate(length, j, side, before.mode, left, middle, right)]
 
 
-def _minima(steps: _Steps, flight: _Flight, j: int, kind: str) -> list[_Candidate]:
-    """Minima of the guard of a flight, with the time in which it would reach zero."""
-    sliding = FAMILIES[kind] == SLIDE
-    if (flight.mode[j] == 0) != sliding:
-        return []
+def _minima(steps: _Steps, flights: list[_Flight], j: int, kind: str) -> list[_Candidate]:
+    """Minima of the guard on all flights, with the time in which it would reach zero."""
+    sliding, found, height = FAMILIES[kind] == SLIDE, [], float(np.finfo(steps.xs.dtype).tiny)
+    for flight in flights:
+        if (flight.mode[j] == 0) == sliding:
+            least, highest = _minima_of(steps, flight, j)
+            found += least
+            height = max(height, highest)
+    # The time of a sine with the guard's amplitude on the whole orbit, so that of the minima of all
+    # flights the lowest one is first.
+    return [
+        one._replace(reach=float(np.sqrt(max(one.reach, 0) / height) * steps.period / np.pi))
+        for one in found
+    ]
+
+
+def _minima_of(steps: _Steps, flight: _Flight, j: int) -> tuple[list[_Candidate], float]:
+    """Minima of the guard of a flight, with their values for a reach, and its largest value."""
     ts, period = steps.ts, steps.period
     # A flight may pass the end of the period; its steps are searched a period earlier and later.
     times = np.concatenate([ts[:-1] - period, ts[:-1], ts[:-1] + period])
     states = np.tile(steps.xs[:-1], (3, 1))
-    low, high = max(flight.start, ts[0] - 0.5 * period), min(flight.stop, ts[-1] + 0.5 * period)
+    low, high = max(flight.start, ts[0] - 0.5 * period), min(flight.stop, ts[-1] + period)
     inside = (times > low) & (times < high)
     times, states = times[inside], states[inside]
     if times.size < 2:
-        return []
+        return [], 0.0
     mode = array_of(flight.mode)
     on_steps = _guards(steps.orbit.system, _filled(times), _filled(states), mode, j)
     guard, rate, weight = (np.asarray(v)[: times.size] for v in on_steps)
-    found = []
+    found, first = [], max(flight.start, ts[0])
     for k in np.flatnonzero((rate[:-1] < 0) & (rate[1:] >= 0)).tolist():
         # Not at the ends of steps, where a higher minimum may seem to be the lower one.
-        at, least = _least(times[k : k + 2], guard[k : k + 2], rate[k : k + 2])
-        if not ts[0] <= at < ts[-1]:
+        length = times[k + 1] - times[k]
+        part, least = least_between(length, (guard[k], guard[k + 1]), (rate[k], rate[k + 1]))
+        at = float(times[k] + part * length)
+        if not first <= at < first + period:  # once in an endless flight
             continue
-        # The time of a sine with this guard's amplitude: the lowest minimum is first.
-        reach = float(np.sqrt(max(least, 0) / np.max(guard)) * period / np.pi)
-        side = np.sign(weight[k]) if sliding else flight.mode[j]
+        side = np.sign(weight[k]) if flight.mode[j] == 0 else flight.mode[j]
         left = at - min(0.5 * (at - flight.start), 0.25 * period)
         right = at + min(0.5 * (flight.stop - at), 0.25 * period)
-        found.append(_Candidate(reach, j, side, flight.mode, left, at, right))
-    return found
-
-
-def _least(ts: np.ndarray, values: np.ndarray, rates: np.ndarray) -> tuple[float, float]:
-    """The minimum of the cubic with these values and rates at both ends of a step, the first rate
-    negative and the second one not."""
-    length = ts[1] - ts[0]
-    (low, high), (down, up) = values, length * rates
-    cubic, square = 2 * (low - high) + down + up, 3 * (high - low) - 2 * down - up
-    part = -down / (square + np.sqrt(square**2 - 3 * cubic * down))
-    least = ((cubic * part + square) * part + down) * part + low
-    return float(ts[0] + part * length), float(least)
+        found.append(_Candidate(float(least), j, side, flight.mode, left, at, right))
+    return found, float(np.max(guard))
 
 
 def _filled(rows: np.ndarray) -> Array:

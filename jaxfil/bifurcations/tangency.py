@@ -16,6 +16,7 @@ In a program a family is its index in `FAMILY_NAMES`, so that one program serves
 """
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -49,7 +50,7 @@ FAMILIES = {
 }
 
 # Pieces of the flight on either side of the tangency.
-_PIECES = 8
+_PIECES = 16
 # A guard below this fraction of its largest value on the flight is zero, at the tangency itself.
 _ROUNDING = 1e-7
 
@@ -248,15 +249,16 @@ def close(
     (end, size, result), (xs, contacts) = jax.lax.scan(
         stretch, first, (times, lengths, keeps, after)
     )
-    flight = stop_gradient(((times + lengths)[:-1], xs[:-1]))
+    ts = jnp.append(start, (times + lengths)[:-1])
+    xs = jnp.concatenate([tangency.x[None], xs[:-1]])
     # After a reset the full flow follows the orbit, in a mode of its own.
-    seen = ~tangency.struck | jnp.asarray(number[:-1] < _PIECES)
+    seen = ~tangency.struck | jnp.asarray(number <= _PIECES)
     return Closing(
         gap=end - tangency.x,
         t=at,
-        x=xs[_PIECES - 1],
+        x=xs[_PIECES],
         size=size,
-        holds=_holds(on_components, tangency.mode, seen, *flight),
+        holds=_holds(on_components, tangency.mode, seen, *stop_gradient((ts, xs))),
         contacts=contacts[-1],
         result=result,
     )
@@ -268,15 +270,39 @@ def _divided(start: Array, stop: Array) -> Array:
 
 
 def _holds(on_components: ComponentSystem, mode: Array, seen: Array, ts: Array, xs: Array) -> Array:
-    """Whether all guards are positive beyond rounding at the points `seen` of a flight."""
+    """Whether all guards are positive beyond rounding at the points `seen` of a flight, and so are
+    their minima between two."""
     modes = on_components.of_surfaces(mode)
 
     def guards(t: Array, x: Array) -> Array:
         return pack(filippov.guard(on_components, t, on_components.unpack(x), modes), x.dtype)
 
-    values = jax.vmap(guards)(ts, xs)
-    positive = values >= -_ROUNDING * jnp.max(abs(values), axis=0)
+    def with_rates(t: Array, x: Array) -> tuple[Array, Array]:
+        blocks = filippov.field(on_components, t, on_components.unpack(x), modes)
+        return jax.jvp(guards, (t, x), (jnp.ones_like(t), pack(blocks, x.dtype)))
+
+    values, rates = jax.vmap(with_rates)(ts, xs)
+    low, high = rates[:-1], rates[1:]
+    least = least_between(jnp.diff(ts)[:, None], (values[:-1], values[1:]), (low, high))[1]
+    least = select((low < 0) & (high > 0), least, values[1:])
+    least = jnp.concatenate([values[:1], least])
+    positive = least >= -_ROUNDING * jnp.max(abs(values), axis=0)
     return jnp.all(positive | ~seen[:, None])
+
+
+_Number = TypeVar("_Number", Array, np.ndarray)
+
+
+def least_between(
+    length: _Number, values: tuple[_Number, _Number], rates: tuple[_Number, _Number]
+) -> tuple[_Number, _Number]:
+    """The minimum of the cubic with these values and rates at both ends of a step, the first rate
+    negative and the second one not: its fraction of the step, and its value."""
+    low, high = values
+    down, up = (length * rate for rate in rates)
+    cubic, square = 2 * (low - high) + down + up, 3 * (high - low) - 2 * down - up
+    part = -down / (square + (square**2 - 3 * cubic * down) ** 0.5)
+    return part, ((cubic * part + square) * part + down) * part + low
 
 
 class _Flow(eqx.Module):

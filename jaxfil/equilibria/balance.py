@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxfil.equilibria.approach import QUADRANTS, Approach
 from jaxfil.integrate.surfaces.corners import every_side
 from jaxfil.integrate.system.lowered import build
 from jaxfil.model.system import System, field_of
@@ -165,9 +166,8 @@ class Linearised(eqx.Module):
     """The same, with its zeros across the surfaces shifted to `shift`."""
     shift: Float[Array, ""]
     """A number larger than all eigenvalues."""
-    across: Float[Array, "m m"]
-    """The inverse of ∂(dH/dt)/∂w of the sliding surfaces, −1 for others. Sliding repels if an
-    eigenvalue has a positive real part."""
+    approach: Approach
+    """The motion across the sliding surfaces."""
 
 
 def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:
@@ -204,8 +204,33 @@ def linearise(balance: Balance, z: Float[Array, " N"]) -> Linearised:
         jacobian=jacobian,
         deflated=jacobian + shift * projection,
         shift=shift,
-        across=select(both, response, -jnp.eye(off.shape[0], dtype=z.dtype)),
+        approach=Approach(
+            slid=balance.slid,
+            response=select(both, response, -jnp.eye(off.shape[0], dtype=z.dtype)),
+            speeds=_speeds(balance, z, held, by_mu) if off.shape[0] > 1 else None,
+        ),
     )
+
+
+def _speeds(
+    balance: Balance, z: Float[Array, " N"], held: Float[Array, "m n"], by_mu: Float[Array, "n m"]
+) -> Float[Array, "4 2"]:
+    """dH/dt of the first two sliding surfaces on `QUADRANTS` of their sides, with reactions that
+    keep resting surfaces at rest."""
+    x, multipliers = balance.split(z)
+    two = jnp.argsort(~balance.slid)[:2]
+    pushes = select(balance.rested, by_mu, jnp.zeros_like(by_mu))
+    unit = jnp.eye(multipliers.shape[0], dtype=z.dtype)
+    matrix = select(balance.rested[:, None], held @ pushes, unit)
+
+    def speeds(sides: Array) -> Array:
+        force = balance.field(x, multipliers.at[two].set(sides))
+        if balance.system.resets:
+            too_much = select(balance.rested, held @ force, jnp.zeros_like(multipliers))
+            force -= pushes @ jnp.linalg.solve(matrix, too_much)
+        return (held @ force)[two]
+
+    return jax.vmap(speeds)(jnp.asarray(QUADRANTS, z.dtype))
 
 
 def _projection(rows: Float[Array, "k n"], kept: Bool[Array, " k"]) -> Float[Array, "n n"]:

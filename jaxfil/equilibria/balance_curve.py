@@ -28,12 +28,14 @@ from jaxfil.orbits.curve import (
     at_root,
     constraint_across,
 )
-from jaxfil.orbits.locating import zero_on_curve
+from jaxfil.orbits.locating import count_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.xla.known import array_of
 
 # A guess taken from a neighbour converges in a few steps or not at all.
 _NEWTON_STEPS = 12
+# A real part below this fraction of the largest eigenvalue is zero.
+_ON_AXIS = 1e-7
 
 
 class _Known(eqx.Module):
@@ -166,12 +168,18 @@ class BalanceCurve(Curve[EquilibriumPoint]):
         self, a: EquilibriumPoint, b: EquilibriumPoint
     ) -> Iterator[Special[EquilibriumPoint]]:
         """Folds and Hopf points."""
-        for kind, test in (("fold", _fold), ("hopf", _hopf)):
-            if test(a) * test(b) < 0:
-                point = zero_on_curve(self, a, b, test)
-                # Two real eigenvalues of opposite sign with the sum zero are not a Hopf point.
-                if point is not None and (kind == "fold" or _is_pair(point)):
-                    yield Special(kind, point, self.mode, self.mode)
+        if _fold(a) * _fold(b) < 0:
+            point = zero_on_curve(self, a, b, _fold)
+            if point is not None:
+                yield Special("fold", point, self.mode, self.mode)
+        if _hopf(a) * _hopf(b) < 0:
+            point = zero_on_curve(self, a, b, _hopf)
+        else:  # two pairs at once, as of a symmetric system
+            noise = _ON_AXIS * np.max(abs(_finite(a)), initial=0.0)
+            point = count_on_curve(self, a, b, lambda p: np.real(_finite(p)), noise)
+        # Two real eigenvalues of opposite sign with the sum zero are not a Hopf point.
+        if point is not None and _is_pair(point):
+            yield Special("hopf", point, self.mode, self.mode)
 
     def last_between(
         self, here: EquilibriumPoint, ahead: EquilibriumPoint

@@ -69,8 +69,10 @@ class Equilibrium(eqx.Module):
         """Eigenvalues of the Jacobian, shape (n,), by descending real part.
 
         Sliding is reached in a finite time, so the zero of each sliding surface is replaced by −∞,
-        or +∞ where the sides repel, the limits of the eigenvalues of the smoothed system. The two
-        of a resting surface are replaced by −∞."""
+        or +∞ where the sides repel. On two sliding surfaces both are −∞ if motions from all sides
+        reach their intersection, sliding on one of them or turning about it. On more the limits of
+        the eigenvalues of a smoothed system decide, with a different answer for another smoothing
+        in some systems. The two of a resting surface are replaced by −∞."""
         return self._of(_eigenvalues)
 
     @property
@@ -129,7 +131,7 @@ def _eigenvalues(at: Equilibrium) -> Array:
 def eigenvalues_of(flow: Linearised) -> Complex[Array, " n"]:
     """The eigenvalues of a linearised flow, by descending real part, infinite across surfaces."""
     # LAPACK must not receive a NaN.
-    sound = jnp.all(jnp.isfinite(flow.deflated)) & jnp.all(jnp.isfinite(flow.across))
+    sound = jnp.all(jnp.isfinite(flow.deflated)) & flow.approach.sound
     fine = lambda v: select(sound, v, jnp.zeros_like(v))  # noqa: E731
     values = jnp.linalg.eigvals(fine(flow.deflated))
     moved = sound & (abs(values) > 0.5 * flow.shift) & (jnp.isfinite(flow.shift))
@@ -137,7 +139,7 @@ def eigenvalues_of(flow: Linearised) -> Complex[Array, " n"]:
     # Ties are ordered by the imaginary part, independent of the library.
     order = jnp.lexsort((-jnp.imag(values), -height))
     values, count = values[order], jnp.sum(moved)
-    repels = jnp.sum(jnp.real(jnp.linalg.eigvals(fine(flow.across))) > 0) if flow.across.size else 0
+    repels = jax.tree.map(fine, jax.lax.stop_gradient(flow.approach)).repelling()
     values, place = jnp.roll(values, repels), jnp.arange(values.shape[0])
     values = jnp.where(place < repels, jnp.inf, values)
     values = jnp.where(place >= values.shape[0] - (count - repels), -jnp.inf, values)

@@ -26,6 +26,7 @@ from jaxfil.orbits.curve import (
     constraint_across,
     least_scales,
 )
+from jaxfil.orbits.locating import zero_on_curve
 from jaxfil.orbits.newton import Evaluation, Root, newton
 from jaxfil.orbits.plane_curve import EquationsCurve, PlaneCurve
 from jaxfil.orbits.pseudo_arclength import Path, follow, range_around, walk_of
@@ -97,6 +98,16 @@ class _BifurcationCurve(EquationsCurve[_Point]):
         """No special points."""
         return iter(())
 
+    def last_between(self, here: _Point, ahead: _Point) -> tuple[_Point, str] | None:
+        """The Bogdanov–Takens point at which the pair of eigenvalues of a Hopf point is zero.
+        Beyond it the equations hold with −ω at the same equilibria."""
+        # ω is the last unknown before the parameters.
+        frequency = lambda point: float(point.u[-3])  # noqa: E731
+        if self.equations.family != "hopf" or frequency(here) * frequency(ahead) >= 0:
+            return None
+        point = zero_on_curve(self, here, ahead, frequency) or here
+        return point, f"the eigenvalues meet at zero, at {self.told(point)}"
+
     def refusal(self, ahead: _Point) -> str | None:
         """A virtual equilibrium does not belong to the system."""
         return None if ahead.admissible else "the equilibrium is virtual"
@@ -131,7 +142,8 @@ def continue_equilibrium_bifurcation(
       does not begin contains only the given bifurcation.
 
     **Returns** an `EquilibriumCurve`. One that ends before `stop`, for example at a virtual
-    equilibrium, is a success; `EquilibriumCurve.ended` gives the reason.
+    equilibrium, or of Hopf points at a double eigenvalue of zero (Bogdanov–Takens), is a success;
+    `EquilibriumCurve.ended` gives the reason.
 
     **Outcomes**: `successful`; `newton_stalled` or `newton_singular` where Newton's method diverges
     from the bifurcation.

@@ -134,7 +134,8 @@ class RESULTS(eqx.Enumeration, metaclass=_Outcomes):
         "No step from here can be trusted, however often it is halved, since the error that the "
         "stepper estimates is too large relative to the change of the state. The field is stiff "
         "(try `stepper=jf.Rodas5P()`), or jumps where no surface is declared. A kink of a "
-        "switching function is such a jump for a slide on it."
+        "switching function is such a jump for a slide on it. For `harmonic_balance` more "
+        "contacts or ticks are in one part of its grid than it resolves (try more `harmonics`)."
     )
     interrupted = "The sweep was interrupted before this lane was finished."
     irreversible_reset = (

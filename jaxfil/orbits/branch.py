@@ -93,8 +93,14 @@ class Branch(eqx.Module):
     def at(self, value: float) -> list[Orbit]:
         """The orbits of the branch at a value of the parameter, in its order. Newton's method finds
         each from its neighbours on the branch, and raises an error if it fails."""
-        found = []
-        for i, x in crossings(np.asarray(self.values), np.asarray(self.orbits.x0), value):
+        found, t0 = [], self.orbits.options.t0
+        # A special point may be at another phase.
+        folds = [
+            (p.index, p.value, np.asarray(p.orbit.x0))
+            for p in self.points
+            if p.kind == "fold" and np.all(p.orbit.options.t0 == t0)
+        ]
+        for i, x in crossings(np.asarray(self.values), np.asarray(self.orbits.x0), value, folds):
             one = part_of(self.orbits, i)
             period = None if one.system.period is not None else one.period
             found.append(

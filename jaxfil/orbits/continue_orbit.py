@@ -189,6 +189,9 @@ def _off_branch(
     if problem.options.arcs > 1:
         raise ValueError("`orbit` must be shot in one segment.")
     options = dataclasses.replace(problem.options, steps=2 * problem.options.steps)
+    most = options.max_events
+    if most is not None and 2 * int(doubling.orbit.num_events) > most:
+        options = dataclasses.replace(options, max_events=2 * most)
     periods = problem.periods if problem.autonomous else 2 * problem.periods
     curve = OrbitCurve(OrbitProblem(problem.system, options, parameter, periods))
     if at is None:

@@ -99,15 +99,25 @@ def least_scales(at_start: np.ndarray, place: int, ends: list[float]) -> np.ndar
 
 
 def crossings(
-    values: np.ndarray, xs: np.ndarray, value: float
+    values: np.ndarray, xs: np.ndarray, value: float, folds: list[tuple[int, float, np.ndarray]]
 ) -> Iterator[tuple[int, Float[np.ndarray, " n"]]]:
     """Where a branch of points with these values and states takes a value: the number of the point
-    at it or before it, and the state between that one and the next."""
-    ahead = values - value
+    at it or before it, and the state between that one and the next. Each fold is the number of the
+    point after it, its value and its state; the branch turns back there."""
+    places, turns = [i for i, *_ in folds], [v for _, v, _ in folds]
+    numbers = np.insert(np.arange(len(values)), places, [i - 1 for i in places])
+    ahead = np.insert(values, places, turns) - value
+    xs = np.insert(xs, places, [x for *_, x in folds], axis=0) if folds else xs
+    folded = np.insert(np.zeros(len(values), bool), places, True)
     after = np.append(ahead[1:], np.nan)
-    for i in np.flatnonzero((ahead * after < 0) | (ahead == 0)).tolist():
+    for i in np.flatnonzero((ahead * after < 0) | ((ahead == 0) & ~folded)).tolist():
         part = 0.0 if ahead[i] == 0 else ahead[i] / (ahead[i] - after[i])
-        yield i, xs[i] + part * (xs[min(i + 1, len(xs) - 1)] - xs[i])
+        # Beside a fold the value is the square of the distance from it.
+        if folded[i]:
+            part = part**0.5
+        elif folded[min(i + 1, len(xs) - 1)]:
+            part = 1 - (1 - part) ** 0.5
+        yield int(numbers[i]), xs[i] + part * (xs[min(i + 1, len(xs) - 1)] - xs[i])
 
 
 _Point = TypeVar("_Point", bound=CurvePoint)

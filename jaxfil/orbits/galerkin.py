@@ -68,8 +68,8 @@ class Galerkin(eqx.Module):
         # dx/dφ is a series itself and exact; only the force is integrated.
         return (self._slope(c) - self._norm(c) * (at_points.T @ (weights[:, None] * force))).ravel()
 
-    def with_derivative(self, z: Array) -> tuple[Array, Array]:
-        """The residual and its derivative by z."""
+    def with_derivative(self, z: Array) -> tuple[Array, Array, Array]:
+        """The residual, its derivative by z, and whether all crossings have been found."""
         c, size, n = z.reshape(self.size, self.n), self.size, self.n
         phases, weights, sides, zeros = self._quadrature(c)
         at_points = self._basis(phases)
@@ -94,7 +94,13 @@ class Galerkin(eqx.Module):
         eye = jnp.eye(size * n, dtype=c.dtype).reshape(size * n, size, n)
         linear = jax.vmap(self._slope)(eye).reshape(size * n, size * n).T
         derivative = linear - (norm[:, :, None, None] * integral).reshape(size * n, size * n)
-        return value.ravel(), derivative
+        return value.ravel(), derivative, self._is_resolved(phases, states, sides)
+
+    def _is_resolved(self, phases: Array, states: Array, sides: Array) -> Array:
+        """Whether H has the sign of its piece at all points, except beside a zero."""
+        h = jax.vmap(self._switching)(phases, states)
+        beside = jnp.finfo(h.dtype).eps ** 0.5 * jnp.max(abs(h), axis=0)
+        return jnp.all(h * sides >= -beside)
 
     def _basis(self, phases: Array) -> Array:
         return jax.vmap(ft.partial(waves_at, harmonics=(self.size - 1) // 2))(phases)

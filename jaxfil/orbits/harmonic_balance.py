@@ -69,7 +69,8 @@ def harmonic_balance(
 
     **Outcomes**: `successful`; `newton_stalled`, `newton_singular` or `newton_max_steps_reached`
     without an orbit; `nonfinite` if the equations are not finite at the guess; `invalid_period`;
-    `step_too_long` if a clock whose period is traced ticks twice in a 4K + 8th part of the period.
+    `step_too_long` if a clock whose period is traced ticks twice in a 4K + 8th part of the period,
+    or H crosses zero so often that crossings are missed there (more harmonics have more parts).
 
     **Source**: textbook: M. Krack, J. Gross, Harmonic Balance for Nonlinear Vibration Problems
     (2019), except for integrals from zero to zero of H, which are ours.
@@ -203,15 +204,16 @@ class _Series(Equations):
         galerkin = self.galerkin(system, guess.dtype)
 
         def evaluate(z: Array) -> Evaluation:
-            value, jacobian = galerkin.with_derivative(z)
+            value, jacobian, is_resolved = galerkin.with_derivative(z)
             scale = jnp.max(abs(z.reshape(self.size, self.n)), axis=0)
             scale = jnp.tile(select(scale == 0, 1, scale), self.size)
             fine = jnp.all(jnp.isfinite(value))
             result = RESULTS.where(fine, RESULTS.successful, RESULTS.nonfinite)
-            return Evaluation(value, jacobian, 2 * jnp.pi * scale, scale, result, None)
+            return Evaluation(value, jacobian, 2 * jnp.pi * scale, scale, result, is_resolved)
 
         root = newton(evaluate, guess, self.newton_steps)
-        result = RESULTS.where(galerkin.is_fine, root.result, RESULTS.step_too_long)
+        is_fine = galerkin.is_fine & (root.at.aux | (root.result != RESULTS.successful))
+        result = RESULTS.where(is_fine, root.result, RESULTS.step_too_long)
         result = period_outcome(galerkin.period, result)
         return root.z, root.at.jacobian, (root.size, result, root.num_steps)
 

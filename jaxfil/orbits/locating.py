@@ -48,6 +48,24 @@ def zero_on_curve(
     return point or last
 
 
+def count_on_curve(
+    curve: Curve[_Point],
+    a: _Point,
+    b: _Point,
+    heights: Callable[[_Point], np.ndarray],
+    noise: float,
+) -> _Point | None:
+    """The point between two at which the number of positive heights changes, where the last one of
+    these is zero; None if the number is the same. Heights up to the noise are not positive."""
+    ranked = lambda point: np.sort(heights(point))[::-1]  # noqa: E731
+    before, after = ranked(a), ranked(b)
+    numbers = [int(np.sum(values > noise)) for values in (before, after)]
+    last = max(numbers) - 1
+    if numbers[0] == numbers[1] or min(before[last], after[last]) >= 0:
+        return None
+    return zero_on_curve(curve, a, b, lambda point: float(ranked(point)[last]))
+
+
 def jumps_on_curve(
     curve: Curve[_Point], a: _Point, b: _Point, test: Callable[[_Point], float]
 ) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxfil.orbits.chattering import differ_by_chattering, rests_in
 from jaxfil.orbits.corrector import OrbitPoint
 from jaxfil.orbits.curve import Curve, Special
-from jaxfil.orbits.locating import ends_between, is_corner, zero_on_curve
+from jaxfil.orbits.locating import count_on_curve, ends_between, is_corner, zero_on_curve
 
 
 def _fold(point: OrbitPoint) -> float:
@@ -49,6 +49,9 @@ def pair_on_circle(values: np.ndarray) -> float:
     return float(np.prod(abs(pairs) - 1)) if pairs.size else np.nan
 
 
+# A multiplier at this distance from the unit circle is on it.
+_ON_CIRCLE = 1e-7
+
 _TESTS: dict[str, Callable[[OrbitPoint], float]] = {
     "fold": _fold,
     "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
@@ -84,13 +87,42 @@ def special_orbits(
 
 def _zeros(curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
     """Zeros of the test functions between two points with the same contacts."""
+    found = set()
     for kind, test in {**_TESTS, "branch-point": crossing(a, b)}.items():
-        if test(a) * test(b) < 0:
+        at_a, at_b = test(a), test(b)
+        # Pairs that stay on the circle, as of maps that preserve area, cross it by rounding alone.
+        stays = kind == "neimark-sacker" and max(abs(at_a), abs(at_b)) < _ON_CIRCLE
+        if at_a * at_b < 0 and not stays:
             point = zero_on_curve(curve, a, b, test)
             if point is not None:
                 if kind == "branch-point":
                     point = dataclasses.replace(point, tangent=_tangent_between(a, b, point))
+                found.add(kind)
                 yield Special(kind, point, point.sequence, point.sequence)
+    if not found & {"period-doubling", "neimark-sacker"}:
+        yield from _crossed(curve, a, b)
+
+
+def _crossed(
+    curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint
+) -> Iterator[Special[OrbitPoint]]:
+    """The point at which multipliers cross the circle without a zero of a test function: several at
+    once, as those of a symmetric orbit, or a pair that is real at one of two neighbours."""
+    point = count_on_curve(curve, a, b, lambda p: abs(_multipliers(p)) - 1, _ON_CIRCLE)
+    if point is None:
+        return
+    # Not that of the flow of an autonomous system, which is 1.
+    values = _multipliers(point)
+    distances = abs(abs(values) - 1)
+    critical = min(values[distances <= np.min(distances) + _ON_CIRCLE], key=np.real)
+    if abs(np.imag(critical)) > _ON_CIRCLE**0.5:
+        yield Special("neimark-sacker", point, point.sequence, point.sequence)
+    elif np.real(critical) < 0:
+        yield Special("period-doubling", point, point.sequence, point.sequence)
+
+
+def _multipliers(point: OrbitPoint) -> np.ndarray:
+    return np.linalg.eigvals(np.asarray(point.shot.monodromy))
 
 
 def _tangent_between(a: OrbitPoint, b: OrbitPoint, point: OrbitPoint) -> np.ndarray:

@@ -645,9 +645,14 @@ def test_the_margin_of_an_orbit_that_hits_is_no_maximum(jitted):
 
 
 class Follower(jf.System):
-    """x follows cos 2(t − a) + 0.03 sin(t − a), whose least value is −1.03 at t = a + 3π/2."""
+    """x follows cos 2(t − a) + 0.03 sin(t − a), whose least value is −1.03 at t = a + 3π/2. At a
+    second surface, −sin(t − a − `shift`) = `cut` − 1.5 + `wall`, around that time or later, the
+    orbit does not change."""
 
     late: jax.Array
+    cut: jax.Array
+    wall: jax.Array
+    shift: jax.Array
     period = 2 * np.pi
     slides = False
 
@@ -657,15 +662,31 @@ class Follower(jf.System):
         return towards - 2 * jnp.sin(2 * angle) + 0.03 * jnp.cos(angle) - x
 
     def switching(self, t, x):
-        return x[0] + 1.5
+        gate = self.cut + jnp.sin(t - self.late - self.shift)
+        return jnp.stack([x[0] + self.wall, gate - 1.5 + self.wall])
 
 
-@pytest.mark.parametrize("late", [0.1, -0.1])
-def test_the_margin_is_that_of_the_lower_minimum(late):
-    """Between the ends of steps, at which the other one is lower for one of these times."""
-    system = Follower(jnp.float64(late))
+def follower(late, cut, shift=0.0):
+    return Follower(*(jnp.float64(v) for v in (late, cut, 1.5, shift)))
+
+
+@pytest.mark.parametrize("late, cut", [(0.1, 2.0), (-0.1, 2.0), (3.2, 0.54), (-4.4, -0.54)])
+def test_the_margin_is_that_of_the_lower_minimum(late, cut):
+    """Between the ends of steps, at which the other one is lower for one of these times; in a
+    flight without the heights of the other one; and in a flight past the end of the period."""
+    system = follower(late, cut)
     orbit = jf.periodic_orbit(system, jnp.array([1.0]), steps=15)
-    np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-7)
+
+
+def test_a_flight_is_lost_where_another_surface_is_reached_for_a_short_while():
+    """Before `wall` = 1.03, where the orbit would graze, the second surface is reached beside the
+    tangency, for 1/100 of the period in the end. It is grazed at `wall` = 2.5 − `cut`."""
+    system = follower(0.1, 0.47 + np.cos(0.03), 1.5 * np.pi / 16)
+    orbit = jf.periodic_orbit(system, jnp.array([1.0]), steps=15)
+    found = jf.find_bifurcation(system, "wall", orbit, "grazing")
+    assert (int(orbit.num_events), int(found.tangency.surface)) == (0, 1)
+    np.testing.assert_allclose(found.value, 2.03 - np.cos(0.03), rtol=0, atol=1e-9)
 
 
 class Filter(jf.System):

@@ -68,6 +68,19 @@ class TwoSurfaces(jf.System):
         return x
 
 
+class Relays(jf.System):
+    """ẋ = B sgn x, with H = unit · x: a pseudo-equilibrium at the origin with the weights 0."""
+
+    b: jax.Array
+    unit: jax.Array
+
+    def vector_field(self, t, x, side):
+        return self.b @ side
+
+    def switching(self, t, x):
+        return self.unit * x
+
+
 class Spring(jf.System):
     """x″ = f − x − x′/2 before a wall at x = 0: at rest at x = f > 0, and on the wall for f < 0,
     with the reaction −f."""

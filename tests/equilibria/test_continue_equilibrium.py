@@ -1,5 +1,6 @@
 """Branches of equilibria and what bounds them, against closed forms."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -85,6 +86,10 @@ def test_pseudo_equilibria_meet_in_a_fold():
     assert_allclose(np.sort(x[[0, -1]]), [-1.0, 1.0], **CLOSE)
     # The eigenvalue of the slide, which attracts.
     assert_allclose(branch.eigenvalues[:, 0], -x, **CLOSE)
+    # Nearer to the fold than the points of the branch.
+    value = 0.5 * (point.value + np.min(branch.values))
+    beside = np.sort([at.x[0] for at in branch.at(value)])
+    assert_allclose(beside, np.array([-1, 1]) * (value + 0.25) ** 0.5, rtol=1e-9)
 
 
 def test_a_branch_leaves_two_surfaces_one_after_the_other():
@@ -116,6 +121,24 @@ def test_a_hopf_point():
     assert happened(branch) == [("hopf", (1,), (1,))]
     assert_allclose(branch.points[0].value, 0.0, **CLOSE)
     assert branch.stable.tolist() == (branch.values < 0).tolist()
+
+
+class Pairs(jf.System):
+    """Two equal oscillators on their own, z' = (a + i)(z − 1 − i)."""
+
+    a: jax.Array
+
+    def vector_field(self, t, x, side):
+        x, y = x.reshape(2, 2) - 1
+        return jnp.concatenate([self.a * x - y, x + self.a * y])
+
+
+def test_two_pairs_cross_the_axis_at_once():
+    system = Pairs(0.5)
+    start = jf.equilibrium(system, jnp.full(4, 1.1))
+    branch = jf.continue_equilibrium(system, "a", start, stop=-0.5)
+    assert happened(branch) == [("hopf", (), ())]
+    assert_allclose(branch.points[0].value, 0.0, **CLOSE)
 
 
 def test_a_virtual_equilibrium_is_on_no_branch():

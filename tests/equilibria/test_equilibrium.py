@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxfil as jf
-from tests.equilibria.planar import Boundary, Circle, Spring, TwoSurfaces
+from tests.equilibria.planar import Boundary, Circle, Relays, Spring, TwoSurfaces
 
 EPS = np.finfo(float).eps
 # Of numbers of order one that a few operations make.
@@ -105,6 +105,27 @@ def test_a_pseudo_equilibrium_of_two_surfaces():
     assert_allclose(one.multipliers, [0.75, -1.0], **CLOSE)
     # On x = 0 the weight is such that ẋ = 0: it does not depend on y.
     assert_allclose(one.eigenvalues, [-1.0, -np.inf], **CLOSE)
+
+
+# Turns by which the distance grows, although the trace is negative, and shrinks, although it is
+# positive; slides to the origin and, by the last one, away from it along one axis.
+RELAYS = [
+    ([[-1.5, 10.0], [-2.0, 1.0]], [np.inf, np.inf]),
+    ([[-1.0, 2.0], [-10.0, 1.5]], [-np.inf, -np.inf]),
+    ([[-3.0, 1.0], [2.0, -1.0]], [-np.inf, -np.inf]),
+    ([[-3.0, 2.0], [2.0, -1.0]], [np.inf, -np.inf]),
+]
+
+
+@pytest.mark.parametrize("unit", [[1.0, 1.0], [1.0, 20.0], [20.0, 1.0]])
+def test_two_surfaces_attract_as_the_motion_does_whatever_their_units(unit):
+    """Half a turn, leg by leg, multiplies the distance by (a + b)(c + d)/((c − d)(b − a)), with the
+    rows (a, b) and (−c, d): 2.22 and 0.45."""
+    found = eqx.filter_vmap(
+        lambda b: jf.equilibrium(Relays(b, jnp.array(unit)), jnp.zeros(2), throw=False)
+    )(jnp.array([b for b, _ in RELAYS]))
+    assert found.eigenvalues.real.tolist() == [across for _, across in RELAYS]
+    assert found.stable.tolist() == [False, True, True, False]
 
 
 def test_an_equilibrium_at_rest_on_a_wall():

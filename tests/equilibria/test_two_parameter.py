@@ -79,6 +79,27 @@ def test_a_curve_of_hopf_points():
     assert {*curve.kinds} == {"hopf"}
 
 
+class Takens(jf.System):
+    """x' = y, y' = p + q x + x² + x y, moved to (1, 1): Hopf points at p = 0, with ω² = −q, up to a
+    double eigenvalue of zero at q = 0."""
+
+    p: jax.Array
+    q: jax.Array
+
+    def vector_field(self, t, x, side):
+        x, y = x[0] - 1, x[1] - 1
+        return jnp.stack([y, self.p + self.q * x + x**2 + x * y])
+
+
+def test_a_curve_of_hopf_points_ends_at_a_double_zero():
+    system = Takens(-0.2, -1.0)
+    point = the_point(system, "p", jnp.array([0.83, 1.0]), 0.1)
+    curve = jf.continue_equilibrium_bifurcation(system, ("q", "p"), point, stop=0.5)
+    assert_allclose(curve.values[[0, -1]], [[-1, 0], [0, 0]], **CLOSE)
+    assert np.all(np.diff(curve.values[:, 0]) > 0)
+    assert curve.ended[1].startswith("the eigenvalues meet at zero, at (")
+
+
 def test_two_names_are_needed():
     system = Boundary(0.8, 1.0)
     with pytest.raises(ValueError, match="`parameters` must be two different parameters"):

@@ -80,6 +80,10 @@ def test_sd_oscillator_folds_where_the_closed_form_does():
     assert_allclose(fold.value, exact, rtol=0, atol=1e-8)
     assert_allclose(max(abs(fold.orbit.multipliers)), 1, rtol=0, atol=1e-5)
     assert_allclose(sd_branch().values.max(), exact, rtol=0, atol=1e-4)
+    # Nearer to the fold than the orbits of the branch.
+    near = 0.5 * (fold.value + sd_branch().values.max())
+    first, second = sd_branch().at(near)
+    assert bool(first.stable) and not bool(second.stable)
 
 
 @pytest.mark.slow
@@ -518,6 +522,50 @@ def test_pairs_of_multipliers_are_told_apart(name, start, stop, found):
     branch = jf.continue_orbit(system, name, orbit, stop=stop)
     points = [p.value for p in branch.points if p.kind == "neimark-sacker"]
     assert_allclose(points, [0.0] * found, rtol=0, atol=1e-8)
+
+
+class Multiplied(jf.System):
+    """x is multiplied by A + p B at each tick."""
+
+    p: jax.Array
+    a: jax.Array
+    b: jax.Array
+    period = 1.0
+    clocks = (jf.Clock(1.0, 0.5),)
+
+    def vector_field(self, t, x, side):
+        return jnp.zeros_like(x)
+
+    def tick(self, t, x, clock):
+        return (self.a + self.p * self.b) @ x
+
+
+def entry(i, j):
+    return np.eye(3)[:, [i]] * np.eye(3)[[j]]
+
+
+@pytest.mark.parametrize(
+    "a, b, stop, found",
+    [
+        # Two multipliers −p.
+        (0.3 * entry(2, 2), -entry(0, 0) - entry(1, 1), 1.2, [("period-doubling", 1.0)]),
+        # μ² − 1.999 μ + p, whose real roots meet at p = 1.999²/4.
+        (
+            entry(0, 1) + 1.999 * entry(1, 1),
+            -entry(1, 0),
+            1.2,
+            [("branch-point", 0.999), ("neimark-sacker", 1.0)],
+        ),
+        # μ² − p μ + 1, whose roots stay on the circle.
+        (entry(0, 1) - entry(1, 0), entry(1, 1), 1.5, []),
+    ],
+)
+def test_several_multipliers_cross_the_circle_at_once_or_none(a, b, stop, found):
+    system = Multiplied(*(jnp.asarray(v) for v in (0.85, a, b)))
+    orbit = jf.periodic_orbit(system, jnp.zeros(3), steps=2, stepper=jf.RK4())
+    branch = jf.continue_orbit(system, "p", orbit, stop=stop)
+    assert [p.kind for p in branch.points] == [kind for kind, _ in found]
+    assert_allclose([p.value for p in branch.points], [v for _, v in found], rtol=0, atol=1e-8)
 
 
 class Invaded(jf.System):

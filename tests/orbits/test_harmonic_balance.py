@@ -240,6 +240,32 @@ def test_a_pass_within_one_cell_is_seen(late):
     assert_allclose(found, 2 * np.pi * expected, rtol=0, atol=1e-12)
 
 
+class Waves(jf.System):
+    """x' = −x + sgn(0.6 − cos kt), with the mean 1 − 2 arccos(0.6)/π."""
+
+    k: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return side - x
+
+    def switching(self, t, x):
+        return 0.6 - jnp.cos(self.k * t)
+
+
+def test_crossings_that_the_grid_does_not_resolve_are_told():
+    """In 16 cells, of 6 and of 26 zeros."""
+
+    def balanced(k):
+        return jf.harmonic_balance(Waves(k), jnp.zeros((5, 1)), harmonics=2, throw=False)
+
+    found = eqx.filter_vmap(balanced)(jnp.array([3.0, 13.0]))
+    assert outcome_names(found.result).tolist() == ["successful", "step_too_long"]
+    mean = 1 - 2 * np.arccos(0.6) / np.pi
+    assert_allclose(found.coefficients[0, :, 0], [mean, 0, 0, 0, 0], rtol=0, atol=1e-12)
+
+
 class Pulsed(jf.System):
     """x' = −x and + 1 during the first part of each of `many` pulses in a period."""
 
