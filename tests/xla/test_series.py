@@ -163,7 +163,8 @@ def test_powers_by_parameters_and_arrays_are_finite_at_zero(argument):
         own = np.polynomial.polynomial.polypow(argument, power)[:ORDER]
         own = np.pad(own, (0, ORDER - len(own)))
         summed += own * (power > 0)
-        assert_allclose(parametrised(argument, float(power)), own, rtol=0, atol=1e-15)
+        whole = np.pad(argument, (0, ORDER - len(argument)))
+        assert_allclose(parametrised(whole, float(power)), own, rtol=0, atol=1e-15)
     found = [0.0 if v is None else float(v) for v in series_of(powers, argument)]
     assert_allclose(found, summed, rtol=0, atol=1e-15)
 
@@ -173,9 +174,48 @@ def parametrised(argument, power):
     """The coefficients of a power whose exponent is traced."""
     expansion = Expansion({})
     program = jax.make_jaxpr(lambda x, c: x**c)(0.0, 0.0)
-    x = expansion.series(lambda k: argument[k] if k < len(argument) else None)
+    x = expansion.series(lambda k: argument[k])
     (y,) = expanded(expansion, program, [x, power])
     return jnp.stack([jnp.asarray(y[k]) for k in range(ORDER)])
+
+
+# Coefficients of which some are zero by their value, and not by structure.
+ZEROS = [[0.0, 0.3, -0.2, 0.1, 0, 0], [0.0, 0.0, 0.7, 0.2, 0, 0], [0.0] * 6, [0.0] * 5 + [0.4]]
+
+
+def products_with(a):
+    """The matrix of the products of series with the series a."""
+    return sum(v * np.eye(ORDER, k=-k) for k, v in enumerate(a))
+
+
+def test_powers_by_parameters_have_their_derivatives_at_zero():
+    whole = [(np.array(a), c) for a in ZEROS for c in (1.0, 2.0, 3.0, 4.0)]
+    arguments, powers = map(np.array, zip(*whole, strict=True))
+    both = jax.vmap(lambda a, c: (parametrised(a, c), jax.jacfwd(parametrised)(a, c)))
+    values, slopes = jax.jit(both)(arguments, powers)
+    for a, c, value, slope in zip(arguments, powers, values, slopes, strict=True):
+        below = np.linalg.matrix_power(products_with(a), int(c) - 1)
+        assert_allclose(value, below @ a, rtol=0, atol=1e-15)
+        assert_allclose(slope, c * below, rtol=0, atol=1e-15)
+
+
+def test_a_root_has_its_derivatives_where_coefficients_are_zero():
+    @jax.jit
+    @jax.vmap
+    @jax.jacfwd
+    def slopes(argument):
+        expansion = Expansion({})
+        x = expansion.series(lambda k: argument[k])
+        (y,) = expanded(expansion, jax.make_jaxpr(jnp.sqrt)(0.0), [x])
+        return jnp.stack([y[k] for k in range(ORDER)])
+
+    arguments = np.array(
+        [[4.0, 0, 0, 0, 0, 0], [1.0, 0, 0.6, 0, 0, 0.2], [1.0, 0.6, 0.09, 0, 0, 0]]
+    )
+    # Of y² = a follows 2 y dy = da. The last is the square of 1 + 0.3 s.
+    roots = [[2.0, 0, 0, 0, 0, 0], [1.0, 0, 0.3, 0, -0.045, 0.1], [1.0, 0.3, 0, 0, 0, 0]]
+    exact = [np.linalg.inv(2 * products_with(y)) for y in roots]
+    assert_allclose(slopes(arguments), exact, rtol=0, atol=1e-14)
 
 
 def test_a_root_and_a_power_that_is_not_whole_of_what_stays_zero_are_zero():

@@ -209,6 +209,23 @@ def test_a_start_on_a_kink_takes_the_part_ahead_however_it_is_written():
     assert_allclose(end(which, speeds), exact, rtol=0, atol=1e-13)
 
 
+class Steady(jf.System):
+    """A tank that is filled at a constant rate and runs out by a root, and a decay by a power."""
+
+    power: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([2.0 - jnp.sqrt(x[0]), -(x[1] ** self.power)])
+
+
+def test_the_flow_of_a_steady_state_has_its_derivative():
+    def end(x0):
+        return jf.solve(Steady(jnp.array(1.0)), x0, 0.0, 5.0, 0.25, stepper=jf.Taylor()).x_final
+
+    slopes = jax.jit(jax.jacfwd(end))(jnp.array([4.0, 0.0]))
+    assert_allclose(slopes, np.diag(np.exp([-1.25, -5.0])), rtol=0, atol=1e-11)
+
+
 class Looped(jf.System):
     """A field with a loop."""
 
