@@ -26,6 +26,10 @@ def chosen(t, x):
     return jnp.where(x > 0.3, x * x, -x) + branch + jnp.sign(x) * x + jax.nn.relu(x)
 
 
+def placed(t, x):
+    return jnp.stack([x, t]).at[0].multiply(x).sum()
+
+
 FUNCTIONS = {
     "products": lambda t, x: (2 * x) * x * (3 * x) - t * x + x * (1 + x * x),
     "quotients": lambda t, x: x / (1 + x * x) + t / (2 + x) + 3 / (1 + t) + x / 3,
@@ -51,6 +55,9 @@ FUNCTIONS = {
     "stacked": lambda t, x: jnp.sum(jnp.stack([x * NUMBERS, t * NUMBERS]) ** 2),
     "padded": lambda t, x: jnp.sum(jnp.pad(x * NUMBERS, (1, 2), constant_values=t) ** 2),
     "tiled": lambda t, x: jnp.sum(jnp.tile(x * NUMBERS, 2) ** 2),
+    "places within": lambda t, x: jax.lax.cond(
+        t >= 0, jax.checkpoint(placed), lambda t, x: t, t, x
+    ),
     "places": lambda t, x: jnp.stack([x, t]).at[0].add(t * x).prod(),
     "large arrays": lambda t, x: jnp.sum(jnp.sin(jnp.arange(40.0) * x) * jnp.linspace(0, 1, 40)),
     "products of vectors": lambda t, x: jnp.dot(jnp.full(40, x), jnp.arange(40.0) * t * x),
