@@ -236,7 +236,10 @@ def reduced_difference(expansion: Expansion, a: Series, b: Series) -> Series:
         for factor in reversed(factors):
             part = _multiple(expansion, factor.value, part)
         whole.append(_multiple(expansion, expansion.constant(sign * own), part))
-    return sum_of(expansion, whole) if whole else expansion.constant(jnp.zeros_like(a[0]))
+    if whole:
+        return sum_of(expansion, whole)
+    # On demand, since coefficients of a field are not known while its series are made.
+    return expansion.series(lambda _: jnp.zeros_like(first_of(a)), 0)
 
 
 def _spread(a: Series, sign: float = 1.0, factors: tuple = ()) -> Iterator[tuple]:

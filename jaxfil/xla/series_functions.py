@@ -14,7 +14,6 @@ from jaxfil.xla.fast_trig import arctan2
 from jaxfil.xla.known import is_known
 from jaxfil.xla.select import select
 from jaxfil.xla.series import (
-    AHEAD,
     Expansion,
     Series,
     add,
@@ -34,6 +33,8 @@ from jaxfil.xla.series import (
 
 # The largest exponent of type float that is computed by products.
 _WHOLE = 64
+# The largest exponent, of those that are not known, of a base that is zero and does not stay zero.
+_FEW = 4
 
 
 def _rate(expansion: Expansion, a: Series) -> Series:
@@ -157,48 +158,39 @@ def _shifted(expansion: Expansion, a: Series, number: Any) -> Series:
     return sum_of(expansion, [a, expansion.constant(number)])
 
 
-def _real_power(expansion: Expansion, a: Series, c: Any) -> Series:
+def _real_power(expansion: Expansion, a: Series, exponent: Series) -> Series:
     """a^c for a constant c: k a_0 y_k = Σ_{i ≥ 1} (i (c + 1) − k) a_i y_{k−i}."""
     # From a y' = c a' y. It divides by a_0, even if y is regular at 0, as for an integer c.
     inverse = expansion.series(lambda _: 1.0 / jnp.asarray(a[0]), 0)
+    # Products have the derivatives by all coefficients, also by the ones that are zero.
+    powers = [] if _is_broken(exponent) else range(_FEW + 1)
+    products = [_of_whole(expansion, a, n) for n in powers]
 
     def make(k: int) -> Any:
+        c = exponent[0]
         if k == 0:
             return jnp.power(a[0], c)
         terms = [times((i * (c + 1) - k) * (1.0 / k), times(a[i], y[k - i])) for i in _upto(k)]
         out = times(add(terms), inverse[0])
-        return None if out is None else select(a[0] != 0, out, _power_of_zero(a, c, y, k))
+        return None if out is None else select(a[0] != 0, out, of_zero(k, c))
+
+    def of_zero(k: int, c: Any) -> Any:
+        none = jnp.zeros_like(a[0])
+        # Any other power has no series here, unless its base stays zero.
+        out = none if a[k] is None else select(a[k] != 0, jnp.nan, none)
+        for n, v in enumerate(products):
+            out = select(c == n, none if v[k] is None else v[k], out)
+        return out
 
     y = expansion.series(make)
     kept(a, y)
     return y
 
 
-def _power_of_zero(a: Series, c: Any, y: Series, k: int) -> Any:
-    """Coefficient k of y = a^c where a starts at zero. If a_m is the first that is not zero,
-    (k − m c) a_m y_k = Σ_{i > m} (i (c + 1) − k − m) a_i y_{k+m−i} and y_{mc} = a_m^c."""
-    like = jnp.zeros_like(a[0])
-    if _is_broken(c):
-        return like if a[k] is None else select(a[k] != 0, jnp.nan, like)
-    out = like
-    for m in range(min(k, AHEAD), 0, -1):
-        if a[m] is None:
-            continue
-        factors = [(i * (c + 1) - (k + m), times(a[i], y[k + m - i])) for i in range(m + 1, k + 1)]
-        total = add([like, *(times(factor, v) for factor, v in factors)])
-        # A divisor that is zero is not used.
-        first, apart = select(a[m] != 0, a[m], 1.0), jnp.asarray(k - m * c, like.dtype)
-        own = total / (first * select(apart != 0, apart, 1.0))
-        own = select(apart == 0, jnp.power(first, c), own)
-        own = select((c >= 1) & (c == jnp.round(c)) | (c == 0), own, jnp.nan)
-        out = select(a[m] != 0, own, out)
-    return out
-
-
-def _is_broken(c: Any) -> bool:
-    """Whether an exponent is known not to be whole. Such a power of zero has no series, unless it
-    stays zero."""
-    return is_known(c) and bool(np.all(np.asarray(c) % 1 != 0))
+def _is_broken(exponent: Series) -> bool:
+    """Whether an exponent is known not to be whole."""
+    c = exponent.known.get(0)
+    return c is not None and is_known(c) and bool(np.all(np.asarray(c) % 1 != 0))
 
 
 def _upto(k: int) -> range:
@@ -227,7 +219,7 @@ def _whole_power(expansion: Expansion, a: Series, n: int) -> Series:
 def _power(expansion: Expansion, eqn: Any, a: Series, b: Series) -> Series:
     if b.degree == 0:
         whole = _whole_number(b)
-        return _real_power(expansion, a, b[0]) if whole is None else _of_whole(expansion, a, whole)
+        return _real_power(expansion, a, b) if whole is None else _of_whole(expansion, a, whole)
     # exp(b log a). With an exponent that varies this is defined for a > 0 only.
     first = expansion.series(lambda _: jnp.log(first_of(a)), 0)
     log = _logarithm(expansion, a, lambda: first[0])
@@ -246,6 +238,8 @@ def _whole_number(b: Series) -> int | None:
 def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
     """√a: 2 y_0 y_k = a_k − Σ y_i y_{k−i} over 0 < i < k."""
     inverse = expansion.series(lambda _: 0.5 / y[0], 0)
+    # The root of zero stays zero as long as its square does.
+    of_zero = expansion.series(lambda _: select(y[0] != 0, inverse[0], 0.0), 0)
 
     def make(k: int) -> Any:
         if k == 0:
@@ -255,8 +249,7 @@ def _square_root(expansion: Expansion, eqn: Any, a: Series) -> Series:
         pairs = add([times(y[i], y[k - i]) for i in range(1, (k + 1) // 2)])
         middle = times(y[k // 2], y[k // 2]) if k % 2 == 0 else None
         rest = minus(a[k], add([scaled(2.0, pairs), middle]))
-        # The root of zero stays zero as long as its square does.
-        return None if rest is None else select(rest != 0, rest * inverse[0], 0.0 * rest)
+        return None if rest is None else rest * select(rest != 0, inverse[0], of_zero[0])
 
     y = expansion.series(make)
     kept(y)
@@ -291,7 +284,7 @@ def _one_over(expansion: Expansion, a: Series) -> Series:
 
 
 def _one_over_root(expansion: Expansion, a: Series) -> Series:
-    return _real_power(expansion, a, -0.5)
+    return _real_power(expansion, a, expansion.constant(-0.5))
 
 
 def _logistic_slope(expansion: Expansion, _: Series, y: Series) -> Series:

@@ -13,7 +13,8 @@ import numpy as np
 from jaxfil.xla import elements
 from jaxfil.xla.known import is_known
 from jaxfil.xla.matrix_product import matrices_of
-from jaxfil.xla.program import evaluate_one, interpreted
+from jaxfil.xla.moves import by_slices
+from jaxfil.xla.program import closed, evaluate_one, interpreted
 from jaxfil.xla.series import (
     Expansion,
     Same,
@@ -34,6 +35,10 @@ from jaxfil.xla.series_rules import (
     jumps,
     selected,
 )
+
+# Operations with a program whose value is theirs, by the names of their parameters. The rule of a
+# `custom_jvp` and the storage of `jax.checkpoint` concern derivatives by JAX.
+_WRAPPED = {"checkpoint": "jaxpr", "custom_jvp_call": "call_jaxpr", "remat2": "jaxpr"}
 
 
 def expanded(expansion: Expansion, program: Any, args: Sequence[Any]) -> list[Any]:
@@ -93,11 +98,10 @@ def _made(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> 
 
 def _new(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
     name = eqn.primitive.name
-    if name == "custom_jvp_call":
-        # The rule of a `custom_jvp` concerns derivatives by JAX. Its value is a program with a
-        # series.
+    if name in _WRAPPED:
         rule = ft.partial(_made, expansion)
-        return interpreted(eqn.params["call_jaxpr"], inputs, expansion.constant, rule)
+        program = _opened(expansion, eqn.params[_WRAPPED[name]])
+        return interpreted(program, inputs, expansion.constant, rule)
     if all(_is_known(v) for v in inputs):
         # Evaluated by JAX at once, so that operations on constants need no rule, and their results
         # are known in the same way.
@@ -116,6 +120,12 @@ def _new(expansion: Expansion, jaxpr: Any, eqn: Any, inputs: Sequence[Any]) -> l
         if found is not None:
             return [found]
     return [_of_one(expansion, eqn, [array_of(expansion, v) for v in inputs])]
+
+
+def _opened(expansion: Expansion, program: Any) -> Any:
+    """A program inside an operation, with its numbers moved by slices."""
+    # Made once, since operations are shared by identity.
+    return expansion.once(("opened", Same(program)), lambda: by_slices(closed(program)))
 
 
 def _is_known(value: Any) -> bool:
@@ -182,7 +192,8 @@ def _each(shape: tuple[int, ...], make: Callable) -> np.ndarray:
 def _of_cond(expansion: Expansion, eqn: Any, inputs: Sequence[Any]) -> list[Any]:
     """The branch that is selected at the start of a step."""
     which, *args = inputs
-    branches = [expanded(expansion, branch, args) for branch in eqn.params["branches"]]
+    programs = [_opened(expansion, branch) for branch in eqn.params["branches"]]
+    branches = [expanded(expansion, program, args) for program in programs]
 
     def chosen(*cases: Any) -> Series:
         cases = tuple(array_of(expansion, v) for v in cases)

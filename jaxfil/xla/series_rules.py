@@ -5,12 +5,14 @@ it would change within the step, the error estimate shows it.
 """
 
 import functools as ft
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from jaxfil.xla.program import programs
 from jaxfil.xla.series import (
     Expansion,
     Series,
@@ -179,7 +181,8 @@ FROZEN = frozenset(["ceil", "floor", "round", "sign"])
 def jumps(eqn: Any) -> bool:
     """Whether the result of an operation may jump, or have a kink, as its operands move."""
     name = eqn.primitive.name
-    return name in FROZEN or name in _CHOSEN or not is_real(eqn.outvars[0].aval)
+    own = name in FROZEN or name in _CHOSEN or not all(is_real(v.aval) for v in eqn.outvars)
+    return own or any(map(jumps, itertools.chain(*(v.eqns for v in programs(eqn.params)))))
 
 
 def is_real(aval: Any) -> bool:

@@ -26,6 +26,10 @@ def chosen(t, x):
     return jnp.where(x > 0.3, x * x, -x) + branch + jnp.sign(x) * x + jax.nn.relu(x)
 
 
+def placed(t, x):
+    return jnp.stack([x, t]).at[0].multiply(x).sum()
+
+
 FUNCTIONS = {
     "products": lambda t, x: (2 * x) * x * (3 * x) - t * x + x * (1 + x * x),
     "quotients": lambda t, x: x / (1 + x * x) + t / (2 + x) + 3 / (1 + t) + x / 3,
@@ -51,6 +55,9 @@ FUNCTIONS = {
     "stacked": lambda t, x: jnp.sum(jnp.stack([x * NUMBERS, t * NUMBERS]) ** 2),
     "padded": lambda t, x: jnp.sum(jnp.pad(x * NUMBERS, (1, 2), constant_values=t) ** 2),
     "tiled": lambda t, x: jnp.sum(jnp.tile(x * NUMBERS, 2) ** 2),
+    "places within": lambda t, x: jax.lax.cond(
+        t >= 0, jax.checkpoint(placed), lambda t, x: t, t, x
+    ),
     "places": lambda t, x: jnp.stack([x, t]).at[0].add(t * x).prod(),
     "large arrays": lambda t, x: jnp.sum(jnp.sin(jnp.arange(40.0) * x) * jnp.linspace(0, 1, 40)),
     "products of vectors": lambda t, x: jnp.dot(jnp.full(40, x), jnp.arange(40.0) * t * x),
@@ -163,7 +170,8 @@ def test_powers_by_parameters_and_arrays_are_finite_at_zero(argument):
         own = np.polynomial.polynomial.polypow(argument, power)[:ORDER]
         own = np.pad(own, (0, ORDER - len(own)))
         summed += own * (power > 0)
-        assert_allclose(parametrised(argument, float(power)), own, rtol=0, atol=1e-15)
+        whole = np.pad(argument, (0, ORDER - len(argument)))
+        assert_allclose(parametrised(whole, float(power)), own, rtol=0, atol=1e-15)
     found = [0.0 if v is None else float(v) for v in series_of(powers, argument)]
     assert_allclose(found, summed, rtol=0, atol=1e-15)
 
@@ -173,9 +181,48 @@ def parametrised(argument, power):
     """The coefficients of a power whose exponent is traced."""
     expansion = Expansion({})
     program = jax.make_jaxpr(lambda x, c: x**c)(0.0, 0.0)
-    x = expansion.series(lambda k: argument[k] if k < len(argument) else None)
+    x = expansion.series(lambda k: argument[k])
     (y,) = expanded(expansion, program, [x, power])
     return jnp.stack([jnp.asarray(y[k]) for k in range(ORDER)])
+
+
+# Coefficients of which some are zero by their value, and not by structure.
+ZEROS = [[0.0, 0.3, -0.2, 0.1, 0, 0], [0.0, 0.0, 0.7, 0.2, 0, 0], [0.0] * 6, [0.0] * 5 + [0.4]]
+
+
+def products_with(a):
+    """The matrix of the products of series with the series a."""
+    return sum(v * np.eye(ORDER, k=-k) for k, v in enumerate(a))
+
+
+def test_powers_by_parameters_have_their_derivatives_at_zero():
+    whole = [(np.array(a), c) for a in ZEROS for c in (1.0, 2.0, 3.0, 4.0)]
+    arguments, powers = map(np.array, zip(*whole, strict=True))
+    both = jax.vmap(lambda a, c: (parametrised(a, c), jax.jacfwd(parametrised)(a, c)))
+    values, slopes = jax.jit(both)(arguments, powers)
+    for a, c, value, slope in zip(arguments, powers, values, slopes, strict=True):
+        below = np.linalg.matrix_power(products_with(a), int(c) - 1)
+        assert_allclose(value, below @ a, rtol=0, atol=1e-15)
+        assert_allclose(slope, c * below, rtol=0, atol=1e-15)
+
+
+def test_a_root_has_its_derivatives_where_coefficients_are_zero():
+    @jax.jit
+    @jax.vmap
+    @jax.jacfwd
+    def slopes(argument):
+        expansion = Expansion({})
+        x = expansion.series(lambda k: argument[k])
+        (y,) = expanded(expansion, jax.make_jaxpr(jnp.sqrt)(0.0), [x])
+        return jnp.stack([y[k] for k in range(ORDER)])
+
+    arguments = np.array(
+        [[4.0, 0, 0, 0, 0, 0], [1.0, 0, 0.6, 0, 0, 0.2], [1.0, 0.6, 0.09, 0, 0, 0]]
+    )
+    # Of y² = a follows 2 y dy = da. The last is the square of 1 + 0.3 s.
+    roots = [[2.0, 0, 0, 0, 0, 0], [1.0, 0, 0.3, 0, -0.045, 0.1], [1.0, 0.3, 0, 0, 0, 0]]
+    exact = [np.linalg.inv(2 * products_with(y)) for y in roots]
+    assert_allclose(slopes(arguments), exact, rtol=0, atol=1e-14)
 
 
 def test_a_root_and_a_power_that_is_not_whole_of_what_stays_zero_are_zero():

@@ -18,6 +18,7 @@ from jaxtyping import Array
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd
 from jaxfil.integrate.lane.step_length import Length
+from jaxfil.integrate.system.components import Polynomial
 from jaxfil.model.outcomes import RESULTS
 
 
@@ -42,6 +43,8 @@ class Step(eqx.Module):
     """Whether a pending switch was carried out."""
     made: Array
     """Whether that switch belonged to a contact and not to a clock alone."""
+    path: Polynomial | None
+    """The motion that the step is a part of, if it is a polynomial."""
 
     @property
     def advances(self) -> Array:

@@ -52,7 +52,9 @@ def try_free_step(problem: Problem, state: LoopState, length: Length) -> FreeSte
     forcing, path = system.forcing(start, h, tableau.times), None
     if isinstance(tableau, TaylorTableau):
         path = path_of(problem, state, length, field)
-        trial = system.hold(trial_of(tableau, path, jnp.ones_like(h), forcing))
+        trial = trial_of(tableau, path, jnp.ones_like(h), forcing)
+        x, error, forcing = system.hold((trial.x, trial.error, trial.forcing))
+        trial = Trial(x, error, forcing, path=path)
     else:
         trial = step(tableau, field, start, motion.x, motion.f, h, forcing)
     return end_of_free_step(problem, state, length, trial, path)

@@ -65,6 +65,7 @@ from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.system.components import (
     Components,
     Forcing,
+    Polynomial,
     all_finite,
     any_of,
     maximum,
@@ -133,7 +134,9 @@ def judge(
     end = evaluate_step_end(problem, state, length, x, trial.forcing[-1], free)
     judgement = judging.judged(problem, state, length, trial, end)
     action = judging.action_of(problem, state, judgement)
-    taken, action, verdicts = _heard(problem, state, length, end, action, judgement.landing)
+    taken, action, verdicts = _heard(
+        problem, state, length, end, action, trial.path, judgement.landing
+    )
     after = _carried_out(problem, state, judgement, taken, action)
     return _followed(problem, state, after, taken, verdicts)
 
@@ -147,7 +150,7 @@ def _go_on_smoothly(problem: Problem, state: LoopState, length: Length, trial: T
     infinite = ~all_finite(end.motion.x, end.motion.f)
     doubt = doubted(problem, state, length, trial, end, infinite)
     action = judging.smooth_action_of(problem, state, end, doubt)
-    taken, action, verdicts = _heard(problem, state, length, end, action)
+    taken, action, verdicts = _heard(problem, state, length, end, action, trial.path)
     if problem.tick is not None:
         pending = dataclasses.replace(pending, waits=pending.waits & ~taken.switched)
     counts = _counted(problem.grid, state, taken)
@@ -169,10 +172,11 @@ def _heard(
     length: Length,
     end: StepEnd,
     action: Array,
+    path: Polynomial | None,
     landing: Landing | None = None,
 ) -> tuple[Step, Array, list[Verdict | None]]:
     """The decision about a trial step, after the verdicts of the extensions."""
-    intended, verdicts = judging.step_of(state, length, end, action, landing), []
+    intended, verdicts = judging.step_of(state, length, end, action, landing, path), []
     before, on = action, is_running(problem.grid, state)
     for extension, own in extensions_of(problem, state):
         verdict = extension.at_end(problem, state, own, intended)
@@ -184,7 +188,7 @@ def _heard(
     # Without verdicts the action is the same object, and the step need not be decided twice.
     if action is before:
         return intended, action, verdicts
-    return judging.step_of(state, length, end, action, landing), action, verdicts
+    return judging.step_of(state, length, end, action, landing, path), action, verdicts
 
 
 def _carried_out(

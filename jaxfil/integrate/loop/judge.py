@@ -19,7 +19,7 @@ from jaxfil.integrate.lane.state import LoopState, StepEnd, is_running
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.loop.halving import Doubt, doubted
 from jaxfil.integrate.steppers.explicit import Trial
-from jaxfil.integrate.system.components import all_finite, any_of
+from jaxfil.integrate.system.components import Polynomial, all_finite, any_of
 from jaxfil.model.outcomes import RESULTS
 from jaxfil.xla.select import select
 
@@ -182,9 +182,14 @@ def _is_event(state: LoopState, end: StepEnd) -> Array:
 
 
 def step_of(
-    state: LoopState, length: Length, end: StepEnd, action: Array, landing: Landing | None
+    state: LoopState,
+    length: Length,
+    end: StepEnd,
+    action: Array,
+    landing: Landing | None,
+    path: Polynomial | None,
 ) -> Step:
-    """The step that results from an action."""
+    """The step that results from an action, on a path if it is known."""
     lands, accepted = (action == LAND) | (action == TOUCH), action == ACCEPT
     # A step to a saving time that is not a grid point is recorded and taken back, so that saving
     # does not change the steps.
@@ -204,6 +209,7 @@ def step_of(
         delta=0 * length.h if landing is None else landing.delta,
         switched=switched,
         made=switched & _is_event(state, end),
+        path=path,
     )
 
 

@@ -25,13 +25,13 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.contacts.cubic import NEVER, first_contact, stays_off, stays_within
-from jaxfil.integrate.contacts.guards import NOISE
+from jaxfil.integrate.contacts.cubic import NEVER, stays_off, stays_within
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Look, Problem
 from jaxfil.integrate.lane.recording import entered, mode_codes
 from jaxfil.integrate.lane.state import CrossingTable, LoopState, Motion, is_running, later
 from jaxfil.integrate.lane.step_length import typical_step
+from jaxfil.integrate.loop.section_cubic import first_of_one, is_unresolved, nothing, resolved
 from jaxfil.integrate.loop.section_state import (
     SectionState,
     Seen,
@@ -42,6 +42,7 @@ from jaxfil.integrate.loop.section_state import (
 from jaxfil.integrate.surfaces.sections import Sight, WatchedSections, beyond_newton, see
 from jaxfil.integrate.system.components import (
     Components,
+    Polynomial,
     all_finite,
     any_of,
     first_set,
@@ -80,7 +81,7 @@ class SectionSearch(Extension):
         last = step.gridded & (state.counts.index + 1 >= problem.grid.num_steps)
         ahead = select(last, typical_step(problem, state), 0.0)
         would = step.length.h + delta, delta, passes, ahead * problem.grid.direction
-        seen = _look(self.watched, problem, state, own.watch, step.end.motion, would)
+        seen = _look(self.watched, problem, state, own.watch, step.end.motion, would, step.path)
         seen = dataclasses.replace(seen, seeks=seen.seeks & is_running(problem.grid, state))
         # A trial step that is rejected or refused is not a part of the motion.
         judged = own.watch.seeking | step.moved | step.lands
@@ -111,7 +112,7 @@ def _begin(
     dt = typical_step(problem, state)
     sight = see(watched, problem.system, at, (motion.mode, motion.f), motion.scale, dt)
     watch = _moved_on(watched, problem, watch, sight, false)
-    result, (_, noises) = state.result, _resolved(problem, sight)
+    result, (_, noises) = state.result, resolved(problem, sight)
     for bound, value, noise in zip(watched.bounds, sight.value.parts, noises.parts, strict=True):
         outside = bound & (value < -noise) & (result == RESULTS.successful)
         result = RESULTS.where(outside, RESULTS.out_of_bounds, result)
@@ -126,10 +127,11 @@ def _look(
     watch: Watch,
     end: Motion,
     would: tuple[Array, Array, Array, Array],
+    path: Polynomial | None,
 ) -> Seen:
-    """The sections at the end of a trial step. `would` has the length of the step including the
-    correction of its landing, this correction, whether the loop would accept the step, and the time
-    by which the motion is followed further (`_find`)."""
+    """The sections at the end of a trial step, on a path if it is known. `would` has the length of
+    the step including the correction of its landing, this correction, whether the loop would accept
+    the step, and the time by which the motion is followed further (`_find`)."""
     h, correction, passes, ahead = would
     at = problem.grid.t0 + end.tau, end.x
     dt = typical_step(problem, state)
@@ -144,6 +146,9 @@ def _look(
     # The next watch is one of four: a search that starts, one that comes closer, one that has
     # located its crossing, or one that has examined a minimum.
     found, begun = _begun(watched, problem, watch, sight, (here, ahead))
+    if path is not None:
+        doubt = is_unresolved(watched, problem, (state.motion, end), (watch, sight), here, path)
+        found, begun = found | doubt, select_all(doubt, _halved(begun, watch.start), begun)
     # A search for a known crossing is completed first; the look at a minimum may make one known.
     begins = found & (looks | (passes & ~watch.seeking))
     closer, delta, done = _approach(problem, state, watch, sight, end.tau)
@@ -191,22 +196,22 @@ def _begun(
     return found, begun
 
 
+def _halved(begun: Watch, start: Array) -> Watch:
+    """The watch of a lane that looks at half of a part whose cubic cannot be trusted."""
+    half, aimless = 0.5 * (start + begun.high), where(begun.aim, False, begun.aim)
+    return dataclasses.replace(begun, length=half, aim=aimless)
+
+
 def _gone_on(problem: Problem, watch: Watch, sight: Sight) -> Watch:
     """The watch of a lane that has examined a minimum of |S|, continued from there."""
     return dataclasses.replace(
         watch,
         value=sight.value,
         rate=sight.rate,
-        away=_resolved(problem, sight)[0],
+        away=resolved(problem, sight)[0],
         start=watch.length,
         seeking=jnp.zeros_like(watch.seeking),
     )
-
-
-def _resolved(problem: Problem, sight: Sight) -> tuple[Components, Components]:
-    """Whether |S| exceeds its rounding error, and that error."""
-    noises = NOISE * problem.system.eps * sight.terms
-    return abs(stop_gradient(sight.value)) > noises, noises
 
 
 def _wanted(watched: WatchedSections, problem: Problem, side: Components) -> Components:
@@ -236,7 +241,7 @@ def _find(
     length, at which length, and the section crossed there. `up_to` has the length, and at the end
     of the run a time by which the motion is followed further; 0 before."""
     h, ahead = stop_gradient(up_to[0]) - watch.start, up_to[1]
-    sides, (_, noises) = _sides(problem, watch, sight, h), _resolved(problem, sight)
+    sides, (_, noises) = _sides(problem, watch, sight, h), resolved(problem, sight)
     wanted = _wanted(watched, problem, sides)
     start = where(watch.away, sides * watch.value, 0.0)
     end = sides * stop_gradient(sight.value)
@@ -249,7 +254,7 @@ def _find(
     near, ends = near | over, (*ends[:2], where(over, -2 * noises, end), ends[3])
     thetas, lows = [], []
     for each in zip(*(v.parts for v in (near, *ends, watch.away, noises, wanted)), strict=True):
-        theta, low = problem.system.where_any(each[0], _first_of_one, _nothing, *each[1:])
+        theta, low = problem.system.where_any(each[0], first_of_one, nothing, *each[1:])
         thetas.append(theta)
         lows.append(low)
     thetas = where(near, where(watch.owed, 0.0, Components(thetas)), NEVER)
@@ -260,23 +265,6 @@ def _find(
     theta = jnp.minimum(first, lowest)
     aim = first_set(crossed & (thetas <= first))
     return theta < NEVER, watch.start + theta * h, aim
-
-
-def _first_of_one(
-    g0: Array, d0: Array, g1: Array, d1: Array, away: Array, noise: Array, wanted: Array
-) -> tuple[Array, Array]:
-    """θ of the first crossing of one section, with S multiplied by the side it comes from, and θ of
-    a minimum to examine."""
-    theta, low = first_contact(g0, d0, g1, d1, away, noise)
-    over = g1 < -noise
-    # If S is zero at the start and decreases, the crossing is at the start.
-    theta = select((g0 < -noise) | (~away & (d0 <= 0) & over), 0.0, theta)
-    passed = ~wanted & over  # in the unwanted direction, without a later one: need not be located
-    return select(passed, NEVER, theta), select(passed, NEVER, low)
-
-
-def _nothing(g0: Array, *_: Array) -> tuple[Array, Array]:
-    return jnp.full_like(g0, NEVER), jnp.full_like(g0, NEVER)
 
 
 def _approach(
@@ -291,7 +279,7 @@ def _approach(
         sides * sight.value,
         sides * sight.rate,
         sides * watch.rate,
-        _resolved(problem, sight)[1],
+        resolved(problem, sight)[1],
     )
     g, rate, rate0, noise = (total(where(watch.aim, v, 0.0)) for v in of_aim)
     owed = any_of(watch.aim & watch.owed)
@@ -327,7 +315,7 @@ def _crossed(
 ) -> tuple[Array, Watch]:
     """Whether a crossing counts, and the watch after it. `which` has whether the crossing has been
     located, and whether crossings at this time count."""
-    (done, counts), (away, _) = which, _resolved(problem, sight)
+    (done, counts), (away, _) = which, resolved(problem, sight)
     wanted = _wanted(watched, problem, watch.side)
     counted = watch.aim & wanted & done & counts
     recorded = any_of(counted)
@@ -354,7 +342,7 @@ def _moved_on(
 ) -> Watch:
     """The watch of a lane after a step, with these values of the sections; `jumped` marks steps
     with a reset or a change of mode."""
-    (away, _), value = _resolved(problem, sight), stop_gradient(sight.value)
+    (away, _), value = resolved(problem, sight), stop_gradient(sight.value)
     owed = jumped & away & (watch.side * value < 0) & _wanted(watched, problem, watch.side)
     side = where(away & ~owed, sign(value), watch.side)
     return dataclasses.replace(

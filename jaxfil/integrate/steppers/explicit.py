@@ -128,6 +128,8 @@ class Trial(eqx.Module):
     searched: Components | None = None
     """Surfaces whose guards are known to have no zero before the end, m flags; None if unknown for
     all."""
+    path: Polynomial | None = None
+    """The motion that the step is a part of, if it is a polynomial."""
 
 
 # The lowest order of a diffrax method whose error estimate is used. An estimate of lower order is
@@ -288,7 +290,7 @@ def step(
 
 def trial_of(tableau: TaylorTableau, known: Polynomial, s: Array, forcing: list[Forcing]) -> Trial:
     """The end of a step at a fraction s of a known polynomial."""
-    return Trial(known.at(s), error_at(tableau, known, s), forcing)
+    return Trial(known.at(s), error_at(tableau, known, s), forcing, path=known)
 
 
 def _column(v: Any, rows: Array) -> Any:

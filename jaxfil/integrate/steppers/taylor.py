@@ -41,14 +41,15 @@ class Taylor(eqx.Module):
     exponentials, trigonometric and hyperbolic functions and their inverses, selections. A selection
     is decided at the start of the step, and on a kink of `max`, `abs`, `where` and the like by the
     motion just after it; a kink inside the step shows in the error, which is estimated by the
-    defect of the field at the end of the step. A root, a power that is not whole or a quotient
-    (`jnp.sinc`) has no series where it is made of an exact zero that the motion leaves, as `|v|` at
-    rest; such a run ends as `nonfinite`. With `diffrax.RecursiveCheckpointAdjoint()` the gradient
-    is NaN where the field of the other side is NaN; `jax.grad` without `adjoint` has no such limit.
-    Contacts are located on the polynomial, without a second step. Sweeps of piecewise linear
-    systems take 0.4 to 0.8 of the time that they take with `diffrax.Dopri8()`, and fields with
-    several products of states up to 1.6 times as long. Steps in which a motion rests on a surface,
-    or slides on surfaces whose weights depend on each other, use `diffrax.Dopri8()`.
+    defect of the field at the end of the step. A root, a power that is not whole, a power by a
+    parameter above 4 or a quotient (`jnp.sinc`) has no series where it is made of an exact zero
+    that the motion leaves, as `|v|` at rest; such a run ends as `nonfinite`. With
+    `diffrax.RecursiveCheckpointAdjoint()` the gradient is NaN where the field of the other side is
+    NaN; `jax.grad` without `adjoint` has no such limit. Contacts are located on the polynomial,
+    without a second step. Sweeps of piecewise linear systems take 0.4 to 0.8 of the time that they
+    take with `diffrax.Dopri8()`, and fields with several products of states up to 1.6 times as
+    long. Steps in which a motion rests on a surface, or slides on surfaces whose weights depend on
+    each other, use `diffrax.Dopri8()`.
 
     **Errors**: a `ValueError` for an order out of range, and one that names an operation of the
     field without a power series, for example a `jax.lax.while_loop`.

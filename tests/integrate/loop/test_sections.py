@@ -418,3 +418,35 @@ def test_a_section_at_a_step_that_is_taken_back_decides_nothing():
     plain = jf.solve(Falling(), jnp.array([1e3]), 0.0, 3.0, 1.0, max_steps=4096)
     np.testing.assert_array_equal(sol.x_final, plain.x_final)
     np.testing.assert_allclose(sol.crossings.ts[0], 2.0, rtol=1e-4)
+
+
+class Harmonic(jf.System):
+    """x'' = −x."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0]])
+
+
+# With a tolerance, steps of about a period.
+LONG = {"stepper": jf.Taylor(24), "max_events": 64, "throw": False}
+MIDDLE, LEFT = jf.Section(lambda t, x: x[0]), jf.bound(lambda t, x: x[0] + 0.9)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.4, 1.2])
+@pytest.mark.parametrize("t1", [100.0, -100.0])
+def test_crossings_in_steps_as_long_as_a_period(phase, t1):
+    x0 = jnp.array([np.cos(phase), -np.sin(phase)])
+    sol = jf.solve(Harmonic(), x0, 0.0, t1, jf.Adaptive(), sections=MIDDLE, **LONG)
+    zeros = (np.arange(-40, 40) + 0.5) * np.pi - phase
+    exact = np.sort(zeros[(zeros * t1 > 0) & (abs(zeros) < 100)] * np.sign(t1))
+    assert sol.num_crossings == len(exact)
+    np.testing.assert_allclose(
+        sol.crossings.ts[: len(exact)] * np.sign(t1), exact, rtol=0, atol=1e-4
+    )
+
+
+def test_a_bound_is_left_in_a_step_as_long_as_a_period():
+    x0 = jnp.array([1.0, 0.0])
+    sol = jf.solve(Harmonic(), x0, 0.0, 100.0, jf.Adaptive(), sections=LEFT, **LONG)
+    assert outcome_names(sol.result) == "out_of_bounds"
+    np.testing.assert_allclose(sol.t_final, np.arccos(-0.9), rtol=0, atol=1e-6)

@@ -209,6 +209,45 @@ def test_a_start_on_a_kink_takes_the_part_ahead_however_it_is_written():
     assert_allclose(end(which, speeds), exact, rtol=0, atol=1e-13)
 
 
+class Bent(jf.System):
+    """Numbers whose fields have a kink at zero inside of a function with its own derivative, and at
+    one inside of an exponent, and a surface whose rate is the same on both sides."""
+
+    def vector_field(self, t, x, side):
+        relu = -jax.nn.relu(x[0]) - 1.0
+        drag = -(jnp.abs(x[1]) ** jnp.where(jnp.abs(x[1]) > 1.0, 2.0, 1.0))
+        outside = -2.0 * (1 + side) * (x[2] - jnp.sign(x[2]))
+        return jnp.stack([relu, drag, x[3], outside])
+
+    def switching(self, t, x):
+        return jnp.abs(x[2]) - 1.0
+
+
+def test_kinks_inside_of_functions_exponents_and_surfaces():
+    x0 = jnp.array([1.0, 3.0, 0.5, 1.0])
+    sol = jf.solve(Bent(), x0, 0.0, 0.6, 0.05, stepper=jf.Taylor())
+    # e^(−t) 2 − 1; 3/(1 + 3 t) until it is 1 at 2/3; half a unit to the surface, then a sine.
+    exact = [2 * np.exp(-0.6) - 1, 3 / 2.8, 1 + np.sin(0.2) / 2, np.cos(0.2)]
+    assert_allclose(sol.x_final, exact, rtol=0, atol=1e-9)
+
+
+class Steady(jf.System):
+    """A tank that is filled at a constant rate and runs out by a root, and a decay by a power."""
+
+    power: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([2.0 - jnp.sqrt(x[0]), -(x[1] ** self.power)])
+
+
+def test_the_flow_of_a_steady_state_has_its_derivative():
+    def end(x0):
+        return jf.solve(Steady(jnp.array(1.0)), x0, 0.0, 5.0, 0.25, stepper=jf.Taylor()).x_final
+
+    slopes = jax.jit(jax.jacfwd(end))(jnp.array([4.0, 0.0]))
+    assert_allclose(slopes, np.diag(np.exp([-1.25, -5.0])), rtol=0, atol=1e-11)
+
+
 class Looped(jf.System):
     """A field with a loop."""
 
