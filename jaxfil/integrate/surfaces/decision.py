@@ -167,12 +167,12 @@ def _continues(
         rates, accelerations, force = held
     slid = on if walls is None else on & ~walls
     following = question.following if accelerations is None else accelerations
-    stays = jnp.zeros((), bool)
+    stays = held_too = jnp.zeros((), bool)
     if following is not None:
-        # The weight of another rate that slides is known from that rate.
+        # A surface that the slide of another one holds has a weight from that one's rate.
         small = _NOISE * eps * rates.sizes()
-        alone = ~governs(sides, rates, sides, small, slid & (sides == 0))
-        alone = alone & slid & question.leaves
+        held_too = governs(sides, rates, sides, small, slid & (sides == 0))
+        alone = ~held_too & slid & question.leaves
         rates, replaced = in_place(rates, following, direction, question.instant, alone)
         if question.kept is not None and question.now is not None:
             stays = replaced & question.kept & (sides == question.now)
@@ -203,7 +203,6 @@ def _continues(
         still = (scale == 0) & (following.sizes() == 0)
         turned = where(still, sides == where(question.mode < 0, -1.0, 1.0), turned)
         leaves = where(flat & ~governed, turned & question.leaves, leaves)
-        held_too = governs(sides, rates, w, small, slid & (sides == 0) & governed)
         solved = solved | (flat & held_too)
     ok = ok & ~any_of(slid & ~where(sides == 0, solved, leaves))
     mode = sides

@@ -270,35 +270,28 @@ def _matrix(mode: Components, rates: Corners, w: Components) -> Array | list[lis
 
     If no side moves the state off a surface, as of x in x″ = f − g sgn x − h sgn x′ at rest (or at
     the point to which a twisting controller converges, a sliding mode of the second order), its row
-    is zero, and all solutions give the same field. Its weight is then twice that of the surface
-    which it moves the most, here x′, so that it ends first and the other holds to the end.
+    is zero, and all solutions give the same field. Its weight is then twice that of the surfaces
+    which it moves, here x′, so that it ends first and these hold to the end.
     """
     slopes, m = _slopes(mode, rates, w), w.size
     if isinstance(slopes, jax.Array):
         (slid,) = (mode == 0).parts
         one = jnp.eye(m, dtype=slopes.dtype)
-        moved = select(slid[:, None] & slid[None, :], abs(slopes), 0.0)
-        free = slid & (jnp.max(moved, axis=1) == 0)
-        most = jnp.argmax(moved, axis=0)
-        sign = jnp.sign(jnp.diag(slopes[most]) * jnp.diag(slopes)[most])
-        tie = one[most] - (0.5 * sign)[:, None] * one
-        tie = select((jnp.max(moved, axis=0) > 0)[:, None], tie, 0.0)
+        held = select(slid[None, :], slopes, 0.0)
+        free = jnp.max(abs(held), axis=1) == 0
+        # In row j, ∂(dH_i/dt)/∂w_j of the other surfaces, with the sign that each has of its own.
+        signed = jnp.sign(jnp.diag(slopes))[:, None] * slopes
+        tie = select(slid[:, None] & (one == 0), signed, 0.0).T
+        tie = tie - 0.5 * jnp.sum(abs(tie), axis=1)[:, None] * one
         return select(slid[:, None], select(free[:, None], tie, slopes), one)
     flags = [s == 0 for s in mode.parts]
+    own = [jnp.sign(slopes[i][i]) for i in range(m)]
     rows = []
     for j, (slid, row) in enumerate(zip(flags, slopes, strict=True)):
-        one = [float(i == j) for i in range(m)]
-        tie, most, free = [0.0] * m, jnp.zeros_like(row[0]), slid
-        for i, (other, size) in enumerate(zip(flags, row, strict=True)):
-            free = free & ~(other & (size != 0))
-            if i == j:
-                continue
-            by = select(slid & other, abs(slopes[i][j]), 0.0)
-            sign = jnp.sign(slopes[i][j] * slopes[i][i])
-            here = [-0.5 * sign if k == j else float(k == i) for k in range(m)]
-            tie = [select(by > most, a, b) for a, b in zip(here, tie, strict=True)]
-            most = jnp.maximum(by, most)
-        rows.append(
-            [select(slid, select(free, b, v), a) for v, b, a in zip(row, tie, one, strict=True)]
-        )
+        others = [i for i in range(m) if i != j]
+        tie = {i: select(flags[i], own[i] * slopes[i][j], 0.0) for i in others}
+        tie[j] = -0.5 * ft.reduce(operator.add, (abs(tie[i]) for i in others))
+        free = (row[j] == 0) & ~ft.reduce(operator.or_, (flags[i] & (row[i] != 0) for i in others))
+        each = enumerate(row)
+        rows.append([select(slid, select(free, tie[i], v), float(i == j)) for i, v in each])
     return rows
