@@ -107,7 +107,7 @@ def _crossed(
     curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint
 ) -> Iterator[Special[OrbitPoint]]:
     """The point at which multipliers cross the circle without a zero of a test function: several at
-    once, as those of a symmetric orbit, or a pair that is real at one of two neighbours."""
+    once, as of a symmetric orbit, or a pair that is real at one of two neighbours."""
     point = count_on_curve(curve, a, b, lambda p: abs(_multipliers(p)) - 1, _ON_CIRCLE)
     if point is None:
         return
