@@ -203,7 +203,7 @@ def _minima(steps: _Steps, flights: list[_Flight], j: int, kind: str) -> list[_C
             least, highest = _minima_of(steps, flight, j)
             found += least
             height = max(height, highest)
-    # The time of a sine with the guard's amplitude on the whole orbit, so that of the minima of all
+    # The time of a sine with the guard's amplitude on the whole orbit. Among the minima of all
     # flights the lowest one is first.
     return [
         one._replace(reach=float(np.sqrt(max(one.reach, 0) / height) * steps.period / np.pi))

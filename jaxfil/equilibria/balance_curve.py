@@ -174,11 +174,13 @@ class BalanceCurve(Curve[EquilibriumPoint]):
                 yield Special("fold", point, self.mode, self.mode)
         if _hopf(a) * _hopf(b) < 0:
             point = zero_on_curve(self, a, b, _hopf)
+            # Two real eigenvalues of opposite sign with the sum zero are not a Hopf point.
+            is_hopf = point is not None and _is_pair(point)
         else:  # two pairs at once, as of a symmetric system
             noise = _ON_AXIS * np.max(abs(_finite(a)), initial=0.0)
             point = count_on_curve(self, a, b, lambda p: np.real(_finite(p)), noise)
-        # Two real eigenvalues of opposite sign with the sum zero are not a Hopf point.
-        if point is not None and _is_pair(point):
+            is_hopf = point is not None and _is_on_axis(point)
+        if point is not None and is_hopf:
             yield Special("hopf", point, self.mode, self.mode)
 
     def last_between(
@@ -278,3 +280,10 @@ def _is_pair(point: EquilibriumPoint) -> bool:
     k = np.argmin(abs(values[i] + values[j]))
     one = complex(values[i[k]])
     return abs(one.imag) > abs(one.real)
+
+
+def _is_on_axis(point: EquilibriumPoint) -> bool:
+    """Whether the eigenvalue nearest to the imaginary axis is not real."""
+    values = _finite(point)
+    one = complex(values[np.argmin(abs(np.real(values)))])
+    return abs(one.imag) > _ON_AXIS**0.5 * np.max(abs(values))

@@ -69,7 +69,7 @@ class Galerkin(eqx.Module):
         return (self._slope(c) - self._norm(c) * (at_points.T @ (weights[:, None] * force))).ravel()
 
     def with_derivative(self, z: Array) -> tuple[Array, Array, Array]:
-        """The residual, its derivative by z, and whether all crossings have been found."""
+        """The residual, its derivative by z, and whether the grid resolves all crossings."""
         c, size, n = z.reshape(self.size, self.n), self.size, self.n
         phases, weights, sides, zeros = self._quadrature(c)
         at_points = self._basis(phases)

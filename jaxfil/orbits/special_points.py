@@ -107,11 +107,11 @@ def _crossed(
     curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint
 ) -> Iterator[Special[OrbitPoint]]:
     """The point at which multipliers cross the circle without a zero of a test function: several at
-    once, as those of a symmetric orbit, or a pair that is real at one of two neighbours."""
+    once, as of a symmetric orbit, or a pair that is real at one of two neighbours."""
     point = count_on_curve(curve, a, b, lambda p: abs(_multipliers(p)) - 1, _ON_CIRCLE)
     if point is None:
         return
-    # Not that of the flow of an autonomous system, which is 1.
+    # The multiplier along the flow of an autonomous system is 1, the largest real part.
     values = _multipliers(point)
     distances = abs(abs(values) - 1)
     critical = min(values[distances <= np.min(distances) + _ON_CIRCLE], key=np.real)
