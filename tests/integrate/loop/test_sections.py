@@ -428,7 +428,7 @@ class Harmonic(jf.System):
 
 
 # With a tolerance, steps of about a period.
-LONG = {"stepper": jf.Taylor(24), "max_events": 64, "throw": False}
+LONG = {"stepper": jf.Taylor(32), "max_events": 64, "throw": False}
 MIDDLE, LEFT = jf.Section(lambda t, x: x[0]), jf.bound(lambda t, x: x[0] + 0.9)
 
 
