@@ -177,7 +177,7 @@ class BalanceCurve(Curve[EquilibriumPoint]):
             # Two real eigenvalues of opposite sign with the sum zero are not a Hopf point.
             is_hopf = point is not None and _is_pair(point)
         else:  # two pairs at once, as of a symmetric system
-            noise = _ON_AXIS * np.max(abs(_finite(a)), initial=0.0)
+            noise = float(_ON_AXIS * np.max(abs(_finite(a)), initial=0.0))
             point = count_on_curve(self, a, b, lambda p: np.real(_finite(p)), noise)
             is_hopf = point is not None and _is_on_axis(point)
         if point is not None and is_hopf:

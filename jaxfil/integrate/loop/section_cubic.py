@@ -66,7 +66,9 @@ def _differs(
     inner = 4 * theta * (1 - theta)
     allowed = SUSPICIOUS * inner * inner * (abs(d0) + abs(d1))
     allowed = jnp.maximum(allowed, _CLEAR * abs(_least(g0, d0, g1, d1)))
-    return abs(value - Cubic(g0, d0, g1, d1)(theta)) > jnp.maximum(allowed, 4 * noise)
+    return abs(value - Cubic(g0, d0, g1, d1)(jnp.asarray(theta, g0.dtype))) > jnp.maximum(
+        allowed, 4 * noise
+    )
 
 
 def _least(*ends: Array) -> Array:
