@@ -55,9 +55,16 @@ def solve_on_box(
     z = select(free, z, low)
     # For a singular M the residual after a pivot may be rounding, so the solution is verified.
     value = q + matrix @ z
-    noise = COMPLEMENTARITY * jnp.finfo(q.dtype).eps * (abs(q) + abs(matrix) @ abs(z))
+    noise = residual_noise(q, matrix, z)
     wrong = ((value < -noise) & (z < high)) | ((value > noise) & (z > low))
     return z, found & ~jnp.any(wrong & free)
+
+
+def residual_noise(
+    q: Float[Array, " k"], matrix: Float[Array, "k k"], z: Float[Array, " k"]
+) -> Float[Array, " k"]:
+    """The rounding of F = q + M z at a solution."""
+    return COMPLEMENTARITY * jnp.finfo(q.dtype).eps * (abs(q) + abs(matrix) @ abs(z))
 
 
 def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, Array]:

@@ -13,9 +13,8 @@ from jaxtyping import Array
 from jaxfil.integrate.surfaces.question import Question, Velocity, are_apart, in_place
 from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.system.components import Components, pack, where
-from jaxfil.xla.complementarity import is_monotone, solve_on_box
+from jaxfil.xla.complementarity import is_monotone, residual_noise, solve_on_box
 from jaxfil.xla.select import select
-from jaxfil.xla.thresholds import COMPLEMENTARITY
 
 
 class _Inequality(eqx.Module):
@@ -44,18 +43,20 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     # computed from the mode.
     weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
     # Where dψ/dt vanishes in place of ψ, the slide of another surface holds both.
-    noise = COMPLEMENTARITY * jnp.finfo(z.dtype).eps * (abs(posed.q) + abs(posed.matrix) @ abs(z))
-    balanced = abs(posed.q + posed.matrix @ z) <= noise
+    residual = abs(posed.q + posed.matrix @ z)
+    balanced = residual <= residual_noise(posed.q, posed.matrix, z)
     both = posed.level & balanced
     holding = balanced & jnp.any((posed.matrix != 0) & both[None, :], axis=1)
     weight = select(both | holding, 0.0, weight)
     chosen = select(on, select(posed.slid, weight, select(z > 0, 2 * mode, mode)), mode)
-    monotone = is_monotone(posed.matrix, on)
-    # Backward in time a repelling slide may have started at any earlier time.
-    several = ~monotone & (question.direction < 0) & jnp.any(on & (chosen == 0))
-    # A slide that continues has been decided before.
-    searched = found & ~monotone & ~several & question.leaves
-    several = several | _has_another(question, posed, z, searched)
+    # Backward in time a repelling slide may have started at any earlier time. A slide that goes on
+    # forward has been decided before, and its matrix is not examined in each step.
+    back = (question.direction < 0) & jnp.any(on & (chosen == 0))
+    examined = found & (back | question.leaves)
+    monotone = jax.lax.cond(
+        examined, lambda: is_monotone(posed.matrix, on), lambda: jnp.ones((), bool)
+    )
+    several = ~monotone & (back | _has_another(question, posed, z, examined & ~monotone & ~back))
     count = select(found, select(several, 2, 1), 0).astype(jnp.int32)
     return _like(question.mode, chosen), count
 
