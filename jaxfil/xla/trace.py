@@ -32,6 +32,7 @@ from jaxfil.xla.program import (
 )
 from jaxfil.xla.series import Expansion
 from jaxfil.xla.series_program import expanded
+from jaxfil.xla.series_rules import jumps
 
 _FLOATS = (jnp.float32, jnp.float64)
 # Replacements of XLA's functions: arctan is wrong (jaxlib 0.10.2), sin and cos do not vectorise.
@@ -188,6 +189,17 @@ class Traced:
         """Whether all results are provably affine in the flagged arguments."""
         degrees = [np.full(v.shape, int(flag)) for v, flag in self._asked(args)]
         return all(np.all(d <= 1) for d in degrees_of(self._closed, degrees))
+
+    def is_kinked(self, *args: Any) -> bool:
+        """Whether the function may jump, or have a kink, as the flagged arguments move."""
+        found = [False]
+
+        def rule(jaxpr: Any, eqn: Any, inputs: Sequence[bool]) -> list[bool]:
+            found[0] |= any(inputs) and jumps(eqn)
+            return [any(inputs)] * len(eqn.outvars)
+
+        interpreted(self._closed, [flag for _, flag in self._asked(args)], lambda _: False, rule)
+        return found[0]
 
     def _asked(self, flags: tuple) -> Iterator[tuple[Any, Any]]:
         """The shape of each argument with its flag, which is not set for those closed over."""

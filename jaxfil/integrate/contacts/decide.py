@@ -16,7 +16,7 @@ from jaxfil.integrate.contacts.guards import NOISE, Surfaces, is_close
 from jaxfil.integrate.contacts.resets import Impact
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
-from jaxfil.integrate.lane.step_length import typical_step
+from jaxfil.integrate.lane.step_length import moment, typical_step
 from jaxfil.integrate.surfaces import (
     decision,
     filippov,
@@ -106,13 +106,13 @@ def decided(
     # Where a slide on an intersection ends, both the slide and the next mode would be admissible
     # within rounding.
     threshold = select(waits, 0.0, NOISE * system.eps)
-    instant = problem.same_time(state.motion.tau)
+    instant, soon = problem.same_time(state.motion.tau), moment(problem, state)
     if are_coupled(system):
         kept, walls = opened & ~state.pending.surfaces, None
         if led is not None:
             walls, kept = decide & led.still & opened, kept & ~led.pushed
         # `forces` have the second derivatives, with reactions.
-        second = None if forces is not None else _seconds(system, here, rates, decide, left, on)
+        second = None if forces is not None else _seconds(system, here, soon, rates, decide, left, on)
         question = Question(
             rates=rates,
             fields=fields,
@@ -137,7 +137,7 @@ def decided(
             flat = filippov.is_flat(rates[0], rates) | filippov.is_flat(rates[1], rates)
             # Where something has jumped, also a rate that vanishes up to the rounding of the time.
             wanted = decide & any_of(on & (flat | at.unsettled))
-            second = _seconds(system, here, rates, wanted, beside, on)
+            second = _seconds(system, here, soon, rates, wanted, beside, on)
         chosen, count = filippov.choose(None, rates, second, beside, on, grid.direction, instant)
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None:
@@ -217,19 +217,20 @@ def _asked(system: ComponentSystem, question: Question) -> tuple[Components, Arr
 def _seconds(
     system: ComponentSystem,
     here: tuple[Array, Components],
+    soon: Array,
     rates: Corners,
     wanted: Array,
     mode: Components,
     on: Components,
 ) -> Corners:
-    """d²H/dt² on all sides of the surfaces that the state is on, evaluated only in lanes where it
-    is wanted."""
-    system, here = stop_gradient((system, here))
+    """d²H/dt² on all sides of the surfaces that the state is on, beside kinks a moment later, `soon`;
+    evaluated only in lanes where it is wanted."""
+    system, here = stop_gradient((system, (*here, soon)))
 
-    def found(t: Array, x: Components) -> Corners:
-        return next_derivatives.second_derivatives(system, t, x, mode, on)
+    def found(t: Array, x: Components, soon: Array) -> Corners:
+        return next_derivatives.second_derivatives(system, t, x, mode, on, soon)
 
-    return system.where_any(wanted, found, lambda t, x: rates, *here)
+    return system.where_any(wanted, found, lambda t, x, soon: rates, *here)
 
 
 def _rates_at_graze(

@@ -58,6 +58,13 @@ def typical_step(problem: Problem, state: LoopState | None = None) -> Array:
     return _AT_START * dt if state is None else jnp.minimum(state.trust.longest, dt)
 
 
+def moment(problem: Problem, state: LoopState | None = None) -> Array:
+    """A signed time that is short beside a step, after which a motion is off a kink by far more
+    than rounding."""
+    step = typical_step(problem, state)
+    return problem.grid.direction * float(problem.system.eps) ** 0.5 * step
+
+
 def choose_length(problem: Problem, state: LoopState) -> Length:
     """The length up to the next grid point, saving time or tick, to the contact expected before it,
     or to the trusted length."""

@@ -29,7 +29,7 @@ from jaxfil.integrate.lane.state import (
     Trust,
     tables_of,
 )
-from jaxfil.integrate.lane.step_length import typical_step
+from jaxfil.integrate.lane.step_length import moment, typical_step
 from jaxfil.integrate.loop.controller import first_length
 from jaxfil.integrate.loop.halving import WATCHED
 from jaxfil.integrate.surfaces import (
@@ -73,6 +73,7 @@ def _rates_on_sides(
     system: ComponentSystem,
     t: Array,
     x: Components,
+    soon: Array,
     direction: Array,
     sides: Components,
     on: Components,
@@ -81,8 +82,8 @@ def _rates_on_sides(
     zero."""
     if system.m > _FEW and are_coupled(system):
         # For so many combinations of sides third derivatives are not computed.
-        return *filippov.corners(system, t, x), second_derivatives(system, t, x, sides, on)
-    fields, rates, seconds, thirds = on_every_side(system, t, x, sides, on)
+        return *filippov.corners(system, t, x), second_derivatives(system, t, x, sides, on, soon)
+    fields, rates, seconds, thirds = on_every_side(system, t, x, sides, on, soon)
     following = seconds.map(lambda second, third: next_of(second, third, direction), thirds)
     return fields, rates, following
 
@@ -112,7 +113,7 @@ def _first_mode(
     # A motion that stands still on a surface counts as being on its side +.
     sides = where(on, 1.0, side_of(h))
     # The choice of the mode has no derivative.
-    here = stop_gradient((system, grid.t0, x, grid.direction))
+    here = stop_gradient((system, grid.t0, x, moment(problem), grid.direction))
     if system.resets and are_coupled(system):
         return _first_mode_together(known, stop_gradient(x), on, sides)
     (fields, rates, following), direction = _rates_on_sides(*here, sides, on), grid.direction
@@ -145,7 +146,7 @@ def _first_mode_together(
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
     fields, rates = filippov.corners(system, t, x)
     above = sides.like(jnp.ones_like(t))
-    _, first, second, third = three_derivatives(system, t, x, above)
+    _, first, second, third = three_derivatives(system, t, x, moment(problem), above)
     following = next_of(second, third, direction)
     resolved = _resolved(system, direction, first, following, abs(first))
     start = begin(problem, x, on, sides, resolved)

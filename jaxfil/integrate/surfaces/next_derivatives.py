@@ -2,6 +2,10 @@
 
 After a time s a motion on a surface has H = s ψ + s² a/2 + s³ b/6 + …, with ψ = dH/dt, a = dψ/dt
 and b = da/dt along the field of its side. The first of them that is not zero decides.
+
+H or the field may have a kink, as x + v|v|/2 has at v = 0, the switching curve of a time-optimal
+controller. On it, or off it by rounding, a is not that of the motion. In such systems a and b are
+taken a moment later along the field, on the side of the kink that the motion goes to.
 """
 
 import functools as ft
@@ -25,13 +29,19 @@ from jaxfil.integrate.system.lowered import ComponentSystem
 
 
 def second_derivatives(
-    system: ComponentSystem, t: Array, x: Components, mode: Components, on: Components
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    mode: Components,
+    on: Components,
+    moment: Array,
 ) -> Corners:
     """a along the field on the combinations of sides that determine it, of the surfaces that the
-    state is `on`, with the sides of the others in `mode`."""
+    state is `on`, with the sides of the others in `mode`; beside kinks a `moment` later."""
 
     def second(sides: Components) -> Components:
-        return accelerations(system, t, x, sides, system.field(t, x, sides))
+        here = _beside_kinks(system, t, x, system.field(t, x, sides), moment)
+        return accelerations(system, *here, sides, system.field(*here, sides))
 
     return _on_sides(second, system, mode, on)
 
@@ -49,10 +59,17 @@ def _on_sides(
     )
 
 
+def _beside_kinks(
+    system: ComponentSystem, t: Array, x: Components, f: Components, moment: Array
+) -> tuple[Array, Components]:
+    """Time and state, a `moment` later along the field f in systems with kinks."""
+    return (t + moment, x + moment * f) if system.structure.kinked else (t, x)
+
+
 def three_derivatives(
-    system: ComponentSystem, t: Array, x: Components, sides: Components
+    system: ComponentSystem, t: Array, x: Components, moment: Array, sides: Components
 ) -> tuple[Components, Components, Components, Components]:
-    """The field of some sides, and ψ, a and b along it."""
+    """The field of some sides, and ψ, a and b along it; beside kinks a and b a `moment` later."""
 
     def along(t: Array, x: Components) -> tuple[Array, Components]:
         return jnp.ones_like(t), system.field(t, x, sides)
@@ -63,17 +80,24 @@ def three_derivatives(
     def two(t: Array, x: Components) -> tuple[Components, Components]:
         return jax.jvp(first, (t, x), along(t, x))
 
-    (rate, second), (_, third) = jax.jvp(two, (t, x), along(t, x))
-    return along(t, x)[1], rate, second, third
+    f = system.field(t, x, sides)
+    here = _beside_kinks(system, t, x, f, moment)
+    (_, second), (_, third) = jax.jvp(two, here, along(*here))
+    return f, system.rate(t, x, f), second, third
 
 
 def on_every_side(
-    system: ComponentSystem, t: Array, x: Components, mode: Components, on: Components
+    system: ComponentSystem,
+    t: Array,
+    x: Components,
+    mode: Components,
+    on: Components,
+    moment: Array,
 ) -> tuple[Corners, ...]:
     """`three_derivatives` on every combination of sides, since the higher ones are not affine in
     the sides even if the field is; for separate surfaces as in `second_derivatives`."""
     # One program for all combinations, since it contains third derivatives of the field.
-    found = ft.partial(three_derivatives, system, t, x)
+    found = ft.partial(three_derivatives, system, t, x, moment)
     if system.structure.separate:
         return _on_sides(found, system, mode, on)
     sides = every_side(system.m)

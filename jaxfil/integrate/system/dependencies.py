@@ -27,6 +27,8 @@ class Structure:
     on more than one side, and no dH_j/dt on a side other than its own."""
     affine: bool
     """Whether the field is affine in its sides, for m > 1."""
+    kinked: bool
+    """Whether H or the field on constant sides may have a kink where time and state move."""
     members: tuple[tuple[int, ...], ...] | None
     """The numbers of the state that each of several surfaces depends on; None if two surfaces share
     one."""
@@ -51,9 +53,12 @@ def of(
     none = jax.tree.map(lambda _: False, asked)
     seen = [_flat(field.depends(*nothing, still, side, *none)) for side in of_side]
     switched = tuple(tuple(j for j in range(m) if seen[j][i]) for i in range(n))
+    moving = nothing[0], True, jax.tree.map(lambda _: True, of_number[0])
+    steady = jax.tree.map(lambda _: False, of_side[0]) if of_side else Components(())
+    kinked = field.is_kinked(*moving, steady, *none) or switching.is_kinked(*moving)
     if m < 2:
         # The two sides of a single surface determine all blends, affine or not.
-        return Structure(switched, separate=m == 1, affine=False, members=None)
+        return Structure(switched, separate=m == 1, affine=False, kinked=kinked, members=None)
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
     # Reactions of different sides multiply different vectors, so a field with reactions counts as
     # affine in at most one side.
@@ -65,6 +70,7 @@ def of(
         # A reaction acts on the rates of other surfaces too.
         separate=not reacting and _are_separate(switched, steers),
         affine=affine,
+        kinked=kinked,
         members=_members(np.array(steers)),
     )
 
