@@ -111,8 +111,12 @@ def decided(
         kept, walls = opened & ~state.pending.surfaces, None
         if led is not None:
             walls, kept = decide & led.still & opened, kept & ~led.pushed
-        # `forces` have the second derivatives, with reactions.
-        second = None if forces is not None else _seconds(system, here, soon, rates, decide, left, on)
+        second = None
+        if forces is None or system.slides:
+            second = _seconds(system, here, soon, rates, decide, left, on)
+        if forces is not None and second is not None:
+            assert walls is not None
+            forces, second = forces.with_slides(second, walls | unilateral.rests_of(left)), None
         question = Question(
             rates=rates,
             fields=fields,
@@ -223,7 +227,7 @@ def _seconds(
     mode: Components,
     on: Components,
 ) -> Corners:
-    """d²H/dt² on all sides of the surfaces that the state is on, beside kinks a moment later, `soon`;
+    """d²H/dt² on all sides of the surfaces that the state is on, beside kinks a time `soon` later;
     evaluated only in lanes where it is wanted."""
     system, here = stop_gradient((system, (*here, soon)))
 

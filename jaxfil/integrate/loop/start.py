@@ -153,11 +153,14 @@ def _first_mode_together(
     _, _, normals = system.gradients(t, x)
     c, by_time = start.constraints, start.by_time
     forces = reactions.forces_of(system, t, x, above, c, by_time, normals, fields)
+    decided = (on & ~start.known) | start.still
+    if system.slides:
+        seconds = second_derivatives(system, t, x, start.sides, on, moment(problem))
+        forces = forces.with_slides(seconds, ~decided | start.still)
     # If the pressing acceleration vanishes, the sign of the first nonzero derivative decides.
     flat = forces.accelerations.sizes() == 0
     leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))
     forces = dataclasses.replace(forces, accelerations=leaning)
-    decided = (on & ~start.known) | start.still
     instant = problem.same_time(jnp.zeros((), system.dtype))
     question = dataclasses.replace(
         question_of(rates, fields, None, start.sides, decided, direction, instant),

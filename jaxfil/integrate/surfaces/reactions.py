@@ -5,6 +5,7 @@ Reactions are therefore computed on each combination of sides separately. Rates 
 these reactions are blended as those without (see `unilateral`).
 """
 
+import dataclasses
 import functools as ft
 from collections.abc import Callable
 
@@ -57,6 +58,12 @@ class Forces(eqx.Module):
             function = jax.vmap(function)
         rows = map(function, self.of_corners, *(c.rows for c in corners))
         return Corners(rows, first.is_table, first.flipped)
+
+    def with_slides(self, a: Corners, walls: Components) -> "Forces":
+        """The same with the second derivatives a of other surfaces than `walls`. While ψ of a wall
+        is the same function on all sides, that of a friction is not."""
+        made = self.accelerations.map(lambda own, a: where(walls, own, a), a)
+        return dataclasses.replace(self, accelerations=made)
 
     def pushed(self, fields: Corners, force: Corners) -> Corners:
         """Fields with the reactions λ."""

@@ -265,3 +265,76 @@ def test_a_field_that_is_no_number_elsewhere_decides_nothing():
     sol = jf.solve(Flow(), jnp.array([1.03, 1.0]), 0.0, 2.0, 0.1, throw=False)
     assert outcome_names(sol.result) == "successful"
     np.testing.assert_allclose(sol.x_final, [-2 * (2 - 1.03), 1.0], atol=1e-12)
+
+
+class TimeOptimal(jf.System):
+    """x'' = −sgn H to rest at zero in the shortest time, with H = x + x'|x'|/2, which has a kink at
+    the surface x' = 0."""
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -side[0]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] + x[1] * jnp.abs(x[1]) / 2, x[1]])
+
+
+class Walled(TimeOptimal):
+    """The same beside a wall far away."""
+
+    def switching(self, t, x):
+        return jnp.append(super().switching(t, x), 50 - x[0])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 2, x.at[1].multiply(-0.5), x)
+
+
+@pytest.mark.parametrize("system", [TimeOptimal(), Walled()])
+def test_a_time_optimal_motion_ends_at_rest_where_its_switching_curve_has_a_kink(system):
+    # At the kink H'' is not the derivative of either motion: rounding of x' takes a side.
+    starts = jnp.array([[1.0, 0.5], [2.0, -0.3], [-1.0, -0.5], [0.7, 0.0], [-0.3, 0.2], [0, 0]])
+
+    def end(x0):
+        sol = jf.solve(system, x0, 0.0, 8.0, 0.1, max_events=4, throw=False)
+        last = jnp.where(sol.num_events > 0, sol.events.ts[sol.num_events - 1], 0.0)
+        return sol.x_final, sol.result, last
+
+    found, results, arrived = jax.jit(jax.vmap(end))(starts)
+    assert (outcome_names(results) == "successful").all()
+    x, v = np.asarray(starts).T
+    towards = np.where(x + v * abs(v) / 2 >= 0, 1.0, -1.0)
+    by_hand = towards * v + 2 * np.sqrt(v**2 / 2 + towards * x)
+    np.testing.assert_allclose(arrived, by_hand, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found, 0.0, rtol=0, atol=1e-15)
+
+
+class OnAFloor(jf.System):
+    """A block that rests on a floor, or falls to it, pushed along it by p t against t sgn x'."""
+
+    push: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], t * (self.push - side[0]), x[3], -jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return jnp.stack([x[1], x[2]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 1, x.at[3].multiply(-0.5), x)
+
+
+def test_a_friction_that_grows_from_zero_beside_a_floor_has_its_own_next_derivative():
+    # On both sides it was taken as on one, so that the block left to a side and came back.
+    def run(push, height):
+        x0 = jnp.stack([0.0 * push, 0.0 * push, height, 0.0 * push])
+        sol = jf.solve(OnAFloor(push), x0, 0.0, 3.0, 0.1, max_events=64, throw=False)
+        on_friction = jnp.sum(sol.events.surfaces[:64] == 0)
+        return sol.x_final, sol.result, on_friction
+
+    pushes, heights = jnp.array([0.5, -0.5, 1.5, -1.5]), jnp.array([0.0, 1.0])
+    found, results, contacts = jax.jit(jax.vmap(jax.vmap(run, (None, 0)), (0, None)))(
+        pushes, heights
+    )
+    assert (outcome_names(results) == "successful").all()
+    beyond = np.sign(pushes) * np.maximum(np.abs(pushes) - 1, 0) * 4.5
+    np.testing.assert_allclose(found[..., 0], np.repeat(beyond[:, None], 2, 1), atol=1e-13)
+    assert not np.any(contacts)
