@@ -229,12 +229,12 @@ def _seconds(
 ) -> Corners:
     """d²H/dt² on all sides of the surfaces that the state is on, beside kinks a time `soon` later;
     evaluated only in lanes where it is wanted."""
-    system, here = stop_gradient((system, (*here, soon)))
+    system, known = stop_gradient((system, (*here, soon)))
 
     def found(t: Array, x: Components, soon: Array) -> Corners:
         return next_derivatives.second_derivatives(system, t, x, mode, on, soon)
 
-    return system.where_any(wanted, found, lambda t, x, soon: rates, *here)
+    return system.where_any(wanted, found, lambda t, x, soon: rates, *known)
 
 
 def _rates_at_graze(
