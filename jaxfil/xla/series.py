@@ -82,6 +82,8 @@ class Expansion:
         """The order up to which coefficients of a motion decide its jumps (see `series_jumps`)."""
         self.jumps = False
         """Whether there are any, as comparisons of states."""
+        self.compared: dict[tuple[Series, Series], None] = {}
+        """The pairs of which a program takes the larger or the smaller, or selects by it."""
         self._same: dict[tuple, Any] = {}
 
     def series(self, make: Callable[[int], Any], degree: int | None = None) -> Series:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from jaxfil.xla.select import select
 from jaxfil.xla.series import AHEAD, Expansion, Series, first_of
@@ -33,16 +34,38 @@ def compared(expansion: Expansion, compare: Callable, a: Series, b: Series) -> S
     if a.degree == b.degree == 0:
         return expansion.series(lambda _: compare(first_of(a), first_of(b)), 0)
     highest = decided_by(expansion, a, b)
-
-    def coefficient(v: Series, k: int) -> Any:
-        return jnp.zeros_like(first_of(v)) if v[k] is None else v[k]
+    if expansion.ahead == AHEAD and compare not in (jnp.equal, jnp.not_equal):
+        expansion.compared[a, b] = None
 
     def from_order(k: int) -> Any:
-        own, other = coefficient(a, k), coefficient(b, k)
+        own, other = _filled(a, k), _filled(b, k)
         now = compare(own, other)
         return now if k == highest else select(own == other, from_order(k + 1), now)
 
     return expansion.series(lambda _: from_order(0), 0)
+
+
+def _filled(v: Series, k: int) -> Any:
+    """Coefficient k, with a zero for a structural one."""
+    return jnp.zeros_like(first_of(v)) if v[k] is None else v[k]
+
+
+def kinks_of(expansion: Expansion, orders: int) -> tuple[Array, ...] | None:
+    """The differences of all pairs that are compared, as series that are positive just after the
+    start of a step: their coefficients, one array for each order. None without any."""
+    pairs = list(expansion.compared)
+    if not pairs:
+        return None
+
+    def coefficient(k: int) -> Array:
+        return jnp.concatenate([jnp.ravel(_filled(a, k) - _filled(b, k)) for a, b in pairs])
+
+    rows = [coefficient(k) for k in range(orders)]
+    # As in `compared`, the first coefficient that is not zero decides.
+    side = jnp.zeros_like(rows[0])
+    for row in reversed(rows[: AHEAD + 1]):
+        side = select(row == 0, side, jnp.sign(row))
+    return tuple(side * row for row in rows)
 
 
 def just_after(ahead: int, a: Series) -> Any:

@@ -483,3 +483,31 @@ def test_extremes_at_a_section_are_those_between_its_crossings(steps):
         max_return=20.0,
     )
     np.testing.assert_allclose(found.averages["top"], exact, rtol=0, atol=1e-8)
+
+
+class Resonant(jf.System):
+    """x'' = −x − d x' + cos t, which settles to x = sin t/d."""
+
+    damping: jax.Array
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - self.damping * x[1] + jnp.cos(t)])
+
+
+@pytest.mark.parametrize("steps", [jf.Adaptive(1e-6, 1e-9), 2])
+def test_extremes_within_steps_as_long_as_a_period(steps):
+    # The cubic through both ends of such a step is 3 % off, or has no maximum.
+    average = {
+        "high": jf.Maximum(lambda t, x, side: x[0]),
+        "low": jf.Minimum(lambda t, x, side: x[0]),
+    }
+
+    def amplitude(damping):
+        kept = {"transient": 40, "samples": 3, "steps": steps, "stepper": jf.Taylor(32)}
+        found = jf.settled_average(Resonant(damping), average, jnp.zeros(2), **kept)
+        return jnp.stack([found.averages["high"], found.averages["low"]])
+
+    value, slope = amplitude(jnp.array(0.4)), jax.jacfwd(amplitude)(jnp.array(0.4))
+    np.testing.assert_allclose(value, [2.5, -2.5], rtol=1e-6)
+    np.testing.assert_allclose(slope, [-6.25, 6.25], rtol=1e-5)

@@ -104,10 +104,17 @@ class Extension(eqx.Module):
         return after, own
 
     def after_free_step(
-        self, problem: Problem, state: LoopState, after: LoopState, own: Any, clear: Array
+        self,
+        problem: Problem,
+        state: LoopState,
+        after: LoopState,
+        own: Any,
+        path: Polynomial | None,
+        clear: Array,
     ) -> Any:
-        """The next state of the extension after a step without contact from `state` to `after`, on
-        lanes where it is `clear`; the same state on others."""
+        """The next state of the extension after a step without contact from `state` to `after`,
+        along its `path` if it is a polynomial, on lanes where it is `clear`; the same state on
+        others."""
         return own
 
 

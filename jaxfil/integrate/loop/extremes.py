@@ -9,15 +9,16 @@ The functions are the rates of extra components behind the state (`run.observed`
 
 In the loop the cubic only determines in which step the largest value lies, so that other steps do
 not pay for a search. Its error, of order four, or of order one at a kink of g, does not enter the
-result. The lengths are constants in derivatives, like the lengths to contacts. At a maximum of a
-smooth piece the rate is zero, and the ends of the pieces move with their contacts, so the
-derivative is right in both cases. At a kink, where the rate jumps from ȧ > 0 to ḃ < 0, it is that
-of the value at which a and b cross, (ȧ db − ḃ da)/(ȧ − ḃ). Second derivatives have further terms,
-since the time of a maximum moves (`_beyond`).
+result. A step that is a polynomial may be as long as a whole period; it has several cubics. The
+lengths are constants in derivatives, like the lengths to contacts. At a maximum of a smooth piece
+the rate is zero, and the ends of the pieces move with their contacts, so the derivative is right in
+both cases. At a kink, where the rate jumps from ȧ > 0 to ḃ < 0, it is that of the value at which a
+and b cross, (ȧ db − ḃ da)/(ȧ − ḃ). Second derivatives have further terms, since the time of a
+maximum moves (`turning_point.beyond`).
 """
 
 import dataclasses
-from collections.abc import Callable
+import itertools
 from typing import ClassVar, TypeAlias
 
 import equinox as eqx
@@ -33,21 +34,20 @@ from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, Motion
 from jaxfil.integrate.loop.extensions import sections_in
+from jaxfil.integrate.loop.turning_point import Turn, beyond, turning_point
 from jaxfil.integrate.loop.window import Window
 from jaxfil.integrate.steppers.explicit import Tableau, compact_step
 from jaxfil.integrate.surfaces.filippov import ModeField
-from jaxfil.integrate.system.components import Components, pack, side_of
+from jaxfil.integrate.system.components import Components, Polynomial, pack, side_of
 from jaxfil.integrate.system.lowered import ComponentSystem
 from jaxfil.xla.second_derivative import add_second_derivative
 from jaxfil.xla.select import select, select_all
 
-# Largest number of steps to the length at which a rate changes its sign; halvings alone reach the
-# rounding of a length.
-_STEPS = 60
+# Orders of a polynomial for each of the cubics by which its step is examined: such steps are longer
+# in proportion.
+_ORDERS = 4
 
 
-_Turn: TypeAlias = tuple[Array, Array, Array]
-"""Two lengths around a maximum, and the part of the way between them (`_turning_point`)."""
 Seen: TypeAlias = tuple[tuple[Array, ...], tuple[Array, ...]]
 """The values of functions and their rates along a motion."""
 
@@ -84,6 +84,35 @@ class SoFar(eqx.Module):
     −inf if it opens at the end of a step."""
 
 
+class _Piece(eqx.Module):
+    """A part of a step."""
+
+    start: Place
+    """Its start, without a value."""
+    tau: Array
+    """The elapsed time at its start."""
+    h: Array
+    """Its length."""
+    seen: Seen
+    """Values and rates at its start."""
+    counts: Array
+    """Whether its values are those of the motion."""
+    whole: bool = eqx.field(static=True)
+    """Whether it is the whole step."""
+
+    def top(self, k: int, until: Seen, inside: Array, since: Array) -> Place:
+        """The place at which the cubic of function number k is largest, given what is seen at the
+        end; with the value −inf if that is not `inside` of the window."""
+        g0, d0, g1, d1 = stop_gradient(tuple(v[k] for v in (*self.seen, *until)))
+        # Rates by the fraction of the piece, which is the variable of the cubic.
+        cubic = Cubic(g0, self.h * d0, g1, self.h * d1)
+        theta = cubic.high
+        turns = inside & self.counts & (theta > 0) & (theta < 1)
+        turns = turns & (self.tau + theta * self.h >= since)
+        value = select(turns, cubic(theta), -jnp.inf)
+        return dataclasses.replace(self.start, value=value, length=theta * self.h, reach=self.h)
+
+
 class Extremes(Extension):
     """The largest values of k functions, which are the rates of the last components of a field."""
 
@@ -103,7 +132,7 @@ class Extremes(Extension):
         never = jnp.full_like(state.motion.tau, -jnp.inf)
         own = SoFar(values, rates, nowhere, tuple(v - jnp.inf for v in values), never)
         # The start is a place of its own, if the window is open.
-        return state, self._further(problem, state, state, own, own, jnp.zeros((), bool))
+        return state, self._further(problem, state, state, own, own, None, jnp.zeros((), bool))
 
     def after_step(
         self,
@@ -116,7 +145,8 @@ class Extremes(Extension):
     ) -> tuple[LoopState, SoFar]:
         now = self._now(own, self._seen(problem, after))
         # Across a switch values may jump, and a cubic through both ends would be meaningless.
-        found = self._further(problem, state, after, own, now, ~step.switched)
+        smooth, path = ~step.switched, step.path
+        found = self._further(problem, state, after, own, now, path, smooth)
         if (sections := sections_in(after)) is None:
             return after, found
         # A crossing is found by a step that ends on it and is taken back, which the run repeats if
@@ -124,7 +154,7 @@ class Extremes(Extension):
         crossed = sections.watch.total > self.window.count(state)
         there = dataclasses.replace(after, motion=step.end.motion)
         at = self._now(own, self._seen(problem, there))
-        inside = self._further(problem, state, there, own, at, ~step.switched)
+        inside = self._further(problem, state, there, own, at, path, smooth)
         opens = crossed & self.window.is_open(after) & ~self.window.is_open(state)
         return after, dataclasses.replace(
             found,
@@ -134,10 +164,16 @@ class Extremes(Extension):
         )
 
     def after_free_step(
-        self, problem: Problem, state: LoopState, after: LoopState, own: SoFar, clear: Array
+        self,
+        problem: Problem,
+        state: LoopState,
+        after: LoopState,
+        own: SoFar,
+        path: Polynomial | None,
+        clear: Array,
     ) -> SoFar:
         now = self._now(own, self._on_sides(problem, after.motion))
-        return select_all(clear, self._further(problem, state, after, own, now, clear), own)
+        return select_all(clear, self._further(problem, state, after, own, now, path, clear), own)
 
     def _now(self, own: SoFar, seen: Seen) -> SoFar:
         values, rates = seen
@@ -206,32 +242,54 @@ class Extremes(Extension):
         after: LoopState,
         own: SoFar,
         now: SoFar,
+        path: Polynomial | None,
         smooth: Array,
     ) -> SoFar:
-        """The maxima after a step, which is part of a `smooth` piece or ends with a jump."""
-        # Elapsed times restart only after `after_step`, so this is the length of the step.
-        h = stop_gradient(after.motion.tau - state.motion.tau)
-        start, end = self._here(problem, state.motion), self._here(problem, after.motion)
-        inside, here = smooth & self.window.is_open(state), self.window.is_open(after)
-        here = here & (after.motion.tau >= own.since)
-        places, ends = [], []
+        """The maxima after a step, along a `path` if it is a polynomial, which is part of a
+        `smooth` piece or ends with a jump."""
+        end, here = self._here(problem, after.motion), self.window.is_open(after)
+        here, inside = here & (after.motion.tau >= own.since), smooth & self.window.is_open(state)
+        pieces = self._pieces(problem, state, after, (own.values, own.rates), path)
+        seen, places, ends = (now.values, now.rates), [], []
         for k, place in enumerate(own.places):
-            g0, d0, g1, d1 = stop_gradient(
-                (own.values[k], own.rates[k], now.values[k], now.rates[k])
-            )
-            # Rates by the fraction of the step, which is the variable of the cubic.
-            cubic = Cubic(g0, h * d0, g1, h * d1)
-            theta = cubic.high
-            turns = inside & (theta > 0) & (theta < 1)
-            turns = turns & (state.motion.tau + theta * h >= own.since)
-            top = select(turns, cubic(theta), -jnp.inf)
             # The value at the end has its derivative. A value within the step gets one in `_found`.
             last = select(here, now.values[k], -jnp.inf)
-            between = dataclasses.replace(start, value=top, length=theta * h, reach=h)
-            found = select_all(top > last, between, dataclasses.replace(end, value=last))
+            found = dataclasses.replace(end, value=last)
+            for piece, following in itertools.zip_longest(pieces, pieces[1:]):
+                until = seen if following is None or piece.whole else following.seen
+                between = piece.top(k, until, inside, own.since)
+                found = select_all(between.value > found.value, between, found)
             places.append(select_all(found.value > place.value, found, place))
             ends.append(select(last > own.ends[k], last, own.ends[k]))
         return dataclasses.replace(now, places=tuple(places), ends=tuple(ends))
+
+    def _pieces(
+        self,
+        problem: Problem,
+        state: LoopState,
+        after: LoopState,
+        seen: Seen,
+        path: Polynomial | None,
+    ) -> list["_Piece"]:
+        """The parts of a step in each of which a cubic is near the functions."""
+        # Elapsed times restart only after `after_step`, so this is the length of the step.
+        h = stop_gradient(after.motion.tau - state.motion.tau)
+        tau, start = state.motion.tau, self._here(problem, state.motion)
+        if path is None:
+            return [_Piece(start, tau, h, seen, jnp.ones((), bool), True)]
+        # The step may be a part of its path. A path that is right only at its end has one piece.
+        share = h / select(path.h == 0, 1.0, path.h)
+        pieces, count = [_Piece(start, tau, h, seen, path.ends, True)], len(path.x) // _ORDERS
+        for j in range(count):
+            s = j / count
+            motion = dataclasses.replace(
+                state.motion, tau=tau + s * h, x=state.motion.x if j == 0 else path.at(s * share)
+            )
+            if j > 0:
+                seen = self._seen(problem, dataclasses.replace(state, motion=motion))
+            here = self._here(problem, motion)
+            pieces.append(_Piece(here, motion.tau, h / count, seen, ~path.ends, False))
+        return pieces
 
     def found(self, problem: Problem, own: SoFar) -> Array:
         """The extremes, shape (k,), at the end of one lane; NaN if it ended before the window."""
@@ -247,19 +305,19 @@ class Extremes(Extension):
         tableau, around = problem.tableau, dataclasses.replace(problem, system=self.field)
         here = dataclasses.replace(self, field=clocks.just_after(around, place.t).system)
 
-        def beyond(here: Extremes, place: Place, i: Array, turn: _Turn, dt: Array) -> Array:
-            return _beyond(lambda h: here._within(tableau, place, i, h), turn, place.reach, dt)
+        def more(here: Extremes, place: Place, i: Array, turn: Turn, dt: Array) -> Array:
+            return beyond(lambda h: here._within(tableau, place, i, h), turn, place.reach, dt)
 
         def at(h: Array) -> tuple[Array, Array]:
             return here._within(tableau, place, i, h)
 
-        before, after, part = turn = stop_gradient(_turning_point(at, place))
+        before, after, part = turn = stop_gradient(turning_point(at, place.length, place.reach))
         # Between the two lengths the rate is a straight line, or jumps.
         value = (1 - part) * at(before)[0] + part * at(after)[0]
         # A place at the end of a step has its exact value and its derivative, from `_further`.
         value = select(place.reach > 0, value, place.value)
         dt = abs(problem.grid.dt)
-        value = add_second_derivative(beyond, value, here, place, i, turn, dt)
+        value = add_second_derivative(more, value, here, place, i, turn, dt)
         # At a kink the cubic may have chosen a step without the largest value.
         value = select(end > value, end, value)
         return select(place.value > -jnp.inf, value, jnp.nan)
@@ -271,86 +329,3 @@ class Extremes(Extension):
         end = compact_step(tableau, field, t, x, field(t, x), h, forcing)
         values, rates = map(jnp.stack, self._of(field, t + h, end.x))
         return values[i], rates[i]
-
-
-def _beyond(
-    at: Callable[[Array], tuple[Array, Array]], turn: _Turn, reach: Array, dt: Array
-) -> Array:
-    """Terms of second order of a maximum, of which the value and the first derivatives are zero.
-
-    With the rate r and its slope r′ < 0 at a smooth maximum, the time of the maximum moves by
-    −r/r′, and the value rises by −r²/2r′. At a kink with D = a − b it moves by −D/Ḋ, and
-
-        a − (ȧ/Ḋ) D + (ä/Ḋ² − ȧ D̈/Ḋ³) D²/2
-
-    is the value at which a and b cross; the first derivative has a constant part p of D for ȧ/Ḋ.
-    """
-    before, after, part = turn
-    one = jnp.ones_like(before)
-    (a, a_t), (_, a_tt) = jax.jvp(at, (before,), (one,))
-    (b, b_t), (_, b_tt) = jax.jvp(at, (after,), (one,))
-    a_tt, b_tt = stop_gradient((a_tt, b_tt))
-    small = float(jnp.finfo(one.dtype).eps) ** 0.5
-    rate, slope = select_all(part < 0.5, (a_t, a_tt), (b_t, b_tt))
-    smooth = (slope < 0) & (abs(rate) <= -small * slope * dt)
-    rises = -0.5 * rate**2 / select(smooth, slope, -one)
-    apart, fall = a - b, a_t - b_t
-    # The two lengths are so near that a smooth rate falls by less.
-    kink = (after - before <= small * reach) & (fall > small * reach * (abs(a_tt) + abs(b_tt)))
-    moves = apart / select(kink, fall, one)
-    bend = (1 - part) * a_tt + part * b_tt
-    crosses = (part - a_t / select(kink, fall, one)) * apart + 0.5 * bend * moves**2
-    return select(kink, crosses, select(smooth, rises, 0.0))
-
-
-def _turning_point(at: Callable[[Array], tuple[Array, Array]], place: Place) -> _Turn:
-    """Two lengths between which the rate changes from positive to negative in the step of a place,
-    as close as rounding allows, and the part of the way from one to the other at which it does.
-    Both are the same without such a change."""
-
-    def rate(h: Array) -> Array:
-        return at(h)[1]
-
-    def on(known: tuple[Array, ...]) -> Array:
-        low, r_low, high, r_high, count = known
-        part = _part(r_low, r_high)
-        # The distance of the nearer length. At a jump both are near, with rates that are not small.
-        away = jnp.minimum(part, 1 - part) * (high - low)
-        small = 4 * jnp.finfo(high.dtype).eps * place.reach
-        return (count < _STEPS) & (r_low > 0) & (r_high < 0) & (away > small)
-
-    def closer(known: tuple[Array, ...]) -> tuple[Array, ...]:
-        low, r_low, high, r_high, count = known
-        secant = low + _part(r_low, r_high) * (high - low)
-        # A secant is near at once where the rate is straight. Every other step is a halving, which
-        # also approaches a jump.
-        h = select(count % 2 == 0, jnp.clip(secant, low, high), _middle(low, high))
-        r = rate(h)
-        rises = r > 0
-        return (
-            select(rises, h, low),
-            select(rises, r, r_low),
-            select(rises, high, h),
-            select(rises, r_high, r),
-            count + 1,
-        )
-
-    middle, zero = place.length, jnp.zeros_like(place.length)
-    r_middle, before = rate(middle), zero
-    rises = r_middle > 0
-    low, high = select(rises, middle, before), select(rises, place.reach, middle)
-    known = low, rate(low), high, rate(high), jnp.zeros((), jnp.int32)
-    low, r_low, high, r_high, _ = jax.lax.while_loop(on, closer, known)
-    turns = (r_low > 0) & (r_high <= 0)
-    low, high = select(turns, low, middle), select(turns, high, middle)
-    return low, high, select(turns, _part(r_low, r_high), 0.0)
-
-
-def _middle(low: Array, high: Array) -> Array:
-    return low + 0.5 * (high - low)
-
-
-def _part(r_low: Array, r_high: Array) -> Array:
-    """The part of the way between two rates at which a line through them vanishes."""
-    fall = r_low - r_high
-    return select(fall > 0, r_low / select(fall > 0, fall, 1), 0.0)

@@ -140,5 +140,7 @@ def accept_free_step(
     )
     after = problem.recording.recorder.keep(problem, state, after, x, clear)
     each = extensions_of(problem, state)
-    following = tuple(e.after_free_step(problem, state, after, own, clear) for e, own in each)
+    following = tuple(
+        e.after_free_step(problem, state, after, own, free.path, clear) for e, own in each
+    )
     return next_period(problem.grid, dataclasses.replace(after, extensions=following))

@@ -56,7 +56,7 @@ from jaxfil.integrate.lane.step_length import Length, choose_length
 from jaxfil.integrate.loop import judge as judging
 from jaxfil.integrate.loop.halving import doubted, next_trust
 from jaxfil.integrate.loop.judge import Judgement
-from jaxfil.integrate.loop.path import path_of, step_along
+from jaxfil.integrate.loop.path import may_be_cut, path_of, step_along
 from jaxfil.integrate.loop.start import initial_state
 from jaxfil.integrate.steppers.explicit import Trial, compact_step, step
 from jaxfil.integrate.steppers.taylor import TaylorTableau
@@ -86,7 +86,7 @@ def advance(problem: Problem, state: LoopState) -> LoopState:
     """One iteration. A lane that has ended is unchanged."""
     problem = problem_of_step(problem, state)
     length = choose_length(problem, state)
-    if isinstance(problem.tableau, TaylorTableau) and problem.system.m > 0:
+    if isinstance(problem.tableau, TaylorTableau) and may_be_cut(problem):
         return _advance_along(problem, state, length)
     t, times = problem.grid.t0 + state.motion.tau, problem.tableau.times
     forcing = problem.system.forcing(t, length.h, times)
@@ -97,9 +97,13 @@ def advance(problem: Problem, state: LoopState) -> LoopState:
 
 
 def _advance_along(problem: Problem, state: LoopState, length: Length) -> LoopState:
-    """An iteration whose trial step ends at the first zero of a guard on a polynomial."""
+    """An iteration whose trial step ends at the first zero of a guard on a polynomial, or at a
+    kink."""
     path = path_of(problem, state, length, ModeField(problem.system, state.motion.mode))
-    return judge(problem, *step_along(problem, state, length, path))
+    state, length, trial = step_along(problem, state, length, path)
+    if problem.system.m == 0:
+        return _go_on_smoothly(problem, state, length, trial)
+    return judge(problem, state, length, trial)
 
 
 def trial_step(problem: Problem, state: LoopState, length: Length, forcing: list[Forcing]) -> Trial:

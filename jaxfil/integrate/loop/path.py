@@ -5,12 +5,14 @@ relation of the step's end to a surface is decided in `contacts.locate`, as for 
 """
 
 import dataclasses
+import functools as ft
 
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.contacts.cubic import NEVER
+from jaxfil.integrate.contacts.guards import NOISE
 from jaxfil.integrate.contacts.locate import met_together
 from jaxfil.integrate.contacts.polynomial import first_zero, stays_positive
 from jaxfil.integrate.lane.problem import Problem
@@ -34,7 +36,19 @@ def path_of(problem: Problem, state: LoopState, length: Length, field: ModeField
     """The motion in a step, for a Taylor tableau."""
     assert isinstance(problem.tableau, TaylorTableau)
     t, x = problem.grid.t0 + state.motion.tau, state.motion.x
-    return field.polynomial(problem.tableau.order, t, x, length.h)
+    return field.polynomial(problem.tableau.order, t, x, length.h, _ends_at_kinks(problem))
+
+
+def may_be_cut(problem: Problem) -> bool:
+    """Whether steps may end on their polynomial."""
+    return problem.system.m > 0 or _ends_at_kinks(problem)
+
+
+def _ends_at_kinks(problem: Problem) -> bool:
+    """Whether steps end at kinks of the field, which a tolerance needs: the error at the end of a
+    step does not show a kink that has been passed twice. Steps without one are those of the
+    grid."""
+    return problem.tableau.tolerance is not None and problem.system.structure.kinked
 
 
 def guards_of(problem: Problem, state: LoopState, length: Length, path: Polynomial) -> tuple:
@@ -100,12 +114,20 @@ def _cut_at_contact(
         never = noise.like(jnp.full_like(length.h, NEVER))
         return never, never, 0.0 * never
 
-    thetas, looks, known = system.where_any(any_of(near), searched, nothing, noise, *guards)
-    # A guard whose zeros stay unknown does not cut the step. It is missing in the surfaces returned
-    # as searched, so that the search of every step examines it.
-    near = near & (known > 0)
-    thetas, looks = where(near, thetas, NEVER), where(near, looks, NEVER)
-    contact, lowest = system.hold((least(thetas), least(looks)))
+    if system.m == 0:
+        thetas, contact = noise, jnp.full_like(length.h, NEVER)
+        lowest = contact
+    else:
+        found = system.where_any(any_of(near), searched, nothing, noise, *guards)
+        thetas, looks, known = found
+        # A guard whose zeros stay unknown does not cut the step. It is missing in the surfaces
+        # returned as searched, so that the search of every step examines it.
+        near = near & (known > 0)
+        thetas, looks = where(near, thetas, NEVER), where(near, looks, NEVER)
+        contact, lowest = system.hold((least(thetas), least(looks)))
+    if path.kinks is not None:
+        beyond = _beyond_kink(problem, state, length, path.kinks)
+        lowest = jnp.minimum(lowest, select(waits | seeks | path.ends, NEVER, beyond))
     s = jnp.minimum(contact, lowest)
     # A cut shorter than the rounding of times is omitted; the search of every step handles it.
     h = s * length.h
@@ -130,6 +152,34 @@ def _cut_at_contact(
     )
     # These guards have no zero before the end, in the whole step or since it is cut at the first.
     return s, shorter, search, clear | near
+
+
+def _beyond_kink(
+    problem: Problem, state: LoopState, length: Length, kinks: tuple[Array, ...]
+) -> Array:
+    """The fraction of a path up to the first kink of the field in it, and beyond it by the rounding
+    of what is compared and of the time; `NEVER` without one.
+
+    The coefficients are those of one side of each kink. The next step starts on the other side.
+    """
+    system = problem.system
+    first, *others = stop_gradient(kinks)
+    noise = NOISE * system.eps * ft.reduce(jnp.add, map(abs, others), abs(first))
+    shifted = first + noise, *others
+    # Zeros that only rounding has, of what is compared with itself, are none.
+    near = (noise > 0) & ~stays_positive(shifted, 0.0 * noise)
+
+    def searched(*c: Array) -> Array:
+        # The second is the end of the part in which zeros are known.
+        found, known, _ = first_zero(system, 0.0 * noise, *c)
+        return jnp.min(select(near, jnp.minimum(found, known), NEVER))
+
+    def nowhere(*c: Array) -> Array:
+        return jnp.full_like(length.h, NEVER)
+
+    s = system.where_any(jnp.any(near), searched, nowhere, *shifted)
+    moves = select(length.h == 0, 1.0, abs(length.h))
+    return s + 2 * problem.same_time(state.motion.tau) / moves
 
 
 def _are_finite(*c: Array) -> Array:

@@ -25,6 +25,7 @@ from jaxfil.integrate.steppers.adaptive import Adaptive
 from jaxfil.integrate.system.components import Components, Polynomial
 from jaxfil.model.argument import is_whole, told
 from jaxfil.xla.series import AHEAD, Expansion, Series, kept
+from jaxfil.xla.series_jumps import kinks_of
 
 # Useful orders. Below, Runge–Kutta is cheaper; above, coefficients are dominated by rounding.
 _ORDERS = range(4, 41)
@@ -108,10 +109,12 @@ def solved(
     order: int,
     at: tuple[Array, Components, Array],
     like: Components,
+    kinks: bool = False,
 ) -> Polynomial:
     """The polynomial of a step of length h from (t, x), with `at` = (t, x, h). `functions` maps the
     series of time and state to the series of the field and of the guards, which have the components
-    of `like`. Each coefficient is computed `once` (see `ComponentSystem.once`)."""
+    of `like`. Each coefficient is computed `once` (see `ComponentSystem.once`). With the `kinks` of
+    the field if asked for."""
     t, x, h = at
     # `fields`, with the decisions up to each order, is filled below, since the series of states and
     # of fields refer to each other.
@@ -146,7 +149,9 @@ def solved(
         known = (*_coefficients(guards, order, like), 0.0 * like)
     else:
         known = _coefficients(guards, order + 1, like)
-    return Polynomial(h, _coefficients(states, order + 1, x), known, jnp.zeros((), bool))
+    compared = kinks_of(expansion, order + 1) if kinks else None
+    path = _coefficients(states, order + 1, x)
+    return Polynomial(h, path, known, jnp.zeros((), bool), compared)
 
 
 def _decide(

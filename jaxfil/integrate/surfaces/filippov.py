@@ -234,12 +234,14 @@ class ModeField(SmoothField):
         """The same as `ComponentSystem.once`."""
         return self.system.once(function, *args)
 
-    def polynomial(self, order: int, t: Array, x: Components, h: Array) -> Polynomial:
+    def polynomial(
+        self, order: int, t: Array, x: Components, h: Array, kinks: bool = False
+    ) -> Polynomial:
         """The power series of the motion in a step of the mode. For a rest, or a slide on surfaces
         whose weights depend on each other, it is right only at the end of the step, by Dopri8."""
         system, mode = self.system, self.mode
         slides, rests = self.blended and system.slides, self.held and system.resets
-        series = ft.partial(mode_series.polynomial, system, order, slides)
+        series = ft.partial(mode_series.polynomial, system, order, slides, kinks=kinks)
         unserved = slides and not mode_series.slides_have_series(system)
         if not rests and not unserved:
             return series(t, x, h, mode)
@@ -248,7 +250,7 @@ class ModeField(SmoothField):
             unknown = unknown | any_of(mode == 0)
             # A series for the sides of the mode. A slide has the side 0 in it, without a meaning,
             # and takes the step of the other method below.
-            series = ft.partial(mode_series.polynomial, system, order, False)
+            series = ft.partial(mode_series.polynomial, system, order, False, kinks=kinks)
 
         def other(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
             whole = ModeField(system, mode, self.blended, self.held)
@@ -263,7 +265,9 @@ class ModeField(SmoothField):
 
         # Without a slide or a rest in any lane this is not executed.
         def mixed(t: Array, x: Components, h: Array, mode: Components) -> Polynomial:
-            return select_all(unknown, other(t, x, h, mode), series(t, x, h, mode))
+            known, last = series(t, x, h, mode), other(t, x, h, mode)
+            last = eqx.tree_at(lambda v: v.kinks, last, known.kinks, is_leaf=lambda v: v is None)
+            return select_all(unknown, last, known)
 
         return system.where_any(unknown, mixed, series, t, x, h, mode)
 

@@ -53,9 +53,10 @@ def polynomial(
     x: Components,
     h: Array,
     mode: Components,
+    kinks: bool = False,
 ) -> Polynomial:
     """The polynomial of a step of length h from (t, x) in a mode, which slides only if
-    `blended`."""
+    `blended`; perhaps with the `kinks` of the field."""
     system = system.in_mode(mode)
     expansion = system.expansion()
     spelled = _is_spelled(system)
@@ -73,7 +74,7 @@ def polynomial(
 
     once = _plainly if system.compact else system.once
     start = Components(scalars(x.parts[0])) if spelled else x
-    made = solved(once, expansion, functions, order, (t, start, h), mode)
+    made = solved(once, expansion, functions, order, (t, start, h), mode, kinks)
     if not spelled:
         return made
     # The loop carries the state as one array, so each coefficient becomes one again.

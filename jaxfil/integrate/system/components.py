@@ -272,8 +272,11 @@ class SmoothField(eqx.Module):
         """The same as `ComponentSystem.once`."""
 
     @abc.abstractmethod
-    def polynomial(self, order: int, t: Array, x: Components, h: Array) -> "Polynomial":
-        """The motion in a step of length h, as a power series of the given order."""
+    def polynomial(
+        self, order: int, t: Array, x: Components, h: Array, kinks: bool = False
+    ) -> "Polynomial":
+        """The motion in a step of length h, as a power series of the given order, perhaps with the
+        `kinks` of the field."""
 
 
 class Polynomial(eqx.Module):
@@ -287,6 +290,9 @@ class Polynomial(eqx.Module):
     """The guards of the mode, m components, orders 0 to p."""
     ends: Array
     """Whether the series is right only at the end of the step, and its guards are unknown."""
+    kinks: tuple[Array, ...] | None = None
+    """What is compared in the field, positive just after the start, orders 0 to p; None without
+    any, or if not asked for."""
 
     def at(self, s: Array) -> Components:
         """The state at a fraction s of the step."""

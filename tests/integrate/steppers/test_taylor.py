@@ -147,6 +147,51 @@ def test_a_kink_that_no_surface_tells_of_is_halved():
     assert_allclose(sol.x_final, exact, rtol=0, atol=1e-6)
 
 
+class Stop(jf.System):
+    """A mass on a spring of stiffness 1, and a stop of stiffness 400 from x = `at` on, of which no
+    surface tells."""
+
+    at: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -x[0] - 400 * jnp.maximum(x[0] - self.at, 0.0)])
+
+
+def held_by_a_stop(at, t):
+    """The motion from (0, 1): sines off the stop and on it, in turns."""
+    if at >= 1:
+        return np.array([np.sin(t), np.cos(t)])
+    v, w, low = np.sqrt(1 - at**2), np.sqrt(401.0), at / 401
+    first = np.arcsin(at)
+    stay, free = 2 * np.arctan2(v / w, low) / w, np.pi + 2 * first
+    since = t - first if t < first else (t - first) % (stay + free)
+    if since < 0 or since >= stay:
+        angle = t if t < first else np.pi - first + since - stay
+        return np.array([np.sin(angle), np.cos(angle)])
+    size, phase = np.hypot(low, v / w), w * (since - stay / 2)
+    return np.array([at - low + size * np.cos(phase), -w * size * np.sin(phase)])
+
+
+def test_with_a_tolerance_a_step_ends_at_a_kink_that_it_would_pass_twice():
+    # A stop that the error at the end of a step does not show, one that is only touched, to
+    # rounding too, one that is not reached, and one that the motion starts on.
+    stops = jnp.array([0.98, 0.999999, 1 - 1e-14, 1.0, 1.0000001, 0.5, 0.0])
+
+    def end(at):
+        x0, tolerance = jnp.array([0.0, 1.0]), jf.Adaptive(1e-10, 1e-12)
+        sol = jf.solve(Stop(at), x0, 0.0, 32.0, tolerance, stepper=jf.Taylor())
+        return sol.x_final, sol.stats["num_steps"]
+
+    found, steps = jax.jit(jax.vmap(end))(stops)
+    exact = [held_by_a_stop(float(at), 32.0) for at in stops]
+    # Each of 10 turns passes through the stop with a speed that its error divides by.
+    assert_allclose(found, exact, rtol=0, atol=2e-8)
+    assert np.all(steps < 250)
+    slope = jax.jacfwd(lambda at: end(at)[0])(jnp.array(0.98))
+    across = held_by_a_stop(0.98 + 1e-6, 32.0) - held_by_a_stop(0.98 - 1e-6, 32.0)
+    assert_allclose(slope, across / 2e-6, rtol=1e-6)
+
+
 class Strips(jf.System):
     """A force of 0.2 up to x = 1, 0 up to x = 2 and −0.2 after it, and numbers that decay."""
 
