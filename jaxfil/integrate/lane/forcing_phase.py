@@ -100,7 +100,7 @@ class _Values:
         phases = (*_PHASES, *np.linspace(0.01, 0.99, _LATER))
         self.phases = jnp.asarray(phases, x.dtype)
         parts = np.linspace(0, 1, _LATER + 1)[1:]
-        # In an order that is not that of the phases.
+        # In another order than the phases.
         parts = jnp.asarray(np.append([0.0, 0.0], parts[np.arange(_LATER) * 7 % _LATER]), x.dtype)
         self.ahead = jnp.maximum(jnp.round(parts * (jnp.asarray(count, x.dtype) - 1)), 1)
 

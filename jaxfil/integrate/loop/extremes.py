@@ -96,7 +96,7 @@ class _Piece(eqx.Module):
     seen: Seen
     """Values and rates at its start."""
     counts: Array
-    """Whether its values are those of the motion."""
+    """Whether the motion goes through it."""
     whole: bool = eqx.field(static=True)
     """Whether it is the whole step."""
 

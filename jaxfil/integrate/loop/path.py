@@ -46,8 +46,8 @@ def may_be_cut(problem: Problem) -> bool:
 
 def _ends_at_kinks(problem: Problem) -> bool:
     """Whether steps end at kinks of the field, which a tolerance needs: the error at the end of a
-    step does not show a kink that has been passed twice. Steps without one are those of the
-    grid."""
+    step does not show a kink that has been passed twice. Without a tolerance the grid has the
+    steps."""
     return problem.tableau.tolerance is not None and problem.system.structure.kinked
 
 
@@ -160,13 +160,13 @@ def _beyond_kink(
     """The fraction of a path up to the first kink of the field in it, and beyond it by the rounding
     of what is compared and of the time; `NEVER` without one.
 
-    The coefficients are those of one side of each kink. The next step starts on the other side.
+    The coefficients belong to one side of each kink. The next step starts on the other side.
     """
     system = problem.system
     first, *others = stop_gradient(kinks)
     noise = NOISE * system.eps * ft.reduce(jnp.add, map(abs, others), abs(first))
     shifted = first + noise, *others
-    # Zeros that only rounding has, of what is compared with itself, are none.
+    # A value that is compared with itself has no kink.
     near = (noise > 0) & ~stays_positive(shifted, 0.0 * noise)
 
     def searched(*c: Array) -> Array:

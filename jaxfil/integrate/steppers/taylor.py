@@ -41,8 +41,9 @@ class Taylor(eqx.Module):
     operations of the field, which must have power series: sums, products, quotients, powers,
     exponentials, trigonometric and hyperbolic functions and their inverses, selections. A selection
     is decided at the start of the step, and on a kink of `max`, `abs`, `where` and the like by the
-    motion just after it; a kink inside the step shows in the error, which is estimated by the
-    defect of the field at the end of the step. A root, a power that is not whole, a power by a
+    motion just after it. With `Adaptive` a step ends at the first kink inside it, so that kinks do
+    not reduce the order; otherwise a kink shows in the error, which is estimated by the defect of
+    the field at the end of the step. A root, a power that is not whole, a power by a
     parameter above 4 or a quotient (`jnp.sinc`) has no series where it is made of an exact zero
     that the motion leaves, as `|v|` at rest; such a run ends as `nonfinite`. With
     `diffrax.RecursiveCheckpointAdjoint()` the gradient is NaN where the field of the other side is

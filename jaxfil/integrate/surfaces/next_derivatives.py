@@ -3,9 +3,10 @@
 After a time s a motion on a surface has H = s ψ + s² a/2 + s³ b/6 + …, with ψ = dH/dt, a = dψ/dt
 and b = da/dt along the field of its side. The first of them that is not zero decides.
 
-H or the field may have a kink, as x + v|v|/2 has at v = 0, the switching curve of a time-optimal
-controller. On it, or off it by rounding, a is not that of the motion. In such systems a and b are
-taken a moment later along the field, on the side of the kink that the motion goes to.
+H or the field may have a kink. An example is the switching curve x + v|v|/2 = 0 of a time-optimal
+controller, at v = 0. There, and within rounding of it, the motion has another a just after. In such
+systems a and b are taken a moment later along the field, on the side of the kink to which the
+motion goes.
 """
 
 import functools as ft

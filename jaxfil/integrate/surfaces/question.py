@@ -79,7 +79,7 @@ def question_of(
 def in_place(
     rates: Corners, following: Corners, direction: Array, instant: Array | float, free: Any = True
 ) -> tuple[Corners, Components]:
-    """The rates ψ, with dψ/dt in place of those of surfaces, among the `free` ones, whose rates
+    """The rates ψ, with dψ/dt in place of ψ for surfaces, among the `free` ones, whose rates
     vanish on every side; and flags of these. Just after, at the time s, these rates are s dψ/dt,
     with the sign that they have in the direction of time. A rate that vanishes at a time known up
     to rounding vanishes here."""

@@ -60,8 +60,8 @@ class Forces(eqx.Module):
         return Corners(rows, first.is_table, first.flipped)
 
     def with_slides(self, a: Corners, walls: Components) -> "Forces":
-        """The same with the second derivatives a of other surfaces than `walls`. While ψ of a wall
-        is the same function on all sides, that of a friction is not."""
+        """The same with the second derivatives a of other surfaces than `walls`. ψ of a wall is the
+        same function on all sides; ψ of a friction is not."""
         made = self.accelerations.map(lambda own, a: where(walls, own, a), a)
         return dataclasses.replace(self, accelerations=made)
 
