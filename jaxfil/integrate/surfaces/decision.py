@@ -31,7 +31,13 @@ from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.pivoting import by_pivoting
-from jaxfil.integrate.surfaces.question import Question, Velocity, are_apart, in_place
+from jaxfil.integrate.surfaces.question import (
+    Question,
+    Velocity,
+    are_apart,
+    in_place,
+    pushed_by_none,
+)
 from jaxfil.integrate.surfaces.reactions import Forces
 from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.surfaces.weights import governs, held_together, is_governed, weights
@@ -172,7 +178,7 @@ def _continues(
         # A surface that the slide of another one holds has a weight from that one's rate.
         small = _NOISE * eps * rates.sizes()
         held_too = governs(sides, rates, sides, small, slid & (sides == 0))
-        alone = ~held_too & slid & question.leaves
+        alone = ~held_too & slid & question.leaves & pushed_by_none(question)
         rates, replaced = in_place(rates, following, direction, question.instant, alone)
         if question.kept is not None and question.now is not None:
             stays = replaced & question.kept & (sides == question.now)

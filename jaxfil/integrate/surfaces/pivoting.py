@@ -10,7 +10,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxfil.integrate.surfaces.question import Question, Velocity, are_apart, in_place
+from jaxfil.integrate.surfaces.question import (
+    Question,
+    Velocity,
+    are_apart,
+    in_place,
+    pushed_by_none,
+)
 from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.system.components import Components, pack, where
 from jaxfil.xla.complementarity import is_monotone, residual_noise, solve_on_box
@@ -121,9 +127,7 @@ def _inequality(question: Question) -> _Inequality:
         slid = active & ~pack(question.walls, bool)
     following = question.following if known is None else known.accelerations
     if following is not None:
-        free = question.on & question.leaves
-        if known is not None:
-            free = free & (abs(known.pushes) @ question.mode.like(jnp.ones_like(direction)) == 0)
+        free = pushed_by_none(question) & question.leaves
         free = free if question.walls is None else free & ~question.walls
         rates, replaced = in_place(rates, following, direction, question.instant, free)
         level = pack(replaced, bool)

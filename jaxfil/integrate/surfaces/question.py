@@ -87,6 +87,15 @@ def in_place(
     return rates.map(lambda rate, a: where(level, direction * a, rate), following), level
 
 
+def pushed_by_none(question: Question) -> Components:
+    """Surfaces to be decided whose rate no reaction changes. The derivative of a rate that a
+    reaction cancels says nothing, since the reaction goes on to cancel it."""
+    on, known = question.on, question.forces
+    if known is None:
+        return on
+    return on & (abs(known.pushes) @ on.like(jnp.ones_like(question.direction)) == 0)
+
+
 class Velocity(eqx.Module):
     """A velocity, n components, and the size of its terms."""
 
