@@ -106,8 +106,10 @@ class _Piece(eqx.Module):
         g0, d0, g1, d1 = stop_gradient(tuple(v[k] for v in (*self.seen, *until)))
         # Rates by the fraction of the piece, which is the variable of the cubic.
         cubic = Cubic(g0, self.h * d0, g1, self.h * d1)
-        theta = cubic.high
-        turns = inside & self.counts & (theta > 0) & (theta < 1)
+        # Between two pieces the maximum may be beyond the end of both, by rounding.
+        theta, small = cubic.high, float(jnp.finfo(self.h.dtype).eps) ** 0.5
+        turns = inside & self.counts & (theta > -small) & (theta < 1 + small)
+        theta = jnp.clip(theta, 0.0, 1.0)
         turns = turns & (self.tau + theta * self.h >= since)
         value = select(turns, cubic(theta), -jnp.inf)
         return dataclasses.replace(self.start, value=value, length=theta * self.h, reach=self.h)
