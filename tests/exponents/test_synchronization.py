@@ -119,7 +119,7 @@ def test_separate_surfaces_have_the_weights_and_modes_of_all_four_corners():
             rows = Corners(map(Components, rows))
             weights = sliding_weights.weights(mode, rows)
             determinant = sliding_weights.determinant(mode, rows, weights)
-            return (weights, determinant), filippov.choose(None, rows, None, mode, on, one)
+            return (weights, determinant), filippov.choose(None, rows, None, mode, on, one, on)
 
         return [all_of(rows) for rows in ([above, below], four)]
 

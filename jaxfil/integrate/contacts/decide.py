@@ -128,6 +128,7 @@ def decided(
             now=state.motion.mode,
             forces=forces,
             direction=grid.direction,
+            steered=system.steered,
             threshold=threshold,
             leaves=decide,
             instant=instant,
@@ -142,7 +143,9 @@ def decided(
             # Where something has jumped, also a rate that vanishes up to the rounding of the time.
             wanted = decide & any_of(on & (flat | at.unsettled))
             second = _seconds(system, here, soon, rates, wanted, beside, on)
-        chosen, count = filippov.choose(None, rates, second, beside, on, grid.direction, instant)
+        chosen, count = filippov.choose(
+            None, rates, second, beside, on, grid.direction, system.steered, instant
+        )
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None:
         return _once(system, where(decide, chosen, left), count)

@@ -123,7 +123,7 @@ def _first_mode(
         start = begin(problem, x, on, sides, above)
         free = on & ~start.known
         mode, count = filippov.choose(
-            fields, rates, following, start.sides, free, direction, instant
+            fields, rates, following, start.sides, free, direction, system.steered, instant
         )
         mode = where(start.rests, 2 * mode, mode)
         count = select(start.consistent, count, 0)
@@ -131,7 +131,9 @@ def _first_mode(
         count = select(any_of(start.rests) & (grid.direction < 0), 2, count)
         owed = start.owed
     else:
-        mode, count = filippov.choose(fields, rates, following, sides, on, direction, instant)
+        mode, count = filippov.choose(
+            fields, rates, following, sides, on, direction, system.steered, instant
+        )
     determinant = None
     if system.slides:
         weights = sliding_weights.weights(mode, rates)
@@ -163,7 +165,7 @@ def _first_mode_together(
     forces = dataclasses.replace(forces, accelerations=leaning)
     instant = problem.same_time(jnp.zeros((), system.dtype))
     question = dataclasses.replace(
-        question_of(rates, fields, None, start.sides, decided, direction, instant),
+        question_of(rates, fields, None, start.sides, decided, direction, system.steered, instant),
         walls=start.still,
         forces=forces,
     )

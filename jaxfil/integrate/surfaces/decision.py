@@ -178,7 +178,7 @@ def _continues(
         # A surface that the slide of another one holds has a weight from that one's rate.
         small = _NOISE * eps * rates.sizes()
         held_too = governs(sides, rates, sides, small, slid & (sides == 0))
-        alone = ~held_too & slid & question.leaves & pushed_by_none(question)
+        alone = ~held_too & slid & question.leaves & question.steered & pushed_by_none(question)
         rates, replaced = in_place(rates, following, direction, question.instant, alone)
         if question.kept is not None and question.now is not None:
             stays = replaced & question.kept & (sides == question.now)
@@ -202,10 +202,15 @@ def _continues(
     # detected late. Where a reaction holds the state, no side moves it. A motion that dψ/dt keeps
     # on its side has no slide there that could end.
     edge = rounded & ~stays if rests is None else rounded & ~stays & ~any_of(rests)
-    leaves = where(edge, rounds == 2, leaves)
-    solved = flat & governed
+    solved, turned = flat & governed, None
     if following is not None:
         turned = _turned(question, following, force, sides, w, rounds)
+        if question.kept is not None and question.now is not None:
+            # A surface that has just been left, at the end of its slide, is not slid on again
+            # because another one is left at the same time.
+            edge = edge & ~(question.kept & (sides == question.now) & turned & question.leaves)
+    leaves = where(edge, rounds == 2, leaves)
+    if following is not None and turned is not None:
         still = (scale == 0) & (following.sizes() == 0)
         turned = where(still, sides == where(question.mode < 0, -1.0, 1.0), turned)
         leaves = where(flat & ~governed, turned & question.leaves, leaves)

@@ -330,6 +330,7 @@ def choose(
     mode: Components,
     on: Components,
     direction: Array,
+    steered: Components,
     instant: Array | float = 0.0,
 ) -> tuple[Components, Array]:
     """The mode after a contact with the surfaces marked `on`, and the number of admissible ones.
@@ -338,11 +339,11 @@ def choose(
     not, and zero is a tangency that these derivatives do not decide. `mode` has the side of each
     surface, on which a motion that stands still stays. `following` is the derivative of H that
     decides where dH/dt vanishes, within the rounding `instant` of the time; None if only the rates
-    do.
+    do. `steered` are surfaces that a weight can hold the motion on.
     """
     if rates.are_of_one:
-        return _choose_on_one(rates, following, mode, on, direction, instant)
-    return decide(question_of(rates, fields, following, mode, on, direction, instant))
+        return _choose_on_one(rates, following, mode, on, direction, steered, instant)
+    return decide(question_of(rates, fields, following, mode, on, direction, steered, instant))
 
 
 def is_flat(rate: Components, rates: Corners) -> Components:
@@ -356,11 +357,13 @@ def _choose_on_one(
     mode: Components,
     on: Components,
     direction: Array,
+    steered: Components,
     instant: Array | float,
 ) -> tuple[Components, Array]:
     """`choose` for separate surfaces, which the rates on both sides determine."""
     if following is not None:
-        rates, _ = in_place(rates, following, direction, instant)
+        # No weight holds dH/dt at zero if it is one function on both sides.
+        rates, _ = in_place(rates, following, direction, instant, steered)
     above, below = rates[0], rates[1]
     # The product of small rates would be zero.
     up, down = direction * sign(above), direction * sign(below)

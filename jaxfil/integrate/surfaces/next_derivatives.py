@@ -6,7 +6,7 @@ and b = da/dt along the field of its side. The first of them that is not zero de
 H or the field may have a kink. An example is the switching curve x + v|v|/2 = 0 of a time-optimal
 controller, at v = 0. There, and within rounding of it, the motion has another a just after. In such
 systems a and b are taken a moment later along the field, on the side of the kink to which the
-motion goes.
+motion goes, and a from there back to the kink.
 """
 
 import functools as ft
@@ -41,8 +41,13 @@ def second_derivatives(
     state is `on`, with the sides of the others in `mode`; beside kinks a `moment` later."""
 
     def second(sides: Components) -> Components:
-        here = _beside_kinks(system, t, x, system.field(t, x, sides), moment)
-        return accelerations(system, *here, sides, system.field(*here, sides))
+        f = system.field(t, x, sides)
+        if not system.structure.kinked:
+            return accelerations(system, t, x, sides, f)
+        # From two later moments back to this one, so that a has its rounding alone.
+        later = (t + moment, x + moment * f), (t + 2 * moment, x + 2 * moment * f)
+        one, two = (accelerations(system, *at, sides, system.field(*at, sides)) for at in later)
+        return 2 * one - two
 
     return _on_sides(second, system, mode, on)
 
@@ -60,13 +65,6 @@ def _on_sides(
     )
 
 
-def _beside_kinks(
-    system: ComponentSystem, t: Array, x: Components, f: Components, moment: Array
-) -> tuple[Array, Components]:
-    """Time and state, a `moment` later along the field f in systems with kinks."""
-    return (t + moment, x + moment * f) if system.structure.kinked else (t, x)
-
-
 def three_derivatives(
     system: ComponentSystem, t: Array, x: Components, moment: Array, sides: Components
 ) -> tuple[Components, Components, Components, Components]:
@@ -82,9 +80,12 @@ def three_derivatives(
         return jax.jvp(first, (t, x), along(t, x))
 
     f = system.field(t, x, sides)
-    here = _beside_kinks(system, t, x, f, moment)
-    (_, second), (_, third) = jax.jvp(two, here, along(*here))
-    return f, system.rate(t, x, f), second, third
+    if not system.structure.kinked:
+        (rate, second), (_, third) = jax.jvp(two, (t, x), along(t, x))
+        return f, rate, second, third
+    later = t + moment, x + moment * f
+    (_, second), (_, third) = jax.jvp(two, later, along(*later))
+    return f, system.rate(t, x, f), second - moment * third, third
 
 
 def on_every_side(

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.question import (
     Question,
     Velocity,
@@ -21,6 +22,9 @@ from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.system.components import Components, pack, where
 from jaxfil.xla.complementarity import is_monotone, residual_noise, solve_on_box
 from jaxfil.xla.select import select
+
+# Rounding of accelerations, in eps of the sizes of their terms.
+_NOISE = 64
 
 
 class _Inequality(eqx.Module):
@@ -52,8 +56,15 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     residual = abs(posed.q + posed.matrix @ z)
     balanced = residual <= residual_noise(posed.q, posed.matrix, z)
     both = posed.level & balanced
+    steered = pack(question.steered, bool)
+    # Others are held by the weight of one that is steered, or not at all.
+    weights = (posed.slid & steered & balanced)[None, :] & (posed.matrix != 0)
+    held = ~jnp.any(both & ~steered & ~jnp.any(weights, axis=1))
     holding = balanced & jnp.any((posed.matrix != 0) & both[None, :], axis=1)
-    weight = select(both | holding, 0.0, weight)
+    # At z = ±1 both the slide and its side hold. As in `decision`, the slide is preferred.
+    sliding = posed.slid & jnp.any((posed.matrix != 0) & posed.slid[None, :], axis=1)
+    edge = balanced & sliding & ~_goes_on(question, posed, z)
+    weight = select(both | holding | edge, 0.0, weight)
     chosen = select(on, select(posed.slid, weight, select(z > 0, 2 * mode, mode)), mode)
     # Backward in time a repelling slide may have started at any earlier time. A slide that goes on
     # forward has been decided before, and its matrix is not examined in each step.
@@ -63,8 +74,26 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
         examined, lambda: is_monotone(posed.matrix, on), lambda: jnp.ones((), bool)
     )
     several = ~monotone & (back | _has_another(question, posed, z, examined & ~monotone & ~back))
-    count = select(found, select(several, 2, 1), 0).astype(jnp.int32)
+    count = select(found, select(several, 2, select(held, 1, 0)), 0).astype(jnp.int32)
     return _like(question.mode, chosen), count
+
+
+def _goes_on(question: Question, posed: _Inequality, z: Array) -> Array:
+    """Surfaces on whose side the motion is already, m flags, and which it leaves by dψ/dt."""
+    following = _following(question)
+    if following is None or question.kept is None or question.now is None:
+        return jnp.zeros_like(posed.slid)
+    sides = where(question.on, 0.0, question.mode)
+    bend = pack(following.blend(sides, _like(question.mode, z)), z.dtype)
+    noise = _NOISE * jnp.finfo(z.dtype).eps * pack(following.sizes(), z.dtype)
+    now = pack(question.now, z.dtype)
+    on = pack(question.kept, bool) & (jnp.sign(z) == now) & question.leaves
+    return on & (now * bend > noise)
+
+
+def _following(question: Question) -> Corners | None:
+    """dψ/dt on the combinations of sides, without reactions."""
+    return question.following if question.forces is None else question.forces.accelerations
 
 
 def _like(mode: Components, v: Array) -> Components:
@@ -125,7 +154,7 @@ def _inequality(question: Question) -> _Inequality:
     slid, rates, level = active, question.rates, jnp.zeros_like(active)
     if question.walls is not None:
         slid = active & ~pack(question.walls, bool)
-    following = question.following if known is None else known.accelerations
+    following = _following(question)
     if following is not None:
         free = pushed_by_none(question) & question.leaves
         free = free if question.walls is None else free & ~question.walls

@@ -42,6 +42,8 @@ class Question(eqx.Module):
     """Reactions; None without walls."""
     direction: Array
     """+1 forward in time, −1 backward."""
+    steered: Components
+    """Surfaces whose dH/dt is another function on other sides (`Structure.steered`)."""
     threshold: Array | float
     """The rate above which the motion leaves a surface, relative to all rates there."""
     leaves: Array | bool = True
@@ -57,6 +59,7 @@ def question_of(
     mode: Components,
     on: Components,
     direction: Array,
+    steered: Components,
     instant: Array | float = 0.0,
 ) -> Question:
     """The question for surfaces without resets, of which all are open."""
@@ -71,6 +74,7 @@ def question_of(
         now=None,
         forces=None,
         direction=direction,
+        steered=steered,
         threshold=0.0,
         instant=instant,
     )

@@ -5,7 +5,9 @@ They solve dH/dt(w) = 0 on the sliding surfaces, given the rates dH/dt along the
 """
 
 import functools as ft
+import itertools
 import operator
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +25,8 @@ _NEWTON = 20
 _START = 0.6
 # Weights beyond this belong neither to a slide nor to its continuation beyond the end.
 _FAR = 1e3
+# Rounding of the directions of rows, in eps.
+_PARALLEL = 64
 
 
 @jax.custom_jvp
@@ -77,7 +81,8 @@ def determinant(mode: Components, rates: Corners, w: Components) -> Array:
     are undetermined where it vanishes, at a two-fold or where two roots merge."""
     if not rates.are_of_one:
         slid = (mode == 0).parts[0] if mode.is_array else None
-        return small_linear.size_of_determinant(_matrix(mode, rates, w), slid)
+        matrix, _ = _equations(mode, rates, w, mode)
+        return small_linear.size_of_determinant(matrix, slid)
     # For separate surfaces ∂(dH_j/dt)/∂w_j = (r₊ − r₋)/2 is the only entry of its row.
     sizes = where(mode == 0, 0.5 * abs(rates[1] - rates[0]), 1)
     return ft.reduce(jnp.multiply, [v if v.ndim == 0 else jnp.prod(v) for v in sizes.parts])
@@ -205,7 +210,7 @@ def _correction(
 ) -> Components:
     """Newton's correction of the weights of the sliding surfaces, given dH/dt."""
     # Other surfaces have the equation Δw = 0, so that all lanes solve systems of one size.
-    right, matrix = where(mode == 0, residual, 0.0), _matrix(mode, rates, w)
+    matrix, right = _equations(mode, rates, w, where(mode == 0, residual, 0.0))
     if isinstance(matrix, jax.Array):
         found = small_linear.solve(matrix, right.parts[0][:, None], (mode == 0).parts[0])
         return Components([found[:, 0]])
@@ -217,9 +222,9 @@ def _change(mode: Components, rates: Corners, w: Components, moved: Components) 
     """`_correction` for a tangent of dH/dt, in which it is linear for reverse mode too."""
     if w.size <= 2 and not mode.is_array:  # written out, without a loop
         return _correction(mode, rates, w, moved)
-    right, matrix = pack(where(mode == 0, moved, 0.0), float), _matrix(mode, rates, w)
+    matrix, right = _equations(mode, rates, w, where(mode == 0, moved, 0.0))
     slid = (mode == 0).parts[0] if mode.is_array else None
-    found = small_linear.inverse(matrix, slid) @ right
+    found = small_linear.inverse(matrix, slid) @ pack(right, float)
     return Components([found] if mode.is_array else list(found))
 
 
@@ -265,33 +270,97 @@ def _slopes(mode: Components, rates: Corners, w: Components) -> Array | list[tup
     return list(zip(*each, strict=True))
 
 
-def _matrix(mode: Components, rates: Corners, w: Components) -> Array | list[list[Array]]:
-    """∂(dH_j/dt)/∂w_i of the sliding surfaces, with rows of the identity for the others.
+def _equations(
+    mode: Components, rates: Corners, w: Components, right: Components
+) -> tuple[Array | list[list[Array]], Components]:
+    """The equations for changes of the weights of the sliding surfaces: ∂(dH_j/dt)/∂w_i, and right
+    sides, of which those of ties are zero. Other surfaces have rows of the identity.
 
-    If no side moves the state off a surface, as of x in x″ = f − g sgn x − h sgn x′ at rest (or at
-    the point to which a twisting controller converges, a sliding mode of the second order), its row
-    is zero, and all solutions give the same field. Its weight is then twice that of the surfaces
-    which it moves, here x′, so that it ends first and these hold to the end.
+    Where equations are missing, all solutions give the same field. Weights are tied then, such that
+    a slide ends when no solution is left.
+
+    - No side moves the state off a surface, as of x in x″ = f − g sgn x − h sgn x′ at rest (or at
+      the point to which a twisting controller converges, a sliding mode of the second order). Its
+      row is zero. Its weight is then twice those of the surfaces which it moves, here x′, so that
+      it ends first and these hold to the end.
+    - Rows of two surfaces are parallel, as of two brakes on one disc. They share the load such that
+      both reach their limits at the same time.
     """
+    if mode.is_array:
+        matrix, ties = _tied_array(mode, rates, w)
+        return matrix, where(ties, 0.0, right)
     slopes, m = _slopes(mode, rates, w), w.size
-    if isinstance(slopes, jax.Array):
-        (slid,) = (mode == 0).parts
-        one = jnp.eye(m, dtype=slopes.dtype)
-        held = select(slid[None, :], slopes, 0.0)
-        free = jnp.max(abs(held), axis=1) == 0
-        # In row j, ∂(dH_i/dt)/∂w_j of the other surfaces, with the sign that each has of its own.
-        signed = jnp.sign(jnp.diag(slopes))[:, None] * slopes
-        tie = select(slid[:, None] & (one == 0), signed, 0.0).T
-        tie = tie - 0.5 * jnp.sum(abs(tie), axis=1)[:, None] * one
-        return select(slid[:, None], select(free[:, None], tie, slopes), one)
     flags = [s == 0 for s in mode.parts]
     own = [jnp.sign(slopes[i][i]) for i in range(m)]
-    rows = []
+    held = [[select(flag, v, 0.0) for flag, v in zip(flags, row, strict=True)] for row in slopes]
+    rows, ties = [], []
     for j, (slid, row) in enumerate(zip(flags, slopes, strict=True)):
         others = [i for i in range(m) if i != j]
         tie = {i: select(flags[i], own[i] * slopes[i][j], 0.0) for i in others}
         tie[j] = -0.5 * ft.reduce(operator.add, (abs(tie[i]) for i in others))
         free = (row[j] == 0) & ~ft.reduce(operator.or_, (flags[i] & (row[i] != 0) for i in others))
         each = enumerate(row)
-        rows.append([select(slid, select(free, tie[i], v), float(i == j)) for i, v in each])
-    return rows
+        made = [select(free, tie[i], v) for i, v in each]
+        shared = jnp.zeros((), bool)
+        # With the first of several surfaces whose rows are parallel.
+        for i in reversed(range(j)):
+            same = slid & flags[i] & ~free & _are_parallel(held[i], held[j])
+            made = [select(same, v, u) for v, u in zip(_shared(held[i], i, j), made, strict=True)]
+            shared = shared | same
+        rows.append([select(slid, v, float(i == j)) for i, v in enumerate(made)])
+        ties.append(slid & (free | shared))
+    return rows, where(Components(ties), 0.0, right)
+
+
+def _are_parallel(a: Sequence[Array], b: Sequence[Array]) -> Array:
+    """Whether two rows differ by a factor, to rounding; not if one is zero."""
+    same = ft.reduce(operator.or_, (v != 0 for v in a)) & ft.reduce(
+        operator.or_, (v != 0 for v in b)
+    )
+    eps = float(jnp.finfo(a[0].dtype).eps)
+    for k, q in itertools.combinations(range(len(a)), 2):
+        up, down = a[k] * b[q], a[q] * b[k]
+        same = same & (abs(up - down) <= _PARALLEL * eps * (abs(up) + abs(down)))
+    return same
+
+
+def _shared(row: Sequence[Array], i: int, j: int) -> list[Array]:
+    """The tie of the weights i and j in an equation that both are in: equal shares of their limits.
+    A weight that is not in it is zero."""
+    first, second = jnp.sign(row[i]), jnp.sign(row[j])
+    alone = (first == 0) | (second == 0)
+    tie = [jnp.zeros_like(v) for v in row]
+    tie[i] = select(alone, select(second == 0, 0.0, 1.0), first)
+    tie[j] = select(alone, select(second == 0, 1.0, 0.0), -second)
+    return tie
+
+
+def _tied_array(mode: Components, rates: Corners, w: Components) -> tuple[Array, Components]:
+    """The matrix of `_equations`, and flags of its ties, for surfaces that are one array."""
+    slopes, m = _slopes(mode, rates, w), w.size
+    assert isinstance(slopes, jax.Array)
+    (slid,) = (mode == 0).parts
+    one = jnp.eye(m, dtype=slopes.dtype)
+    held = select(slid[None, :], slopes, 0.0)
+    free = jnp.max(abs(held), axis=1) == 0
+    # In row j, ∂(dH_i/dt)/∂w_j of the other surfaces, with the sign that each has of its own.
+    signed = jnp.sign(jnp.diag(slopes))[:, None] * slopes
+    tie = select(slid[:, None] & (one == 0), signed, 0.0).T
+    tie = tie - 0.5 * jnp.sum(abs(tie), axis=1)[:, None] * one
+    matrix = select(free[:, None], tie, slopes)
+    # Cauchy's inequality holds with equality for parallel rows of one length.
+    unit = held / select(free, 1.0, jnp.sqrt(jnp.sum(held**2, axis=1)))[:, None]
+    apart = jnp.max(abs(unit[:, None] - jnp.sign(unit @ unit.T)[..., None] * unit[None]), axis=2)
+    near = apart <= _PARALLEL * float(jnp.finfo(slopes.dtype).eps)
+    there = slid & ~free
+    # Each with the first of those before it.
+    same = near & there[:, None] & there[None, :] & (jnp.tri(m, k=-1) > 0)
+    shared, first = jnp.any(same, axis=1), jnp.argmax(same, axis=1)
+    row = held[first]
+    by_first, by_own = jnp.sign(row[jnp.arange(m), first]), jnp.sign(jnp.diag(row))
+    alone = (by_first == 0) | (by_own == 0)
+    at_first = select(alone, select(by_own == 0, 0.0, 1.0), by_first)
+    at_own = select(alone, select(by_own == 0, 1.0, 0.0), -by_own)
+    share = at_first[:, None] * one[first] + at_own[:, None] * one
+    matrix = select(shared[:, None], share, matrix)
+    return select(slid[:, None], matrix, one), Components([slid & (free | shared)])

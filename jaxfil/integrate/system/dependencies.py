@@ -27,6 +27,9 @@ class Structure:
     on more than one side, and no dH_j/dt on a side other than its own."""
     affine: bool
     """Whether the field is affine in its sides, for m > 1."""
+    steered: tuple[bool, ...]
+    """For each surface, whether dH_j/dt is another function on other sides, so that a weight can
+    hold the motion on it. For the position of a mass it is not."""
     kinked: bool
     """Whether H or the field on constant sides may have a kink where time and state move."""
     members: tuple[tuple[int, ...], ...] | None
@@ -56,10 +59,14 @@ def of(
     moving = nothing[0], True, jax.tree.map(lambda _: True, of_number[0])
     steady = jax.tree.map(lambda _: False, of_side[0]) if of_side else Components(())
     kinked = field.is_kinked(*moving, steady, *none) or switching.is_kinked(*moving)
+    steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
+    each = [
+        any(sides and of[j] for sides, of in zip(switched, steers, strict=True)) for j in range(m)
+    ]
+    steered = tuple(each)
     if m < 2:
         # The two sides of a single surface determine all blends, affine or not.
-        return Structure(switched, separate=m == 1, affine=False, kinked=kinked, members=None)
-    steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
+        return Structure(switched, m == 1, False, steered, kinked, members=None)
     # Reactions of different sides multiply different vectors, so a field with reactions counts as
     # affine in at most one side.
     single = len(set().union(*switched)) < 2
@@ -70,6 +77,7 @@ def of(
         # A reaction acts on the rates of other surfaces too.
         separate=not reacting and _are_separate(switched, steers),
         affine=affine,
+        steered=steered,
         kinked=kinked,
         members=_members(np.array(steers)),
     )
