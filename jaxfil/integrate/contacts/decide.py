@@ -25,7 +25,7 @@ from jaxfil.integrate.surfaces import (
     unilateral,
     weights as sliding_weights,
 )
-from jaxfil.integrate.surfaces.corners import Corners, are_coupled
+from jaxfil.integrate.surfaces.corners import Corners, are_coupled, steered
 from jaxfil.integrate.surfaces.question import Question
 from jaxfil.integrate.system.components import Components, any_of, first_set, maximum, where
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -128,7 +128,7 @@ def decided(
             now=state.motion.mode,
             forces=forces,
             direction=grid.direction,
-            steered=system.steered,
+            steered=steered(system),
             threshold=threshold,
             leaves=decide,
             instant=instant,
@@ -144,7 +144,7 @@ def decided(
             wanted = decide & any_of(on & (flat | at.unsettled))
             second = _seconds(system, here, soon, rates, wanted, beside, on)
         chosen, count = filippov.choose(
-            None, rates, second, beside, on, grid.direction, system.steered, instant
+            None, rates, second, beside, on, grid.direction, steered(system), instant
         )
     count = select(decide, count, jnp.maximum(count, 1))
     if led is None:

@@ -38,7 +38,7 @@ from jaxfil.integrate.surfaces import (
     unilateral,
     weights as sliding_weights,
 )
-from jaxfil.integrate.surfaces.corners import Corners, are_coupled
+from jaxfil.integrate.surfaces.corners import Corners, are_coupled, steered
 from jaxfil.integrate.surfaces.decision import decide
 from jaxfil.integrate.surfaces.entering import held_from_here
 from jaxfil.integrate.surfaces.next_derivatives import (
@@ -123,7 +123,7 @@ def _first_mode(
         start = begin(problem, x, on, sides, above)
         free = on & ~start.known
         mode, count = filippov.choose(
-            fields, rates, following, start.sides, free, direction, system.steered, instant
+            fields, rates, following, start.sides, free, direction, steered(system), instant
         )
         mode = where(start.rests, 2 * mode, mode)
         count = select(start.consistent, count, 0)
@@ -132,7 +132,7 @@ def _first_mode(
         owed = start.owed
     else:
         mode, count = filippov.choose(
-            fields, rates, following, sides, on, direction, system.steered, instant
+            fields, rates, following, sides, on, direction, steered(system), instant
         )
     determinant = None
     if system.slides:
@@ -165,7 +165,7 @@ def _first_mode_together(
     forces = dataclasses.replace(forces, accelerations=leaning)
     instant = problem.same_time(jnp.zeros((), system.dtype))
     question = dataclasses.replace(
-        question_of(rates, fields, None, start.sides, decided, direction, system.steered, instant),
+        question_of(rates, fields, None, start.sides, decided, direction, steered(system), instant),
         walls=start.still,
         forces=forces,
     )

@@ -77,6 +77,11 @@ def flipped_sides(system: ComponentSystem) -> tuple[int, ...] | None:
     return tuple(sorted(set().union(*found.switched)))
 
 
+def steered(system: ComponentSystem) -> Components:
+    """`Structure.steered` as flags."""
+    return system.of_surfaces(jnp.asarray(system.structure.steered))
+
+
 def on_corners(
     function: Callable[[Components], Any], system: ComponentSystem, sides: np.ndarray
 ) -> Any:

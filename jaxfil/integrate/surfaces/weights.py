@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
@@ -335,6 +336,24 @@ def _shared(row: Sequence[Array], i: int, j: int) -> list[Array]:
     return tie
 
 
+def _parallel_rows(rows: Array, there: Array) -> tuple[Array, Array]:
+    """Whether each row, among those `there`, differs by a factor from an earlier one, to rounding,
+    and the first such one."""
+    m, eps = len(rows), float(jnp.finfo(rows.dtype).eps)
+    # Parallel rows of one length along a generic vector are equal, and so is their length along
+    # another one. This takes m² operations, where comparing all pairs would take m³.
+    along = jnp.sum(rows * (1.5 + np.cos(np.arange(m))).astype(rows.dtype), axis=1)
+    scaled = rows / select(along == 0, 1.0, along)[:, None]
+    place = jnp.sum(scaled * np.sin(1.0 + np.arange(m)).astype(rows.dtype), axis=1)
+    sizes = abs(place[:, None]) + abs(place[None, :])
+    close = abs(place[:, None] - place[None, :]) <= eps**0.5 * sizes
+    same = close & there[:, None] & there[None, :] & np.tri(m, k=-1, dtype=bool)
+    first = jnp.argmax(same, axis=1)
+    apart = jnp.max(abs(scaled - scaled[first]), axis=1)
+    near = apart <= _PARALLEL * eps * jnp.max(abs(scaled), axis=1)
+    return jnp.any(same, axis=1) & near, first
+
+
 def _tied_array(mode: Components, rates: Corners, w: Components) -> tuple[Array, Components]:
     """The matrix of `_equations`, and flags of its ties, for surfaces that are one array."""
     slopes, m = _slopes(mode, rates, w), w.size
@@ -348,14 +367,7 @@ def _tied_array(mode: Components, rates: Corners, w: Components) -> tuple[Array,
     tie = select(slid[:, None] & (one == 0), signed, 0.0).T
     tie = tie - 0.5 * jnp.sum(abs(tie), axis=1)[:, None] * one
     matrix = select(free[:, None], tie, slopes)
-    # Cauchy's inequality holds with equality for parallel rows of one length.
-    unit = held / select(free, 1.0, jnp.sqrt(jnp.sum(held**2, axis=1)))[:, None]
-    apart = jnp.max(abs(unit[:, None] - jnp.sign(unit @ unit.T)[..., None] * unit[None]), axis=2)
-    near = apart <= _PARALLEL * float(jnp.finfo(slopes.dtype).eps)
-    there = slid & ~free
-    # Each with the first of those before it.
-    same = near & there[:, None] & there[None, :] & (jnp.tri(m, k=-1) > 0)
-    shared, first = jnp.any(same, axis=1), jnp.argmax(same, axis=1)
+    shared, first = _parallel_rows(held, slid & ~free)
     row = held[first]
     by_first, by_own = jnp.sign(row[jnp.arange(m), first]), jnp.sign(jnp.diag(row))
     alone = (by_first == 0) | (by_own == 0)

@@ -265,11 +265,6 @@ class ComponentSystem(eqx.Module):
         """Numbers in an (m,) array as components."""
         return Components([numbers] if self.packed else scalars(numbers))
 
-    @property
-    def steered(self) -> Components:
-        """`Structure.steered` as flags."""
-        return self.of_surfaces(jnp.asarray(self.structure.steered))
-
     def for_each_surface(self, number: Array) -> Components:
         """The same number for each of the surfaces."""
         return Components([jnp.full((self.m,), number)] if self.packed else (number,) * self.m)
