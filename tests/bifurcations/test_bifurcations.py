@@ -343,7 +343,7 @@ def test_the_nearest_grazing_set_is_found_by_gradient(sd):
     assert abs(margin_exact(system.f0, 0.0141, system.omega)) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.long_run
 def test_everything_that_happens_to_an_orbit_in_one_call():
     """Belt case 1 from 12 down to 3.9: three of the nine on [0.5, 20]."""
@@ -429,7 +429,7 @@ class Neuron(jf.System):
         return jnp.zeros_like(x)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_graze_that_ends_a_branch_at_a_value_of_zero_is_named():
     neuron = Neuron(jnp.asarray(-0.3), jnp.asarray(1.0))
     orbit = jf.periodic_orbit(neuron, jnp.zeros(1))
@@ -704,7 +704,7 @@ class Filter(jf.System):
         return 1.0 - x[0]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_margin_and_a_value_have_second_derivatives():
     a, c = jnp.float64(1.0), jnp.float64(0.8)
     orbit = jf.periodic_orbit(Filter(a, c), jnp.array([0.5]), steps=24)

@@ -170,7 +170,7 @@ def test_a_change_of_the_kind_has_the_name_of_what_vanishes(family, vanishes, na
     assert told == name and test(point(**{vanishes: -2.5})) == -2.5
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(("omega", "wall", "stop"), [(1.2, 1.0, 0.9), (0.8, 2.0, 1.6)])
 def test_a_tangency_moves_through_the_whole_period(omega, wall, stop):
     # Below the wall the orbit is that of x'' + 0.1 x' + x = A cos ωt, whose size has one curve,

@@ -62,6 +62,7 @@ def test_a_curve_over_a_continuous_boundary_changes_its_kind():
     assert curve.kinds == tuple(expected.tolist())
 
 
+@pytest.mark.release
 def test_a_curve_of_rests_on_a_curved_wall():
     system = Hill(0.5, 1.0, 1.0)
     point = the_point(system, "mu", jnp.array([0.01, 0.4, 0.0, 0.0]), -0.2)

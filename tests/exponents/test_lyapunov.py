@@ -238,7 +238,7 @@ def test_new_numbers_trace_nothing():
     assert count <= before + 1  # a look at its shapes, at the door
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_an_impact_on_a_moving_table():
     # One impact, at a time that depends on the initial state, with a reset that depends on time.
     system, x0 = MovingTable(jnp.asarray(0.8)), jnp.array([1.0, 0.0])

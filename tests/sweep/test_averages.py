@@ -399,6 +399,7 @@ class Lower(eqx.Module):
         return jnp.minimum(x[0] + 0.05 * t, self.slope * x[1] + 0.05 * t * x[0])
 
 
+@pytest.mark.release
 def test_extremes_have_second_derivatives_also_beside_a_side_that_is_not_a_number():
     """The largest x is the amplitude. The lower one of two curves is largest where they cross."""
 
@@ -495,6 +496,7 @@ class Resonant(jf.System):
         return jnp.stack([x[1], -x[0] - self.damping * x[1] + jnp.cos(t)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [jf.Adaptive(1e-6, 1e-9), 2])
 def test_extremes_within_steps_as_long_as_a_period(steps):
     # The cubic through both ends of such a step is 3 % off, or has no maximum.

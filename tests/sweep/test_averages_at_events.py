@@ -95,7 +95,7 @@ def gain(t, before, after, surfaces):
     return after[-1] - before[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_events_are_counted_by_surface_and_ticks_are_events():
     """At v = 2 each wall is met once a period, at v = 4 twice; what decays by e⁻¹ in a period is
     kicked up to 1/(1 − e⁻¹) each time."""

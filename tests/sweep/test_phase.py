@@ -168,6 +168,7 @@ def test_a_second_frequency_is_seen_beyond_a_gap():
         assert bool(repeats(system, jnp.asarray(2 * jnp.pi), jnp.zeros(2), 600)) == same
 
 
+@pytest.mark.release
 def test_samples_of_two_frequencies_from_rest_are_those_of_a_run():
     system = Parametric(*map(jnp.asarray, (1.3, 0.618, 0.0)))
     period = float(system.period)

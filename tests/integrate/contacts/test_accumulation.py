@@ -265,6 +265,7 @@ def twisting(t):
     return np.zeros(2)
 
 
+@pytest.mark.release
 def test_what_is_saved_follows_all_turns():
     """Between saved steps too."""
     x0, ts = jnp.array([0.0, 1.0, 0.0]), np.linspace(0.0, 1.0, 401)
@@ -349,6 +350,7 @@ def gripper(q, least, t1):
     return np.array([x + v * dt, v, gap - q * (1 - latch) * dt, latch]), count
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "system, exact, t1, last",
     [(Band, band, 4.3007, "successful"), (Gripper, gripper, 3.2003, "zeno")],

@@ -89,7 +89,7 @@ def avalanches(x, rates, kick, t1):
             due = [i for i in range(x.size) if x[i] > 1 and not done[i]]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_five_neurons_fire_as_a_plain_loop_says():
     """In lanes that fire at times of their own, with avalanches of up to five."""
     draw, n = np.random.default_rng(1), 12

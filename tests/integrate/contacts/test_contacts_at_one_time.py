@@ -56,7 +56,7 @@ def flights(h, e, t1):
 BALLS = [[0.5, 0.5, 0.8, 0.8], [0.5, 0.5 + 1e-9, 0.8, 0.7], [0.5, 0.6, 0.9, 0.6]]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_balls_that_land_together_have_the_derivatives_of_each():
     def end(p):
         sol = solve(Balls(p[2:]), jnp.concatenate([p[:2], 0 * p[:2]]), 1.8)

@@ -172,6 +172,7 @@ def held_by_a_stop(at, t):
     return np.array([at - low + size * np.cos(phase), -w * size * np.sin(phase)])
 
 
+@pytest.mark.slow
 def test_with_a_tolerance_a_step_ends_at_a_kink_that_it_would_pass_twice():
     # A stop that the error at the end of a step does not show, one that is only touched, to
     # rounding too, one that is not reached, and one that the motion starts on.

@@ -288,6 +288,7 @@ class Walled(TimeOptimal):
         return jnp.where(surface == 2, x.at[1].multiply(-0.5), x)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", [TimeOptimal(), Walled()])
 def test_a_time_optimal_motion_ends_at_rest_where_its_switching_curve_has_a_kink(system):
     # At the kink H'' is not the derivative of either motion: rounding of x' takes a side.
@@ -322,6 +323,7 @@ class OnAFloor(jf.System):
         return jnp.where(surface == 1, x.at[3].multiply(-0.5), x)
 
 
+@pytest.mark.slow
 def test_a_friction_that_grows_from_zero_beside_a_floor_has_its_own_next_derivative():
     # On both sides it was taken as on one, so that the block left to a side and came back.
     def run(push, height):

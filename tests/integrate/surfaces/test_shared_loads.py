@@ -36,7 +36,13 @@ class Brake(jf.System):
         return x[1]
 
 
-@pytest.mark.parametrize("scales", [(1.0, -2.0), (0.5, 1.0, -1.0), (1.0, -1.0, 2.0, 1.0)])
+_MORE = [
+    pytest.param(s, marks=pytest.mark.release) for s in ((0.5, 1.0, -1.0), (1.0, -1.0, 2.0, 1.0))
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scales", [(1.0, -2.0), *_MORE])
 def test_brakes_on_one_disc_are_one_brake(scales):
     def end(system):
         sol = jf.solve(system, jnp.zeros(2), 0.0, 9.0, 0.05, max_events=64, throw=False)

@@ -143,7 +143,9 @@ def test_weights_of_random_intersections_are_those_inside():
     @jax.vmap
     def found(rows):
         rates = Corners(map(Components, rows))
-        modes = [filippov.choose(None, rates, None, slides, on, d, on)[1] for d in jnp.array([1, -1.0])]
+        modes = [
+            filippov.choose(None, rates, None, slides, on, d, on)[1] for d in jnp.array([1, -1.0])
+        ]
         return jnp.stack(sliding_weights.weights(slides, rates).parts), *modes
 
     weights, forward, _ = found(jnp.asarray(tables))
