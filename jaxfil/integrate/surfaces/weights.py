@@ -291,49 +291,45 @@ def _equations(
         matrix, ties = _tied_array(mode, rates, w)
         return matrix, where(ties, 0.0, right)
     slopes, m = _slopes(mode, rates, w), w.size
-    flags = [s == 0 for s in mode.parts]
-    own = [jnp.sign(slopes[i][i]) for i in range(m)]
-    held = [[select(flag, v, 0.0) for flag, v in zip(flags, row, strict=True)] for row in slopes]
+    flags, eps = [s == 0 for s in mode.parts], float(jnp.finfo(mode.parts[0].dtype).eps)
+    known = []
+    for row in slopes:
+        # What is left of a slope that a reaction cancels is rounding, and ties no weight.
+        least = _PARALLEL * eps * ft.reduce(jnp.maximum, map(abs, row))
+        each = zip(flags, row, strict=True)
+        known.append([select(flag & (abs(v) > least), v, 0.0) for flag, v in each])
     rows, ties = [], []
     for j, (slid, row) in enumerate(zip(flags, slopes, strict=True)):
-        others = [i for i in range(m) if i != j]
-        tie = {i: select(flags[i], own[i] * slopes[i][j], 0.0) for i in others}
-        tie[j] = -0.5 * ft.reduce(operator.add, (abs(tie[i]) for i in others))
-        free = (row[j] == 0) & ~ft.reduce(operator.or_, (flags[i] & (row[i] != 0) for i in others))
-        each = enumerate(row)
-        made = [select(free, tie[i], v) for i, v in each]
-        shared = jnp.zeros((), bool)
+        free = ~ft.reduce(operator.or_, (v != 0 for v in known[j]))
+        moved = [select(flags[i], jnp.sign(slopes[i][i]) * known[i][j], 0.0) for i in range(m)]
+        moved[j] = -0.5 * ft.reduce(jnp.add, (abs(v) for i, v in enumerate(moved) if i != j))
+        made, tied = [select(free, v, u) for v, u in zip(moved, row, strict=True)], free
         # With the first of several surfaces whose rows are parallel.
         for i in reversed(range(j)):
-            same = slid & flags[i] & ~free & _are_parallel(held[i], held[j])
-            made = [select(same, v, u) for v, u in zip(_shared(held[i], i, j), made, strict=True)]
-            shared = shared | same
+            same = flags[i] & ~free & _are_parallel(known[i], known[j])
+            share = dict(zip((i, j), _share(known[i][i], known[i][j]), strict=True))
+            made = [select(same, share.get(k, 0.0), v) for k, v in enumerate(made)]
+            tied = tied | same
         rows.append([select(slid, v, float(i == j)) for i, v in enumerate(made)])
-        ties.append(slid & (free | shared))
+        ties.append(slid & tied)
     return rows, where(Components(ties), 0.0, right)
 
 
 def _are_parallel(a: Sequence[Array], b: Sequence[Array]) -> Array:
-    """Whether two rows differ by a factor, to rounding; not if one is zero."""
-    same = ft.reduce(operator.or_, (v != 0 for v in a)) & ft.reduce(
-        operator.or_, (v != 0 for v in b)
-    )
-    eps = float(jnp.finfo(a[0].dtype).eps)
+    """Whether two rows differ by a factor, to rounding; not if the first is zero."""
+    eps, same = float(jnp.finfo(a[0].dtype).eps), ft.reduce(operator.or_, (v != 0 for v in a))
     for k, q in itertools.combinations(range(len(a)), 2):
         up, down = a[k] * b[q], a[q] * b[k]
         same = same & (abs(up - down) <= _PARALLEL * eps * (abs(up) + abs(down)))
     return same
 
 
-def _shared(row: Sequence[Array], i: int, j: int) -> list[Array]:
-    """The tie of the weights i and j in an equation that both are in: equal shares of their limits.
-    A weight that is not in it is zero."""
-    first, second = jnp.sign(row[i]), jnp.sign(row[j])
-    alone = (first == 0) | (second == 0)
-    tie = [jnp.zeros_like(v) for v in row]
-    tie[i] = select(alone, select(second == 0, 0.0, 1.0), first)
-    tie[j] = select(alone, select(second == 0, 1.0, 0.0), -second)
-    return tie
+def _share(first: Array, own: Array) -> tuple[Array, Array]:
+    """The tie of two weights, given their slopes in an equation that both are in: equal shares of
+    their limits. A weight that is not in it is zero."""
+    alone = (first == 0) | (own == 0)
+    by_first = select(alone, select(own == 0, 0.0, 1.0), jnp.sign(first))
+    return by_first, select(alone, select(own == 0, 1.0, 0.0), -jnp.sign(own))
 
 
 def _parallel_rows(rows: Array, there: Array) -> tuple[Array, Array]:
@@ -360,19 +356,18 @@ def _tied_array(mode: Components, rates: Corners, w: Components) -> tuple[Array,
     assert isinstance(slopes, jax.Array)
     (slid,) = (mode == 0).parts
     one = jnp.eye(m, dtype=slopes.dtype)
-    held = select(slid[None, :], slopes, 0.0)
-    free = jnp.max(abs(held), axis=1) == 0
+    # What is left of a slope that a reaction cancels is rounding, and ties no weight.
+    least = _PARALLEL * float(jnp.finfo(one.dtype).eps) * jnp.max(abs(slopes), axis=1)
+    known = select(slid[None, :] & (abs(slopes) > least[:, None]), slopes, 0.0)
+    free = jnp.max(abs(known), axis=1) == 0
     # In row j, ∂(dH_i/dt)/∂w_j of the other surfaces, with the sign that each has of its own.
-    signed = jnp.sign(jnp.diag(slopes))[:, None] * slopes
+    signed = jnp.sign(jnp.diag(slopes))[:, None] * known
     tie = select(slid[:, None] & (one == 0), signed, 0.0).T
     tie = tie - 0.5 * jnp.sum(abs(tie), axis=1)[:, None] * one
     matrix = select(free[:, None], tie, slopes)
-    shared, first = _parallel_rows(held, slid & ~free)
-    row = held[first]
-    by_first, by_own = jnp.sign(row[jnp.arange(m), first]), jnp.sign(jnp.diag(row))
-    alone = (by_first == 0) | (by_own == 0)
-    at_first = select(alone, select(by_own == 0, 0.0, 1.0), by_first)
-    at_own = select(alone, select(by_own == 0, 1.0, 0.0), -by_own)
+    shared, first = _parallel_rows(known, slid & ~free)
+    row = known[first]
+    at_first, at_own = _share(row[jnp.arange(m), first], jnp.diag(row))
     share = at_first[:, None] * one[first] + at_own[:, None] * one
     matrix = select(shared[:, None], share, matrix)
     return select(slid[:, None], matrix, one), Components([slid & (free | shared)])
