@@ -21,7 +21,7 @@ every component of the state.
 Resets may end the series later, as one that keeps a band of a hysteresis above a least width, or a
 latch that acts below some gap. So the resets of the turn also act on a copy of it, made smaller by
 a factor ε towards the limit L. If p and R(p) are the states before and after a reset of the turn,
-its copy must give L + ε (R(p) − L) again, whatever the others have left in memories.
+its copy must give L + ε (R(p) − L) again, whatever the others have written to memories.
 """
 
 import dataclasses

@@ -165,7 +165,7 @@ def _known(
     are still to be decided.
 
     A slide that has reached the end of its weight leaves to that side; a surface that the state is
-    off is left to the side given by H; after a reset, `led` determines the rest.
+    off goes to the side given by H; after a reset, `led` determines the rest.
     """
     mode, pending = state.motion.mode, state.pending
     switching, one = pending.waits & ~pending.grazes, jnp.ones_like(state.motion.tau)

@@ -87,7 +87,7 @@ def surface_noise(
 
 
 def larger(size: Components, x: Components, turns: Array | None = None) -> Components:
-    """The running maximum of |x|, with geometric forgetting, since the rounding left by a large
+    """The running maximum of |x|, with geometric forgetting, since the rounding of a large
     state decays with the motion. It forgets faster while the motion `turns` through the sides of
     surfaces."""
     fade = _FADE if turns is None else select(turns, _FADE_IN_TURN, _FADE)

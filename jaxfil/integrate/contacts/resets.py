@@ -6,9 +6,9 @@ that the motion rests on, and the duration of a chattering that ends in rest.
 For surfaces reached together resets are applied one at a time, the lowest number first, and
 repeated for every surface that the motion runs into because of another's reset, until there are no
 more, as for a ball in a corner or a wave through balls that touch. Each is an event of its own, at
-the same time. After a reset a surface is off (H ≠ 0), or left to the side that the rate points to
-(thrown back or let through), or, if the rate is zero too, rested on or left as the acceleration
-decides.
+the same time. After a reset a surface is off (H ≠ 0); or the motion continues on the side that the
+rate points to (thrown back or let through); or, if the rate is zero too, the acceleration decides
+whether the motion rests on the surface.
 """
 
 import dataclasses

@@ -18,7 +18,6 @@ maximum moves (`turning_point.beyond`).
 """
 
 import dataclasses
-import itertools
 from typing import ClassVar, TypeAlias
 
 import equinox as eqx
@@ -95,15 +94,15 @@ class _Piece(eqx.Module):
     """Its length."""
     seen: Seen
     """Values and rates at its start."""
+    until: Seen
+    """Values and rates at its end."""
     counts: Array
     """Whether the motion goes through it."""
-    whole: bool = eqx.field(static=True)
-    """Whether it is the whole step."""
 
-    def top(self, k: int, until: Seen, inside: Array, since: Array) -> Place:
-        """The place at which the cubic of function number k is largest, given what is seen at the
-        end; with the value −inf if that is not `inside` of the window."""
-        g0, d0, g1, d1 = stop_gradient(tuple(v[k] for v in (*self.seen, *until)))
+    def top(self, k: int, inside: Array, since: Array) -> Place:
+        """The place at which the cubic of function number k is largest; with the value −inf if that
+        is not `inside` of the window."""
+        g0, d0, g1, d1 = stop_gradient(tuple(v[k] for v in (*self.seen, *self.until)))
         # Rates by the fraction of the piece, which is the variable of the cubic.
         cubic = Cubic(g0, self.h * d0, g1, self.h * d1)
         # Between two pieces the maximum may be beyond the end of both, by rounding.
@@ -251,15 +250,13 @@ class Extremes(Extension):
         `smooth` piece or ends with a jump."""
         end, here = self._here(problem, after.motion), self.window.is_open(after)
         here, inside = here & (after.motion.tau >= own.since), smooth & self.window.is_open(state)
-        pieces = self._pieces(problem, state, after, (own.values, own.rates), path)
-        seen, places, ends = (now.values, now.rates), [], []
+        pieces, places, ends = self._pieces(problem, state, after, own, now, path), [], []
         for k, place in enumerate(own.places):
             # The value at the end has its derivative. A value within the step gets one in `_found`.
             last = select(here, now.values[k], -jnp.inf)
             found = dataclasses.replace(end, value=last)
-            for piece, following in itertools.zip_longest(pieces, pieces[1:]):
-                until = seen if following is None or piece.whole else following.seen
-                between = piece.top(k, until, inside, own.since)
+            for piece in pieces:
+                between = piece.top(k, inside, own.since)
                 found = select_all(between.value > found.value, between, found)
             places.append(select_all(found.value > place.value, found, place))
             ends.append(select(last > own.ends[k], last, own.ends[k]))
@@ -270,28 +267,31 @@ class Extremes(Extension):
         problem: Problem,
         state: LoopState,
         after: LoopState,
-        seen: Seen,
+        own: SoFar,
+        now: SoFar,
         path: Polynomial | None,
     ) -> list["_Piece"]:
         """The parts of a step in each of which a cubic is near the functions."""
         # Elapsed times restart only after `after_step`, so this is the length of the step.
         h = stop_gradient(after.motion.tau - state.motion.tau)
-        tau, start = state.motion.tau, self._here(problem, state.motion)
+        first, last = (own.values, own.rates), (now.values, now.rates)
+
+        def piece(motion: Motion, h: Array, seen: Seen, until: Seen, counts: Array) -> _Piece:
+            return _Piece(self._here(problem, motion), motion.tau, h, seen, until, counts)
+
         if path is None:
-            return [_Piece(start, tau, h, seen, jnp.ones((), bool), True)]
-        # The step may be a part of its path. A path that is right only at its end has one piece.
-        share = h / select(path.h == 0, 1.0, path.h)
-        pieces, count = [_Piece(start, tau, h, seen, path.ends, True)], len(path.x) // _ORDERS
-        for j in range(count):
-            s = j / count
-            motion = dataclasses.replace(
-                state.motion, tau=tau + s * h, x=state.motion.x if j == 0 else path.at(s * share)
-            )
-            if j > 0:
-                seen = self._seen(problem, dataclasses.replace(state, motion=motion))
-            here = self._here(problem, motion)
-            pieces.append(_Piece(here, motion.tau, h / count, seen, ~path.ends, False))
-        return pieces
+            return [piece(state.motion, h, first, last, jnp.ones((), bool))]
+        # The step may be a part of its path.
+        share, count = h / select(path.h == 0, 1.0, path.h), len(path.x) // _ORDERS
+        motions, seen = [state.motion], [first]
+        for s in np.arange(1, count) / count:
+            tau, x = state.motion.tau + float(s) * h, path.at(float(s) * share)
+            motions.append(dataclasses.replace(state.motion, tau=tau, x=x))
+            seen.append(self._seen(problem, dataclasses.replace(state, motion=motions[-1])))
+        each = zip(motions, seen, (*seen[1:], last), strict=True)
+        pieces = [piece(motion, h / count, v, w, ~path.ends) for motion, v, w in each]
+        # A path that is right only at its end has one piece.
+        return [*pieces, piece(state.motion, h, first, last, path.ends)]
 
     def found(self, problem: Problem, own: SoFar) -> Array:
         """The extremes, shape (k,), at the end of one lane; NaN if it ended before the window."""

@@ -32,6 +32,7 @@ from jaxtyping import Array
 from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.pivoting import by_pivoting
 from jaxfil.integrate.surfaces.question import (
+    NOISE,
     Question,
     Velocity,
     are_apart,
@@ -54,8 +55,6 @@ from jaxfil.xla.select import select
 
 # The largest number of active surfaces whose combinations are tried if pivoting is possible too.
 _FEW = 3
-# Rounding of rates, accelerations and fields, in eps of the sizes of their terms.
-_NOISE = 64
 
 
 class _Found(eqx.Module):
@@ -176,7 +175,7 @@ def _continues(
     stays = held_too = jnp.zeros((), bool)
     if following is not None:
         # A surface that the slide of another one holds has a weight from that one's rate.
-        small = _NOISE * eps * rates.sizes()
+        small = NOISE * eps * rates.sizes()
         held_too = governs(sides, rates, sides, small, slid & (sides == 0))
         alone = ~held_too & slid & question.leaves & question.steered & pushed_by_none(question)
         rates, replaced = in_place(rates, following, direction, question.instant, alone)
@@ -188,7 +187,7 @@ def _continues(
     # Scaled by the rates before reactions too. If a reaction already balances a friction, the rate
     # that remains is only rounding.
     rate, scale = rates.blend(sides, w), question.rates.sizes() + rates.sizes()
-    small = _NOISE * eps * scale
+    small = NOISE * eps * scale
     flat = abs(rate) <= small
     # By their own forces or by those of reactions, which cancel where a wall holds the same rate.
     governed = is_governed(sides, rates, w, small)
@@ -251,7 +250,7 @@ def _turned(
     bend, size = following.blend(sides, w), following.sizes()
     if forces is not None and force is not None:
         size = forces.accelerations.sizes() + forces.sizes(force.blend(sides, w))
-    noise, known = _NOISE * eps * size, rounds == 2
+    noise, known = NOISE * eps * size, rounds == 2
     if question.kept is not None and question.now is not None:
         known = known | (question.kept & (sides == question.now))
     return (sides * bend > noise) | (known & (abs(bend) <= noise))
@@ -279,7 +278,7 @@ def _rests(
     assert question.forces is not None
     sides, eps = question.mode, jnp.finfo(question.direction.dtype).eps
     known = question.forces.accelerations
-    noise = _NOISE * eps * (known.sizes() + question.forces.sizes(force))
+    noise = NOISE * eps * (known.sizes() + question.forces.sizes(force))
     fine = where(rests, sides * force > 0, sides * a >= 0)
     own = question.forces.response.gains.diagonal()
     # λ times its own gain is an acceleration, as the noise is.

@@ -12,6 +12,7 @@ from jaxtyping import Array
 
 from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.question import (
+    NOISE,
     Question,
     Velocity,
     are_apart,
@@ -22,9 +23,6 @@ from jaxfil.integrate.surfaces.unilateral import rests_of
 from jaxfil.integrate.system.components import Components, pack, where
 from jaxfil.xla.complementarity import is_monotone, residual_noise, solve_on_box
 from jaxfil.xla.select import select
-
-# Rounding of accelerations, in eps of the sizes of their terms.
-_NOISE = 64
 
 
 class _Inequality(eqx.Module):
@@ -85,7 +83,7 @@ def _goes_on(question: Question, posed: _Inequality, z: Array) -> Array:
         return jnp.zeros_like(posed.slid)
     sides = where(question.on, 0.0, question.mode)
     bend = pack(following.blend(sides, _like(question.mode, z)), z.dtype)
-    noise = _NOISE * jnp.finfo(z.dtype).eps * pack(following.sizes(), z.dtype)
+    noise = NOISE * jnp.finfo(z.dtype).eps * pack(following.sizes(), z.dtype)
     now = pack(question.now, z.dtype)
     on = pack(question.kept, bool) & (jnp.sign(z) == now) & question.leaves
     return on & (now * bend > noise)

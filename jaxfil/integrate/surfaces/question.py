@@ -12,6 +12,8 @@ from jaxfil.integrate.surfaces.corners import Corners
 from jaxfil.integrate.surfaces.reactions import Forces
 from jaxfil.integrate.system.components import Components, any_of, where
 
+# Rounding of rates, accelerations and fields, in eps of the sizes of their terms.
+NOISE = 64
 # Tolerance for equal velocities, in eps; weights of coupled surfaces magnify rounding.
 _ONE_MOTION = 1024
 

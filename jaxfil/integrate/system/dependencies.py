@@ -60,13 +60,13 @@ def of(
     steady = jax.tree.map(lambda _: False, of_side[0]) if of_side else Components(())
     kinked = field.is_kinked(*moving, steady, *none) or switching.is_kinked(*moving)
     steers = [_flat(switching.depends(*nothing, number)) for number in of_number]
-    each = [
-        any(sides and of[j] for sides, of in zip(switched, steers, strict=True)) for j in range(m)
-    ]
-    steered = tuple(each)
+    numbers = [steer for steer, sides in zip(steers, switched, strict=True) if sides]
+    steered = tuple(any(steer[j] for steer in numbers) for j in range(m))
     if m < 2:
         # The two sides of a single surface determine all blends, affine or not.
-        return Structure(switched, m == 1, False, steered, kinked, members=None)
+        return Structure(
+            switched, separate=m == 1, affine=False, steered=steered, kinked=kinked, members=None
+        )
     # Reactions of different sides multiply different vectors, so a field with reactions counts as
     # affine in at most one side.
     single = len(set().union(*switched)) < 2
