@@ -81,10 +81,12 @@ def judged(
     tau, repeats = end.motion.tau, state.pending.repeats
     flight = abs(tau - state.pending.tau)
     again, hidden = flight <= 4 * problem.same_time(tau), jnp.zeros((), bool)
+    # A tick that reaches no surface is no contact, and each clock has a single tick at a time.
+    reached = any_of(state.pending.surfaces)
     if problem.system.resets and problem.system.m > 1:
         # The same holds for a flight that moves no further from its surface than rounding.
         low = flight * abs(state.motion.rate) <= _LOW * state.motion.noise
-        hidden = ~again & ~any_of(state.pending.surfaces & ~low)
+        hidden = ~again & reached & ~any_of(state.pending.surfaces & ~low)
         again = again | hidden
     return Judgement(
         end=end,
@@ -92,7 +94,7 @@ def judged(
         landing=land(problem, state, end, length),
         doubt=doubted(problem, state, length, trial, end, infinite),
         rejections=select(contact.found, state.search.rejections + 1, 0),
-        repeats=select(waits, select(again, repeats + 1, 0), repeats),
+        repeats=select(waits, select(again, repeats + reached.astype(repeats.dtype), 0), repeats),
         hidden=hidden,
     )
 
