@@ -178,11 +178,12 @@ def evaluate_step_end(
     choice, again = _in_turn(problem, state, maps, choice, later)
     if system.clocks or are_coupled(system):
         # A tick, or a contact or reset of another surface, may put the state where it then slides
-        # or rests, and H may jump there at a tick.
+        # or rests, also where it did so before; and H may jump there at a tick.
         # Surfaces of a located contact have this derivative through the time of the contact.
-        put = stays_on(system, choice.mode) & ~stays_on(system, state.motion.mode)
-        put = put & ~state.pending.surfaces
-        x = held_from_here(system, t, x, choice.mode, put & state.pending.waits)
+        put = state.pending.waits & stays_on(system, choice.mode) & ~state.pending.surfaces
+        if again is not None:  # the last switch at this time knows all modes
+            put = put & ~again
+        x = held_from_here(system, t, x, choice.mode, put)
         fields, rates = fields_from_here(system, t, x, (fields, rates))
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
     if free is not None:
@@ -374,5 +375,8 @@ def _held(
     landed = state.pending.waits & ~state.pending.grazes & state.pending.surfaces
     if later is not None:
         landed = landed & ~later
-    on = (stays_on(system, state.motion.mode) | landed) & ~off
-    return system.hold(project(system, x, at.h, at.normals, on))
+    stays = stays_on(system, state.motion.mode)
+    # At a switch the way back to a surface that was stayed on is along the field, not the normal;
+    # `held_from_here` has its derivative.
+    h = where(state.pending.waits & stays, stop_gradient(at.h), at.h)
+    return system.hold(project(system, x, h, at.normals, (stays | landed) & ~off))

@@ -571,3 +571,97 @@ def test_an_edge_at_the_rounded_time_of_a_tick_is_not_lost():
     slopes, found = jax.jit(jax.jacfwd(end, has_aux=True))(jnp.array([0.8, 1.0]))
     np.testing.assert_allclose(found, [0.5, 0.2, 0, 0], rtol=0, atol=1e-8)
     np.testing.assert_allclose(slopes, [[0, 0], [-1, -0.2]], rtol=0, atol=1e-6)
+
+
+class Conveyor(jf.System):
+    """A block that sticks on a belt, whose speed a tick sets to a command p, its own at first."""
+
+    command: jax.Array
+    clocks: ClassVar[tuple] = (jf.Clock(1.0, 0.5),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -5.0 * side, 0 * t])
+
+    def switching(self, t, x):
+        return x[1] - x[2]
+
+    def tick(self, t, x, clock):
+        return x.at[2].set(self.command)
+
+
+class ConveyorWithTimer(jf.System):
+    """The same by a timer in the state and its reset."""
+
+    command: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -5.0 * side[0], 0 * t, 1.0 + 0 * t])
+
+    def switching(self, t, x):
+        return jnp.stack([x[1] - x[2], -x[3]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 1, x.at[2].set(self.command).at[3].set(-1.0), x)
+
+
+class Lift(jf.System):
+    """A ball that rests on a table, whose height a tick sets to a command."""
+
+    command: jax.Array
+    slides: ClassVar[bool] = False
+    clocks: ClassVar[tuple] = (jf.Clock(1.0, 0.5),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -9.81 + 0 * t, 0 * t])
+
+    def switching(self, t, x):
+        return x[0] - x[2]
+
+    def reset(self, t, x, surface):
+        return x.at[1].multiply(-0.5)
+
+    def tick(self, t, x, clock):
+        return x.at[2].set(self.command)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("system", "x0", "by"),
+    [
+        (Conveyor, [0.0, 1.0, 1.0], [2.5, 1.0, 1.0]),
+        pytest.param(
+            *(ConveyorWithTimer, [0.0, 1.0, 1.0, -0.5], [2.5, 1.0, 1.0, 0.0]),
+            marks=pytest.mark.release,
+        ),
+        (Lift, [1.0, 0.0, 1.0], [1.0, 0.0, 1.0]),
+    ],
+)
+def test_a_command_that_a_slide_or_a_rest_obeys_already_has_its_derivative(system, x0, by):
+    # Any other command moves the block or the ball at once, but not the belt or the table.
+    found = jax.jacfwd(lambda p: solve(system(p), x0, 3.0).x_final)(jnp.array(1.0))
+    np.testing.assert_allclose(found, by, rtol=0, atol=64 * EPS)
+
+
+class Stops(jf.System):
+    """A sampled drive between two stops that it does not reach."""
+
+    gain: jax.Array
+    clocks: ClassVar[tuple] = (jf.Clock(0.01),)
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -self.gain * x[0]])
+
+    def switching(self, t, x):
+        return jnp.stack([1 - x[0], 1 + x[0]])
+
+    def reset(self, t, x, surface):
+        return -x
+
+    def tick(self, t, x, clock):
+        return x.at[1].set(-self.gain * x[0])
+
+
+@pytest.mark.slow
+def test_ticks_without_a_contact_may_be_many():
+    sol = solve(Stops(jnp.array(1.0)), [0.5, 0.0], 42.0, max_events=4300)
+    assert bool(sol.result == jf.RESULTS.successful) and int(sol.num_events) == 4200
