@@ -200,9 +200,9 @@ def _turned(
         return end.motion.x + span * (mean + (time + span) * change)
 
     # Without a prediction the remaining time is inf, and the state would not be finite.
-    limit = ahead(select(shrinks, left, 0))
+    limit, last = ahead(select(shrinks, left, 0)), mean + (time + 2 * left) * change
     agrees, rounding, apart = _agrees(problem, state, end, time, ratio, left, limit, move)
-    reached, clear = _surfaces_there(problem, state, end, left, limit, apart)
+    reached, clear = _surfaces_there(problem, state, end, left, (limit, last), apart)
     # The predicted limit may be past a grid point by the rounding of the prediction.
     late = length.beyond(left)
     agrees = agrees & reached & (late <= rounding)
@@ -284,25 +284,28 @@ def _surfaces_there(
     state: LoopState,
     end: StepEnd,
     left: Array,
-    limit: Components,
+    limit: tuple[Components, Components],
     apart: Components,
 ) -> tuple[Array, Array]:
-    """Whether the limit, known to within `apart`, is on all surfaces of the turn, and whether no
-    other surface is crossed on the way to it.
+    """Whether the limit, a state known to within `apart` with its mean velocity, is on all surfaces
+    of the turn, and whether no other surface is crossed on the way to it.
 
     It is not on those of another accumulation that goes on, as of two balls that come to rest
     independently, each at its own time.
     """
     assert state.turn is not None
-    system, mode = problem.system, end.motion.mode
-    t = problem.grid.t0 + end.motion.tau + select(jnp.isfinite(left), left, 0)
-    h, _, normals = system.gradients(t, limit)
+    (x, velocity), motion = limit, end.motion
+    span = select(jnp.isfinite(left), left, 0)
+    h, h_t, normals = problem.system.gradients(problem.grid.t0 + motion.tau + span, x)
     met = state.turn.met | state.pending.surfaces
     close = abs(h) <= abs(normals) @ apart + _AGREE * state.motion.noise
-    reached = ~any_of(met & ~close)
-    if system.m == 2:
-        return reached, jnp.ones((), bool)
-    return reached, ~any_of(~(met | stays_on(system, mode) | (mode * h >= 0)))
+    # Bernstein coefficients of the cubic of a guard on the way, which is between them. Later turns
+    # are nearer to the limit than this one, which has not reached the surface.
+    start = motion.g + span / 3 * motion.rate
+    stop = motion.mode * (h - span / 3 * (h_t + normals @ velocity))
+    passes = (start >= 0) & (stop >= 0) & (motion.mode * h >= 0)
+    others = ~(met | stays_on(problem.system, motion.mode))
+    return ~any_of(met & ~close), ~any_of(others & ~passes)
 
 
 def _kind(hit: Components, mode: Components) -> Array:
@@ -310,7 +313,8 @@ def _kind(hit: Components, mode: Components) -> Array:
     codes = 2 * (mode + 2) + hit.astype(mode.number(0).dtype)
     if codes.is_array:  # square roots, so that different codes have different sums
         (numbers,) = stop_gradient(codes).parts
-        return jnp.sum(numbers * np.sqrt(np.arange(2.0, 2.0 + len(numbers))))
+        roots = np.sqrt(np.arange(2.0, 2.0 + len(numbers))).astype(numbers.dtype)
+        return jnp.sum(numbers * roots)
     # Each code is between 0 and 9, one decimal digit.
     return stop_gradient(ft.reduce(lambda number, code: 10 * number + code, codes.parts))
 

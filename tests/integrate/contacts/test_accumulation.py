@@ -412,3 +412,21 @@ def test_a_limit_that_no_reaction_can_hold_has_no_continuation():
     results, times = run(leaks)
     assert outcome_names(results).tolist() == ["zeno"] * 3
     assert_allclose(times, 1.6 / (leaks.sum(1) - 1), rtol=1e-12)
+
+
+class Dosed(jf.System):
+    """x'' = −2 sgn x − sgn x', at rest at t = 3.027, and y' = 1 from t = 2.96 to 3."""
+
+    rate: jax.Array
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], -2 * side[0] - side[1], self.rate * 0.5 * (1 + side[2])])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0], x[1], (t - 2.96) * (3.0 - t)])
+
+
+def test_a_surface_that_is_crossed_and_crossed_back_before_the_limit_is_seen():
+    # The turns agree from t = 2.938 on.
+    sol = jf.solve(Dosed(jnp.array(1.0)), jnp.array([-0.5, 0.5, 0.0]), 0.0, 4.0, 0.8)
+    assert_allclose(sol.x_final, [0, 0, 0.04], rtol=0, atol=1e-12)
