@@ -143,3 +143,14 @@ def just_after(problem: Problem, t: Array, *, in_time: bool = False) -> Problem:
     grid = dataclasses.replace(problem.grid, t0=stop_gradient(t))
     here = dataclasses.replace(problem, grid=grid)
     return between_ticks(here, first_ticks(here, at_start=in_time))
+
+
+def just_before(problem: Problem, t: Array) -> Problem:
+    """The problem up to a time, from the tick before it, in growing time."""
+    if not problem.system.clocks:
+        return problem
+    length = stop_gradient(problem.grid.length)
+    back = -select(length == 0, 1.0, abs(length))  # an empty span has a direction too
+    grid = dataclasses.replace(problem.grid, t0=stop_gradient(t), length=back)
+    here = dataclasses.replace(problem, grid=grid)
+    return between_ticks(here, first_ticks(here, at_start=False))

@@ -29,7 +29,7 @@ from jaxfil.model.observe import Observe, asked_of, value_of
 from jaxfil.model.parameter import cast
 from jaxfil.model.section import Section
 from jaxfil.model.system import System, field_of
-from jaxfil.xla.select import select
+from jaxfil.xla.select import select, select_all
 
 
 class Observable(eqx.Module):
@@ -178,26 +178,40 @@ def checked_observable(name: str, function: Any, system: System, x: Array) -> Ob
 
 
 def observed(
-    observable: Observable, problem: Problem, system: System, x0: Array, at: SavedStates
+    observable: Observable,
+    problem: Problem,
+    system: System,
+    x0: Array,
+    at: SavedStates,
+    *,
+    both: bool = False,
 ) -> Array:
     """The values at the states saved in a run from x0, shape (k, *shape); inf for unreached
-    entries."""
+    entries. States saved on `both` sides of an event have one time in two or more rows, of which
+    the earliest is the state before it."""
     wider, start = with_rate(system, observable, x0)
     n, more = x0.shape[0], start[x0.shape[0] :]
     # `transposed`, since unreached entries are computed too, and their derivatives must not be NaN.
     field = build(wider, start, compact=True, transposed=True)
     around = dataclasses.replace(problem, system=field)
 
-    def value(t: Array, x: Array, mode: Array) -> Array:
+    def value(t: Array, x: Array, mode: Array, before: Array) -> Array:
         reached = jnp.isfinite(t) & jnp.all(jnp.isfinite(x))
         # Unreached entries are inf; they are replaced before the evaluation, whose derivatives
         # would be NaN, and inf again after it.
         t, x = select(reached, t, problem.grid.t0), select(reached, x, x0)
         # The mode of an unreached entry may be 0, and would be evaluated as a slide.
         mode = select(reached, mode.astype(x.dtype), 1.0)
-        # A state saved at a tick is the one after it, also backward in time.
+        # A single state saved at a tick is the one after it, also backward in time.
         here = clocks.just_after(around, t, in_time=True).system
+        if both and here.clocks:
+            earlier = clocks.just_before(around, t).system.window
+            here = dataclasses.replace(here, window=select_all(before, earlier, here.window))
         rate = ModeField(here, here.of_surfaces(mode))(t, here.unpack(jnp.concatenate([x, more])))
         return select(reached, pack(rate, x.dtype)[n:], jnp.inf).reshape(observable.shape)
 
-    return jax.vmap(value)(at.ts, at.xs, at.modes)
+    same, no = at.ts[1:] == at.ts[:-1], jnp.zeros((1,), bool)
+    as_next, as_last = jnp.append(same, no), jnp.append(no, same)
+    forward = problem.grid.direction > 0
+    before = select(forward, as_next & ~as_last, as_last & ~as_next)
+    return jax.vmap(value)(at.ts, at.xs, at.modes, before)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import Problem, Recording, TimeGrid, iteration_budget
-from jaxfil.integrate.lane.recorders import SaveDense, SaveTimes
+from jaxfil.integrate.lane.recorders import SaveDense, SaveSteps, SaveTimes
 from jaxfil.integrate.lane.recording import mode_codes
 from jaxfil.integrate.lane.state import LoopState, SavedStates
 from jaxfil.integrate.loop.extensions import problem_of, sections_in
@@ -118,9 +118,9 @@ def solve(
       shape: an energy, a force. It may take arguments of these names, each of the shape of H:
       `side`, as in `System.vector_field`; `reaction`, the forces of the surfaces rested on, in
       which it must be affine; `mode`, +1 or −1 on a side, 0 on a slide, +2 or −2 at rest. Its
-      values at the saved times, just after their contacts, are `observed`. On a slide they are
-      blended from both sides, as the field is; for a dry friction, −F·side, this is the force
-      that holds. Needs `saveat` with `t1`, `ts` or `steps`.
+      values at the saved times, just after their contacts, are `observed`; with `steps`, those just
+      before are too. On a slide they are blended from both sides, as the field is; for a dry
+      friction, −F·side, this is the force that holds. Needs `saveat` with `t1`, `ts` or `steps`.
 
     **Returns** a `Solution`, valid up to the time where it stopped.
 
@@ -243,7 +243,9 @@ def _run(
     assert sol.ts is not None and sol.xs is not None and sol.modes is not None
     if observable is not None:
         problem, saves = problem_over(x0, t0, t1, dt), SavedStates(sol.ts, sol.xs, sol.modes)
-        return dataclasses.replace(sol, observed=observed(observable, problem, system, x0, saves))
+        both = isinstance(options.recorder, SaveSteps)
+        values = observed(observable, problem, system, x0, saves, both=both)
+        return dataclasses.replace(sol, observed=values)
     if not isinstance(options.recorder, SaveDense):
         return sol
     # The span of dense output ends where the run stopped, which may be before t1.

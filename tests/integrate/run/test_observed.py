@@ -114,6 +114,37 @@ def test_a_sampled_signal_is_observed_just_after_its_tick():
     assert np.floor((np.asarray(sol.ts) - 0.3) / 0.1).tolist() != number.tolist()
 
 
+class Wrapped(jf.System):
+    """x' = 1, and a tick takes 1 off x at each whole time."""
+
+    slope: jax.Array
+    clocks = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        return self.slope + 0 * x
+
+    def tick(self, t, x, clock):
+        return x - self.slope
+
+
+def test_saved_steps_are_observed_on_their_side_of_a_tick():
+    """The error of x against a ramp that restarts at each tick is zero on both sides."""
+    sol = jf.solve(
+        Wrapped(jnp.array(1.0)),
+        jnp.zeros(1),
+        0.0,
+        3.5,
+        0.25,
+        stepper=jf.RK4(),
+        saveat=diffrax.SaveAt(steps=True),
+        observe=lambda t, x, side: x[0] - jnp.mod(t, 1.0),
+    )
+    seen = np.asarray(sol.observed)[: sol.stats["num_saved"]]
+    assert seen.size > 14
+    # Functions are evaluated inside of the interval between two ticks by the rounding of times.
+    np.testing.assert_allclose(seen, 0, rtol=0, atol=64 * EPS)
+
+
 def mode_and_place(t, x, mode):
     return jnp.stack([mode, x[0]])
 
