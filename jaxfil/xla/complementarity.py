@@ -41,6 +41,14 @@ def solve_on_box(
     open_ = select(free[:, None] & free[None, :], matrix, 0.0)
     bounded = (free & jnp.isfinite(high)).astype(q.dtype)
     start = select(free, q + matrix @ low, 1.0)
+    # An unknown without an upper bound has any unit. Its own one makes the matrix of order one, and
+    # a common factor the solution, without which the pivots would be rounding.
+    unit = 1 / jnp.sqrt(select(jnp.diag(open_) == 0, 1.0, abs(jnp.diag(open_))))
+    unit = select(bounded > 0, 1.0, unit)
+    rows = jnp.sum(abs(open_) * unit, axis=1)
+    common = jnp.max(select(free & (rows > 0), abs(start) / select(rows == 0, 1.0, rows), 0.0))
+    unit = unit * select((bounded > 0) | (common == 0), 1.0, common)
+    open_ = open_ * unit
     # Rows are scaled, since unknowns of very different sizes, weights and reactions, share the
     # covering vector.
     scale = jnp.sum(abs(open_), axis=1) + abs(start)
@@ -49,15 +57,28 @@ def solve_on_box(
     upper = jnp.concatenate([open_, link], axis=1)
     lower = jnp.concatenate([-jnp.diag(bounded), jnp.zeros_like(open_)], axis=1)
     y, found = _lemke(jnp.concatenate([upper, lower]), jnp.concatenate([start, size]))
-    z = low + y[:k]
-    close = COMPLEMENTARITY * jnp.finfo(q.dtype).eps
-    z = select(z >= high - close * size, high, select(z <= low + close * size, low, z))
+    z = low + unit * y[:k]
+    # A part of the box, or without an upper bound of the unknown itself, is rounding.
+    typical = select(bounded > 0, size, _balancing(q, matrix, z))
+    close = COMPLEMENTARITY * jnp.finfo(q.dtype).eps * typical
+    z = select(z >= high - close, high, select(z <= low + close, low, z))
     z = select(free, z, low)
     # For a singular M the residual after a pivot may be rounding, so the solution is verified.
     value = q + matrix @ z
     noise = residual_noise(q, matrix, z)
     wrong = ((value < -noise) & (z < high)) | ((value > noise) & (z > low))
     return z, found & ~jnp.any(wrong & free)
+
+
+def _balancing(
+    q: Float[Array, " k"], matrix: Float[Array, "k k"], z: Float[Array, " k"]
+) -> Float[Array, " k"]:
+    """The size of each unknown that balances the largest terms of its own row, in the units of the
+    unknown."""
+    own = abs(jnp.diag(matrix))
+    terms = abs(q) + abs(matrix) @ abs(z)
+    # An unknown without an effect on its own row is of the size of the others.
+    return select(own == 0, jnp.max(abs(z)), terms / select(own == 0, 1.0, own))
 
 
 def residual_noise(

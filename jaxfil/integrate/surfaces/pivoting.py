@@ -49,7 +49,7 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     on, mode = pack(question.on, bool), pack(question.mode, posed.q.dtype)
     # The solution only says which surfaces slide or rest. The weights and reactions themselves are
     # computed from the mode.
-    weight = select(z >= 1, 1.0, select(z <= -1, -1.0, 0.0))
+    weight = select(abs(z) >= 1, jnp.sign(z), 0.0)
     # Where dψ/dt vanishes in place of ψ, the slide of another surface holds both.
     residual = abs(posed.q + posed.matrix @ z)
     balanced = residual <= residual_noise(posed.q, posed.matrix, z)
@@ -135,7 +135,8 @@ def _velocity_of(question: Question, z: Array) -> Velocity:
     if question.fields is None:
         return Velocity(weights, abs(weights))
     slid = question.on if question.walls is None else question.on & ~question.walls
-    sides = where(slid, 0.0, where(question.mode < 0, -1.0, 1.0))
+    plus = question.mode.like(jnp.ones((), z.dtype))
+    sides = where(slid, 0.0, where(question.mode < 0, -plus, plus))
     f, size = question.fields.blend(sides, weights), question.fields.sizes()
     if forces is None:
         return Velocity(f, size)

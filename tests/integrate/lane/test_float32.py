@@ -154,3 +154,34 @@ def test_float32_derivative_near_grazing(gap):
 
     d_t = jax.jacfwd(time)(jnp.asarray(1.0, jnp.float32))
     assert_allclose(d_t, 1 - 1 / np.sqrt(1 - 2 * float(level)), rtol=1e-4 / gap)
+
+
+class Pile(jf.System):
+    """Four blocks that lie on each other on a floor, with e = 0."""
+
+    g: jax.Array
+    slides: ClassVar[bool] = False
+
+    def vector_field(self, t, x, side):
+        return jnp.concatenate([x[4:], -self.g * jnp.ones(4, x.dtype)])
+
+    def switching(self, t, x):
+        return jnp.diff(x[:4], prepend=jnp.full(1, -1, x.dtype)) - 1
+
+    def reset(self, t, x, surface):
+        v, below = x[4:], jnp.arange(4, dtype=surface.dtype) == surface - 1
+        # The floor is at rest.
+        common = jnp.sum(jnp.where(below, 0.5 * (v + jnp.roll(v, -1)), jnp.zeros_like(v)))
+        hit = jnp.roll(below, 1).at[0].set(surface == 0) | below
+        return jnp.concatenate([x[:4], jnp.where(hit, common, v)])
+
+
+@pytest.mark.slow
+def test_float32_pile_of_four_stays_in_any_units():
+    """In SI units, and with the time in milliseconds."""
+    for g in (9.81, 9.81e-6):
+        time = (1 / g) ** 0.5
+        x0 = jnp.array([0, 1, 2, 3, 0, 0, 0, 0], jnp.float32)
+        sol = jf.solve(Pile(jnp.float32(g)), x0, 0.0, time, 0.05 * time, compact=True)
+        assert sol.mode_final.tolist() == [2, 2, 2, 2]
+        assert_allclose(sol.x_final, x0, rtol=0, atol=1e-5 * min(1, g * time))
