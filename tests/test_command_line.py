@@ -505,7 +505,7 @@ def test_ctrl_c_is_answered_by_one_line_and_130(tmp_path, until, times, line):
         assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.usefixtures("ctrl_c_interrupts")
 @pytest.mark.parametrize(
     "command, axes",

@@ -484,7 +484,7 @@ class Thermostat(jf.System):
         return jnp.stack([x[0], jnp.where(surface == 0, 0.0, 1.0)])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_contact_passes_the_state_from_which_an_autonomous_orbit_is_shot():
     """The branch starts from 20 degrees, and its orbits end below."""
     system = Thermostat(jnp.float64(20.5))

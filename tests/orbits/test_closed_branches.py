@@ -43,7 +43,7 @@ class Cycles(jf.System):
         return jnp.stack([growth * x[0] - turn * x[1], growth * x[1] + turn * x[0]])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_closed_branch_of_a_forced_system_is_followed_once_round():
     orbit = jf.periodic_orbit(Ring(jnp.array(2.3)), jnp.array([0.9]), steps=20)
     branch = jf.continue_orbit(Ring(jnp.array(2.3)), "a", orbit, stop=(0.5, 4.0), max_step=0.05)

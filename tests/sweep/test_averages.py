@@ -160,7 +160,7 @@ def balls():
     return rows, found
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_ball_that_hops_once_a_period_has_its_closed_form(balls):
     rows, found = balls
     good = np.isfinite(rows[:, 0])
@@ -497,7 +497,9 @@ class Resonant(jf.System):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("steps", [jf.Adaptive(1e-6, 1e-9), 2])
+@pytest.mark.parametrize(
+    "steps", [pytest.param(jf.Adaptive(1e-6, 1e-9), marks=pytest.mark.release), 2]
+)
 def test_extremes_within_steps_as_long_as_a_period(steps):
     # The cubic through both ends of such a step is 3 % off, or has no maximum.
     average = {

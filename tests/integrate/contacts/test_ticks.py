@@ -400,7 +400,7 @@ class Flipping(jf.System):
         return jf.Clock(self.fast), jf.Clock(self.slow, self.phase)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_ticks_that_coincide_but_for_rounding_are_no_turns():
     """Of two clocks that tick together at 2, 5, 8, 11 periods of the first, only the second one
     does anything; x has derivatives by its times alone."""

@@ -55,7 +55,13 @@ def bounced(height, t, e=0.8):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    "way",
+    [
+        way if way in ("set", "apply") else pytest.param(way, marks=pytest.mark.release)
+        for way in WAYS
+    ],
+)
 def test_a_reset_at_a_known_place(way):
     def end(x0):
         return jf.solve(OneBall(way), x0, 0.0, 2.0, 0.1).x_final

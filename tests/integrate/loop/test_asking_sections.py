@@ -185,6 +185,7 @@ class Box(jf.System):
         return jnp.where(surface == 2, x, jnp.stack([x[0], w - 0.5 * (x[1] - w)]))
 
 
+@pytest.mark.release
 def test_a_section_of_the_mode_beside_friction_and_walls():
     # It sticks until the floor's acceleration, 0.8 sin t, exceeds the friction's.
     slips = jf.Section(lambda t, x, mode: jnp.abs(mode[2]) - 0.5)

@@ -77,7 +77,7 @@ def run(x0):
     return jnp.stack([sol.crossings.ts, sol.crossings.xs[:, 0]], axis=1), sol
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_double_scroll_is_that_of_heyoka():
     slopes, sol = jax.jacfwd(run, has_aux=True)(jnp.array([0.7, 0.1, -0.1]))
     np.testing.assert_allclose(sol.events.ts[: len(CONTACTS)], CONTACTS, rtol=0, atol=1e-10)

@@ -260,9 +260,10 @@ BALL, CORNER = jf.systems.BouncingBall(g=9.8, restitution=0.5), PROBLEMS["corner
             lambda: jf.solve(jf.systems.SDOscillator(), jnp.zeros(2), 0.0, 2.0, 0.1),
             r"t = 0, x = \[0\., 0\.\], on surface 0\.",
         ),
-        (
+        pytest.param(
             lambda: jf.solve(CORNER.system, jnp.asarray(CORNER.x0, float), 0.0, 2.0, 0.3),
             r"t = 1, x = .*, on surfaces 0, 1\.",
+            marks=pytest.mark.release,
         ),
     ],
 )

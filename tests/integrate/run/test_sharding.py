@@ -46,7 +46,7 @@ print(json.dumps(found))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_batch_spread_over_devices_is_that_of_one_or_refused_by_name():
     flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
     done = subprocess.run(

@@ -93,8 +93,10 @@ SCALES = np.asarray(
     ("inner", "x0", "t1", "events"),
     [
         (jf.systems.MovingBelt(), (3, 0), 28.0, 7),
-        (jf.systems.CoulombOscillator(), (3, 0.1), 20.0, 5),
-        (jf.systems.VisibleFold(), (-1, 0.1), 2.0, 2),
+        pytest.param(
+            *(jf.systems.CoulombOscillator(), (3, 0.1), 20.0, 5), marks=pytest.mark.release
+        ),
+        pytest.param(*(jf.systems.VisibleFold(), (-1, 0.1), 2.0, 2), marks=pytest.mark.release),
     ],
 )
 def test_scales(inner, x0, t1, events):
@@ -199,6 +201,7 @@ def test_new_numbers_trace_nothing():
     assert TRACED == []
 
 
+@pytest.mark.release
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory():
     def call(k):
@@ -358,7 +361,7 @@ def test_a_dense_solution_is_evaluated_at_times_of_any_shape(coulomb, shape):
     assert_allclose(jax.jit(coulomb.evaluate)(ts), want, rtol=0, atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_times_under_jit_are_known_where_they_are_numbers():
     """x'' = -1 from (9, 0): 9 - t²/2."""
     relay, x0 = Relay(jnp.asarray(1.0)), jnp.asarray([9.0, 0.0])
@@ -508,7 +511,7 @@ def test_a_field_computed_on_the_host_is_solved_with_a_rule_around_it():
     np.testing.assert_allclose(sol.x_final, [np.cos(w), -w * np.sin(w)], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_under_shard_map_the_check_that_cannot_be_is_named():
     mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("lanes",))
     lanes = jax.sharding.PartitionSpec("lanes")

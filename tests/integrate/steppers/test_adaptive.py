@@ -37,7 +37,13 @@ def planet(e, t):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", STEPPERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        v if v in ("Dopri8", "Taylor") else pytest.param(v, marks=pytest.mark.release)
+        for v in STEPPERS
+    ],
+)
 def test_an_eccentric_orbit_is_right_to_the_tolerance(name):
     e, t = 0.95, 2 * np.pi + 1.0
     x0 = jnp.asarray(planet(e, 0.0))

@@ -227,7 +227,7 @@ def damped():
     return run(*jnp.asarray([*rows, (0.0, 1e8, 0.1402291884862172)]).T)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("row", range(len(DAMPED)))
 def test_relay_and_belt_with_a_damped_contact(damped, row):
     (v, _), want_ts, want_dts, want_x, want_dx = DAMPED[row]

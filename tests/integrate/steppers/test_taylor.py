@@ -26,13 +26,22 @@ NAMES = (
     "grazing touch",
     "filippov spiral",
 )
+QUICKER = (
+    "rotating by everything",
+    "leave by everything",
+    "ball that comes to rest",
+    "grazing touch",
+)
 EPS = float(np.finfo(float).eps)
 BELT = jf.systems.BeltFriction()
 X0 = jnp.array([0.1, 0.0])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name",
+    [v if v in QUICKER else pytest.param(v, marks=pytest.mark.release) for v in NAMES],
+)
 def test_ends_of_the_bank_are_exact(name):
     p = PROBLEMS[name]
     x0 = jnp.asarray(p.x0, float)
@@ -72,7 +81,7 @@ def test_derivatives_of_both_orders_through_sticks():
     assert_allclose(curvature, (ahead - back) / (2 * step), rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_all_ways_to_save_agree():
     ts = jnp.linspace(0.0, 3.0, 17)
 
@@ -84,7 +93,7 @@ def test_all_ways_to_save_agree():
     assert_allclose(at_times, dense, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_lane_does_not_depend_on_its_batch():
     sd = jf.systems.SDOscillator()
     omegas = np.linspace(0.6, 1.3, 70)
@@ -205,7 +214,7 @@ class Strips(jf.System):
         return jnp.stack([x[0] - 1.0, x[0] - 2.0])
 
 
-@pytest.mark.parametrize("others", [0, 11])
+@pytest.mark.parametrize("others", [0, pytest.param(11, marks=pytest.mark.release)])
 def test_a_number_may_be_switched_by_several_surfaces_that_are_only_crossed(others):
     x0 = jnp.concatenate([jnp.array([0.0, 1.0]), jnp.ones(others)])
     sol = jf.solve(Strips(), x0, 0.0, 3.0, 0.05, stepper=jf.Taylor())
@@ -286,6 +295,7 @@ class Steady(jf.System):
         return jnp.stack([2.0 - jnp.sqrt(x[0]), -(x[1] ** self.power)])
 
 
+@pytest.mark.release
 def test_the_flow_of_a_steady_state_has_its_derivative():
     def end(x0):
         return jf.solve(Steady(jnp.array(1.0)), x0, 0.0, 5.0, 0.25, stepper=jf.Taylor()).x_final
@@ -312,7 +322,7 @@ def test_orders_are_checked(order):
         jf.Taylor(order)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_file_keeps_the_order(tmp_path):
     sd = jf.systems.SDOscillator()
     orbit = jf.periodic_orbit(sd, jnp.array([1.0, 0.0]), steps=30, stepper=jf.Taylor(14))

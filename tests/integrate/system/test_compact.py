@@ -117,7 +117,7 @@ def test_orbits_of_both_grades_agree():
     assert_allclose(compact.multipliers, written.multipliers, rtol=1e-9, atol=1e-11)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_diagrams_of_both_grades_agree():
     """More lanes than one chunk has, so that the second one is filled up."""
     omegas = jnp.linspace(1.0, 2.0, 70)

@@ -85,7 +85,7 @@ def test_contacts_and_states_are_those_of_the_few(name, compact):
     assert_allclose(many.xs[-1, : len(x0)], few.xs[-1], rtol=1e-11, atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("name", SCENES)
 def test_jacobians_are_those_of_the_few(name):
     system, x0, t1 = SCENES[name]

@@ -125,7 +125,7 @@ def test_dense_output():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_an_orbit_has_the_multipliers_of_each():
     def orbit(i):
         x0 = jnp.append(START[:, i].reshape(-1), 2.0)
