@@ -54,6 +54,7 @@ from jaxfil.integrate.system.components import (
     all_finite,
     any_of,
     first_set,
+    largest,
     maximum,
     side_of,
     sign,
@@ -159,9 +160,12 @@ def _first_mode_together(
     if system.slides:
         seconds = second_derivatives(system, t, x, start.sides, on, moment(problem))
         forces = forces.with_slides(seconds, ~decided | start.still)
-    # If the pressing acceleration vanishes, the sign of the first nonzero derivative decides.
-    flat = forces.accelerations.sizes() == 0
-    leaning = forces.accelerations.map(lambda a: where(flat, resolved, a))
+    # If the pressing acceleration vanishes, the sign of the first nonzero derivative decides. Its
+    # reaction is then tiny, since a friction may be in proportion to it.
+    sizes = forces.accelerations.sizes()
+    most = jnp.maximum(largest(sizes), largest(rates.sizes()))
+    tiny = select(most > 0, system.eps * most, 1.0)
+    leaning = forces.accelerations.map(lambda a: where(sizes == 0, tiny * sign(resolved), a))
     forces = dataclasses.replace(forces, accelerations=leaning)
     instant = problem.same_time(jnp.zeros((), system.dtype))
     question = dataclasses.replace(

@@ -397,3 +397,37 @@ class Forced(Block):
     @property
     def period(self):
         return 2 * jnp.pi / self.omega
+
+
+class Clamped(jf.System):
+    """A block on a table, pushed by a force of 1 and pressed by n (t − t0) with friction."""
+
+    mu: jax.Array
+    n: jax.Array
+    t0: jax.Array
+
+    @property
+    def clocks(self):
+        return (jf.Clock(10.0, self.t0),)
+
+    def vector_field(self, t, x, side, reaction):
+        pressed = jnp.where(t < self.t0, 3.0, self.n * (t - self.t0))
+        rub = self.mu * reaction[0] * side[1]
+        return jnp.stack([x[1], 1.0 - rub, x[3], reaction[0] - pressed])
+
+    def switching(self, t, x):
+        return jnp.stack([x[2], x[1]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 0, x.at[3].set(0.0), x)
+
+
+@pytest.mark.slow
+def test_a_clamp_that_closes_from_zero_lets_the_block_slip_first():
+    """v = s − s²/2 until it sticks at s = 2, with s = t − t0 and μ n = 1. At a start at t0, and at a
+    tick, before which it sticks."""
+    for t0, mu in ((0.0, 2.0), (1.0, 0.5), (1.0, 2.0)):
+        system = Clamped(*(jnp.array(v) for v in (mu, 1 / mu, t0)))
+        sol = jf.solve(system, jnp.zeros(4), 0.0, 3.5, 0.3, stepper=diffrax.Dopri8(), compact=True)
+        assert_allclose(sol.x_final, [2 / 3, 0, 0, 0], rtol=0, atol=1e-12)
+        assert sol.mode_final.tolist() == [2, 0]
