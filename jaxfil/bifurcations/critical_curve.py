@@ -33,11 +33,17 @@ from jaxfil.orbits.locating import change_on_curve, ends_between, last_along, ze
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.phase_shift import period_of, problem_at, quiet_phase, seen_from
 from jaxfil.orbits.plane_curve import EquationsCurve
-from jaxfil.orbits.special_points import pair_on_circle
+from jaxfil.orbits.unit_circle import zeros_between
 
 # κ of a pair of multipliers e^{±iθ}, κ = cos θ, in strong resonance.
 RESONANCES = {"1:1": 1.0, "1:2": -1.0, "1:3": -0.5, "1:4": 0.0}
 _MEET = ("1:1", "1:2")
+# The kind of a curve and the same kind of another multiplier.
+_DOUBLE = {
+    ("fold", "fold"): "1:1",
+    ("branch-point", "fold"): "1:1",
+    ("period-doubling", "period-doubling"): "1:2",
+}
 # Accuracy of the end of a curve, where multipliers coincide.
 _THERE = 1e-6
 
@@ -123,52 +129,51 @@ class CriticalCurve(EquationsCurve[CriticalPoint]):
         yield from self._degenerate(a, b)
 
     def _degenerate(self, a: CriticalPoint, b: CriticalPoint) -> Iterator[Special[CriticalPoint]]:
-        kind = self.equations.kind
-        for name, test in self._tests(a).items():
-            point = None
-            if test(a) * test(b) < 0:
-                point = zero_on_curve(self, a, b, test)
-                # A coefficient has poles where another multiplier is critical too.
-                if point is not None and abs(test(point)) > min(abs(test(a)), abs(test(b))):
-                    point = None
-            elif name in _MEET and kind == "neimark-sacker" and abs(test(b)) < _THERE:
-                point = b
-            if point is not None:
-                yield Special(name, point, kind, kind)
+        kind, tests = self.equations.kind, self._tests(a)
+        for name, point in zeros_between(self, a, b, tests, self._others):
+            yield Special(_DOUBLE.get((kind, name), name), point, kind, kind)
+        if kind == "neimark-sacker":
+            for name in _MEET:
+                at_b = tests[name](b)
+                if abs(at_b) < _THERE and not tests[name](a) * at_b < 0:
+                    yield Special(name, b, kind, kind)
 
     def _tests(self, a: CriticalPoint) -> dict[str, Callable[[CriticalPoint], float]]:
         """Test functions of the points near a."""
         kind = self.equations.kind
         tests: dict[str, Callable[[CriticalPoint], float]] = {}
-        one, minus = "fold", "period-doubling"
-        if kind in ("fold", "branch-point"):
-            one = "1:1"
         if kind == "fold":
             tests["cusp"] = lambda p: p.degeneracy.like(a.degeneracy)
         if kind == "period-doubling":
-            minus = "1:2"
             tests["generalised-doubling"] = lambda p: p.degeneracy.like(a.degeneracy)
         if kind == "neimark-sacker":
             for name, level in RESONANCES.items():
                 tests[name] = lambda p, level=level: self._kappa(p) - level
-        tests[one] = lambda p: float(np.polyval(self._others(p), 1.0))
-        tests[minus] = lambda p: float(np.polyval(self._others(p), -1.0))
-        tests["neimark-sacker"] = lambda p: pair_on_circle(np.roots(self._others(p)))
+        tests["fold"] = lambda p: float(np.polyval(self._polynomial(p), 1.0))
+        tests["period-doubling"] = lambda p: float(np.polyval(self._polynomial(p), -1.0))
         return tests
 
     def _kappa(self, point: CriticalPoint) -> float:
         return float(self.equations.split(point.u)[1][-1])
 
-    def _others(self, point: CriticalPoint) -> np.ndarray:
-        """The characteristic polynomial of the multipliers, without the critical ones and without
-        the trivial one of an autonomous orbit."""
-        kind = self.equations.kind
-        factor = np.poly([-1.0]) if kind == "period-doubling" else np.poly([1.0])
+    def _critical(self, point: CriticalPoint) -> np.ndarray:
+        """The critical multipliers, and the trivial one of an autonomous orbit."""
+        kind, trivial = self.equations.kind, [1.0] * self.equations.autonomous
         if kind == "neimark-sacker":
-            factor = np.array([1.0, -2 * self._kappa(point), 1.0])
-        if self.equations.autonomous:
-            factor = np.polymul(factor, np.poly([1.0]))
-        return np.polydiv(np.poly(point.known.slopes.monodromy), factor)[0]
+            return np.append(np.roots([1.0, -2 * self._kappa(point), 1.0]), trivial)
+        return np.array([-1.0 if kind == "period-doubling" else 1.0, *trivial])
+
+    def _polynomial(self, point: CriticalPoint) -> np.ndarray:
+        """The characteristic polynomial of the other multipliers, smooth where one is critical."""
+        whole = np.poly(point.known.slopes.monodromy)
+        return np.polydiv(whole, np.poly(self._critical(point)))[0]
+
+    def _others(self, point: CriticalPoint) -> np.ndarray:
+        """The other multipliers. Roots of the polynomial would have half the digits if equal."""
+        values = np.linalg.eigvals(point.known.slopes.monodromy)
+        for critical in self._critical(point):
+            values = np.delete(values, np.argmin(abs(values - critical)))
+        return values
 
     def last_between(
         self, here: CriticalPoint, ahead: CriticalPoint

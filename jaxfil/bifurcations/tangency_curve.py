@@ -34,7 +34,7 @@ from jaxfil.orbits.curve import (
 from jaxfil.orbits.locating import change_on_curve, zero_on_curve
 from jaxfil.orbits.newton import Root
 from jaxfil.orbits.plane_curve import EquationsCurve
-from jaxfil.orbits.special_points import neimark_sacker, period_doubling
+from jaxfil.orbits.unit_circle import period_doubling, zeros_between
 from jaxfil.xla.known import array_of
 
 
@@ -172,18 +172,13 @@ class TangencyCurve(EquationsCurve[TangencyPoint]):
 
     def _critical(self, a: TangencyPoint, b: TangencyPoint) -> Iterator[Special[TangencyPoint]]:
         """A multiplier on the unit circle between two points of the same kind."""
-        for kind, test in self._tests().items():
-            if test(a) * test(b) < 0:
-                point = zero_on_curve(self, a, b, test)
-                if point is not None:
-                    yield Special(kind, point, a.kind, b.kind)
+        multipliers = lambda p: np.linalg.eigvals(p.known.monodromy)  # noqa: E731
+        for kind, point in zeros_between(self, a, b, self._tests(), multipliers):
+            yield Special(kind, point, a.kind, b.kind)
 
     def _tests(self) -> dict[str, Callable[[TangencyPoint], float]]:
-        """Test functions of the orbit."""
-        tests = {
-            "period-doubling": lambda p: period_doubling(p.known.monodromy),
-            "neimark-sacker": lambda p: neimark_sacker(p.known.monodromy),
-        }
+        """Test functions of real multipliers of the orbit."""
+        tests = {"period-doubling": lambda p: period_doubling(p.known.monodromy)}
         # An autonomous orbit always has a multiplier 1.
         if self.system.period is not None:
             tests["fold"] = lambda p: period_doubling(-p.known.monodromy)

@@ -12,7 +12,8 @@ import numpy as np
 from jaxfil.orbits.chattering import differ_by_chattering, rests_in
 from jaxfil.orbits.corrector import OrbitPoint
 from jaxfil.orbits.curve import Curve, Special
-from jaxfil.orbits.locating import count_on_curve, ends_between, is_corner, zero_on_curve
+from jaxfil.orbits.locating import ends_between, is_corner
+from jaxfil.orbits.unit_circle import period_doubling, zeros_between
 
 
 def _fold(point: OrbitPoint) -> float:
@@ -30,33 +31,6 @@ def crossing(a: OrbitPoint, b: OrbitPoint) -> Callable[[OrbitPoint], float]:
     length = np.where(length == 0, 1, length)
     # With the tangent appended, the determinant does not vanish at a fold of the curve.
     return lambda point: float(np.linalg.det(np.vstack([point.rows / length, point.tangent])))
-
-
-def period_doubling(monodromy: np.ndarray) -> float:
-    """Π (μ + 1), which is smooth where a single multiplier cannot be identified."""
-    return float(np.linalg.det(monodromy + np.eye(len(monodromy))))
-
-
-def neimark_sacker(monodromy: np.ndarray) -> float:
-    """Π (|μ| − 1) over the complex pairs of multipliers; NaN without a pair."""
-    return pair_on_circle(np.linalg.eigvals(monodromy))
-
-
-def pair_on_circle(values: np.ndarray) -> float:
-    """The same, from multipliers."""
-    # A product, so that a pair that crosses the circle shows beside others outside of it.
-    pairs = values[np.imag(values) > 0]
-    return float(np.prod(abs(pairs) - 1)) if pairs.size else np.nan
-
-
-# A multiplier at this distance from the unit circle is on it.
-_ON_CIRCLE = 1e-7
-
-_TESTS: dict[str, Callable[[OrbitPoint], float]] = {
-    "fold": _fold,
-    "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
-    "neimark-sacker": lambda point: neimark_sacker(np.asarray(point.shot.monodromy)),
-}
 
 
 def kind_of_change(before: tuple, after: tuple) -> str:
@@ -87,38 +61,15 @@ def special_orbits(
 
 def _zeros(curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint) -> Iterator[Special[OrbitPoint]]:
     """Zeros of the test functions between two points with the same contacts."""
-    found = set()
-    for kind, test in {**_TESTS, "branch-point": crossing(a, b)}.items():
-        at_a, at_b = test(a), test(b)
-        # Pairs that stay on the circle, as of maps that preserve area, cross it by rounding alone.
-        stays = kind == "neimark-sacker" and max(abs(at_a), abs(at_b)) < _ON_CIRCLE
-        if at_a * at_b < 0 and not stays:
-            point = zero_on_curve(curve, a, b, test)
-            if point is not None:
-                if kind == "branch-point":
-                    point = dataclasses.replace(point, tangent=_tangent_between(a, b, point))
-                found.add(kind)
-                yield Special(kind, point, point.sequence, point.sequence)
-    if not found & {"period-doubling", "neimark-sacker"}:
-        yield from _crossed(curve, a, b)
-
-
-def _crossed(
-    curve: Curve[OrbitPoint], a: OrbitPoint, b: OrbitPoint
-) -> Iterator[Special[OrbitPoint]]:
-    """The point at which multipliers cross the circle without a zero of a test function: several at
-    once, as of a symmetric orbit, or a pair that is real at one of two neighbours."""
-    point = count_on_curve(curve, a, b, lambda p: abs(_multipliers(p)) - 1, _ON_CIRCLE)
-    if point is None:
-        return
-    # The multiplier along the flow of an autonomous system is 1, the largest real part.
-    values = _multipliers(point)
-    distances = abs(abs(values) - 1)
-    critical = min(values[distances <= np.min(distances) + _ON_CIRCLE], key=np.real)
-    if abs(np.imag(critical)) > _ON_CIRCLE**0.5:
-        yield Special("neimark-sacker", point, point.sequence, point.sequence)
-    elif np.real(critical) < 0:
-        yield Special("period-doubling", point, point.sequence, point.sequence)
+    tests = {
+        "fold": _fold,
+        "period-doubling": lambda point: period_doubling(np.asarray(point.shot.monodromy)),
+        "branch-point": crossing(a, b),
+    }
+    for kind, point in zeros_between(curve, a, b, tests, _multipliers):
+        if kind == "branch-point":
+            point = dataclasses.replace(point, tangent=_tangent_between(a, b, point))
+        yield Special(kind, point, point.sequence, point.sequence)
 
 
 def _multipliers(point: OrbitPoint) -> np.ndarray:

@@ -170,6 +170,42 @@ def test_a_crossing_that_breaks_up_has_no_curve():
     assert all("no branches cross beyond" in why for why in curve.ended)
 
 
+class Beside(jf.System):
+    """x becomes x + r − 1 − (x − 1)² at a tick, beside y, which is multiplied by c A."""
+
+    c: jax.Array
+    r: jax.Array
+    matrix: jax.Array
+
+    period = 1.0
+    clocks = (jf.Clock(1.0, 0.5),)
+
+    def vector_field(self, t, x, side):
+        return jnp.zeros_like(x)
+
+    def tick(self, t, x, clock):
+        first = x[:1] + self.r - 1 - (x[:1] - 1) ** 2
+        return jnp.concatenate([first, self.c * (self.matrix @ x[1:])])
+
+
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    "matrix, kind",
+    [(-np.eye(4), "period-doubling"), (np.kron(np.eye(2), QUARTER), "neimark-sacker")],
+)
+def test_several_multipliers_cross_the_circle_at_once_on_a_curve_of_folds(matrix, kind):
+    system = Beside(*map(jnp.asarray, (0.8, 1.01, matrix)))
+    start = jnp.zeros(5).at[0].set(1.1)
+    orbit = jf.periodic_orbit(system, start, steps=2, stepper=jf.RK4())
+    fold = jf.SpecialPoint("fold", 1.01, orbit, 0, (), (), np.zeros(6))
+    curve = jf.continue_bifurcation(system, ("c", "r"), fold, stop=1.2)
+    assert_allclose(curve.values[:, 1], 1, rtol=1e-12)
+    assert [point.kind for point in curve.points] == [kind]
+    assert_allclose(curve.points[0].values, [1, 1], rtol=1e-9)
+
+
 class Gears(jf.System):
     """x'' + 0.1 x' + g(x) = 0.1 + a ω² cos ωt, g the stiffness outside of a backlash |x| < 1."""
 

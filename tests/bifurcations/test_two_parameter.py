@@ -1,5 +1,6 @@
 """Points of codimension two on curves of grazing, against roots that SciPy finds from formulas."""
 
+import itertools
 from types import SimpleNamespace
 
 import jax
@@ -12,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import jaxfil as jf
 from jaxfil.bifurcations.tangency import FAMILY_NAMES, Conditions
-from jaxfil.bifurcations.tangency_curve import TangencyPoint, _degeneracy
+from jaxfil.bifurcations.tangency_curve import TangencyCurve, TangencyPoint, _degeneracy
 from tests.pictures import made
 
 
@@ -187,3 +188,33 @@ def test_a_tangency_moves_through_the_whole_period(omega, wall, stop):
     assert curve.ended[1] == f"omega = {stop} was reached"
     exact = [wall * size(w) for w in curve.values[:, 0]]
     assert_allclose(curve.values[:, 1], exact, rtol=1e-9, atol=0)
+
+
+class Turned(TangencyCurve):
+    """Grazing orbits whose multipliers are a pair, turned by the angle a + b c and stretched by the
+    factor exp(g c)."""
+
+    def correct(self, guess, constraint, along):
+        (a, b, g), c = self.equations, guess[0]
+        cos, sin = np.cos(a + b * c), np.sin(a + b * c)
+        matrix = np.exp(g * c) * np.array([[cos, -sin], [sin, cos]])
+        tangent = np.array([1.0, 0.0])
+        known = SimpleNamespace(monodromy=matrix, code=0)
+        return TangencyPoint(guess, np.ones(2), tangent, 1, known)
+
+
+@pytest.mark.parametrize(
+    "a, b, g, found",
+    [
+        (np.pi, 0.0, 1.0, ["period-doubling"]),
+        (1.0, 0.0, 1.0, ["neimark-sacker"]),
+        (1.0, 1.0, 0.0, []),  # on the circle all along, up to rounding
+    ],
+)
+def test_a_pair_of_a_grazing_orbit_crosses_the_circle_at_once_or_stays(a, b, g, found):
+    curve = Turned((a, b, g), system=SimpleNamespace(period=1.0))
+    points = [curve.correct(np.array([c, 0.0]), None, None) for c in np.linspace(-0.3, 0.4, 20)]
+    pairs = itertools.pairwise(points)
+    special = [point for pair in pairs for point in curve._critical(*pair)]
+    assert [point.kind for point in special] == found
+    assert_allclose([point.point.u[0] for point in special], 0, rtol=0, atol=1e-9)
