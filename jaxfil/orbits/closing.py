@@ -17,10 +17,10 @@ from jaxfil.model.parameter import replace_parameter
 from jaxfil.model.system import System
 from jaxfil.orbits.affine import Affine, affine
 from jaxfil.orbits.implicit import Equations, SystemOf
-from jaxfil.orbits.newton import Evaluation, Root, Stages, as_it_is, root_of
+from jaxfil.orbits.newton import FLOOR, Evaluation, Root, Stages, as_it_is, root_of
 from jaxfil.orbits.prime_period import times_round
 from jaxfil.orbits.shooting import ShootingOptions, Shot, shoot, starts_from, velocity
-from jaxfil.xla.known import is_known
+from jaxfil.xla.known import array_of, in_numpy, is_known
 from jaxfil.xla.select import select
 
 # The least autonomous period, relative to the guess.
@@ -184,13 +184,27 @@ class ClosedOrbit(Equations):
         """The orbit with its prime period. Its phase condition is that of the guess, with respect
         to which the solution has derivatives."""
         starts, q = problem.split(root.z)
-        times = times_round(problem.system, self.options, starts[0], q[0], root.at.aux.events)
-        if times == 1:
-            return root
-        phase = dataclasses.replace(phase, period=phase.period / times)
-        again = _along(problem, starts[0], q / times)
-        once = solve_closing(problem, phase, again, self.newton_steps)
-        return once if is_successful(once.result) else root
+        for times in times_round(problem.system, self.options, starts[0], q[0], root.at.aux.events):
+            shorter = dataclasses.replace(phase, period=phase.period / times)
+            guess = _along(problem, starts[0], q / times)
+            once = solve_closing(problem, shorter, guess, self.newton_steps)
+            if is_successful(once.result) and self._is_round(problem, phase, root, once, times):
+                return once
+        return root
+
+    def _is_round(
+        self, problem: OrbitProblem, phase: PhaseCondition, root: Root, once: Root, times: int
+    ) -> bool:
+        """Whether an orbit is another one, run through several times. Beside a period doubling both
+        exist, nearer to each other than the error of the steps may be."""
+        starts, q = in_numpy(problem.split(once.z))
+        repeated = np.append(starts[np.arange(len(starts)) * times % len(starts)], q * times)
+        # With the same steps these differ by rounding.
+        again = solve_closing(problem, phase, array_of(repeated), self.newton_steps)
+        here, there, scale = in_numpy((again.z, root.z, root.at.unknown_scale))
+        far, near = (np.max(abs(here - z) / scale) for z in (there, repeated))
+        rounding = np.finfo(scale.dtype).eps ** FLOOR
+        return is_successful(again.result) and bool(far <= max(near, rounding))
 
     @eqx.filter_jit
     def by_parameters(self, system_of: SystemOf, theta: Array, z: Array) -> Array:

@@ -28,6 +28,8 @@ from jaxfil.xla.thresholds import CONVERGED, RESIDUAL
 _SHORTEST = 1 / 32
 # Number of steps without a new smallest residual that ends the search.
 _PATIENCE = 6
+# A full step below this power of eps, in the unknowns' scales, may be the rounding of the residual.
+FLOOR = 2 / 3
 # A full step above this power of eps, in the unknowns' scales, is useless: the Jacobian is zero in
 # some direction, up to rounding.
 _ENDLESS = -0.75
@@ -222,7 +224,7 @@ def _judge(state: _State, at: Evaluation, step: Array) -> tuple[_State, Array]:
     # The next step would be the error of this point, and is not taken.
     converged = accepted & sound & (length <= CONVERGED * eps)
     # A full step that is already short and cannot reduce the residual, whose rounding is larger.
-    floor = ~accepted & (state.length <= eps ** (2 / 3)) & (state.damping == 1)
+    floor = ~accepted & (state.length <= eps**FLOOR) & (state.damping == 1)
     # An iteration that alternates across a kink does not reduce the residual in the long run.
     better = accepted & (size < 0.9 * state.least)
     patience = select(better, 0, state.patience + accepted.astype(jnp.int32))

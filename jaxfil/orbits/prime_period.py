@@ -17,15 +17,16 @@ from jaxfil.xla.known import array_of
 
 # Larger multiples result only from a guess as far off, which is not expected.
 _MOST = 12
-# An orbit closes if its states differ by less than this fraction; with other steps they differ by
-# the error of the steps. Newton's method decides.
+# An orbit may close if its states differ by less than this fraction; with other steps they differ
+# by the error of the steps. Newton's method decides.
 _CLOSE = 1e-4
 
 
 def times_round(
     system: System, options: ShootingOptions, x0: Array, period: Array, events: Events | None
-) -> int:
-    """The largest number of equal parts of the period after each of which the orbit closes."""
+) -> list[int]:
+    """The numbers of equal parts of the period, more than one, after each of which the orbit may
+    close, the largest first."""
     contacts = switches(events)
     if contacts.size:
         known = jax.tree.map(lambda v: np.asarray(v)[contacts], events)
@@ -35,7 +36,7 @@ def times_round(
         parts = array_of(1 / np.arange(1.0, _MOST + 1), x0.dtype)
         gaps = np.asarray(_gaps(system, options, x0, period, parts))
         closes = gaps < _CLOSE
-    return int(np.max(np.flatnonzero(closes), initial=0)) + 1
+    return [k for k in range(_MOST, 1, -1) if closes[k - 1]]
 
 
 def _repeats(events: Events, start: np.ndarray, period: float, k: int) -> bool:

@@ -547,6 +547,35 @@ def test_the_period_of_a_smooth_orbit_is_prime(times):
     assert_allclose(orbit.period, 2 * np.pi, rtol=1e-9)
 
 
+class Daily(jf.System):
+    """u = y − 300 becomes mu + 0.4 u if u < 0, and mu − 1.5 u if u > 0, once in a unit of time: mu
+    times 0.4 is mapped to itself, and mu times −0.3125 and 0.875 to each other."""
+
+    mu: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([jnp.ones_like(x[0]), jnp.zeros_like(x[1])])
+
+    def switching(self, t, x):
+        return 1 - x[0]
+
+    def reset(self, t, x, surface):
+        u = x[1] - 300
+        return jnp.stack([0 * x[0], 300 + self.mu + jnp.where(u < 0, 0.4 * u, -1.5 * u)])
+
+
+@pytest.mark.parametrize(
+    ("guess", "u", "period"), [(2.0, -0.3125, 2), (4.0, 0.875, 2), (2.0, 0.4, 1)]
+)
+def test_an_orbit_of_twice_the_period_beside_another_one(guess, u, period):
+    system, mu = Daily(jnp.asarray(0.02)), 0.02
+    x0 = jnp.array([0.45, 300 + mu * u])
+    orbit = jf.periodic_orbit(system, x0, period=guess, steps=8, stepper=jf.RK4())
+    assert_allclose(orbit.period, period, rtol=1e-12)
+    assert_allclose(orbit.x0[1], x0[1], rtol=0, atol=1e-12)
+
+
 class Pushed(jf.System):
     """x'' = cos t − k x − c x', whose orbit is a sum of sines."""
 
