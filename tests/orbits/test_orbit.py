@@ -644,6 +644,13 @@ def test_an_orbit_in_segments_is_that_of_its_segments():
     assert_allclose(run.xs[:, 0], -np.cos(run.ts) / 50, rtol=0, atol=1e-13)
 
 
+def test_extremes_lie_within_a_step_as_long_as_the_period():
+    steps = {"steps": 1, "stepper": jf.Taylor(40)}
+    orbit = jf.periodic_orbit(Repelling(jnp.asarray(0.5)), jnp.zeros(2), t0=1.0, **steps)
+    low, high = orbit.extremes()
+    assert_allclose([low, high], [[-0.8, -0.8], [0.8, 0.8]], rtol=0, atol=1e-12)
+
+
 class Teeth(jf.System):
     """x' = −x + t mod 1, without a period of its own."""
 

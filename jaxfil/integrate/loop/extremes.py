@@ -36,6 +36,7 @@ from jaxfil.integrate.loop.extensions import sections_in
 from jaxfil.integrate.loop.turning_point import Turn, beyond, turning_point
 from jaxfil.integrate.loop.window import Window
 from jaxfil.integrate.steppers.explicit import Tableau, compact_step
+from jaxfil.integrate.steppers.taylor import TaylorTableau
 from jaxfil.integrate.surfaces.filippov import ModeField
 from jaxfil.integrate.system.components import Components, Polynomial, pack, side_of
 from jaxfil.integrate.system.lowered import ComponentSystem
@@ -49,6 +50,11 @@ _ORDERS = 4
 
 Seen: TypeAlias = tuple[tuple[Array, ...], tuple[Array, ...]]
 """The values of functions and their rates along a motion."""
+
+
+def cubics_of(tableau: Tableau) -> int:
+    """The number of parts of a step in each of which a cubic is near a function of the state."""
+    return (tableau.order + 1) // _ORDERS if isinstance(tableau, TaylorTableau) else 1
 
 
 class Place(eqx.Module):
@@ -282,7 +288,7 @@ class Extremes(Extension):
         if path is None:
             return [piece(state.motion, h, first, last, jnp.ones((), bool))]
         # The step may be a part of its path.
-        share, count = h / select(path.h == 0, 1.0, path.h), len(path.x) // _ORDERS
+        share, count = h / select(path.h == 0, 1.0, path.h), cubics_of(problem.tableau)
         motions, seen = [state.motion], [first]
         for s in np.arange(1, count) / count:
             tau, x = state.motion.tau + float(s) * h, path.at(float(s) * share)
