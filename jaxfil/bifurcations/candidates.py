@@ -4,9 +4,12 @@ On one side of a bifurcation the orbit has a short piece that is absent on the o
 between two contacts; on the other side a guard with a minimum, or a contact with a small rate.
 """
 
+import collections
 import dataclasses
+import functools as ft
 import itertools
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from typing import NamedTuple
 
 import equinox as eqx
@@ -25,7 +28,13 @@ from jaxfil.bifurcations.tangency import (
     conditions,
     least_between,
 )
-from jaxfil.integrate.run.solution import switches
+from jaxfil.integrate.lane import clocks
+from jaxfil.integrate.lane.problem import even_grid
+from jaxfil.integrate.loop.extensions import problem_of
+from jaxfil.integrate.loop.extremes import cubics_of
+from jaxfil.integrate.run.options import resolution
+from jaxfil.integrate.run.solution import Dense, evaluate, switches
+from jaxfil.integrate.steppers.explicit import Stepper, tableau_of
 from jaxfil.integrate.surfaces import filippov, weights as sliding_weights
 from jaxfil.integrate.system import lowered
 from jaxfil.integrate.system.components import pack
@@ -44,7 +53,8 @@ _JUMP = 1e-2
 
 @dataclasses.dataclass(frozen=True)
 class _Steps:
-    """The times ts (k,) and states xs (k, n) of all steps of an orbit."""
+    """The times ts (k,) and states xs (k, n) of all steps of an orbit, and of the parts of a step
+    of a series, which may be as long as the period."""
 
     orbit: Orbit
     ts: np.ndarray
@@ -64,7 +74,9 @@ class _Steps:
 
 class _Candidate(NamedTuple):
     """A tangency of surface j from a side in a mode, at time `middle` of a flight from `left` to
-    `right`; `reach` is the time by which the orbit misses it. `struck` as in `Tangency`."""
+    `right`; `reach` is the time by which the orbit misses it. `struck` as in `Tangency`.
+    A minimum of the guard is "smooth", or "abrupt" at a tick or a contact with another surface,
+    where it is no tangency."""
 
     reach: float
     j: int
@@ -74,6 +86,7 @@ class _Candidate(NamedTuple):
     middle: float
     right: float
     struck: bool = False
+    minimum: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,15 +126,35 @@ def _flights(orbit: Orbit) -> list[_Flight]:
 def guesses(orbit: Orbit, *kinds: str) -> list[list[tuple[Tangency, Array]]]:
     """For every lane the nearest candidates for a bifurcation of one of these kinds, each with a
     flag that it is missing. A lane without candidates, or with a failed orbit, has one of NaN."""
+    with _concrete(orbit):
+        if orbit.x0.ndim == 1:
+            return [_guesses(orbit, kinds)]
+        return [_guesses(part_of(orbit, i), kinds) for i in range(orbit.x0.shape[0])]
+
+
+def approaches(orbit: Orbit) -> list[tuple[Tangency, Array]]:
+    """The nearest candidates for the margin of one orbit, as in `guesses`, up to the least minimum
+    of a guard, which is missing at a tick."""
+    with _concrete(orbit):
+        if not is_successful(orbit.result):
+            return [_nowhere(orbit)]
+        steps, found = _candidates(orbit, "grazing")
+        tried = []
+        for one in _nearest(found):
+            nowhere = one.minimum == "abrupt"
+            tried.append(_nowhere(orbit) if nowhere else (_tangency(steps, one), array_of(False)))
+            if one.minimum:
+                break
+        return tried or [_nowhere(orbit)]
+
+
+def _concrete(orbit: Orbit) -> AbstractContextManager:
+    """A context in which a known orbit is evaluated, also while the system is traced."""
     if isinstance(orbit.x0, jax.core.Tracer):
         raise ValueError(
             "`orbit` must not be traced, got a traced Orbit. Compute it outside the transformation."
         )
-    # Evaluated on concrete numbers, also while the system is traced.
-    with jax.core.eval_context():
-        if orbit.x0.ndim == 1:
-            return [_guesses(orbit, kinds)]
-        return [_guesses(part_of(orbit, i), kinds) for i in range(orbit.x0.shape[0])]
+    return jax.core.eval_context()
 
 
 def attempts(
@@ -136,21 +169,27 @@ def attempts(
 
 def _guesses(orbit: Orbit, kinds: tuple[str, ...]) -> list[tuple[Tangency, Array]]:
     found = tangency_candidates(orbit, *kinds) if is_successful(orbit.result) else []
-    if found:
-        return [(tangency, array_of(False)) for _, tangency in found]
+    return [(tangency, array_of(False)) for _, tangency in found] or [_nowhere(orbit)]
+
+
+def _nowhere(orbit: Orbit) -> tuple[Tangency, Array]:
+    """A candidate of NaN, which is missing."""
     nan, mode = jnp.full_like(orbit.period, jnp.nan), orbit.first_mode.astype(orbit.period.dtype)
     surface, struck = jnp.zeros((), jnp.int32), array_of(np.False_)
-    nowhere = Tangency(orbit.x0, nan, nan, nan, mode, surface, nan, struck)
-    return [(nowhere, array_of(True))]
+    return Tangency(orbit.x0, nan, nan, nan, mode, surface, nan, struck), array_of(True)
 
 
 def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency]]:
     """The candidates of each surface for a bifurcation of one of these kinds, nearest first, each
     with the time by which the orbit misses it (or is past it)."""
-    flights = _flights(orbit)
-    dense = orbit.dense()
-    real = np.isfinite(np.asarray(dense.ts))
-    steps = _Steps(orbit, np.asarray(dense.ts)[real], np.asarray(dense.xs)[real])
+    steps, found = _candidates(orbit, *kinds)
+    smooth = [one for one in found if one.minimum != "abrupt"]
+    return [(one.reach, _tangency(steps, one)) for one in _nearest(smooth)]
+
+
+def _candidates(orbit: Orbit, *kinds: str) -> tuple[_Steps, list[_Candidate]]:
+    """The steps of an orbit, and all candidates on them, nearest first."""
+    flights, steps = _flights(orbit), _steps(orbit)
     found: list[_Candidate] = []
     for kind, j in itertools.product(kinds, range(flights[0].mode.size)):
         arrives = FAMILIES[kind] == ARRIVAL
@@ -163,12 +202,41 @@ def tangency_candidates(orbit: Orbit, *kinds: str) -> list[tuple[float, Tangency
     found.sort(key=lambda one: one.reach)
     # Two kinds have the same minima.
     first = {(one.j, one.middle): one for one in reversed(found)}
-    nearest, count = [], dict.fromkeys(range(flights[0].mode.size), 0)
-    for one in reversed(first.values()):
+    return steps, list(reversed(first.values()))
+
+
+def _nearest(found: list[_Candidate]) -> list[_Candidate]:
+    """The nearest candidates of each surface."""
+    nearest, count = [], collections.Counter[int]()
+    for one in found:
         count[one.j] += 1
         if count[one.j] <= _CANDIDATES:
-            nearest.append((one.reach, _tangency(steps, one)))
+            nearest.append(one)
     return nearest
+
+
+def _steps(orbit: Orbit) -> _Steps:
+    """The steps of an orbit."""
+    dense = orbit.dense()
+    real = np.isfinite(np.asarray(dense.ts))
+    ts, xs = np.asarray(dense.ts)[real], np.asarray(dense.xs)[real]
+    count = cubics_of(tableau_of(dense.stepper))
+    if count == 1:
+        return _Steps(orbit, ts, xs)
+    lengths = np.diff(ts, append=ts[-1])
+    divided = ts[:, None] + lengths[:, None] * (np.arange(count) / count)
+    states = np.array(_states(dense, _filled(divided.ravel())))[: divided.size]
+    states = states.reshape(*divided.shape, -1)
+    states[:, 0] = xs
+    # A step of length zero, a jump, has no parts.
+    parts = (np.arange(count) == 0) | (lengths[:, None] > 0)
+    return _Steps(orbit, divided[parts], states[parts])
+
+
+@eqx.filter_jit
+def _states(dense: Dense, ts: Array) -> Array:
+    """The states at many times."""
+    return jax.vmap(ft.partial(evaluate, dense))(ts)
 
 
 def _short(
@@ -198,10 +266,12 @@ def _short(
 def _minima(steps: _Steps, flights: list[_Flight], j: int, kind: str) -> list[_Candidate]:
     """Minima of the guard on all flights, with the time in which it would reach zero."""
     sliding, found, height = FAMILIES[kind] == SLIDE, [], float(np.finfo(steps.xs.dtype).tiny)
-    for flight in flights:
+    for i, flight in enumerate(flights):
         if (flight.mode[j] == 0) == sliding:
             least, highest = _minima_of(steps, flight, j)
             found += least
+            if not sliding:
+                found += _abrupt(steps, flight, flights[(i + 1) % len(flights)], j)
             height = max(height, highest)
     # The time of a sine with the guard's amplitude on the whole orbit. Among the minima of all
     # flights the lowest one is first.
@@ -222,22 +292,77 @@ def _minima_of(steps: _Steps, flight: _Flight, j: int) -> tuple[list[_Candidate]
     times, states = times[inside], states[inside]
     if times.size < 2:
         return [], 0.0
-    mode = array_of(flight.mode)
-    on_steps = _guards(steps.orbit.system, _filled(times), _filled(states), mode, j)
-    guard, rate, weight = (np.asarray(v)[: times.size] for v in on_steps)
+    mode, stepper = array_of(flight.mode), steps.orbit.options.stepper
+    rows = _filled(times), _filled(states), mode, j
+    after = _guards(steps.orbit.system, *rows, stepper, 1.0)
+    guard, rate, weight = (np.asarray(v)[: times.size] for v in after)
+    before, arrives = guard, rate
+    if steps.orbit.system.clocks:
+        ends = _guards(steps.orbit.system, *rows, stepper, -1.0)
+        before, arrives, _ = (np.asarray(v)[: times.size] for v in ends)
     found, first = [], max(flight.start, ts[0])
-    for k in np.flatnonzero((rate[:-1] < 0) & (rate[1:] >= 0)).tolist():
-        # Not at the ends of steps, where a higher minimum may seem to be the lower one.
-        length = times[k + 1] - times[k]
-        part, least = least_between(length, (guard[k], guard[k + 1]), (rate[k], rate[k + 1]))
-        at = float(times[k] + part * length)
+
+    def add(least: float, at: float, weight: float, minimum: str) -> None:
         if not first <= at < first + period:  # once in an endless flight
-            continue
-        side = np.sign(weight[k]) if flight.mode[j] == 0 else flight.mode[j]
+            return
+        side = np.sign(weight) if flight.mode[j] == 0 else flight.mode[j]
         left = at - min(0.5 * (at - flight.start), 0.25 * period)
         right = at + min(0.5 * (flight.stop - at), 0.25 * period)
-        found.append(_Candidate(float(least), j, side, flight.mode, left, at, right))
+        mode = flight.mode
+        found.append(_Candidate(least, j, side, mode, left, at, right, minimum=minimum))
+
+    length = np.diff(times)
+    for k in np.flatnonzero((rate[:-1] < 0) & (arrives[1:] >= 0) & (length > 0)).tolist():
+        # Not at the ends of steps, where a higher minimum may seem to be the lower one.
+        ends = (guard[k], before[k + 1]), (rate[k], arrives[k + 1])
+        part, least = least_between(length[k], *ends)
+        add(float(least), float(times[k] + part * length[k]), weight[k], "smooth")
+    # At a tick the field may jump. The steps have it as steps of length zero.
+    opens = np.flatnonzero(np.append(length > 0, True))
+    closes = np.flatnonzero(np.append(True, length > 0))
+    ends = (before[closes], arrives[closes]), (guard[opens], rate[opens])
+    for i in np.flatnonzero((opens > closes) & _is_abrupt(*ends, abs(guard[opens]))).tolist():
+        k = opens[i]
+        add(float(min(before[closes[i]], guard[k])), float(times[k]), float(weight[k]), "abrupt")
     return found, float(np.max(guard))
+
+
+def _abrupt(steps: _Steps, flight: _Flight, after: _Flight, j: int) -> list[_Candidate]:
+    """A minimum at the end of a flight, where the state or the field jumps by a tick or at another
+    surface."""
+    at, side = after.start, flight.mode[j]
+    if flight.surfaces[j] or after.mode[j] != side or not np.isfinite(at):
+        return []
+    late = at + resolution(steps.ts[0], steps.ts[-1], max)
+    x = steps.xs[np.searchsorted(steps.ts, late, side="right") - 1]
+    before, behind = (
+        _guard_at(steps, one, j, at, x, way)
+        for one, x, way in ((flight, flight.x, -1.0), (after, x, 1.0))
+    )
+    if not _is_abrupt(before, behind, np.maximum(abs(before[0]), abs(behind[0])))[0]:
+        return []
+    least, stop = float(np.minimum(before[0], behind[0])[0]), flight.stop
+    return [_Candidate(least, j, side, flight.mode, stop, stop, stop, minimum="abrupt")]
+
+
+def _guard_at(
+    steps: _Steps, flight: _Flight, j: int, at: float, x: np.ndarray, way: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The guard of a flight and its rate just before or after an instant."""
+    rows = _filled(np.array([at], steps.ts.dtype)), _filled(x[None]), array_of(flight.mode), j
+    guard, rate, _ = _guards(steps.orbit.system, *rows, steps.orbit.options.stepper, way)
+    return np.asarray(guard), np.asarray(rate)
+
+
+def _is_abrupt(
+    before: tuple[np.ndarray, np.ndarray], after: tuple[np.ndarray, np.ndarray], size: np.ndarray
+) -> np.ndarray:
+    """Whether a guard, with these values and rates before and after an instant, is least there."""
+    jump = after[0] - before[0]
+    falls, rises = before[1] < 0, after[1] >= 0
+    rounding = np.finfo(size.dtype).eps ** 0.5 * size
+    higher, lower = jump > rounding, jump < -rounding
+    return np.where(higher, falls, np.where(lower, rises, falls & rises))
 
 
 def _filled(rows: np.ndarray) -> Array:
@@ -247,12 +372,16 @@ def _filled(rows: np.ndarray) -> Array:
 
 @eqx.filter_jit
 def _guards(
-    system: System, ts: Array, xs: Array, mode: Array, j: int
+    system: System, ts: Array, xs: Array, mode: Array, j: int, stepper: Stepper, way: float
 ) -> tuple[Array, Array, Array]:
-    """The guard of surface j, its rate and the sliding weight at many points of a flight."""
+    """The guard of surface j, its rate and the sliding weight at many points of a flight, at a tick
+    just after it if time goes the `way` +1, and just before it if −1."""
 
     def one(t: Array, x: Array) -> tuple[Array, Array, Array]:
         on_components = lowered.build(system, x, compact=True)
+        grid = even_grid(t, jnp.asarray(way, t.dtype), jnp.int32(1))
+        problem = problem_of(on_components, tableau_of(stepper), grid)
+        on_components = clocks.just_after(problem, t).system
         modes = on_components.of_surfaces(mode)
 
         def guard(t: Array, x: Array) -> Array:

@@ -11,7 +11,7 @@ import jax.core
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfil.bifurcations.candidates import guesses
+from jaxfil.bifurcations.candidates import approaches
 from jaxfil.bifurcations.defining_system import DefiningSystem, defining_system
 from jaxfil.bifurcations.tangency import FLIGHT, Closing, Tangency, conditions
 from jaxfil.integrate.run.solution import switches
@@ -77,7 +77,8 @@ def grazing_margin(
     the outcome of each lane of a batch.
 
     **Outcomes**: `successful`; `no_tangency_found` if the given orbit itself failed, no flight of
-    it approaches a surface, or H has no minimum on its flights; `newton_stalled`,
+    it approaches a surface, H has no minimum on its flights, or its least one is at a tick of a
+    clock or a contact with another surface, where the state or the field jumps; `newton_stalled`,
     `newton_singular` or `newton_max_steps_reached` if the system has perhaps no orbit near it; and
     where the flow cannot be followed from the guess, `nonfinite`, `max_steps_reached`,
     `mode_undecided`, `zeno`, `nonunique`, `reset_undecided`, `undeclared_sliding` or
@@ -107,7 +108,7 @@ def grazing_margin(
 def _nearest(orbit: Orbit) -> tuple[Tangency, Array]:
     """The nearest candidate for a margin, and a flag that it is missing. From a contact with the
     surface the search may end at a maximum of the guard."""
-    tangencies = guesses(orbit, "grazing")[0]
+    tangencies = approaches(orbit)
     if switches(orbit.events).size:
         # Decided on the concrete orbit, also while the system is traced.
         with jax.core.eval_context():

@@ -679,6 +679,45 @@ def test_the_margin_is_that_of_the_lower_minimum(late, cut):
     np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
+def test_the_margin_is_that_of_a_minimum_within_a_long_step():
+    """The four ends of steps do not show it."""
+    system = eqx.tree_at(lambda s: s.wall, follower(0.7, 4.0), jnp.float64(101.5))
+    orbit = jf.periodic_orbit(system, jnp.array([1.0]), steps=2, stepper=jf.Taylor(32))
+    np.testing.assert_allclose(jf.grazing_margin(system, orbit), 100.47, rtol=0, atol=1e-7)
+
+
+class Harvest(jf.System):
+    """x' = −0.2π sin 2πt − (x − 1.5 − 0.1 cos 2πt), of which `taken` is removed, and the field
+    raised by `more` for half of the time, at ticks. At a second surface nothing happens."""
+
+    taken: jax.Array
+    more: jax.Array
+    slides = False
+    period = 1.0
+    clocks = (jf.Clock(0.5, 0.3),)
+
+    def vector_field(self, t, x, side):
+        w = 2 * jnp.pi * t
+        raised = self.more * jnp.where(jnp.mod(t - 0.3, 1.0) < 0.5, 1.0, -1.0)
+        return raised - 0.2 * jnp.pi * jnp.sin(w) - (x - 1.5 - 0.1 * jnp.cos(w))
+
+    def switching(self, t, x):
+        return jnp.stack([x[0], jnp.sin(2 * jnp.pi * (t - 0.1))])
+
+    def tick(self, t, x, clock):
+        return x - self.taken * jnp.where(jnp.sin(2 * jnp.pi * t) < 0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("taken, more", [(0.3, 0.0), (0.0, 2.0)])
+def test_a_least_value_at_a_tick_is_no_margin(taken, more):
+    """Just after a removal, and at a corner; a minimum elsewhere is farther from the surface."""
+    system = Harvest(jnp.float64(taken), jnp.float64(more))
+    orbit = jf.periodic_orbit(system, jnp.array([1.3]), steps=50)
+    found = jf.grazing_margin(system, orbit, throw=False)
+    assert outcome_names(found.result) == "no_tangency_found" and np.isnan(found.value)
+
+
 def test_a_flight_is_lost_where_another_surface_is_reached_for_a_short_while():
     """Before `wall` = 1.03, where the orbit would graze, the second surface is reached beside the
     tangency, for 1/100 of the period in the end. It is grazed at `wall` = 2.5 − `cut`."""
