@@ -46,7 +46,9 @@ def continue_equilibrium(
     system. With $A = F_x$ there, $C = \nabla H_j$ and $G = \tfrac12 (F_+ - F_-)$ it continues in
     the same direction of the parameter (persistence) if $C A^{-1} G > 0$, and back (a nonsmooth
     fold) if it is negative. Where the field is continuous, $F_+ = F_-$ on the surface, it continues
-    on the other side, in the same direction if $\det A_+ \det A_- > 0$.
+    on the other side, in the same direction if $\det A_+ \det A_- > 0$. Margins are compared
+    between neighbouring points of the branch, so a piece in another mode that begins and ends
+    within one step is passed over; a smaller `max_step` finds it.
 
     **Arguments**
 

@@ -53,7 +53,8 @@ def continue_orbit(
 
     Pseudo-arclength continuation predicts along the tangent and corrects by Newton's method across
     it, so that it passes folds. Steps adapt to the curve. Special points are located to about 1e-10
-    of the parameter.
+    of the parameter. At a kink of the field, of a reset or of the map of a tick that no surface
+    declares the multipliers may jump; that is no special point, though `Branch.stable` may change.
 
     **Arguments**
 
