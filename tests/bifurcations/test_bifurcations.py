@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import jaxfil as jf
-from jaxfil.bifurcations.candidates import _filled, tangency_candidates
+from jaxfil.bifurcations.candidates import tangency_candidates
+from jaxfil.bifurcations.flights import filled
 from jaxfil.bifurcations.locate import BIFURCATION_KINDS
 from jaxfil.model.outcomes import EventKind, outcome_names
 from jaxfil.model.parameter import replace_parameter
@@ -510,9 +511,9 @@ def test_a_touch_at_a_value_of_zero_is_named():
 
 def test_flights_of_many_lengths_share_a_program():
     rows = np.arange(10.0).reshape(5, 2)
-    filled = np.asarray(_filled(rows))
-    np.testing.assert_array_equal(filled, [*rows, rows[-1], rows[-1], rows[-1]])
-    assert {_filled(np.zeros(n)).shape for n in range(33, 65)} == {(64,)}
+    more = np.asarray(filled(rows))
+    np.testing.assert_array_equal(more, [*rows, rows[-1], rows[-1], rows[-1]])
+    assert {filled(np.zeros(n)).shape for n in range(33, 65)} == {(64,)}
 
 
 @pytest.mark.release

@@ -424,8 +424,8 @@ class Clamped(jf.System):
 
 @pytest.mark.slow
 def test_a_clamp_that_closes_from_zero_lets_the_block_slip_first():
-    """v = s − s²/2 until it sticks at s = 2, with s = t − t0 and μ n = 1. At a start at t0, and at a
-    tick, before which it sticks."""
+    """v = s − s²/2 until it sticks at s = 2, with s = t − t0 and μ n = 1. At a start at t0, and at
+    a tick, before which it sticks."""
     for t0, mu in ((0.0, 2.0), (1.0, 0.5), (1.0, 2.0)):
         system = Clamped(*(jnp.array(v) for v in (mu, 1 / mu, t0)))
         sol = jf.solve(system, jnp.zeros(4), 0.0, 3.5, 0.3, stepper=diffrax.Dopri8(), compact=True)
