@@ -183,6 +183,8 @@ def evaluate_step_end(
         put = state.pending.waits & stays_on(system, choice.mode) & ~state.pending.surfaces
         if again is not None:  # the last switch at this time knows all modes
             put = put & ~again
+        if problem.kept is not None:
+            put = put & ~problem.kept.on
         x = held_from_here(system, t, x, choice.mode, put)
         fields, rates = fields_from_here(system, t, x, (fields, rates))
     motion = _motion(problem, length.end, x, at, (fields, rates), choice, forcing)
