@@ -131,7 +131,8 @@ def sampling_of(
     unseen, samples = _unseen(transient, since), check.count("samples", samples)
     averaging = None
     if always_averages or average is not None:
-        averaging = _averaging(average, system, state, section, samples)
+        tolerance = tableau_of(checked_stepper(stepper)).tolerance
+        averaging = _averaging(average, system, state, section, samples, tolerance is not None)
     check.number_of_steps(steps, runs=runs, transient=unseen, samples=samples)
     stepper = checked_stepper(stepper)
     # The system of a lane and its state are both extended by the integrals along the motion.
@@ -164,10 +165,15 @@ def sampling_of(
 
 
 def _averaging(
-    average: Any, system: System, state: np.ndarray, section: Section | None, samples: int
+    average: Any,
+    system: System,
+    state: np.ndarray,
+    section: Section | None,
+    samples: int,
+    resolves: bool,
 ) -> Averaging:
-    """The averages between the samples."""
-    averaging = checked_averaging("average", average, system, jnp.asarray(state))
+    """The averages between the samples; `resolves` as in `Averaging`."""
+    averaging = checked_averaging("average", average, system, jnp.asarray(state), resolves)
     if section is not None and samples < 2:
         raise ValueError(
             "`samples` must be 2 or more with `average` and a `section`: averages are those from "

@@ -16,7 +16,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.problem import Problem
-from jaxfil.integrate.lane.state import LoopState, StepEnd
+from jaxfil.integrate.lane.state import LoopState, Motion, StepEnd
 from jaxfil.integrate.lane.step_length import Length
 from jaxfil.integrate.system.components import Polynomial
 from jaxfil.model.outcomes import RESULTS
@@ -85,6 +85,19 @@ class Extension(eqx.Module):
     def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, Any]:
         """The lane at t0 and the first state of the extension."""
         return state, None
+
+    def error(
+        self,
+        problem: Problem,
+        state: LoopState,
+        own: Any,
+        h: Array,
+        end: Motion,
+        path: Polynomial | None,
+    ) -> Array | None:
+        """Under a tolerance, the error of a trial step of length h that is not in the stepper's
+        estimate, relative to the allowed one and of the order of the stepper."""
+        return None
 
     def at_end(self, problem: Problem, state: LoopState, own: Any, step: Step) -> Verdict | None:
         """The verdict about a trial step on which the loop would decide `step`."""

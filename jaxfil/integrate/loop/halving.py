@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from jaxfil.integrate.lane.extension import Step
+from jaxfil.integrate.lane.extension import Step, extensions_of
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState, StepEnd, Trust
 from jaxfil.integrate.lane.step_length import Length
@@ -94,6 +94,9 @@ def doubted(
         error = relative_error(tableau, step)
         if problem.system.m > 0:
             error = jnp.maximum(error, hidden(problem, state, length, end))
+        for extension, own in extensions_of(problem, state):
+            more = extension.error(problem, state, own, length.h, end.motion, trial.path)
+            error = error if more is None else jnp.maximum(error, more)
         return Doubt(infinite, ~(error <= 1), given_up, error)
     too_long = is_too_long(problem.system, tableau, step, sides_of(state.motion.mode))
     return Doubt(infinite, too_long, given_up, None)

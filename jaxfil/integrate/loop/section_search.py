@@ -8,7 +8,8 @@ next trial steps search for the crossing:
     ───────╲┼──────┼─── 0                 3. close enough: t = t0 + τ + ℓ + δ, x + δ f, δ = −S/Ṡ
              ╲_____╲                      4. the full step again, watched from ℓ on
 
-Sections do not change the loop's own steps, bit for bit. Each lane searches independently, so that
+Sections do not change the loop's own steps, bit for bit, except that a tolerance refuses steps too
+long for the cubics (`error_of_sections`). Each lane searches independently, so that
 a batch pays for a crossing as much as its lane. The state at a crossing is computed by a step of
 the method, without interpolation. Since the lengths ℓ are constants and δ is not, it has the exact
 derivative.
@@ -31,7 +32,15 @@ from jaxfil.integrate.lane.problem import Look, Problem
 from jaxfil.integrate.lane.recording import entered, mode_codes
 from jaxfil.integrate.lane.state import CrossingTable, LoopState, Motion, is_running, later
 from jaxfil.integrate.lane.step_length import typical_step
-from jaxfil.integrate.loop.section_cubic import first_of_one, is_unresolved, nothing, resolved
+from jaxfil.integrate.loop.section_cubic import (
+    error_of_sections,
+    first_of_one,
+    is_unresolved,
+    is_wanted,
+    nothing,
+    resolved,
+    sides_from,
+)
 from jaxfil.integrate.loop.section_state import (
     SectionState,
     Seen,
@@ -75,6 +84,17 @@ class SectionSearch(Extension):
 
     def begin(self, problem: Problem, state: LoopState) -> tuple[LoopState, SectionState]:
         return _begin(self.watched, problem, state)
+
+    def error(
+        self,
+        problem: Problem,
+        state: LoopState,
+        own: SectionState,
+        h: Array,
+        end: Motion,
+        path: Polynomial | None,
+    ) -> Array:
+        return error_of_sections(self.watched, problem, state, own.watch, h, end, path)
 
     def at_end(self, problem: Problem, state: LoopState, own: SectionState, step: Step) -> Verdict:
         passes, delta = step.lands | step.accepted, select(step.lands, step.delta, 0.0)
@@ -214,22 +234,6 @@ def _gone_on(problem: Problem, watch: Watch, sight: Sight) -> Watch:
     )
 
 
-def _wanted(watched: WatchedSections, problem: Problem, side: Components) -> Components:
-    """Whether a crossing from these sides, along the motion, is in the section's direction. That is
-    a direction of growing time, but a bound is left in either direction of time."""
-    wanted = Components(watched.directions)
-    along = Components(1 if bound else problem.grid.direction for bound in watched.bounds)
-    return (side * along * wanted < 0) | (wanted == 0)
-
-
-def _sides(problem: Problem, watch: Watch, sight: Sight, h: Array) -> Components:
-    """The sides from which sections start; for a section that is zero at the start, the side that
-    the motion takes."""
-    before, after, then = h * watch.rate, h * sight.rate, stop_gradient(sight.value)
-    tells = abs(before) > problem.system.eps**0.5 * (abs(then) + abs(after))
-    return where(watch.side == 0, sign(where(tells, before, then)), watch.side)
-
-
 def _find(
     watched: WatchedSections,
     problem: Problem,
@@ -241,8 +245,8 @@ def _find(
     length, at which length, and the section crossed there. `up_to` has the length, and at the end
     of the run a time by which the motion is followed further; 0 before."""
     h, ahead = stop_gradient(up_to[0]) - watch.start, up_to[1]
-    sides, (_, noises) = _sides(problem, watch, sight, h), resolved(problem, sight)
-    wanted = _wanted(watched, problem, sides)
+    sides, (_, noises) = sides_from(problem, watch, sight, h), resolved(problem, sight)
+    wanted = is_wanted(watched, problem, sides)
     start = where(watch.away, sides * watch.value, 0.0)
     end = sides * stop_gradient(sight.value)
     ends = start, sides * h * watch.rate, end, sides * h * sight.rate
@@ -274,7 +278,7 @@ def _approach(
     step in time from here, and whether the search is complete."""
     grid, small = problem.grid, problem.system.eps ** (2 / 3)
     known = small * typical_step(problem, state)
-    sides = _sides(problem, watch, sight, watch.length - watch.start)
+    sides = sides_from(problem, watch, sight, watch.length - watch.start)
     of_aim = (
         sides * sight.value,
         sides * sight.rate,
@@ -316,7 +320,7 @@ def _crossed(
     """Whether a crossing counts, and the watch after it. `which` has whether the crossing has been
     located, and whether crossings at this time count."""
     (done, counts), (away, _) = which, resolved(problem, sight)
-    wanted = _wanted(watched, problem, watch.side)
+    wanted = is_wanted(watched, problem, watch.side)
     counted = watch.aim & wanted & done & counts
     recorded = any_of(counted)
     # A section whose S has jumped is on its other side at once.
@@ -343,7 +347,7 @@ def _moved_on(
     """The watch of a lane after a step, with these values of the sections; `jumped` marks steps
     with a reset or a change of mode."""
     (away, _), value = resolved(problem, sight), stop_gradient(sight.value)
-    owed = jumped & away & (watch.side * value < 0) & _wanted(watched, problem, watch.side)
+    owed = jumped & away & (watch.side * value < 0) & is_wanted(watched, problem, watch.side)
     side = where(away & ~owed, sign(value), watch.side)
     return dataclasses.replace(
         watch,

@@ -126,6 +126,9 @@ class Averaging(eqx.Module):
     """The shape of `System.switching`."""
     n: int = eqx.field(static=True)
     """The number of components of a state."""
+    resolves: bool = eqx.field(static=True)
+    """Whether the functions of extremes are integrated too, so that the steps of a tolerance
+    resolve them: while a mass sticks the state is exact in any step, and its force is not."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -135,7 +138,14 @@ class Averaging(eqx.Module):
     @property
     def integrals(self) -> int:
         """The number of integrals carried behind the state."""
-        return sum(one.size for one in self.each if one.is_integral)
+        return sum(one.size for one in self._integrated)
+
+    @property
+    def _integrated(self) -> list[Averaged]:
+        """The integrals in order, followed by the extremes that are integrated too."""
+        found = [one for one in self.each if one.is_integral]
+        extremes = [one for one in self.each if isinstance(one.quantity, _EXTREMES)]
+        return found + extremes if self.resolves else found
 
     def named(self, row: Any) -> dict[str, Any]:
         """The quantities as arrays, from an array with all their numbers along the last axis."""
@@ -149,12 +159,11 @@ class Averaging(eqx.Module):
     def carried(self, system: System, x: Array) -> tuple[System, Array]:
         """A system that carries the integrals behind its state, and that state: x and zeros."""
         wider = system
-        for one in self.each:
-            if one.is_integral:
-                rate = one.function(system)
-                rate = _Square(rate) if isinstance(one.quantity, RMS) else rate
-                # Each integral is one more component at the end, of a function of the first n.
-                wider, x = with_rate(wider, one.observed(rate, self.n), x)
+        for one in self._integrated:
+            rate = one.function(system)
+            rate = _Square(rate) if isinstance(one.quantity, RMS) else rate
+            # Each integral is one more component at the end, of a function of the first n.
+            wider, x = with_rate(wider, one.observed(rate, self.n), x)
         return wider, x
 
     def section(self, section: Section) -> Section:
@@ -227,8 +236,9 @@ def averages_in(state: LoopState) -> tuple[SoFar | Sums, ...]:
     return tuple(v for v in state.extensions if isinstance(v, (SoFar, Sums)))
 
 
-def checked_averaging(name: str, given: Any, system: System, x: Array) -> Averaging:
-    """The quantities in the argument `name`, for runs from a state like x."""
+def checked_averaging(name: str, given: Any, system: System, x: Array, resolves: bool) -> Averaging:
+    """The quantities in the argument `name`, for runs from a state like x; `resolves` as in
+    `Averaging`."""
     several = isinstance(given, Mapping)
     quantities = dict(given) if several else {_name_of(given): given}
     # Results are indexed by these names, which are also the names of columns.
@@ -242,7 +252,7 @@ def checked_averaging(name: str, given: Any, system: System, x: Array) -> Averag
         where = f"{name}[{key!r}]" if several else name
         shape = _checked(where, quantity, system, x, h_shape)
         each.append(Averaged(cast(quantity, x.dtype), key, shape))
-    return Averaging(tuple(each), h_shape, x.shape[0])
+    return Averaging(tuple(each), h_shape, x.shape[0], resolves)
 
 
 def _function_of(quantity: Any) -> Any:

@@ -101,6 +101,41 @@ def test_what_ends_a_stick_is_seen_in_any_step():
         assert_allclose(x, fixed[1], rtol=0, atol=100 * rtol)
 
 
+@pytest.mark.parametrize("name", ["Dopri8", pytest.param("Taylor", marks=pytest.mark.release)])
+def test_a_force_is_followed_while_it_holds_a_mass(name):
+    # The mass sticks all the time, and the friction is the load a cos t.
+    a, t1 = jnp.array([0.03, 0.4]), 100.0
+
+    def force(t, x, side):
+        return side
+
+    def run(a):
+        sections = [jf.Section(lambda t, x, side: side - a / 2, direction=1), jf.maxima(force)]
+        step, still = jf.Adaptive(1e-8), jnp.zeros(2)
+        sol = jf.solve(Dragged(a), still, 0.0, t1, step, stepper=STEPPERS[name], sections=sections)
+        return sol.crossings.ts, sol.crossings.sections, sol.num_crossings
+
+    ts, which, count = jax.vmap(run)(a)
+    above = 2 * np.pi * np.arange(1, 17) - np.pi / 3
+    tops = 2 * np.pi * np.arange(1, 16)
+    for k in range(2):
+        found, number = ts[k, : count[k]], which[k, : count[k]]
+        assert_allclose(found[number == 0], above[above < t1], rtol=0, atol=1e-9)
+        assert_allclose(found[number == 1], tops[tops < t1], rtol=0, atol=1e-9)
+
+
+def test_the_largest_force_that_holds_a_mass_is_found_without_a_mean_beside_it():
+    class Forced(Dragged):
+        period = 2 * np.pi
+
+    found = jf.settled_average(
+        Forced(jnp.array(0.03)), {"top": jf.Maximum(lambda t, x, side: side),
+                                  "low": jf.Minimum(lambda t, x, side: side)},
+        jnp.zeros(2), transient=3, samples=4, steps=jf.Adaptive(1e-8))  # fmt: skip
+    values = found.averages["top"], found.averages["low"]
+    assert_allclose(values, (0.03, -0.03), rtol=0, atol=1e-12)
+
+
 class Wall(jf.System):
     """x'' = −sin x, thrown back at x = 0 by a clock's kick as well."""
 
