@@ -59,33 +59,51 @@ def solve_on_box(
     y, found = _lemke(jnp.concatenate([upper, lower]), jnp.concatenate([start, size]))
     z = low + unit * y[:k]
     # A part of the box, or without an upper bound of the unknown itself, is rounding.
-    typical = select(bounded > 0, size, _balancing(q, matrix, z))
+    typical = select(bounded > 0, size, _balancing(q, matrix, z, high))
     close = COMPLEMENTARITY * jnp.finfo(q.dtype).eps * typical
     z = select(z >= high - close, high, select(z <= low + close, low, z))
     z = select(free, z, low)
     # For a singular M the residual after a pivot may be rounding, so the solution is verified.
     value = q + matrix @ z
-    noise = residual_noise(q, matrix, z)
+    noise = residual_noise(q, matrix, z, high)
     wrong = ((value < -noise) & (z < high)) | ((value > noise) & (z > low))
     return z, found & ~jnp.any(wrong & free)
 
 
 def _balancing(
-    q: Float[Array, " k"], matrix: Float[Array, "k k"], z: Float[Array, " k"]
+    q: Float[Array, " k"],
+    matrix: Float[Array, "k k"],
+    z: Float[Array, " k"],
+    high: Float[Array, " k"],
 ) -> Float[Array, " k"]:
     """The size of each unknown that balances the largest terms of its own row, in the units of the
     unknown."""
     own = abs(jnp.diag(matrix))
-    terms = abs(q) + abs(matrix) @ abs(z)
+    terms = _terms(q, matrix, z, high)
     # An unknown without an effect on its own row is of the size of the others.
     return select(own == 0, jnp.max(abs(z)), terms / select(own == 0, 1.0, own))
 
 
 def residual_noise(
-    q: Float[Array, " k"], matrix: Float[Array, "k k"], z: Float[Array, " k"]
+    q: Float[Array, " k"],
+    matrix: Float[Array, "k k"],
+    z: Float[Array, " k"],
+    high: Float[Array, " k"],
 ) -> Float[Array, " k"]:
     """The rounding of F = q + M z at a solution."""
-    return COMPLEMENTARITY * jnp.finfo(q.dtype).eps * (abs(q) + abs(matrix) @ abs(z))
+    return COMPLEMENTARITY * jnp.finfo(q.dtype).eps * _terms(q, matrix, z, high)
+
+
+def _terms(
+    q: Float[Array, " k"],
+    matrix: Float[Array, "k k"],
+    z: Float[Array, " k"],
+    high: Float[Array, " k"],
+) -> Float[Array, " k"]:
+    """The size of the terms of F. An unknown between bounds has the rounding of the bounds even
+    where it is zero, as the friction of a mass that nothing pushes."""
+    bounded = jnp.isfinite(high)
+    return abs(q) + abs(matrix) @ select(bounded, jnp.maximum(abs(z), abs(high)), abs(z))
 
 
 def _lemke(matrix: Float[Array, "N N"], q: Float[Array, " N"]) -> tuple[Array, Array]:

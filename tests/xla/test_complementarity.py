@@ -30,3 +30,19 @@ def test_a_solution_within_rounding_of_a_bound_is_at_it():
         -jnp.array([3.0, 0.5]), jnp.eye(2), jnp.zeros(2), jnp.array([9.0, bound])
     )
     assert found and z.tolist() == [3.0, bound]
+
+
+def test_three_blocks_that_nothing_pushes_on_each_other():
+    # The weights of the last two, and the reactions between all, are zero to within rounding.
+    matrix = [
+        [1 / 10, 0, 0, -1 / 4, 0],
+        [0, 1 / 5, 0, 3 / 4, -2 / 3],
+        [0, 0, 1 / 8, 0, 1 / 3],
+        [-1 / 10, 1 / 5, 0, 1, -2 / 3],
+        [0, -1 / 5, 1 / 8, -3 / 4, 1],
+    ]
+    q = jnp.array([-1 / 30, 0, 0, 1 / 30, 0])
+    low, high = jnp.array([-1.0, -1, -1, 0, 0]), jnp.array([1, 1, 1, jnp.inf, jnp.inf])
+    z, found = solve_on_box(q, jnp.array(matrix), low, high)
+    assert found
+    np.testing.assert_allclose(z, [1 / 3, 0, 0, 0, 0], atol=1e-14)

@@ -180,9 +180,14 @@ def evaluate_step_end(
         # A tick, or a contact or reset of another surface, may put the state where it then slides
         # or rests, also where it did so before; and H may jump there at a tick.
         # Surfaces of a located contact have this derivative through the time of the contact.
-        put = state.pending.waits & stays_on(system, choice.mode) & ~state.pending.surfaces
-        if again is not None:  # the last switch at this time knows all modes
+        put = stays_on(system, choice.mode) & ~state.pending.surfaces & ~at.off
+        put = put & state.pending.waits
+        # The last switch at this time knows all modes. Until then a surface that the state has been
+        # moved off, or whose reset is due, has the mode that it had.
+        if again is not None:
             put = put & ~again
+        if later is not None:
+            put = put & ~later
         if problem.kept is not None:
             put = put & ~problem.kept.on
         x = held_from_here(system, t, x, choice.mode, put)

@@ -52,7 +52,7 @@ def by_pivoting(question: Question) -> tuple[Components, Array]:
     weight = select(abs(z) >= 1, jnp.sign(z), 0.0)
     # Where dψ/dt vanishes in place of ψ, the slide of another surface holds both.
     residual = abs(posed.q + posed.matrix @ z)
-    balanced = residual <= residual_noise(posed.q, posed.matrix, z)
+    balanced = residual <= residual_noise(posed.q, posed.matrix, z, posed.high)
     both = posed.level & balanced
     steered = pack(question.steered, bool)
     # Others are held by the weight of one that is steered, or not at all.
