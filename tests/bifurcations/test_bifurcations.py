@@ -460,7 +460,7 @@ def firing(leak):
     return neuron, orbit
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("leak", [1.0, 0.5])
 def test_an_orbit_that_fires_grazes_with_its_reset(leak):
     _, orbit = firing(leak)
@@ -499,7 +499,7 @@ class SoftStop(jf.System):
         return x[0] - 1 - self.gap
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_touch_at_a_value_of_zero_is_named():
     """x = sin t."""
     stop = SoftStop(jnp.asarray(0.1))
@@ -680,7 +680,7 @@ def test_the_margin_is_that_of_the_lower_minimum(late, cut):
     np.testing.assert_allclose(jf.grazing_margin(system, orbit), 0.47, rtol=0, atol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_margin_is_that_of_a_minimum_within_a_long_step():
     """The four ends of steps do not show it."""
     system = eqx.tree_at(lambda s: s.wall, follower(0.7, 4.0), jnp.float64(101.5))
@@ -710,6 +710,7 @@ class Harvest(jf.System):
         return x - self.taken * jnp.where(jnp.sin(2 * jnp.pi * t) < 0, 1.0, 0.0)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("taken, more", [(0.3, 0.0), (0.0, 2.0)])
 def test_a_least_value_at_a_tick_is_no_margin(taken, more):
     """Just after a removal, and at a corner; a minimum elsewhere is farther from the surface."""

@@ -100,7 +100,7 @@ def test_the_nearest_point_of_both_sets_is_that_of_the_formula(found):
     assert found.bifurcation.kind[:2].tolist() == ["grazing", "grazing"]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_each_orbit_has_its_outcome_and_one_is_nearest(found):
     assert outcome_names(found.result).tolist() == [
         "successful",

@@ -42,7 +42,7 @@ def stick_on(curve, i):
     return middle, float(path.events.xs[k, 0]) + middle - ts[k]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "kind, multiplier",
     [("fold", 1), pytest.param("period-doubling", -1, marks=pytest.mark.release)],

@@ -251,7 +251,7 @@ TABLE = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("kind, number, omega, error", TABLE)
 def test_gears_with_backlash(kind, number, omega, error):
     system, points = gears()
@@ -296,7 +296,7 @@ class Gate(jf.System):
 
 
 # With the gate open for a while its time is a square root of A − 1, which is known to rounding.
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "k, start, stop, atol",
     [

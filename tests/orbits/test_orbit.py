@@ -405,7 +405,7 @@ def test_a_linear_oscillator_in_resonance_has_no_orbit():
     assert_allclose(orbits.x0[1], [1 / (1 - 0.64), 0], rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_an_orbit_of_a_negative_period_is_told():
     def orbit(omega):
         system = S.ImpactOscillator(omega=omega, damping=1.0)
@@ -491,7 +491,7 @@ class Thermostat(jf.System):
         return jnp.stack([x[0], jnp.where(surface == 0, 0.0, 1.0)])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("guess", [0.7, 1.0, 1.3, 2.0])
 def test_the_period_of_a_thermostat_is_prime(guess):
     system = Thermostat(jnp.asarray(18.0), jnp.asarray(22.0))
@@ -500,7 +500,7 @@ def test_the_period_of_a_thermostat_is_prime(guess):
     assert_allclose(orbit.period, exact, rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_derivative_of_a_prime_period_is_that_of_the_orbit_found():
     def period(hi):
         system = Thermostat(jnp.asarray(18.0), hi)
@@ -660,6 +660,7 @@ class Teeth(jf.System):
         return jnp.mod(t, 1.0) - x
 
 
+@pytest.mark.release
 def test_clocks_need_a_period():
     with pytest.raises(ValueError, match="`system` must have a `period`, a common one of its clo"):
         jf.periodic_orbit(Teeth(), jnp.zeros(1), period=1.0)

@@ -64,7 +64,7 @@ def equilibrium(q):
     return np.array([lift, 0, lift + DELTA]), *np.linalg.eig(matrix)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_orbit_is_born_where_a_pair_of_eigenvalues_crosses():
     """Its period goes to that of the pair as q comes to the Hopf bifurcation."""
     hopf = brentq(lambda q: equilibrium(q)[1].real.max(), 8, 9, xtol=1e-13)

@@ -18,7 +18,7 @@ def found():
     return jf.fit(Block(0.1, 0.8), NAMES, TS, data(), jnp.array(X0), 0.05, **given)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_best_fit_is_that_of_scipy(found):
     exact = scipy.optimize.least_squares(
         lambda values: motion(values) - data(), TRUE, x_scale=TRUE, xtol=1e-15, ftol=1e-15
@@ -38,7 +38,7 @@ def test_the_motion_in_closed_form_is_that_of_an_integrator():
         np.testing.assert_allclose(stepped(values), motion(values), rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_contacts_may_appear_and_go_away_between_steps(found):
     counts = [
         int(jf.solve(Block(*map(float, v)), jnp.array(X0), 0.0, 9.0, 0.05).num_events)
@@ -84,7 +84,7 @@ def test_a_wrong_argument_is_named(change, told):
         jf.fit(Block(0.1, 0.8), **{**given, **change})
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.release)])
 def test_a_fit_has_its_derivatives(mode):
     """Before it turns the block is at F + (3 − F) cos t, which is linear in its friction F."""

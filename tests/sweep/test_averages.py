@@ -496,7 +496,7 @@ class Resonant(jf.System):
         return jnp.stack([x[1], -x[0] - self.damping * x[1] + jnp.cos(t)])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "steps", [pytest.param(jf.Adaptive(1e-6, 1e-9), marks=pytest.mark.release), 2]
 )

@@ -23,7 +23,7 @@ def found():
     return jf.basins_of_attraction(SD, AXES, transient=800, samples=8, progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_three_motions_coexist(found):
     # About −1, about +1, and the symmetric one of period 1.
     assert len(found.attractors) == 3 and found.labels.min() == 1

@@ -51,7 +51,7 @@ def drive():
     return one.x_final, one.result
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("run", [diagram, spectrum, pytest.param(drive, marks=pytest.mark.release)])
 def test_a_phase_does_not_age(run):
     x, result = run()

@@ -76,7 +76,7 @@ def in_parts(monkeypatch):
     jax.clear_caches()
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_lane_and_its_derivatives_give_what_their_parts_give(in_parts):
     a = jnp.float64(0.3)
 
@@ -158,7 +158,7 @@ def test_derivatives_of_the_end_need_no_kernel_but_their_own(throw):
         assert entry.count("xla_cpu_small_call") >= entry.count(" call(") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("compact", [pytest.param(False, marks=pytest.mark.release), True])
 def test_a_lane_can_be_linearised(compact):
     """As optimistix and lineax do: the state first, its derivative later."""

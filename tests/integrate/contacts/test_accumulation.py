@@ -234,7 +234,7 @@ def one_ball(v, t):
     return t * (v - t), v - 2 * t
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_balls_that_come_to_rest_one_after_the_other():
     """Their impacts alternate, and every second one is part of a turn of constant ratio; the
     other ball is below the floor at the limit of these turns."""
@@ -426,6 +426,7 @@ class Dosed(jf.System):
         return jnp.stack([x[0], x[1], (t - 2.96) * (3.0 - t)])
 
 
+@pytest.mark.release
 def test_a_surface_that_is_crossed_and_crossed_back_before_the_limit_is_seen():
     # The turns agree from t = 2.938 on.
     sol = jf.solve(Dosed(jnp.array(1.0)), jnp.array([-0.5, 0.5, 0.0]), 0.0, 4.0, 0.8)

@@ -132,7 +132,7 @@ class Gears(jf.System):
         return jnp.stack([x[0] + 1, 2 * x[1]])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("first", [0, pytest.param(2, marks=pytest.mark.release)])
 def test_a_gear_box_shifts_twice(first):
     """At 1 from the first gear to the second, whose revolutions, 2, ask for the third: 4."""

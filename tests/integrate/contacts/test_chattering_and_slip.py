@@ -38,7 +38,7 @@ def solve(friction):
     return jf.solve(Pile(friction), x0, 0.0, 4.0, 0.1, max_events=200, throw=False, compact=True)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_mass_comes_to_rest_on_one_that_each_impact_makes_slip():
     sol = solve(jnp.asarray(3.0))
     assert str(outcome_names(sol.result)) == "successful"

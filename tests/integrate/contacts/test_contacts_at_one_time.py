@@ -247,7 +247,7 @@ def multipliers_of_twins(one, k):
     return np.concatenate([np.linalg.eigvals(m) for m in each])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("k", [0.0, 0.05])
 def test_twins_have_the_multipliers_of_one(one, k):
     x0 = jnp.repeat(one.x0, 2)
@@ -279,7 +279,7 @@ def twisting_time(p):
     return (down / (1 - jnp.sqrt((a - b) / (a + b))))[None]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_the_limit_of_turns_on_a_step_has_its_derivatives():
     """The first lane of each step ends at 2.5, which the steps 0.05 and 0.1 meet."""
 

@@ -431,7 +431,7 @@ class Costed(jf.System):
         return x[0] - 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "wrapped",
     [

@@ -254,7 +254,7 @@ class BallAndBead(jf.System):
         return jnp.where(surface == 0, x.at[1].multiply(-0.9), x.at[3].multiply(-1.0))
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("lag", [0.3, 1e-2, 1e-3])
 def test_a_contact_that_lands_at_once_hides_no_earlier_one(lag):
     place = np.array([0.003, 0.03, 0.1, 0.3, 0.7])[:, None]
@@ -314,6 +314,7 @@ def launched(thrust):
     return jnp.concatenate([way * thrust / size, speed * thrust / size])
 
 
+@pytest.mark.release
 def test_a_run_may_start_where_a_distant_surface_has_no_gradient():
     thrusts = jnp.array([[0.6, 0.8], [1.0, 0.0], [0.0, -2.0]])
 

@@ -40,7 +40,7 @@ def pressed(friction):
     return jax.vmap(one)(friction)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_friction_takes_over_from_a_reaction_at_the_time_when_that_ends():
     """Not a nanosecond later, by the contact of a motion that the floor does not allow."""
     mu = np.array([0.7, 1.0, 1.5])

@@ -32,7 +32,7 @@ def kinds_of(sol):
     return [jf.EventKind(int(k)).name for k in sol.events.kinds[: sol.num_events]]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "coupling",
     [None, pytest.param(jnp.zeros(()), marks=pytest.mark.release)],
@@ -47,7 +47,7 @@ def test_a_stuck_mass_is_carried_into_the_wall(coupling):
     np.testing.assert_allclose(sol.x_final, [2 - 0.25 * 0.2 + 0.02, -0.05], rtol=0, atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("coupling", [None, jnp.zeros(())], ids=["separate", "one formula"])
 def test_an_impact_turns_the_friction_round(coupling):
     # Faster than the belt, 2 − t, it hits the wall at 2 − √2 with √2, and comes back slower.

@@ -124,7 +124,7 @@ def rows_by_turns(gradient):
     return jacobian
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("name", "outer"),
     [

@@ -124,6 +124,7 @@ def pulled(static, rate):
     return sol.result, sol.x_final, sol.events.ts
 
 
+@pytest.mark.release
 def test_a_comparison_at_its_equality_is_not_left_to_rounding():
     statics, rates = np.tile(np.linspace(0.9, 1.1, 8), 2), np.repeat([0.05, -0.05], 8)
     _, ends, times = pulled(statics, rates)

@@ -318,7 +318,7 @@ class TimerBlock(jf.System):
         return jnp.where(surface == 0, doubled, x)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_timer_makes_a_stuck_block_slip():
     def exact(p):
         stop, load = p

@@ -46,7 +46,7 @@ def rows(sol):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_crossings_of_a_spring_of_two_stiffnesses():
     """One section is its surface, which both its pieces end on; it starts on that too."""
     sections = (

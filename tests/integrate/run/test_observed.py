@@ -186,7 +186,7 @@ class Pressed(jf.System):
         return jnp.where(surface == 0, x.at[3].multiply(0.0), x)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_side_reaction_and_mode_are_asked_for_by_name():
     """In any order, on a slide beside a rest, averaged: it slips at t = μ. The side of the slide is
     its weight, t/μ."""

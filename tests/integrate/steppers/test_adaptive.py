@@ -83,7 +83,7 @@ class Dragged(jf.System):
         return x[1]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_what_ends_a_stick_is_seen_in_any_step():
     # While it sticks all steps are exact, be they as long as ten turns of the force.
     pulls, x0, t1 = jnp.linspace(1.005, 1.6, 12), jnp.zeros(2), 200.0
@@ -229,7 +229,7 @@ def test_what_is_saved():
     assert_allclose(steps.xs[rows - 1], right[-1], rtol=0, atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_reverse_mode_and_backward_time():
     def end(e, adjoint):
         wall = Wall(e, jnp.array(1.1))

@@ -46,7 +46,7 @@ def run(m, shown, more=0):
     return jf.solve(stack, x0, 0.0, 8.0, 0.05, max_events=64)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("m", "more"),
     [
@@ -170,6 +170,7 @@ class Held(jf.System):
         return x[: self.push.shape[0]]
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("m", [2, 3, 4])
 def test_weights_of_coupled_surfaces_in_reverse_mode(m):
     # The weights are M⁻¹ d, and z is their integral.

@@ -30,7 +30,7 @@ def by_hand(x):
     return s * x[1] + 2 * jnp.sqrt(s * x[0] + x[1] ** 2 / 2)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_it_rests_at_the_origin_from_everywhere():
     """Also its gradient is exact, which diverges as 1/√ towards the curve, hence the bound."""
 

@@ -105,6 +105,7 @@ class Detents(jf.System):
         return x * self.signs
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("n", [1, 2])
 def test_masses_in_detents_rest_until_the_load_moves_them(n):
     def end(rates, signs):
@@ -217,6 +218,7 @@ class SwitchedOn(jf.System):
         return jnp.stack([x[0], t - 1.0])
 
 
+@pytest.mark.release
 def test_a_slide_that_another_contact_switches_on_has_its_derivative():
     def end(x0):
         return jf.solve(SwitchedOn(), x0, 0.0, 2.0, 0.07).x_final
@@ -288,7 +290,7 @@ class Walled(TimeOptimal):
         return jnp.where(surface == 2, x.at[1].multiply(-0.5), x)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("system", [TimeOptimal(), Walled()])
 def test_a_time_optimal_motion_ends_at_rest_where_its_switching_curve_has_a_kink(system):
     # At the kink H'' is not the derivative of either motion: rounding of x' takes a side.
@@ -323,7 +325,7 @@ class OnAFloor(jf.System):
         return jnp.where(surface == 1, x.at[3].multiply(-0.5), x)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_friction_that_grows_from_zero_beside_a_floor_has_its_own_next_derivative():
     # On both sides it was taken as on one, so that the block left to a side and came back.
     def run(push, height):

@@ -112,7 +112,7 @@ class Walled(Bent):
 
 
 @pytest.mark.parametrize("slides", [True, False])
-@pytest.mark.parametrize("kind", [Bent, Walled])
+@pytest.mark.parametrize("kind", [Bent, pytest.param(Walled, marks=pytest.mark.release)])
 def test_a_mass_at_rest_on_the_kink_of_its_spring_moves_on(kind, slides):
     system = kind(slides=slides, walled=kind is Walled)
     start = jf.solve(system, jnp.zeros(2), 1.0, 2.0, 0.07)
@@ -185,6 +185,7 @@ def rocked(shake):
     return sol.result, sol.x_final
 
 
+@pytest.mark.release
 def test_a_block_lifts_where_the_ground_is_shaken_hard_enough():
     shakes = np.array([0.1, 0.3, -0.3, 0.25])
     results, found = rocked(jnp.asarray(shakes))

@@ -148,7 +148,7 @@ def test_friction_of_a_block_on_a_shaken_table(of):
         assert_allclose(sol.x_final[i], [x, v, 0, 0], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_derivatives_through_friction_that_feels_a_reaction():
     lane = 0.5, 0.02, 3.0
     slope, _ = motion(lane, t1=1.0)
@@ -267,7 +267,7 @@ def test_a_rod_slips_on_its_tip():
         assert_allclose(sol.events.xs[i, 0], x, rtol=0, atol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_painleves_paradox_is_told():
     # G = 1 + 3 cos²θ − 3 μ sin θ cos θ is negative: pressed, no force holds the tip; lifted by its
     # spin, it may rise or be held. A rod at rest sticks all the same.
@@ -326,7 +326,7 @@ def forces(mu, angle, spin):
     return np.linalg.solve(rows, [-c * spin**2, G - s * spin**2, 0])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_ladder_slides_down_until_it_leaves_the_wall():
     mu, angle, spin = 0.2, 1.1, -0.05
 
@@ -422,7 +422,7 @@ class Clamped(jf.System):
         return jnp.where(surface == 0, x.at[3].set(0.0), x)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_clamp_that_closes_from_zero_lets_the_block_slip_first():
     """v = s − s²/2 until it sticks at s = 2, with s = t − t0 and μ n = 1. At a start at t0, and at
     a tick, before which it sticks."""

@@ -187,7 +187,7 @@ class Cradle(jf.System):
         return jnp.concatenate([x[:4], v])
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_wave_runs_through_beads_that_touch():
     x0 = [-1, 0, 0, 0, 1, 0, 0, 0]
     sol = solve(Cradle(jnp.asarray(1.0)), x0, 3.0, 0.1)
@@ -392,7 +392,7 @@ def test_a_column_of_beads_meets_as_its_parabolas_do():
     assert_allclose(sol.events.ts[:count], ts, rtol=0, atol=1e-11)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_columns_of_beads_come_to_rest_and_not_through_the_floor():
     rng = np.random.default_rng(0)
     es, q = rng.uniform(0.0, 0.75, 64), np.cumsum(rng.uniform(0.21, 0.5, (64, 3)), axis=1)

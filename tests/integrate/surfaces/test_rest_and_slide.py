@@ -56,7 +56,7 @@ class PushAtFirst(Push):
     friction = 1
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("system", [Push, pytest.param(PushAtFirst, marks=pytest.mark.release)])
 def test_a_block_sticks_until_the_one_that_rests_against_it_pushes_enough(system):
     """From rest in contact; at (1 − p)/r both begin to move."""
@@ -76,7 +76,7 @@ def test_a_block_sticks_until_the_one_that_rests_against_it_pushes_enough(system
     assert kinds_of(sols) == [[SLIP]] * 3
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("system", [pytest.param(Push, marks=pytest.mark.release), PushAtFirst])
 def test_two_blocks_that_meet_stop_together(system):
     """Thrown together after 1/√p; they move on with half the speed, stop, and stay."""
@@ -131,7 +131,7 @@ class Drag(Belt):
         return (jf.Clock(1.0),)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("system", [Belt, pytest.param(Drag, marks=pytest.mark.release)])
 def test_a_mass_at_rest_stays_when_the_belt_reverses(system):
     """From rest, and from where it falls to the wall."""
@@ -355,7 +355,7 @@ class Slider(jf.System):
         return jnp.where(surface == 2, jnp.stack([x[0], x[1], mean, mean]), x)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_a_slider_beside_a_stop_holds_with_it():
     """What the stop holds leaves the slider undetermined. Block 2 moves at t = (p + F₂)/r, or both
     do from the start, one against the other."""

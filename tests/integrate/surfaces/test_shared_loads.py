@@ -41,7 +41,7 @@ _MORE = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("scales", [(1.0, -2.0), *_MORE])
 def test_brakes_on_one_disc_are_one_brake(scales):
     def end(system):

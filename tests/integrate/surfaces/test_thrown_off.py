@@ -45,7 +45,7 @@ class Struck(Lever):
         return (jf.Clock(10.0, 0.75),)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize(
     "system", [pytest.param(Lever(), marks=pytest.mark.release), Struck()], ids=["impact", "tick"]
 )
