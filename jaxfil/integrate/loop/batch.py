@@ -172,13 +172,18 @@ def _judge(problem: Problem, state: LoopState) -> LoopState:
 def _judge_along(problem: Problem, state: LoopState) -> LoopState:
     """A full iteration with a step that is a polynomial up to its contact."""
     system, length = problem.system, choose_length(problem, state)
-    path = path_of(problem, state, length, field_on_sides(problem, state))
+
+    def on_sides() -> Polynomial:
+        return path_of(problem, state, length, field_on_sides(problem, state))
+
+    def in_mode() -> Polynomial:
+        return path_of(problem, state, length, ModeField(system, state.motion.mode))
+
     if system.slides or system.resets:
-
-        def bound() -> Polynomial:
-            mode = path_of(problem, state, length, ModeField(system, state.motion.mode))
-            return select_all(state.held, mode, path)
-
-        path = jax.lax.cond(_count(state.held) > 0, bound, lambda: path)
+        # The series of a mode serves the lanes on sides too, and the series on sides is not
+        # computed beside it: in a block where a lane sticks, most iterations need the former.
+        path = jax.lax.cond(_count(state.held) > 0, in_mode, on_sides)
+    else:
+        path = on_sides()
     state, length, trial = step_along(problem, state, length, path)
     return judge(problem, state, length, trial, end_of_free_step(problem, state, length, trial))
