@@ -136,6 +136,30 @@ def test_the_largest_force_that_holds_a_mass_is_found_without_a_mean_beside_it()
     assert_allclose(values, (0.03, -0.03), rtol=0, atol=1e-12)
 
 
+class Refractory(jf.System):
+    """v' = 3 − v, which fires at a threshold that drops from 10 to 1 when a timer s runs out."""
+
+    wait: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([3 - x[0], jnp.ones_like(t)])
+
+    def switching(self, t, x):
+        return jnp.stack([jnp.where(x[1] < 0, 10.0, 1.0) - x[0], -x[1]])
+
+    def reset(self, t, x, surface):
+        return jnp.where(surface == 0, jnp.stack([0 * t, -self.wait]), x)
+
+
+def test_a_guard_that_jumps_below_zero_at_another_surface_is_reached_there():
+    # v is above 1 when the threshold drops, so that it fires each 0.7.
+    first, start, step = np.log(1.5), jnp.array([0.0, 0.2]), jf.Adaptive(1e-9, 1e-12)
+    sol = jf.solve(Refractory(jnp.array(0.7)), start, 0.0, 2.2, step, max_events=32)
+    ts = sol.events.ts[: sol.num_events][sol.events.members[: sol.num_events, 0]]
+    assert_allclose(ts, first + 0.7 * np.arange(3), rtol=0, atol=1e-9)
+
+
 class Wall(jf.System):
     """x'' = −sin x, thrown back at x = 0 by a clock's kick as well."""
 
