@@ -52,7 +52,8 @@ def periodic_orbit(
     **Arguments**
 
     - `system`: the `System`.
-    - `x0`: a guess of the state at `t0`, shape (n,).
+    - `x0`: a guess of the state at `t0`, shape (n,). For an autonomous system it must lie between
+      two contacts: just after an impact, neighbouring states are behind the surface.
     - `periods`: forcing periods after which the orbit closes.
     - `period`: a guess of the period of an autonomous system; None for a forced one. If Newton's
       method converges to a multiple of the period, the prime one is returned; in a batch or under

@@ -77,8 +77,8 @@ def hidden(problem: Problem, state: LoopState, length: Length, end: StepEnd) -> 
     allowed = maximum(allowed, 4 * maximum(start.noise, stop.noise))
     # A NaN guard makes the trial non-finite, which is handled elsewhere; the ratio ignores it.
     ratio = where(off > 0, off / where(allowed > 0, allowed, 1), 0.0)
-    # A step whose guard ends below zero is cut at its contact, and the shorter one is examined. An H
-    # that has jumped below zero at the start would be refused at any length.
+    # A step whose guard ends below zero is cut at its contact, and the shorter one is examined. An
+    # H that has jumped below zero at the start would be refused at any length.
     ratio = where(g1 < -stop.noise, 0.0, ratio)
     if problem.kept is not None:  # a lane pinned to its mode has no contacts
         ratio = where(problem.kept.on, 0.0, ratio)

@@ -109,9 +109,9 @@ def solve(
       takes 1.5 to 2 times as long to run for one lane, 5 to 30 times for many. By default a run of
       up to 8 lanes of a `jax.vmap` around it is compact (a `vmap` around a `jax.jit` that contains
       the call cannot be detected); diagrams, basins and exponents are compact if that is estimated
-      to take less time, compilation included: up to some 3 to 20 million steps of all lanes. So is
-      a run of any number of lanes if that saves a minute of compilation, for several surfaces with
-      resets in a state of several masses.
+      to take less time over a few calls, compilation included: up to some 1 to 9 million steps of
+      all lanes. So is a run of any number of lanes if that saves a minute of compilation, for
+      several surfaces with resets in a state of several masses.
     - `sections`: a `Section`, or several, whose crossings are located on the way, without an effect
       on the motion. Their table has `max_events` rows too.
     - `observe`: a function of the time and the state, shape (n,), that returns an array of any

@@ -156,14 +156,15 @@ BLOCK = LeaningBlock(jnp.asarray(0.9))
 SWEEPS = {
     "a first look": (BELT, 2, {"lanes": 200, "steps": 1600}, True),
     "a figure": (BELT, 2, {"lanes": 2000, "steps": 12_000}, False),
-    "a rotor whose program is ten times as large": (ROTOR, 4, {"lanes": 300, "steps": 6000}, True),
+    "a small figure": (BELT, 2, {"lanes": 256, "steps": 12_000}, False),
+    "a rotor whose program is ten times as large": (ROTOR, 4, {"lanes": 300, "steps": 4700}, True),
     "a figure of it": (ROTOR, 4, {"lanes": 2000, "steps": 12_000}, False),
     "three lanes that fill a block up": (BELT, 2, {"lanes": 3, "steps": 10**8, "block": 64}, True),
     "three that follow each other": (BELT, 2, {"lanes": 3, "steps": 10**8, "block": 1}, False),
     "a block between walls": (BLOCK, 4, {"lanes": 300, "steps": 400_000}, True),
     "a large figure of it": (BLOCK, 4, {"lanes": 4096, "steps": 10**6}, False),
-    "one lane": (BELT, 2, {"lanes": 1, "steps": 5 * 10**6}, True),
-    "one with its tangents": (BELT, 2, {"lanes": 1, "steps": 5 * 10**6, "tangents": 2}, False),
+    "one lane": (BELT, 2, {"lanes": 1, "steps": 3 * 10**6}, True),
+    "one with its tangents": (BELT, 2, {"lanes": 1, "steps": 3 * 10**6, "tangents": 2}, False),
     "relays in numbers": (Relays(), 8, {"lanes": 2000, "steps": 12_000}, False),
     "relays in an array": (Relays(), 16, {"lanes": 2000, "steps": 12_000}, True),
 }
