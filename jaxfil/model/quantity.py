@@ -117,7 +117,9 @@ class EventSum(_OfFunction):
       the lane.
 
     A graze is an event with the same state on both sides. Of infinitely many impacts that die out,
-    the sum includes those before rest is detected; the energy of the others is negligible.
+    the sum includes those before rest is detected; the energy of the others is negligible. A tick
+    that leaves the state unchanged, as with a dose of zero, is not an event and adds nothing, but
+    the derivative of the sum includes that of its map.
 
     **Raises** `ValueError` if `function` is not callable.
 

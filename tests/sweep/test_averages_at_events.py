@@ -124,6 +124,60 @@ def test_events_are_counted_by_surface_and_ticks_are_events():
         np.testing.assert_allclose(own["low"], size * (top - 1), rtol=1e-12)
 
 
+class Latched(Decay):
+    """The decay beside a distant surface, with a kick by one clock and an idle tick of another."""
+
+    slides: ClassVar[bool] = False
+
+    @property
+    def clocks(self):
+        return jf.Clock(1.0, 0.5), jf.Clock(0.5, 0.2)
+
+    def switching(self, t, x):
+        return x[0] + 50.0
+
+    def tick(self, t, x, clock):
+        return x + jnp.where(clock == 0, self.kick, 0.0)
+
+
+@pytest.mark.parametrize("kind", [Decay, pytest.param(Latched, marks=pytest.mark.slow)])
+def test_a_kick_of_zero_is_no_event_and_its_sum_has_the_derivatives_of_the_map(kind):
+    """From x = 1 the kicks at 1/2, 3/2 and 5/2 meet b, of which the last two are summed. A distance
+    has no derivative where it is zero."""
+    average = {
+        "gain": jf.EventSum(gain),
+        "energy": jf.EventSum(lambda t, before, after, surfaces: after[-1] ** 2 - before[-1] ** 2),
+        "count": jf.EventSum(lambda t, before, after, surfaces: t / t),
+        "far": jf.EventSum(lambda t, before, after, surfaces: jnp.linalg.norm(after - before)),
+        "pole": jf.EventSum(lambda t, before, after, surfaces: 1 / (after - before)[0]),
+    }
+
+    def sums(kick):
+        run = dict(transient=1, samples=2, steps=8, compact=True)
+        return jf.settled_average(kind(kick), average, jnp.ones(1), **run).averages
+
+    def exact(kick):
+        first = (np.exp(-0.5) + kick) * np.exp(-1)
+        second = (first + kick) * np.exp(-1)
+        energy = 2 * (first + second) * kick + 2 * kick**2
+        return {"gain": 2 * kick, "energy": energy}
+
+    def with_slopes(f):
+        return lambda kick: (f(kick), jax.jacfwd(f)(kick), jax.jacfwd(jax.jacfwd(f))(kick))
+
+    kicks = jnp.array([0.0, 0.3])
+    found, wanted = (jax.jit(jax.vmap(with_slopes(f)))(kicks) for f in (sums, exact))
+    for own, right in zip(found, wanted, strict=True):
+        for name in right:
+            np.testing.assert_allclose(own[name], right[name], rtol=1e-9, atol=1e-12, err_msg=name)
+    values, slopes, _ = found
+    np.testing.assert_array_equal(values["count"], [0, 2])
+    np.testing.assert_allclose(values["far"], [0, 0.6], rtol=1e-12)
+    np.testing.assert_allclose(values["pole"], [0, 2 / 0.3], rtol=1e-12)
+    for name, right in {"count": [0, 0], "far": [0, 2], "pole": [0, -2 / 0.09]}.items():
+        np.testing.assert_allclose(slopes[name], right, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
 def test_one_sample_at_a_section_is_no_span_of_time():
     with pytest.raises(ValueError, match="`samples` must be 2 or more with `average`"):
         jf.settled_average(

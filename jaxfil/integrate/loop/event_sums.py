@@ -7,14 +7,16 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxtyping import Array
 
 from jaxfil.integrate.lane.extension import Extension, Step, Verdict
 from jaxfil.integrate.lane.problem import Problem
 from jaxfil.integrate.lane.state import LoopState
 from jaxfil.integrate.loop.window import Window
-from jaxfil.integrate.system.components import Components, pack, scalars, where
+from jaxfil.integrate.system.components import Components, on_each, pack, scalars, where
 from jaxfil.integrate.system.lowered import ComponentSystem, ParametrizedFunction
 from jaxfil.xla.trace import Traced
 
@@ -66,7 +68,30 @@ class EventSums(Extension):
         def same(so_far: Components, *at: Any) -> Components:
             return so_far
 
-        return after, Sums(problem.system.where_any(counts, added, same, own.numbers, *at))
+        numbers = problem.system.where_any(counts, added, same, own.numbers, *at)
+        if problem.system.ticks and problem.ticked is not None:
+            idle = step.switched & ~step.made & (problem.ticked >= 0) & self.window.is_open(state)
+
+            def varied(so_far: Components, *at: Any) -> Components:
+                return where(idle, so_far + self._variation(*at), so_far)
+
+            numbers = problem.system.where_any(idle, varied, same, numbers, *at)
+        return after, Sums(numbers)
+
+    def _variation(
+        self, t: Array, before: Components, after: Components, members: Components
+    ) -> Components:
+        """Zeros with the derivatives of what a tick adds, for a tick that changes no number and is
+        therefore no event, as of a dose of zero."""
+
+        def added(after: Components) -> Components:
+            return self.function(t, before, after, members)
+
+        change = after - before
+        # A function such as a distance has no derivative where its two states are equal; 0·∞ = NaN.
+        equal, slope = jax.jvp(added, (before,), (0.0 * before,))
+        variation = added(before + (change - stop_gradient(change))) - equal
+        return where(on_each(jnp.isfinite, equal + slope), variation, 0.0)
 
 
 def event_sums(
