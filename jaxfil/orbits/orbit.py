@@ -1,6 +1,7 @@
 """`Orbit`: a periodic orbit, with multipliers, stability, states at any time and extreme values."""
 
 import functools as ft
+from collections.abc import Callable
 
 import diffrax
 import equinox as eqx
@@ -17,14 +18,18 @@ from jaxfil.integrate.run.step_choice import expected_steps
 from jaxfil.model import dataset_io
 from jaxfil.model.card import outcome, precision
 from jaxfil.model.drawing import draw
-from jaxfil.model.outcomes import RESULTS, EventKind
+from jaxfil.model.outcomes import RESULTS, EventKind, raise_if_failed
 from jaxfil.model.system import System
 from jaxfil.model.types import Axes, Dataset, PathLike
-from jaxfil.orbits.extremum import largest
+from jaxfil.orbits.extremes import extremes_of
 from jaxfil.orbits.orbit_arrays import orbit_arrays
 from jaxfil.orbits.shooting import ShootingOptions, first_failure, merged
-from jaxfil.xla.known import in_numpy
+from jaxfil.xla.known import in_numpy, is_known
 from jaxfil.xla.select import select
+
+# The factor by which there is room for more steps if there was not enough, and for a traced run,
+# which cannot be repeated; and the room from which on there is no more.
+_MORE, _MOST_ROOM = 16, 2**20
 
 
 class Orbit(eqx.Module):
@@ -81,12 +86,16 @@ class Orbit(eqx.Module):
 
     def extremes(self) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
         """The smallest and the largest value of each component on the orbit, between the steps
-        too, each of shape (n,)."""
-        return _extremes(self)
+        too, each of shape (n,); NaN if it cannot be followed for a period."""
+        return extremes_of(self.system, self.options, self.starts, self.period)
 
     def dense(self) -> Dense:
-        """Every step of the first period."""
-        dense = self._solved(1, diffrax.SaveAt(dense=True))._dense
+        """Every step of the first period. Raises an error if it cannot be followed."""
+
+        def run(room: int) -> Solution:
+            return self._solved(1, diffrax.SaveAt(dense=True), room)
+
+        dense = self._every_step(run)._dense
         assert dense is not None
         return dense
 
@@ -141,9 +150,8 @@ class Orbit(eqx.Module):
         steps = -(-self.options.steps // self.options.arcs)
         length = self.period / self.options.arcs
         starts = jnp.tile(self.starts, (periods, 1))
-        budget = enough_iterations(self._steps, self.options.max_events)
 
-        def run(number: Array, start: Array) -> Solution:
+        def run(number: Array, start: Array, room: int | None) -> Solution:
             t0 = self.options.t0 + number * length
             t1 = t0 + length
             at = (
@@ -160,15 +168,28 @@ class Orbit(eqx.Module):
                 stepper=self.options.stepper,
                 saveat=at,
                 max_events=self.options.max_events,
-                max_steps=budget if ts is None else None,
+                max_steps=room,
                 throw=False,
             )
 
-        return eqx.filter_vmap(run)(jnp.arange(count).astype(starts.dtype), starts)
+        def all_of(room: int | None) -> Solution:
+            each = eqx.filter_vmap(ft.partial(run, room=room))
+            return each(jnp.arange(count).astype(starts.dtype), starts)
 
-    def _solved(self, periods: int, saveat: diffrax.SaveAt) -> Solution:
-        # An array of that length is stored if every step is saved.
-        budget = enough_iterations(self._steps * periods, self.options.max_events * periods)
+        return all_of(None) if ts is not None else self._every_step(all_of)
+
+    def _every_step(self, run: Callable[[int], Solution]) -> Solution:
+        """A run, or a batch of runs, with every step, given the iterations there is room for."""
+        # How many a run takes is unknown under a tolerance, with ticks, or with halved steps.
+        room, known = enough_iterations(self._steps, self.options.max_events), is_known(self)
+        sol = run(room if known else _MORE * room)
+        while known and room < _MOST_ROOM and _is_short(sol):
+            room *= _MORE
+            sol = run(room)
+        return raise_if_failed(sol, sol.result)
+
+    def _solved(self, periods: int, saveat: diffrax.SaveAt, room: int | None = None) -> Solution:
+        """The run from t0, in as many iterations as there is `room` for if every step is saved."""
         t0, period = in_numpy((self.options.t0, self.period))
         return solve(
             self.system,
@@ -179,12 +200,17 @@ class Orbit(eqx.Module):
             stepper=self.options.stepper,
             saveat=saveat,
             max_events=self.options.max_events * periods,
-            max_steps=budget if saveat.dense or saveat.subs.steps else None,
+            max_steps=room,
             throw=False,
         )
 
     def __repr__(self) -> str:
         return _card(self)
+
+
+def _is_short(sol: Solution) -> bool:
+    """Whether a run, or any of several, has used up its iterations."""
+    return bool(np.any(sol.result == RESULTS.max_steps_reached))
 
 
 @jax.jit
@@ -228,27 +254,6 @@ def _joined(orbit: Orbit, arcs: Solution, ts: Array) -> Solution:
         labels=arcs.labels,
         compact=arcs.compact,
     )
-
-
-@eqx.filter_jit
-def _extremes(orbit: Orbit) -> tuple[Array, Array]:
-    if orbit.options.arcs > 1:
-        arcs = orbit._arcs()._dense
-        low, high = eqx.filter_vmap(ft.partial(_extremes_of, n=orbit.x0.shape[-1]))(arcs)
-        return jnp.min(low, axis=0), jnp.max(high, axis=0)
-    return _extremes_of(orbit.dense(), orbit.x0.shape[-1])
-
-
-def _extremes_of(dense: Dense, n: int) -> tuple[Array, Array]:
-    """The extremes of each component over every step of a run."""
-    # The smallest value is the largest of the negative: one search for all, as lanes of a batch.
-    numbers, signs = np.repeat(np.arange(n), 2), np.tile([-1.0, 1.0], n)
-
-    def extreme(i: Array, sign: Array) -> Array:
-        return sign * largest(dense, lambda t, x: sign * x[i]).value
-
-    both = jax.vmap(extreme)(jnp.asarray(numbers), jnp.asarray(signs, dense.xs.dtype))
-    return both[0::2], both[1::2]
 
 
 def _card(orbit: Orbit) -> str:

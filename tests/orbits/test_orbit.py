@@ -2,6 +2,7 @@
 
 import functools
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -649,6 +650,63 @@ def test_extremes_lie_within_a_step_as_long_as_the_period():
     orbit = jf.periodic_orbit(Repelling(jnp.asarray(0.5)), jnp.zeros(2), t0=1.0, **steps)
     low, high = orbit.extremes()
     assert_allclose([low, high], [[-0.8, -0.8], [0.8, 0.8]], rtol=0, atol=1e-12)
+
+
+class Dosed(jf.System):
+    """x' = −k x, with 365 doses of 1 + 0.8 cos 2π(t − 0.8) in a period of 1."""
+
+    rate: jax.Array
+    period = 1.0
+    clocks = (jf.Clock(1 / 365, 0.5 / 365),)
+
+    def vector_field(self, t, x, side):
+        return -self.rate * x
+
+    def tick(self, t, x, clock):
+        return x + 1 + 0.8 * jnp.cos(2 * jnp.pi * (t - 0.8))
+
+
+class Lagging(jf.System):
+    """x' = −x + √2 sin t, beside a surface below, so that x = sin(t − π/4)."""
+
+    level: jax.Array
+    period = 2 * np.pi
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.sqrt(2.0) * jnp.sin(t) - x
+
+    def switching(self, t, x):
+        return x[0] + self.level
+
+
+def test_extremes_of_an_orbit_with_many_ticks():
+    times, rates = (np.arange(365) + 0.5) / 365, np.array([20.0, 40.0])
+    doses, fade = 1 + 0.8 * np.cos(2 * np.pi * (times - 0.8)), np.exp(-rates / 365)
+    left = fade[:, None] ** (365 - np.arange(365))
+    before = [np.sum(doses * left, axis=1) / (1 - fade**365)]
+    for dose in doses[:-1]:
+        before.append((before[-1] + dose) * fade)
+    low, high = np.min(before, axis=0), np.max(np.add(before, doses[:, None]), axis=0)
+
+    def extremes(rate, x0):
+        return jf.periodic_orbit(Dosed(rate), x0[None], throw=False).extremes()
+
+    found = eqx.filter_vmap(extremes)(jnp.asarray(rates), jnp.asarray(before[0]))
+    assert_allclose(np.squeeze(found), [low, high], rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_an_orbit_by_a_tolerance_has_all_of_its_steps():
+    """Of a method of order five, hundreds. Its lowest point is at t = 7π/4."""
+    steps = dict(steps=jf.Adaptive(rtol=1e-13, atol=1e-13), stepper=diffrax.Tsit5())
+    orbit = jf.periodic_orbit(Lagging(jnp.asarray(1.2)), jnp.array([-0.7]), **steps)
+    assert_allclose(orbit.extremes(), [[-1.0], [1.0]], rtol=0, atol=1e-8)
+    assert_allclose(jf.grazing_margin(orbit.system, orbit), 0.2, rtol=0, atol=1e-8)
+    dense = orbit.dense()
+    ends = [np.asarray(v.ts)[np.isfinite(v.ts)] for v in (dense, jax.jit(jf.Orbit.dense)(orbit))]
+    assert_array_equal(*ends)
+    assert len(ends[0]) > 440 and ends[0][-1] == 2 * np.pi
 
 
 class Teeth(jf.System):
