@@ -6,22 +6,25 @@ Newton's method does not distinguish the sides of a wall, and may converge to su
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxfil.integrate.surfaces import unilateral
-from jaxfil.integrate.system.lowered import build
-from jaxfil.model.system import System
+from jaxfil.integrate.contacts.beginning import thrown_at
+from jaxfil.integrate.lane.problem import Problem
+from jaxfil.integrate.run.solution import Events
+from jaxfil.integrate.system.components import pack
 
 
 def is_behind(
-    system: System, t: Float[Array, ""], x: Float[Array, " n"], mode: Int[Array, " m"]
+    problem: Problem, x: Float[Array, " n"], mode: Int[Array, " m"], events: Events | None
 ) -> Bool[Array, ""]:
-    """Whether some surface that bounds H ≥ 0 has H < 0."""
-    if not system.resets:
+    """Whether an orbit lies where H < 0 behind a surface that throws back, given its first state
+    and mode and its events.
+
+    An orbit that is at H > 0 at some time has been let through, whatever the reset would do to its
+    first state, far from the surface.
+    """
+    if not problem.system.resets:
         return jnp.zeros((), bool)
-    on_components = build(system, x, compact=True)
-    far = on_components.of_surfaces(-jnp.ones(mode.shape, x.dtype))
-    here = t, on_components.unpack(x)
-    found = unilateral.constraints(on_components, *here, far)
-    _, _, normals = on_components.gradients(*here)
-    effect = unilateral.reset_effect(on_components, *here, found, normals)
-    bounds = jnp.stack([jnp.asarray(v) for v in effect.throws_back.parts])
-    return jnp.any((mode < 0) & jnp.reshape(bounds, mode.shape))
+    thrown = thrown_at(problem, problem.system.unpack(x))
+    behind = (mode < 0) & pack(thrown.back, bool)
+    if events is not None:
+        behind = behind & ~jnp.any(events.modes > 0, axis=0)
+    return jnp.any(behind)

@@ -190,11 +190,13 @@ def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbi
     problem, shot = equations.problem(system), root.at.aux
     starts, q = problem.split(z)
     _, period = problem.setting(q)
-    behind = is_behind(system, equations.options.t0, starts[0], shot.first_mode)
+    options, x0 = equations.options, starts[0]
+    first_arc = options.problem(system, x0, options.t0, period, arcs=1)
+    behind = is_behind(first_arc, x0, shot.first_mode, shot.events)
     found = root.result == RESULTS.successful
     result = RESULTS.where(found & behind, RESULTS.behind_surface, root.result)
     return Orbit(
-        x0=starts[0],
+        x0=x0,
         period=jnp.asarray(period, z.dtype),
         # A shot that ended early has no monodromy matrix.
         monodromy=select(shot.result == RESULTS.successful, shot.monodromy, jnp.nan),
@@ -206,5 +208,5 @@ def _orbit(equations: ClosedOrbit, system: System, z: Array, root: Root) -> Orbi
         system=system,
         starts=starts,
         num_steps=root.num_steps,
-        options=equations.options,
+        options=options,
     )

@@ -467,12 +467,40 @@ def test_an_orbit_that_is_zero_is_found(cubic, guess, dtype):
     assert_allclose(abs(orbit.multipliers), np.exp(-0.1), rtol=32 * np.finfo(dtype).eps ** 0.75)
 
 
-def test_an_orbit_behind_a_wall_is_told():
-    behind = S.ImpactOscillator(amplitude=2.0, omega=1.2, wall=-1.0)
+@pytest.mark.parametrize("wall, damping", [(-1.0, 0.1), (-9.0, 0.0)])
+def test_an_orbit_behind_a_wall_is_told(wall, damping):
+    """It hits the wall from behind, or stands still at t0, where no wall would change it."""
+    behind = S.ImpactOscillator(amplitude=2.0, omega=1.2, wall=wall, damping=damping)
     orbit = jf.periodic_orbit(behind, jnp.asarray([1.0, 0.0]), throw=False)
     assert outcome_names(orbit.result) == "behind_surface" and not bool(orbit.stable)
     with pytest.raises(Exception, match="lies behind a surface that throws back"):
         jf.periodic_orbit(behind, jnp.asarray([1.0, 0.0]))
+
+
+class Stove(jf.System):
+    """x' = −x + cos t + h, with a stove h that is lit at x = lo, and goes out at x = 9."""
+
+    lo: jax.Array
+    slides = False
+    period = 2 * np.pi
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([jnp.cos(t) - x[0] + x[1], 0 * x[1]])
+
+    def switching(self, t, x):
+        return jnp.stack([x[0] - self.lo, 9 - x[0]])
+
+    def reset(self, t, x, surface):
+        return x.at[1].set(jnp.where(surface == 0, 1.0, 0.0))
+
+
+@pytest.mark.slow
+def test_an_orbit_from_below_a_threshold_that_it_passes_through():
+    """Lit again while lit, it has x = 1 + (cos t + sin t)/2, which is below 0.7 at first."""
+    orbit = jf.periodic_orbit(Stove(jnp.asarray(0.7)), jnp.array([0.4, 1.0]), t0=1.5 * np.pi)
+    assert_array_equal(orbit.first_mode, [-1, 1])
+    assert_allclose(orbit.x0, [0.5, 1.0], rtol=0, atol=1e-9)
+    assert_allclose(np.sort(abs(orbit.multipliers)), [0, np.exp(-2 * np.pi)], rtol=0, atol=1e-12)
 
 
 class Thermostat(jf.System):

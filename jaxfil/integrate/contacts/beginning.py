@@ -17,9 +17,31 @@ from jaxfil.integrate.surfaces import unilateral
 from jaxfil.integrate.surfaces.unilateral import Constraints
 from jaxfil.integrate.system.components import Components, any_of, pack, where
 from jaxfil.integrate.system.lowered import ComponentSystem
+from jaxfil.integrate.system.rows import Rows
 
 # Rounding of H and of states, in eps of their terms.
 _NOISE = 64
+
+
+class Thrown(eqx.Module):
+    """What the resets of a state do to it, as if it were on their surfaces. Components are m."""
+
+    back: Components
+    """Whether a motion that comes with this state is thrown back."""
+    flat: Components
+    """Whether dH/dt is zero within rounding."""
+    seen: "Trace"
+    """The effect of each reset."""
+    rounding: Components
+    """Rounding of H."""
+    constraints: Constraints
+    """The surfaces as constraints."""
+    a: Components
+    """d²H/dt²."""
+    by_time: Components
+    """∂ψ/∂t of the constraints."""
+    normals: Rows
+    """∂H/∂x."""
 
 
 class Beginning(eqx.Module):
@@ -58,29 +80,17 @@ def begin(
     state after it is on the side from which the motion comes.
     """
     system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
-    # A wall bounds H ≥ 0, so fields, rates and reactions are evaluated on side +.
     above = sides.like(jnp.ones_like(t))
-    c = unilateral.constraints(system, t, x, above)
-    f = system.field(t, x, above)
-    a = unilateral.accelerations(system, t, x, above, f)
-    _, h_t, normals = system.gradients(t, x)
-    inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
-    by_time, dt = a - c.gradients @ f, typical_step(problem)
-    noise = unilateral.rate_noise(system, t, abs(x), inside, dt, f, c, by_time, surfaces)
-    flat, rounding = abs(c.rate) <= noise, _NOISE * system.eps * (abs(normals) @ abs(x))
-    # Only flags follow from the traces, so they have no derivative.
-    seen = stop_gradient(_traces(system, t, x, rounding))
-    # A reset may let a fast motion through, even if it throws slow ones back.
-    through = (direction * c.rate < -noise) & (direction * seen.rate < -noise)
-    reverses = unilateral.reset_effect(system, t, x, c, normals).throws_back & ~through
-    wall = on & reverses
-    unmade = seen.unmade & stop_gradient(_changed(system, t, x, on & ~reverses))
+    thrown = thrown_at(problem, x)
+    c, a, seen, flat = thrown.constraints, thrown.a, thrown.seen, thrown.flat
+    wall = on & thrown.back
+    unmade = seen.unmade & stop_gradient(_changed(system, t, x, on & ~thrown.back))
     # Along the motion H falls if the motion comes from side +.
     side = where(direction * rates < 0, above, -1.0)
     # Where ∂H/∂x = 0 the surface depends on time alone.
-    timed = abs(normals) @ x.like(jnp.ones_like(t)) == 0
-    returns = (abs(seen.h) > rounding) & (side * seen.h > 0)
-    back = on & ~reverses & ~flat
+    timed = abs(thrown.normals) @ x.like(jnp.ones_like(t)) == 0
+    returns = (abs(seen.h) > thrown.rounding) & (side * seen.h > 0)
+    back = on & ~thrown.back & ~flat
     # A reset to the side from which the motion comes is due in either direction of time. Any other
     # can be due only forward in time.
     back = back & (returns | (unmade & ~timed & (direction > 0)))
@@ -98,8 +108,30 @@ def begin(
         rests=rests,
         consistent=consistent,
         constraints=c,
-        by_time=by_time,
+        by_time=thrown.by_time,
     )
+
+
+def thrown_at(problem: Problem, x: Components) -> Thrown:
+    """What the resets at the start of a run do to its state x. It need not be on the surfaces."""
+    system, t, direction = problem.system, problem.grid.t0, problem.grid.direction
+    # A wall bounds H ≥ 0, so fields, rates and reactions are evaluated on side +.
+    above = system.for_each_surface(jnp.ones_like(t))
+    c = unilateral.constraints(system, t, x, above)
+    f = system.field(t, x, above)
+    a = unilateral.accelerations(system, t, x, above, f)
+    _, h_t, normals = system.gradients(t, x)
+    inside, surfaces = system.rate_rounding(t, x, above), (h_t, normals)
+    by_time, dt = a - c.gradients @ f, typical_step(problem)
+    noise = unilateral.rate_noise(system, t, abs(x), inside, dt, f, c, by_time, surfaces)
+    rounding = _NOISE * system.eps * (abs(normals) @ abs(x))
+    # Only flags follow from the traces, so they have no derivative.
+    seen = stop_gradient(_traces(system, t, x, rounding))
+    # Here it is unknown whether the motion comes from side +.
+    incoming = direction * c.rate < -noise
+    through = incoming & unilateral.lets_through(direction * seen.rate, noise)
+    back = unilateral.reset_effect(system, t, x, c, normals).throws_back & ~through
+    return Thrown(back, abs(c.rate) <= noise, seen, rounding, c, a, by_time, normals)
 
 
 class Trace(eqx.Module):

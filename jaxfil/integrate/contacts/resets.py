@@ -234,8 +234,7 @@ def _follow(
     passed = switching & ~reverses & ~stays_on(system, state.motion.mode) & seen.effect.changes
     due = (jumped & on) | (passed & ((jumped & there) | (close & ~at.off)))
     acts = due & (outward < -noise) & ~reset.heard
-    # A reset may let a fast motion through, even if it throws slow ones back.
-    walls = reverses & ~(reset.heard & (outward < -noise))
+    walls = reverses & ~(reset.heard & unilateral.lets_through(outward, noise))
     # A surface that a map has carried the state across has a contact at this time.
     across = switching & at.off & (state.motion.mode * at.h < 0) & ~reset.heard
     # A waiting reset is dropped if the state was moved back, or no longer moves to its surface.

@@ -154,6 +154,13 @@ def reset_effect(
     return ResetEffect(changes, (gains >= 1 - system.eps**0.5) & ~clears)
 
 
+def lets_through(outward: Components, noise: Components) -> Components:
+    """Whether resets let a motion through that has come to their surfaces, given its rate away from
+    each after the reset. A reset may do so with a fast motion, or in some states, even if by its
+    derivative it throws slow ones back (`ResetEffect`)."""
+    return outward < -noise
+
+
 def felt_response(
     system: ComponentSystem,
     at: tuple[Array, Components],
