@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxfil.xla import elements, fast_trig, matrix_product
+from jaxfil.xla.bounded_slope import ROOTS, bounded
 from jaxfil.xla.dependence import degrees_of, dependencies
 from jaxfil.xla.masked_product import ELEMENTWISE, SINGULAR, masked
 from jaxfil.xla.moves import by_slices
@@ -64,7 +65,8 @@ class Traced:
     `ahead` of the late arguments, can be passed to a call as `known`. Each sine is divided by the
     call's `fence`, the number 1 hidden from the compiler, unless the call says that its result is
     used `alone` and only one number in it depends on sines (see `ComponentSystem`). With
-    `transposed`, derivatives that may be infinite or NaN use `masked_product`. Unless it is `fast`,
+    `transposed`, derivatives that may be infinite or NaN use `masked_product`; with `bounded`,
+    slopes of roots are zero where they are infinite (`bounded_slope`). Unless it is `fast`,
     sines and cosines are XLA's own, one operation in place of some twenty, arrays built from
     numbers remain arrays, and only arrays are computed early, by functions that vectorise.
 
@@ -80,8 +82,10 @@ class Traced:
         when: Sequence[int] | None = None,
         transposed: bool = False,
         fast: bool = True,
+        bounded: bool = False,
     ):
         self._fast, self._functions = fast, _FAST if fast else _RIGHT
+        self._roots = ROOTS if bounded else frozenset()
         written, shape = jax.make_jaxpr(function, return_shape=True)(*example)
         written, self.closed_over = with_traced_values(written)
         self._closed = by_slices(written)
@@ -107,7 +111,7 @@ class Traced:
 
     def _evaluated(self, leaves: list, known: list | None, fence: Array | None) -> list:
         hold = _same if fence is None else lambda v: v / fence
-        evaluation = _Evaluation(self._functions, hold, known, self._masks, self._fast)
+        evaluation = _Evaluation(self._functions, hold, self._roots, known, self._masks, self._fast)
         return evaluation(self._closed, leaves, self._when)
 
     def _found(self, leaves: list) -> list:
@@ -116,7 +120,8 @@ class Traced:
         # Fast functions even in a compact program, since the values of all stages are one array
         # here, which fills vectors. Prints are not executed, since the call itself executes them.
         # With the masks of the call, which takes the values in the order in which they are found.
-        evaluation = _Evaluation(_FAST, _same, None, self._masks, self._fast, shows=False)
+        given = _FAST, _same, self._roots, None, self._masks, self._fast
+        evaluation = _Evaluation(*given, shows=False)
         evaluation(self._closed, [*leaves, *late], self._when)
         return evaluation.found
 
@@ -241,6 +246,7 @@ class _Evaluation:
         self,
         functions: Mapping[str, Callable],
         hold: Callable,
+        roots: frozenset[str],
         known: Sequence[Array] | None = None,
         masks: bool = False,
         mixed: bool = True,
@@ -248,7 +254,7 @@ class _Evaluation:
     ):
         self._functions, self._mixed = functions, mixed
         self._show = self._shown if shows else None
-        self._hold = hold
+        self._hold, self._roots = hold, roots
         self._known = None if known is None else iter(known)
         self._masks = masks
         self.found = []
@@ -301,7 +307,8 @@ class _Evaluation:
         name = eqn.primitive.name
         if name in self._functions and eqn.invars[0].aval.dtype in _FLOATS:
             return [self._hold(self._functions[name](*inputs))]
-        return [_SAFE.get(name, ft.partial(eqn.primitive.bind, **eqn.params))(*inputs)]
+        one = _SAFE.get(name, ft.partial(eqn.primitive.bind, **eqn.params))
+        return [bounded(one)(*inputs) if name in self._roots else one(*inputs)]
 
     def _evaluate(
         self, jaxpr: Any, eqn: Any, inputs: Sequence[Any], hold: Callable
@@ -312,6 +319,8 @@ class _Evaluation:
             return [hold(self._functions[name](jnp.asarray(inputs[0])))]
         if name in _SAFE:
             return [_SAFE[name](*map(jnp.asarray, inputs))]
+        if name in self._roots:
+            return [bounded(lambda *v: evaluate_one(jaxpr, eqn, v)[0])(*map(jnp.asarray, inputs))]
         if name == "dot_general" and self._mixed and matrix_product.is_small(eqn):
             return [matrix_product.written_out(eqn, *map(jnp.asarray, inputs))]
         return evaluate_one(jaxpr, _right_inside(eqn), inputs)

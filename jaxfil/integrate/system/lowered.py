@@ -341,7 +341,9 @@ def _build(
     traced = ft.partial(Traced, transposed=transposed, fast=not compact)
     asked = (sides,) if system._observes_mode else ()
     more, when = ((None, *asked) if asked else ()), (FIRST, EARLY, LATE, LATE, LATE, LATE)
-    traced_field = traced(field, leaves, t0, x, sides, *more, when=when[: 4 + len(more)])
+    # A slide or a rest stays where a root of H in its field has an infinite slope.
+    of_field = ft.partial(traced, bounded=m > 0 and (system.slides or resets))
+    traced_field = of_field(field, leaves, t0, x, sides, *more, when=when[: 4 + len(more)])
     traced_switching = traced(switching, leaves, t0, x)
     check_derivatives(vector_field=traced_field, switching=traced_switching)
     check_loops(switching=traced_switching)
@@ -351,7 +353,7 @@ def _build(
     seen, felt, holds_itself = traced_field, None, ()
     if resets and system.feels_reactions:
         at = leaves, t0, x, sides
-        seen, felt = reacting(field, traced, at, asked)
+        seen, felt = reacting(field, of_field, at, asked)
         check_reactions(system, seen, at, asked)
         more = sides, *asked
         second = accelerations(field, rate, traced, at)

@@ -556,3 +556,33 @@ def test_a_reset_of_a_part_of_the_velocity_comes_to_rest():
     assert_array_equal(outcome_names(sols.result), "successful")
     assert_array_equal(sols.mode_final, 2)
     assert_allclose(sols.x_final, [[1.0, 0.0]] * 3, rtol=0, atol=1e-14)
+
+
+class Adhesive(jf.System):
+    """A ball above a wall, with gravity, a growing lift and an attraction √x."""
+
+    lift: jax.Array
+    slides = False
+
+    def vector_field(self, t, x, side):
+        return jnp.stack([x[1], self.lift * t - 1 - jnp.sqrt(jnp.maximum(x[0], 0.0))])
+
+    def switching(self, t, x):
+        return x[0]
+
+    def reset(self, t, x, surface):
+        return jnp.stack([x[0], -0.3 * x[1]])
+
+
+@pytest.mark.slow
+def test_a_rest_where_a_root_in_the_field_has_no_slope():
+    """It bounces until t = 1, rests, and is lifted off at 1/lift = 2."""
+
+    def lifted(lift):
+        sol = jf.solve(Adhesive(lift), jnp.array([0.1, 0.0]), 0.0, 2.5, 0.01)
+        time = sol.events.ts[sol.num_events - 1]
+        return time, (time, sol.events.kinds[sol.num_events - 1])
+
+    slope, (time, kind) = jax.jit(jax.jacfwd(lifted, has_aux=True))(jnp.asarray(0.5))
+    assert kind == EventKind.slip
+    assert_allclose([time, slope], [2.0, -4.0], rtol=1e-9)

@@ -156,3 +156,47 @@ def test_leaving_a_slide_at_a_fold():
     steps = np.array([10, 12, 15, 18, 20, 22, 25, 27])
     order = -np.polyfit(np.log(steps), np.log([error(s) for s in steps]), 1)[0]
     assert abs(order - 8) < 0.5
+
+
+DRY = 0.2
+
+
+class Reservoir(jf.System):
+    """A tank with the outflow a √h and a demand, and the demand that is not met. The inflow grows
+    from t = 1 on."""
+
+    flow: jax.Array
+    demand: jax.Array
+    growth: jax.Array
+    clocks = (jf.Clock(1.0),)
+
+    def vector_field(self, t, x, side):
+        inflow = DRY + self.growth * jnp.maximum(t - 1, 0.0)
+        out = self.demand + self.flow * jnp.sqrt(jnp.maximum(x[0], 0.0))
+        return jnp.where(
+            side > 0, jnp.stack([inflow - out, 0 * x[1]]), jnp.stack([inflow, self.demand])
+        )
+
+    def switching(self, t, x):
+        return x[0]
+
+
+def test_a_slide_where_a_root_in_the_field_has_no_slope():
+    """The tank is empty at 2/a (√h − c/a log(1 + a √h/c)), with c the demand less the inflow, until
+    the inflow is the demand. What is not met until then depends on the growth through the end of
+    the slide alone."""
+    flow, demand, growth, h = 0.6, 0.5, 0.8, 0.3
+
+    def end(growth):
+        tank = Reservoir(jnp.asarray(flow), jnp.asarray(demand), growth)
+        steps = jf.Adaptive(rtol=1e-10, atol=1e-13)
+        sol = jf.solve(tank, jnp.array([h, 0.0]), 0.0, 1.5, steps, max_events=4)
+        return sol.x_final[1], (sol.x_final[1], sol.events.ts)
+
+    slope, (missing, times) = jax.jit(jax.jacfwd(end, has_aux=True))(jnp.asarray(growth))
+    c = demand - DRY
+    empty = 2 / flow * (np.sqrt(h) - c / flow * np.log(1 + flow * np.sqrt(h) / c))
+    np.testing.assert_allclose(times[:2], [empty, 1 + c / growth], rtol=0, atol=1e-8)
+    exact = c * (1 - empty) + c**2 / (2 * growth)
+    np.testing.assert_allclose(missing, exact, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(slope, -(c**2) / (2 * growth**2), rtol=0, atol=1e-8)
